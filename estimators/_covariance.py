@@ -1,0 +1,111 @@
+"""The only place where parameter covariance and identifiability are computed."""
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from estimators._problem import Space, Unknowns
+from estimators._results import NotIdentifiableError
+
+# A direction along which all free parameters may move by more than this share of their size within one standard
+# deviation is not determined by the data.
+_UNDETERMINED = 10.0
+
+
+@dataclasses.dataclass(frozen=True)
+class Information:
+    """What the data say of the shared parameters, with those of each experiment and the starts integrated out.
+
+    Attributes:
+        names: of the free shared parameters.
+        covariance: of their physical values.
+        directions: singular directions of the sensitivity in parameters divided by their size, best determined last.
+        deviations: standard deviation along each of them, relative.
+    """
+
+    names: tuple[str, ...]
+    covariance: Float[np.ndarray, "parameter parameter"]
+    directions: Float[np.ndarray, "direction parameter"]
+    deviations: Float[np.ndarray, " direction"]
+
+    def undetermined(self) -> list[str]:
+        """In words, every combination of parameters that the data leave free."""
+        said = []
+        for direction, deviation in zip(self.directions, self.deviations, strict=True):
+            if deviation < _UNDETERMINED:
+                continue
+            parts = [(name, share) for name, share in zip(self.names, direction, strict=True) if abs(share) > 0.2]
+            if len(parts) == 1:
+                said.append(f"{parts[0][0]} has no effect on what was measured")
+            else:
+                signs = {share > 0 for _, share in parts}
+                how = "scaled together" if len(signs) == 1 else "traded against each other"
+                said.append(f"{', '.join(name for name, _ in parts)} may be {how}")
+        return said
+
+    def require_determined(self) -> None:
+        """Raises `NotIdentifiableError` that names what the data leave free."""
+        if said := self.undetermined():
+            raise NotIdentifiableError(
+                f"The data leave {len(said)} combination(s) of parameters free: {'; '.join(said)}. Give a known constant "
+                "in /rig (total_mass or arm_inertia fixes the scale), fix a parameter, or add an experiment that excites it."
+            )
+
+
+def information(factor: np.ndarray, space: Space, unknowns: Unknowns) -> Information:
+    """Covariance and identifiability from the triangular factors of the experiments.
+
+    Args:
+        factor: [experiment row column], of a residual in units of its standard deviation, at the optimum.
+
+    Source: Gauss-Markov; Ljung, System Identification (1999), section 9.4.
+    """
+    shared = len(unknowns.shared)
+    rows = []
+    for block in factor:
+        # Rotate the experiment's own unknowns away: what remains below them is what it says of the shared ones.
+        own = block[:, shared:-1]
+        order = np.concatenate([own, block[:, :shared]], axis=1)
+        triangle = np.linalg.qr(order, mode="r")
+        rows.append(triangle[own.shape[1] :, own.shape[1] :])
+    slope = _slope(space, unknowns)
+    names = tuple(space.names[int(i)] for i in np.asarray(space.active) if int(i) < len(space.names))
+    matrix = np.concatenate(rows)[:, : len(names)] / slope[: len(names)]
+    return information_of(matrix, names, _sizes(space, unknowns)[: len(names)])
+
+
+def information_of(matrix: np.ndarray, names: Sequence[str], size: np.ndarray) -> Information:
+    """From a whitened Jacobian by physical parameters and the parameters' sizes."""
+    if not names:
+        return Information((), np.zeros((0, 0)), np.zeros((0, 0)), np.zeros(0))
+    _, singular, directions = np.linalg.svd(matrix * size, full_matrices=True)
+    singular = np.concatenate([singular, np.zeros(len(names) - len(singular))])
+    # Numbers below the rounding of the factors say nothing.
+    floor = 1e-13 * max(singular[0], 1e-300)
+    deviations = 1.0 / np.maximum(singular, floor)
+    half = directions.T * deviations
+    covariance = (half @ half.T) * np.outer(size, size)
+    return Information(tuple(names), covariance, directions[::-1], deviations[::-1])
+
+
+def _slope(space: Space, unknowns: Unknowns) -> np.ndarray:
+    """Derivative of each free physical parameter by its unconstrained stand-in, kept away from zero at a bound."""
+    import jax
+    import jax.numpy as jnp
+
+    def place(shared: jnp.ndarray) -> jnp.ndarray:
+        return space.physical(unknowns._replace(shared=shared))[0].at[space.active].get(mode="fill", fill_value=0.0)
+
+    slope = np.diagonal(np.asarray(jax.jacfwd(place)(unknowns.shared)))
+    return np.where(np.abs(slope) > 1e-12 * _sizes(space, unknowns), slope, 1e-12 * _sizes(space, unknowns))
+
+
+def _sizes(space: Space, unknowns: Unknowns) -> np.ndarray:
+    index = np.asarray(space.active)
+    inside = index < len(space.names)
+    place = np.where(inside, index, 0)
+    present = np.abs(np.asarray(space.physical(unknowns)[0])[place])
+    # At zero, as for an effect that turns out to be absent, the scale of what is plausible stands in.
+    return np.where(inside, np.maximum(present, 0.1 * np.asarray(space.scale)[place]), 1.0)

@@ -1,0 +1,154 @@
+"""optimistix's Levenberg-Marquardt on the compressed residual, one step at a time so that progress shows."""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+from jaxtyping import Array
+
+from estimators._problem import Data, Space, Unknowns, residual, triangle
+from rtac_jax import RTAC
+
+_HOPELESS = 1e30
+
+
+class Arguments(eqx.Module):
+    """All that the residual needs beside the unknowns; a change of values never compiles again."""
+
+    model: RTAC
+    data: Data
+    space: Space
+    whitener: Array
+    gain: Array | None
+    substeps: int = eqx.field(static=True)
+
+
+def _factor(unknowns: Unknowns, arguments: Arguments) -> Array:
+    factor = triangle(
+        arguments.model,
+        arguments.data,
+        arguments.space,
+        unknowns,
+        arguments.whitener,
+        substeps=arguments.substeps,
+        gain=arguments.gain,
+    )
+    # A trial step that makes the model diverge must look worse than any other, not like nothing.
+    return jnp.where(jnp.all(jnp.isfinite(factor)), factor, jnp.zeros_like(factor).at[:, -1, -1].set(_HOPELESS))
+
+
+@eqx.filter_custom_vjp
+def _compressed(unknowns: Unknowns, arguments: Arguments) -> Array:
+    return _factor(unknowns, arguments)[..., -1]
+
+
+@_compressed.def_fwd
+def _forward(perturbed: Any, unknowns: Unknowns, arguments: Arguments) -> tuple[Array, Array]:
+    del perturbed
+    factor = _factor(unknowns, arguments)
+    return factor[..., -1], factor
+
+
+@_compressed.def_bwd
+def _backward(factor: Array, cotangent: Array, perturbed: Any, unknowns: Unknowns, arguments: Arguments) -> Unknowns:
+    del perturbed, arguments
+    pulled = jnp.einsum("brc,br->cb", factor[..., :-1], cotangent)
+    shared, each = len(unknowns.shared), len(unknowns.each)
+    return Unknowns(pulled[:shared].sum(axis=1), pulled[shared : shared + each], pulled[shared + each :])
+
+
+def _function(unknowns: Unknowns, arguments: Arguments) -> tuple[Array, None]:
+    return _compressed(unknowns, arguments), None
+
+
+_OPTIONS = {"jac": "bwd"}  # a pull-back of the compressed residual: the Jacobian inside it is exact forward mode
+
+
+@eqx.filter_jit
+def _init(solver: Any, unknowns: Unknowns, arguments: Arguments) -> Any:
+    shape = jax.eval_shape(lambda: jnp.zeros((arguments.data.experiments, _columns(unknowns))))
+    return solver.init(_function, unknowns, arguments, _OPTIONS, shape, None, frozenset())
+
+
+@eqx.filter_jit
+def _step(solver: Any, unknowns: Unknowns, arguments: Arguments, state: Any) -> tuple[Unknowns, Any]:
+    unknowns, state, _ = solver.step(_function, unknowns, arguments, _OPTIONS, state, frozenset())
+    return unknowns, state
+
+
+def _columns(unknowns: Unknowns) -> int:
+    return len(unknowns.shared) + len(unknowns.each) + len(unknowns.start) + 1
+
+
+@eqx.filter_jit
+def factor(unknowns: Unknowns, arguments: Arguments) -> Array:
+    """The triangular factor of residual and Jacobian, per experiment; see `triangle`."""
+    return _factor(unknowns, arguments)
+
+
+def _largest(tree: Any) -> Array:
+    """The largest absolute element; optimistix's own norm cannot take empty arrays."""
+    leaves = [jnp.max(jnp.abs(leaf)) for leaf in jax.tree.leaves(tree) if leaf.size]
+    return jnp.max(jnp.stack(leaves)) if leaves else jnp.zeros(())
+
+
+class Solved(NamedTuple):
+    """Where Levenberg-Marquardt came to rest.
+
+    Attributes:
+        unknowns: there.
+        factor: the triangular factor there.
+        cost: half the sum of squares.
+        steps: how many were tried.
+        converged: whether steps and residual stopped changing, rather than the number of steps running out.
+    """
+
+    unknowns: Unknowns
+    factor: np.ndarray
+    cost: float
+    steps: int
+    converged: bool
+
+
+def solve(
+    unknowns: Unknowns, arguments: Arguments, *, tolerance: float = 1e-6, most: int = 60, progress: Any = None
+) -> Solved:
+    """Minimise the sum of squares.
+
+    Args:
+        tolerance: relative change of unknowns and residual below which it stops.
+        most: steps to try.
+        progress: called with a line of text after every step.
+
+    Raises:
+        FloatingPointError: the model diverges at the very start.
+    """
+    solver = optx.LevenbergMarquardt(rtol=tolerance, atol=tolerance, norm=_largest)
+    state = _init(solver, unknowns, arguments)
+    cost, quiet, converged, step = np.inf, 0, False, 0
+    for step in range(1, most + 1):
+        unknowns, state = _step(solver, unknowns, arguments, state)
+        now = float(0.5 * jnp.sum(state.f_info.residual**2))
+        if step == 1 and now > 0.25 * _HOPELESS:
+            raise FloatingPointError(
+                "The model diverges at the start values; give start values nearer to the rig, or check the units."
+            )
+        if progress is not None:
+            progress(f"step {step}, cost {now:.6g}")
+        if now < cost:
+            quiet = quiet + 1 if cost - now < 0.1 * tolerance * now else 0
+            cost = now
+        if bool(state.terminate) or quiet >= 3:
+            converged = True
+            break
+    return Solved(unknowns, np.asarray(factor(unknowns, arguments)), cost, step, converged)
+
+
+@eqx.filter_jit
+def plain_residual(unknowns: Unknowns, arguments: Arguments) -> tuple[Array, Array]:
+    """The residual itself and what is known of the starts; see `residual`."""
+    a = arguments
+    return residual(a.model, a.data, a.space, unknowns, a.whitener, substeps=a.substeps, gain=a.gain)

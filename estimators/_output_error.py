@@ -1,0 +1,346 @@
+"""Output error: the simulation that comes nearest to all measurements, with shared physics and separate starts."""
+
+import dataclasses
+import time
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from tqdm import tqdm
+
+from estimators._covariance import Information, information
+from estimators._kalman import filtered
+from estimators._least_squares import least_squares
+from estimators._levenberg_marquardt import Arguments, Solved, factor, plain_residual, solve
+from estimators._noise import noise_levels
+from estimators._problem import CHANNELS, Data, Space, Unknowns
+from estimators._results import RESULTS, DivergedError
+from estimators._start import scales_of, space_of
+from rtac_jax import RTAC, require_configured
+from rtac_jax._simulate import substeps_for
+from rtac_jax.measurement import Experiment, Recording
+
+# A second start agrees with the best one when its log-likelihood is within this much for each sample.
+_AGREES = 1e-3
+
+
+@dataclasses.dataclass(frozen=True)
+class Parameter:
+    """An estimate: value, standard deviation (zero where the parameter is fixed) and unit."""
+
+    value: float
+    std: float
+    unit: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Fit:
+    """Result of `output_error`.
+
+    Attributes:
+        model: with the estimated values; parameters of each experiment as arrays in the order of `experiments`.
+        result: how it ended.
+        information: covariance and identifiability of the free parameters.
+        noise: standard deviation of each channel's sensor noise.
+        residual_std: rms of each channel's residual, which weighted the channels.
+        start: states at the start of each experiment, SI units.
+        experiments: names of the experiments.
+        statistics: cost, steps, seconds, starts and how many agreed, substeps.
+    """
+
+    model: RTAC
+    result: RESULTS
+    information: Information
+    noise: Mapping[str, float]
+    residual_std: Mapping[str, float]
+    start: Mapping[str, Float[np.ndarray, " state"]]
+    experiments: tuple[str, ...]
+    statistics: Mapping[str, Any]
+
+    @property
+    def parameters(self) -> dict[str, Parameter]:
+        """Every shared parameter with its standard deviation."""
+        deviations = dict(
+            zip(self.information.names, np.sqrt(np.diagonal(self.information.covariance)), strict=True)
+        )
+        return {
+            name: Parameter(float(np.asarray(self.model[name])), float(deviations.get(name, 0.0)), declared.unit)
+            for name, declared in self.model.parameters.items()
+            if name not in self.model.per_experiment
+        }
+
+    def __str__(self) -> str:
+        lines = [f"{'parameter':30s} {'value':>12s} {'std':>10s}  unit"]
+        for name, found in self.parameters.items():
+            spread = f"{found.std:.2g}" if name in self.information.names else "fixed"
+            lines.append(f"{name:30s} {found.value:12.6g} {spread:>10s}  {found.unit}")
+        for channel, rms in self.residual_std.items():
+            lines.append(f"residual of {channel}: {rms:.4g} rms, {rms / self.noise[channel]:.2f} times its noise")
+        agreed = f"{self.statistics['agreed']} of {self.statistics['starts']} starts agree"
+        return "\n".join([*lines, f"{RESULTS[self.result]} {agreed}."])
+
+
+def output_error(
+    model: RTAC,
+    recording: Recording,
+    *,
+    starts: int = 2,
+    tolerance: float = 1e-6,
+    steps: int = 60,
+    from_model: bool = False,
+    progress: bool = True,
+) -> Fit:
+    """Fit a model to all moving experiments of a recording at once by its simulation error.
+
+    The first start is the closed form, the second the values of the model itself, further ones are drawn around the first.
+    From each it goes by one-step-ahead predictions with ever weaker correction to the free simulation, and last from a
+    smooth to a sharp friction law until the fit no longer changes.
+
+    Args:
+        starts: how many starts to try.
+        tolerance: relative change at which the optimiser stops.
+        steps: optimiser steps in each stage.
+        from_model: begin at the model's values only, as after adding an effect to a model that was fitted.
+        progress: show a bar.
+
+    Raises:
+        ValueError: nothing moves in the recording, or no parameter is free.
+        NotIdentifiableError: the data leave parameters free.
+        DivergedError: the model diverges from every start.
+        RuntimeError: JAX was not configured for double precision.
+
+    Source: Ljung, System Identification (1999), chapter 7; optimistix's LevenbergMarquardt.
+    """
+    require_configured()
+    began = time.perf_counter()
+    experiments = moving(recording)
+    if not model.free:
+        raise ValueError("The model has no free parameter; release one with model.release(name).")
+    levels = noise_levels(recording.experiments)
+    data = Data.of(experiments)
+    given = smoothed(model, experiments)
+    candidates = [("model", given)] if from_model else _starts(model, recording, experiments, starts)
+    bar = tqdm(total=None, disable=not progress, desc="output error", unit=" steps", leave=False)
+    run = _Run(data, experiments, levels, tolerance, steps, bar)
+    ends: list[tuple[str, _Stage]] = []
+    failures = []
+    for name, start in candidates:
+        bar.set_description(f"output error from {name}")
+        try:
+            ends.append((name, run.descend(start, best=min((end.cost for _, end in ends), default=np.inf))))
+        except FloatingPointError as error:
+            failures.append(f"from {name}: {error}")
+    if not ends:
+        bar.close()
+        raise DivergedError(" ".join(failures))
+    winner, stage = min(ends, key=lambda end: end[1].cost)
+    agreed = sum(end.cost <= stage.cost + _AGREES * float(jnp.sum(data.present)) for _, end in ends)
+    stage = run.sharpen(stage)
+    bar.close()
+    found = information(stage.solved.factor, stage.space, stage.solved.unknowns)
+    found.require_determined()
+    if not stage.solved.converged:
+        result = RESULTS.steps_exhausted
+    elif len(candidates) > 1 and agreed < 2:
+        result = RESULTS.starts_disagree
+    else:
+        result = RESULTS.successful
+    shared, each, states = (np.asarray(part) for part in stage.space.physical(stage.solved.unknowns))
+    values = dict(zip(stage.space.names, shared, strict=True)) | dict(zip(stage.space.each, each, strict=True))
+    return Fit(
+        model=stage.model.with_values(values),
+        result=result,
+        information=found,
+        noise=levels,
+        residual_std={c: float(s) for c, s in zip(CHANNELS, stage.deviation, strict=True) if c in levels},
+        start={e.name: states[:, i] for i, e in enumerate(experiments)},
+        experiments=tuple(e.name for e in experiments),
+        statistics={
+            "cost": stage.cost,
+            "steps": run.taken,
+            "starts": len(candidates),
+            "agreed": agreed,
+            "winner": winner,
+            "failures": tuple(failures),
+            "substeps": stage.substeps,
+            "smoothing": {n: float(np.asarray(stage.model[n])) for n in smoothing_names(stage.model)},
+            "seconds": time.perf_counter() - began,
+        },
+    )
+
+
+def moving(recording: Recording) -> list[Experiment]:
+    """The experiments that are not rest records.
+
+    Raises:
+        ValueError: there is none.
+    """
+    found = [e for e in recording.experiments if e.kind != "rest"]
+    if not found:
+        raise ValueError("the recording holds rest records only; add an experiment in which the rig moves.")
+    return found
+
+
+def smoothing_names(model: RTAC) -> list[str]:
+    """Parameters that smooth a friction law."""
+    return [name for name in model.parameters if name.endswith(".smoothing")]
+
+
+def smoothed(model: RTAC, experiments: Sequence[Experiment], share: float = 3e-3) -> RTAC:
+    """The model with friction smoothed over this share of the rms velocities."""
+    scales = scales_of(model, experiments)
+    size = {"cart": scales.velocity, "arm": scales.arm_velocity}
+    return model.with_values({name: share * size[name.split("_")[0]] for name in smoothing_names(model)})
+
+
+def _starts(
+    model: RTAC, recording: Recording, experiments: Sequence[Experiment], count: int
+) -> list[tuple[str, RTAC]]:
+    first = smoothed(least_squares(model, recording).model, experiments)
+    found = [("the closed form", first)]
+    if count > 1:
+        found.append(("the model's values", smoothed(model, experiments)))
+    random = np.random.default_rng(0)
+    for number in range(2, count):
+        factors = {name: float(np.asarray(first[name])) * random.uniform(0.8, 1.2) for name in first.free}
+        found.append((f"draw {number - 1}", first.with_values(factors)))
+    return found
+
+
+@dataclasses.dataclass(frozen=True)
+class _Stage:
+    model: RTAC
+    space: Space
+    solved: Solved
+    deviation: np.ndarray
+    cost: float
+    substeps: int
+
+
+@dataclasses.dataclass
+class _Run:
+    """The descent from one start: what stays the same over its stages."""
+
+    data: Data
+    experiments: Sequence[Experiment]
+    levels: Mapping[str, float]
+    tolerance: float
+    steps: int
+    bar: Any
+    taken: int = 0
+
+    def descend(self, model: RTAC, *, best: float) -> _Stage:
+        """From predictions with strong correction to the free simulation."""
+        space = space_of(model, self.experiments, free=[n for n in model.free if n not in model.per_experiment])
+        unknowns = space.unconstrained()
+        substeps = substeps_for(model, self.data.excitation)
+        noise = np.array([self.levels.get(channel, 1.0) for channel in CHANNELS])
+        scales = scales_of(model, self.experiments)
+        nothing = self._no_gain(model)
+        whitener = _diagonal(noise, self.data)
+        for share in (0.3, 0.03):
+            gain, corrected = self._gain(model, space, unknowns, noise, scales, share, substeps)
+            arguments = Arguments(model, self.data, space, corrected, gain, substeps)
+            unknowns = self._solve(unknowns, arguments, tolerance=1e-3, most=15).unknowns
+        deviation = noise
+        cost, solved = np.inf, None
+        for last in (False, False, True):
+            arguments = Arguments(model, self.data, space, whitener, nothing, substeps)
+            solved = self._solve(
+                unknowns, arguments, tolerance=self.tolerance if last else 1e-3, most=self.steps if last else 15
+            )
+            unknowns = solved.unknowns
+            deviation = self._deviation(model, space, unknowns, substeps, noise)
+            cost = _concentrated(deviation, self.data)
+            if cost > best + 1.0 * float(jnp.sum(self.data.present)):
+                break  # hopeless beside another start: not worth the last digits
+            whitener = _diagonal(deviation, self.data)
+        assert solved is not None
+        return _Stage(model, space, solved, deviation, cost, substeps)
+
+    def sharpen(self, stage: _Stage) -> _Stage:
+        """Friction from smooth to sharp, until the fit no longer changes or a step would need too many parts."""
+        names = smoothing_names(stage.model)
+        noise = np.array([self.levels.get(channel, 1.0) for channel in CHANNELS])
+        while names:
+            self.bar.set_description("output error, sharper friction")
+            shared = np.asarray(stage.space.physical(stage.solved.unknowns)[0])
+            now = stage.model.with_values(dict(zip(stage.space.names, shared, strict=True)))
+            sharper = now.with_values({name: now[name] / 4.0 for name in names})
+            substeps = substeps_for(sharper, self.data.excitation)
+            if substeps > 8:
+                break
+            space = _with_smoothing(stage.space, sharper, names)
+            whitener = _diagonal(stage.deviation, self.data)
+            arguments = Arguments(stage.model, self.data, space, whitener, self._no_gain(stage.model), substeps)
+            solved = self._solve(stage.solved.unknowns, arguments, tolerance=self.tolerance, most=self.steps)
+            deviation = self._deviation(stage.model, space, solved.unknowns, substeps, noise)
+            cost = _concentrated(deviation, self.data)
+            if cost > stage.cost + 1.0:
+                break
+            gained = stage.cost - cost
+            stage = _Stage(stage.model, space, solved, deviation, cost, substeps)
+            if gained < 0.5:
+                break
+        # The last weights belong to the residuals of the stage before; once more with its own.
+        arguments = Arguments(
+            stage.model, self.data, stage.space, _diagonal(stage.deviation, self.data),
+            self._no_gain(stage.model), stage.substeps,
+        )  # fmt: skip
+        final = np.asarray(factor(stage.solved.unknowns, arguments))
+        return dataclasses.replace(stage, solved=stage.solved._replace(factor=final))
+
+    def _solve(self, unknowns: Unknowns, arguments: Arguments, *, tolerance: float, most: int) -> Solved:
+        def show(text: str) -> None:
+            self.taken += 1
+            self.bar.update(1)
+            self.bar.set_postfix_str(text, refresh=False)
+
+        return solve(unknowns, arguments, tolerance=tolerance, most=most, progress=show)
+
+    def _no_gain(self, model: RTAC) -> Array:
+        return jnp.zeros((self.data.samples, len(model.states), len(CHANNELS), self.data.experiments))
+
+    def _gain(
+        self, model: RTAC, space: Space, unknowns: Unknowns, noise: np.ndarray, scales: Any, share: float, substeps: int
+    ) -> tuple[Array, Array]:
+        interval = float(np.min(np.asarray(self.data.excitation.sample_time)))
+        result = filtered(
+            model, self.data, space, space.physical(unknowns),
+            sensor_variance=jnp.broadcast_to(jnp.asarray(noise**2)[:, None], (len(CHANNELS), self.data.experiments)),
+            process=(jnp.asarray((share * scales.force) ** 2 * interval), jnp.asarray((share * scales.torque) ** 2 * interval)),
+            start_variance=(space.start_scale * (1 - space.start_held)) ** 2,
+            substeps=substeps,
+        )  # fmt: skip
+        return result.gain, result.whitener
+
+    def _deviation(
+        self, model: RTAC, space: Space, unknowns: Unknowns, substeps: int, noise: np.ndarray
+    ) -> np.ndarray:
+        whitener = _diagonal(np.ones(len(CHANNELS)), self.data)
+        arguments = Arguments(model, self.data, space, whitener, self._no_gain(model), substeps)
+        error, _ = plain_residual(unknowns, arguments)
+        count = np.maximum(np.asarray(self.data.present).sum(axis=(0, 2)), 1.0)
+        rms = np.sqrt((np.asarray(error) ** 2).sum(axis=(0, 2)) / count)
+        # A channel cannot be trusted beyond its sensor, or one that happens to fit would drown the others.
+        return np.where(rms > 0, np.maximum(rms, 1e-12 * noise), noise)
+
+
+def _with_smoothing(space: Space, model: RTAC, names: Sequence[str]) -> Space:
+    values = np.asarray(space.values).copy()
+    for name in names:
+        values[space.names.index(name)] = float(np.asarray(model[name]))
+    return dataclasses.replace(space, values=jnp.asarray(values))
+
+
+def _diagonal(deviation: np.ndarray, data: Data) -> Array:
+    eye = jnp.diag(1.0 / jnp.asarray(deviation))
+    return jnp.broadcast_to(eye[None, :, :, None], (1, len(CHANNELS), len(CHANNELS), data.experiments))
+
+
+def _concentrated(deviation: np.ndarray, data: Data) -> float:
+    """Negative log-likelihood with the noise levels at their best values, less a constant."""
+    count = np.asarray(data.present).sum(axis=(0, 2))
+    return float(np.sum(count * np.log(np.where(count > 0, deviation, 1.0))))

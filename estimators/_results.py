@@ -1,0 +1,24 @@
+"""How a numerical method ended: a sentence that says what happened and what to try."""
+
+import equinox as eqx
+
+
+class RESULTS(eqx.Enumeration):
+    """Outcomes of fits and diagnoses; `str` of a member is its sentence."""
+
+    successful = "The fit converged."
+    steps_exhausted = (
+        "The fit did not converge in the steps allowed; raise `steps`, or look at the parameters that still move."
+    )
+    starts_disagree = (
+        "The fit converged, but no second start reached the same place; it may be a local minimum, "
+        "so compare the model with the data before trusting it."
+    )
+
+
+class NotIdentifiableError(ValueError):
+    """The data leave combinations of parameters free; the message names them and what would fix them."""
+
+
+class DivergedError(ArithmeticError):
+    """The model left all bounds; the message says where and what to try."""

@@ -1,0 +1,40 @@
+"""Bounds by reparametrisation: unconstrained numbers of order one in place of physical parameters."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+Vector = Float[Array, "..."]
+
+
+def to_physical(z: Vector, lower: Vector, upper: Vector, scale: Vector) -> Vector:
+    """Physical values from unconstrained ones.
+
+    Without bounds scale * z; with one bound the bound plus scale * (z + sqrt(z^2 + 4)) / 2, which is linear far from
+    the bound and reaches it only at infinity; with two a logistic curve between them.
+    """
+    positive = 0.5 * (z + jnp.sqrt(z * z + 4.0))
+    negative = 0.5 * (-z + jnp.sqrt(z * z + 4.0))
+    low, high = jnp.isfinite(lower), jnp.isfinite(upper)
+    finite_low, finite_high = jnp.where(low, lower, 0.0), jnp.where(high, upper, 0.0)
+    between = finite_low + (finite_high - finite_low) * jax.nn.sigmoid(z)
+    one_sided = jnp.where(low, finite_low + scale * positive, finite_high - scale * negative)
+    return jnp.where(low & high, between, jnp.where(low | high, one_sided, scale * z))
+
+
+def to_unconstrained(value: np.ndarray, lower: np.ndarray, upper: np.ndarray, scale: np.ndarray) -> np.ndarray:
+    """The inverse of `to_physical`; a value on its bound is moved inside by a thousandth of the scale."""
+    value, lower, upper, scale = np.broadcast_arrays(
+        *(np.asarray(x, dtype=float) for x in (value, lower, upper, scale))
+    )
+    low, high = np.isfinite(lower), np.isfinite(upper)
+    with np.errstate(all="ignore"):
+        above = np.maximum((value - lower) / scale, 1e-3)
+        below = np.maximum((upper - value) / scale, 1e-3)
+        share = np.clip((value - lower) / (upper - lower), 1e-3, 1 - 1e-3)
+        return np.select(
+            [low & high, low, high],
+            [np.log(share / (1 - share)), above - 1 / above, 1 / below - below],
+            value / scale,
+        )

@@ -1,0 +1,81 @@
+"""What drives a set of experiments, as arrays that the time loop can take: padded to one length, one column each."""
+
+from collections.abc import Sequence
+from typing import Self
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from scipy.interpolate import CubicSpline
+
+from rtac_jax.measurement import Experiment, Signal
+
+
+class Excitation(eqx.Module):
+    """Inputs of several experiments between their samples, as polynomials in the fraction of the interval.
+
+    Attributes:
+        current: polynomial coefficients, rising powers [A]; None where no experiment has a current.
+        force: likewise of the disturbance force [N].
+        sample_time: [s].
+        arm_free, cart_free: 1 where it may move, 0 where it is held.
+    """
+
+    current: Float[Array, "sample power experiment"] | None
+    force: Float[Array, "sample power experiment"] | None
+    sample_time: Float[Array, " experiment"]
+    arm_free: Float[Array, " experiment"]
+    cart_free: Float[Array, " experiment"]
+
+    @classmethod
+    def of(cls, experiments: Sequence[Experiment]) -> Self:
+        """From experiments of any lengths, sample times and channels; the shorter ones end with zero input."""
+        return cls(
+            current=_stack(experiments, "current"),
+            force=_stack(experiments, "disturbance_force"),
+            sample_time=jnp.asarray([e.sample_time for e in experiments]),
+            arm_free=jnp.asarray([float(e.arm == "free") for e in experiments]),
+            cart_free=jnp.asarray([float(e.cart == "free") for e in experiments]),
+        )
+
+    @property
+    def samples(self) -> int:
+        """Length of the longest experiment, or of the excitation where there is no input."""
+        for inputs in (self.current, self.force):
+            if inputs is not None:
+                return inputs.shape[0]
+        return 0
+
+    def first_current(self) -> Float[Array, " experiment"]:
+        """Current at the first sample [A]."""
+        if self.current is None:
+            return jnp.zeros_like(self.sample_time)
+        return self.current[0, 0]
+
+
+def _stack(experiments: Sequence[Experiment], channel: str) -> Array | None:
+    signals = [e.inputs.get(channel) for e in experiments]
+    if not any(signal is not None and np.any(signal.values) for signal in signals):
+        return None
+    parts = [None if signal is None else _coefficients(signal) for signal in signals]
+    powers = max(part.shape[1] for part in parts if part is not None)
+    stacked = np.zeros((max(e.samples for e in experiments), powers, len(experiments)))
+    for column, part in enumerate(parts):
+        if part is not None:
+            stacked[: len(part), : part.shape[1], column] = part
+    return jnp.asarray(stacked)
+
+
+def _coefficients(signal: Signal) -> Float[np.ndarray, "sample power"]:
+    """Rising powers of the fraction of the interval that follows each sample; the last interval holds its value."""
+    values = signal.values
+    if signal.intersample == "zoh":
+        return values[:, None]
+    if signal.intersample == "foh":
+        return np.stack([values, np.append(np.diff(values), 0.0)], axis=1)
+    # A natural choice for a band-limited signal that is sampled well above its band: the cubic spline through it.
+    spline = CubicSpline(np.arange(len(values)), values).c[::-1].T
+    last = np.zeros((1, 4))
+    last[0, 0] = values[-1]
+    return np.concatenate([spline, last])

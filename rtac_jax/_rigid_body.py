@@ -1,0 +1,69 @@
+"""Equations (1) and (2) of the paper: a cart on a spring, carrying an arm with an eccentric mass."""
+
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from rtac_jax._parameter import Scalar, parameter
+
+_TABLE_1 = "paper, Table 1(c)"
+
+
+class RigidBody(eqx.Module):
+    """Cart, spring, motor and arm without any friction.
+
+    (M+m) q'' + k q = -m e (theta'' cos theta - theta'^2 sin theta) + F        (1)
+    (I+m e^2) theta'' = -m e q'' cos theta + K_m i                            (2)
+
+    Raises:
+        ValueError: a mass, an inertia or a stiffness is not positive, or the mass matrix is not positive definite.
+    """
+
+    total_mass: Scalar = parameter(
+        symbol="M+m", unit="kg", bounds=(0.0, np.inf), meaning="cart and arm together", source=_TABLE_1
+    )
+    arm_inertia: Scalar = parameter(
+        symbol="I+me^2", unit="kg m^2", bounds=(0.0, np.inf), meaning="arm about the motor axis", source=_TABLE_1
+    )
+    eccentric_moment: Scalar = parameter(
+        symbol="me", unit="kg m", bounds=(0.0, np.inf), meaning="arm mass times eccentricity", source="paper, Table 1(b)"
+    )
+    spring_stiffness: Scalar = parameter(
+        symbol="k", unit="N/m", bounds=(0.0, np.inf), meaning="spring of the cart", source=_TABLE_1
+    )
+    torque_constant: Scalar = parameter(
+        symbol="K_m", unit="N m/A", bounds=(0.0, np.inf), meaning="motor torque per ampere", source=_TABLE_1
+    )
+
+    def __check_init__(self) -> None:
+        for name in ("total_mass", "arm_inertia", "spring_stiffness", "torque_constant"):
+            value = getattr(self, name)
+            if _is_concrete(value) and not np.all(np.asarray(value) > 0):
+                raise ValueError(f"{name} is {np.asarray(value)}, but must be positive.")
+        values = (self.total_mass, self.arm_inertia, self.eccentric_moment)
+        if all(_is_concrete(value) for value in values) and np.any(np.asarray(self.coupling()) >= 1):
+            raise ValueError(
+                f"eccentric_moment is {np.asarray(self.eccentric_moment)}, but its square must be below "
+                "total_mass times arm_inertia, or the mass matrix is not positive definite."
+            )
+
+    def coupling(self) -> Any:
+        """epsilon = m e / sqrt((I+m e^2)(M+m)), equation (3); no unit."""
+        return self.eccentric_moment / jnp.sqrt(self.arm_inertia * self.total_mass)
+
+    def natural_frequency(self) -> Any:
+        """sqrt(k / (M+m)) [rad/s]."""
+        return jnp.sqrt(self.spring_stiffness / self.total_mass)
+
+    def energy(self, cart_position: Any, cart_velocity: Any, arm_angle: Any, arm_velocity: Any) -> Any:
+        """Kinetic and spring energy [J]."""
+        kinetic_cart = 0.5 * self.total_mass * cart_velocity**2
+        kinetic_arm = 0.5 * self.arm_inertia * arm_velocity**2
+        exchange = self.eccentric_moment * cart_velocity * arm_velocity * jnp.cos(arm_angle)
+        return kinetic_cart + kinetic_arm + exchange + 0.5 * self.spring_stiffness * cart_position**2
+
+
+def _is_concrete(value: Any) -> bool:
+    return isinstance(value, jnp.ndarray) and not hasattr(value, "_trace") and hasattr(value, "__array__")

@@ -1,0 +1,68 @@
+"""Friction on the cart: viscous and Coulomb (the paper's), and quadratic drag."""
+
+from typing import Any, ClassVar
+
+import jax.numpy as jnp
+import numpy as np
+
+from rtac_jax._parameter import Scalar, parameter
+from rtac_jax._sincos import smooth_sign
+from rtac_jax.effects._interface import Force, Motion, States
+
+
+class CartViscous(Force):
+    """Air friction and spring damping, proportional to the cart's velocity."""
+
+    id: ClassVar[str] = "cart_viscous"
+    equation: ClassVar[str] = "-v q'"
+    source: ClassVar[str] = "paper, section 4.1"
+    port: ClassVar[str] = "cart"
+    nature: ClassVar[str] = "dissipative"
+
+    coefficient: Scalar = parameter(
+        symbol="v", unit="N s/m", bounds=(0.0, np.inf), meaning="viscous friction of the cart", null=0.0,
+        source="paper, section 4.2: 0.5543", plausible=lambda s: 0.05 * s.force / s.velocity,
+    )  # fmt: skip
+
+    def force(self, motion: Motion, own: States) -> tuple[Any, Any]:
+        return -self.coefficient * motion.cart_velocity, 0.0
+
+
+class CartCoulomb(Force):
+    """Dry friction of the cart, with a finite slope at zero velocity so that gradients exist."""
+
+    id: ClassVar[str] = "cart_coulomb"
+    equation: ClassVar[str] = "-d q' / sqrt(q'^2 + s^2)"
+    source: ClassVar[str] = "paper, section 4.1"
+    port: ClassVar[str] = "cart"
+    nature: ClassVar[str] = "dissipative"
+
+    level: Scalar = parameter(
+        symbol="d", unit="N", bounds=(0.0, np.inf), meaning="Coulomb friction of the cart", null=0.0,
+        source="paper, section 4.2: 0.024", plausible=lambda s: 0.02 * s.force,
+    )  # fmt: skip
+    smoothing: Scalar = parameter(
+        symbol="s", unit="m/s", bounds=(0.0, np.inf), meaning="velocity at which the sign is smoothed",
+        fixed=True, default=1e-4,
+    )  # fmt: skip
+
+    def force(self, motion: Motion, own: States) -> tuple[Any, Any]:
+        return -self.level * smooth_sign(motion.cart_velocity, self.smoothing), 0.0
+
+
+class CartQuadraticDrag(Force):
+    """Drag of turbulent air, proportional to the square of the cart's velocity."""
+
+    id: ClassVar[str] = "cart_quadratic_drag"
+    equation: ClassVar[str] = "-c |q'| q'"
+    source: ClassVar[str] = "Nayfeh and Mook, Nonlinear Oscillations (1979), section 3.3"
+    port: ClassVar[str] = "cart"
+    nature: ClassVar[str] = "dissipative"
+
+    coefficient: Scalar = parameter(
+        symbol="c", unit="N s^2/m^2", bounds=(0.0, np.inf), meaning="quadratic drag of the cart", null=0.0,
+        plausible=lambda s: 0.02 * s.force / s.velocity**2,
+    )  # fmt: skip
+
+    def force(self, motion: Motion, own: States) -> tuple[Any, Any]:
+        return -self.coefficient * jnp.abs(motion.cart_velocity) * motion.cart_velocity, 0.0

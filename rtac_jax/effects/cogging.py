@@ -1,0 +1,32 @@
+"""Torque ripple of a motor with iron teeth."""
+
+from typing import Any, ClassVar
+
+from rtac_jax._parameter import Scalar, parameter
+from rtac_jax._sincos import sincos
+from rtac_jax.effects._interface import Force, Motion, States
+
+
+class Cogging(Force):
+    """A torque that repeats n times a turn, whether or not current flows."""
+
+    id: ClassVar[str] = "cogging"
+    equation: ClassVar[str] = "A sin(n theta + phi) = a sin(n theta) + b cos(n theta)"
+    source: ClassVar[str] = "Hanselman, Brushless Permanent Magnet Motor Design (2006), chapter 3"
+    port: ClassVar[str] = "arm"
+    nature: ClassVar[str] = "conservative"
+
+    sine: Scalar = parameter(
+        symbol="a", unit="N m", meaning="A cos phi", null=0.0, plausible=lambda s: 0.03 * s.torque
+    )
+    cosine: Scalar = parameter(
+        symbol="b", unit="N m", meaning="A sin phi", null=0.0, plausible=lambda s: 0.03 * s.torque
+    )
+    harmonic: Scalar = parameter(
+        symbol="n", unit="1", meaning="periods in a turn", fixed=True,
+        plausible=tuple(float(n) for n in range(2, 25)),
+    )  # fmt: skip
+
+    def force(self, motion: Motion, own: States) -> tuple[Any, Any]:
+        s, c = sincos(self.harmonic * motion.arm_angle)
+        return 0.0, self.sine * s + self.cosine * c

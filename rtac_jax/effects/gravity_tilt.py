@@ -1,0 +1,29 @@
+"""Gravity in a plane of motion that is not level."""
+
+from typing import Any, ClassVar
+
+from rtac_jax._parameter import Scalar, parameter
+from rtac_jax.effects._interface import Force, Motion, States
+
+STANDARD_GRAVITY = 9.80665  # m/s^2, CGPM 1901
+
+
+class GravityTilt(Force):
+    """A small tilt along the cart's travel and across it; the eccentric mass lies at q + e sin theta along, e cos theta across."""
+
+    id: ClassVar[str] = "gravity_tilt"
+    equation: ClassVar[str] = "cart: (M+m) g a; arm: m e g (a cos theta - b sin theta)"
+    source: ClassVar[str] = "potential -(M+m) g a q - m e g (a sin theta + b cos theta)"
+    port: ClassVar[str] = "arm and cart"
+    nature: ClassVar[str] = "conservative"
+
+    along: Scalar = parameter(symbol="a", unit="rad", meaning="tilt along the travel", null=0.0, plausible=0.01)
+    across: Scalar = parameter(symbol="b", unit="rad", meaning="tilt across the travel", null=0.0, plausible=0.01)
+
+    def force(self, motion: Motion, own: States) -> tuple[Any, Any]:
+        body = motion.body
+        pull = self.along * motion.cos_angle - self.across * motion.sin_angle
+        return (
+            body.total_mass * STANDARD_GRAVITY * self.along,
+            body.eccentric_moment * STANDARD_GRAVITY * pull,
+        )

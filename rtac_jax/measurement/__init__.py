@@ -1,0 +1,27 @@
+"""What was recorded: experiments, files, and the signals in them."""
+
+from ._concerns import concerns
+from ._errors import RecordingError
+from ._excitation import chirp, multisine, prbs, square_wave
+from ._experiment import Experiment
+from ._filter import central_difference, zero_phase_lowpass
+from ._info import describe
+from ._recording import Recording
+from ._signal import INPUTS, OUTPUTS, Signal
+
+__all__ = [
+    "INPUTS",
+    "OUTPUTS",
+    "Experiment",
+    "Recording",
+    "RecordingError",
+    "Signal",
+    "central_difference",
+    "chirp",
+    "concerns",
+    "describe",
+    "multisine",
+    "prbs",
+    "square_wave",
+    "zero_phase_lowpass",
+]

@@ -1,0 +1,133 @@
+"""From named columns of a foreign file to one experiment: what the MAT and CSV importers share."""
+
+from collections.abc import Collection, Mapping
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float64
+
+from ._errors import RecordingError
+from ._experiment import Experiment
+from ._signal import INPUTS, OUTPUTS, finite, positive
+
+# Factor from a unit that a file may use to the unit of the layout.
+FACTORS: Mapping[str, Mapping[str, float]] = {
+    "A": {"A": 1.0, "mA": 1e-3},
+    "N": {"N": 1.0, "mN": 1e-3},
+    "m": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254},
+    "rad/s": {"rad/s": 1.0, "deg/s": np.pi / 180, "rpm": np.pi / 30},
+    "rad": {"rad": 1.0, "deg": np.pi / 180, "rev": 2 * np.pi},
+}
+UNITS = {**INPUTS, **OUTPUTS}
+UNIFORM = 1e-6
+
+
+def check_options(
+    channels: Mapping[str, str],
+    time: str | None,
+    sample_time: float | None,
+    by_channel: Mapping[str, Collection[str] | None],
+) -> list[str]:
+    """The columns to read.
+
+    Raises `RecordingError` for an unknown channel or when the time is given twice or not.
+    """
+    if not channels:
+        raise RecordingError(
+            f"channels: is empty; map at least one of {', '.join(UNITS)} to a name in the file."
+        )
+    for channel in channels:
+        if channel not in UNITS:
+            raise RecordingError(f"channels: there is no channel {channel!r}; use {', '.join(UNITS)}.")
+    for option, keys in by_channel.items():
+        for key in keys or ():
+            if key not in channels:
+                raise RecordingError(
+                    f"{option}: names {key!r}, which is not among the channels; add it there."
+                )
+    if (time is None) == (sample_time is None):
+        raise RecordingError(
+            "time, sample_time: give one of the two, the column of times or the seconds per sample."
+        )
+    return [*channels.values(), *([time] if time is not None else [])]
+
+
+def assemble(
+    columns: Mapping[str, Float64[np.ndarray, " sample"]],
+    *,
+    name: str,
+    channels: Mapping[str, str],
+    time: str | None,
+    sample_time: float | None,
+    units: Mapping[str, str] | None,
+    scale: Mapping[str, float] | None,
+    start: int,
+    stop: int | None,
+    remove_mean: Collection[str],
+    first_row: int = 0,
+    **conditions: Any,
+) -> Experiment:
+    """The experiment in samples `start` to `stop` of the columns, in the units of the layout."""
+    lengths = {column: len(values) for column, values in columns.items()}
+    total = min(lengths.values())
+    if total != max(lengths.values()):
+        raise RecordingError(
+            f"the lengths differ ({lengths}); all columns of an experiment must have one length."
+        )
+    stop = total if stop is None else stop
+    if not 0 <= start < stop <= total:
+        raise RecordingError(
+            f"samples {start} to {stop} were asked for; choose 0 <= start < stop <= {total}."
+        )
+    signals = {}
+    for channel, column in channels.items():
+        values = columns[column][start:stop] * _factor(channel, units or {}, scale or {})
+        # Missing samples do not take part in a mean; a column without any is refused further on.
+        present = values[~np.isnan(values)]
+        if channel in remove_mean and len(present):
+            values = values - present.mean()
+        signals[channel] = values
+    if time is not None:
+        sample_time = uniform_step(columns[time][start:stop], time, start + first_row)
+    return Experiment.of(name, sample_time=sample_time, **signals, **conditions)  # pyright: ignore[reportArgumentType]
+
+
+def uniform_step(times: Float64[np.ndarray, " sample"], column: str, offset: int) -> float:
+    """The common distance of `times` [s].
+
+    Raises `RecordingError` naming the first index (plus `offset`) off it.
+    """
+    steps = np.diff(times)
+    bad = ~(steps > 0)
+    if not len(steps) or bad.any():
+        index = int(np.argmax(bad)) + 1 + offset if len(steps) else offset
+        raise RecordingError(
+            f"{column}, index {index}: the time does not increase; sort, mend or cut the rows there."
+        )
+    # The median is not moved by a gap, so the index found is that of the gap.
+    typical = float(np.median(steps))
+    uneven = np.abs(steps - typical) > UNIFORM * typical
+    if uneven.any():
+        index = int(np.argmax(uneven))
+        raise RecordingError(
+            f"{column}, index {index + 1 + offset}: the step is {steps[index]:.9g} s and elsewhere "
+            f"{typical:.9g} s; resample the data, cut at the gap, or give sample_time if the times are only "
+            "rounded."
+        )
+    return float((times[-1] - times[0]) / len(steps))
+
+
+def _factor(channel: str, units: Mapping[str, str], scale: Mapping[str, float]) -> float:
+    target = UNITS[channel]
+    if channel in scale:
+        # A negative factor turns the direction round, which is a matter of how the sensor is mounted.
+        factor = finite(f"scale/{channel}", scale[channel], "the factor")
+        positive(f"scale/{channel}", abs(factor), "the size of the factor")
+        return factor
+    unit = units.get(channel, target)
+    if unit not in FACTORS[target]:
+        raise RecordingError(
+            f"units/{channel}: {unit!r} is not known for this channel, only {', '.join(FACTORS[target])}; "
+            f"give scale={{{channel!r}: {target} per {unit}}} instead."
+        )
+    return FACTORS[target][unit]

@@ -1,0 +1,207 @@
+"""What looks wrong with a recording. Every judgement is a guess from the data; nothing is changed by it."""
+
+from collections.abc import Iterator
+
+import numpy as np
+import scipy.ndimage
+from jaxtyping import Float64
+
+from ._experiment import Experiment
+from ._recording import POSITIVE, Recording
+from ._signal import Signal
+
+SHOWN_NAMES = 6
+SHORT_SAMPLES = 100
+SHORT_PERIODS = 3
+SAMPLES_PER_PERIOD = 20
+OUTLIER_SIGMAS = 10
+OUTLIER_WINDOW = 51
+# From the median of absolute values to the standard deviation, for Gaussian noise.
+MEDIAN_TO_STD = 1.4826
+
+
+def concerns(recording: Recording) -> list[str]:
+    """What looks wrong with `recording`, one sentence each; empty when nothing does."""
+    found = list(_about_recording(recording))
+    # The same concern about many experiments is one sentence that lists them.
+    places: dict[str, list[str]] = {}
+    for experiment in recording:
+        for sentence in _about_experiment(experiment):
+            places.setdefault(sentence, []).append(experiment.name)
+    return found + [f"{_listed(names)}: {sentence}" for sentence, names in places.items()]
+
+
+def _listed(names: list[str]) -> str:
+    shown = ", ".join(names[:SHOWN_NAMES])
+    return shown if len(names) <= SHOWN_NAMES else f"{shown} and {len(names) - SHOWN_NAMES} more"
+
+
+def _about_recording(recording: Recording) -> Iterator[str]:
+    outputs = [signal for experiment in recording for signal in experiment.outputs.values()]
+    at_rest = any(experiment.kind == "rest" for experiment in recording)
+    if not at_rest and any(signal.noise_std is None for signal in outputs):
+        yield (
+            "There is no experiment at rest and not every output has noise_std, so the noise must be "
+            "estimated from the fit and a poor fit looks like noise; record some seconds with nothing moving."
+        )
+    force = any(
+        signal.values.any()
+        for e in recording
+        for name, signal in e.inputs.items()
+        if name == "disturbance_force"
+    )
+    if not force and not any(name in recording.rig for name in POSITIVE):
+        yield (
+            "The scale is not fixed: no mass, inertia, stiffness or torque constant is known and no force "
+            "was measured, so only ratios of parameters can be found; weigh the cart (total_mass) or give "
+            "arm_inertia."
+        )
+    if all(experiment.kind == "rest" for experiment in recording):
+        yield "All experiments are at rest, so there is nothing to fit; record free or forced ones."
+
+
+def _about_experiment(experiment: Experiment) -> Iterator[str]:
+    driven = {name for name, signal in experiment.inputs.items() if signal.values.any()}
+    at_rest, locked, clamped = (
+        experiment.kind == "rest",
+        experiment.arm == "locked",
+        experiment.cart == "clamped",
+    )
+    if driven and experiment.kind != "forced":
+        yield (
+            f"an experiment of kind {experiment.kind} has an input that is not zero; set its kind to forced."
+        )
+    if not at_rest and locked and clamped:
+        yield "arm and cart are both held, so it says nothing about the rig; use kind rest, or leave it out."
+    elif experiment.kind == "forced" and locked and driven == {"current"}:
+        yield "the current cannot move a locked arm, so it cannot be used as forced; set its kind to free."
+    elif not at_rest and all(_held(name, experiment) for name in experiment.outputs):
+        yield "only what is held was measured, so it cannot be used; leave it out."
+    if not at_rest and not locked and "arm_angle" not in experiment.outputs:
+        yield (
+            "arm_angle was not measured, so the angle comes from the model and depends on where the arm "
+            "started."
+        )
+        if experiment.initial_arm_angle is None:
+            yield (
+                "initial_arm_angle is not given either, so the starting angle must be estimated; note it "
+                "next time."
+            )
+    if experiment.samples < SHORT_SAMPLES:
+        yield f"it has fewer than {SHORT_SAMPLES} samples, which is little to fit; record for longer."
+    for name, signal in experiment.outputs.items():
+        yield from (
+            f"{name} {sentence}" for sentence in _about_output(signal, at_rest, _held(name, experiment))
+        )
+        if not at_rest and not _held(name, experiment) and name != "arm_angle":
+            yield from (f"{name} {sentence}" for sentence in _about_sampling(signal, experiment))
+
+
+def _held(name: str, experiment: Experiment) -> bool:
+    return experiment.cart == "clamped" if name == "cart_position" else experiment.arm == "locked"
+
+
+def _about_output(signal: Signal, at_rest: bool, held: bool) -> Iterator[str]:
+    missing = np.isnan(signal.values)
+    if missing.any():
+        yield f"has {100 * missing.mean():.2g} % of its samples missing."
+    values = signal.values[~missing]
+    spread = float(np.ptp(values))
+    if spread == 0:
+        if held or at_rest:
+            yield (
+                "is exactly constant, so it says nothing about the noise; check that the sensor was "
+                "connected."
+            )
+        return
+    step = _level_distance(values, spread)
+    noise = signal.noise_std or _noise_level(values)
+    if step is not None and step > 2 * noise:
+        yield (
+            f"is quantised in steps of {step:.3g} {signal.unit}, coarse next to its noise; use a finer range."
+        )
+    if not (at_rest or held) and _clipped(values):
+        yield (
+            "stays repeatedly at exactly its largest or smallest value, as if clipped; widen the range of "
+            "the sensor."
+        )
+    spikes = _spikes(values, step or 1e-9 * spread)
+    if len(spikes):
+        where = np.flatnonzero(~missing)[spikes[0]]
+        yield (
+            f"has {len(spikes)} suspicious outliers, the first at sample {where}; replace them by NaN if "
+            "they are faults."
+        )
+
+
+def _about_sampling(signal: Signal, experiment: Experiment) -> Iterator[str]:
+    frequency = _dominant_frequency(signal.values, experiment.sample_time)
+    if frequency * experiment.sample_time * SAMPLES_PER_PERIOD > 1:
+        yield (
+            f"is sampled fewer than {SAMPLES_PER_PERIOD} times in a period of its dominant {frequency:.3g} "
+            "Hz; sample faster."
+        )
+    if experiment.kind == "free" and frequency * experiment.duration < SHORT_PERIODS:
+        yield f"covers fewer than {SHORT_PERIODS} periods of its dominant frequency; record for longer."
+
+
+def _level_distance(values: Float64[np.ndarray, " sample"], spread: float) -> float | None:
+    """The distance of neighbouring levels [unit] if values recur so much that they must be quantised."""
+    gaps = np.diff(np.unique(values))
+    gaps = gaps[gaps > 1e-9 * spread]
+    if not len(gaps) or len(gaps) > 0.2 * len(values):
+        return None
+    # A cart that has stopped repeats one value without being quantised; levels are all equally far apart.
+    step = float(gaps.min())
+    multiples = gaps / step
+    return step if np.mean(np.abs(multiples - np.round(multiples)) < 0.05) > 0.95 else None
+
+
+def _noise_level(values: Float64[np.ndarray, " sample"]) -> float:
+    # The hundredth part that is largest may be faults. A median would not do: of a quantised signal it is a
+    # level.
+    bend = np.sort(np.abs(np.diff(values, 2)))
+    return float(np.sqrt(np.mean(bend[: max(1, len(bend) * 99 // 100)] ** 2) / 6))
+
+
+def _clipped(values: Float64[np.ndarray, " sample"]) -> bool:
+    for extreme in (values.max(), values.min()):
+        there = np.concatenate(([False], values == extreme, [False])).astype(np.int8)
+        edges = np.flatnonzero(np.diff(there))
+        runs = edges[1::2] - edges[::2]
+        # Held once before release is no clipping, and a quantised peak also fills the level below.
+        distinct = values[values != extreme]
+        following = np.count_nonzero(
+            values == (distinct.max() if extreme == values.max() else distinct.min())
+        )
+        if (
+            np.count_nonzero(runs >= 3) >= 2
+            and runs.sum() > 0.01 * len(values)
+            and runs.sum() > 5 * following
+        ):
+            return True
+    return False
+
+
+def _spikes(values: Float64[np.ndarray, " sample"], floor: float) -> np.ndarray:
+    """Indices of single samples far off the line through their neighbours, compared with how it is nearby."""
+    bend = np.diff(values, 2)
+    size = np.abs(bend)
+    if len(bend) < 5:
+        return np.array([], dtype=np.int64)
+    # Nearby, since a decaying oscillation bends far more at its start than at its end.
+    scale = MEDIAN_TO_STD * scipy.ndimage.median_filter(size, min(OUTLIER_WINDOW, len(size)), mode="reflect")
+    limit = OUTLIER_SIGMAS * np.maximum(scale, floor)
+    # A lone fault bends 1, -2, 1; a jump of the current or of the friction bends one way only.
+    opposite = (
+        np.minimum(-bend[:-2] * np.sign(bend[1:-1]), -bend[2:] * np.sign(bend[1:-1])) > 0.25 * size[1:-1]
+    )
+    return np.flatnonzero((size[1:-1] > limit[1:-1]) & opposite) + 2
+
+
+def _dominant_frequency(values: Float64[np.ndarray, " sample"], sample_time: float) -> float:
+    """The frequency [Hz] of the largest peak of the spectrum."""
+    present = np.flatnonzero(~np.isnan(values))
+    filled = np.interp(np.arange(len(values)), present, values[present])
+    power = np.abs(np.fft.rfft((filled - filled.mean()) * np.hanning(len(filled)))) ** 2
+    return float(np.argmax(power)) / (len(filled) * sample_time)

@@ -1,0 +1,143 @@
+"""Import from text files with a header row, with an explicit channel mapping."""
+
+import csv
+import math
+import os
+from collections.abc import Collection, Iterable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float64
+
+from ._columns import assemble, check_options
+from ._errors import RecordingError
+
+if TYPE_CHECKING:
+    from ._recording import Recording
+
+HEADER_ROWS = 1
+
+
+def from_csv(
+    path: str | os.PathLike[str],
+    *,
+    channels: Mapping[str, str],
+    kind: str,
+    time: str | None = None,
+    sample_time: float | None = None,
+    delimiter: str = ",",
+    name: str | None = None,
+    units: Mapping[str, str] | None = None,
+    scale: Mapping[str, float] | None = None,
+    start: int = 0,
+    stop: int | None = None,
+    remove_mean: Collection[str] = (),
+    intersample: str | Mapping[str, str] = "zoh",
+    noise_std: Mapping[str, float] | None = None,
+    initial_arm_angle: float | None = None,
+    arm: str = "free",
+    cart: str = "free",
+    rig: Mapping[str, float] | None = None,
+) -> "Recording":
+    """A recording of one experiment from the columns of a CSV file whose first row names them.
+
+    `channels` maps channels to columns, as in `{"current": "i_motor", "cart_position": "x"}`. Either `time`,
+    the column with the times [s], or `sample_time` [s] is given. An empty cell and "nan" mean a missing
+    sample. The other options are those of `from_mat`.
+
+    Raises `FileNotFoundError`, or `RecordingError` naming the row (counted from 1, with the header) and the
+    column.
+    """
+    from ._recording import Recording
+
+    options = {"units": units, "scale": scale, "remove_mean": remove_mean}
+    wanted = check_options(channels, time, sample_time, options)
+    try:
+        experiment = assemble(
+            _read_columns(path, wanted, delimiter),
+            name=Path(path).stem if name is None else name,
+            channels=channels,
+            time=time,
+            sample_time=sample_time,
+            units=units,
+            scale=scale,
+            start=start,
+            stop=stop,
+            remove_mean=remove_mean,
+            kind=kind,
+            intersample=intersample,
+            noise_std=noise_std,
+            initial_arm_angle=initial_arm_angle,
+            arm=arm,
+            cart=cart,
+        )
+    except RecordingError as error:
+        raise RecordingError(f"{os.fspath(path)}: {error}") from error.__cause__
+    return Recording((experiment,), rig or {})
+
+
+def _read_columns(
+    path: str | os.PathLike[str], names: Iterable[str], delimiter: str
+) -> dict[str, Float64[np.ndarray, " sample"]]:
+    if not os.path.exists(path):
+        raise FileNotFoundError(f"{os.fspath(path)}: there is no such file; check the path.")
+    if not (isinstance(delimiter, str) and len(delimiter) == 1 and delimiter not in '"\r\n'):
+        raise RecordingError(f"delimiter: is {delimiter!r}; give one character, as ',' or ';'.")
+    try:
+        # utf-8-sig drops the mark that spreadsheets put at the start, which would become part of the first
+        # name.
+        with open(path, newline="", encoding="utf-8-sig") as file:
+            return _parse(csv.reader(file, delimiter=delimiter), list(dict.fromkeys(names)), delimiter)
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise RecordingError(
+            f"this is not a readable text file ({error}); save it as CSV in UTF-8."
+        ) from error
+
+
+def _parse(
+    rows: Iterable[list[str]], names: list[str], delimiter: str
+) -> dict[str, Float64[np.ndarray, " sample"]]:
+    numbered = enumerate(rows, start=1)
+    _, header = next(numbered, (1, []))
+    header = [cell.strip() for cell in header]
+    for name in names:
+        if header.count(name) != 1:
+            often = "does not occur" if name not in header else "occurs more than once"
+            raise RecordingError(
+                f"row 1: the column {name!r} {often} in the header ({', '.join(header)}); name the columns "
+                f"in the first row and separate them by {delimiter!r}."
+            )
+    places = [header.index(name) for name in names]
+    columns: dict[str, list[float]] = {name: [] for name in names}
+    blank = None
+    for row, cells in numbered:
+        if not cells:
+            blank = row
+            continue
+        # Blank lines at the end are harmless; one in the middle may be a missing sample.
+        if blank is not None:
+            raise RecordingError(f"row {blank}: is empty; remove it, or write nan for missing samples.")
+        if len(cells) != len(header):
+            raise RecordingError(
+                f"row {row}: has {len(cells)} cells, but the header has {len(header)}; mend the row."
+            )
+        for name, place in zip(names, places, strict=True):
+            columns[name].append(_number(cells[place], row, name))
+    return {name: np.array(values, dtype=np.float64) for name, values in columns.items()}
+
+
+def _number(cell: str, row: int, name: str) -> float:
+    cell = cell.strip()
+    if not cell:
+        return math.nan
+    try:
+        # Python reads 1_5 as fifteen; in a file it is a slip.
+        if "_" not in cell:
+            return float(cell)
+    except ValueError:
+        pass
+    raise RecordingError(
+        f"row {row}, column {name!r}: {cell!r} is not a number; write it with a decimal point, or leave the "
+        "cell empty."
+    )

@@ -1,0 +1,76 @@
+"""What is in a recording, in words."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from ._experiment import Experiment
+from ._recording import Recording
+from ._signal import Signal
+
+# The constants of the rig that the README names; others are shown without a unit.
+RIG_UNITS: Mapping[str, str] = {
+    "total_mass": "kg",
+    "arm_inertia": "kg m^2",
+    "spring_stiffness": "N/m",
+    "torque_constant": "N m/A",
+    "eccentric_moment": "kg m",
+}
+HEADER = ("channel", "unit", "rms", "missing", "noise std", "between samples")
+
+
+def describe(recording: Recording) -> str:
+    """A readable table of the experiments, their conditions, and the unit, rms and noise of each channel."""
+    total = sum(experiment.samples for experiment in recording)
+    length = sum(experiment.duration for experiment in recording)
+    kinds = [experiment.kind for experiment in recording]
+    counts = ", ".join(f"{kinds.count(kind)} {kind}" for kind in dict.fromkeys(kinds))
+    known = ", ".join(
+        f"{name} = {value:.6g} {RIG_UNITS.get(name, '')}".rstrip() for name, value in recording.rig.items()
+    )
+    lines = [
+        f"rig: {recording.rig_name or 'not named'}; known beforehand: {known or 'nothing'}",
+        *(f"comment: {line}" for line in recording.comment.splitlines()),
+        f"experiments: {len(recording)} ({counts}), {total} samples, {length:.6g} s",
+    ]
+    for experiment in recording:
+        lines += ["", _conditions(experiment), *_table(experiment)]
+    return "\n".join(lines)
+
+
+def _conditions(experiment: Experiment) -> str:
+    parts = [
+        experiment.kind,
+        f"{experiment.samples} samples of {experiment.sample_time:.6g} s, {experiment.duration:.6g} s",
+    ]
+    if experiment.arm == "locked":
+        parts.append("arm locked")
+    if experiment.cart == "clamped":
+        parts.append("cart clamped")
+    if experiment.initial_arm_angle is not None:
+        parts.append(f"arm starts at {experiment.initial_arm_angle:.4g} rad")
+    if experiment.repeat_of is not None:
+        parts.append(f"repeats {experiment.repeat_of}")
+    return f"{experiment.name}: {'; '.join(parts)}"
+
+
+def _table(experiment: Experiment) -> list[str]:
+    channels = {**experiment.inputs, **experiment.outputs}
+    return _aligned([HEADER, *(_row(name, signal) for name, signal in channels.items())])
+
+
+def _row(name: str, signal: Signal) -> tuple[str, ...]:
+    missing = np.isnan(signal.values)
+    # Scaled before squaring, since the square of a small number in SI units can vanish.
+    size = float(np.nanmax(np.abs(signal.values)))
+    rms = size * float(np.sqrt(np.nanmean((signal.values / size) ** 2))) if size else 0.0
+    noise = "" if signal.noise_std is None else f"{signal.noise_std:.3g}"
+    return name, signal.unit, f"{rms:.4g}", str(int(missing.sum())), noise, signal.intersample or ""
+
+
+def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:
+    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
+    return [
+        "  " + "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+        for row in rows
+    ]

@@ -1,0 +1,154 @@
+"""Import from MATLAB files, version 5 and 7.3, with an explicit channel mapping."""
+
+import os
+from collections.abc import Collection, Iterable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import h5py
+import numpy as np
+import scipy.io
+from jaxtyping import Float64
+
+from ._columns import assemble, check_options
+from ._errors import RecordingError
+from ._hdf5 import MOST_ELEMENTS, Budget, guarded, open_hdf5
+
+if TYPE_CHECKING:
+    from ._recording import Recording
+
+NUMERIC = ("double", "single", "int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64")
+
+
+def from_mat(
+    path: str | os.PathLike[str],
+    *,
+    channels: Mapping[str, str],
+    kind: str,
+    sample_time: float | None = None,
+    time: str | None = None,
+    name: str | None = None,
+    units: Mapping[str, str] | None = None,
+    scale: Mapping[str, float] | None = None,
+    start: int = 0,
+    stop: int | None = None,
+    remove_mean: Collection[str] = (),
+    intersample: str | Mapping[str, str] = "zoh",
+    noise_std: Mapping[str, float] | None = None,
+    initial_arm_angle: float | None = None,
+    arm: str = "free",
+    cart: str = "free",
+    rig: Mapping[str, float] | None = None,
+) -> "Recording":
+    """A recording of one experiment from the variables of a MAT file (v5 or v7.3).
+
+    `channels` maps channels to variables, as in `{"disturbance_force": "V1", "cart_position": "V2"}`; each
+    variable is a vector. Either `sample_time` [s] or `time`, the variable with the times [s], is given.
+    `units` maps channels to the file's unit ("mm", "deg/s", ...; the unit of the layout where absent);
+    `scale` maps them to a factor of your own. `start` and `stop` choose samples, and the channels in
+    `remove_mean` lose their mean over these. The rest is as in `Experiment.of`; the name is that of the file
+    where it is not given.
+
+    Raises `FileNotFoundError`, or `RecordingError` naming the variable, option or sample that is wrong.
+    """
+    from ._recording import Recording
+
+    options = {"units": units, "scale": scale, "remove_mean": remove_mean}
+    wanted = check_options(channels, time, sample_time, options)
+    try:
+        columns = _read_vectors(path, wanted)
+        experiment = assemble(
+            columns,
+            name=Path(path).stem if name is None else name,
+            channels=channels,
+            time=time,
+            sample_time=sample_time,
+            units=units,
+            scale=scale,
+            start=start,
+            stop=stop,
+            remove_mean=remove_mean,
+            kind=kind,
+            intersample=intersample,
+            noise_std=noise_std,
+            initial_arm_angle=initial_arm_angle,
+            arm=arm,
+            cart=cart,
+        )
+    except RecordingError as error:
+        raise RecordingError(f"{os.fspath(path)}: {error}") from error.__cause__
+    return Recording((experiment,), rig or {})
+
+
+def _read_vectors(
+    path: str | os.PathLike[str], names: Iterable[str]
+) -> dict[str, Float64[np.ndarray, " sample"]]:
+    if not os.path.exists(path):
+        raise FileNotFoundError(f"{os.fspath(path)}: there is no such file; check the path.")
+    if not os.path.isfile(path):
+        raise RecordingError("this is not a file; give the path of a MAT file.")
+    # MATLAB writes version 7.3 as HDF5 behind a header of 512 bytes, which h5py looks past.
+    arrays = _read_v73(path, names) if h5py.is_hdf5(path) else _read_v5(path, names)
+    return {name: _vector(name, array) for name, array in arrays.items()}
+
+
+def _read_v73(path: str | os.PathLike[str], names: Iterable[str]) -> dict[str, np.ndarray]:
+    budget = Budget(os.path.getsize(path))
+    arrays = {}
+    with open_hdf5(path) as file:
+        for name in names:
+            # MATLAB keeps what variables refer to under names with a #.
+            there = [str(key) for key in file if not str(key).startswith("#")]
+            if name not in there or not isinstance(file.get(name, getlink=True), h5py.HardLink):
+                raise RecordingError(_absent(name, there))
+            with guarded(name):
+                dataset = file[name]
+                stored = dataset.attrs.get("MATLAB_class", b"double")
+                # MATLAB stores text and truth values as integers too; only this attribute tells them apart.
+                label = stored.decode() if isinstance(stored, bytes) else str(stored)
+            if label not in NUMERIC:
+                raise RecordingError(f"{name}: is a MATLAB {label}, but a numeric vector was expected.")
+            arrays[name] = budget.values(dataset)
+    return arrays
+
+
+def _read_v5(path: str | os.PathLike[str], names: Iterable[str]) -> dict[str, np.ndarray]:
+    names = list(names)
+    try:
+        listed = {name: (shape, label) for name, shape, label in scipy.io.whosmat(path)}
+    except Exception as error:
+        # SciPy passes on whatever its parser stumbles over: ValueError, TypeError, zlib.error, OSError and
+        # others.
+        raise RecordingError(
+            "this is not a MAT file, or it is damaged; save it again with save -v7."
+        ) from error
+    for name in names:
+        if name not in listed:
+            raise RecordingError(_absent(name, listed))
+        shape, label = listed[name]
+        if label not in NUMERIC:
+            raise RecordingError(f"{name}: is a MATLAB {label}, but a numeric vector was expected.")
+        if np.prod([float(length) for length in shape]) > MOST_ELEMENTS:
+            raise RecordingError(
+                f"{name}: declares the shape {shape}, more than {MOST_ELEMENTS} values; save it in parts."
+            )
+    try:
+        loaded = scipy.io.loadmat(path, variable_names=names)
+    except Exception as error:
+        raise RecordingError("the MAT file is damaged or not complete; copy or save it again.") from error
+    return {name: loaded[name] for name in names}
+
+
+def _absent(name: str, there: Iterable[str]) -> str:
+    return f"{name}: there is no such variable; the file has {', '.join(there) or 'none'}."
+
+
+def _vector(name: str, array: np.ndarray) -> Float64[np.ndarray, " sample"]:
+    # A vector has one row or one column in MATLAB; anything else would need a guess about its axes.
+    if array.dtype.kind not in "fiu":
+        raise RecordingError(f"{name}: the type is {array.dtype}, but real numbers were expected.")
+    if max(array.shape, default=0) != array.size:
+        raise RecordingError(
+            f"{name}: the shape is {array.shape}, but a vector was expected; save each column by itself."
+        )
+    return array.reshape(-1).astype(np.float64)

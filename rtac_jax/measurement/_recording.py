@@ -1,0 +1,215 @@
+"""Many experiments on one rig, with what is known about it beforehand."""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from os import PathLike
+from types import MappingProxyType
+from typing import Any
+
+from . import _csv, _hdf5, _mat
+from ._errors import RecordingError
+from ._experiment import Experiment
+from ._signal import finite, positive, rebuild
+
+POSITIVE = ("total_mass", "arm_inertia", "spring_stiffness", "torque_constant", "eccentric_moment")
+HOLD_OUT_EVERY = 4
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Experiments on one rig. `recording["name"]` is one of them; iteration goes through all in order.
+
+    `rig` holds constants known beforehand, named as parameters of the model, in SI units: `total_mass` [kg],
+    `arm_inertia` [kg m^2], `spring_stiffness` [N/m], `torque_constant` [N m/A], `eccentric_moment` [kg m],
+    ...
+
+    Raises `RecordingError` (a `ValueError`) when there is no experiment, a name occurs twice, a `repeat_of`
+    does not hold, or a rig constant is not a number.
+    """
+
+    experiments: tuple[Experiment, ...]
+    rig: Mapping[str, float] = field(default_factory=dict)
+    rig_name: str = ""
+    comment: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "experiments", tuple(self.experiments))
+        if not self.experiments:
+            raise RecordingError("/experiments: is empty; a recording needs at least one experiment.")
+        by_name: dict[str, Experiment] = {}
+        for experiment in self.experiments:
+            if not isinstance(experiment, Experiment):
+                raise RecordingError(
+                    f"/experiments: a {type(experiment).__name__} was given; build it with Experiment.of."
+                )
+            if experiment.name in by_name:
+                raise RecordingError(
+                    f"/experiments/{experiment.name}: the name occurs twice; rename one of the two."
+                )
+            by_name[experiment.name] = experiment
+        for experiment in self.experiments:
+            _check_repeat(experiment, by_name)
+        rig = {}
+        for name, value in self.rig.items():
+            if not isinstance(name, str) or not name.isidentifier():
+                raise RecordingError(
+                    f"/rig: a constant is named {name!r}; use the name of a parameter of the model."
+                )
+            check = positive if name in POSITIVE else finite
+            rig[name] = check(f"/rig/{name}", value, "the constant")
+        object.__setattr__(self, "rig", MappingProxyType(rig))
+        for name in ("rig_name", "comment"):
+            text = getattr(self, name)
+            if not isinstance(text, str) or "\0" in text or not _encodable(text):
+                raise RecordingError(f"/: {name} is {text!r}; give plain text.")
+
+    @staticmethod
+    def load(path: str | PathLike[str]) -> "Recording":
+        """The recording in an HDF5 file.
+
+        Raises `FileNotFoundError`, or `RecordingError` naming the path inside the file that departs from the
+        layout.
+        """
+        return _hdf5.read(path)
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Writes an HDF5 file; a file that was there is replaced only when the new one is complete."""
+        _hdf5.write(path, self)
+
+    # The importers themselves, so that their options are written down once.
+    from_mat = staticmethod(_mat.from_mat)
+    from_csv = staticmethod(_csv.from_csv)
+
+    @staticmethod
+    def join(*recordings: "Recording") -> "Recording":
+        """One recording with the experiments of all, in order, and the rig constants of all.
+
+        Raises `RecordingError` when a name occurs twice, or two recordings disagree about the rig.
+        """
+        rig: dict[str, float] = {}
+        for recording in recordings:
+            for name, value in recording.rig.items():
+                if rig.setdefault(name, value) != value:
+                    raise RecordingError(
+                        f"/rig/{name}: is {rig[name]:g} in one recording and {value:g} in another; these are "
+                        "two rigs, or one of the values must be corrected."
+                    )
+        names = list(dict.fromkeys(part.rig_name for part in recordings if part.rig_name))
+        if len(names) > 1:
+            raise RecordingError(
+                f"/: rig_name is {names[0]!r} and {names[1]!r}; join recordings of one rig only."
+            )
+        comments = dict.fromkeys(part.comment for part in recordings if part.comment)
+        experiments = tuple(experiment for part in recordings for experiment in part)
+        return Recording(experiments, rig, "".join(names), "\n".join(comments))
+
+    def __getitem__(self, name: str) -> Experiment:
+        for experiment in self.experiments:
+            if experiment.name == name:
+                return experiment
+        raise KeyError(f"no experiment {name!r}; there are {', '.join(self.names)}")
+
+    def __len__(self) -> int:
+        return len(self.experiments)
+
+    def __iter__(self) -> Iterator[Experiment]:
+        return iter(self.experiments)
+
+    def __hash__(self) -> int:
+        return hash((self.experiments, self.rig_name))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return rebuild(self)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of the experiments, in order."""
+        return tuple(experiment.name for experiment in self.experiments)
+
+    def select(self, names: Iterable[str]) -> "Recording":
+        """The named experiments, in the order of this recording.
+
+        A repeat whose original is not selected stands alone (`repeat_of` is None).
+        Raises `RecordingError` for a name that is not there, and when nothing is selected.
+        """
+        wanted = self._known(names, "select")
+        kept = (experiment for experiment in self if experiment.name in wanted)
+        alone = tuple(e if e.repeat_of in wanted else replace(e, repeat_of=None) for e in kept)
+        return replace(self, experiments=alone)
+
+    def split(self, validation: Sequence[str] | None = None) -> "tuple[Recording, Recording]":
+        """`(train, validation)`, by experiment.
+
+        Without names, every fourth free and every fourth forced experiment is held out, or the last where
+        there are two or three of a kind. Repeats go where their original goes, and experiments at rest are
+        for training. Raises `RecordingError` when a side would be left without an experiment in motion.
+        """
+        moving = [experiment for experiment in self if experiment.kind != "rest"]
+        if validation is None:
+            held = self._every_fourth(moving)
+        else:
+            held = {self[name].repeat_of or name for name in self._known(validation, "validation")}
+            for name in held:
+                if self[name].kind == "rest":
+                    raise RecordingError(
+                        f"/experiments/{name}: is at rest and can validate nothing; name a free or forced "
+                        "experiment."
+                    )
+        out = {experiment.name for experiment in moving if (experiment.repeat_of or experiment.name) in held}
+        if not out:
+            raise RecordingError(
+                f"/experiments: nothing can be held out of {', '.join(self.names)}, as no kind has two "
+                "experiments that do not repeat each other; name those for validation, or cut one in two "
+                "with Experiment.cut."
+            )
+        if len(out) == len(moving):
+            raise RecordingError(
+                f"/experiments: nothing is left for training besides {', '.join(sorted(out))}; name fewer "
+                "for validation, or cut one in two with Experiment.cut."
+            )
+        return self.select(name for name in self.names if name not in out), self.select(out)
+
+    @staticmethod
+    def _every_fourth(moving: list[Experiment]) -> set[str]:
+        held: set[str] = set()
+        for kind in ("free", "forced"):
+            originals = [e.name for e in moving if e.kind == kind and e.repeat_of is None]
+            few = 1 < len(originals) < HOLD_OUT_EVERY
+            held.update(originals[-1:] if few else originals[HOLD_OUT_EVERY - 1 :: HOLD_OUT_EVERY])
+        return held
+
+    def _known(self, names: Iterable[str], option: str) -> set[str]:
+        # A single name is a sequence of letters, which would give a baffling message.
+        wanted = {names} if isinstance(names, str) else set(names)
+        for name in wanted:
+            if name not in self.names:
+                raise RecordingError(
+                    f"/experiments/{name}: was named for {option}, but is not in the recording; choose among "
+                    f"{', '.join(self.names)}."
+                )
+        return wanted
+
+
+def _check_repeat(experiment: Experiment, by_name: Mapping[str, Experiment]) -> None:
+    if experiment.repeat_of is None:
+        return
+    place = f"/experiments/{experiment.name}: repeat_of is {experiment.repeat_of!r}"
+    original = by_name.get(experiment.repeat_of)
+    if original is None:
+        raise RecordingError(
+            f"{place}, which is not in the recording; add that experiment or leave repeat_of out."
+        )
+    if original.repeat_of is not None:
+        raise RecordingError(f"{place}, itself a repeat; name the original, {original.repeat_of!r}.")
+    for what in ("kind", "samples", "sample_time", "inputs"):
+        if getattr(original, what) != getattr(experiment, what):
+            raise RecordingError(f"{place}, but {what} differs between the two; leave repeat_of out.")
+
+
+def _encodable(text: str) -> bool:
+    # Half of a surrogate pair is a string to Python, but no text to a file.
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        return False
+    return True

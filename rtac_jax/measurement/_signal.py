@@ -1,0 +1,154 @@
+"""One sampled channel, and what is allowed in it."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float64
+
+from ._errors import RecordingError
+
+INPUTS: Mapping[str, str] = MappingProxyType({"current": "A", "disturbance_force": "N"})
+OUTPUTS: Mapping[str, str] = MappingProxyType(
+    {"cart_position": "m", "arm_velocity": "rad/s", "arm_angle": "rad"}
+)
+
+INTERSAMPLE = ("zoh", "foh", "bl")
+
+
+def rebuild(record: Any) -> tuple[Any, ...]:
+    # A read-only mapping cannot be pickled, so a record is rebuilt from its fields, which checks it again.
+    values = (getattr(record, field.name) for field in fields(record))
+    plain = (dict(value) if isinstance(value, MappingProxyType) else value for value in values)
+    return type(record), tuple(plain)
+
+
+def finite(place: str, value: Any, meaning: str) -> float:
+    """`value` as a finite float; `RecordingError` naming `place` otherwise."""
+    if isinstance(value, (bool, np.bool_, str, bytes)):
+        raise RecordingError(
+            f"{place}: {meaning} is {value!r}, but must be a finite number; give it as a float."
+        )
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        number = math.nan
+    if not math.isfinite(number):
+        raise RecordingError(
+            f"{place}: {meaning} is {value!r}, but must be a finite number; give it as a float."
+        )
+    return number
+
+
+def positive(place: str, value: Any, meaning: str) -> float:
+    number = finite(place, value, meaning)
+    if number <= 0:
+        raise RecordingError(
+            f"{place}: {meaning} is {number:g}, but must be positive; correct its value or sign."
+        )
+    return number
+
+
+def one_of(place: str, value: Any, meaning: str, allowed: tuple[str, ...]) -> None:
+    if not isinstance(value, str) or value not in allowed:
+        names = ", ".join(repr(name) for name in allowed)
+        raise RecordingError(
+            f"{place}: {meaning} is {value!r}, but must be one of {names}; choose one of them."
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Signal:
+    """A sampled channel: `values` in `unit`, made read-only. NaN marks a missing sample (outputs only).
+
+    `intersample` says what an input does between samples: "zoh" (held, a computed current), "foh" (straight
+    lines) or "bl" (band-limited, a measured current). `noise_std` is the standard deviation of an output's
+    sensor noise, in `unit`.
+
+    Raises `RecordingError` when the values are not a one-dimensional array of real numbers.
+    """
+
+    values: Float64[np.ndarray, " sample"]
+    unit: str
+    intersample: str | None = None
+    noise_std: float | None = None
+
+    def __post_init__(self) -> None:
+        values: Any = self.values
+        # An array that nobody can write to needs no copy: a long recording is held in memory once, not twice.
+        frozen = isinstance(values, np.ndarray) and not values.flags.writeable and values.flags.owndata
+        if not (frozen and values.dtype == np.float64):
+            raw = np.asarray(values)
+            if raw.dtype.kind not in "fiu":
+                raise RecordingError(
+                    f"a signal in {self.unit!r} has dtype {raw.dtype}; give it as real numbers."
+                )
+            values = np.array(raw, dtype=np.float64)
+            values.flags.writeable = False
+        if values.ndim != 1:
+            raise RecordingError(
+                f"a signal in {self.unit!r} has shape {values.shape}, but must have one axis, time; give one "
+                "channel."
+            )
+        object.__setattr__(self, "values", values)
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Signal):
+            return NotImplemented
+        same = all(
+            getattr(self, name) == getattr(other, name) for name in ("unit", "intersample", "noise_std")
+        )
+        return same and np.array_equal(self.values, other.values, equal_nan=True)
+
+    def __hash__(self) -> int:
+        return hash((self.unit, self.intersample, self.noise_std, len(self.values)))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return rebuild(self)
+
+
+def _check_unit(place: str, signal: Signal, unit: str) -> None:
+    if signal.unit != unit:
+        raise RecordingError(
+            f"{place}: the unit is {signal.unit!r}, but {unit!r} was expected; convert the values."
+        )
+
+
+def check_input(place: str, signal: Signal, unit: str) -> None:
+    _check_unit(place, signal, unit)
+    one_of(place, signal.intersample, "intersample", INTERSAMPLE)
+    if signal.noise_std is not None:
+        raise RecordingError(f"{place}: an input has no noise_std; leave it out.")
+    bad = ~np.isfinite(signal.values)
+    if bad.any():
+        index = int(np.argmax(bad))
+        raise RecordingError(
+            f"{place}, sample {index}: the value is {signal.values[index]}, but an input must be finite "
+            "everywhere; repair the sample or cut the experiment there."
+        )
+
+
+def check_output(place: str, signal: Signal, unit: str, *, still: bool) -> None:
+    _check_unit(place, signal, unit)
+    if signal.intersample is not None:
+        raise RecordingError(f"{place}: an output has no intersample; leave it out.")
+    if signal.noise_std is not None:
+        positive(place, signal.noise_std, "noise_std")
+    values = signal.values
+    infinite = np.isinf(values)
+    if infinite.any():
+        index = int(np.argmax(infinite))
+        raise RecordingError(
+            f"{place}, sample {index}: the value is {values[index]}; mark a missing sample with NaN instead."
+        )
+    present = values[~np.isnan(values)]
+    if len(present) == 0:
+        raise RecordingError(f"{place}: all {len(values)} samples are missing (NaN); leave the channel out.")
+    if not still and present.min() == present.max():
+        raise RecordingError(
+            f"{place}: all samples are {present[0]:g}, so the sensor was not connected or nothing moved; "
+            "leave the channel out, or say so with kind='rest', arm='locked' or cart='clamped'."
+        )

@@ -1,0 +1,248 @@
+"""Hidden effects: each adds impulses to a batch of trajectories, or changes what holds it back.
+
+A builder looks at the rigs of the batch and returns a function to be called in each step, or None when no rig
+has the effect. Trajectories of one rig are neighbours, so an effect works on a slice of the batch.
+"""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from ._rig import GRAVITY, Rig
+
+Act = Callable[[], None]
+
+
+class Batch:
+    """What effects read and write; B is the number of trajectories, row 0 the cart, row 1 the arm."""
+
+    def __init__(self, rigs: Sequence[Rig], start: np.ndarray, speed: np.ndarray, step: float):
+        self.rigs = rigs
+        self.step = step
+        self.position = start
+        """(2, B) cart position and arm angle; in the middle of a step while effects act."""
+        self.velocity = speed
+        """(2, B) at the beginning of the step."""
+        self.predicted = speed.copy()
+        """(2, B) velocity extrapolated to the middle of the step."""
+        self.impulse = np.zeros_like(start)
+        """(2, B) impulses [N s] and [N m s] of this step, to be added to."""
+        self.limit = np.zeros_like(start)
+        """(2, B) largest friction impulse."""
+        self.time = 0.0
+        """Middle of the step [s]."""
+
+    def column(self, name: str) -> np.ndarray:
+        return np.array([getattr(rig, name) for rig in self.rigs], dtype=float)
+
+    def rows(self, name: str, null: float = 0.0) -> slice | None:
+        """The slice of the batch that holds every trajectory with this effect."""
+        there = np.flatnonzero(self.column(name) != null)
+        return slice(int(there[0]), int(there[-1]) + 1) if there.size else None
+
+
+def springs(batch: Batch) -> Act | None:
+    cubic, quadratic = batch.rows("cubic_spring"), batch.rows("quadratic_spring")
+    if cubic is None and quadratic is None:
+        return None
+    k3, k2 = batch.column("cubic_spring") * batch.step, batch.column("quadratic_spring") * batch.step
+    position, impulse = batch.position[0], batch.impulse[0]
+
+    def act() -> None:
+        impulse[:] -= (k3 * position + k2) * (position * position)
+
+    return act
+
+
+def hysteresis(batch: Batch) -> Act | None:
+    rows = batch.rows("hysteresis_stiffness")
+    if rows is None:
+        return None
+    stiffness = batch.column("hysteresis_stiffness")[rows] * batch.step
+    rate = batch.step / (2 * batch.column("hysteresis_yield")[rows])
+    speed, impulse, step = batch.predicted[0, rows], batch.impulse[0, rows], batch.step
+    inner = np.zeros_like(rate)
+
+    def act() -> None:
+        middle = inner + 0.5 * step * speed - 0.5 * rate * (abs(speed) * inner + speed * abs(inner))
+        inner[:] += step * speed - rate * (abs(speed) * middle + speed * abs(middle))
+        impulse[:] -= stiffness * middle
+
+    return act
+
+
+def flexible_mode(batch: Batch) -> Act | None:
+    """A second body, in absolute coordinates: what accelerates it is taken from the cart."""
+    rows = batch.rows("flexible_mass")
+    if rows is None:
+        return None
+    step, mass = batch.step, batch.column("flexible_mass")[rows]
+    frequency, ratio = batch.column("flexible_frequency")[rows], batch.column("flexible_damping")[rows]
+    stiff, damp = step * frequency**2, step * ratio * frequency
+    cart, cart_speed, impulse = batch.position[0, rows], batch.predicted[0, rows], batch.impulse[0, rows]
+    speed = batch.velocity[0, rows].copy()
+    place = cart + 0.5 * step * speed
+
+    def act() -> None:
+        kick = (stiff * (cart - place) + 2 * damp * (cart_speed - speed)) / (1 + damp)
+        speed[:] += kick
+        place[:] += step * speed
+        impulse[:] -= mass * kick
+
+    return act
+
+
+def quadratic_drag(batch: Batch) -> Act | None:
+    if batch.rows("cart_quadratic_drag") is None and batch.rows("arm_quadratic_drag") is None:
+        return None
+    drag = batch.step * np.stack([batch.column("cart_quadratic_drag"), batch.column("arm_quadratic_drag")])
+
+    def act() -> None:
+        batch.impulse[:] -= drag * abs(batch.predicted) * batch.predicted
+
+    return act
+
+
+def end_stop(batch: Batch) -> Act | None:
+    rows = batch.rows("end_stop_travel", null=np.inf)
+    if rows is None:
+        return None
+    travel, stiffness = (
+        batch.column("end_stop_travel")[rows],
+        batch.column("end_stop_stiffness")[rows] * batch.step,
+    )
+    position, impulse = batch.position[0, rows], batch.impulse[0, rows]
+
+    def act() -> None:
+        impulse[:] -= stiffness * (position - np.clip(position, -travel, travel))
+
+    return act
+
+
+def gravity(batch: Batch) -> Act | None:
+    """Potential -(M+m) g_x q - me g_x sin(theta) - me g_y cos(theta)."""
+    along, across = batch.rows("tilt_along"), batch.rows("tilt_across")
+    if along is None and across is None:
+        return None
+    gx = batch.step * GRAVITY * np.sin(batch.column("tilt_along"))
+    gy = batch.step * GRAVITY * np.sin(batch.column("tilt_across"))
+    moment = batch.column("eccentric_moment")
+    cart, mgx, mgy, angle = batch.column("total_mass") * gx, moment * gx, moment * gy, batch.position[1]
+
+    def act() -> None:
+        batch.impulse[0] += cart
+        batch.impulse[1] += mgx * np.cos(angle) - mgy * np.sin(angle)
+
+    return act
+
+
+def cogging(batch: Batch) -> Act | None:
+    rows = batch.rows("cogging_torque")
+    if rows is None:
+        return None
+    torque = batch.column("cogging_torque")[rows] * batch.step
+    order, phase = batch.column("cogging_order")[rows], batch.column("cogging_phase")[rows]
+    angle, impulse = batch.position[1, rows], batch.impulse[1, rows]
+
+    def act() -> None:
+        impulse[:] += torque * np.sin(order * angle + phase)
+
+    return act
+
+
+def cable_spring(batch: Batch) -> Act | None:
+    rows = batch.rows("cable_stiffness")
+    if rows is None:
+        return None
+    stiffness, home = batch.column("cable_stiffness")[rows] * batch.step, batch.column("cable_home")[rows]
+    angle, impulse = batch.position[1, rows], batch.impulse[1, rows]
+
+    def act() -> None:
+        impulse[:] -= stiffness * (angle - home)
+
+    return act
+
+
+def detent(batch: Batch) -> Act | None:
+    rows = batch.rows("detent_force")
+    if rows is None:
+        return None
+    force, width = batch.column("detent_force")[rows] * batch.step, batch.column("detent_width")[rows]
+    centre, position, impulse = (
+        batch.column("detent_position")[rows],
+        batch.position[0, rows],
+        batch.impulse[0, rows],
+    )
+
+    def act() -> None:
+        away = (position - centre) / width
+        impulse[:] -= force * away * np.exp(0.5 * (1 - away * away))
+
+    return act
+
+
+def vibration(batch: Batch) -> Act | None:
+    rows = batch.rows("vibration_force")
+    if rows is None:
+        return None
+    force, phase = batch.column("vibration_force")[rows] * batch.step, batch.column("vibration_phase")[rows]
+    frequency, impulse = 2 * np.pi * batch.column("vibration_frequency")[rows], batch.impulse[0, rows]
+
+    def act() -> None:
+        impulse[:] += force * np.sin(frequency * batch.time + phase)
+
+    return act
+
+
+def maxwell_spring(batch: Batch) -> Act | None:
+    rows = batch.rows("maxwell_stiffness")
+    if rows is None:
+        return None
+    stiffness = batch.column("maxwell_stiffness")[rows]
+    rate, kick = batch.step * stiffness / batch.column("maxwell_damping")[rows], stiffness * batch.step
+    position, impulse = batch.position[0, rows], batch.impulse[0, rows]
+    inner = position.copy()
+
+    def act() -> None:
+        move = rate * (position - inner) / (1 + 0.5 * rate)
+        impulse[:] -= kick * (position - inner - 0.5 * move)
+        inner[:] += move
+
+    return act
+
+
+BUILDERS = (
+    springs,
+    hysteresis,
+    flexible_mode,
+    quadratic_drag,
+    end_stop,
+    gravity,
+    cogging,
+    cable_spring,
+    detent,
+    vibration,
+    maxwell_spring,
+)
+
+
+def friction_bound(batch: Batch) -> Act | None:
+    """Fill `batch.limit` with d and tau_c; return what must renew it in each step, if anything."""
+    coulomb = batch.step * np.stack([batch.column("cart_coulomb"), batch.column("arm_coulomb")])
+    batch.limit[:] = coulomb
+    sloped = batch.rows("friction_slope") is not None
+    stribeck = batch.rows("cart_stribeck") is not None or batch.rows("arm_stribeck") is not None
+    if not (sloped or stribeck):
+        return None
+    extra = batch.step * np.stack([batch.column("cart_stribeck"), batch.column("arm_stribeck")])
+    scale = np.stack([batch.column("cart_stribeck_velocity"), batch.column("arm_stribeck_velocity")])
+    slope = batch.column("friction_slope") / batch.column("friction_reference")
+
+    def act() -> None:
+        batch.limit[:] = coulomb
+        if sloped:
+            batch.limit[0] *= np.maximum(1 + slope * batch.position[0], 0.0)
+        if stribeck:
+            batch.limit[:] += extra * np.exp(-np.square(batch.predicted / scale))
+
+    return act

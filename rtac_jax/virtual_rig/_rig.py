@@ -1,0 +1,311 @@
+"""What a virtual rig is made of, and what is done with it: plain numbers in SI units."""
+
+import math
+from dataclasses import dataclass, fields, replace
+from typing import Any, Literal
+
+import numpy as np
+
+GRAVITY = 9.81
+"""Acceleration of gravity [m/s^2], for a plane that is not level."""
+
+DRAWN = (
+    "total_mass",
+    "spring_stiffness",
+    "cart_viscous",
+    "cart_coulomb",
+    "eccentric_moment",
+    "arm_inertia",
+    "torque_constant",
+    "arm_viscous_positive",
+    "arm_viscous_negative",
+)
+"""The parameters of the paper's model, in the order in which `Rig.drawn` draws them."""
+
+_POSITIVE = (
+    "total_mass",
+    "spring_stiffness",
+    "arm_inertia",
+    "cart_stribeck_velocity",
+    "arm_stribeck_velocity",
+    "hysteresis_yield",
+    "detent_width",
+    "friction_reference",
+    "maxwell_damping",
+    "saturation",
+    "end_stop_travel",
+    "position_range",
+    "velocity_range",
+)
+_NOT_NEGATIVE = (
+    "cart_viscous",
+    "cart_coulomb",
+    "arm_viscous_positive",
+    "arm_viscous_negative",
+    "arm_coulomb",
+    "flexible_mass",
+    "flexible_damping",
+    "maxwell_stiffness",
+    "end_stop_stiffness",
+    "current_lag",
+    "input_delay",
+    "dead_zone",
+    "tacho_lag",
+    "lvdt_lag",
+    "force_noise",
+    "torque_noise",
+    "position_noise",
+    "velocity_noise",
+    "angle_noise",
+)
+
+
+@dataclass(frozen=True)
+class Rig:
+    """The true rig: equations (1)-(2) with the friction of section 4, hidden effects, and its sensors.
+
+    The defaults of the first nine fields are Table 1 of the paper; every hidden effect is absent by default.
+    The cart obeys
+
+        (M+m) q'' + me cos(theta) theta'' = -k q + me theta'^2 sin(theta) - v q' - d sgn(q') + F + ...
+        J theta'' + me cos(theta) q''     = K_m i - K_v theta' + ...
+
+    where sgn is set-valued: a cart that stands still is held by any force up to d.
+
+    Raises:
+        ValueError: a number is not finite where it must be, or has an impossible sign; the message names it.
+    """
+
+    total_mass: float = 1.23
+    """M + m [kg]."""
+    spring_stiffness: float = 132.6
+    """k [N/m]."""
+    cart_viscous: float = 0.5543
+    """v = b + c [N s/m]."""
+    cart_coulomb: float = 0.024
+    """d [N]."""
+    eccentric_moment: float = 1.06e-3
+    """me [kg m]."""
+    arm_inertia: float = 9.5e-5
+    """J = I + me^2 [kg m^2]."""
+    torque_constant: float = 0.0804
+    """K_m [N m/A]."""
+    arm_viscous_positive: float = 1.39e-4
+    """K_v1 [N m s/rad], for theta' > 0."""
+    arm_viscous_negative: float = 1.49e-4
+    """K_v2 [N m s/rad], for theta' < 0."""
+
+    cubic_spring: float = 0.0
+    """k3 [N/m^3]: force -k3 q^3."""
+    quadratic_spring: float = 0.0
+    """k2 [N/m^2]: force -k2 q^2."""
+    hysteresis_stiffness: float = 0.0
+    """kh [N/m]: force -kh z with Bouc-Wen's z' = q' - (|q'| z + q' |z|) / (2 z_y)."""
+    hysteresis_yield: float = 1e-3
+    """z_y [m]."""
+    flexible_mass: float = 0.0
+    """Part of the total mass [kg] that sits on the cart through a spring and a damper of its own."""
+    flexible_frequency: float = 37.4
+    """Natural frequency [rad/s] of that part on a cart held fast."""
+    flexible_damping: float = 0.02
+    """Its damping ratio [1]."""
+    cart_quadratic_drag: float = 0.0
+    """c [N s^2/m^2]: force -c |q'| q'."""
+    cart_stribeck: float = 0.0
+    """f [N]: the friction bound grows by f exp(-(q'/v_s)^2)."""
+    cart_stribeck_velocity: float = 0.005
+    """v_s [m/s]."""
+    end_stop_travel: float = math.inf
+    """Travel [m] to each side before the stop is touched."""
+    end_stop_stiffness: float = 2e4
+    """Stiffness of the stop [N/m]."""
+    arm_coulomb: float = 0.0
+    """tau_c [N m], set-valued like d."""
+    arm_stribeck: float = 0.0
+    """[N m]: the arm's friction bound grows by this times exp(-(theta'/w_s)^2)."""
+    arm_stribeck_velocity: float = 0.5
+    """w_s [rad/s]."""
+    arm_quadratic_drag: float = 0.0
+    """[N m s^2/rad^2]: torque -c |theta'| theta'."""
+    tilt_along: float = 0.0
+    """beta [rad]: in-plane gravity g sin(beta) along +q."""
+    tilt_across: float = 0.0
+    """[rad]: in-plane gravity across the travel, towards the arm's position at theta = 0."""
+    cogging_torque: float = 0.0
+    """A [N m]: torque A sin(n theta + phi)."""
+    cogging_order: float = 4.0
+    """n [1]."""
+    cogging_phase: float = 0.0
+    """phi [rad]."""
+    cable_stiffness: float = 0.0
+    """k_c [N m/rad]: torque -k_c (theta - theta_home)."""
+    cable_home: float = 0.0
+    """theta_home [rad]."""
+
+    saturation: float = math.inf
+    """Limit of the commanded current [A]."""
+    input_delay: float = 0.0
+    """Transport delay of the current [s]."""
+    current_lag: float = 0.0
+    """Time constant of the current [s]."""
+    current_offset: float = 0.0
+    """Added to the current [A]."""
+    dead_zone: float = 0.0
+    """delta [A]: no torque below it, and i - delta sgn(i) beyond."""
+    torque_droop: float = 0.0
+    """[1/A]: the torque constant falls by the factor 1 / (1 + droop |i|)."""
+
+    tacho_bias: float = 0.0
+    """[rad/s]."""
+    tacho_gain: float = 1.0
+    """[1]."""
+    tacho_lag: float = 0.0
+    """Time constant [s]."""
+    lvdt_cubic: float = 0.0
+    """c [1/m^2]: the LVDT shows q + c q^3."""
+    lvdt_lag: float = 0.0
+    """Time constant [s]."""
+
+    force_noise: float = 0.0
+    """White random force on the cart [N/sqrt(Hz)]: its square is the two-sided spectral density."""
+    torque_noise: float = 0.0
+    """White random torque on the arm [N m/sqrt(Hz)]."""
+    friction_slope: float = 0.0
+    """a [1], outside the catalogue: the cart's Coulomb friction is d (1 + a q / q_ref), not below zero."""
+    friction_reference: float = 0.01
+    """q_ref [m]."""
+    detent_force: float = 0.0
+    """A [N], outside the catalogue: force -A (x/s) exp((1 - (x/s)^2)/2) with x = q - q_0; A is its peak."""
+    detent_position: float = 0.003
+    """q_0 [m]."""
+    detent_width: float = 1e-3
+    """s [m]."""
+    vibration_force: float = 0.0
+    """A [N], outside the catalogue: force A sin(2 pi f t + phase) from the floor."""
+    vibration_frequency: float = 7.0
+    """f [Hz]."""
+    vibration_phase: float = 0.0
+    """[rad]."""
+    maxwell_stiffness: float = 0.0
+    """[N/m], outside the catalogue: a spring in series with a damper, both in parallel with k."""
+    maxwell_damping: float = 10.0
+    """[N s/m]."""
+
+    position_noise: float = 2e-5
+    """Standard deviation of the LVDT [m]."""
+    velocity_noise: float = 0.05
+    """Standard deviation of the tachometer [rad/s]."""
+    angle_noise: float = 1e-3
+    """Standard deviation of the encoder [rad]."""
+    noise_correlation: float = 0.0
+    """Correlation [1] of the noise of neighbouring samples: 0 is white, else AR(1) of the same variance."""
+    encoder: bool = False
+    """Whether the arm angle is measured."""
+    quantisation_bits: int | None = 12
+    """Bits of the converter behind LVDT and tachometer, or None for no quantisation and no range."""
+    position_range: float = 0.02
+    """The converter's range is plus and minus this [m]."""
+    velocity_range: float = 60.0
+    """The converter's range is plus and minus this [rad/s]."""
+
+    def __post_init__(self) -> None:
+        for entry in fields(self):
+            if entry.name in ("encoder", "quantisation_bits"):
+                continue
+            value = getattr(self, entry.name)
+            infinite = entry.name in ("saturation", "end_stop_travel") and value == math.inf
+            if not (math.isfinite(value) or infinite):
+                raise ValueError(f"Rig.{entry.name} is {value!r}; it must be finite.")
+        for name in _POSITIVE:
+            if getattr(self, name) <= 0:
+                raise ValueError(f"Rig.{name} is {getattr(self, name)!r}; it must be greater than zero.")
+        for name in _NOT_NEGATIVE:
+            if getattr(self, name) < 0:
+                raise ValueError(f"Rig.{name} is {getattr(self, name)!r}; it must not be negative.")
+        if not abs(self.noise_correlation) < 1:
+            raise ValueError("Rig.noise_correlation must lie between -1 and 1.")
+        if self.quantisation_bits is not None and not 2 <= self.quantisation_bits <= 32:
+            raise ValueError("Rig.quantisation_bits must lie between 2 and 32, or be None.")
+        if self.eccentric_moment**2 >= self.arm_inertia * (self.total_mass - self.flexible_mass):
+            raise ValueError(
+                "Rig.eccentric_moment is too large: its square must be below J times the mass of the cart."
+            )
+
+    def drawn(self, seed: int, spread: float = 0.15) -> "Rig":
+        """A rig whose nine parameters of the paper's model lie uniformly within a fraction of these.
+
+        Arguments:
+            seed: the draw depends on it alone.
+            spread: largest relative deviation [1], at least 0 and below 1.
+
+        Raises:
+            ValueError: the spread is outside its range.
+        """
+        if not 0 <= spread < 1:
+            raise ValueError(f"spread is {spread!r}; it must be at least 0 and below 1.")
+        factors = np.random.default_rng(seed).uniform(1 - spread, 1 + spread, len(DRAWN))
+        values: dict[str, Any] = {
+            name: getattr(self, name) * float(factor) for name, factor in zip(DRAWN, factors, strict=True)
+        }
+        return replace(self, **values)
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """One experiment to be carried out: the inputs, the start, and how it is sampled.
+
+    There are N = round(duration / sample_time) samples, at t = n sample_time. Inputs are held from one sample
+    to the next. A plan of kind "rest" moves nothing: only sensor noise is recorded.
+
+    Raises:
+        ValueError: a field does not fit the others; the message names it.
+    """
+
+    name: str
+    kind: Literal["free", "forced", "rest"] = "free"
+    duration: float = 10.0
+    """[s]."""
+    sample_time: float = 0.005
+    """[s]."""
+    current: np.ndarray | None = None
+    """(N,) commanded motor current [A]; None is no current."""
+    disturbance_force: np.ndarray | None = None
+    """(N,) force F on the cart [N]; None is no force."""
+    initial_position: float = 0.0
+    """[m]."""
+    initial_velocity: float = 0.0
+    """[m/s]."""
+    initial_angle: float = 0.0
+    """[rad]."""
+    initial_arm_velocity: float = 0.0
+    """[rad/s]."""
+    arm: Literal["free", "locked"] = "free"
+    cart: Literal["free", "clamped"] = "free"
+    repeat_of: str | None = None
+    """Name of the plan whose inputs and start this one repeats."""
+
+    def __post_init__(self) -> None:
+        if self.kind not in ("free", "forced", "rest"):
+            raise ValueError(f"Plan.kind is {self.kind!r}; use 'free', 'forced' or 'rest'.")
+        if self.arm not in ("free", "locked"):
+            raise ValueError(f"Plan.arm is {self.arm!r}; use 'free' or 'locked'.")
+        if self.cart not in ("free", "clamped"):
+            raise ValueError(f"Plan.cart is {self.cart!r}; use 'free' or 'clamped'.")
+        if not (self.sample_time > 0 and self.samples >= 2):
+            raise ValueError("Plan.sample_time must be positive and Plan.duration at least two samples long.")
+        for name in ("current", "disturbance_force"):
+            value = getattr(self, name)
+            if value is not None and np.shape(value) != (self.samples,):
+                raise ValueError(
+                    f"Plan.{name} has shape {np.shape(value)}; {self.duration} s at {self.sample_time} s need"
+                    f" ({self.samples},)."
+                )
+        if self.arm == "locked" and self.initial_arm_velocity != 0:
+            raise ValueError("Plan.initial_arm_velocity must be zero when the arm is locked.")
+        if self.cart == "clamped" and self.initial_velocity != 0:
+            raise ValueError("Plan.initial_velocity must be zero when the cart is clamped.")
+
+    @property
+    def samples(self) -> int:
+        """Number of samples N."""
+        return round(self.duration / self.sample_time)

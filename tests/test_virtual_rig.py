@@ -1,0 +1,442 @@
+"""The virtual rig against theory and against another integrator, and what its recordings hold."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.linalg import eigh
+
+from rtac_jax.virtual_rig import Plan, Rig, record, record_many, standard_plans
+from rtac_jax.virtual_rig._motion import Track, integrate
+
+SEED = np.random.SeedSequence(0)
+# A sensor that shows the same number all the time would be refused, so a trace of noise is left.
+QUIET = {"position_noise": 1e-12, "velocity_noise": 1e-9, "quantisation_bits": None}
+
+
+def move(rig: Rig, plan: Plan, step: float = 2e-4) -> Track:
+    return integrate([(rig, plan, SEED)], step)[0]
+
+
+def forced_plan(duration: float = 2.0, **changes) -> Plan:
+    random = np.random.default_rng(3)
+    samples = round(duration / 0.01)
+    current = 0.3 * np.repeat(random.standard_normal(samples // 10), 10)
+    return Plan(
+        "forced",
+        "forced",
+        duration,
+        0.01,
+        **{
+            "current": current,
+            "disturbance_force": 0.2 * random.standard_normal(samples),
+            "initial_position": 0.01,
+            "initial_velocity": 0.02,
+            "initial_angle": 0.7,
+            "initial_arm_velocity": 1.0,
+            **changes,
+        },
+    )
+
+
+def reference(rig: Rig, plan: Plan) -> np.ndarray:
+    """(N, 8) states by DOP853, from equations (1)-(2) with the smooth effects, without dry friction.
+
+    They are q, theta, q', theta', place and speed of the flexible part, Maxwell's inner point, Bouc-Wen's z.
+    """
+    me, body, g = rig.eccentric_moment, rig.flexible_mass, 9.81
+    viscous = rig.arm_viscous_positive
+    assert rig.arm_viscous_negative == viscous
+
+    def slope(t, y, i, f):
+        q, theta, speed, arm_speed, place, body_speed, inner, z = y
+        coupling = me * np.cos(theta)
+        pull = rig.flexible_frequency**2 * (q - place)
+        pull += 2 * rig.flexible_damping * rig.flexible_frequency * (speed - body_speed)
+        cart = me * arm_speed**2 * np.sin(theta) - rig.spring_stiffness * q - rig.cart_viscous * speed + f
+        cart -= rig.cubic_spring * q**3 + rig.quadratic_spring * q**2 + body * pull
+        cart -= rig.cart_quadratic_drag * abs(speed) * speed + rig.maxwell_stiffness * (q - inner)
+        cart -= rig.hysteresis_stiffness * z
+        cart += rig.total_mass * g * np.sin(rig.tilt_along)
+        away = (q - rig.detent_position) / rig.detent_width
+        cart -= rig.detent_force * away * np.exp(0.5 - 0.5 * away**2)
+        cart += rig.vibration_force * np.sin(2 * np.pi * rig.vibration_frequency * t + rig.vibration_phase)
+        arm = rig.torque_constant * i - viscous * arm_speed
+        arm -= rig.arm_quadratic_drag * abs(arm_speed) * arm_speed
+        arm += rig.cogging_torque * np.sin(rig.cogging_order * theta + rig.cogging_phase)
+        arm -= rig.cable_stiffness * (theta - rig.cable_home)
+        arm += me * g * (np.sin(rig.tilt_along) * np.cos(theta) - np.sin(rig.tilt_across) * np.sin(theta))
+        mass = np.array([[rig.total_mass - body, coupling], [coupling, rig.arm_inertia]])
+        creep = rig.maxwell_stiffness / rig.maxwell_damping * (q - inner)
+        turn = speed - (abs(speed) * z + speed * abs(z)) / (2 * rig.hysteresis_yield)
+        return [speed, arm_speed, *np.linalg.solve(mass, [cart, arm]), body_speed, pull, creep, turn]
+
+    current = np.zeros(plan.samples) if plan.current is None else plan.current
+    force = np.zeros(plan.samples) if plan.disturbance_force is None else plan.disturbance_force
+    q, speed = plan.initial_position, plan.initial_velocity
+    states = [np.array([q, plan.initial_angle, speed, plan.initial_arm_velocity, q, speed, q, 0.0])]
+    for n in range(plan.samples - 1):
+        span = (n * plan.sample_time, (n + 1) * plan.sample_time)
+        found = solve_ivp(
+            slope, span, states[-1], "DOP853", args=(current[n], force[n]), rtol=1e-10, atol=1e-13
+        )
+        states.append(found.y[:, -1])
+    return np.array(states)
+
+
+def test_forced_motion_agrees_with_another_integrator_to_second_order():
+    rig = Rig(cart_coulomb=0.0, arm_viscous_negative=Rig.arm_viscous_positive)
+    plan = forced_plan()
+    truth = reference(rig, plan)[:, :4]
+    errors = []
+    for step in (4e-4, 2e-4, 5e-5):
+        track = move(rig, plan, step)
+        states = np.stack([track.position, track.angle, track.velocity, track.arm_velocity], axis=1)
+        errors.append(np.abs(states - truth).max(axis=0) / np.abs(truth).max(axis=0))
+    assert np.all(errors[-1] < 1e-6)
+    np.testing.assert_allclose(np.log2(errors[0] / errors[1]), 2.0, atol=0.2)
+    np.testing.assert_allclose(np.log2(errors[1] / errors[2]), 4.0, atol=0.4)
+
+
+SMOOTH = {
+    "springs": {"cubic_spring": 2e5, "quadratic_spring": 900.0},
+    "flexible": {"flexible_mass": 0.25, "flexible_damping": 0.05},
+    "drag": {"cart_quadratic_drag": 3.0, "arm_quadratic_drag": 6e-6},
+    "tilt": {"tilt_along": 0.01, "tilt_across": 0.03},
+    "arm": {"cogging_torque": 2e-3, "cogging_phase": 0.4, "cable_stiffness": 1e-3, "cable_home": 0.5},
+    "detent": {"detent_force": 0.2},
+    "vibration": {"vibration_force": 0.2, "vibration_phase": 1.0},
+    "maxwell": {"maxwell_stiffness": 30.0, "maxwell_damping": 4.0},
+    "hysteresis": {"hysteresis_stiffness": 30.0},
+}
+
+
+@pytest.mark.parametrize("name", SMOOTH)
+def test_smooth_effects_agree_with_another_integrator_to_second_order(name):
+    rig = Rig(cart_coulomb=0.0, arm_viscous_negative=Rig.arm_viscous_positive, **SMOOTH[name])
+    plan = forced_plan(0.5)
+    truth = reference(rig, plan)
+    largest = []
+    for step in (4e-4, 1e-4):
+        track = move(rig, plan, step)
+        states = np.stack([track.position, track.angle], axis=1)
+        largest.append((np.abs(states - truth[:, :2]).max(axis=0) / np.abs(truth[:, :2]).max(axis=0)).max())
+    assert largest[1] < 1e-5
+    assert largest[0] / largest[1] > 12
+
+
+def test_equal_halves_of_asymmetric_friction_are_continuous():
+    plan = forced_plan()
+    one = move(Rig(arm_viscous_negative=Rig.arm_viscous_positive), plan)
+    other = move(Rig(arm_viscous_negative=Rig.arm_viscous_positive * (1 + 1e-9)), plan)
+    np.testing.assert_allclose(other.arm_velocity, one.arm_velocity, atol=1e-6)
+
+
+def test_arm_velocity_decays_at_the_rate_of_its_direction():
+    rig = Rig(eccentric_moment=1e-9)
+    for sign, viscous in ((1, rig.arm_viscous_positive), (-1, rig.arm_viscous_negative)):
+        track = move(rig, Plan("spin", "free", 2.0, 0.01, initial_arm_velocity=20.0 * sign))
+        expected = 20 * sign * np.exp(-viscous / rig.arm_inertia * 0.01 * np.arange(200))
+        np.testing.assert_allclose(track.arm_velocity, expected, rtol=1e-6)
+
+
+def test_energy_is_conserved_without_damping():
+    tilt = {"tilt_along": 0.02, "tilt_across": -0.03}
+    rig = Rig(
+        cart_viscous=0,
+        cart_coulomb=0,
+        arm_viscous_positive=0,
+        arm_viscous_negative=0,
+        cubic_spring=2e4,
+        **tilt,
+    )
+    track = move(rig, Plan("spin", "free", 10.0, 0.005, initial_position=0.012, initial_arm_velocity=12.0))
+    m, me, g = rig.total_mass, rig.eccentric_moment, 9.81
+    gx, gy = g * np.sin(0.02), g * np.sin(-0.03)
+    q, theta, speed, arm = track.position, track.angle, track.velocity, track.arm_velocity
+    energy = 0.5 * m * speed**2 + 0.5 * rig.arm_inertia * arm**2 + me * np.cos(theta) * speed * arm
+    energy += 0.5 * rig.spring_stiffness * q**2 + 0.25 * 2e4 * q**4
+    energy -= m * gx * q + me * gx * np.sin(theta) + me * gy * np.cos(theta)
+    np.testing.assert_allclose(energy, energy[0], rtol=1e-5)
+
+
+def test_dry_friction_takes_the_same_from_each_half_swing_and_ends_at_rest():
+    rig = Rig(cart_viscous=0.0)
+    band = rig.cart_coulomb / rig.spring_stiffness
+    omega = np.sqrt(rig.spring_stiffness / rig.total_mass)
+    time = 0.005 * np.arange(3000)
+    exact, amplitude, half_swing = np.empty(3000), 0.01, 0
+    while amplitude > band:
+        rows = time * omega >= np.pi * half_swing
+        swing = (amplitude - band) * np.cos(omega * time[rows] - np.pi * half_swing) + band
+        exact[rows] = (-1) ** half_swing * swing
+        amplitude, half_swing = amplitude - 2 * band, half_swing + 1
+    exact[time * omega >= np.pi * half_swing] = (-1) ** half_swing * amplitude
+    errors = []
+    for step in (4e-4, 1e-4):
+        track = move(rig, Plan("decay", "free", 15.0, 0.005, initial_position=0.01, arm="locked"), step)
+        errors.append(np.abs(track.position - exact).max())
+        assert np.all(track.velocity[-100:] == 0.0)
+        assert np.all(track.position[-100:] == track.position[-1])
+        assert abs(track.position[-1]) <= band
+    assert errors[1] < 2e-8
+    assert errors[0] / errors[1] == pytest.approx(16, rel=0.3)
+
+
+def test_free_decay_with_a_free_arm_ends_at_rest_inside_the_band():
+    rig = Rig(arm_coulomb=1e-4)
+    track = move(rig, Plan("decay", "free", 10.0, 0.01, initial_position=0.008, initial_angle=0.4))
+    assert np.all(track.velocity[-50:] == 0.0)
+    assert np.all(track.arm_velocity[-50:] == 0.0)
+    assert abs(track.position[-1]) <= rig.cart_coulomb / rig.spring_stiffness
+
+
+def test_cart_inside_the_band_does_not_move():
+    rig = Rig()
+    place = 0.95 * rig.cart_coulomb / rig.spring_stiffness
+    track = move(rig, Plan("stuck", "free", 2.0, 0.01, initial_position=place, initial_angle=1.0))
+    assert np.all(track.position == place)
+    np.testing.assert_allclose(track.angle, 1.0, atol=1e-12)
+    freed = move(rig, Plan("free", "free", 2.0, 0.01, initial_position=1.2 * place, initial_angle=1.0))
+    assert np.abs(np.diff(freed.position)).max() > 0
+
+
+def test_arm_is_held_by_dry_friction_until_the_torque_exceeds_it():
+    rig = Rig(arm_coulomb=2e-3)
+    for share in (0.9, 1.1):
+        current = np.full(100, share * rig.arm_coulomb / rig.torque_constant)
+        track = move(rig, Plan("push", "forced", 1.0, 0.01, current, initial_angle=np.pi / 2))
+        assert np.all(track.angle == np.pi / 2) == (share < 1)
+
+
+def test_locked_arm_and_clamped_cart():
+    rig = Rig(cart_coulomb=0.0, cart_viscous=0.0)
+    locked = move(
+        rig, forced_plan(arm="locked", initial_arm_velocity=0.0, disturbance_force=None, initial_velocity=0.0)
+    )
+    omega = np.sqrt(rig.spring_stiffness / rig.total_mass)
+    np.testing.assert_allclose(locked.position, 0.01 * np.cos(omega * 0.01 * np.arange(200)), atol=1e-7)
+    assert np.all(locked.angle == 0.7)
+    clamped = move(rig, forced_plan(cart="clamped", initial_velocity=0.0))
+    assert np.all(clamped.position == 0.01)
+    assert np.ptp(clamped.angle) > 1.0
+
+
+def test_flexible_mode_has_the_frequencies_of_the_eigenvalue_problem():
+    rig = Rig(
+        cart_coulomb=0, cart_viscous=0, flexible_mass=0.3, flexible_frequency=37.4, flexible_damping=0.0
+    )
+    track = move(rig, Plan("ring", "free", 20.0, 0.01, initial_position=0.01, arm="locked"))
+    stiffness = rig.flexible_mass * rig.flexible_frequency**2
+    matrix = np.array([[rig.spring_stiffness + stiffness, -stiffness], [-stiffness, stiffness]])
+    masses = np.diag([rig.total_mass - rig.flexible_mass, rig.flexible_mass])
+    expected = np.sqrt(eigh(matrix, masses, eigvals_only=True))
+    # From rest relative to the cart the motion is a sum of two cosines: their frequencies, by least squares.
+    time = 0.01 * np.arange(track.position.size)
+    modes = np.cos(np.outer(time, expected))
+    parts = np.linalg.lstsq(modes, track.position, rcond=None)[0]
+    assert np.abs(modes @ parts - track.position).max() < 1e-6
+    assert abs(parts[1]) > 2e-5
+    assert parts.sum() == pytest.approx(0.01, rel=1e-3)
+
+
+def test_end_stop_keeps_the_cart_in():
+    track = move(Rig(end_stop_travel=0.008), Plan("hit", "free", 3.0, 0.005, initial_velocity=0.15))
+    assert 0.008 < np.abs(track.position).max() < 0.0095
+
+
+def test_current_lag_and_delay_on_a_clamped_cart():
+    rig = Rig(arm_viscous_positive=0.0, arm_viscous_negative=0.0)
+    plan = Plan("step", "forced", 0.5, 0.01, np.full(50, 0.1), cart="clamped")
+    time, push = 0.01 * np.arange(50), 0.1 * rig.torque_constant / rig.arm_inertia
+    late = move(replace(rig, input_delay=0.0123), plan)
+    np.testing.assert_allclose(late.arm_velocity, push * np.maximum(time - 0.0123, 0), atol=1e-9)
+    slow = move(replace(rig, current_lag=0.02), plan)
+    np.testing.assert_allclose(
+        slow.arm_velocity, push * (time - 0.02 * (1 - np.exp(-time / 0.02))), atol=1e-9
+    )
+    limited = move(replace(rig, saturation=0.05), plan)
+    np.testing.assert_allclose(limited.arm_velocity, 0.5 * push * time, atol=1e-9)
+    dead = move(replace(rig, dead_zone=0.04, current_offset=-0.01), plan)
+    np.testing.assert_allclose(dead.arm_velocity, 0.5 * push * time, atol=1e-9)
+
+
+def test_sensor_lag_follows_a_ramp_late():
+    rig = Rig(arm_viscous_positive=0.0, arm_viscous_negative=0.0, tacho_lag=0.03)
+    track = move(rig, Plan("step", "forced", 1.0, 0.01, np.full(100, 0.1), cart="clamped"))
+    time, push = 0.01 * np.arange(100), 0.1 * rig.torque_constant / rig.arm_inertia
+    expected = push * (time - 0.03 * (1 - np.exp(-time / 0.03)))
+    np.testing.assert_allclose(track.seen_arm_velocity, expected, atol=1e-5)
+    assert np.all(track.seen_position == track.position)
+
+
+def test_random_torque_has_the_stated_spectral_density():
+    rig = Rig(torque_noise=1e-4, eccentric_moment=1e-9, arm_viscous_positive=0, arm_viscous_negative=0)
+    plan = Plan("shake", "free", 1.0, 0.01, arm="free", cart="clamped")
+    jobs = [(rig, plan, seed) for seed in np.random.SeedSequence(5).spawn(400)]
+    ends = [track.arm_velocity[-1] for track in integrate(jobs, 1e-3)]
+    assert np.std(ends) == pytest.approx(1e-4 * np.sqrt(0.99) / rig.arm_inertia, rel=0.12)
+    coarse, fine = move(rig, plan, 1e-3), move(rig, plan, 2e-4)
+    np.testing.assert_allclose(coarse.arm_velocity, fine.arm_velocity, atol=1e-9)
+
+
+# Each hidden effect at a plausible value; what else it needs to show stands beside it.
+EFFECTS = [
+    {"cubic_spring": 1e5},
+    {"quadratic_spring": 800.0},
+    {"hysteresis_stiffness": 20.0},
+    {"flexible_mass": 0.2},
+    {"cart_quadratic_drag": 2.0},
+    {"cart_stribeck": 0.03},
+    {"end_stop_travel": 0.009},
+    {"arm_coulomb": 5e-4},
+    {"arm_stribeck": 5e-4},
+    {"arm_quadratic_drag": 5e-6},
+    {"tilt_along": 0.01},
+    {"tilt_across": 0.02},
+    {"cogging_torque": 1e-3},
+    {"cable_stiffness": 1e-3},
+    {"saturation": 0.2},
+    {"input_delay": 0.004},
+    {"current_lag": 0.005},
+    {"current_offset": 0.005},
+    {"dead_zone": 0.01},
+    {"torque_droop": 0.2},
+    {"tacho_bias": 0.2},
+    {"tacho_gain": 1.03},
+    {"tacho_lag": 0.01},
+    {"lvdt_cubic": 200.0},
+    {"lvdt_lag": 0.005},
+    {"force_noise": 5e-3},
+    {"torque_noise": 1e-4},
+    {"friction_slope": 0.8},
+    {"detent_force": 0.1},
+    {"vibration_force": 0.1},
+    {"maxwell_stiffness": 20.0},
+]
+SHOWING = standard_plans(seed=2, duration=4.0, free=1, forced=1, rest=0)
+
+
+@pytest.fixture(scope="module")
+def with_effects():
+    """Plain outputs, and those with each effect, of one batch; no noise."""
+    rigs = [Rig(**QUIET)] + [Rig(**QUIET, **effect) for effect in EFFECTS]
+    recordings = record_many([(rig, SHOWING, 1) for rig in rigs])
+    return [
+        [np.stack([e.outputs[name].values for name in ("cart_position", "arm_velocity")]) for e in recording]
+        for recording in recordings
+    ]
+
+
+@pytest.mark.parametrize("index", range(len(EFFECTS)), ids=[next(iter(effect)) for effect in EFFECTS])
+def test_each_effect_shows(with_effects, index):
+    plain, changed = with_effects[0], with_effects[index + 1]
+    noise = np.array([2e-5, 0.05])
+    largest = max(
+        (np.sqrt(np.mean((a - b) ** 2, axis=1)) / noise).max() for a, b in zip(plain, changed, strict=True)
+    )
+    assert largest > 1.0
+
+
+def test_absent_effects_change_nothing(with_effects):
+    # Alone in its batch the plain rig runs none of the effects' code; among the others it runs all of it.
+    alone = record(Rig(**QUIET), SHOWING, seed=1)
+    for experiment, among in zip(alone, with_effects[0], strict=True):
+        np.testing.assert_allclose(experiment.outputs["cart_position"].values, among[0], atol=1e-12)
+        np.testing.assert_allclose(experiment.outputs["arm_velocity"].values, among[1], atol=1e-9)
+
+
+def test_every_effect_is_tested_and_null_by_default():
+    names = list(Rig.__dataclass_fields__)
+    hidden = names[names.index("cubic_spring") : names.index("position_noise")]
+    shapes = (
+        "_yield",
+        "_frequency",
+        "flexible_damping",
+        "_velocity",
+        "stop_stiffness",
+        "_order",
+        "_phase",
+        "_home",
+    )
+    shapes += ("_reference", "_position", "_width", "maxwell_damping")
+    assert {next(iter(effect)) for effect in EFFECTS} == {
+        name for name in hidden if not name.endswith(shapes)
+    }
+
+
+def test_many_recordings_equal_single_ones_and_seeds_decide():
+    plans = standard_plans(seed=0, duration=1.0, free=1, forced=2, repeats=1)
+    jobs = [(Rig(force_noise=1e-3).drawn(n), plans, n) for n in (1, 2)]
+    many = record_many(jobs)
+    for (rig, _, seed), recording in zip(jobs, many, strict=True):
+        single = record(rig, plans, seed=seed)
+        assert dict(single.rig) == {"total_mass": rig.total_mass, "arm_inertia": rig.arm_inertia}
+        for one, other in zip(single, recording, strict=True):
+            for channel, signal in one.outputs.items():
+                np.testing.assert_array_equal(signal.values, other.outputs[channel].values)
+    first, again = many[0]["forced_1"].outputs, many[0]["repeat_1"].outputs
+    assert np.any(first["cart_position"].values != again["cart_position"].values)
+    other = record(jobs[0][0], plans, seed=3)["forced_1"].outputs
+    assert np.any(first["cart_position"].values != other["cart_position"].values)
+
+
+def test_sensors_noise_and_quantisation():
+    rest = [Plan("rest", "rest", 20.0, 0.005)]
+    recording = record(Rig(encoder=True), rest, seed=0, write_noise=True)
+    outputs = recording["rest"].outputs
+    for name, bit in (("cart_position", 0.04 / 4096), ("arm_velocity", 120 / 4096)):
+        levels = outputs[name].values / bit
+        np.testing.assert_allclose(levels, np.round(levels), atol=1e-9)
+        assert np.std(outputs[name].values) == pytest.approx(outputs[name].noise_std, rel=0.05)
+    assert np.std(outputs["arm_angle"].values) == pytest.approx(1e-3, rel=0.05)
+    assert record(Rig(), rest, seed=0)["rest"].outputs["cart_position"].noise_std is None
+    fast = Plan("fast", "free", 1.0, 0.005, initial_arm_velocity=80.0)
+    assert record(Rig(), [fast], seed=0)["fast"].outputs["arm_velocity"].values.max() < 60.0
+    coloured = record(Rig(noise_correlation=0.8, quantisation_bits=None), rest, seed=0)["rest"]
+    noise = coloured.outputs["cart_position"].values
+    assert np.corrcoef(noise[1:], noise[:-1])[0, 1] == pytest.approx(0.8, abs=0.05)
+    assert np.std(noise) == pytest.approx(2e-5, rel=0.1)
+
+
+def test_standard_plans_stay_within_the_rig_and_show_it():
+    plans = [plan for seed in range(4) for plan in standard_plans(seed=seed, repeats=1, sample_time=0.01)]
+    assert [plan.kind for plan in plans[:14]] == ["free"] * 4 + ["forced"] * 9 + ["rest"]
+    moving = [plan for plan in plans if plan.kind != "rest"]
+    tracks = integrate([(Rig(), plan, SEED) for plan in moving], 5e-4)
+    assert max(np.abs(track.position).max() for track in tracks) <= 0.0151
+    assert max(np.abs(track.arm_velocity).max() for track in tracks) < 60.0
+    assert max(np.abs(plan.current).max() for plan in moving if plan.current is not None) * 0.0804 < 0.1
+    forced = [track for track, plan in zip(tracks, moving, strict=True) if plan.kind == "forced"]
+    assert np.median([np.std(track.position[300:]) for track in forced]) > 1e-3
+    assert np.median([np.ptp(track.angle) for track in forced]) > 2.0
+
+
+def test_drawn_rigs():
+    rig = Rig().drawn(4)
+    assert rig == Rig().drawn(4) != Rig().drawn(5)
+    assert 0.85 * 1.23 <= rig.total_mass <= 1.15 * 1.23
+    assert Rig(cubic_spring=3.0).drawn(1, spread=0.0) == Rig(cubic_spring=3.0)
+
+
+@pytest.mark.parametrize(
+    ("make", "word"),
+    [
+        (lambda: Rig(total_mass=0.0), "total_mass"),
+        (lambda: Rig(cart_coulomb=-1.0), "cart_coulomb"),
+        (lambda: Rig(cubic_spring=np.nan), "cubic_spring"),
+        (lambda: Rig(eccentric_moment=0.1), "eccentric_moment"),
+        (lambda: Rig().drawn(0, spread=1.0), "spread"),
+        (lambda: Plan("a", duration=1.0, sample_time=0.1, current=np.zeros(9)), "current"),
+        (lambda: Plan("a", "fast"), "kind"),  # pyright: ignore[reportArgumentType]
+        (lambda: record(Rig(), [], seed=0), "no plans"),
+        (lambda: record(Rig(), [Plan("a"), Plan("a")], seed=0), "names"),
+        (lambda: record(Rig(), [Plan("a")], seed=0, step=0.0), "step"),
+        (lambda: standard_plans(seed=0, forced=0, repeats=1), "repeat"),
+        (lambda: standard_plans(seed=0, duration=0.1), "short"),
+    ],
+)
+def test_impossible_wishes_are_refused(make, word):
+    with pytest.raises(ValueError, match=word):
+        make()

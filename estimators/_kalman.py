@@ -101,13 +101,15 @@ def kalman(
         inputs = tuple(None if row[name] is None else tuple(row[name]) for name in ("current", "force"))
 
         def forward(at: Any) -> Any:
-            return advance(placed, at, *inputs, excitation, substeps=substeps)
+            return advance(placed, at, *inputs, excitation, substeps=substeps, rolled=True)
 
         pushes = _pushes(placed, state, excitation)
         state, jacobian = _with_slopes(forward, state, unit)
         f = jnp.stack([jnp.stack(line) for line in jacobian])
-        half = 0.5 * excitation.sample_time * sum(
-            density * push[:, None] * push[None, :] for density, push in zip(process, pushes, strict=True)
+        half = (
+            0.5
+            * excitation.sample_time
+            * sum(density * push[:, None] * push[None, :] for density, push in zip(process, pushes, strict=True))
         )
         spread = _product(_product(f, spread + half), jnp.swapaxes(f, 0, 1)) + half
         return (state, spread), (gains, jnp.stack([jnp.stack(w) for w in whitener]), jnp.stack(innovations), likelihood)
@@ -115,9 +117,7 @@ def kalman(
     rows = {
         "current": excitation.current, "force": excitation.force, "values": data.values, "present": data.present
     }  # fmt: skip
-    _, (gain, whitener, innovations, likelihood) = jax.lax.scan(
-        one_sample, (state, spread), rows, length=data.samples
-    )
+    _, (gain, whitener, innovations, likelihood) = jax.lax.scan(one_sample, (state, spread), rows, length=data.samples)
     return Filtered(gain, whitener, innovations, likelihood.sum(axis=0))
 
 
@@ -141,18 +141,11 @@ def _with_slopes(function: Any, state: Any, unit: Any) -> tuple[Any, list[Any]]:
 
 
 def _pushes(model: RTAC, state: Any, excitation: Excitation) -> tuple[Array, Array]:
-    """What a unit force on the cart and a unit torque on the arm do to the velocities."""
+    """What a unit force on the cart and a unit torque on the arm do to all states' rates."""
+    cart_cart, cart_arm, arm_arm = model.pushes(state, excitation.arm_free, excitation.cart_free)
     zero = jnp.zeros_like(state[0])
-    body = model.body
-    exchange = body.eccentric_moment * jnp.cos(state[2]) * excitation.arm_free * excitation.cart_free
-    scale = 1.0 / (body.total_mass * body.arm_inertia - exchange**2)
-    force = [zero] * len(state)
-    torque = [zero] * len(state)
-    force[1] = zero + excitation.cart_free * scale * body.arm_inertia
-    force[3] = zero - excitation.arm_free * scale * exchange * excitation.cart_free
-    torque[1] = zero - excitation.cart_free * scale * exchange * excitation.arm_free
-    torque[3] = zero + excitation.arm_free * scale * body.total_mass
-    return jnp.stack(force), jnp.stack(torque)
+    rest = [zero] * (len(state) - 4)
+    return jnp.stack([zero, cart_cart, zero, cart_arm, *rest]), jnp.stack([zero, cart_arm, zero, arm_arm, *rest])
 
 
 def _product(a: Array, b: Array) -> Array:

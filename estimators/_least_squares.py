@@ -254,8 +254,7 @@ def _free_stage(
         else:
             stiffness, stiff_pooled = mass / values[:, 0], mass / float(pooled[0])
     ratios = {
-        RATIOS[name]: _summary(labels, ratio_values[:, i], ratio_pooled[i], units[name])
-        for i, name in enumerate(names)
+        RATIOS[name]: _summary(labels, ratio_values[:, i], ratio_pooled[i], units[name]) for i, name in enumerate(names)
     }
     estimates = {"spring_stiffness": _summary(labels, stiffness, stiff_pooled, "N/m")}
     for i, name in enumerate(names):

@@ -13,7 +13,7 @@ from tqdm import tqdm
 from estimators._covariance import Information, information
 from estimators._kalman import filtered
 from estimators._least_squares import least_squares
-from estimators._levenberg_marquardt import Arguments, Solved, factor, plain_residual, solve
+from estimators._levenberg_marquardt import Arguments, Solved, plain_residual, solve
 from estimators._noise import noise_levels
 from estimators._problem import CHANNELS, Data, Space, Unknowns
 from estimators._results import RESULTS, DivergedError
@@ -62,9 +62,7 @@ class Fit:
     @property
     def parameters(self) -> dict[str, Parameter]:
         """Every shared parameter with its standard deviation."""
-        deviations = dict(
-            zip(self.information.names, np.sqrt(np.diagonal(self.information.covariance)), strict=True)
-        )
+        deviations = dict(zip(self.information.names, np.sqrt(np.diagonal(self.information.covariance)), strict=True))
         return {
             name: Parameter(float(np.asarray(self.model[name])), float(deviations.get(name, 0.0)), declared.unit)
             for name, declared in self.model.parameters.items()
@@ -95,8 +93,7 @@ def output_error(
     """Fit a model to all moving experiments of a recording at once by its simulation error.
 
     The first start is the closed form, the second the values of the model itself, further ones are drawn around the first.
-    From each it goes by one-step-ahead predictions with ever weaker correction to the free simulation, and last from a
-    smooth to a sharp friction law until the fit no longer changes.
+    From each it goes by one-step-ahead predictions with ever weaker correction to the free simulation.
 
     Args:
         starts: how many starts to try.
@@ -120,8 +117,7 @@ def output_error(
         raise ValueError("The model has no free parameter; release one with model.release(name).")
     levels = noise_levels(recording.experiments)
     data = Data.of(experiments)
-    given = smoothed(model, experiments)
-    candidates = [("model", given)] if from_model else _starts(model, recording, experiments, starts)
+    candidates = [("the model's values", model)] if from_model else _starts(model, recording, experiments, starts)
     bar = tqdm(total=None, disable=not progress, desc="output error", unit=" steps", leave=False)
     run = _Run(data, experiments, levels, tolerance, steps, bar)
     ends: list[tuple[str, _Stage]] = []
@@ -137,7 +133,6 @@ def output_error(
         raise DivergedError(" ".join(failures))
     winner, stage = min(ends, key=lambda end: end[1].cost)
     agreed = sum(end.cost <= stage.cost + _AGREES * float(jnp.sum(data.present)) for _, end in ends)
-    stage = run.sharpen(stage)
     bar.close()
     found = information(stage.solved.factor, stage.space, stage.solved.unknowns)
     found.require_determined()
@@ -165,7 +160,6 @@ def output_error(
             "winner": winner,
             "failures": tuple(failures),
             "substeps": stage.substeps,
-            "smoothing": {n: float(np.asarray(stage.model[n])) for n in smoothing_names(stage.model)},
             "seconds": time.perf_counter() - began,
         },
     )
@@ -183,25 +177,11 @@ def moving(recording: Recording) -> list[Experiment]:
     return found
 
 
-def smoothing_names(model: RTAC) -> list[str]:
-    """Parameters that smooth a friction law."""
-    return [name for name in model.parameters if name.endswith(".smoothing")]
-
-
-def smoothed(model: RTAC, experiments: Sequence[Experiment], share: float = 3e-3) -> RTAC:
-    """The model with friction smoothed over this share of the rms velocities."""
-    scales = scales_of(model, experiments)
-    size = {"cart": scales.velocity, "arm": scales.arm_velocity}
-    return model.with_values({name: share * size[name.split("_")[0]] for name in smoothing_names(model)})
-
-
-def _starts(
-    model: RTAC, recording: Recording, experiments: Sequence[Experiment], count: int
-) -> list[tuple[str, RTAC]]:
-    first = smoothed(least_squares(model, recording).model, experiments)
+def _starts(model: RTAC, recording: Recording, experiments: Sequence[Experiment], count: int) -> list[tuple[str, RTAC]]:
+    first = least_squares(model, recording).model
     found = [("the closed form", first)]
     if count > 1:
-        found.append(("the model's values", smoothed(model, experiments)))
+        found.append(("the model's values", model))
     random = np.random.default_rng(0)
     for number in range(2, count):
         factors = {name: float(np.asarray(first[name])) * random.uniform(0.8, 1.2) for name in first.free}
@@ -260,38 +240,6 @@ class _Run:
         assert solved is not None
         return _Stage(model, space, solved, deviation, cost, substeps)
 
-    def sharpen(self, stage: _Stage) -> _Stage:
-        """Friction from smooth to sharp, until the fit no longer changes or a step would need too many parts."""
-        names = smoothing_names(stage.model)
-        noise = np.array([self.levels.get(channel, 1.0) for channel in CHANNELS])
-        while names:
-            self.bar.set_description("output error, sharper friction")
-            shared = np.asarray(stage.space.physical(stage.solved.unknowns)[0])
-            now = stage.model.with_values(dict(zip(stage.space.names, shared, strict=True)))
-            sharper = now.with_values({name: now[name] / 4.0 for name in names})
-            substeps = substeps_for(sharper, self.data.excitation)
-            if substeps > 8:
-                break
-            space = _with_smoothing(stage.space, sharper, names)
-            whitener = _diagonal(stage.deviation, self.data)
-            arguments = Arguments(stage.model, self.data, space, whitener, self._no_gain(stage.model), substeps)
-            solved = self._solve(stage.solved.unknowns, arguments, tolerance=self.tolerance, most=self.steps)
-            deviation = self._deviation(stage.model, space, solved.unknowns, substeps, noise)
-            cost = _concentrated(deviation, self.data)
-            if cost > stage.cost + 1.0:
-                break
-            gained = stage.cost - cost
-            stage = _Stage(stage.model, space, solved, deviation, cost, substeps)
-            if gained < 0.5:
-                break
-        # The last weights belong to the residuals of the stage before; once more with its own.
-        arguments = Arguments(
-            stage.model, self.data, stage.space, _diagonal(stage.deviation, self.data),
-            self._no_gain(stage.model), stage.substeps,
-        )  # fmt: skip
-        final = np.asarray(factor(stage.solved.unknowns, arguments))
-        return dataclasses.replace(stage, solved=stage.solved._replace(factor=final))
-
     def _solve(self, unknowns: Unknowns, arguments: Arguments, *, tolerance: float, most: int) -> Solved:
         def show(text: str) -> None:
             self.taken += 1
@@ -316,9 +264,7 @@ class _Run:
         )  # fmt: skip
         return result.gain, result.whitener
 
-    def _deviation(
-        self, model: RTAC, space: Space, unknowns: Unknowns, substeps: int, noise: np.ndarray
-    ) -> np.ndarray:
+    def _deviation(self, model: RTAC, space: Space, unknowns: Unknowns, substeps: int, noise: np.ndarray) -> np.ndarray:
         whitener = _diagonal(np.ones(len(CHANNELS)), self.data)
         arguments = Arguments(model, self.data, space, whitener, self._no_gain(model), substeps)
         error, _ = plain_residual(unknowns, arguments)
@@ -326,13 +272,6 @@ class _Run:
         rms = np.sqrt((np.asarray(error) ** 2).sum(axis=(0, 2)) / count)
         # A channel cannot be trusted beyond its sensor, or one that happens to fit would drown the others.
         return np.where(rms > 0, np.maximum(rms, 1e-12 * noise), noise)
-
-
-def _with_smoothing(space: Space, model: RTAC, names: Sequence[str]) -> Space:
-    values = np.asarray(space.values).copy()
-    for name in names:
-        values[space.names.index(name)] = float(np.asarray(model[name]))
-    return dataclasses.replace(space, values=jnp.asarray(values))
 
 
 def _diagonal(deviation: np.ndarray, data: Data) -> Array:

@@ -11,8 +11,8 @@ from jaxtyping import Array, Float, Int
 
 from estimators._transform import to_physical, to_unconstrained
 from rtac_jax import RTAC, Excitation
-from rtac_jax.measurement import OUTPUTS, Experiment
 from rtac_jax._simulate import trajectories
+from rtac_jax.measurement import OUTPUTS, Experiment
 
 CHANNELS = tuple(OUTPUTS)
 Outputs3 = Float[Array, "sample output experiment"]
@@ -105,9 +105,7 @@ class Space(eqx.Module):
             self.scale.at[self.active].get(**at),
         )
         shared = self.values.at[self.active].set(free, mode="drop")
-        each = to_physical(
-            unknowns.each, self.each_lower[:, None], self.each_upper[:, None], self.each_scale[:, None]
-        )
+        each = to_physical(unknowns.each, self.each_lower[:, None], self.each_upper[:, None], self.each_scale[:, None])
         return shared, each, self.start + (1.0 - self.start_held) * self.start_scale * unknowns.start
 
     def unconstrained(self) -> Unknowns:
@@ -117,11 +115,10 @@ class Space(eqx.Module):
         place = np.where(inside, index, 0)
         shared = to_unconstrained(*(np.asarray(x)[place] for x in (self.values, self.lower, self.upper, self.scale)))
         each = to_unconstrained(
-            np.asarray(self.each_values), *(np.asarray(x)[:, None] for x in (self.each_lower, self.each_upper, self.each_scale))
+            np.asarray(self.each_values),
+            *(np.asarray(x)[:, None] for x in (self.each_lower, self.each_upper, self.each_scale)),
         )
-        return Unknowns(
-            jnp.asarray(np.where(inside, shared, 0.0)), jnp.asarray(each), jnp.zeros_like(self.start)
-        )
+        return Unknowns(jnp.asarray(np.where(inside, shared, 0.0)), jnp.asarray(each), jnp.zeros_like(self.start))
 
 
 def states_at_start(model: RTAC, start: Array, excitation: Excitation) -> tuple[Any, ...]:

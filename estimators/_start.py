@@ -84,7 +84,11 @@ def scales_of(model: RTAC, experiments: Sequence[Experiment]) -> Scales:
     position = rms("outputs", "cart_position", 1e-9)
     arm_velocity = rms("outputs", "arm_velocity", 0.0)
     if arm_velocity == 0.0:
-        rates = [np.gradient(filled(e.outputs["arm_angle"].values), e.sample_time) for e in moving if "arm_angle" in e.outputs]
+        rates = [
+            np.gradient(filled(e.outputs["arm_angle"].values), e.sample_time)
+            for e in moving
+            if "arm_angle" in e.outputs
+        ]
         arm_velocity = max(float(np.sqrt(np.mean([np.mean(r**2) for r in rates]))) if rates else 0.0, 1e-9)
     current = rms("inputs", "current", 1e-9)
     body = model.body
@@ -102,7 +106,11 @@ def scales_of(model: RTAC, experiments: Sequence[Experiment]) -> Scales:
 
 
 def space_of(
-    model: RTAC, experiments: Sequence[Experiment], *, free: Sequence[str], start: Mapping[str, np.ndarray] | None = None
+    model: RTAC,
+    experiments: Sequence[Experiment],
+    *,
+    free: Sequence[str],
+    start: Mapping[str, np.ndarray] | None = None,
 ) -> Space:
     """The unknowns of a fit: these free parameters, and the states at the start of each experiment.
 
@@ -118,7 +126,9 @@ def space_of(
     state, spread, held = initial_states(experiments)
     rows = start_rows(model)
     extra = len(rows) - 4
-    size = np.array([scales.position, scales.velocity, 1.0, scales.arm_velocity] + [scales.position, scales.velocity] * extra)
+    size = np.array(
+        [scales.position, scales.velocity, 1.0, scales.arm_velocity] + [scales.position, scales.velocity] * extra
+    )
     size = size[: len(rows)]
     state = np.concatenate([state, np.zeros((extra, count))])
     # A recording seldom begins far from equilibrium in a state that nothing shows, and where an effect is nearly
@@ -143,7 +153,9 @@ def space_of(
         lower=bounds(names, 0),
         upper=bounds(names, 1),
         scale=sizes(names),
-        each_values=jnp.stack([jnp.broadcast_to(model[name], (count,)) for name in each]) if each else jnp.zeros((0, count)),
+        each_values=jnp.stack([jnp.broadcast_to(model[name], (count,)) for name in each])
+        if each
+        else jnp.zeros((0, count)),
         each_lower=bounds(each, 0),
         each_upper=bounds(each, 1),
         each_scale=sizes(each),

@@ -1,9 +1,30 @@
 """The rig: what was recorded, what physics may act on it, and how it moves."""
 
+from rtac_jax import effects, virtual_rig
 from rtac_jax._configure import configure, require_configured
 from rtac_jax._excitation import Excitation
 from rtac_jax._parameter import Declaration, Scales, parameter
 from rtac_jax._rigid_body import RigidBody
 from rtac_jax._rtac import RTAC
+from rtac_jax._simulate import Simulation, simulate
+from rtac_jax.measurement import Experiment, Recording, RecordingError, concerns, describe
 
-__all__ = ["RTAC", "Declaration", "Excitation", "RigidBody", "Scales", "configure", "parameter", "require_configured"]
+__all__ = [
+    "RTAC",
+    "Declaration",
+    "Excitation",
+    "Experiment",
+    "Recording",
+    "RecordingError",
+    "RigidBody",
+    "Scales",
+    "Simulation",
+    "concerns",
+    "configure",
+    "describe",
+    "effects",
+    "parameter",
+    "require_configured",
+    "simulate",
+    "virtual_rig",
+]

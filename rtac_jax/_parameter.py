@@ -101,6 +101,4 @@ def _as_value(value: Any) -> Array:
 
 def declarations(module: Any) -> dict[str, Declaration]:
     """The declared parameters of a module or of its class, by field name, in order of declaration."""
-    return {
-        field.name: field.metadata[_KEY] for field in dataclasses.fields(module) if _KEY in field.metadata
-    }
+    return {field.name: field.metadata[_KEY] for field in dataclasses.fields(module) if _KEY in field.metadata}

@@ -28,7 +28,11 @@ class RigidBody(eqx.Module):
         symbol="I+me^2", unit="kg m^2", bounds=(0.0, np.inf), meaning="arm about the motor axis", source=_TABLE_1
     )
     eccentric_moment: Scalar = parameter(
-        symbol="me", unit="kg m", bounds=(0.0, np.inf), meaning="arm mass times eccentricity", source="paper, Table 1(b)"
+        symbol="me",
+        unit="kg m",
+        bounds=(0.0, np.inf),
+        meaning="arm mass times eccentricity",
+        source="paper, Table 1(b)",
     )
     spring_stiffness: Scalar = parameter(
         symbol="k", unit="N/m", bounds=(0.0, np.inf), meaning="spring of the cart", source=_TABLE_1

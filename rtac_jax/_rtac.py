@@ -10,7 +10,18 @@ import numpy as np
 from rtac_jax._parameter import Declaration, declarations
 from rtac_jax._rigid_body import RigidBody
 from rtac_jax._sincos import sincos
-from rtac_jax.effects import Actuator, ArmViscous, CartCoulomb, CartViscous, Effect, Force, Motion, Outputs, Sensor
+from rtac_jax.effects import (
+    Actuator,
+    ArmViscous,
+    CartCoulomb,
+    CartViscous,
+    DryFriction,
+    Effect,
+    Force,
+    Motion,
+    Outputs,
+    Sensor,
+)
 from rtac_jax.measurement import Recording
 
 RIGID_STATES = {"cart_position": "m", "cart_velocity": "m/s", "arm_angle": "rad", "arm_velocity": "rad/s"}
@@ -207,7 +218,13 @@ class RTAC(eqx.Module):
         return state
 
     def derivative(
-        self, state: tuple[Any, ...], current: Any, force: Any, arm_free: Any = 1.0, cart_free: Any = 1.0
+        self,
+        state: tuple[Any, ...],
+        current: Any,
+        force: Any,
+        arm_free: Any = 1.0,
+        cart_free: Any = 1.0,
+        way: tuple[Any, Any] = (0.0, 0.0),
     ) -> tuple[Any, ...]:
         """Time derivative of the state: equations (1) and (2) with the effects.
 
@@ -216,6 +233,7 @@ class RTAC(eqx.Module):
             current: motor current [A].
             force: disturbance force F on the cart [N].
             arm_free, cart_free: 1 where it may move, 0 where it is held.
+            way: direction in which cart and arm slide, 1 or -1, against which dry friction acts; 0 for none.
         """
         position, velocity, angle, arm_velocity, *_ = state
         sine, cosine = sincos(angle)
@@ -230,25 +248,77 @@ class RTAC(eqx.Module):
 
         cart = force - body.spring_stiffness * position + body.eccentric_moment * arm_velocity**2 * sine
         arm = body.torque_constant * motion.current
-        mass = body.total_mass
         for effect in self.effects:
             if isinstance(effect, Force):
                 on_cart, on_arm = effect.force(motion, own[effect.id])
-                cart, arm, mass = cart + on_cart, arm + on_arm, mass + effect.cart_mass()
+                cart, arm = cart + on_cart, arm + on_arm
+            elif isinstance(effect, DryFriction):
+                on_cart, on_arm = effect.levels(motion, own[effect.id])
+                cart, arm = cart - way[0] * on_cart, arm - way[1] * on_arm
             if not isinstance(effect, Actuator):
                 rates[effect.id] = effect.rate(motion, own[effect.id])
 
-        exchange = body.eccentric_moment * cosine * (arm_free * cart_free)
-        scale = 1.0 / (mass * body.arm_inertia - exchange * exchange)
-        result = (
-            velocity,
-            cart_free * scale * (body.arm_inertia * cart - exchange * arm),
-            arm_velocity,
-            arm_free * scale * (mass * arm - exchange * cart),
-        )
+        cart_cart, cart_arm, arm_arm = self._mobility(cosine, arm_free, cart_free)
+        result = (velocity, cart_cart * cart + cart_arm * arm, arm_velocity, cart_arm * cart + arm_arm * arm)
         for effect in self.effects:
             result += tuple(rates[effect.id])
         return result
+
+    def _mobility(self, cosine: Any, arm_free: Any, cart_free: Any) -> tuple[Any, Any, Any]:
+        """Inverse of the mass matrix: what a unit force and a unit torque do to the accelerations."""
+        body = self.body
+        mass = body.total_mass
+        for effect in self.effects:
+            if isinstance(effect, Force):
+                mass = mass + effect.cart_mass()
+        exchange = body.eccentric_moment * cosine * (arm_free * cart_free)
+        scale = 1.0 / (mass * body.arm_inertia - exchange * exchange)
+        return cart_free * scale * body.arm_inertia, -scale * exchange, arm_free * scale * mass
+
+    def pushes(self, state: tuple[Any, ...], arm_free: Any, cart_free: Any) -> tuple[Any, Any, Any]:
+        """Accelerations by a unit force and a unit torque: cart by force, either by the other's, arm by torque."""
+        return self._mobility(sincos(state[2])[1], arm_free, cart_free)
+
+    def slide(self, state: tuple[Any, ...]) -> tuple[Any, Any]:
+        """Directions in which cart and arm slide at the start of a step."""
+        if not any(isinstance(effect, DryFriction) for effect in self.effects):
+            return 0.0, 0.0
+        return jnp.sign(state[1]), jnp.sign(state[3])
+
+    def stop(
+        self, before: tuple[Any, ...], after: tuple[Any, ...], step: Any, arm_free: Any = 1.0, cart_free: Any = 1.0
+    ) -> tuple[Any, ...]:
+        """The state after a step, mended where the cart or the arm came to rest on the way or was at rest before.
+
+        The step is taken with dry friction against the direction of its start; where that would turn the motion round, the
+        step is cut at the instant of rest, after which the other forces, taken as constant, overcome the friction or
+        do not. The cart is taken first, then the arm. So what slides has the accuracy of the Runge-Kutta step, a
+        turn has second order, and what sticks does not move.
+
+        Source: time stepping of Moreau (1988), with the step cut at the instant of rest.
+        """
+        rubbing = [effect for effect in self.effects if isinstance(effect, DryFriction)]
+        if not rubbing:
+            return after
+        sine, cosine = sincos(before[2])
+        own = self._own_states(before)
+        motion = Motion(*before[:4], sine, cosine, 0.0, self.body)
+        levels = [effect.levels(motion, own[effect.id]) for effect in rubbing]
+        cart_cart, cart_arm, arm_arm = self._mobility(cosine, arm_free, cart_free)
+        position, velocity, angle, arm_velocity, *rest = after
+        if any(not _never(pair[0]) for pair in levels):
+            most = step * cart_cart * sum(pair[0] for pair in levels)
+            change, shift = _stopped(before[1], velocity, most)
+            ratio = _share(cart_arm, cart_cart)
+            velocity, position = velocity + change, position + step * shift
+            arm_velocity, angle = arm_velocity + ratio * change, angle + step * ratio * shift
+        if any(not _never(pair[1]) for pair in levels):
+            most = step * arm_arm * sum(pair[1] for pair in levels)
+            change, shift = _stopped(before[3], arm_velocity, most)
+            ratio = _share(cart_arm, arm_arm)
+            arm_velocity, angle = arm_velocity + change, angle + step * shift
+            velocity, position = velocity + ratio * change, position + step * ratio * shift
+        return (position, velocity, angle, arm_velocity, *rest)
 
     def outputs(self, state: tuple[Any, ...]) -> Outputs:
         """What the sensors show of a state."""
@@ -265,3 +335,36 @@ class RTAC(eqx.Module):
             own[effect.id] = tuple(state[at : at + len(effect.states)])
             at += len(effect.states)
         return own
+
+
+def _never(level: Any) -> bool:
+    return isinstance(level, float) and level == 0.0
+
+
+def _stopped(started: Any, arrived: Any, most: Any) -> tuple[Any, Any]:
+    """What mends a step of dry friction in which the velocity vanishes, with the other forces constant over it.
+
+    Args:
+        started: velocity before the step.
+        arrived: velocity after it, with friction all the time against the direction of the start.
+        most: by how much friction can change the velocity in a whole step.
+
+    Returns:
+        Changes of the velocity, and of the position divided by the step; zero for a step that slides all the way.
+    """
+    way = jnp.where((started > 0) | ((started == 0) & (arrived > 0)), 1.0, -1.0)
+    begin, end = way * started, way * arrived
+    resting = started == 0
+    driven = end - begin + jnp.where(resting, 0.0, most)  # by the other forces alone
+    slides = end >= jnp.where(resting, most, 0.0)
+    apart = most - driven
+    rest = jnp.where(apart > 0, begin / jnp.where(apart > 0, apart, 1.0), 0.0)  # when it comes to rest, as a share
+    back = jnp.minimum(driven + most, 0.0) * (1.0 - rest)
+    late = jnp.where(resting, -most, 0.0)  # what slides off from rest was not yet rubbed
+    change = jnp.where(slides, late, back - end)
+    shift = jnp.where(slides, 0.5 * late, 0.5 * (rest * begin + (1.0 - rest) * back) - 0.5 * (begin + end))
+    return way * change, way * shift
+
+
+def _share(part: Any, whole: Any) -> Any:
+    return jnp.where(whole > 0, part / jnp.where(whole > 0, whole, 1.0), 0.0)

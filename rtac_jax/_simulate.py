@@ -1,8 +1,10 @@
-"""The only time loop: classic Runge-Kutta steps over all experiments at once, with or without a correction by measurements."""
+"""The only time loop: Runge-Kutta steps and dry friction over all experiments at once, free or corrected by measurements."""
 
-from collections.abc import Sequence
+import dataclasses
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,6 +12,7 @@ from jaxtyping import Array, Float
 
 from rtac_jax._excitation import Excitation
 from rtac_jax._rtac import RTAC
+from rtac_jax.measurement import Experiment
 
 State = tuple[Any, ...]
 
@@ -24,35 +27,46 @@ def advance(
     excitation: Excitation,
     *,
     substeps: int,
+    rolled: bool = False,
 ) -> State:
-    """The state one sample later, by `substeps` classic Runge-Kutta steps.
+    """The state one sample later, by `substeps` classic Runge-Kutta steps, cut where dry friction brings to rest.
 
     Args:
         current, force: polynomial coefficients of the inputs over the interval, rising powers of its fraction.
+        rolled: keep the steps in a loop of the compiled code, which hides them from what follows: where their results
+            are used many times, the compiler would else fuse and compute them anew for each use.
     """
     step = excitation.sample_time / substeps
 
-    def slope(at: State, fraction: float) -> State:
+    def slope(at: State, fraction: Any, way: Any) -> State:
         return model.derivative(
             at,
             _polynomial(current, fraction),
             _polynomial(force, fraction),
             excitation.arm_free,
             excitation.cart_free,
+            way,
         )
 
     def moved(at: State, by: Any, along: State) -> State:
         return tuple(x + by * dx for x, dx in zip(at, along, strict=True))
 
-    for k in range(substeps):
-        begin, middle, end = k / substeps, (k + 0.5) / substeps, (k + 1) / substeps
-        k1 = slope(state, begin)
-        k2 = slope(moved(state, 0.5 * step, k1), middle)
-        k3 = slope(moved(state, 0.5 * step, k2), middle)
-        k4 = slope(moved(state, step, k3), end)
-        state = tuple(
-            x + step / 6.0 * (a + 2.0 * (b + c) + d) for x, a, b, c, d in zip(state, k1, k2, k3, k4, strict=True)
+    def runge_kutta(at: State, begin: Any) -> State:
+        way = model.slide(at)
+        k1 = slope(at, begin, way)
+        k2 = slope(moved(at, 0.5 * step, k1), begin + 0.5 / substeps, way)
+        k3 = slope(moved(at, 0.5 * step, k2), begin + 0.5 / substeps, way)
+        k4 = slope(moved(at, step, k3), begin + 1.0 / substeps, way)
+        smooth = tuple(
+            x + step / 6.0 * (a + 2.0 * (b + c) + d) for x, a, b, c, d in zip(at, k1, k2, k3, k4, strict=True)
         )
+        return model.stop(at, smooth, step, excitation.arm_free, excitation.cart_free)
+
+    if rolled:
+        begins = jnp.arange(substeps) / substeps
+        return jax.lax.scan(lambda at, begin: (runge_kutta(at, begin), None), state, begins)[0]
+    for k in range(substeps):
+        state = runge_kutta(state, k / substeps)
     return state
 
 
@@ -88,11 +102,13 @@ def trajectories(
     substeps: int,
     measured: tuple[Float[Array, "sample output experiment"], Float[Array, "sample output experiment"]] | None = None,
     gain: Float[Array, "sample state output experiment"] | None = None,
-) -> Float[Array, "sample output experiment"]:
+    states: bool = False,
+) -> Float[Array, "sample row experiment"]:
     """Outputs of all experiments, one column each: cart position [m], arm velocity [rad/s], arm angle [rad].
 
     With `measured` (values, and 1 where there is one) and `gain` the state is corrected by gain times the error at each
     sample before it moves on, and the outputs are predictions one sample ahead; without, they are a simulation.
+    With `states` the rows are the states themselves instead of the outputs.
     """
     shape = excitation.sample_time.shape
     start = tuple(jnp.broadcast_to(x, shape) for x in start)
@@ -101,12 +117,11 @@ def trajectories(
         rows |= {"values": measured[0], "present": measured[1], "gain": gain}
 
     def one_sample(state: State, row: dict[str, Any]) -> tuple[State, Array]:
-        shown = jnp.stack([jnp.broadcast_to(y, shape) for y in model.outputs(state)])
+        rows = state if states else model.outputs(state)
+        shown = jnp.stack([jnp.broadcast_to(y, shape) for y in rows])
         if "gain" in row:
             error = (row["values"] - shown) * row["present"]
-            state = tuple(
-                x + sum(row["gain"][i, j] * error[j] for j in range(len(error))) for i, x in enumerate(state)
-            )
+            state = tuple(x + sum(row["gain"][i, j] * error[j] for j in range(len(error))) for i, x in enumerate(state))
         inputs = (None if row[name] is None else tuple(row[name]) for name in ("current", "force"))
         state = advance(model, state, *inputs, excitation, substeps=substeps)
         return tuple(_without_denormals(x) for x in state), shown
@@ -116,8 +131,6 @@ def trajectories(
 
 def substeps_for(model: RTAC, excitation: Excitation, *, stability: float = 1.0, most: int = 64) -> int:
     """Runge-Kutta steps per sample that keep the fastest mode of the model at rest well inside the stable region.
-
-    The fastest mode is that of the linearised model at standstill, where smoothed friction is stiffest.
 
     Args:
         stability: step times fastest rate; classic Runge-Kutta is stable up to about 2.8.
@@ -134,3 +147,82 @@ def substeps_for(model: RTAC, excitation: Excitation, *, stability: float = 1.0,
         at = jnp.zeros(count).at[2].set(angle)
         fastest = max(fastest, float(np.max(np.abs(np.linalg.eigvals(np.asarray(jax.jacfwd(slope)(at)))))))
     return int(np.clip(np.ceil(longest * fastest / stability), 1, most))
+
+
+@dataclasses.dataclass(frozen=True)
+class Simulation:
+    """A simulated experiment; arrays of one length.
+
+    Attributes:
+        time: [s].
+        cart_position, arm_velocity, arm_angle: as the sensors show them [m, rad/s, rad].
+        states: every state of the model by name, SI units.
+    """
+
+    time: Float[np.ndarray, " sample"]
+    cart_position: Float[np.ndarray, " sample"]
+    arm_velocity: Float[np.ndarray, " sample"]
+    arm_angle: Float[np.ndarray, " sample"]
+    states: Mapping[str, Float[np.ndarray, " sample"]]
+
+
+def simulate(
+    model: RTAC,
+    experiments: Iterable[Experiment],
+    *,
+    start: Mapping[str, Sequence[float]] | None = None,
+    substeps: int | None = None,
+) -> dict[str, Simulation]:
+    """Simulate experiments of any lengths, sample times and inputs in one call.
+
+    Args:
+        experiments: a recording, or some of its experiments; their inputs, holds and lengths are taken, their outputs not.
+        start: cart position [m], cart velocity [m/s], arm angle [rad] and arm velocity [rad/s] at the start, by name of
+            experiment; what is not named starts at rest in the origin at its `initial_arm_angle`. More than four numbers
+            give every state of the model.
+        substeps: Runge-Kutta steps per sample; by default as the fastest mode asks.
+
+    Returns:
+        By name of experiment.
+
+    Raises:
+        ValueError: no experiment, or a start of the wrong length.
+    """
+    chosen = list(experiments)
+    if not chosen:
+        raise ValueError("simulate needs at least one experiment.")
+    excitation = Excitation.of(chosen)
+    rigid = np.zeros((4, len(chosen)))
+    whole: dict[int, np.ndarray] = {}
+    for column, experiment in enumerate(chosen):
+        rigid[2, column] = experiment.initial_arm_angle or 0.0
+        given = None if start is None else start.get(experiment.name)
+        if given is not None:
+            values = np.asarray(given, dtype=float)
+            if values.shape not in {(4,), (len(model.states),)}:
+                raise ValueError(
+                    f"start of experiment {experiment.name} has shape {values.shape}; give 4 or {len(model.states)} numbers."
+                )
+            rigid[:, column] = values[:4]
+            if len(values) > 4:
+                whole[column] = values
+    state = model.start(tuple(jnp.asarray(rigid)), excitation.first_current())
+    table = np.stack([np.broadcast_to(np.asarray(x), (len(chosen),)) for x in state]).copy()
+    for column, values in whole.items():
+        table[:, column] = values
+    samples = max(e.samples for e in chosen)
+    steps = substeps if substeps is not None else substeps_for(model, excitation, stability=0.5)
+    found = np.asarray(_states(model, jnp.asarray(table), excitation, samples, steps))
+    shown = [np.broadcast_to(np.asarray(y), found[:, 0].shape) for y in model.outputs(tuple(np.moveaxis(found, 1, 0)))]
+    result = {}
+    for column, e in enumerate(chosen):
+        part = slice(0, e.samples)
+        outputs = (np.array(y[part, column]) for y in shown)
+        states = {name: np.array(found[part, row, column]) for row, name in enumerate(model.states)}
+        result[e.name] = Simulation(np.asarray(e.time), *outputs, states)
+    return result
+
+
+@eqx.filter_jit
+def _states(model: RTAC, start: Array, excitation: Excitation, samples: int, substeps: int) -> Array:
+    return trajectories(model, tuple(start), excitation, samples=samples, substeps=substeps, states=True)

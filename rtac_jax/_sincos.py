@@ -53,8 +53,3 @@ def _sincos_jvp(primals: tuple, tangents: tuple) -> tuple:
     (angle,), (tangent,) = primals, tangents
     s, c = sincos(angle)
     return (s, c), (c * tangent, -s * tangent)
-
-
-def smooth_sign(x: Float[Array, "..."], width: Float[Array, "..."]) -> Float[Array, "..."]:
-    """x / sqrt(x^2 + width^2): a sign with a finite slope at zero, which vectorises where tanh does not."""
-    return x / jnp.sqrt(x * x + width * width)

@@ -185,13 +185,9 @@ def test_wrong_units_and_channels_are_refused():
         build({"voltage": current}, {"cart_position": position})
     with pytest.raises(ValueError, match="/experiments/x/inputs/current: intersample is None"):
         build({"current": replace(current, intersample=None)}, {"cart_position": position})
-    with pytest.raises(
-        ValueError, match="/experiments/x/outputs/cart_position: an output has no intersample"
-    ):
+    with pytest.raises(ValueError, match="/experiments/x/outputs/cart_position: an output has no intersample"):
         build({"current": current}, {"cart_position": replace(position, intersample="zoh")})
-    with pytest.raises(
-        ValueError, match=r"/experiments/x/outputs/cart_position: is a ndarray; wrap it in Signal"
-    ):
+    with pytest.raises(ValueError, match=r"/experiments/x/outputs/cart_position: is a ndarray; wrap it in Signal"):
         build({"current": current}, {"cart_position": DECAY})
 
 

@@ -99,9 +99,7 @@ def test_a_file_written_by_hand_is_read(tmp_path):
         group = file.create_group("experiments/b")
         group.attrs.update(kind="free", sample_time=np.float32(0.5), operator="somebody")
         for name, dtype in (("cart_position", "<i2"), ("arm_velocity", ">f4"), ("arm_angle", "i8")):
-            data = group.create_dataset(
-                f"outputs/{name}", data=np.arange(20).astype(dtype), chunks=(7,), compression=1
-            )
+            data = group.create_dataset(f"outputs/{name}", data=np.arange(20).astype(dtype), chunks=(7,), compression=1)
             data.attrs["unit"] = {"cart_position": "m", "arm_velocity": "rad/s", "arm_angle": "rad"}[name]
     loaded = Recording.load(path)
     assert loaded.rig == {}

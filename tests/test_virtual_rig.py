@@ -78,9 +78,7 @@ def reference(rig: Rig, plan: Plan) -> np.ndarray:
     states = [np.array([q, plan.initial_angle, speed, plan.initial_arm_velocity, q, speed, q, 0.0])]
     for n in range(plan.samples - 1):
         span = (n * plan.sample_time, (n + 1) * plan.sample_time)
-        found = solve_ivp(
-            slope, span, states[-1], "DOP853", args=(current[n], force[n]), rtol=1e-10, atol=1e-13
-        )
+        found = solve_ivp(slope, span, states[-1], "DOP853", args=(current[n], force[n]), rtol=1e-10, atol=1e-13)
         states.append(found.y[:, -1])
     return np.array(states)
 
@@ -224,9 +222,7 @@ def test_locked_arm_and_clamped_cart():
 
 
 def test_flexible_mode_has_the_frequencies_of_the_eigenvalue_problem():
-    rig = Rig(
-        cart_coulomb=0, cart_viscous=0, flexible_mass=0.3, flexible_frequency=37.4, flexible_damping=0.0
-    )
+    rig = Rig(cart_coulomb=0, cart_viscous=0, flexible_mass=0.3, flexible_frequency=37.4, flexible_damping=0.0)
     track = move(rig, Plan("ring", "free", 20.0, 0.01, initial_position=0.01, arm="locked"))
     stiffness = rig.flexible_mass * rig.flexible_frequency**2
     matrix = np.array([[rig.spring_stiffness + stiffness, -stiffness], [-stiffness, stiffness]])
@@ -253,9 +249,7 @@ def test_current_lag_and_delay_on_a_clamped_cart():
     late = move(replace(rig, input_delay=0.0123), plan)
     np.testing.assert_allclose(late.arm_velocity, push * np.maximum(time - 0.0123, 0), atol=1e-9)
     slow = move(replace(rig, current_lag=0.02), plan)
-    np.testing.assert_allclose(
-        slow.arm_velocity, push * (time - 0.02 * (1 - np.exp(-time / 0.02))), atol=1e-9
-    )
+    np.testing.assert_allclose(slow.arm_velocity, push * (time - 0.02 * (1 - np.exp(-time / 0.02))), atol=1e-9)
     limited = move(replace(rig, saturation=0.05), plan)
     np.testing.assert_allclose(limited.arm_velocity, 0.5 * push * time, atol=1e-9)
     dead = move(replace(rig, dead_zone=0.04, current_offset=-0.01), plan)
@@ -333,9 +327,7 @@ def with_effects():
 def test_each_effect_shows(with_effects, index):
     plain, changed = with_effects[0], with_effects[index + 1]
     noise = np.array([2e-5, 0.05])
-    largest = max(
-        (np.sqrt(np.mean((a - b) ** 2, axis=1)) / noise).max() for a, b in zip(plain, changed, strict=True)
-    )
+    largest = max((np.sqrt(np.mean((a - b) ** 2, axis=1)) / noise).max() for a, b in zip(plain, changed, strict=True))
     assert largest > 1.0
 
 
@@ -361,9 +353,7 @@ def test_every_effect_is_tested_and_null_by_default():
         "_home",
     )
     shapes += ("_reference", "_position", "_width", "maxwell_damping")
-    assert {next(iter(effect)) for effect in EFFECTS} == {
-        name for name in hidden if not name.endswith(shapes)
-    }
+    assert {next(iter(effect)) for effect in EFFECTS} == {name for name in hidden if not name.endswith(shapes)}
 
 
 def test_many_recordings_equal_single_ones_and_seeds_decide():

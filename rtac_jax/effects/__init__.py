@@ -1,6 +1,6 @@
 """The catalogue: one small immutable class per physical effect."""
 
-from rtac_jax.effects._interface import Actuator, Effect, Force, Motion, Outputs, Sensor, States
+from rtac_jax.effects._interface import Actuator, DryFriction, Effect, Force, Motion, Outputs, Sensor, States
 from rtac_jax.effects.actuator import CurrentLag, CurrentOffset, DeadZone
 from rtac_jax.effects.arm_friction import ArmCoulomb, ArmViscous
 from rtac_jax.effects.cart_friction import CartCoulomb, CartQuadraticDrag, CartViscous
@@ -56,6 +56,7 @@ __all__ = [
     "CurrentLag",
     "CurrentOffset",
     "DeadZone",
+    "DryFriction",
     "Effect",
     "FlexibleMode",
     "Force",

@@ -52,7 +52,7 @@ class Outputs(NamedTuple):
 
 
 class Effect(eqx.Module):
-    """A physical effect; subclass `Force`, `Actuator` or `Sensor`, never this class.
+    """A physical effect; subclass `Force`, `DryFriction`, `Actuator` or `Sensor`, never this class.
 
     Class attributes:
         id: the name in the catalogue.
@@ -138,6 +138,20 @@ class Force(Effect):
     def cart_mass(self) -> Any:
         """Mass that the effect adds to the cart [kg]; negative where it takes some away."""
         return 0.0
+
+
+class DryFriction(Effect):
+    """Friction that opposes motion with a given level and holds what does not move.
+
+    The time loop applies it as an impulse, exactly where the force is constant over a step, so that a rig sticks and
+    no smoothing of the sign is needed.
+    """
+
+    nature: ClassVar[str] = "dissipative"
+
+    @abstractmethod
+    def levels(self, motion: Motion, own: States) -> tuple[Any, Any]:
+        """Largest friction force on the cart [N] and torque on the arm [N m], neither negative."""
 
 
 class Actuator(Effect):

@@ -38,7 +38,9 @@ class DeadZone(Actuator):
 
     id: ClassVar[str] = "dead_zone"
     equation: ClassVar[str] = "i - clip(i, -i_0, i_0)"
-    source: ClassVar[str] = "Tao and Kokotovic, Adaptive Control of Systems with Actuator and Sensor Nonlinearities (1996)"
+    source: ClassVar[str] = (
+        "Tao and Kokotovic, Adaptive Control of Systems with Actuator and Sensor Nonlinearities (1996)"
+    )
 
     threshold: Scalar = parameter(
         symbol="i_0", unit="A", bounds=(0.0, np.inf), meaning="current without torque", null=0.0,

@@ -6,8 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rtac_jax._parameter import Scalar, parameter
-from rtac_jax._sincos import smooth_sign
-from rtac_jax.effects._interface import Force, Motion, States
+from rtac_jax.effects._interface import DryFriction, Force, Motion, States
 
 
 class ArmViscous(Force):
@@ -33,23 +32,18 @@ class ArmViscous(Force):
         return 0.0, -coefficient * motion.arm_velocity
 
 
-class ArmCoulomb(Force):
+class ArmCoulomb(DryFriction):
     """Dry friction in the bearings and brushes of the motor."""
 
     id: ClassVar[str] = "arm_coulomb"
-    equation: ClassVar[str] = "-tau_c theta' / sqrt(theta'^2 + s^2)"
+    equation: ClassVar[str] = "-tau_c sgn theta'"
     source: ClassVar[str] = "Armstrong, Dupont and Canudas de Wit, Automatica 30 (1994)"
     port: ClassVar[str] = "arm"
-    nature: ClassVar[str] = "dissipative"
 
     level: Scalar = parameter(
         symbol="tau_c", unit="N m", bounds=(0.0, np.inf), meaning="Coulomb friction of the arm", null=0.0,
         plausible=lambda s: 0.03 * s.torque,
     )  # fmt: skip
-    smoothing: Scalar = parameter(
-        symbol="s", unit="rad/s", bounds=(0.0, np.inf), meaning="velocity at which the sign is smoothed",
-        fixed=True, default=0.05,
-    )  # fmt: skip
 
-    def force(self, motion: Motion, own: States) -> tuple[Any, Any]:
-        return 0.0, -self.level * smooth_sign(motion.arm_velocity, self.smoothing)
+    def levels(self, motion: Motion, own: States) -> tuple[Any, Any]:
+        return 0.0, self.level

@@ -6,8 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rtac_jax._parameter import Scalar, parameter
-from rtac_jax._sincos import smooth_sign
-from rtac_jax.effects._interface import Force, Motion, States
+from rtac_jax.effects._interface import DryFriction, Force, Motion, States
 
 
 class CartViscous(Force):
@@ -28,26 +27,21 @@ class CartViscous(Force):
         return -self.coefficient * motion.cart_velocity, 0.0
 
 
-class CartCoulomb(Force):
-    """Dry friction of the cart, with a finite slope at zero velocity so that gradients exist."""
+class CartCoulomb(DryFriction):
+    """Dry friction of the cart, the same at all speeds."""
 
     id: ClassVar[str] = "cart_coulomb"
-    equation: ClassVar[str] = "-d q' / sqrt(q'^2 + s^2)"
+    equation: ClassVar[str] = "-d sgn q'"
     source: ClassVar[str] = "paper, section 4.1"
     port: ClassVar[str] = "cart"
-    nature: ClassVar[str] = "dissipative"
 
     level: Scalar = parameter(
         symbol="d", unit="N", bounds=(0.0, np.inf), meaning="Coulomb friction of the cart", null=0.0,
         source="paper, section 4.2: 0.024", plausible=lambda s: 0.02 * s.force,
     )  # fmt: skip
-    smoothing: Scalar = parameter(
-        symbol="s", unit="m/s", bounds=(0.0, np.inf), meaning="velocity at which the sign is smoothed",
-        fixed=True, default=1e-4,
-    )  # fmt: skip
 
-    def force(self, motion: Motion, own: States) -> tuple[Any, Any]:
-        return -self.level * smooth_sign(motion.cart_velocity, self.smoothing), 0.0
+    def levels(self, motion: Motion, own: States) -> tuple[Any, Any]:
+        return self.level, 0.0
 
 
 class CartQuadraticDrag(Force):

@@ -16,9 +16,7 @@ class Cogging(Force):
     port: ClassVar[str] = "arm"
     nature: ClassVar[str] = "conservative"
 
-    sine: Scalar = parameter(
-        symbol="a", unit="N m", meaning="A cos phi", null=0.0, plausible=lambda s: 0.03 * s.torque
-    )
+    sine: Scalar = parameter(symbol="a", unit="N m", meaning="A cos phi", null=0.0, plausible=lambda s: 0.03 * s.torque)
     cosine: Scalar = parameter(
         symbol="b", unit="N m", meaning="A sin phi", null=0.0, plausible=lambda s: 0.03 * s.torque
     )

@@ -1,6 +1,6 @@
 """What may stand between the motion and what is recorded of it."""
 
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from rtac_jax._parameter import Scalar, parameter
 from rtac_jax.effects._interface import Outputs, Sensor, States

@@ -33,22 +33,16 @@ def check_options(
     Raises `RecordingError` for an unknown channel or when the time is given twice or not.
     """
     if not channels:
-        raise RecordingError(
-            f"channels: is empty; map at least one of {', '.join(UNITS)} to a name in the file."
-        )
+        raise RecordingError(f"channels: is empty; map at least one of {', '.join(UNITS)} to a name in the file.")
     for channel in channels:
         if channel not in UNITS:
             raise RecordingError(f"channels: there is no channel {channel!r}; use {', '.join(UNITS)}.")
     for option, keys in by_channel.items():
         for key in keys or ():
             if key not in channels:
-                raise RecordingError(
-                    f"{option}: names {key!r}, which is not among the channels; add it there."
-                )
+                raise RecordingError(f"{option}: names {key!r}, which is not among the channels; add it there.")
     if (time is None) == (sample_time is None):
-        raise RecordingError(
-            "time, sample_time: give one of the two, the column of times or the seconds per sample."
-        )
+        raise RecordingError("time, sample_time: give one of the two, the column of times or the seconds per sample.")
     return [*channels.values(), *([time] if time is not None else [])]
 
 
@@ -71,14 +65,10 @@ def assemble(
     lengths = {column: len(values) for column, values in columns.items()}
     total = min(lengths.values())
     if total != max(lengths.values()):
-        raise RecordingError(
-            f"the lengths differ ({lengths}); all columns of an experiment must have one length."
-        )
+        raise RecordingError(f"the lengths differ ({lengths}); all columns of an experiment must have one length.")
     stop = total if stop is None else stop
     if not 0 <= start < stop <= total:
-        raise RecordingError(
-            f"samples {start} to {stop} were asked for; choose 0 <= start < stop <= {total}."
-        )
+        raise RecordingError(f"samples {start} to {stop} were asked for; choose 0 <= start < stop <= {total}.")
     signals = {}
     for channel, column in channels.items():
         values = columns[column][start:stop] * _factor(channel, units or {}, scale or {})
@@ -101,9 +91,7 @@ def uniform_step(times: Float64[np.ndarray, " sample"], column: str, offset: int
     bad = ~(steps > 0)
     if not len(steps) or bad.any():
         index = int(np.argmax(bad)) + 1 + offset if len(steps) else offset
-        raise RecordingError(
-            f"{column}, index {index}: the time does not increase; sort, mend or cut the rows there."
-        )
+        raise RecordingError(f"{column}, index {index}: the time does not increase; sort, mend or cut the rows there.")
     # The median is not moved by a gap, so the index found is that of the gap.
     typical = float(np.median(steps))
     uneven = np.abs(steps - typical) > UNIFORM * typical

@@ -45,10 +45,7 @@ def _about_recording(recording: Recording) -> Iterator[str]:
             "estimated from the fit and a poor fit looks like noise; record some seconds with nothing moving."
         )
     force = any(
-        signal.values.any()
-        for e in recording
-        for name, signal in e.inputs.items()
-        if name == "disturbance_force"
+        signal.values.any() for e in recording for name, signal in e.inputs.items() if name == "disturbance_force"
     )
     if not force and not any(name in recording.rig for name in POSITIVE):
         yield (
@@ -68,9 +65,7 @@ def _about_experiment(experiment: Experiment) -> Iterator[str]:
         experiment.cart == "clamped",
     )
     if driven and experiment.kind != "forced":
-        yield (
-            f"an experiment of kind {experiment.kind} has an input that is not zero; set its kind to forced."
-        )
+        yield (f"an experiment of kind {experiment.kind} has an input that is not zero; set its kind to forced.")
     if not at_rest and locked and clamped:
         yield "arm and cart are both held, so it says nothing about the rig; use kind rest, or leave it out."
     elif experiment.kind == "forced" and locked and driven == {"current"}:
@@ -78,21 +73,13 @@ def _about_experiment(experiment: Experiment) -> Iterator[str]:
     elif not at_rest and all(_held(name, experiment) for name in experiment.outputs):
         yield "only what is held was measured, so it cannot be used; leave it out."
     if not at_rest and not locked and "arm_angle" not in experiment.outputs:
-        yield (
-            "arm_angle was not measured, so the angle comes from the model and depends on where the arm "
-            "started."
-        )
+        yield ("arm_angle was not measured, so the angle comes from the model and depends on where the arm started.")
         if experiment.initial_arm_angle is None:
-            yield (
-                "initial_arm_angle is not given either, so the starting angle must be estimated; note it "
-                "next time."
-            )
+            yield ("initial_arm_angle is not given either, so the starting angle must be estimated; note it next time.")
     if experiment.samples < SHORT_SAMPLES:
         yield f"it has fewer than {SHORT_SAMPLES} samples, which is little to fit; record for longer."
     for name, signal in experiment.outputs.items():
-        yield from (
-            f"{name} {sentence}" for sentence in _about_output(signal, at_rest, _held(name, experiment))
-        )
+        yield from (f"{name} {sentence}" for sentence in _about_output(signal, at_rest, _held(name, experiment)))
         if not at_rest and not _held(name, experiment) and name != "arm_angle":
             yield from (f"{name} {sentence}" for sentence in _about_sampling(signal, experiment))
 
@@ -109,21 +96,15 @@ def _about_output(signal: Signal, at_rest: bool, held: bool) -> Iterator[str]:
     spread = float(np.ptp(values))
     if spread == 0:
         if held or at_rest:
-            yield (
-                "is exactly constant, so it says nothing about the noise; check that the sensor was "
-                "connected."
-            )
+            yield ("is exactly constant, so it says nothing about the noise; check that the sensor was connected.")
         return
     step = _level_distance(values, spread)
     noise = signal.noise_std or _noise_level(values)
     if step is not None and step > 2 * noise:
-        yield (
-            f"is quantised in steps of {step:.3g} {signal.unit}, coarse next to its noise; use a finer range."
-        )
+        yield (f"is quantised in steps of {step:.3g} {signal.unit}, coarse next to its noise; use a finer range.")
     if not (at_rest or held) and _clipped(values):
         yield (
-            "stays repeatedly at exactly its largest or smallest value, as if clipped; widen the range of "
-            "the sensor."
+            "stays repeatedly at exactly its largest or smallest value, as if clipped; widen the range of the sensor."
         )
     spikes = _spikes(values, step or 1e-9 * spread)
     if len(spikes):
@@ -171,14 +152,8 @@ def _clipped(values: Float64[np.ndarray, " sample"]) -> bool:
         runs = edges[1::2] - edges[::2]
         # Held once before release is no clipping, and a quantised peak also fills the level below.
         distinct = values[values != extreme]
-        following = np.count_nonzero(
-            values == (distinct.max() if extreme == values.max() else distinct.min())
-        )
-        if (
-            np.count_nonzero(runs >= 3) >= 2
-            and runs.sum() > 0.01 * len(values)
-            and runs.sum() > 5 * following
-        ):
+        following = np.count_nonzero(values == (distinct.max() if extreme == values.max() else distinct.min()))
+        if np.count_nonzero(runs >= 3) >= 2 and runs.sum() > 0.01 * len(values) and runs.sum() > 5 * following:
             return True
     return False
 
@@ -193,9 +168,7 @@ def _spikes(values: Float64[np.ndarray, " sample"], floor: float) -> np.ndarray:
     scale = MEDIAN_TO_STD * scipy.ndimage.median_filter(size, min(OUTLIER_WINDOW, len(size)), mode="reflect")
     limit = OUTLIER_SIGMAS * np.maximum(scale, floor)
     # A lone fault bends 1, -2, 1; a jump of the current or of the friction bends one way only.
-    opposite = (
-        np.minimum(-bend[:-2] * np.sign(bend[1:-1]), -bend[2:] * np.sign(bend[1:-1])) > 0.25 * size[1:-1]
-    )
+    opposite = np.minimum(-bend[:-2] * np.sign(bend[1:-1]), -bend[2:] * np.sign(bend[1:-1])) > 0.25 * size[1:-1]
     return np.flatnonzero((size[1:-1] > limit[1:-1]) & opposite) + 2
 
 

@@ -90,14 +90,10 @@ def _read_columns(
         with open(path, newline="", encoding="utf-8-sig") as file:
             return _parse(csv.reader(file, delimiter=delimiter), list(dict.fromkeys(names)), delimiter)
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise RecordingError(
-            f"this is not a readable text file ({error}); save it as CSV in UTF-8."
-        ) from error
+        raise RecordingError(f"this is not a readable text file ({error}); save it as CSV in UTF-8.") from error
 
 
-def _parse(
-    rows: Iterable[list[str]], names: list[str], delimiter: str
-) -> dict[str, Float64[np.ndarray, " sample"]]:
+def _parse(rows: Iterable[list[str]], names: list[str], delimiter: str) -> dict[str, Float64[np.ndarray, " sample"]]:
     numbered = enumerate(rows, start=1)
     _, header = next(numbered, (1, []))
     header = [cell.strip() for cell in header]
@@ -119,9 +115,7 @@ def _parse(
         if blank is not None:
             raise RecordingError(f"row {blank}: is empty; remove it, or write nan for missing samples.")
         if len(cells) != len(header):
-            raise RecordingError(
-                f"row {row}: has {len(cells)} cells, but the header has {len(header)}; mend the row."
-            )
+            raise RecordingError(f"row {row}: has {len(cells)} cells, but the header has {len(header)}; mend the row.")
         for name, place in zip(names, places, strict=True):
             columns[name].append(_number(cells[place], row, name))
     return {name: np.array(values, dtype=np.float64) for name, values in columns.items()}
@@ -138,6 +132,5 @@ def _number(cell: str, row: int, name: str) -> float:
     except ValueError:
         pass
     raise RecordingError(
-        f"row {row}, column {name!r}: {cell!r} is not a number; write it with a decimal point, or leave the "
-        "cell empty."
+        f"row {row}, column {name!r}: {cell!r} is not a number; write it with a decimal point, or leave the cell empty."
     )

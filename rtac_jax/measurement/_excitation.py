@@ -54,8 +54,7 @@ def multisine(
     highest = (period - 1) // 2
     if not len(chosen) or chosen[0] < 1 or chosen[-1] > highest:
         raise ValueError(
-            f"harmonics: {chosen.tolist()} must be numbers from 1 to {highest}, at least one; lengthen the "
-            "period."
+            f"harmonics: {chosen.tolist()} must be numbers from 1 to {highest}, at least one; lengthen the period."
         )
     if seed is None:
         order = np.arange(len(chosen))

@@ -217,6 +217,5 @@ def check_name(name: Any) -> None:
     """Raises `RecordingError` unless `name` can name an experiment, in memory and in a file."""
     if not isinstance(name, str) or not name or name == "." or "/" in name or not name.isprintable():
         raise RecordingError(
-            f"/experiments: an experiment is named {name!r}; use printable text without '/', and not '.' "
-            "alone."
+            f"/experiments: an experiment is named {name!r}; use printable text without '/', and not '.' alone."
         )

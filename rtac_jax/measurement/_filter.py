@@ -16,13 +16,9 @@ def _checked(values: Float64[np.ndarray, " sample"], sample_time: float) -> Floa
     bad = ~np.isfinite(signal)
     if bad.any():
         index = int(np.argmax(bad))
-        raise ValueError(
-            f"values, sample {index}: is {signal[index]}; fill or cut missing samples before filtering."
-        )
+        raise ValueError(f"values, sample {index}: is {signal[index]}; fill or cut missing samples before filtering.")
     if not (math.isfinite(sample_time) and sample_time > 0):
-        raise ValueError(
-            f"sample_time: is {sample_time}; give the positive number of seconds between samples."
-        )
+        raise ValueError(f"sample_time: is {sample_time}; give the positive number of seconds between samples.")
     return signal
 
 
@@ -44,20 +40,16 @@ def zero_phase_lowpass(
     nyquist = 0.5 / sample_time
     if not 0 < cutoff < nyquist:
         raise ValueError(
-            f"cutoff: is {cutoff:g} Hz, but must lie between 0 and half the sampling rate, {nyquist:g} Hz; "
-            "lower it."
+            f"cutoff: is {cutoff:g} Hz, but must lie between 0 and half the sampling rate, {nyquist:g} Hz; lower it."
         )
     if order < 1 or ripple_db <= 0:
-        raise ValueError(
-            f"order, ripple_db: are {order} and {ripple_db:g}; order is 1 or more, ripple_db positive."
-        )
+        raise ValueError(f"order, ripple_db: are {order} and {ripple_db:g}; order is 1 or more, ripple_db positive.")
     # Second-order sections: as one fraction, nine poles close to 1 lose all digits.
     sections = scipy.signal.cheby1(order, ripple_db, 2 * cutoff * sample_time, output="sos")
     padding = 3 * (order + 1)
     if len(signal) <= padding:
         raise ValueError(
-            f"values: has {len(signal)} samples, but this filter needs more than {padding}; record for "
-            "longer."
+            f"values: has {len(signal)} samples, but this filter needs more than {padding}; record for longer."
         )
     # The filter rings for several periods of the cutoff, and must be done before the first sample.
     padding = min(len(signal) - 1, max(padding, math.ceil(4 / (cutoff * sample_time))))
@@ -74,7 +66,5 @@ def central_difference(
     """
     signal = _checked(values, sample_time)
     if len(signal) < 3:
-        raise ValueError(
-            f"values: has {len(signal)} samples, but a central difference needs 3; record for longer."
-        )
+        raise ValueError(f"values: has {len(signal)} samples, but a central difference needs 3; record for longer.")
     return (signal[2:] - signal[:-2]) / (2 * sample_time)

@@ -158,8 +158,7 @@ def guarded(place: str) -> Iterator[None]:
         # and others.
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise RecordingError(
-            f"{place}: could not be read ({reason}); the file is damaged or not complete, so copy or write "
-            "it again."
+            f"{place}: could not be read ({reason}); the file is damaged or not complete, so copy or write it again."
         ) from error
 
 
@@ -175,13 +174,10 @@ def open_hdf5(path: str | os.PathLike[str]) -> Iterator[h5py.File]:
         file = h5py.File(path, "r") if known else None
     except Exception as error:
         raise RecordingError(
-            "/: the HDF5 file cannot be opened; it is damaged, truncated or not readable, so copy or write "
-            "it again."
+            "/: the HDF5 file cannot be opened; it is damaged, truncated or not readable, so copy or write it again."
         ) from error
     if file is None:
-        raise RecordingError(
-            "/: this is not an HDF5 file; import MAT files with from_mat and CSV files with from_csv."
-        )
+        raise RecordingError("/: this is not an HDF5 file; import MAT files with from_mat and CSV files with from_csv.")
     with file, guarded("/"):
         yield file
 
@@ -196,14 +192,10 @@ def children(group: h5py.Group, known: tuple[str, ...] | None) -> dict[str, Any]
         for name in group:
             place = f"{str(group.name).rstrip('/')}/{name}"
             if known is not None and name not in known:
-                raise RecordingError(
-                    f"{place}: is not part of the layout; only {' and '.join(known)} may be here."
-                )
+                raise RecordingError(f"{place}: is not part of the layout; only {' and '.join(known)} may be here.")
             # A soft or external link can lead to another file, or nowhere.
             if not isinstance(group.get(name, getlink=True), h5py.HardLink):
-                raise RecordingError(
-                    f"{place}: is a link, which is not followed; store the data itself there."
-                )
+                raise RecordingError(f"{place}: is a link, which is not followed; store the data itself there.")
             with guarded(place):
                 members[name] = group[name]
     return members
@@ -235,8 +227,7 @@ class Budget:
         with guarded(place):
             if dataset.dtype.kind not in "fiu" or dataset.dtype.itemsize > 8:
                 raise RecordingError(
-                    f"{place}: the type is {dataset.dtype}, but float64 was expected; store the samples as "
-                    "numbers."
+                    f"{place}: the type is {dataset.dtype}, but float64 was expected; store the samples as numbers."
                 )
             if dataset.shape is None:
                 raise RecordingError(f"{place}: holds no samples; store a vector there.")
@@ -253,9 +244,7 @@ class Budget:
             raw = dataset[()]
         values = np.asarray(raw, dtype=np.float64)
         if raw.dtype.kind in "iu" and raw.dtype.itemsize == 8 and np.any(np.abs(values) > 2.0**53):
-            raise RecordingError(
-                f"{place}: holds integers beyond 2**53, which float64 cannot; store them as float64."
-            )
+            raise RecordingError(f"{place}: holds integers beyond 2**53, which float64 cannot; store them as float64.")
         values.flags.writeable = False
         return values
 
@@ -279,9 +268,7 @@ def _attribute(item: Any, name: str, expected: str, required: bool) -> Any:
         # Looked at before reading: an attribute can declare any shape and type.
         plain = h5py.check_string_dtype(handle.dtype) is not None or handle.dtype.kind in "fiu"
         if not plain or handle.get_space().get_simple_extent_npoints() != 1:
-            raise RecordingError(
-                f"{place}: the attribute {name} is not a single value; store it as {expected}."
-            )
+            raise RecordingError(f"{place}: the attribute {name} is not a single value; store it as {expected}.")
         value = item.attrs[name]
         return value if isinstance(value, str) else np.asarray(value).item()
 

@@ -80,9 +80,7 @@ def from_mat(
     return Recording((experiment,), rig or {})
 
 
-def _read_vectors(
-    path: str | os.PathLike[str], names: Iterable[str]
-) -> dict[str, Float64[np.ndarray, " sample"]]:
+def _read_vectors(path: str | os.PathLike[str], names: Iterable[str]) -> dict[str, Float64[np.ndarray, " sample"]]:
     if not os.path.exists(path):
         raise FileNotFoundError(f"{os.fspath(path)}: there is no such file; check the path.")
     if not os.path.isfile(path):
@@ -119,9 +117,7 @@ def _read_v5(path: str | os.PathLike[str], names: Iterable[str]) -> dict[str, np
     except Exception as error:
         # SciPy passes on whatever its parser stumbles over: ValueError, TypeError, zlib.error, OSError and
         # others.
-        raise RecordingError(
-            "this is not a MAT file, or it is damaged; save it again with save -v7."
-        ) from error
+        raise RecordingError("this is not a MAT file, or it is damaged; save it again with save -v7.") from error
     for name in names:
         if name not in listed:
             raise RecordingError(_absent(name, listed))

@@ -43,18 +43,14 @@ class Recording:
                     f"/experiments: a {type(experiment).__name__} was given; build it with Experiment.of."
                 )
             if experiment.name in by_name:
-                raise RecordingError(
-                    f"/experiments/{experiment.name}: the name occurs twice; rename one of the two."
-                )
+                raise RecordingError(f"/experiments/{experiment.name}: the name occurs twice; rename one of the two.")
             by_name[experiment.name] = experiment
         for experiment in self.experiments:
             _check_repeat(experiment, by_name)
         rig = {}
         for name, value in self.rig.items():
             if not isinstance(name, str) or not name.isidentifier():
-                raise RecordingError(
-                    f"/rig: a constant is named {name!r}; use the name of a parameter of the model."
-                )
+                raise RecordingError(f"/rig: a constant is named {name!r}; use the name of a parameter of the model.")
             check = positive if name in POSITIVE else finite
             rig[name] = check(f"/rig/{name}", value, "the constant")
         object.__setattr__(self, "rig", MappingProxyType(rig))
@@ -96,9 +92,7 @@ class Recording:
                     )
         names = list(dict.fromkeys(part.rig_name for part in recordings if part.rig_name))
         if len(names) > 1:
-            raise RecordingError(
-                f"/: rig_name is {names[0]!r} and {names[1]!r}; join recordings of one rig only."
-            )
+            raise RecordingError(f"/: rig_name is {names[0]!r} and {names[1]!r}; join recordings of one rig only.")
         comments = dict.fromkeys(part.comment for part in recordings if part.comment)
         experiments = tuple(experiment for part in recordings for experiment in part)
         return Recording(experiments, rig, "".join(names), "\n".join(comments))
@@ -152,8 +146,7 @@ class Recording:
             for name in held:
                 if self[name].kind == "rest":
                     raise RecordingError(
-                        f"/experiments/{name}: is at rest and can validate nothing; name a free or forced "
-                        "experiment."
+                        f"/experiments/{name}: is at rest and can validate nothing; name a free or forced experiment."
                     )
         out = {experiment.name for experiment in moving if (experiment.repeat_of or experiment.name) in held}
         if not out:
@@ -196,9 +189,7 @@ def _check_repeat(experiment: Experiment, by_name: Mapping[str, Experiment]) -> 
     place = f"/experiments/{experiment.name}: repeat_of is {experiment.repeat_of!r}"
     original = by_name.get(experiment.repeat_of)
     if original is None:
-        raise RecordingError(
-            f"{place}, which is not in the recording; add that experiment or leave repeat_of out."
-        )
+        raise RecordingError(f"{place}, which is not in the recording; add that experiment or leave repeat_of out.")
     if original.repeat_of is not None:
         raise RecordingError(f"{place}, itself a repeat; name the original, {original.repeat_of!r}.")
     for what in ("kind", "samples", "sample_time", "inputs"):

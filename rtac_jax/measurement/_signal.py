@@ -12,9 +12,7 @@ from jaxtyping import Float64
 from ._errors import RecordingError
 
 INPUTS: Mapping[str, str] = MappingProxyType({"current": "A", "disturbance_force": "N"})
-OUTPUTS: Mapping[str, str] = MappingProxyType(
-    {"cart_position": "m", "arm_velocity": "rad/s", "arm_angle": "rad"}
-)
+OUTPUTS: Mapping[str, str] = MappingProxyType({"cart_position": "m", "arm_velocity": "rad/s", "arm_angle": "rad"})
 
 INTERSAMPLE = ("zoh", "foh", "bl")
 
@@ -29,35 +27,27 @@ def rebuild(record: Any) -> tuple[Any, ...]:
 def finite(place: str, value: Any, meaning: str) -> float:
     """`value` as a finite float; `RecordingError` naming `place` otherwise."""
     if isinstance(value, (bool, np.bool_, str, bytes)):
-        raise RecordingError(
-            f"{place}: {meaning} is {value!r}, but must be a finite number; give it as a float."
-        )
+        raise RecordingError(f"{place}: {meaning} is {value!r}, but must be a finite number; give it as a float.")
     try:
         number = float(value)
     except (TypeError, ValueError):
         number = math.nan
     if not math.isfinite(number):
-        raise RecordingError(
-            f"{place}: {meaning} is {value!r}, but must be a finite number; give it as a float."
-        )
+        raise RecordingError(f"{place}: {meaning} is {value!r}, but must be a finite number; give it as a float.")
     return number
 
 
 def positive(place: str, value: Any, meaning: str) -> float:
     number = finite(place, value, meaning)
     if number <= 0:
-        raise RecordingError(
-            f"{place}: {meaning} is {number:g}, but must be positive; correct its value or sign."
-        )
+        raise RecordingError(f"{place}: {meaning} is {number:g}, but must be positive; correct its value or sign.")
     return number
 
 
 def one_of(place: str, value: Any, meaning: str, allowed: tuple[str, ...]) -> None:
     if not isinstance(value, str) or value not in allowed:
         names = ", ".join(repr(name) for name in allowed)
-        raise RecordingError(
-            f"{place}: {meaning} is {value!r}, but must be one of {names}; choose one of them."
-        )
+        raise RecordingError(f"{place}: {meaning} is {value!r}, but must be one of {names}; choose one of them.")
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,24 +73,19 @@ class Signal:
         if not (frozen and values.dtype == np.float64):
             raw = np.asarray(values)
             if raw.dtype.kind not in "fiu":
-                raise RecordingError(
-                    f"a signal in {self.unit!r} has dtype {raw.dtype}; give it as real numbers."
-                )
+                raise RecordingError(f"a signal in {self.unit!r} has dtype {raw.dtype}; give it as real numbers.")
             values = np.array(raw, dtype=np.float64)
             values.flags.writeable = False
         if values.ndim != 1:
             raise RecordingError(
-                f"a signal in {self.unit!r} has shape {values.shape}, but must have one axis, time; give one "
-                "channel."
+                f"a signal in {self.unit!r} has shape {values.shape}, but must have one axis, time; give one channel."
             )
         object.__setattr__(self, "values", values)
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Signal):
             return NotImplemented
-        same = all(
-            getattr(self, name) == getattr(other, name) for name in ("unit", "intersample", "noise_std")
-        )
+        same = all(getattr(self, name) == getattr(other, name) for name in ("unit", "intersample", "noise_std"))
         return same and np.array_equal(self.values, other.values, equal_nan=True)
 
     def __hash__(self) -> int:
@@ -112,9 +97,7 @@ class Signal:
 
 def _check_unit(place: str, signal: Signal, unit: str) -> None:
     if signal.unit != unit:
-        raise RecordingError(
-            f"{place}: the unit is {signal.unit!r}, but {unit!r} was expected; convert the values."
-        )
+        raise RecordingError(f"{place}: the unit is {signal.unit!r}, but {unit!r} was expected; convert the values.")
 
 
 def check_input(place: str, signal: Signal, unit: str) -> None:

@@ -94,9 +94,7 @@ def _late_torques(rigs: Sequence[Rig], command: np.ndarray, period: float, subst
     return np.stack([_motor(rig, mean[:, b]) for b, rig in enumerate(rigs)], axis=1)
 
 
-def _random_impulses(
-    jobs: Sequence[Job], holds: int, samples: int, period: float, step: float
-) -> np.ndarray | None:
+def _random_impulses(jobs: Sequence[Job], holds: int, samples: int, period: float, step: float) -> np.ndarray | None:
     """(N * holds, 2, B) impulses per step of the white random force and torque, or None."""
     if not any(rig.force_noise or rig.torque_noise for rig, _, _ in jobs):
         return None
@@ -118,9 +116,7 @@ class _Friction:
 
     def __init__(self, batch: Batch, own: np.ndarray, cross: np.ndarray):
         bounds = (("cart_coulomb", "cart_stribeck"), ("arm_coulomb", "arm_stribeck"))
-        self.bodies = [
-            i for i, names in enumerate(bounds) if any(batch.rows(name) is not None for name in names)
-        ]
+        self.bodies = [i for i, names in enumerate(bounds) if any(batch.rows(name) is not None for name in names)]
         self.limit, self.own, self.cross = batch.limit, own, cross
         self.reach, self.low, self.push, self.work, self.bare = (np.zeros_like(own) for _ in range(5))
         self.product = np.empty(own.shape[1])
@@ -177,12 +173,8 @@ def _integrate(jobs: Sequence[Job], longest: float) -> list[Track]:
     step = period / substeps
     half = 0.5 * step
 
-    x = np.array(
-        [[plan.initial_position for plan in plans], [plan.initial_angle for plan in plans]], dtype=float
-    )
-    v = np.array(
-        [[plan.initial_velocity for plan in plans], [plan.initial_arm_velocity for plan in plans]], float
-    )
+    x = np.array([[plan.initial_position for plan in plans], [plan.initial_angle for plan in plans]], dtype=float)
+    v = np.array([[plan.initial_velocity for plan in plans], [plan.initial_arm_velocity for plan in plans]], float)
     batch = Batch(rigs, x, v, step)
     effects = [act for act in (build(batch) for build in BUILDERS) if act is not None]
     renew_bound = friction_bound(batch)
@@ -195,14 +187,10 @@ def _integrate(jobs: Sequence[Job], longest: float) -> list[Track]:
             command[:, b] = np.clip(plan.current, -rigs[b].saturation, rigs[b].saturation)
         if plan.disturbance_force is not None:
             force[:, b] = plan.disturbance_force
-    held = np.stack(
-        [force, np.stack([_motor(rig, command[:, b]) for b, rig in enumerate(rigs)], axis=1)], axis=1
-    )
+    held = np.stack([force, np.stack([_motor(rig, command[:, b]) for b, rig in enumerate(rigs)], axis=1)], axis=1)
     held *= step
     late = [b for b, rig in enumerate(rigs) if rig.input_delay or rig.current_lag]
-    late_impulse = (
-        step * _late_torques([rigs[b] for b in late], command[:, late], period, substeps) if late else None
-    )
+    late_impulse = step * _late_torques([rigs[b] for b in late], command[:, late], period, substeps) if late else None
     holds = max(1, round(period / _HOLD))
     shaken = _random_impulses(jobs, holds, samples, period, step)
 
@@ -215,9 +203,7 @@ def _integrate(jobs: Sequence[Job], longest: float) -> list[Track]:
     seen_out = np.empty((samples, 2, count)) if lagging else None
 
     # Constants of the step. A locked arm or a clamped cart takes no impulse and couples to nothing.
-    moves = np.array(
-        [[plan.cart == "free" for plan in plans], [plan.arm == "free" for plan in plans]], dtype=float
-    )
+    moves = np.array([[plan.cart == "free" for plan in plans], [plan.arm == "free" for plan in plans]], dtype=float)
     held_fast = bool((moves == 0).any())
     eccentric = batch.column("eccentric_moment") * moves.prod(axis=0)
     couple = np.stack([step * eccentric, eccentric])

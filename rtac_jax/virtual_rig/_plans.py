@@ -22,9 +22,7 @@ def multisine_current(random: np.random.Generator, samples: int, sample_time: fl
     amplitude = np.where(lines < _CORNER, lines**2, _CORNER**3 / np.maximum(lines, _CORNER))
     amplitude[(lines < _BAND[0]) | (lines > _BAND[1])] = 0.0
     if not amplitude.any():
-        raise ValueError(
-            "The experiment is too short, or sampled too slowly, for lines between 0.3 and 8 Hz."
-        )
+        raise ValueError("The experiment is too short, or sampled too slowly, for lines between 0.3 and 8 Hz.")
     amplitude[(lines >= _RESONANCE[0]) & (lines <= _RESONANCE[1])] *= 2.5
     spectrum = amplitude * np.exp(2j * np.pi * random.uniform(size=lines.size))
     wave = np.fft.irfft(spectrum, samples)
@@ -92,9 +90,7 @@ def standard_plans(
         if n % 4 == 3:
             current = size * square_current(random, samples, sample_time)
         else:
-            current = np.clip(
-                size * multisine_current(random, samples, sample_time), -largest_current, largest_current
-            )
+            current = np.clip(size * multisine_current(random, samples, sample_time), -largest_current, largest_current)
         runs.append(
             Plan(
                 f"forced_{n + 1}",

@@ -11,9 +11,7 @@ from ._motion import Track, integrate
 from ._rig import Plan, Rig
 
 
-def record(
-    rig: Rig, plans: Sequence[Plan], *, seed: int, step: float = 2e-4, write_noise: bool = False
-) -> Recording:
+def record(rig: Rig, plans: Sequence[Plan], *, seed: int, step: float = 2e-4, write_noise: bool = False) -> Recording:
     """Carry out plans on a rig.
 
     Arguments:

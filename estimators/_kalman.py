@@ -101,7 +101,7 @@ def kalman(
         inputs = tuple(None if row[name] is None else tuple(row[name]) for name in ("current", "force"))
 
         def forward(at: Any) -> Any:
-            return advance(placed, at, *inputs, excitation, substeps=substeps, rolled=True)
+            return advance(placed, at, *inputs, excitation, substeps=substeps)
 
         pushes = _pushes(placed, state, excitation)
         state, jacobian = _with_slopes(forward, state, unit)

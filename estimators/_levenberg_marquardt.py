@@ -13,6 +13,8 @@ from estimators._problem import Data, Space, Unknowns, residual, triangle
 from rtac_jax import RTAC
 
 _HOPELESS = 1e30
+# A gain in log-likelihood that moves no parameter by a fiftieth of its standard deviation.
+_NOTHING = 2e-4
 
 
 class Arguments(eqx.Module):
@@ -139,9 +141,9 @@ def solve(
         if progress is not None:
             progress(f"step {step}, cost {now:.6g}")
         if now < cost:
-            quiet = quiet + 1 if cost - now < 0.1 * tolerance * now else 0
+            quiet = quiet + 1 if cost - now < max(0.1 * tolerance * now, _NOTHING) else 0
             cost = now
-        if bool(state.terminate) or quiet >= 3:
+        if bool(state.terminate) or quiet >= 2:
             converged = True
             break
     return Solved(unknowns, np.asarray(factor(unknowns, arguments)), cost, step, converged)

@@ -1,6 +1,7 @@
 """Output error: the simulation that comes nearest to all measurements, with shared physics and separate starts."""
 
 import dataclasses
+import itertools
 import time
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -10,10 +11,11 @@ import numpy as np
 from jaxtyping import Array, Float
 from tqdm import tqdm
 
+from estimators._bounds import solve_bounded
 from estimators._covariance import Information, information
 from estimators._kalman import filtered
 from estimators._least_squares import least_squares
-from estimators._levenberg_marquardt import Arguments, Solved, plain_residual, solve
+from estimators._levenberg_marquardt import Arguments, Solved, plain_residual
 from estimators._noise import noise_levels
 from estimators._problem import CHANNELS, Data, Space, Unknowns
 from estimators._results import RESULTS, DivergedError
@@ -24,6 +26,12 @@ from rtac_jax.measurement import Experiment, Recording
 
 # A second start agrees with the best one when its log-likelihood is within this much for each sample.
 _AGREES = 1e-3
+_STEP_ERROR = 0.02
+_MOST_SUBSTEPS = 32
+# Random force and torque of the predictor, as shares of the rms ones: from strong to weak correction.
+_CORRECTION = (0.3, 0.03)
+# A start whose short predictions stay this many times worse than another's is given up.
+_HOPELESS = 5.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -112,7 +120,7 @@ def output_error(
     """
     require_configured()
     began = time.perf_counter()
-    experiments = moving(recording)
+    experiments = pieces(moving(recording))
     if not model.free:
         raise ValueError("The model has no free parameter; release one with model.release(name).")
     levels = noise_levels(recording.experiments)
@@ -125,7 +133,9 @@ def output_error(
     for name, start in candidates:
         bar.set_description(f"output error from {name}")
         try:
-            ends.append((name, run.descend(start, best=min((end.cost for _, end in ends), default=np.inf))))
+            end = run.descend(start, best=min((end.cost for _, end in ends), default=np.inf))
+            if end is not None:
+                ends.append((name, end))
         except FloatingPointError as error:
             failures.append(f"from {name}: {error}")
     if not ends:
@@ -177,6 +187,22 @@ def moving(recording: Recording) -> list[Experiment]:
     return found
 
 
+def pieces(experiments: Sequence[Experiment], longest: int = 8192, length: int = 2048) -> list[Experiment]:
+    """Long experiments cut into pieces that are simulated side by side, each with a start of its own.
+
+    Only where every piece shows where it starts: with the arm locked or its angle measured.
+    """
+    found = []
+    for e in experiments:
+        if e.samples <= longest or (e.arm == "free" and "arm_angle" not in e.outputs):
+            found.append(e)
+            continue
+        edges = np.linspace(0, e.samples, round(e.samples / length) + 1).astype(int)
+        for first, last in itertools.pairwise(edges):
+            found.append(e.cut(int(first), int(last), f"{e.name}[{first}:{last}]"))
+    return found
+
+
 def _starts(model: RTAC, recording: Recording, experiments: Sequence[Experiment], count: int) -> list[tuple[str, RTAC]]:
     first = least_squares(model, recording).model
     found = [("the closed form", first)]
@@ -210,33 +236,39 @@ class _Run:
     steps: int
     bar: Any
     taken: int = 0
+    nearest: float = np.inf
 
-    def descend(self, model: RTAC, *, best: float) -> _Stage:
-        """From predictions with strong correction to the free simulation."""
+    def descend(self, model: RTAC, *, best: float) -> _Stage | None:
+        """From predictions with strong correction to the free simulation; None where that leads nowhere."""
         space = space_of(model, self.experiments, free=[n for n in model.free if n not in model.per_experiment])
         unknowns = space.unconstrained()
-        substeps = substeps_for(model, self.data.excitation)
         noise = np.array([self.levels.get(channel, 1.0) for channel in CHANNELS])
         scales = scales_of(model, self.experiments)
         nothing = self._no_gain(model)
-        whitener = _diagonal(noise, self.data)
-        for share in (0.3, 0.03):
+        whitener = diagonal_whitener(noise, self.data)
+        substeps = accurate_substeps(model, self.data, space, unknowns, noise)
+        for share in _CORRECTION:
             gain, corrected = self._gain(model, space, unknowns, noise, scales, share, substeps)
             arguments = Arguments(model, self.data, space, corrected, gain, substeps)
-            unknowns = self._solve(unknowns, arguments, tolerance=1e-3, most=15).unknowns
+            near = self._solve(unknowns, arguments, tolerance=1e-3, most=15)
+            unknowns = near.unknowns
+            if share == _CORRECTION[0]:
+                if near.cost > _HOPELESS * self.nearest:
+                    return None
+                self.nearest = min(self.nearest, near.cost)
         deviation = noise
         cost, solved = np.inf, None
         for last in (False, False, True):
             arguments = Arguments(model, self.data, space, whitener, nothing, substeps)
             solved = self._solve(
-                unknowns, arguments, tolerance=self.tolerance if last else 1e-3, most=self.steps if last else 15
+                unknowns, arguments, tolerance=self.tolerance if last else 1e-2, most=self.steps if last else 15
             )
             unknowns = solved.unknowns
             deviation = self._deviation(model, space, unknowns, substeps, noise)
             cost = _concentrated(deviation, self.data)
             if cost > best + 1.0 * float(jnp.sum(self.data.present)):
                 break  # hopeless beside another start: not worth the last digits
-            whitener = _diagonal(deviation, self.data)
+            whitener = diagonal_whitener(deviation, self.data)
         assert solved is not None
         return _Stage(model, space, solved, deviation, cost, substeps)
 
@@ -246,7 +278,7 @@ class _Run:
             self.bar.update(1)
             self.bar.set_postfix_str(text, refresh=False)
 
-        return solve(unknowns, arguments, tolerance=tolerance, most=most, progress=show)
+        return solve_bounded(unknowns, arguments, tolerance=tolerance, most=most, progress=show)
 
     def _no_gain(self, model: RTAC) -> Array:
         return jnp.zeros((self.data.samples, len(model.states), len(CHANNELS), self.data.experiments))
@@ -262,10 +294,11 @@ class _Run:
             start_variance=(space.start_scale * (1 - space.start_held)) ** 2,
             substeps=substeps,
         )  # fmt: skip
-        return result.gain, result.whitener
+        # One whitener for all samples: enough for a start, and the same compiled function as for the simulation.
+        return result.gain, jnp.median(result.whitener[self.data.samples // 4 :], axis=0, keepdims=True)
 
     def _deviation(self, model: RTAC, space: Space, unknowns: Unknowns, substeps: int, noise: np.ndarray) -> np.ndarray:
-        whitener = _diagonal(np.ones(len(CHANNELS)), self.data)
+        whitener = diagonal_whitener(np.ones(len(CHANNELS)), self.data)
         arguments = Arguments(model, self.data, space, whitener, self._no_gain(model), substeps)
         error, _ = plain_residual(unknowns, arguments)
         count = np.maximum(np.asarray(self.data.present).sum(axis=(0, 2)), 1.0)
@@ -274,7 +307,28 @@ class _Run:
         return np.where(rms > 0, np.maximum(rms, 1e-12 * noise), noise)
 
 
-def _diagonal(deviation: np.ndarray, data: Data) -> Array:
+def accurate_substeps(model: RTAC, data: Data, space: Space, unknowns: Unknowns, noise: np.ndarray) -> int:
+    """The fewest Runge-Kutta steps per sample with which halving them changes outputs by less than a fiftieth of the noise."""
+    white = diagonal_whitener(noise, data)
+    nothing = jnp.zeros((data.samples, len(model.states), len(CHANNELS), data.experiments))
+    count = np.maximum(np.asarray(data.present).sum(axis=(0, 2)), 1.0)
+
+    def run(substeps: int) -> np.ndarray:
+        return np.asarray(plain_residual(unknowns, Arguments(model, data, space, white, nothing, substeps))[0])
+
+    substeps = substeps_for(model, data.excitation)
+    coarse = run(substeps)
+    while substeps < _MOST_SUBSTEPS:
+        fine = run(2 * substeps)
+        change = np.sqrt(((fine - coarse) ** 2).sum(axis=(0, 2)) / count)
+        if not np.all(np.isfinite(fine)) or np.all(change < _STEP_ERROR):
+            break
+        substeps, coarse = 2 * substeps, fine
+    return substeps
+
+
+def diagonal_whitener(deviation: np.ndarray, data: Data) -> Array:
+    """Divides each output by its standard deviation; [1 row output experiment]."""
     eye = jnp.diag(1.0 / jnp.asarray(deviation))
     return jnp.broadcast_to(eye[None, :, :, None], (1, len(CHANNELS), len(CHANNELS), data.experiments))
 

@@ -106,10 +106,12 @@ class Space(eqx.Module):
         )
         shared = self.values.at[self.active].set(free, mode="drop")
         each = to_physical(unknowns.each, self.each_lower[:, None], self.each_upper[:, None], self.each_scale[:, None])
+        if unknowns.start.shape[0] == 0:
+            return shared, each, self.start
         return shared, each, self.start + (1.0 - self.start_held) * self.start_scale * unknowns.start
 
-    def unconstrained(self) -> Unknowns:
-        """The unknowns at the present values."""
+    def unconstrained(self, *, start: bool = True) -> Unknowns:
+        """The unknowns at the present values; without `start` the states at the start are not among them."""
         index = np.asarray(self.active)
         inside = index < len(self.names)
         place = np.where(inside, index, 0)
@@ -118,7 +120,7 @@ class Space(eqx.Module):
             np.asarray(self.each_values),
             *(np.asarray(x)[:, None] for x in (self.each_lower, self.each_upper, self.each_scale)),
         )
-        return Unknowns(jnp.asarray(np.where(inside, shared, 0.0)), jnp.asarray(each), jnp.zeros_like(self.start))
+        return Unknowns(jnp.asarray(np.where(inside, shared, 0.0)), jnp.asarray(each), self.start[: len(self.start) * start] * 0.0)
 
 
 def states_at_start(model: RTAC, start: Array, excitation: Excitation) -> tuple[Any, ...]:
@@ -184,6 +186,8 @@ def residual(
     """The one residual: whitened output errors, and how far the start is from what is known of it."""
     physical = space.physical(unknowns)
     error = (data.values - predict(model, data, space, physical, substeps=substeps, gain=gain)) * data.present
+    if unknowns.start.shape[0] == 0:
+        return whitened(whitener, error), unknowns.start
     known = jnp.where(space.start_held > 0, unknowns.start, (physical[2] - space.start) / space.start_spread)
     return whitened(whitener, error), known
 

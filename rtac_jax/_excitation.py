@@ -1,7 +1,6 @@
 """What drives a set of experiments, as arrays that the time loop can take: padded to one length, one column each."""
 
 from collections.abc import Sequence
-from typing import Self
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -22,14 +21,14 @@ class Excitation(eqx.Module):
         arm_free, cart_free: 1 where it may move, 0 where it is held.
     """
 
-    current: Float[Array, "sample power experiment"] | None
-    force: Float[Array, "sample power experiment"] | None
+    current: Float[Array, "sample current_power experiment"] | None
+    force: Float[Array, "sample force_power experiment"] | None
     sample_time: Float[Array, " experiment"]
     arm_free: Float[Array, " experiment"]
     cart_free: Float[Array, " experiment"]
 
     @classmethod
-    def of(cls, experiments: Sequence[Experiment]) -> Self:
+    def of(cls, experiments: Sequence[Experiment]) -> "Excitation":
         """From experiments of any lengths, sample times and channels; the shorter ones end with zero input."""
         return cls(
             current=_stack(experiments, "current"),

@@ -27,14 +27,11 @@ def advance(
     excitation: Excitation,
     *,
     substeps: int,
-    rolled: bool = False,
 ) -> State:
     """The state one sample later, by `substeps` classic Runge-Kutta steps, cut where dry friction brings to rest.
 
     Args:
         current, force: polynomial coefficients of the inputs over the interval, rising powers of its fraction.
-        rolled: keep the steps in a loop of the compiled code, which hides them from what follows: where their results
-            are used many times, the compiler would else fuse and compute them anew for each use.
     """
     step = excitation.sample_time / substeps
 
@@ -62,15 +59,13 @@ def advance(
         )
         return model.stop(at, smooth, step, excitation.arm_free, excitation.cart_free)
 
-    if rolled:
-        begins = jnp.arange(substeps) / substeps
-        return jax.lax.scan(lambda at, begin: (runge_kutta(at, begin), None), state, begins)[0]
-    for k in range(substeps):
-        state = runge_kutta(state, k / substeps)
-    return state
+    # A loop also where it is short: unrolled steps compile longer, run no faster, and where their results are used many
+    # times the compiler fuses them into each use.
+    begins = jnp.arange(substeps) / substeps
+    return jax.lax.scan(lambda at, begin: (runge_kutta(at, begin), None), state, begins)[0]
 
 
-def _polynomial(coefficients: Sequence[Any] | None, fraction: float) -> Any:
+def _polynomial(coefficients: Sequence[Any] | None, fraction: Any) -> Any:
     if coefficients is None:
         return 0.0
     value = coefficients[-1]
@@ -170,7 +165,7 @@ def simulate(
     model: RTAC,
     experiments: Iterable[Experiment],
     *,
-    start: Mapping[str, Sequence[float]] | None = None,
+    start: Mapping[str, Sequence[float | int] | np.ndarray | Array] | None = None,
     substeps: int | None = None,
 ) -> dict[str, Simulation]:
     """Simulate experiments of any lengths, sample times and inputs in one call.

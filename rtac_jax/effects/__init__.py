@@ -8,7 +8,7 @@ from rtac_jax.effects.cogging import Cogging
 from rtac_jax.effects.flexible_mode import FlexibleMode
 from rtac_jax.effects.gravity_tilt import GravityTilt
 from rtac_jax.effects.sensors import TachoBias
-from rtac_jax.effects.springs import CubicSpring, QuadraticSpring
+from rtac_jax.effects.springs import CubicSpring, ForceOffset, QuadraticSpring
 
 CATALOGUE: dict[str, type[Effect]] = {
     effect.id: effect
@@ -18,6 +18,7 @@ CATALOGUE: dict[str, type[Effect]] = {
         CartQuadraticDrag,
         CubicSpring,
         QuadraticSpring,
+        ForceOffset,
         FlexibleMode,
         ArmViscous,
         ArmCoulomb,
@@ -60,6 +61,7 @@ __all__ = [
     "Effect",
     "FlexibleMode",
     "Force",
+    "ForceOffset",
     "GravityTilt",
     "Motion",
     "Outputs",

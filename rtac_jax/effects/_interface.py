@@ -6,7 +6,7 @@ parameters, and it declares how large it may plausibly be on a rig of given scal
 
 import itertools
 from abc import abstractmethod
-from typing import Any, ClassVar, Literal, NamedTuple, Self
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import equinox as eqx
 from jaxtyping import Array, Float
@@ -91,15 +91,18 @@ class Effect(eqx.Module):
         return tuple(name for name, declared in declarations(cls).items() if declared.null is not None)
 
     @classmethod
-    def absent(cls, **shape: float) -> Self:
+    def absent(cls, **shape: float) -> "Effect":
         """The effect at its null value, with the shape parameters given."""
         values = {}
         for name, declared in declarations(cls).items():
-            values[name] = declared.null if declared.null is not None else shape.get(name, _default(cls, name))
+            if declared.null is not None:
+                values[name] = declared.null
+            else:
+                values[name] = shape[name] if name in shape else _default(cls, name)
         return cls(**values)
 
     @classmethod
-    def candidates(cls, scales: Scales) -> tuple[Self, ...]:
+    def candidates(cls, scales: Scales) -> tuple["Effect", ...]:
         """Instances of plausible size on a rig of these scales, one for each point of the grid of shapes.
 
         Raises:

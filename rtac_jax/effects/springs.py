@@ -1,4 +1,4 @@
-"""Springs whose stiffness depends on the cart's position."""
+"""Springs whose stiffness depends on the cart's position, and a constant force that moves their equilibrium."""
 
 from typing import Any, ClassVar
 
@@ -40,3 +40,20 @@ class QuadraticSpring(Force):
 
     def force(self, motion: Motion, own: States) -> tuple[Any, Any]:
         return -self.stiffness * motion.cart_position**2, 0.0
+
+
+class ForceOffset(Force):
+    """A constant force: an offset of the force input, or a spring whose rest is not at the position sensor's zero."""
+
+    id: ClassVar[str] = "force_offset"
+    equation: ClassVar[str] = "F_0"
+    source: ClassVar[str] = "offset of an analogue amplifier"
+    port: ClassVar[str] = "cart"
+    nature: ClassVar[str] = "conservative"
+
+    offset: Scalar = parameter(
+        symbol="F_0", unit="N", meaning="constant force on the cart", null=0.0, plausible=lambda s: 0.03 * s.force
+    )
+
+    def force(self, motion: Motion, own: States) -> tuple[Any, Any]:
+        return self.offset, 0.0

@@ -1,0 +1,291 @@
+"""Where a model fails: its free simulation against the measurements, per channel and experiment, and residual tests."""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+from scipy.stats import chi2, norm
+
+from estimators._levenberg_marquardt import Arguments, plain_residual
+from estimators._bounds import solve_bounded
+from estimators._noise import noise_levels
+from estimators._output_error import Fit, diagonal_whitener, moving
+from estimators._problem import CHANNELS, Data
+from estimators._start import space_of
+from rtac_jax import RTAC, require_configured
+from rtac_jax.measurement import Experiment, Recording
+
+# Longer experiments without memory of their start take it from their beginning alone.
+_LONG, _BEGINNING = 8192, 2048
+
+Values = Float[np.ndarray, " sample"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Trace:
+    """One channel of one experiment beside its simulation.
+
+    Attributes:
+        experiment, channel: names.
+        time: [s].
+        measured, simulated: SI units; NaN where nothing was measured.
+        current: motor current or, without one, the disturbance force, for the cross-correlation.
+        used: whether a sample counts in the error (those that only set the start do not).
+        noise: standard deviation of the sensor's noise.
+    """
+
+    experiment: str
+    channel: str
+    time: Values
+    measured: Values
+    simulated: Values
+    current: Values
+    used: Any
+    noise: float
+
+    @property
+    def residual(self) -> Values:
+        """Measured less simulated, NaN where it does not count."""
+        return np.where(self.used, self.measured - self.simulated, np.nan)
+
+    @property
+    def rms(self) -> float:
+        """Of the residual, SI units."""
+        return float(np.sqrt(np.nanmean(self.residual**2)))
+
+    @property
+    def fit_percent(self) -> float:
+        """100 (1 - |y - yhat| / |y - mean y|); minus infinity for a constant output."""
+        measured = np.where(self.used, self.measured, np.nan)
+        spread = np.sqrt(np.nanmean((measured - np.nanmean(measured)) ** 2))
+        return float(100 * (1 - self.rms / spread)) if spread > 0 else float("-inf")
+
+    def autocorrelation(self, lags: int = 50) -> tuple[Float[np.ndarray, " lag"], float]:
+        """Of the residual at lags 0 to `lags`, and the 99 % band for white noise."""
+        return _correlation(self.residual, self.residual, lags)
+
+    def cross_correlation(self, lags: int = 50) -> tuple[Float[np.ndarray, " lag"], float]:
+        """Of the residual with the input `lags` samples before to the input now, and the 99 % band."""
+        return _correlation(self.residual, self.current, lags)
+
+    @property
+    def whiteness_p(self) -> float:
+        """Probability that white noise is at least as correlated over 25 lags (Ljung and Box, Biometrika 65, 1978)."""
+        lags = int(min(25, np.sum(np.isfinite(self.residual)) // 4))
+        if lags < 1:
+            return 1.0
+        correlation, _ = self.autocorrelation(lags)
+        count = int(np.sum(np.isfinite(self.residual)))
+        statistic = count * (count + 2) * np.sum(correlation[1:] ** 2 / (count - np.arange(1, lags + 1)))
+        return float(chi2.sf(statistic, lags))
+
+
+def _correlation(a: Values, b: Values, lags: int) -> tuple[np.ndarray, float]:
+    x = np.nan_to_num(a - np.nanmean(a)) if np.isfinite(a).any() else np.zeros_like(a)
+    z = np.nan_to_num(b - np.nanmean(b)) if np.isfinite(b).any() else np.zeros_like(b)
+    lags = min(lags, len(x) - 1)
+    size = np.sqrt(np.sum(x**2) * np.sum(z**2))
+    found = np.array([np.sum(x[k:] * z[: len(z) - k]) for k in range(lags + 1)])
+    return found / size if size > 0 else 0 * found, float(norm.ppf(0.995) / np.sqrt(max(np.isfinite(a).sum(), 1)))
+
+
+@dataclasses.dataclass(frozen=True)
+class ChannelError:
+    """Error of one channel over several experiments."""
+
+    fit_percent: float
+    rms: float
+    rms_over_noise: float
+
+
+@dataclasses.dataclass(frozen=True)
+class Compared:
+    """One model against the measurements.
+
+    Attributes:
+        label: for pictures and tables.
+        model: the model.
+        traces: one for every channel of every experiment.
+        start: states at the start that were used, by experiment.
+    """
+
+    label: str
+    model: RTAC
+    traces: tuple[Trace, ...]
+    start: Mapping[str, Float[np.ndarray, " state"]]
+
+    @property
+    def errors(self) -> dict[str, ChannelError]:
+        """Per channel over all experiments."""
+        found = {}
+        for channel in CHANNELS:
+            traces = [t for t in self.traces if t.channel == channel]
+            if not traces:
+                continue
+            residual = np.concatenate([t.residual for t in traces])
+            spread = np.concatenate([np.where(t.used, t.measured - np.nanmean(t.measured), np.nan) for t in traces])
+            rms = float(np.sqrt(np.nanmean(residual**2)))
+            whole = float(np.sqrt(np.nanmean(spread**2)))
+            percent = 100 * (1 - rms / whole) if whole > 0 else float("-inf")
+            found[channel] = ChannelError(percent, rms, rms / traces[0].noise)
+        return found
+
+    def worst(self, count: int = 3) -> list[Trace]:
+        """The traces with the largest error in units of their noise."""
+        return sorted(self.traces, key=lambda t: -t.rms / t.noise)[:count]
+
+
+@dataclasses.dataclass(frozen=True)
+class Comparison:
+    """Result of `compare`: one or several models against the same measurements."""
+
+    models: tuple[Compared, ...]
+
+    def __str__(self) -> str:
+        lines = [f"{'model':18s} {'experiment':16s} {'channel':14s} {'fit':>8s} {'rms':>10s} {'rms/noise':>10s}  residual"]
+        for compared in self.models:
+            for t in compared.traces:
+                white = "white" if t.whiteness_p > 0.01 else "not white"
+                lines.append(
+                    f"{compared.label:18s} {t.experiment:16s} {t.channel:14s} {t.fit_percent:7.2f}% {t.rms:10.4g} "
+                    f"{t.rms / t.noise:10.2f}  {white}"
+                )
+            for channel, error in compared.errors.items():
+                lines.append(
+                    f"{compared.label:18s} {'all':16s} {channel:14s} {error.fit_percent:7.2f}% {error.rms:10.4g} "
+                    f"{error.rms_over_noise:10.2f}"
+                )
+        return "\n".join(lines)
+
+    def plot(self) -> Any:
+        """Measured against model, as a matplotlib figure."""
+        from estimators.plots import plot_comparison
+
+        return plot_comparison(self)
+
+
+def compare(
+    fits: Fit | RTAC | Sequence[Fit | RTAC],
+    recording: Recording,
+    *,
+    labels: Sequence[str] | None = None,
+    start_samples: int | None = None,
+) -> Comparison:
+    """Simulate models freely and hold them against a recording.
+
+    The states at the start, and parameters that each experiment has for itself, are fitted to the experiment; everything
+    else is the model's.
+
+    Args:
+        fits: one or several fits or models.
+        labels: one for each of them.
+        start_samples: use only so many samples to set the start, and leave them out of the error; by default the whole
+            experiment sets its start, or its beginning where it is very long and the arm cannot wander.
+
+    Raises:
+        ValueError: nothing moves in the recording, or the labels do not fit.
+    """
+    require_configured()
+    several = [fits] if isinstance(fits, Fit | RTAC) else list(fits)
+    names = list(labels) if labels is not None else ["model"] if len(several) == 1 else _default_labels(several)
+    if len(names) != len(several):
+        raise ValueError(f"{len(several)} models need as many labels, not {len(names)}.")
+    experiments = moving(recording)
+    levels = noise_levels(recording.experiments)
+    if isinstance(several[0], Fit) and not any(e.kind == "rest" for e in recording.experiments):
+        levels |= {c: s for c, s in several[0].noise.items() if c in levels}
+    return Comparison(
+        tuple(
+            _compare_one(fit, label, experiments, levels, start_samples)
+            for fit, label in zip(several, names, strict=True)
+        )
+    )
+
+
+def _default_labels(fits: Sequence[Fit | RTAC]) -> list[str]:
+    models = [fit.model if isinstance(fit, Fit) else fit for fit in fits]
+    common = set.intersection(*(set(m.ids) for m in models))
+    return [("+ " + ", ".join(i for i in m.ids if i not in common)) if set(m.ids) - common else "base" for m in models]
+
+
+def _compare_one(
+    fit: Fit | RTAC,
+    label: str,
+    experiments: Sequence[Experiment],
+    levels: Mapping[str, float],
+    start_samples: int | None,
+) -> Compared:
+    model = fit.model if isinstance(fit, Fit) else fit
+    known = fit.start if isinstance(fit, Fit) else None
+    each = {n: jnp.mean(model[n]) for n in model.per_experiment}
+    model = model.with_values(each)
+    if any(e.samples > _LONG for e in experiments):
+        # Padding short experiments to the length of a very long one would cost more than going one by one.
+        groups = [[e] for e in experiments]
+    else:
+        groups = [list(experiments)]
+    traces: list[Trace] = []
+    starts: dict[str, np.ndarray] = {}
+    for group in groups:
+        simulated, start, used = _simulated(model, group, levels, known, start_samples, _substeps(fit))
+        starts |= start
+        for column, e in enumerate(group):
+            drive = e.inputs.get("current") or e.inputs.get("disturbance_force")
+            for row, channel in enumerate(CHANNELS):
+                if channel in e.outputs:
+                    traces.append(
+                        Trace(
+                            e.name,
+                            channel,
+                            np.asarray(e.time),
+                            np.asarray(e.outputs[channel].values),
+                            simulated[: e.samples, row, column],
+                            np.zeros(e.samples) if drive is None else np.asarray(drive.values),
+                            np.arange(e.samples) >= used,
+                            levels[channel],
+                        )
+                    )
+    return Compared(label, model, tuple(traces), starts)
+
+
+def _substeps(fit: Fit | RTAC) -> int | None:
+    return int(fit.statistics["substeps"]) if isinstance(fit, Fit) else None
+
+
+def _simulated(
+    model: RTAC,
+    experiments: Sequence[Experiment],
+    levels: Mapping[str, float],
+    known: Mapping[str, np.ndarray] | None,
+    start_samples: int | None,
+    substeps: int | None,
+) -> tuple[np.ndarray, dict[str, np.ndarray], int]:
+    """Outputs with the best start, the starts, and from which sample on the error counts."""
+    from estimators._output_error import accurate_substeps
+
+    space = space_of(model, experiments, free=[], start=known)
+    unknowns = space.unconstrained()
+    noise = np.array([levels.get(channel, 1.0) for channel in CHANNELS])
+    window = start_samples
+    longest = max(e.samples for e in experiments)
+    if window is None and longest > _LONG and all(e.arm == "locked" or "arm_angle" in e.outputs for e in experiments):
+        window = _BEGINNING
+    beginning = list(experiments)
+    if window is not None:
+        beginning = [e.cut(0, min(window, e.samples), e.name) for e in experiments]
+    data = Data.of(beginning)
+    steps = substeps or accurate_substeps(model, data, space, unknowns, noise)
+    arguments = Arguments(model, data, space, diagonal_whitener(noise, data), None, steps)
+    unknowns = solve_bounded(unknowns, arguments, tolerance=1e-5, most=40).unknowns
+    everything = data if beginning == list(experiments) else Data.of(experiments)
+    whole = dataclasses.replace(arguments, data=everything, whitener=diagonal_whitener(np.ones(3), everything))
+    error, _ = plain_residual(unknowns, whole)
+    simulated = np.asarray(everything.values) - np.asarray(error)
+    missing = np.asarray(everything.present) == 0
+    if missing.any():
+        simulated = np.where(missing, np.nan, simulated)
+    states = np.asarray(space.physical(unknowns)[2])
+    return simulated, {e.name: states[:, i] for i, e in enumerate(experiments)}, start_samples or 0

@@ -145,7 +145,9 @@ class Comparison:
     models: tuple[Compared, ...]
 
     def __str__(self) -> str:
-        lines = [f"{'model':18s} {'experiment':16s} {'channel':14s} {'fit':>8s} {'rms':>10s} {'rms/noise':>10s}  residual"]
+        lines = [
+            f"{'model':18s} {'experiment':16s} {'channel':14s} {'fit':>8s} {'rms':>10s} {'rms/noise':>10s}  residual"
+        ]
         for compared in self.models:
             for t in compared.traces:
                 white = "white" if t.whiteness_p > 0.01 else "not white"

@@ -20,6 +20,7 @@ from estimators._problem import CHANNELS, Data, Space
 from estimators._screen import ALARM, ForceCurve, Innovations, Screened, force_curves, orthonormal, screen
 from estimators._start import scales_of, space_of
 from rtac_jax import RTAC, require_configured
+from rtac_jax._simulate import Steps
 from rtac_jax._parameter import declarations
 from rtac_jax.effects import CATALOGUE, Effect
 from rtac_jax.measurement import Experiment, Recording
@@ -151,7 +152,7 @@ class _Work:
     prior: NoiseModel
     classes: list[type[Effect]]
     instances: list[Effect]
-    substeps: int
+    substeps: Steps
     bar: Any
 
     @classmethod
@@ -173,7 +174,7 @@ class _Work:
         prior = NoiseModel.of(levels, recording.experiments, scales, space)
         return cls(
             fit, model, experiments, Data.of(experiments), prior, possible, instances,
-            int(fit.statistics["substeps"]), bar,
+            jnp.asarray(fit.statistics["substeps"]), bar,
         )  # fmt: skip
 
     def space(self, model: RTAC, free: Sequence[str]) -> Space:
@@ -245,7 +246,17 @@ class _Work:
             return values
 
         screened = screen(innovations, error, basis, self.instances, place)
-        curves = force_curves(innovations, error, basis, self._ranges())
+        # The absent candidates do nothing; without them the probes compile and run faster.
+        bare = space_of(self.fit.model, self.experiments, free=[], start=self.fit.start)
+        known = dict(zip(placed.names, np.asarray(placed.values), strict=True))
+        bare = dataclasses.replace(
+            bare,
+            values=jnp.asarray([known[name] for name in bare.names]),
+            start=placed.start[: len(bare.start)],
+        )
+        gain = base.filtered.gain[:, : len(self.fit.model.states)]
+        probed = Innovations(self.fit.model, self.data, bare, base.filtered.whitener, gain, self.substeps)
+        curves = force_curves(probed, error, basis, self._ranges())
         return screened, curves, innovations
 
     def _ranges(self) -> dict[str, tuple[float, float]]:
@@ -332,14 +343,14 @@ class _Work:
         )
 
     def _parameters(self, effect: str, found: Predictor, space: Space) -> dict[str, Parameter]:
-        arguments = Arguments(
-            self.model, self.data, space, found.filtered.whitener, found.filtered.gain, self.substeps
-        )
+        arguments = Arguments(self.model, self.data, space, found.filtered.whitener, found.filtered.gain, self.substeps)
         known = information(np.asarray(factor(found.unknowns, arguments)), space, found.unknowns)
         deviations = dict(zip(known.names, np.sqrt(np.diagonal(known.covariance)), strict=True))
         values = dict(zip(space.names, np.asarray(found.physical[0]), strict=True))
         return {
-            name.split(".")[1]: Parameter(float(value), float(deviations.get(name, 0.0)), self.model.parameters[name].unit)
+            name.split(".")[1]: Parameter(
+                float(value), float(deviations.get(name, 0.0)), self.model.parameters[name].unit
+            )
             for name, value in values.items()
             if name.split(".")[0] == effect
         }
@@ -418,7 +429,9 @@ def _words(
     base: Predictor,
 ) -> str:
     (experiment, channel), worst = max(where.items(), key=lambda item: item[1])
-    shown = f"It shows most in {channel} of {experiment}, where the squared innovations are {worst:.2f} times the expected."
+    shown = (
+        f"It shows most in {channel} of {experiment}, where the squared innovations are {worst:.2f} times the expected."
+    )
     if verdict == "adequate":
         limits = sorted((c for c in found if c.testable), key=lambda c: c.id)
         text = ", ".join(f"{c.id} {c.detection_limit:.2g} {c.unit}" for c in limits)
@@ -426,9 +439,7 @@ def _words(
     if verdict == "unknown":
         curve = curves[0] if curves else None
         near = next((c for c in found if c.refitted), None)
-        what = (
-            f"The missing force acts on the {curve.port} and depends most on {curve.variable}." if curve else ""
-        )
+        what = f"The missing force acts on the {curve.port} and depends most on {curve.variable}." if curve else ""
         nearest = f" The nearest, {near.id}, explains {100 * near.error_reduction:.0f} %." if near else ""
         return f"Unknown: the model fails and no effect of the catalogue explains it.{nearest} {what} {shown}"
     best = effects[0]

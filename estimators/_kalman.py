@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 
 from estimators._problem import Data, Space, states_at_start
 from rtac_jax import RTAC, Excitation
-from rtac_jax._simulate import advance
+from rtac_jax._simulate import Steps, advance
 
 
 class Filtered(NamedTuple):
@@ -37,7 +37,7 @@ def kalman(
     sensor_variance: Float[Array, "output experiment"],
     process: tuple[Any, Any],
     start_variance: Float[Array, "start experiment"],
-    substeps: int,
+    substeps: Steps,
 ) -> Filtered:
     """Run the filter.
 

@@ -11,6 +11,7 @@ from jaxtyping import Array
 
 from estimators._problem import Data, Space, Unknowns, residual, triangle
 from rtac_jax import RTAC
+from rtac_jax._simulate import Steps
 
 _HOPELESS = 1e30
 # A gain in log-likelihood that moves no parameter by a fiftieth of its standard deviation.
@@ -25,7 +26,7 @@ class Arguments(eqx.Module):
     space: Space
     whitener: Array
     gain: Array | None
-    substeps: int = eqx.field(static=True)
+    substeps: Steps = eqx.field(converter=jnp.asarray)
 
 
 def _factor(unknowns: Unknowns, arguments: Arguments) -> Array:
@@ -42,53 +43,45 @@ def _factor(unknowns: Unknowns, arguments: Arguments) -> Array:
     return jnp.where(jnp.all(jnp.isfinite(factor)), factor, jnp.zeros_like(factor).at[:, -1, -1].set(_HOPELESS))
 
 
-@eqx.filter_custom_vjp
-def _compressed(unknowns: Unknowns, arguments: Arguments) -> Array:
-    return _factor(unknowns, arguments)[..., -1]
-
-
-@_compressed.def_fwd
-def _forward(perturbed: Any, unknowns: Unknowns, arguments: Arguments) -> tuple[Array, Array]:
-    del perturbed
-    factor = _factor(unknowns, arguments)
-    return factor[..., -1], factor
-
-
-@_compressed.def_bwd
-def _backward(factor: Array, cotangent: Array, perturbed: Any, unknowns: Unknowns, arguments: Arguments) -> Unknowns:
-    del perturbed, arguments
-    pulled = jnp.einsum("brc,br->cb", factor[..., :-1], cotangent)
-    shared, each = len(unknowns.shared), len(unknowns.each)
-    return Unknowns(pulled[:shared].sum(axis=1), pulled[shared : shared + each], pulled[shared + each :])
-
-
-def _function(unknowns: Unknowns, arguments: Arguments) -> tuple[Array, None]:
-    return _compressed(unknowns, arguments), None
-
-
-_OPTIONS = {"jac": "bwd"}  # a pull-back of the compressed residual: the Jacobian inside it is exact forward mode
-
-
-@eqx.filter_jit
-def _init(solver: Any, unknowns: Unknowns, arguments: Arguments) -> Any:
-    shape = jax.eval_shape(lambda: jnp.zeros((arguments.data.experiments, _columns(unknowns))))
-    return solver.init(_function, unknowns, arguments, _OPTIONS, shape, None, frozenset())
-
-
-@eqx.filter_jit
-def _step(solver: Any, unknowns: Unknowns, arguments: Arguments, state: Any) -> tuple[Unknowns, Any]:
-    unknowns, state, _ = solver.step(_function, unknowns, arguments, _OPTIONS, state, frozenset())
-    return unknowns, state
-
-
-def _columns(unknowns: Unknowns) -> int:
-    return len(unknowns.shared) + len(unknowns.each) + len(unknowns.start) + 1
-
-
 @eqx.filter_jit
 def factor(unknowns: Unknowns, arguments: Arguments) -> Array:
     """The triangular factor of residual and Jacobian, per experiment; see `triangle`."""
     return _factor(unknowns, arguments)
+
+
+@eqx.filter_jit
+def plain_residual(unknowns: Unknowns, arguments: Arguments) -> tuple[Array, Array]:
+    """The residual itself and what is known of the starts; see `residual`."""
+    a = arguments
+    return residual(a.model, a.data, a.space, unknowns, a.whitener, substeps=a.substeps, gain=a.gain)
+
+
+def _linearised(unknowns: Unknowns, at: tuple[Unknowns, Array]) -> tuple[Array, None]:
+    """The compressed residual near a point where its triangular factor is known.
+
+    The optimiser asks for value and Jacobian at that point only, so the heavy function is compiled once, apart from the
+    optimiser.
+    """
+    point, factor = at
+    shared, each, start = (now - then for now, then in zip(unknowns, point, strict=True))
+    own = jnp.concatenate([jnp.broadcast_to(shared[:, None], (len(shared), factor.shape[0])), each, start])
+    return factor[..., -1] + jnp.einsum("brc,cb->br", factor[..., :-1], own), None
+
+
+_OPTIONS = {"jac": "bwd"}  # gives the Jacobian as an array, which a compiled step can take and return
+
+
+@eqx.filter_jit
+def _init(solver: Any, unknowns: Unknowns, factor: Array) -> Any:
+    shape = jax.eval_shape(lambda: factor[..., -1])
+    return solver.init(_linearised, unknowns, (unknowns, factor), _OPTIONS, shape, None, frozenset())
+
+
+@eqx.filter_jit
+def _step(solver: Any, unknowns: Unknowns, state: Any, factor: Array) -> tuple[Unknowns, Any, Array]:
+    at = (state.y_eval, factor)
+    unknowns, state, _ = solver.step(_linearised, unknowns, at, _OPTIONS, state, frozenset())
+    return unknowns, state, 0.5 * jnp.sum(state.f_info.residual**2)
 
 
 def _largest(tree: Any) -> Array:
@@ -129,15 +122,16 @@ def solve(
         FloatingPointError: the model diverges at the very start.
     """
     solver = optx.LevenbergMarquardt(rtol=tolerance, atol=tolerance, norm=_largest)
-    state = _init(solver, unknowns, arguments)
+    trial = factor(unknowns, arguments)
+    if float(jnp.max(trial[:, -1, -1])) >= _HOPELESS:
+        raise FloatingPointError(
+            "The model diverges at the start values; give start values nearer to the rig, or check the units."
+        )
+    state = _init(solver, unknowns, trial)
     cost, quiet, converged, step = np.inf, 0, False, 0
     for step in range(1, most + 1):
-        unknowns, state = _step(solver, unknowns, arguments, state)
-        now = float(0.5 * jnp.sum(state.f_info.residual**2))
-        if step == 1 and now > 0.25 * _HOPELESS:
-            raise FloatingPointError(
-                "The model diverges at the start values; give start values nearer to the rig, or check the units."
-            )
+        unknowns, state, value = _step(solver, unknowns, state, trial)
+        now = float(value)
         if progress is not None:
             progress(f"step {step}, cost {now:.6g}")
         if now < cost:
@@ -146,11 +140,5 @@ def solve(
         if bool(state.terminate) or quiet >= 2:
             converged = True
             break
+        trial = factor(state.y_eval, arguments)
     return Solved(unknowns, np.asarray(factor(unknowns, arguments)), cost, step, converged)
-
-
-@eqx.filter_jit
-def plain_residual(unknowns: Unknowns, arguments: Arguments) -> tuple[Array, Array]:
-    """The residual itself and what is known of the starts; see `residual`."""
-    a = arguments
-    return residual(a.model, a.data, a.space, unknowns, a.whitener, substeps=a.substeps, gain=a.gain)

@@ -16,10 +16,12 @@ from estimators._kalman import Filtered, filtered, kalman
 from estimators._levenberg_marquardt import Arguments
 from estimators._problem import CHANNELS, Data, Space, Unknowns
 from rtac_jax import RTAC, Scales
+from rtac_jax._simulate import Steps
 from rtac_jax.measurement import Experiment
 
 # Random force and torque between these shares of the rms forces, as powers of e of their variance.
 _LEAST, _MOST, _FIRST = np.log(1e-5**2), np.log(1.0**2), np.log(3e-3**2)
+_PROCESS_UNIT = 0.3
 
 
 @dataclasses.dataclass(frozen=True)
@@ -102,7 +104,7 @@ def _variances(noise: Any, prior: NoiseModel, data: Data) -> Array:
 @eqx.filter_jit
 def _slope(
     model: RTAC, data: Data, space: Space, physical: Any, noise: Array, scale: Array, sensor: Array, start: Array,
-    substeps: int,
+    substeps: Steps,
 ) -> tuple[Array, Array]:  # fmt: skip
     def negative(at: Array) -> Array:
         density = jnp.exp(at[:2]) * scale
@@ -118,7 +120,7 @@ def _slope(
 
 
 def fit_noise(
-    model: RTAC, data: Data, space: Space, physical: Any, prior: NoiseModel, first: np.ndarray | None, substeps: int
+    model: RTAC, data: Data, space: Space, physical: Any, prior: NoiseModel, first: np.ndarray | None, substeps: Steps
 ) -> tuple[np.ndarray, float]:
     """Noise by maximum likelihood, and the log-likelihood there (without the prior's share)."""
     begin = np.array([_FIRST, _FIRST, 0.0, 0.0, 0.0]) if first is None else first
@@ -136,10 +138,37 @@ def fit_noise(
             return 1e300, np.zeros_like(at)
         return total, gradient
 
-    bounds = [(_LEAST, _MOST)] * 2 + [(-1.5, 1.5)] * 3
-    found = minimize(objective, begin, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 25, "ftol": 1e-9})
-    pull = found.x[2:] / prior.doubt
-    return found.x, -float(found.fun) + 0.5 * float(pull @ pull)
+    # In units in which the likelihood is about equally curved: a variance known from n samples has curvature n / 2.
+    count = np.asarray(data.present).sum(axis=(0, 2))
+    unit = np.concatenate([[_PROCESS_UNIT] * 2, 1.0 / np.sqrt(0.5 * count + 1.0 / prior.doubt**2)])
+    low = np.array([_LEAST] * 2 + [-1.5] * 3) / unit
+    high = np.array([_MOST] * 2 + [1.5] * 3) / unit
+
+    def scaled(at: np.ndarray) -> tuple[float, np.ndarray]:
+        value, slope = objective(at * unit)
+        return value - reference, slope * unit
+
+    reference = objective(begin)[0]
+    found = minimize(
+        scaled, begin / unit, jac=True, method="L-BFGS-B", bounds=np.stack([low, high], axis=1),
+        options={"maxiter": 25, "maxfun": 30, "ftol": 0.0, "gtol": 0.05},
+        callback=_Stalled(),
+    )  # fmt: skip
+    best, value = found.x * unit, float(found.fun) + reference
+    pull = best[2:] / prior.doubt
+    return best, -value + 0.5 * float(pull @ pull)
+
+
+class _Stalled:
+    """Stops the optimiser when two iterations gained less than matters in a log-likelihood."""
+
+    def __init__(self) -> None:
+        self.values: list[float] = []
+
+    def __call__(self, intermediate_result: Any) -> None:
+        self.values.append(float(intermediate_result.fun))
+        if len(self.values) > 2 and self.values[-3] - self.values[-1] < 0.05:
+            raise StopIteration
 
 
 def fit_predictor(
@@ -148,7 +177,7 @@ def fit_predictor(
     space: Space,
     prior: NoiseModel,
     *,
-    substeps: int,
+    substeps: Steps,
     first: np.ndarray | None = None,
     rounds: int = 2,
     progress: Any = None,
@@ -177,7 +206,7 @@ def fit_predictor(
 
 
 def run_filter(
-    model: RTAC, data: Data, space: Space, physical: Any, prior: NoiseModel, noise: np.ndarray, substeps: int
+    model: RTAC, data: Data, space: Space, physical: Any, prior: NoiseModel, noise: np.ndarray, substeps: Steps
 ) -> Filtered:
     """One pass with given noise."""
     at = jnp.asarray(noise)

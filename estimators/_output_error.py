@@ -292,7 +292,7 @@ class _Run:
             sensor_variance=jnp.broadcast_to(jnp.asarray(noise**2)[:, None], (len(CHANNELS), self.data.experiments)),
             process=(jnp.asarray((share * scales.force) ** 2 * interval), jnp.asarray((share * scales.torque) ** 2 * interval)),
             start_variance=(space.start_scale * (1 - space.start_held)) ** 2,
-            substeps=substeps,
+            substeps=jnp.asarray(substeps),
         )  # fmt: skip
         # One whitener for all samples: enough for a start, and the same compiled function as for the simulation.
         return result.gain, jnp.median(result.whitener[self.data.samples // 4 :], axis=0, keepdims=True)

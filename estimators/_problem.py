@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, Int
 
 from estimators._transform import to_physical, to_unconstrained
 from rtac_jax import RTAC, Excitation
-from rtac_jax._simulate import trajectories
+from rtac_jax._simulate import Steps, trajectories
 from rtac_jax.measurement import OUTPUTS, Experiment
 
 CHANNELS = tuple(OUTPUTS)
@@ -120,7 +120,9 @@ class Space(eqx.Module):
             np.asarray(self.each_values),
             *(np.asarray(x)[:, None] for x in (self.each_lower, self.each_upper, self.each_scale)),
         )
-        return Unknowns(jnp.asarray(np.where(inside, shared, 0.0)), jnp.asarray(each), self.start[: len(self.start) * start] * 0.0)
+        return Unknowns(
+            jnp.asarray(np.where(inside, shared, 0.0)), jnp.asarray(each), self.start[: len(self.start) * start] * 0.0
+        )
 
 
 def states_at_start(model: RTAC, start: Array, excitation: Excitation) -> tuple[Any, ...]:
@@ -150,7 +152,7 @@ def predict(
     space: Space,
     physical: tuple[Array, Array, Array],
     *,
-    substeps: int,
+    substeps: Steps,
     gain: Array | None = None,
 ) -> Outputs3:
     """Outputs of the model with these parameters: simulated, or predicted one sample ahead where there is a gain."""
@@ -180,7 +182,7 @@ def residual(
     unknowns: Unknowns,
     whitener: Array,
     *,
-    substeps: int,
+    substeps: Steps,
     gain: Array | None = None,
 ) -> tuple[Outputs3, Float[Array, "start experiment"]]:
     """The one residual: whitened output errors, and how far the start is from what is known of it."""
@@ -199,7 +201,7 @@ def triangle(
     unknowns: Unknowns,
     whitener: Array,
     *,
-    substeps: int,
+    substeps: Steps,
     gain: Array | None = None,
 ) -> Float[Array, "experiment row column"]:
     """Residual and Jacobian of each experiment, compressed without loss to the triangular factor of [J, r].

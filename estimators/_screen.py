@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 
 from estimators._problem import Data, Space, Unknowns, residual
 from rtac_jax import RTAC
+from rtac_jax._simulate import Steps
 from rtac_jax.effects import Force, Motion, States
 
 _AT_ONCE = 8
@@ -21,7 +22,7 @@ Rows = Float[np.ndarray, "row column"]
 class Innovations:
     """Innovations of a predictor with frozen gains, as a function of parameter values; rows are whitened samples."""
 
-    def __init__(self, model: RTAC, data: Data, space: Space, whitener: Array, gain: Array, substeps: int):
+    def __init__(self, model: RTAC, data: Data, space: Space, whitener: Array, gain: Array, substeps: Steps):
         self.model, self.data, self.space = model, data, space
         self.whitener, self.gain, self.substeps = whitener, gain, substeps
         self.used = np.asarray(data.present).any(axis=(0, 2))
@@ -41,9 +42,7 @@ class Innovations:
 
     def along(self, model: RTAC, directions: Any, placed: Any) -> Rows:
         """Derivatives of the innovations along directions of some leaves of a model; see `_derivatives`."""
-        found = _derivatives(
-            model, placed, directions, self.data, self.space, self.whitener, self.gain, self.substeps
-        )
+        found = _derivatives(model, placed, directions, self.data, self.space, self.whitener, self.gain, self.substeps)
         return self._rows(np.asarray(found))
 
     def jacobian(self) -> Rows:
@@ -68,7 +67,7 @@ class Innovations:
 
 
 def _error(
-    model: RTAC, data: Data, space: Space, whitener: Array, gain: Array, values: Array, substeps: int
+    model: RTAC, data: Data, space: Space, whitener: Array, gain: Array, values: Array, substeps: Steps
 ) -> Array:
     fixed = dataclasses.replace(space, values=values, active=jnp.zeros((0,), dtype=int))
     unknowns = Unknowns(jnp.zeros(0), _each(space), jnp.zeros((0, data.experiments)))
@@ -82,14 +81,14 @@ def _each(space: Space) -> Array:
 
 @eqx.filter_jit
 def _innovations(
-    model: RTAC, data: Data, space: Space, whitener: Array, gain: Array, values: Array, substeps: int
+    model: RTAC, data: Data, space: Space, whitener: Array, gain: Array, values: Array, substeps: Steps
 ) -> Array:
     return jax.vmap(lambda v: _error(model, data, space, whitener, gain, v, substeps))(values)
 
 
 @eqx.filter_jit
 def _jacobian(
-    model: RTAC, data: Data, space: Space, whitener: Array, gain: Array, directions: Array, substeps: int
+    model: RTAC, data: Data, space: Space, whitener: Array, gain: Array, directions: Array, substeps: Steps
 ) -> Array:
     def function(values: Array) -> Array:
         return _error(model, data, space, whitener, gain, values, substeps)
@@ -131,7 +130,14 @@ class Probe(Force):
 
 @eqx.filter_jit
 def _derivatives(
-    model: RTAC, probe: Probe, directions: Array, data: Data, space: Space, whitener: Array, gain: Array, substeps: int
+    model: RTAC,
+    probe: Probe,
+    directions: Array,
+    data: Data,
+    space: Space,
+    whitener: Array,
+    gain: Array,
+    substeps: Steps,
 ) -> Array:
     """Derivatives of the innovations by the heights of a probe at zero."""
 
@@ -202,7 +208,13 @@ def force_curves(
             gain = float(explained @ explained)
             found.append(
                 ForceCurve(
-                    port, variable, gain - keep.sum() * np.log(count), low + spacing * np.arange(KNOTS), curve, std, gain
+                    port,
+                    variable,
+                    gain - keep.sum() * np.log(count),
+                    low + spacing * np.arange(KNOTS),
+                    curve,
+                    std,
+                    gain,
                 )
             )
     return sorted(found, key=lambda curve: -curve.score)

@@ -8,13 +8,15 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from rtac_jax._excitation import Excitation
 from rtac_jax._rtac import RTAC
 from rtac_jax.measurement import Experiment
 
 State = tuple[Any, ...]
+Steps = int | Int[Array, ""]
+"""A number of steps; an array compiles once for all numbers."""
 
 _NEGLIGIBLE = 1e-100
 
@@ -26,7 +28,7 @@ def advance(
     force: Sequence[Any] | None,
     excitation: Excitation,
     *,
-    substeps: int,
+    substeps: Steps,
 ) -> State:
     """The state one sample later, by `substeps` classic Runge-Kutta steps, cut where dry friction brings to rest.
 
@@ -59,10 +61,9 @@ def advance(
         )
         return model.stop(at, smooth, step, excitation.arm_free, excitation.cart_free)
 
-    # A loop also where it is short: unrolled steps compile longer, run no faster, and where their results are used many
-    # times the compiler fuses them into each use.
-    begins = jnp.arange(substeps) / substeps
-    return jax.lax.scan(lambda at, begin: (runge_kutta(at, begin), None), state, begins)[0]
+    # A loop whose length the compiler does not know: unrolled steps compile longer and run no faster, and where their
+    # results are used many times they would be fused into, and computed anew for, each use.
+    return jax.lax.fori_loop(0, jnp.asarray(substeps), lambda k, at: runge_kutta(at, k / substeps), state)
 
 
 def _polynomial(coefficients: Sequence[Any] | None, fraction: Any) -> Any:
@@ -94,7 +95,7 @@ def trajectories(
     excitation: Excitation,
     *,
     samples: int,
-    substeps: int,
+    substeps: Steps,
     measured: tuple[Float[Array, "sample output experiment"], Float[Array, "sample output experiment"]] | None = None,
     gain: Float[Array, "sample state output experiment"] | None = None,
     states: bool = False,
@@ -207,7 +208,7 @@ def simulate(
         table[:, column] = values
     samples = max(e.samples for e in chosen)
     steps = substeps if substeps is not None else substeps_for(model, excitation, stability=0.5)
-    found = np.asarray(_states(model, jnp.asarray(table), excitation, samples, steps))
+    found = np.asarray(_states(model, jnp.asarray(table), excitation, samples, jnp.asarray(steps)))
     shown = [np.broadcast_to(np.asarray(y), found[:, 0].shape) for y in model.outputs(tuple(np.moveaxis(found, 1, 0)))]
     result = {}
     for column, e in enumerate(chosen):
@@ -219,5 +220,5 @@ def simulate(
 
 
 @eqx.filter_jit
-def _states(model: RTAC, start: Array, excitation: Excitation, samples: int, substeps: int) -> Array:
+def _states(model: RTAC, start: Array, excitation: Excitation, samples: int, substeps: Steps) -> Array:
     return trajectories(model, tuple(start), excitation, samples=samples, substeps=substeps, states=True)

@@ -1,0 +1,151 @@
+"""The loop: compare, diagnose, add the effect, fit again, until nothing rejects or the held-out error stops falling."""
+
+import dataclasses
+import time
+from collections.abc import Sequence
+from typing import Any
+
+from estimators._compare import Comparison, compare
+from estimators._diagnose import Candidate, Diagnosis, Verdict, diagnose
+from estimators._output_error import Fit, output_error
+from rtac_jax import RTAC
+from rtac_jax.effects import Effect
+from rtac_jax.measurement import Recording
+
+
+@dataclasses.dataclass(frozen=True)
+class Improvement:
+    """Result of `improve`.
+
+    Attributes:
+        fits: of the base model and of every model after it, in order.
+        diagnoses: one for every fit that was diagnosed.
+        added: the effects that were added, in order, as the diagnosis saw them.
+        verdict: "adequate" if nothing was missing, "missing" if what was added makes the model adequate or all that can be
+            named, else what the last diagnosis says.
+        train, validation: every model against the experiments that it was fitted to, and against those held out.
+        stopped: why the loop ended.
+        seconds: how long it took.
+    """
+
+    fits: tuple[Fit, ...]
+    diagnoses: tuple[Diagnosis, ...]
+    added: tuple[Candidate, ...]
+    verdict: Verdict
+    train: Comparison
+    validation: Comparison
+    stopped: str
+    seconds: float
+
+    @property
+    def base(self) -> Fit:
+        """The fit without any effect added."""
+        return self.fits[0]
+
+    @property
+    def final(self) -> Fit:
+        """The fit with all effects added."""
+        return self.fits[-1]
+
+    def __str__(self) -> str:
+        lines = []
+        for diagnosis in self.diagnoses:
+            lines.append(diagnosis.explanation)
+        lines.append(self.stopped)
+        for title, comparison in (("train", self.train), ("validation", self.validation)):
+            for model in comparison.models:
+                errors = ", ".join(
+                    f"{channel} {e.rms:.3g} ({e.rms_over_noise:.2f} times the noise)" for channel, e in model.errors.items()
+                )
+                lines.append(f"{title:10s} {model.label:24s} {errors}")
+        return "\n".join(lines)
+
+    def plot(self) -> Any:
+        """Error before and after, as a matplotlib figure."""
+        from estimators.plots import plot_improvement
+
+        return plot_improvement(self)
+
+
+def improve(
+    model: RTAC,
+    recording: Recording,
+    *,
+    validation: Sequence[str] | None = None,
+    candidates: Sequence[type[Effect]] | None = None,
+    most: int = 4,
+    progress: bool = True,
+) -> Improvement:
+    """Fit, diagnose, add what is missing, fit again, and validate on experiments that no fit has seen.
+
+    An effect is kept if the error of the held-out experiments falls in the channels together.
+
+    Args:
+        validation: names of the experiments to hold out; by default every fourth of each kind.
+        candidates: classes of effects to try; by default the whole catalogue.
+        most: effects to add at most.
+        progress: show bars.
+
+    Raises:
+        ValueError: there is nothing to hold out, or nothing moves.
+        NotIdentifiableError, DivergedError: as `output_error`.
+    """
+    began = time.perf_counter()
+    train, held_out = recording.split(validation)
+    fits = [output_error(model, train, progress=progress)]
+    tested = [compare(fits[0], held_out, labels=["base"]).models[0]]
+    diagnoses: list[Diagnosis] = []
+    added: list[Candidate] = []
+    while True:
+        found = diagnose(fits[-1], train, candidates=candidates, progress=progress)
+        diagnoses.append(found)
+        if found.best is None:
+            stopped = {
+                "adequate": "Stopped: nothing more is missing.",
+                "unknown": "Stopped: what is missing is not in the catalogue.",
+            }[found.verdict]
+            break
+        if len(added) == most:
+            stopped = f"Stopped: {most} effects were added; more seem to be missing."
+            break
+        better = output_error(fits[-1].model + found.best, train, from_model=True, progress=progress)
+        label = "+ " + ", ".join([*(c.id for c in added), found.best.id])
+        test = compare(better, held_out, labels=[label]).models[0]
+        if _misfit(test) > _misfit(tested[-1]):
+            stopped = f"Stopped: with {found.best.id} the held-out error would not fall."
+            break
+        fits.append(better)
+        tested.append(test)
+        added.append(found.effects[0])
+        left = [c for c in (candidates or _catalogue()) if c.id not in better.model]
+        if not left:
+            stopped = "Stopped: every candidate was added."
+            break
+    labels = [model.label for model in tested]
+    last = diagnoses[-1].verdict
+    verdict: Verdict = last
+    if added:
+        ambiguous = any(d.verdict == "ambiguous" for d in diagnoses[: len(added)])
+        verdict = "ambiguous" if ambiguous else "missing"
+    return Improvement(
+        fits=tuple(fits),
+        diagnoses=tuple(diagnoses),
+        added=tuple(added),
+        verdict=verdict,
+        train=compare(fits, train, labels=labels),
+        validation=Comparison(tuple(tested)),
+        stopped=stopped,
+        seconds=time.perf_counter() - began,
+    )
+
+
+def _catalogue() -> list[type[Effect]]:
+    from rtac_jax.effects import CATALOGUE
+
+    return list(CATALOGUE.values())
+
+
+def _misfit(compared: Any) -> float:
+    """Mean over the channels of the error in units of the noise, where no channel can hide another."""
+    errors = [e.rms_over_noise for e in compared.errors.values()]
+    return sum(errors) / len(errors)

@@ -1,0 +1,140 @@
+"""Which effect is missing: the candidates beside each other, and the missing force as a curve."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from estimators._diagnose import Candidate, Diagnosis
+from estimators._screen import ALARM, ForceCurve
+from estimators.plots._style import NAMES, SMALL, UNITS, Picture, picture, prefixed, tidy, times, title
+
+_MOST_BARS = 14
+_FORCE = {"cart": ("force", "N"), "arm": ("torque", "N m")}
+_RUNNERS_UP = ("cart_position", "cart_velocity", "arm_angle")
+
+
+def plot_diagnosis(diagnosis: Diagnosis) -> Picture:
+    """Scores of the candidates with what would have been found of each, and the missing force against what it depends on."""
+    curves = _chosen(diagnosis.curves)
+    figure = picture(9.6, 6.2)
+    if curves:
+        grid = figure.add_gridspec(2, 4, width_ratios=[1.35, 1.35, 1, 1], height_ratios=[1.15, 1])
+        bars = figure.add_subplot(grid[:, :2])
+        places: list[Any] = [grid[0, 2:]]
+        places += [grid[1, 2], grid[1, 3]] if len(curves) > 2 else [grid[1, 2:]]
+        for place, curve in zip(places, curves, strict=False):
+            _curve(figure.add_subplot(place), curve, narrow=len(curves) > 2 and place is not places[0])
+    else:
+        bars = figure.add_subplot()
+    _bars(bars, diagnosis)
+    title(figure, finding(diagnosis))
+    return figure
+
+
+def finding(diagnosis: Diagnosis) -> str:
+    """The verdict in one line, with the numbers that carry it."""
+    accepted = diagnosis.effects
+    if diagnosis.verdict == "adequate":
+        count = sum(c.testable for c in diagnosis.candidates)
+        return f"Nothing is missing at the noise floor: none of {len(diagnosis.candidates)} candidates ({count} testable) stands out"
+    if diagnosis.verdict == "unknown":
+        best = diagnosis.curves[0] if diagnosis.curves else None
+        where = f"; what is missing on the {best.port} depends most on {NAMES[best.variable]}" if best else ""
+        return f"The model fails, and no effect of the catalogue explains it{where}"
+    best = accepted[0]
+    share = f"{100 * best.error_reduction:.0f} % of the misfit"
+    if diagnosis.verdict == "ambiguous":
+        others = ", ".join(c.id for c in accepted[1:])
+        return f"{best.id} explains {share}, but the data cannot tell it from {others}"
+    rest = [c for c in diagnosis.candidates if c.id not in {a.id for a in accepted} and c.score > ALARM]
+    if not rest:
+        return f"{best.id} explains {share}; nothing else comes near"
+    second = max(rest, key=lambda c: (c.bic_gain, c.score))
+    return f"{best.id} explains {share}; the next, {second.id}, {100 * second.error_reduction:.0f} %"
+
+
+def _bars(axes: Any, diagnosis: Diagnosis) -> None:
+    accepted = {c.id for c in diagnosis.effects}
+    ranked = list(diagnosis.candidates)
+    shown = ranked[:_MOST_BARS]
+    top = max([c.score for c in shown] + [2 * ALARM])
+    for row, c in enumerate(shown):
+        axes.barh(
+            row, max(c.score, 0.0), height=0.62, edgecolor="black", linewidth=0.6,
+            color="#08306b" if c.id in accepted else "0.8" if c.score >= ALARM else "0.95",
+            hatch="" if c.id in accepted or c.score < ALARM else "///",
+        )  # fmt: skip
+        axes.annotate(
+            _remark(c, c.id in accepted), (1.0, row), xycoords=("axes fraction", "data"), xytext=(-2, 0),
+            textcoords="offset points", ha="right", va="center", fontsize=7.5,
+            fontweight="bold" if c.id in accepted else "normal",
+        )  # fmt: skip
+    axes.axvline(ALARM, color="black", linestyle="--", linewidth=1)
+    axes.set_xscale("symlog", linthresh=ALARM, linscale=0.6)
+    # The remarks stand to the right of the longest bar.
+    decades = np.log10(top / ALARM)
+    axes.set_xlim(0, ALARM * 10 ** (2.1 * decades + 1.2))
+    axes.set_xticks(*_ticks(top))
+    axes.minorticks_off()
+    names = [f"{'★ ' if c.id in accepted else ''}{c.id}" for c in shown]
+    axes.set_yticks(range(len(shown)), names)
+    axes.set_ylim(len(shown) - 0.4, -1.1)
+    axes.text(ALARM, -0.62, " alarm: chi-square 20", fontsize=7.5, ha="left", va="center")
+    axes.set_xlabel("Score: chi-square gained less the price of the parameters [1]", fontsize=SMALL)
+    more = f" (first {len(shown)} of {len(ranked)})" if len(shown) < len(ranked) else ""
+    axes.set_title(f"candidates{more}; ★ and dark: accepted", fontsize=9, loc="left")
+    tidy(axes)
+    axes.grid(False, axis="y")
+
+
+def _ticks(top: float) -> tuple[list[float], list[str]]:
+    found = [0.0, ALARM]
+    found += [10.0**n for n in range(2, int(np.log10(top)) + 2) if 10.0**n <= 3 * top]
+    step = 1 + len(found) // 6
+    found = [*found[:2], *found[2::step]]
+    return found, [f"{value:g}" if value < 1e4 else f"$10^{{{np.log10(value):.0f}}}$" for value in found]
+
+
+def _remark(c: Candidate, accepted: bool) -> str:
+    if c.refitted and (accepted or c.bic_gain > 0):
+        return f"removes {100 * c.error_reduction:.0f} % of the misfit"
+    if not np.isfinite(c.detection_limit) or not c.testable:
+        return "not testable"
+    scale = prefixed(c.detection_limit, c.unit)
+    return f"found from {scale.factor * c.detection_limit:.2g} {scale.unit}".rstrip(" 1")
+
+
+def _chosen(curves: Sequence[ForceCurve]) -> list[ForceCurve]:
+    """The best curve and up to two others of the same port, against what is most often to blame."""
+    if not curves:
+        return []
+    best = curves[0]
+    others = [c for c in curves[1:] if c.variable in _RUNNERS_UP and c.variable != best.variable]
+    others.sort(key=lambda c: (c.port != best.port, -c.score))
+    different = list({c.variable: c for c in reversed(others)}.values())[::-1]
+    return [best, *different[:2]]
+
+
+def _curve(axes: Any, curve: ForceCurve, *, narrow: bool) -> None:
+    what, unit = _FORCE[curve.port]
+    across = prefixed(float(np.max(np.abs(curve.at))), UNITS[curve.variable])
+    # At the ends of its range a variable is seldom, and a band of that width would flatten everything else.
+    sound = curve.std <= 6 * np.median(curve.std)
+    reach = float(np.max(np.abs(curve.force[sound]) + 2 * curve.std[sound], initial=0.0)) or 1.0
+    up = prefixed(reach, unit)
+    x = across.factor * curve.at
+    low, high = (up.factor * (curve.force + sign * 2 * curve.std) for sign in (-1, 1))
+    axes.fill_between(x, low, high, color="0.82", linewidth=0, label="±2 std")
+    axes.plot(x, up.factor * curve.force, color="#08306b", marker="o", markersize=3, linewidth=1.2, label="missing")
+    axes.axhline(0, color="black", linewidth=0.6)
+    axes.set_ylim(-1.2 * up.factor * reach, 1.2 * up.factor * reach)
+    name = NAMES[curve.variable]
+    axes.set_xlabel(f"{name[0].upper()}{name[1:]} [{across.unit}]", fontsize=SMALL)
+    axes.set_ylabel(f"{what.capitalize()} [{up.unit}]", fontsize=SMALL)
+    explains = f"chi-square {times(max(curve.explains, 0.0))}" if curve.score > ALARM else "by chance"
+    head = f"missing on the {curve.port}: {explains}"
+    axes.set_title(head.replace(": ", ":\n") if narrow else head, fontsize=SMALL if narrow else 9, loc="left")
+    tidy(axes)
+    if not narrow:
+        axes.legend(fontsize=7, loc="best")

@@ -1,0 +1,149 @@
+"""What all pictures share: units with prefixes, line styles that differ in print, thinning of long signals."""
+
+import io
+import textwrap
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from matplotlib.figure import Figure
+
+Values = Float[np.ndarray, " sample"]
+
+NAMES = {
+    "cart_position": "cart position",
+    "cart_velocity": "cart velocity",
+    "arm_velocity": "arm velocity",
+    "arm_angle": "arm angle",
+    "current": "motor current",
+    "disturbance_force": "disturbance force",
+}
+UNITS = {
+    "cart_position": "m",
+    "cart_velocity": "m/s",
+    "arm_velocity": "rad/s",
+    "arm_angle": "rad",
+    "current": "A",
+    "disturbance_force": "N",
+}
+MEASURED: dict[str, Any] = {"color": "0.65", "linewidth": 2.4, "linestyle": "-"}
+# From light to dark, so that the order survives a black-and-white print.
+MODELS: tuple[dict[str, Any], ...] = (
+    {"color": "#e6550d", "linewidth": 1.1, "linestyle": "--"},
+    {"color": "#08306b", "linewidth": 1.0, "linestyle": "-"},
+    {"color": "#31a354", "linewidth": 1.0, "linestyle": "-."},
+    {"color": "#756bb1", "linewidth": 1.0, "linestyle": ":"},
+)
+RESIDUALS: tuple[str, ...] = ("#fd8d3c", "#08306b", "#31a354", "#756bb1")
+MARKERS = ("o", "s", "^")
+HATCHES = ("", "///", "...")
+NOISE: dict[str, Any] = {"color": "0.85", "linewidth": 0}
+SMALL = 8
+
+_PREFIXES = ((1e9, "G"), (1e6, "M"), (1e3, "k"), (1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))
+_MOST_POINTS = 2000
+_WIDEST_TITLE = 12.5  # characters per inch at the size of a title
+
+
+class Picture(Figure):
+    """A figure that a notebook shows by itself; it needs no display and no pyplot."""
+
+    def _repr_png_(self) -> bytes:
+        return image_bytes(self, "png")
+
+
+class Scaled(NamedTuple):
+    """What to multiply SI values with, and the unit that they then have."""
+
+    factor: float
+    unit: str
+
+
+def image_bytes(figure: Figure, kind: Literal["png", "svg"]) -> bytes:
+    """The figure as the contents of an image file; the same figure gives the same bytes."""
+    kept = io.BytesIO()
+    metadata = {"Date": None} if kind == "svg" else {}
+    figure.savefig(kept, format=kind, dpi=150, metadata=metadata)
+    return kept.getvalue()
+
+
+def picture(width: float, height: float) -> Picture:
+    """An empty figure of this size in inches, laid out so that labels do not overlap."""
+    figure = Picture(figsize=(width, height), layout="constrained")
+    figure.get_layout_engine().set(w_pad=0.06, h_pad=0.06)  # type: ignore[union-attr]
+    return figure
+
+
+def prefixed(largest: float, unit: str) -> Scaled:
+    """The SI prefix with which the largest value is between 1 and 1000."""
+    if not np.isfinite(largest) or largest <= 0 or unit in ("1", ""):
+        return Scaled(1.0, unit)
+    if unit == "kg":
+        size, gram = prefixed(1e3 * largest, "g")
+        return Scaled(1.0, "kg") if largest >= 1 else Scaled(1e3 * size, gram)
+    # Prefixes on radians read badly in the middle range; speeds of an arm are of order one anyway.
+    for size, prefix in _PREFIXES:
+        if largest >= 0.9 * size:
+            return Scaled(1 / size, prefix + unit)
+    size, prefix = _PREFIXES[-1]
+    return Scaled(1 / size, prefix + unit)
+
+
+def axis(channel: str, *signals: Any) -> Scaled:
+    """The scale for one channel that fits all these signals."""
+    return prefixed(max((largest(s) for s in signals), default=1.0), UNITS[channel])
+
+
+def largest(values: Any) -> float:
+    """The largest absolute value that is finite, or zero."""
+    found = np.abs(np.asarray(values, dtype=float))
+    return float(np.max(found, where=np.isfinite(found), initial=0.0))
+
+
+def label(channel: str, unit: str) -> str:
+    """Name and unit for an axis."""
+    name = NAMES[channel]
+    return f"{name[0].upper()}{name[1:]} [{unit}]"
+
+
+def thin(time: Values, values: Values) -> tuple[np.ndarray, np.ndarray]:
+    """Fewer points that look the same: of each stretch the smallest and the largest value, in their order."""
+    if len(values) <= _MOST_POINTS:
+        return time, values
+    width = int(np.ceil(2 * len(values) / _MOST_POINTS))
+    count = len(values) // width
+    blocks = values[: count * width].reshape(count, width)
+    filled = np.where(np.isfinite(blocks), blocks, np.inf)
+    low = np.argmin(filled, axis=1)
+    high = np.argmax(np.where(np.isfinite(blocks), blocks, -np.inf), axis=1)
+    index = (np.arange(count) * width)[:, None] + np.sort(np.stack([low, high], axis=1), axis=1)
+    index = np.append(index.ravel(), np.arange(count * width, len(values)))
+    return time[index], values[index]
+
+
+def worst_stretch(residual: Values, most: int = 1200) -> slice:
+    """The samples to look at closely in a long experiment: where the residual is largest."""
+    if len(residual) <= _MOST_POINTS:
+        return slice(0, len(residual))
+    power = np.cumsum(np.concatenate([[0.0], np.nan_to_num(residual) ** 2]))
+    first = int(np.argmax(power[most:] - power[:-most]))
+    return slice(first, first + most)
+
+
+def title(figure: Figure, text: str) -> None:
+    """State the finding above the figure, broken into lines that fit."""
+    width = int(_WIDEST_TITLE * figure.get_figwidth())
+    figure.suptitle(textwrap.fill(text, width), fontsize=11, fontweight="bold")
+
+
+def tidy(axes: Any) -> None:
+    """Light grid, small tick labels, no frame where nothing is read off."""
+    axes.grid(True, color="0.9", linewidth=0.6)
+    axes.set_axisbelow(True)
+    axes.tick_params(labelsize=SMALL)
+    axes.spines[["top", "right"]].set_visible(False)
+
+
+def times(ratio: float) -> str:
+    """A ratio in three figures."""
+    return f"{ratio:.0f}" if ratio >= 100 else f"{ratio:.1f}" if ratio >= 10 else f"{ratio:.2f}"

@@ -9,8 +9,8 @@ from estimators._results import RESULTS, DivergedError, NotIdentifiableError
 
 __all__ = [
     "RESULTS",
-    "ClosedForm",
     "Candidate",
+    "ClosedForm",
     "Comparison",
     "Diagnosis",
     "DivergedError",

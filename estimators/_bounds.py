@@ -10,6 +10,7 @@ from estimators._levenberg_marquardt import Arguments, Solved, factor, solve
 from estimators._problem import Space, Unknowns
 
 _NEAR = 0.3  # standard deviations from its bound at which a parameter is held there
+_TURNS = 4  # of holding and releasing, before what is left is taken as it is
 _AT = 1e5  # unconstrained value that is as good as the bound
 
 
@@ -22,7 +23,9 @@ def solve_bounded(
     """
     whole = arguments.space
     held: dict[int, float] = {}
-    for _ in range(4):
+    turn = 0
+    while True:
+        turn += 1
         space, at = _holding(whole, unknowns, held)
         solved = solve(
             at, dataclasses.replace(arguments, space=space), tolerance=tolerance, most=most, progress=progress
@@ -31,14 +34,13 @@ def solve_bounded(
         full = np.asarray(factor(unknowns, dataclasses.replace(arguments, space=whole)))
         before = dict(held)
         held = _on_bounds(whole, unknowns, full, held)
-        if held == before:
-            break
+        if held == before or turn == _TURNS:
+            return solved._replace(factor=full)
         released = [place for place in before if place not in held]
         if released:
             inside = np.asarray(unknowns.shared).copy()
             inside[released] = 3.0 * np.sign(inside[released])
             unknowns = unknowns._replace(shared=jnp.asarray(inside))
-    return solved._replace(factor=full)
 
 
 def _holding(space: Space, unknowns: Unknowns, held: dict[int, float]) -> tuple[Space, Unknowns]:

@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.stats import chi2, norm
 
-from estimators._levenberg_marquardt import Arguments, plain_residual
 from estimators._bounds import solve_bounded
+from estimators._levenberg_marquardt import Arguments, plain_residual
 from estimators._noise import noise_levels
 from estimators._output_error import Fit, diagonal_whitener, moving
 from estimators._problem import CHANNELS, Data

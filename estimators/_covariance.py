@@ -64,11 +64,11 @@ def information(factor: np.ndarray, space: Space, unknowns: Unknowns) -> Informa
     """
     shared = len(unknowns.shared)
     rows = []
-    for block in factor:
+    for block in np.asarray(factor):
         # Rotate the experiment's own unknowns away: what remains below them is what it says of the shared ones.
         own = block[:, shared:-1]
         order = np.concatenate([own, block[:, :shared]], axis=1)
-        triangle = np.linalg.qr(order, mode="r")
+        triangle = np.asarray(np.linalg.qr(order, mode="r"))
         rows.append(triangle[own.shape[1] :, own.shape[1] :])
     slope = _slope(space, unknowns)
     names = tuple(space.names[int(i)] for i in np.asarray(space.active) if int(i) < len(space.names))

@@ -15,12 +15,12 @@ def demo_rig() -> Rig:
         flexible_mass=0.12,
         flexible_frequency=37.4,
         flexible_damping=0.03,
-        position_noise=3e-6,
+        position_noise=2e-6,
         quantisation_bits=16,
     )
 
 
-def demo_recording(*, duration: float = 6.0, seed: int = SEED) -> Recording:
-    """Three free decays, six forced runs and one rest at 200 Hz."""
-    plans = standard_plans(seed=seed, sample_time=0.005, duration=duration, free=3, forced=6, rest=1)
+def demo_recording(*, duration: float = 4.0, seed: int = SEED) -> Recording:
+    """Two free decays, four forced runs and one rest at 200 Hz."""
+    plans = standard_plans(seed=seed, sample_time=0.005, duration=duration, free=2, forced=4, rest=1)
     return record(demo_rig(), plans, seed=seed)

@@ -7,7 +7,6 @@ from typing import Any, Literal
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
 from scipy.stats import chi2
 from tqdm import tqdm
 
@@ -20,8 +19,8 @@ from estimators._problem import CHANNELS, Data, Space
 from estimators._screen import ALARM, ForceCurve, Innovations, Screened, force_curves, orthonormal, screen
 from estimators._start import scales_of, space_of
 from rtac_jax import RTAC, require_configured
-from rtac_jax._simulate import Steps
 from rtac_jax._parameter import declarations
+from rtac_jax._simulate import Steps
 from rtac_jax.effects import CATALOGUE, Effect
 from rtac_jax.measurement import Experiment, Recording
 
@@ -141,6 +140,13 @@ def diagnose(
         return work.run(began)
 
 
+@dataclasses.dataclass(frozen=True)
+class _Refit:
+    bic_gain: float
+    predictor: Predictor
+    space: Space
+
+
 @dataclasses.dataclass
 class _Work:
     """What stays the same over one diagnosis: the model with all candidates at null, and the data."""
@@ -200,7 +206,7 @@ class _Work:
         space = self.space(self.model, base_free)
         base = self.predictor(space)
         self.bar.set_description("diagnose: candidates")
-        screened, curves, innovations = self._screen(space, base)
+        screened, curves = self._screen(space, base)
         best_by_id: dict[str, Screened] = {}
         for one in screened:
             if one.id not in best_by_id or one.statistic > best_by_id[one.id].statistic:
@@ -210,7 +216,7 @@ class _Work:
         alarms = [s for s in ranked if s.statistic >= ALARM and s.robust >= _ROBUST and self._p(s, tried) < 0.01]
         top = self._score(ranked[0]) if ranked else 0.0
         chosen = [s for i, s in enumerate(alarms) if i < _REFITS or self._score(s) > (1 - _CLOSE) * top]
-        refits: dict[str, tuple[float, float, Predictor, Space]] = {}
+        refits: dict[str, _Refit] = {}
         for s in chosen:
             self.bar.set_description(f"diagnose: refit with {s.id}")
             refits[s.id] = self._refit(s, base)
@@ -228,7 +234,7 @@ class _Work:
 
     # -- steps -------------------------------------------------------------------------------------------------------
 
-    def _screen(self, space: Space, base: Predictor) -> tuple[list[Screened], list[ForceCurve], Innovations]:
+    def _screen(self, space: Space, base: Predictor) -> tuple[list[Screened], list[ForceCurve]]:
         placed = dataclasses.replace(space, values=base.physical[0])
         innovations = Innovations(
             self.model, self.data, placed, base.filtered.whitener, base.filtered.gain, self.substeps
@@ -257,7 +263,7 @@ class _Work:
         gain = base.filtered.gain[:, : len(self.fit.model.states)]
         probed = Innovations(self.fit.model, self.data, bare, base.filtered.whitener, gain, self.substeps)
         curves = force_curves(probed, error, basis, self._ranges())
-        return screened, curves, innovations
+        return screened, curves
 
     def _ranges(self) -> dict[str, tuple[float, float]]:
         def between(values: list[np.ndarray]) -> tuple[float, float]:
@@ -280,8 +286,8 @@ class _Work:
             "current": between([e.inputs["current"].values for e in self.experiments if "current" in e.inputs]),
         }
 
-    def _refit(self, s: Screened, base: Predictor) -> tuple[float, float, Predictor, Space]:
-        """BIC gain, share of the misfit removed, predictor and space of the base model with one candidate."""
+    def _refit(self, s: Screened, base: Predictor) -> "_Refit":
+        """The base model with one candidate, fitted together."""
         names = [n for n in declarations(s.instance) if not declarations(s.instance)[n].fixed]
         values = dict(zip(self.space(self.model, []).names, np.asarray(base.physical[0]), strict=True))
         for name in declarations(s.instance):
@@ -297,7 +303,7 @@ class _Work:
         found = self.predictor(space, base.noise)
         count = float(np.sum(np.asarray(self.data.present)))
         gain = 2 * (found.log_likelihood - base.log_likelihood) - len(names) * np.log(count)
-        return gain, 0.0, found, space
+        return _Refit(gain, found, space)
 
     def _score(self, s: Screened) -> float:
         count = float(np.sum(np.asarray(self.data.present)))
@@ -310,7 +316,7 @@ class _Work:
         self,
         s: Screened,
         tried: int,
-        refits: Mapping[str, tuple[float, float, Predictor, Space]],
+        refits: Mapping[str, _Refit],
         base: Predictor,
         ranked: Sequence[Screened],
         curves: Sequence[ForceCurve],
@@ -330,16 +336,16 @@ class _Work:
         }
         if s.id not in refits:
             return Candidate(**common)
-        gain, _, found, space = refits[s.id]
-        gains = [r[2].log_likelihood - base.log_likelihood for r in refits.values()]
+        refit = refits[s.id]
+        gains = [r.predictor.log_likelihood - base.log_likelihood for r in refits.values()]
         possible = max([*gains, *(0.5 * c.explains for c in curves[:1])])
-        own = found.log_likelihood - base.log_likelihood
+        own = refit.predictor.log_likelihood - base.log_likelihood
         return Candidate(
             **common,
             refitted=True,
-            bic_gain=gain,
+            bic_gain=refit.bic_gain,
             error_reduction=float(np.clip(own / possible, 0.0, 1.0)) if possible > 0 else 0.0,
-            parameters=self._parameters(s.id, found, space),
+            parameters=self._parameters(s.id, refit.predictor, refit.space),
         )
 
     def _parameters(self, effect: str, found: Predictor, space: Space) -> dict[str, Parameter]:
@@ -366,9 +372,8 @@ class _Work:
         close = [c for c in good if best.bic_gain - c.bic_gain < _BIC_GAIN]
         return ("ambiguous" if len(close) > 1 else "missing"), close
 
-    def _effect(self, effect: str, refit: tuple[float, float, Predictor, Space]) -> Effect:
-        _, _, found, space = refit
-        values = dict(zip(space.names, np.asarray(found.physical[0]), strict=True))
+    def _effect(self, effect: str, refit: "_Refit") -> Effect:
+        values = dict(zip(refit.space.names, np.asarray(refit.predictor.physical[0]), strict=True))
         cls = next(c for c in self.classes if c.id == effect)
         return cls(**{name: values[f"{effect}.{name}"] for name in declarations(cls)})
 

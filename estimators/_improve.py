@@ -55,7 +55,8 @@ class Improvement:
         for title, comparison in (("train", self.train), ("validation", self.validation)):
             for model in comparison.models:
                 errors = ", ".join(
-                    f"{channel} {e.rms:.3g} ({e.rms_over_noise:.2f} times the noise)" for channel, e in model.errors.items()
+                    f"{channel} {e.rms:.3g} ({e.rms_over_noise:.2f} times the noise)"
+                    for channel, e in model.errors.items()
                 )
                 lines.append(f"{title:10s} {model.label:24s} {errors}")
         return "\n".join(lines)

@@ -67,6 +67,7 @@ def kalman(
             return tuple(jnp.broadcast_to(y, shape) for y in placed.outputs(at))
 
         outputs, slopes = _with_slopes(shown, state, unit)
+        slopes = jax.lax.stop_gradient(slopes)
         gains, whitener, innovations = [], [], []
         likelihood = jnp.zeros(shape)
         # Outputs are uncorrelated given the state, so they are taken one after the other; the rows of the triangular
@@ -80,7 +81,7 @@ def kalman(
             variance = sum(h[a] * ph[a] for a in range(count)) + sensor_variance[j]
             k = [there * x / variance for x in ph]
             # innovation_j = e_j - h . (shift so far), linear in the errors e_0 .. e_j
-            weights = [-sum(h[a] * effect_of[a][i] for a in range(count)) for i in range(3)]
+            weights: list[Any] = [-sum(h[a] * effect_of[a][i] for a in range(count)) for i in range(3)]
             weights[j] = weights[j] + 1.0
             error = row["values"][j] - outputs[j] - sum(h[a] * shift[a] for a in range(count))
             error = error * there
@@ -98,13 +99,18 @@ def kalman(
         gains = jnp.stack([jnp.stack(effect_of[a]) for a in range(count)])
         state = tuple(x + dx for x, dx in zip(state, shift, strict=True))
 
-        inputs = tuple(None if row[name] is None else tuple(row[name]) for name in ("current", "force"))
+        current, force = (None if row[name] is None else tuple(row[name]) for name in ("current", "force"))
 
         def forward(at: Any) -> Any:
-            return advance(placed, at, *inputs, excitation, substeps=substeps)
+            return advance(placed, at, current, force, excitation, substeps=substeps)
 
-        pushes = _pushes(placed, state, excitation)
-        state, jacobian = _with_slopes(forward, state, unit)
+        pushes = jax.lax.stop_gradient(_pushes(placed, state, excitation))
+        # Derivatives by the noise go through the linearised step that the filter has anyway; those of the linearisation
+        # itself would cost far more and matter far less.
+        here = jax.lax.stop_gradient(state)
+        there, jacobian = jax.lax.stop_gradient(_with_slopes(forward, here, unit))
+        away = [x - x0 for x, x0 in zip(state, here, strict=True)]
+        state = tuple(x + sum(line[b] * away[b] for b in range(count)) for x, line in zip(there, jacobian, strict=True))
         f = jnp.stack([jnp.stack(line) for line in jacobian])
         half = (
             0.5

@@ -296,21 +296,24 @@ def _forced_stage(model: RTAC, ready: Sequence[_Signals]) -> tuple[RTAC, dict[st
         return rows
 
     systems = [blocks(s) for s in ready]
-    weights = {2: (1.0, 1.0), 1: (1.0,)}
-    found, pooled = None, None
-    for _ in range(2):  # once to find the residual of each equation, once weighted by it
-        stacked = [
-            tuple(np.concatenate(parts) for parts in zip(*((w * m, w * t) for w, (m, t) in zip(weights[len(rows)], rows, strict=True)), strict=True))
-            for rows in systems
-        ]  # fmt: skip
-        found, pooled = _solve_each(stacked)
-        for size in (1, 2):
-            of_size = [rows for rows in systems if len(rows) == size]
-            if of_size:
-                weights[size] = tuple(
-                    1.0 / max(np.sqrt(np.mean([np.mean((r[i][1] - r[i][0] @ pooled) ** 2) for r in of_size])), 1e-300)
-                    for i in range(size)
-                )
+
+    def stacked(weights: Mapping[int, Sequence[float]]) -> list[tuple[np.ndarray, np.ndarray]]:
+        result = []
+        for rows in systems:
+            weighted = [(w * m, w * t) for w, (m, t) in zip(weights[len(rows)], rows, strict=True)]
+            result.append((np.concatenate([m for m, _ in weighted]), np.concatenate([t for _, t in weighted])))
+        return result
+
+    weights: dict[int, Sequence[float]] = {2: (1.0, 1.0), 1: (1.0,)}
+    _, pooled = _solve_each(stacked(weights))
+    for size in (1, 2):
+        of_size = [rows for rows in systems if len(rows) == size]
+        if of_size:
+            weights[size] = [
+                1.0 / max(np.sqrt(np.mean([np.mean((r[i][1] - r[i][0] @ pooled) ** 2) for r in of_size])), 1e-300)
+                for i in range(size)
+            ]
+    found, pooled = _solve_each(stacked(weights))
     labels = tuple(s.name for s in ready)
     estimates = {
         name: _summary(labels, found[:, i], pooled[i], model.parameters[name].unit) for i, name in enumerate(names)

@@ -97,12 +97,15 @@ class Space(eqx.Module):
 
     def physical(self, unknowns: Unknowns) -> tuple[Array, Array, Array]:
         """All shared parameters, those of each experiment, and the states at the start, in SI units."""
-        at = dict(mode="fill", fill_value=1.0)
+
+        def of_free(values: Array) -> Array:
+            return values.at[self.active].get(mode="fill", fill_value=1.0)
+
         free = to_physical(
             unknowns.shared,
-            self.lower.at[self.active].get(**at),
-            self.upper.at[self.active].get(**at),
-            self.scale.at[self.active].get(**at),
+            of_free(self.lower),
+            of_free(self.upper),
+            of_free(self.scale),
         )
         shared = self.values.at[self.active].set(free, mode="drop")
         each = to_physical(unknowns.each, self.each_lower[:, None], self.each_upper[:, None], self.each_scale[:, None])

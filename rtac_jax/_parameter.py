@@ -2,14 +2,17 @@
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-Scalar = Float[Array, "*batch"]
+if TYPE_CHECKING:
+    Scalar = Any  # constructors take numbers too and convert them, which type checkers cannot see
+else:
+    Scalar = Float[Array, "*batch"]
 """A parameter's value: a scalar, or one value for each experiment."""
 
 _KEY = "rtac_parameter"

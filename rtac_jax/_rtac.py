@@ -304,7 +304,7 @@ class RTAC(eqx.Module):
             return after
         sine, cosine = sincos(before[2])
         own = self._own_states(before)
-        motion = Motion(*before[:4], sine, cosine, 0.0, self.body)
+        motion = Motion(before[0], before[1], before[2], before[3], sine, cosine, 0.0, self.body)
         levels = [effect.levels(motion, own[effect.id]) for effect in rubbing]
         cart_cart, cart_arm, arm_arm = self._mobility(cosine, arm_free, cart_free)
         position, velocity, angle, arm_velocity, *rest = after

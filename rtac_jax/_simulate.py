@@ -118,8 +118,8 @@ def trajectories(
         if "gain" in row:
             error = (row["values"] - shown) * row["present"]
             state = tuple(x + sum(row["gain"][i, j] * error[j] for j in range(len(error))) for i, x in enumerate(state))
-        inputs = (None if row[name] is None else tuple(row[name]) for name in ("current", "force"))
-        state = advance(model, state, *inputs, excitation, substeps=substeps)
+        current, force = (None if row[name] is None else tuple(row[name]) for name in ("current", "force"))
+        state = advance(model, state, current, force, excitation, substeps=substeps)
         return tuple(_without_denormals(x) for x in state), shown
 
     return jax.lax.scan(one_sample, start, rows, length=samples)[1]
@@ -213,9 +213,9 @@ def simulate(
     result = {}
     for column, e in enumerate(chosen):
         part = slice(0, e.samples)
-        outputs = (np.array(y[part, column]) for y in shown)
+        position, velocity, angle = (np.array(y[part, column]) for y in shown)
         states = {name: np.array(found[part, row, column]) for row, name in enumerate(model.states)}
-        result[e.name] = Simulation(np.asarray(e.time), *outputs, states)
+        result[e.name] = Simulation(np.asarray(e.time), position, velocity, angle, states)
     return result
 
 

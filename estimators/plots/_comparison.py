@@ -12,6 +12,7 @@ from estimators.plots._style import (
     NOISE,
     RESIDUALS,
     SMALL,
+    UNITS,
     Picture,
     axis,
     label,
@@ -23,7 +24,6 @@ from estimators.plots._style import (
     title,
     worst_stretch,
 )
-from estimators.plots._style import UNITS
 
 _MOST_MODELS = 4
 
@@ -101,7 +101,7 @@ def _finding(comparison: Comparison, models: list[Any], rows: int) -> str:
     where = f"{NAMES[first.channel]} in {first.experiment}"
     if len(models) == 1:
         if before < 1.2:
-            return f"The model follows every experiment to the noise; the worst, {where}, has {times(before)} times it {shown}"
+            return f"The model follows every experiment to {times(before)} times the noise or better {shown}"
         return f"The model fails most in {where}, by {times(before)} times the noise {shown}"
     last = _same(models[-1].traces, first)
     after = last.rms / last.noise

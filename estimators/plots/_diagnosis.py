@@ -7,7 +7,7 @@ import numpy as np
 
 from estimators._diagnose import Candidate, Diagnosis
 from estimators._screen import ALARM, ForceCurve
-from estimators.plots._style import NAMES, SMALL, UNITS, Picture, picture, prefixed, tidy, times, title
+from estimators.plots._style import NAMES, SMALL, UNITS, Picture, picture, prefixed, quantity, tidy, times, title
 
 _MOST_BARS = 14
 _FORCE = {"cart": ("force", "N"), "arm": ("torque", "N m")}
@@ -15,7 +15,7 @@ _RUNNERS_UP = ("cart_position", "cart_velocity", "arm_angle")
 
 
 def plot_diagnosis(diagnosis: Diagnosis) -> Picture:
-    """Scores of the candidates with what would have been found of each, and the missing force against what it depends on."""
+    """Scores of the candidates with what would have been found of each, and the missing force as curves."""
     curves = _chosen(diagnosis.curves)
     figure = picture(9.6, 6.2)
     if curves:
@@ -36,8 +36,8 @@ def finding(diagnosis: Diagnosis) -> str:
     """The verdict in one line, with the numbers that carry it."""
     accepted = diagnosis.effects
     if diagnosis.verdict == "adequate":
-        count = sum(c.testable for c in diagnosis.candidates)
-        return f"Nothing is missing at the noise floor: none of {len(diagnosis.candidates)} candidates ({count} testable) stands out"
+        tried, count = len(diagnosis.candidates), sum(c.testable for c in diagnosis.candidates)
+        return f"Nothing is missing at the noise floor: none of {tried} candidates ({count} testable) stands out"
     if diagnosis.verdict == "unknown":
         best = diagnosis.curves[0] if diagnosis.curves else None
         where = f"; what is missing on the {best.port} depends most on {NAMES[best.variable]}" if best else ""
@@ -83,7 +83,8 @@ def _bars(axes: Any, diagnosis: Diagnosis) -> None:
     axes.text(ALARM, -0.62, " alarm: chi-square 20", fontsize=7.5, ha="left", va="center")
     axes.set_xlabel("Score: chi-square gained less the price of the parameters [1]", fontsize=SMALL)
     more = f" (first {len(shown)} of {len(ranked)})" if len(shown) < len(ranked) else ""
-    axes.set_title(f"candidates{more}; ★ and dark: accepted", fontsize=9, loc="left")
+    marked = "★ and dark: accepted" if accepted else "none accepted"
+    axes.set_title(f"candidates{more}; {marked}", fontsize=9, loc="left")
     tidy(axes)
     axes.grid(False, axis="y")
 
@@ -101,8 +102,7 @@ def _remark(c: Candidate, accepted: bool) -> str:
         return f"removes {100 * c.error_reduction:.0f} % of the misfit"
     if not np.isfinite(c.detection_limit) or not c.testable:
         return "not testable"
-    scale = prefixed(c.detection_limit, c.unit)
-    return f"found from {scale.factor * c.detection_limit:.2g} {scale.unit}".rstrip(" 1")
+    return f"found from {quantity(c.detection_limit, c.unit)}"
 
 
 def _chosen(curves: Sequence[ForceCurve]) -> list[ForceCurve]:
@@ -132,7 +132,7 @@ def _curve(axes: Any, curve: ForceCurve, *, narrow: bool) -> None:
     name = NAMES[curve.variable]
     axes.set_xlabel(f"{name[0].upper()}{name[1:]} [{across.unit}]", fontsize=SMALL)
     axes.set_ylabel(f"{what.capitalize()} [{up.unit}]", fontsize=SMALL)
-    explains = f"chi-square {times(max(curve.explains, 0.0))}" if curve.score > ALARM else "by chance"
+    explains = f"chi-square {times(max(curve.explains, 0.0))}" if curve.score > ALARM else "nothing beyond chance"
     head = f"missing on the {curve.port}: {explains}"
     axes.set_title(head.replace(": ", ":\n") if narrow else head, fontsize=SMALL if narrow else 9, loc="left")
     tidy(axes)

@@ -37,16 +37,18 @@ def finding(improvement: Improvement) -> str:
     if not improvement.added:
         if improvement.verdict == "adequate":
             return f"Nothing is missing: the held-out error of {NAMES[channel]} is {times(before)} times the noise"
-        return f"No effect could be added: the held-out error of {NAMES[channel]} stays at {times(before)} times the noise"
+        return (
+            f"No effect could be added: the held-out error of {NAMES[channel]} stays at {times(before)} times the noise"
+        )
     names = ", ".join(c.id for c in improvement.added)
-    return (
-        f"Adding {names} lowers the held-out error of {NAMES[channel]} from {times(before)} to {times(after)} times the noise"
-    )
+    fall = f"from {times(before)} to {times(after)} times the noise"
+    return f"Adding {names} lowers the held-out error of {NAMES[channel]} {fall}"
 
 
 def _ladder(axes: Any, improvement: Improvement) -> None:
     steps = range(len(improvement.validation.models))
     values = [1.0]
+    ends: list[tuple[float, float]] = []
     for number, channel in enumerate(improvement.validation.models[0].errors):
         for which, comparison in (("held out", improvement.validation), ("fitted", improvement.train)):
             ratios = _ratios(comparison, channel)
@@ -58,13 +60,17 @@ def _ladder(axes: Any, improvement: Improvement) -> None:
             )  # fmt: skip
             values += ratios
             if held_out:
-                _annotate(axes, ratios)
+                ends.append((ratios[0], ratios[-1]))
     axes.axhspan(1e-9, 1.0, color="0.93", zorder=0)
     axes.axhline(1.0, color="black", linestyle=":", linewidth=1.2)
     low, high = min(values), max(values)
     axes.set_ylim(low / 1.5, high * (high / low) ** 0.45)  # room for the legend
-    axes.set_xlim(-0.35, len(steps) - 1 + 0.35 if len(steps) > 1 else 0.65)
-    axes.text(0.99, 1.0 / 1.02, "noise floor ", transform=axes.get_yaxis_transform(), ha="right", va="top", fontsize=SMALL)
+    last = len(steps) - 1
+    axes.set_xlim(-0.3 * max(last, 1), last + 0.3 * max(last, 1))
+    _numbers(axes, 0, [first for first, _ in ends], left=True)
+    if last:
+        _numbers(axes, last, [final for _, final in ends], left=False)
+    axes.text(0.01, 1 / 1.03, "noise floor", transform=axes.get_yaxis_transform(), va="top", fontsize=SMALL)
     names = ["base", *(f"+ {c.id}" for c in improvement.added)]
     axes.set_xticks(list(steps), names, rotation=0 if len(names) < 4 else 20)
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
@@ -78,11 +84,17 @@ def _ladder(axes: Any, improvement: Improvement) -> None:
     tidy(axes)
 
 
-def _annotate(axes: Any, ratios: list[float]) -> None:
-    for step in {0, len(ratios) - 1}:
+def _numbers(axes: Any, step: int, ratios: list[float], *, left: bool) -> None:
+    """Values beside their markers, moved apart where they would cover each other."""
+    low, high = axes.get_ylim()
+    gap = (high / low) ** 0.045
+    place = 0.0
+    for ratio in sorted(ratios):
+        place = max(ratio, place * gap)
         axes.annotate(
-            times(ratios[step]), (step, ratios[step]), textcoords="offset points", xytext=(0, 8), ha="center", fontsize=SMALL
-        )
+            times(ratio), (step, place), textcoords="offset points", xytext=(-8 if left else 8, 0),
+            ha="right" if left else "left", va="center", fontsize=SMALL,
+        )  # fmt: skip
 
 
 def _ratios(comparison: Comparison, channel: str) -> list[float]:

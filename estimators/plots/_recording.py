@@ -37,7 +37,9 @@ def plot_recording(recording: Recording) -> Picture:
             _draw(panel, experiment, channel, scale.factor)
             if column == 0:
                 name, unit = label(channel, scale.unit).rsplit(" ", 1)
-                panel.set_ylabel(f"{name}\n{unit}".replace(" ", "\n", 1) if len(name) > 14 else f"{name}\n{unit}", fontsize=SMALL)
+                panel.set_ylabel(
+                    f"{name}\n{unit}".replace(" ", "\n", 1) if len(name) > 14 else f"{name}\n{unit}", fontsize=SMALL
+                )
             if row == 0:
                 panel.set_title(f"{experiment.name} ({experiment.kind})", fontsize=9, loc="left")
             if row == len(channels) - 1:
@@ -50,14 +52,17 @@ def _draw(panel: Any, experiment: Experiment, channel: str, factor: float) -> No
     tidy(panel)
     signals = _signals(experiment)
     if channel not in signals:
-        panel.text(0.5, 0.5, "not recorded", transform=panel.transAxes, ha="center", va="center", fontsize=SMALL, color="0.4")
+        panel.text(
+            0.5, 0.5, "not recorded", transform=panel.transAxes, ha="center", va="center", fontsize=SMALL, color="0.4"
+        )
         return
     signal = signals[channel]
-    held = signal.intersample == "zoh"
     panel.plot(
-        *thin(experiment.time, factor * signal.values), color="#e6550d" if channel in INPUTS else "#08306b", linewidth=0.8,
-        drawstyle="steps-post" if held else "default",
-    )  # fmt: skip
+        *thin(experiment.time, factor * signal.values),
+        color="#e6550d" if channel in INPUTS else "#08306b",
+        linewidth=0.8,
+        drawstyle="steps-post" if signal.intersample == "zoh" else "default",
+    )
 
 
 def _signals(experiment: Experiment) -> dict[str, Any]:

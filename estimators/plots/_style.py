@@ -42,7 +42,7 @@ SMALL = 8
 
 _PREFIXES = ((1e9, "G"), (1e6, "M"), (1e3, "k"), (1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))
 _MOST_POINTS = 2000
-_WIDEST_TITLE = 12.5  # characters per inch at the size of a title
+_WIDEST_TITLE = 10.2  # characters per inch at the size of a title
 
 
 class Picture(Figure):
@@ -81,7 +81,6 @@ def prefixed(largest: float, unit: str) -> Scaled:
     if unit == "kg":
         size, gram = prefixed(1e3 * largest, "g")
         return Scaled(1.0, "kg") if largest >= 1 else Scaled(1e3 * size, gram)
-    # Prefixes on radians read badly in the middle range; speeds of an arm are of order one anyway.
     for size, prefix in _PREFIXES:
         if largest >= 0.9 * size:
             return Scaled(1 / size, prefix + unit)
@@ -142,6 +141,13 @@ def tidy(axes: Any) -> None:
     axes.set_axisbelow(True)
     axes.tick_params(labelsize=SMALL)
     axes.spines[["top", "right"]].set_visible(False)
+
+
+def quantity(value: float, unit: str) -> str:
+    """A number in two figures with its unit, as one reads it."""
+    scale = prefixed(abs(value), unit)
+    number = f"{float(f'{scale.factor * value:.2g}'):.6g}"
+    return number if scale.unit in ("1", "") else f"{number} {scale.unit}".replace("^2", "²").replace("^3", "³")
 
 
 def times(ratio: float) -> str:

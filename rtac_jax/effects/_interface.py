@@ -6,7 +6,7 @@ parameters, and it declares how large it may plausibly be on a rig of given scal
 
 import itertools
 from abc import abstractmethod
-from typing import Any, ClassVar, Literal, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 from jaxtyping import Array, Float
@@ -63,10 +63,10 @@ class Effect(eqx.Module):
         free_start: whether a recording may begin with these states away from `start`, so that a fit estimates them.
     """
 
-    id: eqx.AbstractClassVar[str]
-    equation: eqx.AbstractClassVar[str]
-    source: eqx.AbstractClassVar[str]
-    port: eqx.AbstractClassVar[str]
+    id: ClassVar[str]
+    equation: ClassVar[str]
+    source: ClassVar[str]
+    port: ClassVar[str]
     states: ClassVar[dict[str, str]] = {}
     free_start: ClassVar[bool] = False
 
@@ -132,7 +132,7 @@ class Force(Effect):
         nature: "dissipative" never feeds energy in, "conservative" has a potential, "source" may do either.
     """
 
-    nature: eqx.AbstractClassVar[Literal["dissipative", "conservative", "source"]]
+    nature: ClassVar[str]
 
     @abstractmethod
     def force(self, motion: Motion, own: States) -> tuple[Any, Any]:

@@ -1,0 +1,38 @@
+# Each target sets up what it needs: a virtual environment with the package and the versions that the tests ran on.
+PYTHON ?= $(shell command -v python3.11 || command -v python3.12 || command -v python3.13 || command -v python3)
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+
+.PHONY: demo test test-slow lint bench notebooks clean
+
+$(STAMP): pyproject.toml constraints.txt
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[test]'
+	touch $(STAMP)
+
+demo: $(STAMP)
+	$(BIN)/rtac demo --out demo
+
+test: $(STAMP)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/pyright
+	MPLBACKEND=agg $(BIN)/python -m pytest
+
+test-slow: $(STAMP)
+	MPLBACKEND=agg $(BIN)/python -m pytest -m slow
+
+lint: $(STAMP)
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+	$(BIN)/pyright
+
+bench: $(STAMP)
+	$(BIN)/python benchmarks/bench_simulation.py
+
+notebooks: $(STAMP)
+	for f in notebooks/*.ipynb; do $(BIN)/python -m jupyter execute --inplace $$f || exit 1; done
+
+clean:
+	rm -rf $(VENV) .cache demo

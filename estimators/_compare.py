@@ -224,11 +224,9 @@ def _compare_one(
     known = fit.start if isinstance(fit, Fit) else None
     each = {n: jnp.mean(model[n]) for n in model.per_experiment}
     model = model.with_values(each)
-    if any(e.samples > _LONG for e in experiments):
-        # Padding short experiments to the length of a very long one would cost more than going one by one.
-        groups = [[e] for e in experiments]
-    else:
-        groups = [list(experiments)]
+    # Padding short experiments to the length of a very long one would cost more than going one by one.
+    apart = any(e.samples > _LONG for e in experiments)
+    groups = [[e] for e in experiments] if apart else [list(experiments)]
     traces: list[Trace] = []
     starts: dict[str, np.ndarray] = {}
     for group in groups:

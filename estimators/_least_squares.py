@@ -188,7 +188,7 @@ def _around_samples(signal: Signal | None) -> Values | None:
     return 0.5 * (before + signal.values)
 
 
-def _second_difference(values: Values, dt: float) -> Values:
+def _second_difference(values: Values, dt: float) -> Float[np.ndarray, " inner"]:
     return (values[2:] - 2 * values[1:-1] + values[:-2]) / dt**2
 
 

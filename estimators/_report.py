@@ -148,8 +148,8 @@ def _parameters(parameters: Mapping[str, Parameter]) -> dict[str, Any]:
 def _before_after(comparison: Comparison | None) -> dict[str, Any] | None:
     if comparison is None:
         return None
-    after = _errors(comparison.models[-1]) if len(comparison.models) > 1 else None
-    return {"before": _errors(comparison.models[0]), "after": after}
+    first, *later = comparison.models
+    return {"before": _errors(first), "after": _errors(later[-1]) if later else None}
 
 
 def _errors(compared: Compared) -> dict[str, Any]:

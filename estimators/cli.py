@@ -94,7 +94,7 @@ def fit(file: File, validation: Validation = None, out: Out = None, json: Json =
         train, held_out, remark = _split(recording, validation)
         model = _model(recording)
         closed = est.least_squares(model, train)
-        found = est.output_error(model, train, progress=_progress())
+        found = _fitted(recording, model, train)
         trained, tested = _compared(found, train, held_out)
         table = _report.side_by_side(closed, found)
         errors = _report.error_table(trained, tested)
@@ -133,11 +133,10 @@ def compare(file: File, validation: Validation = None, out: Out = None, json: Js
         folder, json = _targets(out, json)
         recording = _load(file)
         _prepare()
-        import estimators as est
         from estimators import _report
 
         train, held_out, remark = _split(recording, validation)
-        found = est.output_error(_model(recording), train, progress=_progress())
+        found = _fitted(recording, _model(recording), train)
         trained, tested = _compared(found, train, held_out)
         shown = tested or trained
         rows = _report.comparison_rows(shown)
@@ -197,7 +196,7 @@ def diagnose(file: File, validation: Validation = None, out: Out = None, json: J
         from estimators import _report
 
         train, held_out, remark = _split(recording, validation)
-        base = est.output_error(_model(recording), train, progress=_progress())
+        base = _fitted(recording, _model(recording), train)
         found = est.diagnose(base, train, progress=_progress())
         fits = [base]
         if found.best is not None:
@@ -264,7 +263,9 @@ def _improve(
     import estimators as est
     from estimators import _report
 
-    found = est.improve(_model(recording), recording, validation=names, progress=_progress())
+    model = _model(recording)
+    with _explaining(recording):
+        found = est.improve(model, recording, validation=names, progress=_progress())
     errors = _report.error_table(found.train, found.validation)
     parameters = _report.parameter_table(found.final, base=found.base if found.added else None)
     said = [diagnosis.explanation for diagnosis in found.diagnoses]
@@ -393,12 +394,36 @@ def _split(recording: Any, validation: str | None) -> tuple[Any, Any, str]:
 
 
 def _model(recording: Any) -> Any:
+    from estimators._output_error import moving
     from rtac_jax import RTAC
 
+    moving(recording)
     try:
         return RTAC.from_rig(recording)
     except ValueError as error:
         _stop(WRONG_USE, str(error))
+
+
+@contextmanager
+def _explaining(recording: Any) -> Iterator[None]:
+    """Where a fit runs away because nothing fixes the scale, say so."""
+    from estimators._results import DivergedError, NotIdentifiableError
+    from rtac_jax.measurement import concerns
+
+    try:
+        yield
+    except DivergedError as error:
+        scale = [sentence for sentence in concerns(recording) if sentence.startswith("The scale is not fixed")]
+        if scale:
+            raise NotIdentifiableError(scale[0]) from error
+        raise
+
+
+def _fitted(recording: Any, model: Any, train: Any) -> Any:
+    import estimators as est
+
+    with _explaining(recording):
+        return est.output_error(model, train, progress=_progress())
 
 
 def _compared(fits: Any, train: Any, held_out: Any, labels: Any = None) -> tuple[Any, Any]:

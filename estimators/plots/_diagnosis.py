@@ -10,6 +10,7 @@ from estimators._screen import ALARM, ForceCurve
 from estimators.plots._style import NAMES, SMALL, UNITS, Picture, picture, prefixed, quantity, tidy, times, title
 
 _MOST_BARS = 14
+_NEAR = 0.05  # share of the misfit that makes a rival worth naming
 _FORCE = {"cart": ("force", "N"), "arm": ("torque", "N m")}
 _RUNNERS_UP = ("cart_position", "cart_velocity", "arm_angle")
 
@@ -48,6 +49,7 @@ def finding(diagnosis: Diagnosis) -> str:
         others = ", ".join(c.id for c in accepted[1:])
         return f"{best.id} explains {share}, but the data cannot tell it from {others}"
     rest = [c for c in diagnosis.candidates if c.id not in {a.id for a in accepted} and c.score > ALARM]
+    rest = [c for c in rest if not c.refitted or c.error_reduction > _NEAR]
     if not rest:
         return f"{best.id} explains {share}; nothing else comes near"
     second = max(rest, key=lambda c: (c.bic_gain, c.score))
@@ -98,7 +100,9 @@ def _ticks(top: float) -> tuple[list[float], list[str]]:
 
 
 def _remark(c: Candidate, accepted: bool) -> str:
-    if c.refitted and (accepted or c.bic_gain > 0):
+    if c.refitted and not accepted:
+        return f"fitted: explains {100 * c.error_reduction:.0f} %"
+    if accepted:
         return f"removes {100 * c.error_reduction:.0f} % of the misfit"
     if not np.isfinite(c.detection_limit) or not c.testable:
         return "not testable"

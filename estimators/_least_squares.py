@@ -161,7 +161,8 @@ def _prepare(experiment: Experiment, cutoff: float) -> _Signals:
         domega = central_difference(omega, sample_time=dt)
     else:
         angle, omega, domega = zero + (experiment.initial_arm_angle or 0.0), zero, zero[inner]
-    ends = int(np.ceil(1.5 / (cutoff * dt)))
+    # The filter's slowest pole takes 37 / cutoff to sink to 1e-6; of a short experiment a tenth at each end must do.
+    ends = int(np.ceil(max(1.5 / (cutoff * dt), min(37.0 / (cutoff * dt), 0.1 * count))))
     keep = slice(ends, count - 2 - ends)
     if count - 2 - 2 * ends < 8:
         raise ValueError(f"experiment {experiment.name}: too short for a filter at {cutoff:.3g} Hz; raise the cutoff.")

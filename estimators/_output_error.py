@@ -15,7 +15,7 @@ from estimators._bounds import solve_bounded
 from estimators._covariance import Information, information
 from estimators._kalman import filtered
 from estimators._least_squares import least_squares
-from estimators._levenberg_marquardt import Arguments, Solved, plain_residual
+from estimators._levenberg_marquardt import Arguments, Solved, factor, plain_residual
 from estimators._noise import noise_levels
 from estimators._problem import CHANNELS, Data, Space, Unknowns
 from estimators._results import RESULTS, DivergedError
@@ -142,7 +142,7 @@ def output_error(
         bar.close()
         raise DivergedError(" ".join(failures))
     winner, stage = min(ends, key=lambda end: end[1].cost)
-    agreed = sum(end.cost <= stage.cost + _AGREES * float(jnp.sum(data.present)) for _, end in ends)
+    agreed = sum(_same(end, stage, float(jnp.sum(data.present))) for _, end in ends)
     bar.close()
     found = information(stage.solved.factor, stage.space, stage.solved.unknowns)
     found.require_determined()
@@ -215,6 +215,14 @@ def _starts(model: RTAC, recording: Recording, experiments: Sequence[Experiment]
     return found
 
 
+def _same(end: "_Stage", best: "_Stage", samples: float) -> bool:
+    """Whether a descent ended where the best one did: at the same likelihood, or at the same parameters."""
+    if end.cost <= best.cost + _AGREES * samples:
+        return True
+    there, here = (np.asarray(s.space.physical(s.solved.unknowns)[0]) for s in (end, best))
+    return bool(np.all(np.abs(there - here) <= 1e-4 * np.maximum(np.abs(here), 1e-3 * np.asarray(best.space.scale))))
+
+
 @dataclasses.dataclass(frozen=True)
 class _Stage:
     model: RTAC
@@ -250,6 +258,9 @@ class _Run:
         for share in _CORRECTION:
             gain, corrected = self._gain(model, space, unknowns, noise, scales, share, substeps)
             arguments = Arguments(model, self.data, space, corrected, gain, substeps)
+            if self.taken == 0:
+                # Along directions that the data leave free the optimiser would wander until the model breaks.
+                information(np.asarray(factor(unknowns, arguments)), space, unknowns).require_determined()
             near = self._solve(unknowns, arguments, tolerance=1e-3, most=15)
             unknowns = near.unknowns
             if share == _CORRECTION[0]:

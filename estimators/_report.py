@@ -298,13 +298,16 @@ def write_json(path: str | os.PathLike[str], content: Mapping[str, Any]) -> None
     write_bytes(path, (json.dumps(_clean(content), indent=1, allow_nan=False) + "\n").encode())
 
 
-def write_figures(folder: str | os.PathLike[str], figures: Mapping[str, Figure]) -> None:
-    """Write every figure as NAME.png and NAME.svg."""
+def write_figures(folder: str | os.PathLike[str], figures: Mapping[str, Figure]) -> dict[Figure, bytes]:
+    """Write every figure as NAME.png and NAME.svg; returns what is in the PNG files, for `write_report`."""
     from estimators.plots._style import image_bytes
 
+    images = {}
     for name, figure in figures.items():
-        write_bytes(Path(folder) / f"{name}.png", image_bytes(figure, "png"))
+        images[figure] = image_bytes(figure, "png")
+        write_bytes(Path(folder) / f"{name}.png", images[figure])
         write_bytes(Path(folder) / f"{name}.svg", image_bytes(figure, "svg"))
+    return images
 
 
 def versions() -> Table:
@@ -318,17 +321,24 @@ def versions() -> Table:
     return Table(("package", "version"), tuple(rows))
 
 
-def write_report(path: str | os.PathLike[str], title: str, sections: Sequence[Section]) -> None:
+def write_report(
+    path: str | os.PathLike[str],
+    title: str,
+    sections: Sequence[Section],
+    *,
+    images: Mapping[Figure, bytes] | None = None,
+) -> None:
     """Write one HTML file with style and figures inside.
 
     Args:
         title: heading of the page.
         sections: headings, each with paragraphs, tables and figures in their order; the first is the summary.
+        images: figures that were rendered before, as PNG; drawing them again takes a second each.
     """
     body = [f"<h1>{html.escape(title)}</h1>"]
     for number, (heading, blocks) in enumerate(sections):
         body.append(f'<section class="{"summary" if number == 0 else "part"}"><h2>{html.escape(heading)}</h2>')
-        body += [_block(block) for block in blocks]
+        body += [_block(block, images or {}) for block in blocks]
         body.append("</section>")
     page = (
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
@@ -339,16 +349,17 @@ def write_report(path: str | os.PathLike[str], title: str, sections: Sequence[Se
     write_bytes(path, page.encode())
 
 
-def _block(block: Block) -> str:
+def _block(block: Block, images: Mapping[Figure, bytes]) -> str:
     if isinstance(block, str):
         return f"<p>{html.escape(block)}</p>"
     if isinstance(block, Shown):
         from estimators.plots._style import image_bytes
 
-        data = base64.b64encode(image_bytes(block.figure, "png")).decode()
+        image = images[block.figure] if block.figure in images else image_bytes(block.figure, "png")
+        data = base64.b64encode(image).decode()
         caption = html.escape(block.caption)
-        image = f'<img alt="{caption}" src="data:image/png;base64,{data}">'
-        return f"<figure>{image}<figcaption>{caption}</figcaption></figure>"
+        shown = f'<img alt="{caption}" src="data:image/png;base64,{data}">'
+        return f"<figure>{shown}<figcaption>{caption}</figcaption></figure>"
     kinds = [' class="n"' if block.numeric(i) else "" for i in range(len(block.header))]
 
     def row(cells: Sequence[str], tag: str) -> str:

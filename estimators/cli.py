@@ -485,10 +485,9 @@ def _write(
         ),
     )
     sections = [(heading, [block for block in blocks if block != ""]) for heading, blocks in sections]
-    _report.write_figures(folder, figures)
-    _report.write_report(
-        folder / "report.html", title, [*sections, ("Settings and versions", [settings, _report.versions()])]
-    )
+    images = _report.write_figures(folder, figures)
+    sections.append(("Settings and versions", [settings, _report.versions()]))
+    _report.write_report(folder / "report.html", title, sections, images=images)
     typer.echo(f"\nreport: {folder / 'report.html'}")
 
 

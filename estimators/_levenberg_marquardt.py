@@ -49,6 +49,11 @@ def factor(unknowns: Unknowns, arguments: Arguments) -> Array:
     return _factor(unknowns, arguments)
 
 
+def diverged(factor: Array) -> bool:
+    """Whether the factor is that of a model that left all bounds."""
+    return bool(jnp.max(factor[:, -1, -1]) >= _HOPELESS)
+
+
 @eqx.filter_jit
 def plain_residual(unknowns: Unknowns, arguments: Arguments) -> tuple[Array, Array]:
     """The residual itself and what is known of the starts; see `residual`."""
@@ -123,7 +128,7 @@ def solve(
     """
     solver = optx.LevenbergMarquardt(rtol=tolerance, atol=tolerance, norm=_largest)
     trial = factor(unknowns, arguments)
-    if float(jnp.max(trial[:, -1, -1])) >= _HOPELESS:
+    if diverged(trial):
         raise FloatingPointError(
             "The model diverges at the start values; give start values nearer to the rig, or check the units."
         )

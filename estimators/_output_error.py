@@ -15,7 +15,7 @@ from estimators._bounds import solve_bounded
 from estimators._covariance import Information, information
 from estimators._kalman import filtered
 from estimators._least_squares import least_squares
-from estimators._levenberg_marquardt import Arguments, Solved, factor, plain_residual
+from estimators._levenberg_marquardt import Arguments, Solved, diverged, factor, plain_residual
 from estimators._noise import noise_levels
 from estimators._problem import CHANNELS, Data, Space, Unknowns
 from estimators._results import RESULTS, DivergedError
@@ -260,7 +260,9 @@ class _Run:
             arguments = Arguments(model, self.data, space, corrected, gain, substeps)
             if self.taken == 0:
                 # Along directions that the data leave free the optimiser would wander until the model breaks.
-                information(np.asarray(factor(unknowns, arguments)), space, unknowns).require_determined()
+                first = factor(unknowns, arguments)
+                if not diverged(first):
+                    information(np.asarray(first), space, unknowns).require_determined()
             near = self._solve(unknowns, arguments, tolerance=1e-3, most=15)
             unknowns = near.unknowns
             if share == _CORRECTION[0]:

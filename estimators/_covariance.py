@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from estimators._problem import Space, Unknowns
 from estimators._results import NotIdentifiableError
+from estimators._transform import slopes
 
 # A direction along which all free parameters may move by more than this share of their size within one standard
 # deviation is not determined by the data.
@@ -92,13 +93,9 @@ def information_of(matrix: np.ndarray, names: Sequence[str], size: np.ndarray) -
 
 def _slope(space: Space, unknowns: Unknowns) -> np.ndarray:
     """Derivative of each free physical parameter by its unconstrained stand-in, kept away from zero at a bound."""
-    import jax
-    import jax.numpy as jnp
-
-    def place(shared: jnp.ndarray) -> jnp.ndarray:
-        return space.physical(unknowns._replace(shared=shared))[0].at[space.active].get(mode="fill", fill_value=0.0)
-
-    slope = np.diagonal(np.asarray(jax.jacfwd(place)(unknowns.shared)))
+    index = np.asarray(space.active)
+    place = np.where(index < len(space.names), index, 0)
+    slope = np.asarray(slopes(unknowns.shared, space.lower[place], space.upper[place], space.scale[place]))
     return np.where(np.abs(slope) > 1e-12 * _sizes(space, unknowns), slope, 1e-12 * _sizes(space, unknowns))
 
 

@@ -101,10 +101,8 @@ def improve(
         found = diagnose(fits[-1], train, candidates=candidates, progress=progress)
         diagnoses.append(found)
         if found.best is None:
-            stopped = {
-                "adequate": "Stopped: nothing more is missing.",
-                "unknown": "Stopped: what is missing is not in the catalogue.",
-            }[found.verdict]
+            enough = found.verdict == "adequate"
+            stopped = f"Stopped: {'nothing more is missing' if enough else 'what is missing is not in the catalogue'}."
             break
         if len(added) == most:
             stopped = f"Stopped: {most} effects were added; more seem to be missing."
@@ -124,7 +122,7 @@ def improve(
             break
     labels = [model.label for model in tested]
     last = diagnoses[-1].verdict
-    verdict: Verdict = last
+    verdict: Verdict = "unknown" if last in ("missing", "ambiguous") else last
     if added:
         ambiguous = any(d.verdict == "ambiguous" for d in diagnoses[: len(added)])
         verdict = "ambiguous" if ambiguous else "missing"

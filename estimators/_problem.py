@@ -95,6 +95,7 @@ class Space(eqx.Module):
     names: tuple[str, ...] = eqx.field(static=True)
     each: tuple[str, ...] = eqx.field(static=True)
 
+    @eqx.filter_jit
     def physical(self, unknowns: Unknowns) -> tuple[Array, Array, Array]:
         """All shared parameters, those of each experiment, and the states at the start, in SI units."""
 
@@ -233,9 +234,19 @@ def triangle(
     rows = jnp.moveaxis(columns, 2, 0).reshape(count, -1, directions + 1)
     prior = jnp.moveaxis(jnp.concatenate([d_known, known[..., None]], axis=-1), 1, 0)
     rows = jnp.concatenate([rows, prior], axis=1)
-    short = max(0, directions + 1 - rows.shape[1])
-    rows = jnp.pad(rows, ((0, 0), (0, short), (0, 0)))
-    factor = jnp.linalg.qr(rows, mode="r")
+    factor = _triangular(rows)
     # A positive diagonal makes the factor a continuous function of the unknowns.
     sign = jnp.where(jnp.diagonal(factor, axis1=1, axis2=2) < 0, -1.0, 1.0)
     return factor * sign[:, :, None]
+
+
+def _triangular(rows: Float[Array, "experiment row column"]) -> Float[Array, "experiment column column"]:
+    """The triangular factor of each block, block by block: LAPACK on a tall matrix starts threads that fight for cores."""
+    count, _, width = rows.shape
+    height = max(256, 4 * width)
+    while rows.shape[1] > 2 * height:
+        parts = -(-rows.shape[1] // height)
+        rows = jnp.pad(rows, ((0, 0), (0, parts * height - rows.shape[1]), (0, 0)))
+        rows = jnp.linalg.qr(rows.reshape(count * parts, height, width), mode="r").reshape(count, parts * width, width)
+    rows = jnp.pad(rows, ((0, 0), (0, max(0, width - rows.shape[1])), (0, 0)))
+    return jnp.linalg.qr(rows, mode="r")

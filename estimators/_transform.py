@@ -38,3 +38,7 @@ def to_unconstrained(value: np.ndarray, lower: np.ndarray, upper: np.ndarray, sc
             [np.log(share / (1 - share)), above - 1 / above, 1 / below - below],
             value / scale,
         )
+
+
+slopes = jax.jit(jax.vmap(jax.grad(to_physical)))
+"""Derivatives of the physical values by the unconstrained ones."""

@@ -36,7 +36,7 @@ def configure(*, fast: bool = True, cache: str | Path | None = "~/.cache/rtac-ja
             said.append(f"no compile cache ({error})")
         else:
             jax.config.update("jax_compilation_cache_dir", str(folder))
-            jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
+            jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.05)
             said.append(f"compile cache in {folder}")
     return "rtac-jax: " + "; ".join(said) + "."
 

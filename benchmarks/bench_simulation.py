@@ -55,8 +55,9 @@ def package(trajectories: int, steps: int, repeats: int, *, dry: bool) -> tuple[
     from rtac_jax._simulate import trajectories as loop
 
     model = rtac.RTAC.paper() if dry else rtac.RTAC.paper().without("cart_coulomb")
+    unused = np.linspace(0.0, 1e-3, steps)  # an experiment has outputs; they are not looked at
     experiments = [
-        rtac.Experiment.of(f"e{n}", kind="forced", sample_time=STEP, current=column, cart_position=np.zeros(steps))
+        rtac.Experiment.of(f"e{n}", kind="forced", sample_time=STEP, current=column, cart_position=unused)
         for n, column in enumerate(currents(steps, trajectories).T)
     ]
     excitation = rtac.Excitation.of(experiments)

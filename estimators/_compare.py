@@ -279,7 +279,10 @@ def _simulated(
     data = Data.of(beginning)
     steps = substeps or accurate_substeps(model, data, space, unknowns, noise)
     arguments = Arguments(model, data, space, diagonal_whitener(noise, data), None, steps)
-    unknowns = solve_bounded(unknowns, arguments, tolerance=1e-5, most=40).unknowns
+    fitted = known is not None and start_samples is None and all(e.name in known for e in experiments)
+    fitted = fitted and not model.per_experiment
+    if not fitted:
+        unknowns = solve_bounded(unknowns, arguments, tolerance=1e-5, most=40).unknowns
     everything = data if beginning == list(experiments) else Data.of(experiments)
     whole = dataclasses.replace(arguments, data=everything, whitener=diagonal_whitener(np.ones(3), everything))
     error, _ = plain_residual(unknowns, whole)

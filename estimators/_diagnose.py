@@ -32,6 +32,7 @@ _BIC_GAIN = 10.0  # what a candidate must gain, and within which it cannot be to
 _ROBUST = 9.0  # least chi-square with the scatter of the data in place of the model's variance
 _EXPLAINED = 0.5  # share of what can be explained at all that an effect must explain to be named
 _NUISANCE = 3  # free parameters that a candidate may have
+_ROOM = 8  # unknowns are padded to a multiple of this, so that a model with one effect more needs no new compilation
 
 
 @dataclasses.dataclass(frozen=True)
@@ -171,10 +172,8 @@ class _Work:
             if found and _can_show(c, experiments):
                 possible.append(c)
                 instances += list(found)
-        model = fit.model
-        for c in possible:
-            middle = c.candidates(scales)
-            model = model + _absent_like(middle[len(middle) // 2])
+        absent = {c.id: (found := c.candidates(scales)) and _absent_like(found[len(found) // 2]) for c in possible}
+        model = _with_all(fit.model, absent)
         levels = dict(noise_levels(recording.experiments))
         space = space_of(model, experiments, free=_shared(fit.model), start=fit.start)
         prior = NoiseModel.of(levels, recording.experiments, scales, space)
@@ -186,7 +185,7 @@ class _Work:
     def space(self, model: RTAC, free: Sequence[str]) -> Space:
         """The unknowns, padded to one number for all candidates so that they share compiled functions."""
         found = space_of(model, self.experiments, free=free, start=self.fit.start)
-        most = len(_shared(self.fit.model)) + _NUISANCE
+        most = -(-(len(_shared(self.fit.model)) + _NUISANCE) // _ROOM) * _ROOM
         padded = np.full(most, len(found.names))
         padded[: len(found.active)] = np.asarray(found.active)[:most]
         return dataclasses.replace(found, active=jnp.asarray(padded))
@@ -258,9 +257,9 @@ class _Work:
         bare = dataclasses.replace(
             bare,
             values=jnp.asarray([known[name] for name in bare.names]),
-            start=placed.start[: len(bare.start)],
         )
-        gain = base.filtered.gain[:, : len(self.fit.model.states)]
+        rows = [list(self.model.states).index(name) for name in self.fit.model.states]
+        gain = base.filtered.gain[:, jnp.asarray(rows)]
         probed = Innovations(self.fit.model, self.data, bare, base.filtered.whitener, gain, self.substeps)
         curves = force_curves(probed, error, basis, self._ranges())
         return screened, curves
@@ -387,6 +386,17 @@ class _Work:
                 if count:
                     found[experiment.name, channel] = float(squares[:, row, column].sum() / count)
         return found
+
+
+def _with_all(model: RTAC, absent: Mapping[str, Effect]) -> RTAC:
+    """The model with all candidates at null, in the order of the catalogue, whatever it has already.
+
+    So every diagnosis of a loop runs the same compiled functions.
+    """
+    order = {name: place for place, name in enumerate(CATALOGUE)}
+    effects = [*model.effects, *absent.values()]
+    effects.sort(key=lambda effect: order.get(effect.id, len(order)))
+    return RTAC(model.body, tuple(effects), model.fixed, model.per_experiment)
 
 
 def _shared(model: RTAC) -> list[str]:

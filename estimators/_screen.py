@@ -47,11 +47,13 @@ class Innovations:
 
     def jacobian(self) -> Rows:
         """Derivatives by the free shared parameters, scaled."""
-        names = [int(i) for i in np.asarray(self.space.active) if int(i) < len(self.space.names)]
+        # A free parameter past the end is none: its direction, and so its column, is zero.
+        directions = np.eye(len(self.space.names) + 1)[np.asarray(self.space.active), :-1] * np.asarray(
+            self.space.scale
+        )
         found = _jacobian(
-            self.model, self.data, self.space, self.whitener, self.gain,
-            jnp.eye(len(self.space.names))[jnp.asarray(names)] * self.space.scale, self.substeps,
-        )  # fmt: skip
+            self.model, self.data, self.space, self.whitener, self.gain, jnp.asarray(directions), self.substeps
+        )
         return self._rows(np.asarray(found))
 
     def _rows(self, found: np.ndarray) -> Rows:

@@ -197,8 +197,9 @@ def compare(
         raise ValueError(f"{len(several)} models need as many labels, not {len(names)}.")
     experiments = moving(recording)
     levels = noise_levels(recording.experiments)
-    if isinstance(several[0], Fit) and not any(e.kind == "rest" for e in recording.experiments):
-        levels |= {c: s for c, s in several[0].noise.items() if c in levels}
+    fitted = next((fit for fit in several if isinstance(fit, Fit)), None)
+    if fitted is not None and not any(e.kind == "rest" for e in recording.experiments):
+        levels |= {c: s for c, s in fitted.noise.items() if c in levels}
     return Comparison(
         tuple(
             _compare_one(fit, label, experiments, levels, start_samples)

@@ -88,6 +88,7 @@ class _Signals:
     domega: Values
     current: Values
     force: Values
+    dry: Values  # the sign of dq, filtered like everything else
     arm_free: bool
     has_arm: bool
 
@@ -166,6 +167,9 @@ def _prepare(experiment: Experiment, cutoff: float) -> _Signals:
     keep = slice(ends, count - 2 - ends)
     if count - 2 - 2 * ends < 8:
         raise ValueError(f"experiment {experiment.name}: too short for a filter at {cutoff:.3g} Hz; raise the cutoff.")
+    velocity = np.gradient(q, dt)
+    # The equations hold for signals that are all filtered alike, and the sign jumps too fast to pass the filter whole.
+    dry = smooth(np.sign(velocity)) if np.any(q) else zero
     return _Signals(
         name=experiment.name,
         q=q[inner][keep],
@@ -176,6 +180,7 @@ def _prepare(experiment: Experiment, cutoff: float) -> _Signals:
         domega=domega[keep],
         current=current[inner][keep],
         force=force[inner][keep],
+        dry=dry[inner][keep],
         arm_free=experiment.arm == "free",
         has_arm=raw_angle is not None or raw_omega is not None,
     )
@@ -225,7 +230,7 @@ def _free_stage(
     names = [name for name in _FREE if name in model.parameters]
 
     def system(s: _Signals) -> tuple[np.ndarray, np.ndarray]:
-        columns = {"total_mass": s.ddq, "cart_viscous.coefficient": s.dq, "cart_coulomb.level": np.sign(s.dq)}
+        columns = {"total_mass": s.ddq, "cart_viscous.coefficient": s.dq, "cart_coulomb.level": s.dry}
         matrix = np.stack([columns[name] for name in names], axis=1)
         moving = np.abs(s.dq) > near_zero * np.sqrt(np.mean(s.dq**2))
         target = -s.q
@@ -284,7 +289,7 @@ def _forced_stage(model: RTAC, ready: Sequence[_Signals]) -> tuple[RTAC, dict[st
         }
         on_cart = (
             s.force - value["spring_stiffness"] * s.q - value["total_mass"] * s.ddq
-            - value.get("cart_viscous.coefficient", 0.0) * s.dq - value.get("cart_coulomb.level", 0.0) * np.sign(s.dq)
+            - value.get("cart_viscous.coefficient", 0.0) * s.dq - value.get("cart_coulomb.level", 0.0) * s.dry
         )  # fmt: skip
         on_arm = -value["arm_inertia"] * s.domega
         for name, known in arm.items():

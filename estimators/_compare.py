@@ -12,7 +12,7 @@ from scipy.stats import chi2, norm
 from estimators._bounds import solve_bounded
 from estimators._levenberg_marquardt import Arguments, plain_residual
 from estimators._noise import noise_levels
-from estimators._output_error import Fit, diagonal_whitener, moving
+from estimators._output_error import Fit, diagonal_whitener, moving, no_gain
 from estimators._problem import CHANNELS, Data
 from estimators._start import space_of
 from rtac_jax import RTAC, require_configured
@@ -279,13 +279,19 @@ def _simulated(
         beginning = [e.cut(0, min(window, e.samples), e.name) for e in experiments]
     data = Data.of(beginning)
     steps = substeps or accurate_substeps(model, data, space, unknowns, noise)
-    arguments = Arguments(model, data, space, diagonal_whitener(noise, data), None, steps)
+    # A gain of zeros, as in a fit, so that both run the same compiled function.
+    arguments = Arguments(model, data, space, diagonal_whitener(noise, data), no_gain(model, data), steps)
     fitted = known is not None and start_samples is None and all(e.name in known for e in experiments)
     fitted = fitted and not model.per_experiment
     if not fitted:
         unknowns = solve_bounded(unknowns, arguments, tolerance=1e-5, most=40).unknowns
     everything = data if beginning == list(experiments) else Data.of(experiments)
-    whole = dataclasses.replace(arguments, data=everything, whitener=diagonal_whitener(np.ones(3), everything))
+    whole = dataclasses.replace(
+        arguments,
+        data=everything,
+        whitener=diagonal_whitener(np.ones(3), everything),
+        gain=no_gain(model, everything),
+    )
     error, _ = plain_residual(unknowns, whole)
     simulated = np.asarray(everything.values) - np.asarray(error)
     missing = np.asarray(everything.present) == 0

@@ -151,7 +151,7 @@ def fit_noise(
     reference = objective(begin)[0]
     found = minimize(
         scaled, begin / unit, jac=True, method="L-BFGS-B", bounds=np.stack([low, high], axis=1),
-        options={"maxiter": 25, "maxfun": 30, "ftol": 0.0, "gtol": 0.05},
+        options={"maxiter": 25, "maxfun": 30, "ftol": 0.0, "gtol": 0.3},
         callback=_Stalled(),
     )  # fmt: skip
     best, value = found.x * unit, float(found.fun) + reference
@@ -167,7 +167,7 @@ class _Stalled:
 
     def __call__(self, intermediate_result: Any) -> None:
         self.values.append(float(intermediate_result.fun))
-        if len(self.values) > 2 and self.values[-3] - self.values[-1] < 0.05:
+        if len(self.values) > 2 and self.values[-3] - self.values[-1] < 0.2:
             raise StopIteration
 
 

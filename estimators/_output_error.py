@@ -30,6 +30,8 @@ _STEP_ERROR = 0.02
 _MOST_SUBSTEPS = 32
 # Random force and torque of the predictor, as shares of the rms ones: from strong to weak correction.
 _CORRECTION = (0.3, 0.03)
+# Times the noise from which on a start is led to the simulation by predictions with correction.
+_GUIDED = 5.0
 # A start whose short predictions stay this many times worse than another's is given up.
 _HOPELESS = 5.0
 
@@ -252,17 +254,15 @@ class _Run:
         unknowns = space.unconstrained()
         noise = np.array([self.levels.get(channel, 1.0) for channel in CHANNELS])
         scales = scales_of(model, self.experiments)
-        nothing = self._no_gain(model)
+        nothing = no_gain(model, self.data)
         whitener = diagonal_whitener(noise, self.data)
         substeps = accurate_substeps(model, self.data, space, unknowns, noise)
-        for share in _CORRECTION:
+        # A start whose free simulation is near already, as after adding what a diagnosis found, needs no guidance.
+        begins_near = bool(np.all(self._deviation(model, space, unknowns, substeps, noise) < _GUIDED * noise))
+        for share in () if begins_near else _CORRECTION:
             gain, corrected = self._gain(model, space, unknowns, noise, scales, share, substeps)
             arguments = Arguments(model, self.data, space, corrected, gain, substeps)
-            if self.taken == 0:
-                # Along directions that the data leave free the optimiser would wander until the model breaks.
-                first = factor(unknowns, arguments)
-                if not diverged(first):
-                    information(np.asarray(first), space, unknowns).require_determined()
+            self._require_determined(space, unknowns, arguments)
             near = self._solve(unknowns, arguments, tolerance=1e-3, most=15)
             unknowns = near.unknowns
             if share == _CORRECTION[0]:
@@ -273,6 +273,7 @@ class _Run:
         cost, solved = np.inf, None
         for last in (False, False, True):
             arguments = Arguments(model, self.data, space, whitener, nothing, substeps)
+            self._require_determined(space, unknowns, arguments)
             solved = self._solve(
                 unknowns, arguments, tolerance=self.tolerance if last else 1e-2, most=self.steps if last else 15
             )
@@ -293,8 +294,12 @@ class _Run:
 
         return solve_bounded(unknowns, arguments, tolerance=tolerance, most=most, progress=show)
 
-    def _no_gain(self, model: RTAC) -> Array:
-        return jnp.zeros((self.data.samples, len(model.states), len(CHANNELS), self.data.experiments))
+    def _require_determined(self, space: Space, unknowns: Unknowns, arguments: Arguments) -> None:
+        """Before the first step: along directions that the data leave free it would wander until the model breaks."""
+        if self.taken == 0:
+            first = factor(unknowns, arguments)
+            if not diverged(first):
+                information(np.asarray(first), space, unknowns).require_determined()
 
     def _gain(
         self, model: RTAC, space: Space, unknowns: Unknowns, noise: np.ndarray, scales: Any, share: float, substeps: int
@@ -312,7 +317,7 @@ class _Run:
 
     def _deviation(self, model: RTAC, space: Space, unknowns: Unknowns, substeps: int, noise: np.ndarray) -> np.ndarray:
         whitener = diagonal_whitener(np.ones(len(CHANNELS)), self.data)
-        arguments = Arguments(model, self.data, space, whitener, self._no_gain(model), substeps)
+        arguments = Arguments(model, self.data, space, whitener, no_gain(model, self.data), substeps)
         error, _ = plain_residual(unknowns, arguments)
         count = np.maximum(np.asarray(self.data.present).sum(axis=(0, 2)), 1.0)
         rms = np.sqrt((np.asarray(error) ** 2).sum(axis=(0, 2)) / count)
@@ -323,7 +328,7 @@ class _Run:
 def accurate_substeps(model: RTAC, data: Data, space: Space, unknowns: Unknowns, noise: np.ndarray) -> int:
     """The fewest Runge-Kutta steps per sample with which halving them changes outputs by less than a fiftieth of the noise."""
     white = diagonal_whitener(noise, data)
-    nothing = jnp.zeros((data.samples, len(model.states), len(CHANNELS), data.experiments))
+    nothing = no_gain(model, data)
     count = np.maximum(np.asarray(data.present).sum(axis=(0, 2)), 1.0)
 
     def run(substeps: int) -> np.ndarray:
@@ -338,6 +343,11 @@ def accurate_substeps(model: RTAC, data: Data, space: Space, unknowns: Unknowns,
             break
         substeps, coarse = 2 * substeps, fine
     return substeps
+
+
+def no_gain(model: RTAC, data: Data) -> Array:
+    """The gain of a predictor that does not correct: a free simulation."""
+    return jnp.zeros((data.samples, len(model.states), len(CHANNELS), data.experiments))
 
 
 def diagonal_whitener(deviation: np.ndarray, data: Data) -> Array:

@@ -124,9 +124,8 @@ class Probe(Force):
         within = 2 * jnp.pi * (turns - jnp.floor(turns + 0.5))
         options = (motion.cart_position, motion.cart_velocity, within, motion.arm_velocity, motion.current)
         at = (sum(w * x for w, x in zip(self.variable, options, strict=True)) - self.first) / self.spacing
-        total = 0.0 * at
-        for knot in range(KNOTS):
-            total = total + self.heights[knot] * jnp.maximum(0.0, 1.0 - jnp.abs(at - knot))
+        hats = jnp.maximum(0.0, 1.0 - jnp.abs(at - jnp.arange(KNOTS).reshape(-1, *[1] * jnp.ndim(at))))
+        total = jnp.tensordot(self.heights, hats, 1)
         return self.on_cart * total, self.on_arm * total
 
 

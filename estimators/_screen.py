@@ -221,7 +221,7 @@ def force_curves(
     return sorted(found, key=lambda curve: -curve.score)
 
 
-def orthonormal(columns: Rows) -> Rows:
+def orthonormal(columns: Rows) -> Float[np.ndarray, "row basis"]:
     """An orthonormal basis of what the columns span."""
     if columns.shape[1] == 0:
         return columns

@@ -27,7 +27,8 @@ class Estimates:
         names: of the experiments.
         each: the estimate from each experiment.
         value: the mean of those, as in the paper's Table 1.
-        std: standard deviation of the mean.
+        std: standard deviation of the mean over experiments, joined with the share of noise in the regressors, which
+            biases all experiments alike and so does not show in their scatter.
         pooled: the estimate from all experiments stacked.
         unit: SI unit.
     """
@@ -91,6 +92,7 @@ class _Signals:
     dry: Values  # the sign of dq, filtered like everything else
     arm_free: bool
     has_arm: bool
+    share: float  # of noise in the power of the cart's acceleration
 
 
 def least_squares(
@@ -119,7 +121,7 @@ def least_squares(
             continue
         try:
             limit = cutoff if cutoff is not None else _choose_cutoff(experiment, levels)
-            ready.append(_prepare(experiment, limit))
+            ready.append(_prepare(experiment, limit, levels))
             used[experiment.name] = limit
         except ValueError as error:
             skipped[experiment.name] = str(error)
@@ -131,7 +133,7 @@ def least_squares(
     return ClosedForm(model, ratios, estimates | more, used, reaction, skipped)
 
 
-def _prepare(experiment: Experiment, cutoff: float) -> _Signals:
+def _prepare(experiment: Experiment, cutoff: float, levels: Mapping[str, float]) -> _Signals:
     """Filter all signals alike, differentiate, and leave out the ends, where the filter has transients."""
     dt = experiment.sample_time
     count = experiment.samples
@@ -183,7 +185,15 @@ def _prepare(experiment: Experiment, cutoff: float) -> _Signals:
         dry=dry[inner][keep],
         arm_free=experiment.arm == "free",
         has_arm=raw_angle is not None or raw_omega is not None,
+        share=_noise_share(_second_difference(q, dt)[keep], levels.get("cart_position", 0.0), dt, cutoff),
     )
+
+
+def _noise_share(acceleration: Values, level: float, dt: float, cutoff: float) -> float:
+    """Power of white noise of this level, twice differentiated up to the cutoff, in that of the acceleration."""
+    power = float(np.mean(acceleration**2))
+    noise = 2 * dt * level**2 * (2 * np.pi) ** 4 * cutoff**5 / 5
+    return float(min(noise / power, 1.0)) if power > 0 else 0.0
 
 
 def _around_samples(signal: Signal | None) -> Values | None:
@@ -247,6 +257,7 @@ def _free_stage(
 
     values, pooled = _solve_each([system(s) for s in ready])
     labels = tuple(s.name for s in ready)
+    share = float(np.mean([s.share for s in ready]))
     units = {"total_mass": "s^2", "cart_viscous.coefficient": "s", "cart_coulomb.level": "m"}
     if scaled:
         stiffness, stiff_pooled = values[:, -1], float(pooled[-1])
@@ -260,12 +271,13 @@ def _free_stage(
         else:
             stiffness, stiff_pooled = mass / values[:, 0], mass / float(pooled[0])
     ratios = {
-        RATIOS[name]: _summary(labels, ratio_values[:, i], ratio_pooled[i], units[name]) for i, name in enumerate(names)
+        RATIOS[name]: _summary(labels, ratio_values[:, i], ratio_pooled[i], units[name], share)
+        for i, name in enumerate(names)
     }
-    estimates = {"spring_stiffness": _summary(labels, stiffness, stiff_pooled, "N/m")}
+    estimates = {"spring_stiffness": _summary(labels, stiffness, stiff_pooled, "N/m", share)}
     for i, name in enumerate(names):
         unit = model.parameters[name].unit
-        estimates[name] = _summary(labels, ratio_values[:, i] * stiffness, ratio_pooled[i] * stiff_pooled, unit)
+        estimates[name] = _summary(labels, ratio_values[:, i] * stiffness, ratio_pooled[i] * stiff_pooled, unit, share)
     estimates = {name: found for name, found in estimates.items() if name in model.free}
     return _place(model, estimates), ratios, estimates
 
@@ -321,8 +333,10 @@ def _forced_stage(model: RTAC, ready: Sequence[_Signals]) -> tuple[RTAC, dict[st
             ]
     found, pooled = _solve_each(stacked(weights))
     labels = tuple(s.name for s in ready)
+    share = float(np.mean([s.share for s in ready]))
     estimates = {
-        name: _summary(labels, found[:, i], pooled[i], model.parameters[name].unit) for i, name in enumerate(names)
+        name: _summary(labels, found[:, i], pooled[i], model.parameters[name].unit, share)
+        for i, name in enumerate(names)
     }
     return _place(model, estimates), estimates
 
@@ -337,8 +351,9 @@ def _solve_each(systems: Sequence[tuple[np.ndarray, np.ndarray]]) -> tuple[np.nd
     return each, solve(*(np.concatenate(parts) for parts in zip(*systems, strict=True)))
 
 
-def _summary(names: tuple[str, ...], each: np.ndarray, pooled: float, unit: str) -> Estimates:
-    std = float(np.std(each, ddof=1) / np.sqrt(len(each))) if len(each) > 1 else float("nan")
+def _summary(names: tuple[str, ...], each: np.ndarray, pooled: float, unit: str, share: float) -> Estimates:
+    scatter = float(np.std(each, ddof=1) / np.sqrt(len(each))) if len(each) > 1 else float("nan")
+    std = float(np.hypot(scatter, share * abs(np.mean(each))))
     return Estimates(names, np.asarray(each), float(np.mean(each)), std, float(pooled), unit)
 
 

@@ -1,8 +1,10 @@
 """The rig: what was recorded, what physics may act on it, and how it moves."""
 
-from rtac_jax import effects, virtual_rig
+from rtac_jax import control, effects, virtual_rig
 from rtac_jax._configure import configure, require_configured
+from rtac_jax._design import design_excitation
 from rtac_jax._excitation import Excitation
+from rtac_jax._linearise import equation_4, linearise
 from rtac_jax._parameter import Declaration, Scales, parameter
 from rtac_jax._rigid_body import RigidBody
 from rtac_jax._rtac import RTAC
@@ -21,8 +23,12 @@ __all__ = [
     "Simulation",
     "concerns",
     "configure",
+    "control",
     "describe",
+    "design_excitation",
     "effects",
+    "equation_4",
+    "linearise",
     "parameter",
     "require_configured",
     "simulate",

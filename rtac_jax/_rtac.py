@@ -1,15 +1,18 @@
 """The rig's model: a rigid body and the effects that act on it; `model + effect` is another model."""
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from rtac_jax._excitation import Excitation
 from rtac_jax._parameter import Declaration, declarations
 from rtac_jax._rigid_body import RigidBody
+from rtac_jax._since import Since, through
 from rtac_jax._sincos import sincos
+from rtac_jax._stopping import brought_to_rest
 from rtac_jax.effects import (
     Actuator,
     ArmViscous,
@@ -18,6 +21,8 @@ from rtac_jax.effects import (
     DryFriction,
     Effect,
     Force,
+    Impact,
+    Input,
     Motion,
     Outputs,
     Sensor,
@@ -33,8 +38,6 @@ _PAPER = {
     "spring_stiffness": 132.6,
     "torque_constant": 8.04e-2,
 }  # paper, Table 1
-# Cart and arm hand each other at most the square of their coupling, about 1 %, so three sweeps agree to 1e-6.
-_SWEEPS = 3
 
 
 class RTAC(eqx.Module):
@@ -227,6 +230,7 @@ class RTAC(eqx.Module):
         arm_free: Any = 1.0,
         cart_free: Any = 1.0,
         way: tuple[Any, Any] = (0.0, 0.0),
+        since: Since | None = None,
     ) -> tuple[Any, ...]:
         """Time derivative of the state: equations (1) and (2) with the effects.
 
@@ -236,6 +240,8 @@ class RTAC(eqx.Module):
             force: disturbance force F on the cart [N].
             arm_free, cart_free: 1 where it may move, 0 where it is held.
             way: direction in which cart and arm slide, 1 or -1, against which dry friction acts; 0 for none.
+            since: the beginning of the integration step; from there states with a closed form are followed, so that
+                `state` holds their values at the beginning and their derivatives are zero. None: all are integrated.
         """
         position, velocity, angle, arm_velocity, *_ = state
         sine, cosine = sincos(angle)
@@ -243,39 +249,104 @@ class RTAC(eqx.Module):
         own = self._own_states(state)
         rates: dict[str, tuple[Any, ...]] = {}
         motion = Motion(position, velocity, angle, arm_velocity, sine, cosine, current, body)
+        if since is not None:
+            motion = since.seen_from(motion)
+
+        def act(effect: Effect) -> tuple[Any, ...]:
+            """Rates of an effect; its states are brought to this instant."""
+            if not effect.closed or since is None:
+                return effect.rate(motion, own[effect.id])
+            if not isinstance(effect, Sensor):
+                own[effect.id] = effect.during(motion, own[effect.id])
+            return (0.0 * position,) * len(effect.states)
+
         for effect in self.effects:
             if isinstance(effect, Actuator):
-                rates[effect.id] = effect.rate(motion, own[effect.id])
-                motion = motion._replace(current=effect.current(motion.current, own[effect.id]))
+                before = own[effect.id]
+                rates[effect.id] = act(effect)
+                motion = through(effect, motion, before, own[effect.id])
 
         cart = force - body.spring_stiffness * position + body.eccentric_moment * arm_velocity**2 * sine
         arm = body.torque_constant * motion.current
         for effect in self.effects:
+            if not isinstance(effect, (Actuator, Sensor)):
+                rates[effect.id] = act(effect)
             if isinstance(effect, Force):
                 on_cart, on_arm = effect.force(motion, own[effect.id])
                 cart, arm = cart + on_cart, arm + on_arm
             elif isinstance(effect, DryFriction):
                 on_cart, on_arm = effect.levels(motion, own[effect.id])
                 cart, arm = cart - way[0] * on_cart, arm - way[1] * on_arm
-            if not isinstance(effect, Actuator):
-                rates[effect.id] = effect.rate(motion, own[effect.id])
 
         cart_cart, cart_arm, arm_arm = self._mobility(cosine, arm_free, cart_free)
         result = (velocity, cart_cart * cart + cart_arm * arm, arm_velocity, cart_arm * cart + arm_arm * arm)
+        motion = motion._replace(cart_acceleration=result[1], arm_acceleration=result[3])
         for effect in self.effects:
+            if isinstance(effect, Sensor):
+                rates[effect.id] = act(effect)
             result += tuple(rates[effect.id])
         return result
+
+    def driven(self, excitation: Excitation) -> Excitation:
+        """The excitation as it reaches the rig, after the effects on how inputs run between and across samples."""
+        stages = [effect for effect in self.effects if isinstance(effect, Input)]
+        if not stages:
+            return excitation
+        current, force = excitation.current, excitation.force
+        for effect in stages:
+            if current is not None:
+                current = effect.transform(current, "current", excitation.sample_time)
+            if force is not None:
+                force = effect.transform(force, "force", excitation.sample_time)
+        return Excitation(current, force, excitation.sample_time, excitation.arm_free, excitation.cart_free)
+
+    @property
+    def steps_apart(self) -> bool:
+        """Whether an effect needs to know where an integration step began, because it is not integrated itself."""
+        return any(effect.closed or isinstance(effect, Impact) for effect in self.effects)
+
+    def since(self, state: tuple[Any, ...], current: Any, step: Any, last: Any) -> Since:
+        """The beginning of a step of this length [s], with the currents at its beginning and its end [A]."""
+        motion = Motion(state[0], state[1], state[2], state[3], *sincos(state[2]), current, self.body)
+        return Since(motion, step, last, 0.0)
+
+    def settle(self, after: tuple[Any, ...], since: Since, arm_free: Any, cart_free: Any) -> tuple[Any, ...]:
+        """The state after a step, with the states that have a closed form, and with what happens at once.
+
+        Args:
+            after: by the integration, with those states as they were at the beginning.
+            since: the beginning of the step.
+        """
+        own = self._own_states(after)
+        motion = since.seen_from(self.since(after, since.last, since.step, since.last).motion)
+        rigid = list(after[:4])
+        for effect in self.effects:
+            if isinstance(effect, Actuator):
+                before = own[effect.id]
+                own[effect.id] = effect.follow(motion, before) if effect.closed else before
+                motion = through(effect, motion, before, own[effect.id])
+        for effect in self.effects:
+            if isinstance(effect, Impact):
+                _, cart_arm, arm_arm = self._mobility(motion.cos_angle, arm_free, cart_free)
+                own[effect.id], impulse, moment = effect.strike(motion, own[effect.id], arm_arm)
+                rigid[0], rigid[1] = rigid[0] + cart_arm * moment, rigid[1] + cart_arm * impulse
+                rigid[2], rigid[3] = rigid[2] + arm_arm * moment, rigid[3] + arm_arm * impulse
+        motion = motion._replace(**dict(zip(RIGID_STATES, rigid, strict=True)))
+        for effect in self.effects:
+            if effect.closed and not isinstance(effect, Actuator):
+                own[effect.id] = effect.follow(motion, own[effect.id])
+        return (*rigid, *(x for effect in self.effects for x in own[effect.id]))
 
     def _mobility(self, cosine: Any, arm_free: Any, cart_free: Any) -> tuple[Any, Any, Any]:
         """Inverse of the mass matrix: what a unit force and a unit torque do to the accelerations."""
         body = self.body
-        mass = body.total_mass
+        mass, inertia = body.total_mass, body.arm_inertia
         for effect in self.effects:
             if isinstance(effect, Force):
-                mass = mass + effect.cart_mass()
+                mass, inertia = mass + effect.cart_mass(), inertia + effect.arm_inertia(body)
         exchange = body.eccentric_moment * cosine * (arm_free * cart_free)
-        scale = 1.0 / (mass * body.arm_inertia - exchange * exchange)
-        return cart_free * scale * body.arm_inertia, -scale * exchange, arm_free * scale * mass
+        scale = 1.0 / (mass * inertia - exchange * exchange)
+        return cart_free * scale * inertia, -scale * exchange, arm_free * scale * mass
 
     def pushes(self, state: tuple[Any, ...], arm_free: Any, cart_free: Any) -> tuple[Any, Any, Any]:
         """Accelerations by a unit force and a unit torque: cart by force, either by the other's, arm by torque."""
@@ -306,36 +377,15 @@ class RTAC(eqx.Module):
         own = self._own_states(before)
         motion = Motion(before[0], before[1], before[2], before[3], sine, cosine, 0.0, self.body)
         levels = [effect.levels(motion, own[effect.id]) for effect in rubbing]
-        cart_cart, cart_arm, arm_arm = self._mobility(cosine, arm_free, cart_free)
-        position, velocity, angle, arm_velocity, *rest = after
-        rubs = tuple(any(not _never(pair[body]) for pair in levels) for body in (0, 1))
-        most = tuple(step * own * sum(pair[i] for pair in levels) for i, own in enumerate((cart_cart, arm_arm)))
-        by_cart, by_arm = _share(cart_arm, cart_cart), _share(cart_arm, arm_arm)  # what one's stop does to the other
-        cart = arm = _Stop(0.0, 0.0, False)
-        for _ in range(_SWEEPS if all(rubs) else 1):
-            if rubs[0]:
-                cart = _stopped(before[1], velocity + by_arm * arm.change, most[0])
-            if rubs[1]:
-                arm = _stopped(before[3], arm_velocity + by_cart * cart.change, most[1])
-        position = position + step * (cart.shift + by_arm * arm.shift)
-        angle = angle + step * (arm.shift + by_cart * cart.shift)
-        velocity, arm_velocity = (
-            velocity + cart.change + by_arm * arm.change,
-            arm_velocity + arm.change + by_cart * cart.change,
-        )
-        if rubs[0]:
-            position, velocity = jnp.where(cart.held, before[0], position), jnp.where(cart.held, 0.0, velocity)
-        if rubs[1]:
-            angle, arm_velocity = jnp.where(arm.held, before[2], angle), jnp.where(arm.held, 0.0, arm_velocity)
-        return (position, velocity, angle, arm_velocity, *rest)
+        return brought_to_rest(before, after, step, levels, self._mobility(cosine, arm_free, cart_free))
 
     def outputs(self, state: tuple[Any, ...]) -> Outputs:
         """What the sensors show of a state."""
         shown = Outputs(state[0], state[3], state[2])
         own = self._own_states(state)
-        for effect in self.effects:
-            if isinstance(effect, Sensor):
-                shown = effect.read(shown, own[effect.id])
+        # What the sensors look at comes before the sensors themselves.
+        for effect in sorted(self.effects, key=lambda effect: isinstance(effect, Sensor)):
+            shown = effect.read(shown, own[effect.id])
         return shown
 
     def _own_states(self, state: tuple[Any, ...]) -> dict[str, tuple[Any, ...]]:
@@ -344,47 +394,3 @@ class RTAC(eqx.Module):
             own[effect.id] = tuple(state[at : at + len(effect.states)])
             at += len(effect.states)
         return own
-
-
-def _never(level: Any) -> bool:
-    return isinstance(level, float) and level == 0.0
-
-
-class _Stop(NamedTuple):
-    """What mends a step of dry friction.
-
-    Attributes:
-        change: of the velocity.
-        shift: of the position, divided by the step; both are zero for a step that slides all the way.
-        held: whether the body was at rest before the step and stays so.
-    """
-
-    change: Any
-    shift: Any
-    held: Any
-
-
-def _stopped(started: Any, arrived: Any, most: Any) -> _Stop:
-    """What mends a step of dry friction in which the velocity vanishes, with the other forces constant over it.
-
-    Args:
-        started: velocity before the step.
-        arrived: velocity after it, with friction all the time against the direction of the start.
-        most: by how much friction can change the velocity in a whole step.
-    """
-    way = jnp.where((started > 0) | ((started == 0) & (arrived > 0)), 1.0, -1.0)
-    begin, end = way * started, way * arrived
-    resting = started == 0
-    driven = end - begin + jnp.where(resting, 0.0, most)  # by the other forces alone
-    slides = end >= jnp.where(resting, most, 0.0)
-    apart = most - driven
-    rest = jnp.where(apart > 0, begin / jnp.where(apart > 0, apart, 1.0), 0.0)  # when it comes to rest, as a share
-    back = jnp.minimum(driven + most, 0.0) * (1.0 - rest)
-    late = jnp.where(resting, -most, 0.0)  # what slides off from rest was not yet rubbed
-    change = jnp.where(slides, late, back - end)
-    shift = jnp.where(slides, 0.5 * late, 0.5 * (rest * begin + (1.0 - rest) * back) - 0.5 * (begin + end))
-    return _Stop(way * change, way * shift, resting & ~slides)
-
-
-def _share(part: Any, whole: Any) -> Any:
-    return jnp.where(whole > 0, part / jnp.where(whole > 0, whole, 1.0), 0.0)

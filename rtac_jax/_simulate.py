@@ -12,6 +12,7 @@ from jaxtyping import Array, Float, Int
 
 from rtac_jax._excitation import Excitation
 from rtac_jax._rtac import RTAC
+from rtac_jax._since import Since
 from rtac_jax.measurement import Experiment
 
 State = tuple[Any, ...]
@@ -36,8 +37,9 @@ def advance(
         current, force: polynomial coefficients of the inputs over the interval, rising powers of its fraction.
     """
     step = excitation.sample_time / substeps
+    apart = model.steps_apart
 
-    def slope(at: State, fraction: Any, way: Any) -> State:
+    def slope(at: State, fraction: Any, way: Any, since: Since | None) -> State:
         return model.derivative(
             at,
             _polynomial(current, fraction),
@@ -45,6 +47,7 @@ def advance(
             excitation.arm_free,
             excitation.cart_free,
             way,
+            since,
         )
 
     def moved(at: State, by: Any, along: State) -> State:
@@ -52,14 +55,19 @@ def advance(
 
     def runge_kutta(at: State, begin: Any) -> State:
         way = model.slide(at)
-        k1 = slope(at, begin, way)
-        k2 = slope(moved(at, 0.5 * step, k1), begin + 0.5 / substeps, way)
-        k3 = slope(moved(at, 0.5 * step, k2), begin + 0.5 / substeps, way)
-        k4 = slope(moved(at, step, k3), begin + 1.0 / substeps, way)
+        began = None
+        if apart:
+            began = model.since(at, _polynomial(current, begin), step, _polynomial(current, begin + 1.0 / substeps))
+        middle, end = (began and began._replace(elapsed=share) for share in (0.5, 1.0))
+        k1 = slope(at, begin, way, began)
+        k2 = slope(moved(at, 0.5 * step, k1), begin + 0.5 / substeps, way, middle)
+        k3 = slope(moved(at, 0.5 * step, k2), begin + 0.5 / substeps, way, middle)
+        k4 = slope(moved(at, step, k3), begin + 1.0 / substeps, way, end)
         smooth = tuple(
             x + step / 6.0 * (a + 2.0 * (b + c) + d) for x, a, b, c, d in zip(at, k1, k2, k3, k4, strict=True)
         )
-        return model.stop(at, smooth, step, excitation.arm_free, excitation.cart_free)
+        after = model.stop(at, smooth, step, excitation.arm_free, excitation.cart_free)
+        return after if end is None else model.settle(after, end, excitation.arm_free, excitation.cart_free)
 
     # A loop whose length the compiler does not know: unrolled steps compile longer and run no faster, and where their
     # results are used many times they would be fused into, and computed anew for, each use.
@@ -106,6 +114,7 @@ def trajectories(
     sample before it moves on, and the outputs are predictions one sample ahead; without, they are a simulation.
     With `states` the rows are the states themselves instead of the outputs.
     """
+    excitation = model.driven(excitation)
     shape = excitation.sample_time.shape
     start = tuple(jnp.broadcast_to(x, shape) for x in start)
     rows: dict[str, Any] = {"current": excitation.current, "force": excitation.force}
@@ -113,10 +122,10 @@ def trajectories(
         rows |= {"values": measured[0], "present": measured[1], "gain": gain}
 
     def one_sample(state: State, row: dict[str, Any]) -> tuple[State, Array]:
-        rows = state if states else model.outputs(state)
-        shown = jnp.stack([jnp.broadcast_to(y, shape) for y in rows])
+        shown = jnp.stack([jnp.broadcast_to(y, shape) for y in (state if states else model.outputs(state))])
         if "gain" in row:
-            error = (row["values"] - shown) * row["present"]
+            outputs = jnp.stack([jnp.broadcast_to(y, shape) for y in model.outputs(state)]) if states else shown
+            error = (row["values"] - outputs) * row["present"]
             state = tuple(x + sum(row["gain"][i, j] * error[j] for j in range(len(error))) for i, x in enumerate(state))
         current, force = (None if row[name] is None else tuple(row[name]) for name in ("current", "force"))
         state = advance(model, state, current, force, excitation, substeps=substeps)
@@ -136,7 +145,10 @@ def substeps_for(model: RTAC, excitation: Excitation, *, stability: float = 1.0,
     first = jax.tree.map(lambda leaf: jnp.ravel(jnp.asarray(leaf))[0], model)
 
     def slope(x: Array) -> Array:
-        return jnp.stack([jnp.asarray(dx, dtype=float) for dx in first.derivative(tuple(x), jnp.zeros(()), 0.0)])
+        # States that have a closed form are not integrated, however fast they are.
+        since = first.since(tuple(x), jnp.zeros(()), 1.0, jnp.zeros(()))
+        rates = first.derivative(tuple(x), jnp.zeros(()), 0.0, since=since)
+        return jnp.stack([jnp.asarray(dx, dtype=float) for dx in rates])
 
     fastest = 0.0
     for angle in (0.0, 1.5):

@@ -279,6 +279,7 @@ def test_random_torque_has_the_stated_spectral_density():
 EFFECTS = [
     {"cubic_spring": 1e5},
     {"quadratic_spring": 800.0},
+    {"force_offset": 0.03},
     {"hysteresis_stiffness": 20.0},
     {"flexible_mass": 0.2},
     {"cart_quadratic_drag": 2.0},
@@ -291,6 +292,8 @@ EFFECTS = [
     {"tilt_across": 0.02},
     {"cogging_torque": 1e-3},
     {"cable_stiffness": 1e-3},
+    {"backlash": 0.02},
+    {"shaft_stiffness": 0.5},
     {"saturation": 0.2},
     {"input_delay": 0.004},
     {"current_lag": 0.005},
@@ -302,12 +305,22 @@ EFFECTS = [
     {"tacho_lag": 0.01},
     {"lvdt_cubic": 200.0},
     {"lvdt_lag": 0.005},
+    {"lvdt_gain": 1.03},
+    {"lvdt_offset": 1e-4},
+    {"lvdt_ripple": 1e-4},
+    {"channel_delay": 0.005},
+    {"tacho_ripple": 0.02},
+    {"encoder_gain": 1.03},
+    {"encoder_offset": 0.03},
+    {"encoder_ripple": 0.01},
+    {"encoder_lag": 0.005},
     {"force_noise": 5e-3},
     {"torque_noise": 1e-4},
     {"friction_slope": 0.8},
     {"detent_force": 0.1},
     {"vibration_force": 0.1},
     {"maxwell_stiffness": 20.0},
+    {"eddy_torque": 1e-3},
 ]
 SHOWING = standard_plans(seed=2, duration=4.0, free=1, forced=1, rest=0)
 
@@ -315,10 +328,14 @@ SHOWING = standard_plans(seed=2, duration=4.0, free=1, forced=1, rest=0)
 @pytest.fixture(scope="module")
 def with_effects():
     """Plain outputs, and those with each effect, of one batch; no noise."""
-    rigs = [Rig(**QUIET)] + [Rig(**QUIET, **effect) for effect in EFFECTS]
+    quiet = {**QUIET, "encoder": True, "angle_noise": 1e-12}
+    rigs = [Rig(**quiet)] + [Rig(**quiet, **effect) for effect in EFFECTS]
     recordings = record_many([(rig, SHOWING, 1) for rig in rigs])
     return [
-        [np.stack([e.outputs[name].values for name in ("cart_position", "arm_velocity")]) for e in recording]
+        [
+            np.stack([e.outputs[name].values for name in ("cart_position", "arm_velocity", "arm_angle")])
+            for e in recording
+        ]
         for recording in recordings
     ]
 
@@ -326,7 +343,7 @@ def with_effects():
 @pytest.mark.parametrize("index", range(len(EFFECTS)), ids=[next(iter(effect)) for effect in EFFECTS])
 def test_each_effect_shows(with_effects, index):
     plain, changed = with_effects[0], with_effects[index + 1]
-    noise = np.array([2e-5, 0.05])
+    noise = np.array([2e-5, 0.05, 1e-3])
     largest = max((np.sqrt(np.mean((a - b) ** 2, axis=1)) / noise).max() for a, b in zip(plain, changed, strict=True))
     assert largest > 1.0
 
@@ -352,7 +369,7 @@ def test_every_effect_is_tested_and_null_by_default():
         "_phase",
         "_home",
     )
-    shapes += ("_reference", "_position", "_width", "maxwell_damping")
+    shapes += ("_reference", "_position", "_width", "maxwell_damping", "shaft_damping", "_share", "_pitch")
     assert {next(iter(effect)) for effect in EFFECTS} == {name for name in hidden if not name.endswith(shapes)}
 
 
@@ -390,6 +407,68 @@ def test_sensors_noise_and_quantisation():
     assert np.std(noise) == pytest.approx(2e-5, rel=0.1)
 
 
+def test_noisier_than_written():
+    rest = [Plan("rest", "rest", 20.0, 0.005)]
+    rig = Rig(noise_factor=2.0, noise_correlation=0.9, quantisation_bits=None, encoder=True)
+    for signal in record(rig, rest, seed=0, write_noise=True)["rest"].outputs.values():
+        assert np.std(signal.values) == pytest.approx(2 * float(signal.noise_std or 0), rel=0.15)
+        assert np.corrcoef(signal.values[1:], signal.values[:-1])[0, 1] == pytest.approx(0.9, abs=0.03)
+
+
+def test_rotor_and_arm_share_what_one_of_them_gets():
+    """Without friction the motor gives both together the same momentum, whether they are one or not."""
+    rig = Rig(arm_viscous_positive=0.0, arm_viscous_negative=0.0)
+    time = 0.01 * np.arange(100)
+    plan = Plan("push", "forced", 1.0, 0.01, 0.1 * np.sin(8 * time), cart="clamped")
+    whole = move(rig, plan)
+    for apart in ({"backlash": 0.05}, {"shaft_stiffness": 0.3, "shaft_damping": 1e-4}):
+        track = move(replace(rig, **apart), plan)
+        together = rig.rotor_share * track.seen_arm_velocity + (1 - rig.rotor_share) * track.arm_velocity
+        np.testing.assert_allclose(together, whole.arm_velocity, atol=1e-9)
+        twist = track.seen_angle - track.angle
+        assert np.ptp(twist) > 1e-3
+        if "backlash" in apart:
+            assert 0.95 * 0.025 < np.abs(twist).max() < 1.02 * 0.025
+
+
+def test_shaft_rings_at_its_frequency():
+    stiffness, rig = 0.5, Rig(arm_viscous_positive=0.0, arm_viscous_negative=0.0, rotor_share=0.4)
+    plan = Plan("push", "forced", 0.5, 1e-3, np.full(500, 0.1), cart="clamped")
+    track = move(replace(rig, shaft_stiffness=stiffness), plan, 2e-5)
+    reduced = 0.4 * 0.6 * rig.arm_inertia
+    rest = 0.1 * rig.torque_constant * 0.6 / stiffness
+    expected = rest * (1 - np.cos(np.sqrt(stiffness / reduced) * 1e-3 * np.arange(500)))
+    np.testing.assert_allclose(track.seen_angle - track.angle, expected, atol=2e-3 * rest)
+
+
+@pytest.mark.parametrize("played", ["foh", "bl"])
+def test_inputs_that_run_otherwise_than_the_recording_says(played):
+    rig = Rig(arm_viscous_positive=0.0, arm_viscous_negative=0.0)
+    time = 0.01 * np.arange(200)
+    plan = Plan("play", "forced", 2.0, 0.01, 0.2 * np.sin(12 * time), cart="clamped", played=played)
+    found = move(rig, plan).arm_velocity
+    push = 0.2 * rig.torque_constant / rig.arm_inertia
+    exact = push * (1 - np.cos(12 * time)) / 12
+    straight = push * np.append(0.0, np.cumsum(0.005 * (np.sin(12 * time[1:]) + np.sin(12 * time[:-1]))))
+    # What comes after the last sample the smooth curve cannot know.
+    expected = (exact if played == "bl" else straight)[:-2]
+    np.testing.assert_allclose(found[:-2], expected, atol=1e-5 * push / 12)
+    held = move(rig, replace(plan, played=None)).arm_velocity
+    assert np.abs(found - held).max() > 0.01 * push / 12
+    recorded = record(rig, [plan], seed=0)["play"].inputs["current"]
+    assert recorded.intersample == "zoh"
+    right = record(rig, [replace(plan, intersample=played)], seed=0)["play"]
+    assert right.inputs["current"].intersample == played
+
+
+def test_eddy_brake_has_its_peak():
+    rig = Rig(eddy_torque=2e-3, eddy_velocity=4.0, arm_viscous_positive=0.0, arm_viscous_negative=0.0)
+    track = move(rig, Plan("brake", "free", 1.0, 1e-3, initial_arm_velocity=12.0, cart="clamped"))
+    braking = -np.gradient(track.arm_velocity, 1e-3) * rig.arm_inertia
+    assert braking[2:-2].max() == pytest.approx(2e-3, rel=1e-3)
+    assert track.arm_velocity[np.argmax(braking)] == pytest.approx(4.0, rel=0.02)
+
+
 def test_standard_plans_stay_within_the_rig_and_show_it():
     plans = [plan for seed in range(4) for plan in standard_plans(seed=seed, repeats=1, sample_time=0.01)]
     assert [plan.kind for plan in plans[:14]] == ["free"] * 4 + ["forced"] * 9 + ["rest"]
@@ -419,6 +498,8 @@ def test_drawn_rigs():
         (lambda: Rig(eccentric_moment=0.1), "eccentric_moment"),
         (lambda: Rig().drawn(0, spread=1.0), "spread"),
         (lambda: Plan("a", duration=1.0, sample_time=0.1, current=np.zeros(9)), "current"),
+        (lambda: Rig(rotor_share=1.0), "rotor_share"),
+        (lambda: Plan("a", played="sinc"), "played"),  # pyright: ignore[reportArgumentType]
         (lambda: Plan("a", "fast"), "kind"),  # pyright: ignore[reportArgumentType]
         (lambda: record(Rig(), [], seed=0), "no plans"),
         (lambda: record(Rig(), [Plan("a"), Plan("a")], seed=0), "names"),

@@ -1,36 +1,89 @@
 """The catalogue: one small immutable class per physical effect."""
 
-from rtac_jax.effects._interface import Actuator, DryFriction, Effect, Force, Motion, Outputs, Sensor, States
-from rtac_jax.effects.actuator import CurrentLag, CurrentOffset, DeadZone
-from rtac_jax.effects.arm_friction import ArmCoulomb, ArmViscous
-from rtac_jax.effects.cart_friction import CartCoulomb, CartQuadraticDrag, CartViscous
+from rtac_jax.effects._interface import (
+    Actuator,
+    DryFriction,
+    Effect,
+    Force,
+    Impact,
+    Input,
+    Motion,
+    Outputs,
+    Sensor,
+    States,
+)
+from rtac_jax.effects.actuator import CurrentLag, CurrentOffset, DeadZone, Saturation, TorqueDroop
+from rtac_jax.effects.arm_friction import ArmCoulomb, ArmQuadraticDrag, ArmStribeck, ArmViscous
+from rtac_jax.effects.between_samples import InputDelay, InputHold
+from rtac_jax.effects.cart_friction import CartCoulomb, CartQuadraticDrag, CartStribeck, CartViscous
 from rtac_jax.effects.cogging import Cogging
 from rtac_jax.effects.flexible_mode import FlexibleMode
 from rtac_jax.effects.gravity_tilt import GravityTilt
-from rtac_jax.effects.sensors import TachoBias
-from rtac_jax.effects.springs import CubicSpring, ForceOffset, QuadraticSpring
+from rtac_jax.effects.hysteretic_spring import HystereticSpring
+from rtac_jax.effects.sensor_ripple import EncoderRipple, LvdtRipple, TachoRipple
+from rtac_jax.effects.sensors import (
+    ChannelDelay,
+    EncoderGain,
+    EncoderLag,
+    EncoderOffset,
+    LvdtGain,
+    LvdtLag,
+    LvdtNonlinearity,
+    LvdtOffset,
+    TachoBias,
+    TachoGain,
+    TachoLag,
+)
+from rtac_jax.effects.shaft import Backlash, FlexibleShaft
+from rtac_jax.effects.spline_force import SplineForce
+from rtac_jax.effects.springs import CableSpring, CubicSpring, EndStop, ForceOffset, QuadraticSpring
 
 CATALOGUE: dict[str, type[Effect]] = {
     effect.id: effect
     for effect in (
         CartViscous,
         CartCoulomb,
+        CartStribeck,
         CartQuadraticDrag,
         CubicSpring,
         QuadraticSpring,
+        HystereticSpring,
         ForceOffset,
         FlexibleMode,
+        EndStop,
         ArmViscous,
         ArmCoulomb,
+        ArmStribeck,
+        ArmQuadraticDrag,
         Cogging,
+        CableSpring,
         GravityTilt,
+        Backlash,
+        FlexibleShaft,
+        InputHold,
+        InputDelay,
+        Saturation,
         CurrentLag,
-        DeadZone,
         CurrentOffset,
+        DeadZone,
+        TorqueDroop,
+        TachoLag,
+        TachoRipple,
+        TachoGain,
         TachoBias,
+        LvdtLag,
+        ChannelDelay,
+        LvdtNonlinearity,
+        LvdtRipple,
+        LvdtGain,
+        LvdtOffset,
+        EncoderLag,
+        EncoderRipple,
+        EncoderGain,
+        EncoderOffset,
     )
 }
-"""Every effect that the package knows, by id."""
+"""Every effect that the package knows, by id; inputs, actuators and sensors in the order in which they follow each other."""
 
 
 def effect_class(name: str) -> type[Effect]:
@@ -48,10 +101,16 @@ __all__ = [
     "CATALOGUE",
     "Actuator",
     "ArmCoulomb",
+    "ArmQuadraticDrag",
+    "ArmStribeck",
     "ArmViscous",
+    "Backlash",
+    "CableSpring",
     "CartCoulomb",
     "CartQuadraticDrag",
+    "CartStribeck",
     "CartViscous",
+    "ChannelDelay",
     "Cogging",
     "CubicSpring",
     "CurrentLag",
@@ -59,15 +118,37 @@ __all__ = [
     "DeadZone",
     "DryFriction",
     "Effect",
+    "EncoderGain",
+    "EncoderLag",
+    "EncoderOffset",
+    "EncoderRipple",
+    "EndStop",
     "FlexibleMode",
+    "FlexibleShaft",
     "Force",
     "ForceOffset",
     "GravityTilt",
+    "HystereticSpring",
+    "Impact",
+    "Input",
+    "InputDelay",
+    "InputHold",
+    "LvdtGain",
+    "LvdtLag",
+    "LvdtNonlinearity",
+    "LvdtOffset",
+    "LvdtRipple",
     "Motion",
     "Outputs",
     "QuadraticSpring",
+    "Saturation",
     "Sensor",
+    "SplineForce",
     "States",
     "TachoBias",
+    "TachoGain",
+    "TachoLag",
+    "TachoRipple",
+    "TorqueDroop",
     "effect_class",
 ]

@@ -1,4 +1,4 @@
-"""What an effect is: a force, an actuator stage or a sensor stage with its own parameters, and states where it needs them.
+"""What an effect is: a force, an input, actuator or sensor stage with its own parameters, and states where it needs them.
 
 An effect is final, immutable and knows nothing of data, optimisers or pictures. It is absent at the null value of its
 parameters, and it declares how large it may plausibly be on a rig of given scales, so that the diagnosis can look for it.
@@ -18,6 +18,8 @@ Values = Float[Array, "*#batch"]
 """One number per trajectory, or one for all."""
 States = tuple[Any, ...]
 """An effect's own states, one array each."""
+Pieces = Float[Array, "sample _ experiment"]
+"""An input as one polynomial for each interval between samples."""
 
 
 class Motion(NamedTuple):
@@ -29,8 +31,13 @@ class Motion(NamedTuple):
         arm_angle: theta [rad].
         arm_velocity: [rad/s].
         sin_angle, cos_angle: of theta.
-        current: what reaches the motor, after the actuator effects [A].
+        current: what reaches the motor, after the actuator effects [A]; for an actuator effect, what reaches it.
         body: the rigid body, for effects that need a mass.
+        began: the motion at the beginning of the integration step; None where no step is being taken.
+        elapsed: share of the step that has gone by.
+        step: its length [s].
+        last: the current at its end [A].
+        cart_acceleration, arm_acceleration: [m/s^2, rad/s^2]; known to sensors only.
     """
 
     cart_position: Any
@@ -41,6 +48,12 @@ class Motion(NamedTuple):
     cos_angle: Any
     current: Any
     body: RigidBody
+    began: Any = None
+    elapsed: Any = 0.0
+    step: Any = 0.0
+    last: Any = 0.0
+    cart_acceleration: Any = 0.0
+    arm_acceleration: Any = 0.0
 
 
 class Outputs(NamedTuple):
@@ -52,7 +65,7 @@ class Outputs(NamedTuple):
 
 
 class Effect(eqx.Module):
-    """A physical effect; subclass `Force`, `DryFriction`, `Actuator` or `Sensor`, never this class.
+    """A physical effect; subclass `Force`, `DryFriction`, `Impact`, `Actuator`, `Input` or `Sensor`, never this class.
 
     Class attributes:
         id: the name in the catalogue.
@@ -61,6 +74,8 @@ class Effect(eqx.Module):
         port: the part of the rig on which it acts.
         states: names of its own states, with units.
         free_start: whether a recording may begin with these states away from `start`, so that a fit estimates them.
+        closed: whether the states follow in closed form over a step (`follow`) instead of by integrating `rate`. A lag
+            is exact in this way and may be as short as it likes without asking for small steps.
     """
 
     id: ClassVar[str]
@@ -69,6 +84,7 @@ class Effect(eqx.Module):
     port: ClassVar[str]
     states: ClassVar[dict[str, str]] = {}
     free_start: ClassVar[bool] = False
+    closed: ClassVar[bool] = False
 
     def __check_init__(self) -> None:
         for name, declared in declarations(self).items():
@@ -84,6 +100,23 @@ class Effect(eqx.Module):
         """Time derivatives of the effect's own states; none unless the effect has states."""
         del motion, own
         return ()
+
+    def follow(self, motion: Motion, own: States) -> States:
+        """The states of a `closed` effect at the end of a step, from those at its beginning, `motion.began`."""
+        del motion
+        return own
+
+    def during(self, motion: Motion, own: States) -> States:
+        """What a `closed` effect acts with within a step, when `motion.elapsed` of it has gone by.
+
+        Runge-Kutta steps sample it at 0, 1/2 and 1. What changes faster than that has to be smoothed with its mean kept.
+        """
+        return self.follow(motion, own)
+
+    def read(self, outputs: Outputs, own: States) -> Outputs:
+        """The outputs after this effect; unchanged unless the effect acts on what the sensors see."""
+        del own
+        return outputs
 
     @classmethod
     def amplitudes(cls) -> tuple[str, ...]:
@@ -142,6 +175,11 @@ class Force(Effect):
         """Mass that the effect adds to the cart [kg]; negative where it takes some away."""
         return 0.0
 
+    def arm_inertia(self, body: RigidBody) -> Any:
+        """Inertia that the effect adds to the arm [kg m^2]; negative where it takes some away."""
+        del body
+        return 0.0
+
 
 class DryFriction(Effect):
     """Friction that opposes motion with a given level and holds what does not move.
@@ -157,6 +195,31 @@ class DryFriction(Effect):
         """Largest friction force on the cart [N] and torque on the arm [N m], neither negative."""
 
 
+class Impact(Effect):
+    """An effect whose parts hit each other: it changes velocities at once, after each integration step."""
+
+    nature: ClassVar[str] = "dissipative"
+
+    def rate(self, motion: Motion, own: States) -> States:
+        """Nothing happens between impacts that the step does not know."""
+        del motion
+        return tuple(0.0 * x for x in own)
+
+    @abstractmethod
+    def strike(self, motion: Motion, own: States, mobility: Any) -> tuple[States, Any, Any]:
+        """What happened in the step that ends with this motion.
+
+        Args:
+            motion: at the end of the step, which was taken without the effect; `began` and `elapsed` are set.
+            own: the states at the beginning of the step.
+            mobility: angular acceleration of the arm by a unit torque [rad/s^2/(N m)]; zero where it is held.
+
+        Returns:
+            The effect's own states at the end of the step, the impulse on the arm in the step [N m s], and its moment
+            about the end of the step [N m s^2], which moves the arm at once.
+        """
+
+
 class Actuator(Effect):
     """An effect between the recorded current and the current that makes torque."""
 
@@ -165,6 +228,22 @@ class Actuator(Effect):
     @abstractmethod
     def current(self, current: Any, own: States) -> Any:
         """The current after this stage [A], from the current before it [A]."""
+
+
+class Input(Effect):
+    """An effect on how the inputs run between and across their samples, known before anything moves."""
+
+    port: ClassVar[str] = "actuator"
+
+    @abstractmethod
+    def transform(self, coefficients: Pieces, channel: str, sample_time: Any) -> Pieces:
+        """An input after this stage, as polynomials in the fraction of each interval, rising powers.
+
+        Args:
+            coefficients: of the input before this stage.
+            channel: "current" or "force".
+            sample_time: of each experiment [s].
+        """
 
 
 class Sensor(Effect):

@@ -7,15 +7,39 @@ import numpy as np
 
 from rtac_jax._parameter import Scalar, parameter
 from rtac_jax.effects._interface import Actuator, Motion, States
+from rtac_jax.effects._lag import averaged, behind
+
+_TAO = "Tao and Kokotovic, Adaptive Control of Systems with Actuator and Sensor Nonlinearities (1996)"
+
+
+class Saturation(Actuator):
+    """The drive delivers no more than a largest current; its reciprocal is the parameter, so that 0 means no limit."""
+
+    id: ClassVar[str] = "saturation"
+    equation: ClassVar[str] = "clip(i, -1/g, 1/g)"
+    source: ClassVar[str] = _TAO
+
+    inverse_limit: Scalar = parameter(
+        symbol="g = 1/i_max", unit="1/A", bounds=(0.0, np.inf), meaning="reciprocal of the largest current", null=0.0,
+        plausible=lambda s: 0.8 / s.current,
+    )  # fmt: skip
+
+    def current(self, current: Any, own: States) -> Any:
+        return current / jnp.maximum(1.0, self.inverse_limit * jnp.abs(current))
 
 
 class CurrentLag(Actuator):
-    """The current drive follows its command with a first-order lag; the current starts at its command."""
+    """The current drive follows its command with a first-order lag; in equilibrium the current is its command.
+
+    The command is taken as straight over an integration step, for which the lag is exact, be it as short as it likes.
+    """
 
     id: ClassVar[str] = "current_lag"
     equation: ClassVar[str] = "tau i' = i_command - i"
     source: ClassVar[str] = "Leonhard, Control of Electrical Drives (2001), section 7.1"
     states: ClassVar[dict[str, str]] = {"current": "A"}
+    free_start: ClassVar[bool] = True
+    closed: ClassVar[bool] = True
 
     time_constant: Scalar = parameter(
         symbol="tau", unit="s", bounds=(0.0, np.inf), meaning="time constant of the current drive", null=0.0,
@@ -32,23 +56,13 @@ class CurrentLag(Actuator):
         acts = self.time_constant > 0
         return (jnp.where(acts, (motion.current - own[0]) / jnp.where(acts, self.time_constant, 1.0), 0.0),)
 
+    def follow(self, motion: Motion, own: States) -> States:
+        first = motion.began.current
+        return (motion.last + behind(own[0] - first, self.time_constant / motion.step, motion.last - first),)
 
-class DeadZone(Actuator):
-    """No torque until the current exceeds a threshold, and the excess beyond it."""
-
-    id: ClassVar[str] = "dead_zone"
-    equation: ClassVar[str] = "i - clip(i, -i_0, i_0)"
-    source: ClassVar[str] = (
-        "Tao and Kokotovic, Adaptive Control of Systems with Actuator and Sensor Nonlinearities (1996)"
-    )
-
-    threshold: Scalar = parameter(
-        symbol="i_0", unit="A", bounds=(0.0, np.inf), meaning="current without torque", null=0.0,
-        plausible=lambda s: 0.05 * s.current,
-    )  # fmt: skip
-
-    def current(self, current: Any, own: States) -> Any:
-        return current - jnp.clip(current, -self.threshold, self.threshold)
+    def during(self, motion: Motion, own: States) -> States:
+        first, ratio = motion.began.current, self.time_constant / motion.step
+        return (motion.current + averaged(own[0] - first, ratio, motion.last - first, motion.elapsed),)
 
 
 class CurrentOffset(Actuator):
@@ -65,3 +79,35 @@ class CurrentOffset(Actuator):
 
     def current(self, current: Any, own: States) -> Any:
         return current + self.offset
+
+
+class DeadZone(Actuator):
+    """No torque until the current exceeds a threshold, and the excess beyond it."""
+
+    id: ClassVar[str] = "dead_zone"
+    equation: ClassVar[str] = "i - clip(i, -i_0, i_0)"
+    source: ClassVar[str] = _TAO
+
+    threshold: Scalar = parameter(
+        symbol="i_0", unit="A", bounds=(0.0, np.inf), meaning="current without torque", null=0.0,
+        plausible=lambda s: 0.05 * s.current,
+    )  # fmt: skip
+
+    def current(self, current: Any, own: States) -> Any:
+        return current - jnp.clip(current, -self.threshold, self.threshold)
+
+
+class TorqueDroop(Actuator):
+    """The torque per ampere falls as the current saturates the iron; i is the current that would make the same torque."""
+
+    id: ClassVar[str] = "torque_droop"
+    equation: ClassVar[str] = "i / (1 + c |i|)"
+    source: ClassVar[str] = "Froehlich's magnetisation curve; Krause, Analysis of Electric Machinery (2013), chapter 1"
+
+    droop: Scalar = parameter(
+        symbol="c", unit="1/A", bounds=(0.0, np.inf), meaning="relative fall of the torque constant per ampere",
+        null=0.0, plausible=lambda s: 0.1 / s.current,
+    )  # fmt: skip
+
+    def current(self, current: Any, own: States) -> Any:
+        return current / (1.0 + self.droop * jnp.abs(current))

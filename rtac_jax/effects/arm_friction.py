@@ -1,4 +1,4 @@
-"""Friction on the arm: asymmetric viscous (the paper's) and Coulomb."""
+"""Friction on the arm: asymmetric viscous (the paper's), Coulomb, Stribeck and quadratic drag."""
 
 from typing import Any, ClassVar
 
@@ -47,3 +47,42 @@ class ArmCoulomb(DryFriction):
 
     def levels(self, motion: Motion, own: States) -> tuple[Any, Any]:
         return 0.0, self.level
+
+
+class ArmStribeck(DryFriction):
+    """Dry friction of the arm that is larger near rest: grease and brushes that stick."""
+
+    id: ClassVar[str] = "arm_stribeck"
+    equation: ClassVar[str] = "-tau_s exp(-(theta' / w_s)^2) sgn theta'"
+    source: ClassVar[str] = "Armstrong, Dupont and Canudas de Wit, Automatica 30 (1994)"
+    port: ClassVar[str] = "arm"
+
+    level: Scalar = parameter(
+        symbol="tau_s", unit="N m", bounds=(0.0, np.inf), meaning="dry friction of the arm near rest", null=0.0,
+        plausible=lambda s: 0.05 * s.torque,
+    )  # fmt: skip
+    velocity: Scalar = parameter(
+        symbol="w_s", unit="rad/s", bounds=(0.0, np.inf), meaning="velocity at which it has fallen to 37 %",
+        plausible=lambda s: tuple(s.arm_velocity * share for share in (0.05, 0.15, 0.5)),
+    )  # fmt: skip
+
+    def levels(self, motion: Motion, own: States) -> tuple[Any, Any]:
+        return 0.0, self.level * jnp.exp(-((motion.arm_velocity / self.velocity) ** 2))
+
+
+class ArmQuadraticDrag(Force):
+    """Drag of turbulent air on the turning arm."""
+
+    id: ClassVar[str] = "arm_quadratic_drag"
+    equation: ClassVar[str] = "-c |theta'| theta'"
+    source: ClassVar[str] = "Nayfeh and Mook, Nonlinear Oscillations (1979), section 3.3"
+    port: ClassVar[str] = "arm"
+    nature: ClassVar[str] = "dissipative"
+
+    coefficient: Scalar = parameter(
+        symbol="c", unit="N m s^2/rad^2", bounds=(0.0, np.inf), meaning="quadratic drag of the arm", null=0.0,
+        plausible=lambda s: 0.03 * s.torque / s.arm_velocity**2,
+    )  # fmt: skip
+
+    def force(self, motion: Motion, own: States) -> tuple[Any, Any]:
+        return 0.0, -self.coefficient * jnp.abs(motion.arm_velocity) * motion.arm_velocity

@@ -1,4 +1,4 @@
-"""Friction on the cart: viscous and Coulomb (the paper's), and quadratic drag."""
+"""Friction on the cart: viscous and Coulomb (the paper's), Stribeck and quadratic drag."""
 
 from typing import Any, ClassVar
 
@@ -42,6 +42,27 @@ class CartCoulomb(DryFriction):
 
     def levels(self, motion: Motion, own: States) -> tuple[Any, Any]:
         return self.level, 0.0
+
+
+class CartStribeck(DryFriction):
+    """Dry friction of the cart that is larger near rest."""
+
+    id: ClassVar[str] = "cart_stribeck"
+    equation: ClassVar[str] = "-f exp(-(q' / v_s)^2) sgn q'"
+    source: ClassVar[str] = "Armstrong, Dupont and Canudas de Wit, Automatica 30 (1994)"
+    port: ClassVar[str] = "cart"
+
+    level: Scalar = parameter(
+        symbol="f", unit="N", bounds=(0.0, np.inf), meaning="dry friction of the cart near rest", null=0.0,
+        plausible=lambda s: 0.03 * s.force,
+    )  # fmt: skip
+    velocity: Scalar = parameter(
+        symbol="v_s", unit="m/s", bounds=(0.0, np.inf), meaning="velocity at which it has fallen to 37 %",
+        plausible=lambda s: tuple(s.velocity * share for share in (0.05, 0.15, 0.5)),
+    )  # fmt: skip
+
+    def levels(self, motion: Motion, own: States) -> tuple[Any, Any]:
+        return self.level * jnp.exp(-((motion.cart_velocity / self.velocity) ** 2)), 0.0
 
 
 class CartQuadraticDrag(Force):

@@ -1,9 +1,51 @@
-"""What may stand between the motion and what is recorded of it."""
+"""What may stand between the motion and what is recorded of it, however the sensor works: gain, offset, lag, delay.
 
-from typing import ClassVar
+A lag's state is how far the sensor shows more than there is. So it is zero where there is no lag, and a random force
+that moves the rig is seen at once, as it should be through a lag that vanishes.
+"""
+
+from typing import Any, ClassVar
+
+import jax.numpy as jnp
+import numpy as np
 
 from rtac_jax._parameter import Scalar, parameter
-from rtac_jax.effects._interface import Outputs, Sensor, States
+from rtac_jax.effects._interface import Motion, Outputs, Sensor, States
+from rtac_jax.effects._lag import behind
+
+_AMPLIFIER = "gain and offset of an analogue amplifier; Doebelin, Measurement Systems (2004), chapter 3"
+_FIRST_ORDER = "first-order instrument; Doebelin, Measurement Systems (2004), chapter 3"
+
+
+def _gain(reads: str) -> Any:
+    return parameter(
+        symbol="g", unit="1", bounds=(-0.9, np.inf), meaning=f"relative error of the {reads}", null=0.0, plausible=0.03
+    )
+
+
+def _lag_rate(time_constant: Any, ahead: Any, speed: Any) -> States:
+    acts = time_constant > 0
+    return (jnp.where(acts, -ahead / jnp.where(acts, time_constant, 1.0) - speed, 0.0),)
+
+
+def _ahead(by: Any, time_constant: Any, motion: Motion, place: str, speed: str) -> Any:
+    """How far the lag of a place that is measured is ahead after the step, with the speeds at both ends of the step."""
+    change = getattr(motion, place) - getattr(motion.began, place)
+    bend = 0.5 * motion.step * (getattr(motion, speed) - getattr(motion.began, speed))
+    return behind(by, time_constant / motion.step, change, bend)
+
+
+class TachoGain(Sensor):
+    """The tachometer's scale is wrong. It shows because the arm's angle acts on the cart through its sine and cosine."""
+
+    id: ClassVar[str] = "tacho_gain"
+    equation: ClassVar[str] = "(1 + g) theta'"
+    source: ClassVar[str] = _AMPLIFIER
+
+    error: Scalar = _gain("tachometer's scale")
+
+    def read(self, outputs: Outputs, own: States) -> Outputs:
+        return outputs._replace(arm_velocity=outputs.arm_velocity * (1.0 + self.error))
 
 
 class TachoBias(Sensor):
@@ -20,3 +62,197 @@ class TachoBias(Sensor):
 
     def read(self, outputs: Outputs, own: States) -> Outputs:
         return outputs._replace(arm_velocity=outputs.arm_velocity + self.bias)
+
+
+class TachoLag(Sensor):
+    """The tachometer's filter follows the arm's velocity with a first-order lag."""
+
+    id: ClassVar[str] = "tacho_lag"
+    equation: ClassVar[str] = "tau y' = theta' - y"
+    source: ClassVar[str] = _FIRST_ORDER
+    states: ClassVar[dict[str, str]] = {"ahead": "rad/s"}
+    closed: ClassVar[bool] = True
+
+    time_constant: Scalar = parameter(
+        symbol="tau", unit="s", bounds=(0.0, np.inf), meaning="time constant of the tachometer", null=0.0,
+        plausible=lambda s: 2.0 * s.sample_time,
+    )  # fmt: skip
+
+    def read(self, outputs: Outputs, own: States) -> Outputs:
+        return outputs._replace(arm_velocity=outputs.arm_velocity + own[0])
+
+    def start(self, motion: Motion) -> States:
+        return (0.0 * motion.arm_velocity,)
+
+    def rate(self, motion: Motion, own: States) -> States:
+        return _lag_rate(self.time_constant, own[0], motion.arm_acceleration)
+
+    def follow(self, motion: Motion, own: States) -> States:
+        change = motion.arm_velocity - motion.began.arm_velocity
+        return (behind(own[0], self.time_constant / motion.step, change),)
+
+
+class LvdtGain(Sensor):
+    """The LVDT's scale is wrong.
+
+    To be told from the other parameters it needs a second scale for the cart: with the arm free, the eccentric moment,
+    the total mass or the disturbance force have to be known.
+    """
+
+    id: ClassVar[str] = "lvdt_gain"
+    equation: ClassVar[str] = "(1 + g) q"
+    source: ClassVar[str] = _AMPLIFIER
+
+    error: Scalar = _gain("LVDT's scale")
+
+    def read(self, outputs: Outputs, own: States) -> Outputs:
+        return outputs._replace(cart_position=outputs.cart_position * (1.0 + self.error))
+
+
+class LvdtOffset(Sensor):
+    """The LVDT's zero is not where the spring is at rest.
+
+    On a linear spring it is the same as `force_offset`; only a spring that is not linear can tell them apart.
+    """
+
+    id: ClassVar[str] = "lvdt_offset"
+    equation: ClassVar[str] = "q + q_0"
+    source: ClassVar[str] = _AMPLIFIER
+
+    offset: Scalar = parameter(
+        symbol="q_0", unit="m", meaning="LVDT reading at the spring's rest", null=0.0,
+        plausible=lambda s: 0.03 * s.position,
+    )  # fmt: skip
+
+    def read(self, outputs: Outputs, own: States) -> Outputs:
+        return outputs._replace(cart_position=outputs.cart_position + self.offset)
+
+
+class LvdtNonlinearity(Sensor):
+    """The LVDT's scale changes towards the ends of its travel."""
+
+    id: ClassVar[str] = "lvdt_nonlinearity"
+    equation: ClassVar[str] = "q + c q^3"
+    source: ClassVar[str] = "Doebelin, Measurement Systems (2004), section 4.3"
+
+    cubic: Scalar = parameter(
+        symbol="c", unit="1/m^2", meaning="cubic error of the LVDT", null=0.0,
+        plausible=lambda s: 0.01 / s.position**2,
+    )  # fmt: skip
+
+    def read(self, outputs: Outputs, own: States) -> Outputs:
+        q = outputs.cart_position
+        return outputs._replace(cart_position=q + self.cubic * q**3)
+
+
+class LvdtLag(Sensor):
+    """The LVDT's demodulator follows the cart's position with a first-order lag."""
+
+    id: ClassVar[str] = "lvdt_lag"
+    equation: ClassVar[str] = "tau y' = q - y"
+    source: ClassVar[str] = _FIRST_ORDER
+    states: ClassVar[dict[str, str]] = {"ahead": "m"}
+    closed: ClassVar[bool] = True
+
+    time_constant: Scalar = parameter(
+        symbol="tau", unit="s", bounds=(0.0, np.inf), meaning="time constant of the LVDT", null=0.0,
+        plausible=lambda s: 2.0 * s.sample_time,
+    )  # fmt: skip
+
+    def read(self, outputs: Outputs, own: States) -> Outputs:
+        return outputs._replace(cart_position=outputs.cart_position + own[0])
+
+    def start(self, motion: Motion) -> States:
+        return (-self.time_constant * motion.cart_velocity,)
+
+    def rate(self, motion: Motion, own: States) -> States:
+        return _lag_rate(self.time_constant, own[0], motion.cart_velocity)
+
+    def follow(self, motion: Motion, own: States) -> States:
+        return (_ahead(own[0], self.time_constant, motion, "cart_position", "cart_velocity"),)
+
+
+class ChannelDelay(Sensor):
+    """The cart's position is sampled later than the arm's channels, as behind a multiplexer.
+
+    The delay is Pade's approximation of first order, whose error is (w tau)^3 / 12 at the frequency w: under 1e-4 for
+    the cart's oscillation and ten milliseconds. A delay of all channels alike is an `input_delay`.
+    """
+
+    id: ClassVar[str] = "channel_delay"
+    equation: ClassVar[str] = "q(t - tau)"
+    source: ClassVar[str] = "Golub and Van Loan, Matrix Computations (2013), section 9.3, Pade approximation of exp"
+    states: ClassVar[dict[str, str]] = {"ahead": "m"}
+    closed: ClassVar[bool] = True
+
+    delay: Scalar = parameter(
+        symbol="tau", unit="s", bounds=(0.0, np.inf), meaning="delay of the cart's position", null=0.0,
+        plausible=lambda s: s.sample_time,
+    )  # fmt: skip
+
+    def read(self, outputs: Outputs, own: States) -> Outputs:
+        return outputs._replace(cart_position=outputs.cart_position + 2.0 * own[0])
+
+    def start(self, motion: Motion) -> States:
+        return (-0.5 * self.delay * motion.cart_velocity,)
+
+    def rate(self, motion: Motion, own: States) -> States:
+        return _lag_rate(0.5 * self.delay, own[0], motion.cart_velocity)
+
+    def follow(self, motion: Motion, own: States) -> States:
+        return (_ahead(own[0], 0.5 * self.delay, motion, "cart_position", "cart_velocity"),)
+
+
+class EncoderGain(Sensor):
+    """The encoder's scale is wrong, as with a belt between encoder and arm."""
+
+    id: ClassVar[str] = "encoder_gain"
+    equation: ClassVar[str] = "(1 + g) theta"
+    source: ClassVar[str] = _AMPLIFIER
+
+    error: Scalar = _gain("encoder's scale")
+
+    def read(self, outputs: Outputs, own: States) -> Outputs:
+        return outputs._replace(arm_angle=outputs.arm_angle * (1.0 + self.error))
+
+
+class EncoderOffset(Sensor):
+    """The encoder's zero is not where the arm points across the travel; it shows in the phase of the arm's pull."""
+
+    id: ClassVar[str] = "encoder_offset"
+    equation: ClassVar[str] = "theta + theta_0"
+    source: ClassVar[str] = "mounting of an incremental encoder"
+
+    offset: Scalar = parameter(
+        symbol="theta_0", unit="rad", meaning="encoder reading at theta = 0", null=0.0, plausible=0.03
+    )
+
+    def read(self, outputs: Outputs, own: States) -> Outputs:
+        return outputs._replace(arm_angle=outputs.arm_angle + self.offset)
+
+
+class EncoderLag(Sensor):
+    """The encoder's counter is read late, or filtered, with a first-order lag."""
+
+    id: ClassVar[str] = "encoder_lag"
+    equation: ClassVar[str] = "tau y' = theta - y"
+    source: ClassVar[str] = _FIRST_ORDER
+    states: ClassVar[dict[str, str]] = {"ahead": "rad"}
+    closed: ClassVar[bool] = True
+
+    time_constant: Scalar = parameter(
+        symbol="tau", unit="s", bounds=(0.0, np.inf), meaning="time constant of the encoder", null=0.0,
+        plausible=lambda s: 2.0 * s.sample_time,
+    )  # fmt: skip
+
+    def read(self, outputs: Outputs, own: States) -> Outputs:
+        return outputs._replace(arm_angle=outputs.arm_angle + own[0])
+
+    def start(self, motion: Motion) -> States:
+        return (-self.time_constant * motion.arm_velocity,)
+
+    def rate(self, motion: Motion, own: States) -> States:
+        return _lag_rate(self.time_constant, own[0], motion.arm_velocity)
+
+    def follow(self, motion: Motion, own: States) -> States:
+        return (_ahead(own[0], self.time_constant, motion, "arm_angle", "arm_velocity"),)

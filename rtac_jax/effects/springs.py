@@ -1,6 +1,9 @@
-"""Springs whose stiffness depends on the cart's position, and a constant force that moves their equilibrium."""
+"""Springs of the cart that are not linear, a constant force that moves their equilibrium, and a spring of the arm."""
 
 from typing import Any, ClassVar
+
+import jax.numpy as jnp
+import numpy as np
 
 from rtac_jax._parameter import Scalar, parameter
 from rtac_jax.effects._interface import Force, Motion, States
@@ -57,3 +60,51 @@ class ForceOffset(Force):
 
     def force(self, motion: Motion, own: States) -> tuple[Any, Any]:
         return self.offset, 0.0
+
+
+class EndStop(Force):
+    """A stiff stop at both ends of the travel, alike and elastic."""
+
+    id: ClassVar[str] = "end_stop"
+    equation: ClassVar[str] = "-k_s (q - clip(q, -a, a))"
+    source: ClassVar[str] = "Shaw and Holmes, Journal of Sound and Vibration 90 (1983), piecewise linear oscillator"
+    port: ClassVar[str] = "cart"
+    nature: ClassVar[str] = "conservative"
+
+    stiffness: Scalar = parameter(
+        symbol="k_s", unit="N/m", bounds=(0.0, np.inf), meaning="stiffness of the stop", null=0.0,
+        plausible=lambda s: 3.0 * s.force / s.position,
+    )  # fmt: skip
+    travel: Scalar = parameter(
+        symbol="a", unit="m", bounds=(0.0, np.inf), meaning="travel to each side before the stop is touched",
+        plausible=lambda s: tuple(s.position * share for share in (1.0, 1.3, 1.7, 2.2, 3.0)),
+    )  # fmt: skip
+
+    def force(self, motion: Motion, own: States) -> tuple[Any, Any]:
+        beyond = motion.cart_position - jnp.clip(motion.cart_position, -self.travel, self.travel)
+        return -self.stiffness * beyond, 0.0
+
+
+class CableSpring(Force):
+    """A cable or hose that leads to the arm and winds up; its home angle is tau_0 / k_c.
+
+    With the stiffness at zero it is a constant torque, the same as `current_offset`.
+    """
+
+    id: ClassVar[str] = "cable_spring"
+    equation: ClassVar[str] = "-k_c (theta - theta_home) = -k_c theta + tau_0"
+    source: ClassVar[str] = "torsion of a round bar; Timoshenko, Strength of Materials I (1955), chapter 10"
+    port: ClassVar[str] = "arm"
+    nature: ClassVar[str] = "conservative"
+
+    stiffness: Scalar = parameter(
+        symbol="k_c", unit="N m/rad", bounds=(0.0, np.inf), meaning="stiffness of the cable", null=0.0,
+        plausible=lambda s: 0.03 * s.torque,
+    )  # fmt: skip
+    torque: Scalar = parameter(
+        symbol="tau_0", unit="N m", meaning="torque of the cable at theta = 0", null=0.0,
+        plausible=lambda s: 0.03 * s.torque,
+    )  # fmt: skip
+
+    def force(self, motion: Motion, own: States) -> tuple[Any, Any]:
+        return 0.0, self.torque - self.stiffness * motion.arm_angle

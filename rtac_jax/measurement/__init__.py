@@ -2,7 +2,17 @@
 
 from ._concerns import concerns
 from ._errors import RecordingError
-from ._excitation import chirp, multisine, prbs, square_wave
+from ._excitation import (
+    chirp,
+    crest_factor,
+    from_rest,
+    harmonic_grid,
+    multisine,
+    positive_negative,
+    prbs,
+    square_wave,
+    steps,
+)
 from ._experiment import Experiment
 from ._filter import central_difference, zero_phase_lowpass
 from ._info import describe
@@ -19,9 +29,14 @@ __all__ = [
     "central_difference",
     "chirp",
     "concerns",
+    "crest_factor",
     "describe",
+    "from_rest",
+    "harmonic_grid",
     "multisine",
+    "positive_negative",
     "prbs",
     "square_wave",
+    "steps",
     "zero_phase_lowpass",
 ]

@@ -31,6 +31,10 @@ class Batch:
         """(2, B) largest friction impulse."""
         self.time = 0.0
         """Middle of the step [s]."""
+        self.motor = np.zeros(start.shape[1])
+        """(B,) impulse of the motor in this step [N m s], part of `impulse`."""
+        self.rotor = start[1].copy(), speed[1].copy()
+        """(B,) angle of the rotor, in the middle of a step while effects act, and its speed at the beginning."""
 
     def column(self, name: str) -> np.ndarray:
         return np.array([getattr(rig, name) for rig in self.rigs], dtype=float)
@@ -50,6 +54,17 @@ def springs(batch: Batch) -> Act | None:
 
     def act() -> None:
         impulse[:] -= (k3 * position + k2) * (position * position)
+
+    return act
+
+
+def offset(batch: Batch) -> Act | None:
+    if batch.rows("force_offset") is None:
+        return None
+    push, impulse = batch.column("force_offset") * batch.step, batch.impulse[0]
+
+    def act() -> None:
+        impulse[:] += push
 
     return act
 
@@ -163,6 +178,56 @@ def cable_spring(batch: Batch) -> Act | None:
     return act
 
 
+def shaft(batch: Batch) -> Act | None:
+    """The rotor as a body of its own: it takes the motor's impulse and hands on what the shaft or the contact takes."""
+    there = np.array([rig.apart for rig in batch.rigs])
+    if not there.any():
+        return None
+    rows = slice(int(np.flatnonzero(there)[0]), int(np.flatnonzero(there)[-1]) + 1)
+    on, step, share = there[rows].astype(float), batch.step, batch.column("rotor_share")[rows]
+    inertia = share * batch.column("arm_inertia")[rows]
+    half_gap, stiffness = 0.5 * batch.column("backlash")[rows], batch.column("shaft_stiffness")[rows]
+    hard = ~np.isfinite(stiffness)
+    # As damped as the step allows, and less stiff, so that it hardly bounces; smaller steps come nearer to a hard contact.
+    relative = inertia * (1 - share)
+    stiffness[hard] = (0.25 / step) ** 2 * relative[hard]
+    damping = np.where(hard, 2.0 / step * relative, batch.column("shaft_damping")[rows])
+    felt = np.where(hard, relative, inertia)  # the arm's extrapolated speed knows what a soft shaft does to the arm
+    angle, speed = batch.rotor[0][rows], batch.rotor[1][rows]
+    arm, arm_speed, impulse = batch.position[1, rows], batch.predicted[1, rows], batch.impulse[1, rows]
+    motor = batch.motor[rows]
+    angle += 0.5 * step * speed
+
+    def act() -> None:
+        twist = angle - arm
+        bent = twist - np.clip(twist, -half_gap, half_gap)
+        drag = np.where(bent != 0, damping, 0.0)
+        # Damping acts at the mean of the relative velocity over the step, which the impulse itself changes.
+        passed = step * (stiffness * bent + drag * (speed - arm_speed + 0.5 * motor / inertia))
+        passed = passed / (1 + 0.5 * step * drag / felt)
+        pulls = (half_gap > 0) & (passed * bent <= 0)  # a contact pushes only
+        passed = np.where(pulls, 0.0, passed)
+        impulse[:] += on * (passed - motor)
+        speed[:] += (motor - passed) / inertia
+        angle[:] += step * speed
+
+    return act
+
+
+def eddy_brake(batch: Batch) -> Act | None:
+    rows = batch.rows("eddy_torque")
+    if rows is None:
+        return None
+    torque, scale = 2 * batch.step * batch.column("eddy_torque")[rows], batch.column("eddy_velocity")[rows]
+    speed, impulse = batch.predicted[1, rows], batch.impulse[1, rows]
+
+    def act() -> None:
+        ratio = speed / scale
+        impulse[:] -= torque * ratio / (1 + ratio * ratio)
+
+    return act
+
+
 def detent(batch: Batch) -> Act | None:
     rows = batch.rows("detent_force")
     if rows is None:
@@ -213,6 +278,7 @@ def maxwell_spring(batch: Batch) -> Act | None:
 
 BUILDERS = (
     springs,
+    offset,
     hysteresis,
     flexible_mode,
     quadratic_drag,
@@ -223,6 +289,8 @@ BUILDERS = (
     detent,
     vibration,
     maxwell_spring,
+    eddy_brake,
+    shaft,
 )
 
 

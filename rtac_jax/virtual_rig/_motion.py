@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from itertools import groupby
 
 import numpy as np
+from scipy.interpolate import CubicHermiteSpline, CubicSpline, make_interp_spline
 
 from ._effects import BUILDERS, Batch, friction_bound
 from ._rig import Plan, Rig
@@ -35,9 +36,11 @@ class Track:
     arm_velocity: np.ndarray
     """Arm velocity [rad/s]."""
     seen_position: np.ndarray
-    """Cart position behind the lag of the LVDT [m]."""
+    """Cart position behind lag and delay of the LVDT [m]."""
     seen_arm_velocity: np.ndarray
-    """Arm velocity behind the lag of the tachometer [rad/s]."""
+    """Velocity of the rotor, which is the arm's where they are one, behind the lag of the tachometer [rad/s]."""
+    seen_angle: np.ndarray
+    """Angle of the rotor behind the lag of the encoder [rad]."""
 
 
 Job = tuple[Rig, Plan, np.random.SeedSequence]
@@ -59,7 +62,7 @@ def integrate(jobs: Sequence[Job], step: float) -> list[Track]:
         if plan.kind == "rest":
             still = [np.full(plan.samples, value) for value in (plan.initial_position, plan.initial_angle)]
             none = np.zeros(plan.samples)
-            tracks[index] = Track(still[0], none, still[1], none, still[0], none)
+            tracks[index] = Track(still[0], none, still[1], none, still[0], none, still[1])
     moving = [index for index in range(len(jobs)) if index not in tracks]
     for _, members in groupby(sorted(moving, key=key), key=key):
         group = list(members)
@@ -74,24 +77,38 @@ def _motor(rig: Rig, current: np.ndarray) -> np.ndarray:
     return rig.torque_constant * current / (1 + rig.torque_droop * abs(current))
 
 
-def _late_torques(rigs: Sequence[Rig], command: np.ndarray, period: float, substeps: int) -> np.ndarray:
-    """(steps, B) mean torque in each step behind transport delay and lag, from the (N, B) held commands."""
-    samples = command.shape[0]
-    step = period / substeps
-    coarse, fine = period * np.arange(samples + 1), step * np.arange(samples * substeps + 1)
-    charge = np.concatenate([np.zeros((1, len(rigs))), period * np.cumsum(command, axis=0)])
-    columns = [np.interp(fine - rig.input_delay, coarse, charge[:, b]) for b, rig in enumerate(rigs)]
-    mean = np.diff(np.array(columns, dtype=float), axis=1).T / step
-    lag = np.array([rig.current_lag for rig in rigs])
+def _charge(values: np.ndarray, hold: str, period: float, times: np.ndarray) -> np.ndarray:
+    """Integral of an input from the beginning to each of the times; before the beginning it was zero."""
+    knots = period * np.arange(values.size + 1)
+    if hold == "zoh":
+        return np.interp(times, knots, np.append(0.0, period * np.cumsum(values)))
+    # The last value is held. A spline of fifth degree is nearer to a band-limited signal than one of third.
+    line = make_interp_spline(knots, np.append(values, values[-1]), k=1 if hold == "foh" else 5)
+    return line.antiderivative()(np.clip(times, 0.0, knots[-1]))
+
+
+def _late_drives(jobs: Sequence[Job], period: float, substeps: int) -> np.ndarray:
+    """(steps, 2, B) mean force and motor torque in each step, behind hold, transport delay, saturation and lag."""
+    samples, step = jobs[0][1].samples, period / substeps
+    fine = step * np.arange(samples * substeps + 1)
+    mean = np.zeros((samples * substeps, 2, len(jobs)))
+    for b, (rig, plan, _) in enumerate(jobs):
+        for row, values, delay in ((0, plan.disturbance_force, 0.0), (1, plan.current, rig.input_delay)):
+            if values is not None:
+                mean[:, row, b] = np.diff(_charge(np.asarray(values, float), plan.hold, period, fine - delay)) / step
+        mean[:, 1, b] = np.clip(mean[:, 1, b], -rig.saturation, rig.saturation)
+    lag = np.array([rig.current_lag for rig, _, _ in jobs])
     if lag.any():
         decay = np.where(lag > 0, np.exp(-step / np.maximum(lag, 1e-300)), 0.0)
         weight = (1 - decay) * lag / step
-        state = np.zeros(len(rigs))
-        for row in mean:
+        state = np.zeros(len(jobs))
+        for row in mean[:, 1]:
             gap = state - row
             state = row + gap * decay
             row += gap * weight
-    return np.stack([_motor(rig, mean[:, b]) for b, rig in enumerate(rigs)], axis=1)
+    for b, (rig, _, _) in enumerate(jobs):
+        mean[:, 1, b] = _motor(rig, mean[:, 1, b])
+    return mean
 
 
 def _random_impulses(jobs: Sequence[Job], holds: int, samples: int, period: float, step: float) -> np.ndarray | None:
@@ -179,6 +196,7 @@ def _integrate(jobs: Sequence[Job], longest: float) -> list[Track]:
     effects = [act for act in (build(batch) for build in BUILDERS) if act is not None]
     renew_bound = friction_bound(batch)
     predict = bool(effects) or renew_bound is not None
+    turning = v[1]
 
     # Inputs: what is held over a sample, what changes within it.
     command, force = np.zeros((samples, count)), np.zeros((samples, count))
@@ -189,25 +207,32 @@ def _integrate(jobs: Sequence[Job], longest: float) -> list[Track]:
             force[:, b] = plan.disturbance_force
     held = np.stack([force, np.stack([_motor(rig, command[:, b]) for b, rig in enumerate(rigs)], axis=1)], axis=1)
     held *= step
-    late = [b for b, rig in enumerate(rigs) if rig.input_delay or rig.current_lag]
-    late_impulse = step * _late_torques([rigs[b] for b in late], command[:, late], period, substeps) if late else None
+    late = [b for b, (rig, plan, _) in enumerate(jobs) if rig.input_delay or rig.current_lag or plan.hold != "zoh"]
+    late_impulse = step * _late_drives([jobs[b] for b in late], period, substeps) if late else None
     holds = max(1, round(period / _HOLD))
     shaken = _random_impulses(jobs, holds, samples, period, step)
 
     # Sensors that lag are followed step by step.
-    lvdt, tacho = batch.column("lvdt_lag"), batch.column("tacho_lag")
-    lags = np.stack([lvdt, tacho])
-    follow = 1 - np.exp(-step / np.where(lags > 0, lags, 1.0))
+    lags = np.stack([batch.column("lvdt_lag"), batch.column("tacho_lag"), batch.column("encoder_lag")])
+    follow = np.where(lags > 0, 1 - np.exp(-step / np.where(lags > 0, lags, 1.0)), 1.0)
     lagging = bool(lags.any())
-    seen = np.stack([x[0], v[1]])
-    seen_out = np.empty((samples, 2, count)) if lagging else None
+    there = np.array([rig.apart for rig in rigs])
+    apart = bool(there.any())
+    seen = np.stack([x[0], v[1], x[1]]) - lags * np.stack([v[0], 0.0 * v[1], v[1]])
+    seen_out = np.empty((samples, 3, count))
+
+    def shown() -> np.ndarray:
+        """What the sensors look at between two steps: cart position, and velocity and angle of the rotor."""
+        angle, speed = batch.rotor
+        rotor = np.where(there, [speed, angle - half * speed], [v[1], x[1]])
+        return np.stack([x[0], *rotor])
 
     # Constants of the step. A locked arm or a clamped cart takes no impulse and couples to nothing.
     moves = np.array([[plan.cart == "free" for plan in plans], [plan.arm == "free" for plan in plans]], dtype=float)
     held_fast = bool((moves == 0).any())
     eccentric = batch.column("eccentric_moment") * moves.prod(axis=0)
     couple = np.stack([step * eccentric, eccentric])
-    mass, inertia = batch.column("total_mass") - batch.column("flexible_mass"), batch.column("arm_inertia")
+    mass, inertia = batch.column("total_mass") - batch.column("flexible_mass"), batch.column("lone_arm_inertia")
     spring = step * batch.column("spring_stiffness")
     viscous = step * np.stack([batch.column("cart_viscous"), np.zeros(count)])
     positive, negative = (
@@ -229,8 +254,7 @@ def _integrate(jobs: Sequence[Job], longest: float) -> list[Track]:
 
     for n in range(samples):
         out[n, :2], out[n, 2:] = x, v
-        if seen_out is not None:
-            seen_out[n] = seen
+        seen_out[n] = np.where(lags > 0, seen, shown() if apart else np.stack([x[0], v[1], x[1]]))
         if n == samples - 1:
             break
         drive[:] = held[n]
@@ -238,7 +262,7 @@ def _integrate(jobs: Sequence[Job], longest: float) -> list[Track]:
         x += moved
         for j in range(substeps):
             if late_impulse is not None:
-                drive[1, late] = late_impulse[n * substeps + j]
+                drive[:, late] = late_impulse[n * substeps + j]
             np.sin(x[1], out=circle[0])
             np.cos(x[1], out=circle[1])
             np.multiply(couple, circle, out=coupled)
@@ -262,6 +286,8 @@ def _integrate(jobs: Sequence[Job], longest: float) -> list[Track]:
                 batch.predicted *= 0.5
                 batch.predicted += v
                 batch.time = n * period + (j + 0.5) * step
+                batch.motor[:] = drive[1]
+                turning = batch.rotor[1].copy() if apart else v[1]
                 for act in effects:
                     act()
                 if renew_bound is not None:
@@ -287,16 +313,23 @@ def _integrate(jobs: Sequence[Job], longest: float) -> list[Track]:
             if predict or lagging:
                 np.copyto(old, v)
             if lagging:
-                sensed = np.stack([x[0], 0.5 * (old[1] + new[1])])
-                seen += follow * (sensed - seen)
+                speed, angle = 0.5 * (old[1] + new[1]), x[1]
+                if apart:
+                    speed = np.where(there, 0.5 * (turning + batch.rotor[1]), speed)
+                    angle = np.where(there, batch.rotor[0] - step * batch.rotor[1], angle)
+                seen += follow * (np.stack([x[0], speed, angle]) - seen)
             np.copyto(v, new)
             np.multiply(step if j < substeps - 1 else half, v, out=moved)
             np.add(x, moved, out=x)
 
     tracks = []
-    for b in range(count):
-        q, theta, speed, arm_speed = out[:, 0, b], out[:, 1, b], out[:, 2, b], out[:, 3, b]
-        seen_q = seen_out[:, 0, b] if seen_out is not None and lvdt[b] > 0 else q
-        seen_w = seen_out[:, 1, b] if seen_out is not None and tacho[b] > 0 else arm_speed
-        tracks.append(Track(*(np.array(part) for part in (q, speed, theta, arm_speed, seen_q, seen_w))))
+    for b, rig in enumerate(rigs):
+        q, theta, speed, arm_speed = (np.array(out[:, row, b]) for row in range(4))
+        seen_q, seen_w, seen_angle = (np.array(seen_out[:, row, b]) for row in range(3))
+        if rig.channel_delay:
+            time = period * np.arange(samples)
+            line = CubicSpline(time, seen_q) if rig.lvdt_lag else CubicHermiteSpline(time, q, speed)
+            late = time - rig.channel_delay
+            seen_q = np.where(late < 0, q[0] + speed[0] * late, line(np.maximum(late, 0.0)))
+        tracks.append(Track(q, speed, theta, arm_speed, seen_q, seen_w, seen_angle))
     return tracks

@@ -1,6 +1,7 @@
 """A set of plans that shows everything the paper's model can do, within the rig's travel."""
 
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 
@@ -46,6 +47,8 @@ def standard_plans(
     repeats: int = 0,
     current_rms: float = 0.16,
     largest_current: float = 1.2,
+    intersample: Literal["zoh", "foh", "bl"] = "zoh",
+    played: Literal["zoh", "foh", "bl"] | None = None,
 ) -> list[Plan]:
     """Free decays, forced runs, repeats of the first forced run, and rests, in this order.
 
@@ -62,6 +65,8 @@ def standard_plans(
         repeats: number of further runs with the first forced run's input and start.
         current_rms: of the largest multisine [A]; it is the amplitude of the largest square wave too.
         largest_current: multisines are clipped there [A]; the default is 0.1 N m on the paper's rig.
+        intersample: what the recording says of the inputs between samples.
+        played: what they really do; None is what the recording says.
 
     Raises:
         ValueError: a negative number of plans, repeats of nothing, or a duration too short for the multisine.
@@ -100,6 +105,8 @@ def standard_plans(
                 current,
                 initial_position=float(random.uniform(-0.01, 0.01)),
                 initial_angle=float(random.uniform(-np.pi, np.pi)),
+                intersample=intersample,
+                played=played,
             )
         )
     again = [replace(runs[0], name=f"repeat_{n + 1}", repeat_of=runs[0].name) for n in range(repeats)]

@@ -88,14 +88,21 @@ def measure(rig: Rig, track: Track, random: np.random.Generator) -> dict[str, np
         fresh = np.sqrt(1 - rig.noise_correlation**2)
         for n in range(1, noise.shape[1]):
             noise[:, n] = rig.noise_correlation * noise[:, n - 1] + fresh * noise[:, n]
-    position = track.seen_position + rig.lvdt_cubic * track.seen_position**3 + rig.position_noise * noise[0]
-    velocity = rig.tacho_gain * track.seen_arm_velocity + rig.tacho_bias + rig.velocity_noise * noise[1]
+    noise *= rig.noise_factor
+    turn = 2 * np.pi * track.seen_position / rig.lvdt_ripple_pitch + rig.lvdt_ripple_phase
+    position = track.seen_position + rig.lvdt_cubic * track.seen_position**3 + rig.lvdt_ripple * np.sin(turn)
+    position = rig.lvdt_gain * position + rig.lvdt_offset + rig.position_noise * noise[0]
+    ripple = rig.tacho_ripple * np.sin(rig.tacho_ripple_order * track.angle + rig.tacho_ripple_phase)
+    velocity = rig.tacho_gain * (1 + ripple) * track.seen_arm_velocity + rig.tacho_bias
+    velocity = velocity + rig.velocity_noise * noise[1]
     outputs = {
         "cart_position": _convert(position, rig.position_range, rig.quantisation_bits),
         "arm_velocity": _convert(velocity, rig.velocity_range, rig.quantisation_bits),
     }
     if rig.encoder:
-        outputs["arm_angle"] = track.angle + rig.angle_noise * noise[2]
+        ripple = rig.encoder_ripple * np.sin(rig.encoder_ripple_order * track.seen_angle + rig.encoder_ripple_phase)
+        angle = rig.encoder_gain * (track.seen_angle + ripple) + rig.encoder_offset
+        outputs["arm_angle"] = angle + rig.angle_noise * noise[2]
     return outputs
 
 
@@ -124,7 +131,7 @@ def _experiment(rig: Rig, plan: Plan, outputs: dict[str, np.ndarray], write_nois
         "sample_time": plan.sample_time,
         "current": plan.current,
         "disturbance_force": plan.disturbance_force,
-        "intersample": "zoh",
+        "intersample": plan.intersample,
         "initial_arm_angle": plan.initial_angle,
         "arm": plan.arm,
         "cart": plan.cart,

@@ -9,6 +9,9 @@ import numpy as np
 GRAVITY = 9.81
 """Acceleration of gravity [m/s^2], for a plane that is not level."""
 
+HOLDS = ("zoh", "foh", "bl")
+"""What an input may do between its samples."""
+
 DRAWN = (
     "total_mass",
     "spring_stiffness",
@@ -34,6 +37,13 @@ _POSITIVE = (
     "maxwell_damping",
     "saturation",
     "end_stop_travel",
+    "lvdt_gain",
+    "tacho_gain",
+    "encoder_gain",
+    "lvdt_ripple_pitch",
+    "eddy_velocity",
+    "shaft_stiffness",
+    "noise_factor",
     "position_range",
     "velocity_range",
 )
@@ -50,8 +60,12 @@ _NOT_NEGATIVE = (
     "current_lag",
     "input_delay",
     "dead_zone",
+    "backlash",
+    "shaft_damping",
     "tacho_lag",
     "lvdt_lag",
+    "channel_delay",
+    "encoder_lag",
     "force_noise",
     "torque_noise",
     "position_noise",
@@ -99,6 +113,8 @@ class Rig:
     """k3 [N/m^3]: force -k3 q^3."""
     quadratic_spring: float = 0.0
     """k2 [N/m^2]: force -k2 q^2."""
+    force_offset: float = 0.0
+    """[N]: a constant force."""
     hysteresis_stiffness: float = 0.0
     """kh [N/m]: force -kh z with Bouc-Wen's z' = q' - (|q'| z + q' |z|) / (2 z_y)."""
     hysteresis_yield: float = 1e-3
@@ -142,6 +158,15 @@ class Rig:
     cable_home: float = 0.0
     """theta_home [rad]."""
 
+    backlash: float = 0.0
+    """Gap [rad] within which rotor and arm turn freely against each other; they start in its middle."""
+    shaft_stiffness: float = math.inf
+    """Stiffness [N m/rad] of the shaft between rotor and arm; in a gap's contact it acts too, and is large if infinite."""
+    shaft_damping: float = 0.0
+    """Damping [N m s/rad] of the twist; a contact without a stiffness of its own has enough not to bounce."""
+    rotor_share: float = 0.3
+    """Share [1] of J that is the rotor's, where rotor and arm are apart; motor, tachometer and encoder sit on the rotor."""
+
     saturation: float = math.inf
     """Limit of the commanded current [A]."""
     input_delay: float = 0.0
@@ -164,6 +189,36 @@ class Rig:
     lvdt_cubic: float = 0.0
     """c [1/m^2]: the LVDT shows q + c q^3."""
     lvdt_lag: float = 0.0
+    """Time constant [s]."""
+    lvdt_gain: float = 1.0
+    """[1]."""
+    lvdt_offset: float = 0.0
+    """[m]."""
+    lvdt_ripple: float = 0.0
+    """A [m]: the LVDT shows A sin(2 pi q / pitch + phase) more."""
+    lvdt_ripple_pitch: float = 2e-3
+    """[m]."""
+    lvdt_ripple_phase: float = 0.0
+    """[rad]."""
+    channel_delay: float = 0.0
+    """The LVDT is sampled later than the other channels by this [s]."""
+    tacho_ripple: float = 0.0
+    """A [1]: the tachometer shows 1 + A sin(n theta + phase) times the velocity."""
+    tacho_ripple_order: float = 1.0
+    """n [1]."""
+    tacho_ripple_phase: float = 0.0
+    """[rad]."""
+    encoder_gain: float = 1.0
+    """[1]."""
+    encoder_offset: float = 0.0
+    """[rad]."""
+    encoder_ripple: float = 0.0
+    """A [rad]: the encoder shows A sin(n theta + phase) more."""
+    encoder_ripple_order: float = 1.0
+    """n [1]."""
+    encoder_ripple_phase: float = 0.0
+    """[rad]."""
+    encoder_lag: float = 0.0
     """Time constant [s]."""
 
     force_noise: float = 0.0
@@ -190,6 +245,10 @@ class Rig:
     """[N/m], outside the catalogue: a spring in series with a damper, both in parallel with k."""
     maxwell_damping: float = 10.0
     """[N s/m]."""
+    eddy_torque: float = 0.0
+    """T [N m], outside the catalogue: an eddy-current brake, -2 T x / (1 + x^2) with x = theta' / w_c; T is its peak."""
+    eddy_velocity: float = 5.0
+    """w_c [rad/s]."""
 
     position_noise: float = 2e-5
     """Standard deviation of the LVDT [m]."""
@@ -199,6 +258,8 @@ class Rig:
     """Standard deviation of the encoder [rad]."""
     noise_correlation: float = 0.0
     """Correlation [1] of the noise of neighbouring samples: 0 is white, else AR(1) of the same variance."""
+    noise_factor: float = 1.0
+    """The sensors are noisier than stated above, and than `record` writes, by this factor [1]."""
     encoder: bool = False
     """Whether the arm angle is measured."""
     quantisation_bits: int | None = 12
@@ -213,7 +274,7 @@ class Rig:
             if entry.name in ("encoder", "quantisation_bits"):
                 continue
             value = getattr(self, entry.name)
-            infinite = entry.name in ("saturation", "end_stop_travel") and value == math.inf
+            infinite = entry.name in ("saturation", "end_stop_travel", "shaft_stiffness") and value == math.inf
             if not (math.isfinite(value) or infinite):
                 raise ValueError(f"Rig.{entry.name} is {value!r}; it must be finite.")
         for name in _POSITIVE:
@@ -226,10 +287,22 @@ class Rig:
             raise ValueError("Rig.noise_correlation must lie between -1 and 1.")
         if self.quantisation_bits is not None and not 2 <= self.quantisation_bits <= 32:
             raise ValueError("Rig.quantisation_bits must lie between 2 and 32, or be None.")
-        if self.eccentric_moment**2 >= self.arm_inertia * (self.total_mass - self.flexible_mass):
+        if not 0 < self.rotor_share < 1:
+            raise ValueError("Rig.rotor_share must lie between 0 and 1.")
+        if self.eccentric_moment**2 >= self.lone_arm_inertia * (self.total_mass - self.flexible_mass):
             raise ValueError(
                 "Rig.eccentric_moment is too large: its square must be below J times the mass of the cart."
             )
+
+    @property
+    def apart(self) -> bool:
+        """Whether rotor and arm turn against each other."""
+        return self.backlash > 0 or math.isfinite(self.shaft_stiffness)
+
+    @property
+    def lone_arm_inertia(self) -> float:
+        """Inertia of the arm [kg m^2], with the rotor where they are one."""
+        return self.arm_inertia * (1 - self.rotor_share if self.apart else 1)
 
     def drawn(self, seed: int, spread: float = 0.15) -> "Rig":
         """A rig whose nine parameters of the paper's model lie uniformly within a fraction of these.
@@ -254,8 +327,9 @@ class Rig:
 class Plan:
     """One experiment to be carried out: the inputs, the start, and how it is sampled.
 
-    There are N = round(duration / sample_time) samples, at t = n sample_time. Inputs are held from one sample
-    to the next. A plan of kind "rest" moves nothing: only sensor noise is recorded.
+    There are N = round(duration / sample_time) samples, at t = n sample_time. Between samples the inputs are held
+    ("zoh"), straight ("foh") or as smooth as the samples allow ("bl"); the recording says which, and says it wrongly
+    where `played` differs. A plan of kind "rest" moves nothing: only sensor noise is recorded.
 
     Raises:
         ValueError: a field does not fit the others; the message names it.
@@ -283,6 +357,10 @@ class Plan:
     cart: Literal["free", "clamped"] = "free"
     repeat_of: str | None = None
     """Name of the plan whose inputs and start this one repeats."""
+    intersample: Literal["zoh", "foh", "bl"] = "zoh"
+    """What the recording says of the inputs between samples."""
+    played: Literal["zoh", "foh", "bl"] | None = None
+    """What they really do; None is what the recording says."""
 
     def __post_init__(self) -> None:
         if self.kind not in ("free", "forced", "rest"):
@@ -291,6 +369,8 @@ class Plan:
             raise ValueError(f"Plan.arm is {self.arm!r}; use 'free' or 'locked'.")
         if self.cart not in ("free", "clamped"):
             raise ValueError(f"Plan.cart is {self.cart!r}; use 'free' or 'clamped'.")
+        if self.intersample not in HOLDS or self.hold not in HOLDS:
+            raise ValueError(f"Plan.intersample and Plan.played are one of {', '.join(HOLDS)}.")
         if not (self.sample_time > 0 and self.samples >= 2):
             raise ValueError("Plan.sample_time must be positive and Plan.duration at least two samples long.")
         for name in ("current", "disturbance_force"):
@@ -304,6 +384,11 @@ class Plan:
             raise ValueError("Plan.initial_arm_velocity must be zero when the arm is locked.")
         if self.cart == "clamped" and self.initial_velocity != 0:
             raise ValueError("Plan.initial_velocity must be zero when the cart is clamped.")
+
+    @property
+    def hold(self) -> str:
+        """What the inputs really do between samples."""
+        return self.played or self.intersample
 
     @property
     def samples(self) -> int:

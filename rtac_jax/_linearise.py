@@ -1,0 +1,129 @@
+"""The model about an operating point as a linear system, and equation (4) in closed form."""
+
+from typing import Any, Literal
+
+import control as ct
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from scipy.optimize import root
+
+from rtac_jax._configure import require_configured
+from rtac_jax._rtac import RTAC
+
+OUTPUTS = ("cart_position", "arm_velocity", "arm_angle")
+_NUDGE = 1e-12  # small against any velocity of interest, so that its square vanishes
+_REST = 1e-9  # accelerations [m/s^2, rad/s^2] below which a state counts as an equilibrium
+
+
+def linearise(
+    model: RTAC,
+    *,
+    arm_angle: float = 0.0,
+    drive: Literal["torque", "current"] = "torque",
+) -> ct.StateSpace:
+    """The exact linear system for small motions about the equilibrium with the arm at this angle.
+
+    The Jacobian is that of the model's own derivative, so every effect with its states takes part. Where gravity, cogging
+    or an offset acts, the equilibrium's cart position and holding current are found first, and states, input and outputs
+    are deviations from them. Dry friction has no linearisation, because its force jumps at rest: it is left out, so the
+    linear system is that of a rig with no dry friction and is damped less than the rig. Where a force has a kink at
+    rest (the arm's friction, which differs by direction), the slope is the mean of both sides.
+
+    Args:
+        arm_angle: at the equilibrium [rad].
+        drive: the first input is the motor's torque [N m] or its current [A].
+
+    Returns:
+        Inputs `torque` or `current` and `disturbance_force` [N], outputs `cart_position` [m], `arm_velocity` [rad/s] and
+        `arm_angle` [rad] as the sensors show them, states named as the model's.
+
+    Raises:
+        ValueError: the angle is not finite, a parameter has several values, or there is no equilibrium at this angle.
+        RuntimeError: `configure()` was not called.
+    """
+    require_configured()
+    if not np.isfinite(arm_angle):
+        raise ValueError(f"arm_angle is {arm_angle}; give a finite angle in radians.")
+    if drive not in ("torque", "current"):
+        raise ValueError(f"drive is {drive!r}; choose 'torque' or 'current'.")
+    several = [name for name in model.parameters if np.ndim(model[name])]
+    if several:
+        raise ValueError(f"{several[0]} has {np.size(model[several[0]])} values; linearise one plant at a time.")
+    rest, holding = _equilibrium(model, arm_angle)
+    inputs = jnp.array([holding, 0.0])
+    sides = []
+    for side in (_NUDGE, -_NUDGE):
+        at = jnp.asarray(rest).at[jnp.array([1, 3])].add(side)
+        sides.append([np.asarray(part) for part in _jacobians(model, at, inputs)])
+    a, b, c = (0.5 * (left + right) for left, right in zip(*sides, strict=True))
+    if drive == "torque":
+        b = b / np.array([float(model["torque_constant"]), 1.0])
+    return ct.StateSpace(
+        a, b, c, np.zeros((len(OUTPUTS), 2)), states=[name.replace(".", "_") for name in model.states],
+        inputs=[drive, "disturbance_force"], outputs=list(OUTPUTS), name="rtac",
+    )  # fmt: skip
+
+
+def equation_4(model: RTAC, *, arm_angle: float = 0.0, rate: float = 1.0) -> ct.TransferFunction:
+    """Equation (4): from the normalised torque u to the normalised cart position xi, at small motions about an arm angle.
+
+    Only the rigid body and the cart's viscous friction enter; the arm turns without friction, as in the paper. For a plant
+    in seconds that still relates the normalised u and xi, give the natural frequency, `model.body.natural_frequency()`.
+
+    Args:
+        arm_angle: theta_0 [rad].
+        rate: normalised time per unit of the result's time, 1 for the paper's own.
+
+    Raises:
+        ValueError: the angle is not finite or the rate is not positive.
+    """
+    if not (np.isfinite(arm_angle) and np.isfinite(rate) and rate > 0):
+        raise ValueError(f"arm_angle is {arm_angle} and rate is {rate}; give a finite angle and a positive rate.")
+    body = model.body
+    viscous = float(model["cart_viscous.coefficient"]) if "cart_viscous" in model else 0.0
+    coupling = float(body.coupling()) * np.cos(arm_angle)
+    damping = viscous / float(jnp.sqrt(body.spring_stiffness * body.total_mass))
+    return ct.TransferFunction(
+        [coupling], [(coupling**2 - 1.0) / rate**2, -damping / rate, -1.0], inputs=["u"], outputs=["xi"]
+    )
+
+
+def _equilibrium(model: RTAC, arm_angle: float) -> tuple[np.ndarray, float]:
+    """State at rest with the arm at this angle, and the current [A] that holds it there."""
+    count = len(model.states)
+    moving = np.array([0, *range(4, count)])  # what rest leaves open besides the current
+    residual = np.array([1, 3, *range(4, count)])
+
+    def state(unknown: Any) -> Array:
+        return jnp.zeros(count).at[2].set(arm_angle).at[moving].set(unknown[1:])
+
+    def slope(unknown: np.ndarray) -> np.ndarray:
+        return np.asarray(_derivative(model, state(unknown), jnp.array([unknown[0], 0.0])))[residual]
+
+    guess = np.zeros(len(residual))
+    if np.max(np.abs(slope(guess))) > _REST:
+        guess = root(slope, guess, tol=1e-13).x
+        if not np.max(np.abs(slope(guess))) < _REST:
+            raise ValueError(
+                f"the model has no equilibrium with the arm at {arm_angle:g} rad that a current can hold; "
+                "choose another arm_angle."
+            )
+    return np.asarray(state(guess)), float(guess[0])
+
+
+@eqx.filter_jit
+def _derivative(model: RTAC, state: Float[Array, " state"], inputs: Float[Array, " input"]) -> Float[Array, " state"]:
+    slopes = model.derivative(tuple(state), inputs[0], inputs[1])
+    return jnp.stack([jnp.asarray(slope, dtype=float) for slope in slopes])
+
+
+@eqx.filter_jit
+def _jacobians(
+    model: RTAC, state: Float[Array, " state"], inputs: Float[Array, " input"]
+) -> tuple[Float[Array, "state state"], Float[Array, "state input"], Float[Array, "output state"]]:
+    a, b = jax.jacfwd(lambda x, u: _derivative(model, x, u), argnums=(0, 1))(state, inputs)
+    c = jax.jacfwd(lambda x: jnp.stack([jnp.asarray(y, dtype=float) for y in model.outputs(tuple(x))]))(state)
+    return a, b, c

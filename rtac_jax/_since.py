@@ -1,0 +1,34 @@
+"""What effects may know of the beginning of the integration step that is being taken."""
+
+from typing import Any, NamedTuple
+
+from rtac_jax.effects import Actuator, Motion
+
+
+class Since(NamedTuple):
+    """The beginning of an integration step.
+
+    Attributes:
+        motion: there.
+        step: length of the step [s].
+        last: the current at its end [A].
+        elapsed: share of the step that has gone by.
+    """
+
+    motion: Motion
+    step: Any
+    last: Any
+    elapsed: Any
+
+    def seen_from(self, motion: Motion) -> Motion:
+        """A motion within the step that knows of its beginning."""
+        return motion._replace(began=self.motion, elapsed=self.elapsed, step=self.step, last=self.last)
+
+
+def through(effect: Actuator, motion: Motion, before: tuple[Any, ...], now: tuple[Any, ...]) -> Motion:
+    """The motion with the currents after an actuator stage, now and at both ends of the step."""
+    current = effect.current(motion.current, now)
+    if motion.began is None:
+        return motion._replace(current=current)
+    began = motion.began._replace(current=effect.current(motion.began.current, before))
+    return motion._replace(current=current, began=began, last=effect.current(motion.last, now))

@@ -1,0 +1,75 @@
+"""Trajectories of closed loops and what they are judged by."""
+
+import dataclasses
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+Rows = Float[np.ndarray, "sample plant"]
+Plants = Float[np.ndarray, " plant"]
+
+
+@dataclasses.dataclass(frozen=True)
+class ClosedLoop:
+    """Responses of one or many plants; arrays have one column per plant.
+
+    Attributes:
+        time: [s].
+        cart_position: [m].
+        arm_angle: [rad].
+        arm_velocity: [rad/s].
+        torque: of the motor, as commanded [N m].
+        torque_limit: [N m].
+    """
+
+    time: Float[np.ndarray, " sample"]
+    cart_position: Rows
+    arm_angle: Rows
+    arm_velocity: Rows
+    torque: Rows
+    torque_limit: float
+
+    def settling_time(self, fraction: float = 0.1) -> Plants:
+        """From when on |q| stays under this fraction of its first value [s]; infinite if it does not within the record.
+
+        Raises:
+            ValueError: the fraction is not between 0 and 1, or a cart starts at zero.
+        """
+        if not 0 < fraction < 1:
+            raise ValueError(f"fraction is {fraction}, but must lie between 0 and 1.")
+        first = np.abs(self.cart_position[0])
+        if not np.all(first > 0):
+            raise ValueError("settling needs a displacement at the start; this response starts at zero.")
+        above = ~(np.abs(self.cart_position) <= fraction * first)  # so that what is not a number counts as above
+        last = len(self.time) - 1 - np.argmax(above[::-1], axis=0)
+        after = np.minimum(last + 1, len(self.time) - 1)
+        return np.where(above[-1], np.inf, np.where(np.any(above, axis=0), self.time[after], 0.0))
+
+    @property
+    def effort(self) -> Plants:
+        """Rms of the torque [N m]."""
+        return np.sqrt(np.mean(self.torque**2, axis=0))
+
+    @property
+    def peak_torque(self) -> Plants:
+        """[N m]"""
+        return np.max(np.abs(self.torque), axis=0)
+
+    @property
+    def saturated(self) -> Plants:
+        """Share of the time at the torque limit, between 0 and 1."""
+        return np.mean(np.abs(self.torque) >= self.torque_limit * (1 - 1e-9), axis=0)
+
+    @property
+    def arm_swing(self) -> Plants:
+        """Largest distance of the arm from where it started [rad]."""
+        return np.max(np.abs(self.arm_angle - self.arm_angle[0]), axis=0)
+
+    @property
+    def wound_up(self) -> Bool[np.ndarray, " plant"]:
+        """Whether the arm left its half of the circle, |theta - theta_0| > pi/2, beyond which its push turns round."""
+        return ~(self.arm_swing <= 0.5 * np.pi)
+
+    def holds(self, *, within: float = 3.0, fraction: float = 0.1) -> Bool[np.ndarray, " plant"]:
+        """Whether each plant settles in this time [s] without winding up its arm; the torque is limited anyway."""
+        return (self.settling_time(fraction) <= within) & ~self.wound_up

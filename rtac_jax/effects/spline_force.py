@@ -1,0 +1,142 @@
+"""A learned force: a curve in one variable, for what no effect of the catalogue explains."""
+
+from typing import Any, ClassVar
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from rtac_jax._parameter import Scalar, parameter
+from rtac_jax.effects._interface import Force, Motion, States
+
+VARIABLES = (
+    "cart_position",
+    "cart_velocity",
+    "arm_angle",
+    "arm_velocity",
+    "current",
+    "cart_position, against the motion",
+    "arm_angle, against the motion",
+)
+"""On what a learned force may depend; "against the motion" is friction whose level depends on the place."""
+
+PORTS = ("cart", "arm")
+SHAPES = 6
+"""Curves that one `SplineForce` adds up."""
+
+Curve = Float[Array, " knot"]
+
+
+def curve_value(
+    heights: Any, motion: Motion, variable: Float[Array, " variable"], first: Any, spacing: Any, slow: Any
+) -> Any:
+    """Piecewise linear curve through heights at equally spaced knots, at the present value of a variable.
+
+    Args:
+        variable: one at the place of the variable in `VARIABLES`, else zero.
+        first, spacing: of the knots.
+        slow: speed below which friction fades [m/s or rad/s].
+
+    Source: de Boor, A Practical Guide to Splines (1978), chapter 3.
+    """
+    turns = motion.arm_angle / (2 * jnp.pi)
+    within = 2 * jnp.pi * (turns - jnp.floor(turns + 0.5))
+    options = (
+        motion.cart_position, motion.cart_velocity, within, motion.arm_velocity, motion.current,
+        motion.cart_position, within,
+    )  # fmt: skip
+    at = (sum(w * x for w, x in zip(variable, options, strict=True)) - first) / spacing
+    knots = jnp.arange(len(heights)).reshape(-1, *[1] * jnp.ndim(at))
+    hats = jnp.maximum(0.0, 1.0 - jnp.abs(jnp.clip(at, 0.0, len(heights) - 1.0) - knots))
+    total = jnp.tensordot(heights, hats, 1)
+    against = [-v / jnp.sqrt(v * v + slow * slow) for v in (motion.cart_velocity, motion.arm_velocity)]
+    rubs = variable[5] * against[0] + variable[6] * against[1] + jnp.sum(variable[:5])
+    return total * rubs
+
+
+def _amount(number: int) -> Any:
+    return parameter(
+        symbol=f"c_{number}", unit="1", meaning=f"amount of shape {number}", null=0.0, plausible=1.0
+    )  # fmt: skip
+
+
+class SplineForce(Force):
+    """A force that was learned: amounts of given curves in one variable, which a fit adjusts.
+
+    Not in the catalogue: it explains nothing, it only makes the error fall. Make one with `over`, or from a curve of a
+    diagnosis, whose shapes the data can tell from the parameters that the model has already.
+    """
+
+    id: ClassVar[str] = "spline_force"
+    equation: ClassVar[str] = "sum of c_i s_i(x)"
+    source: ClassVar[str] = "de Boor, A Practical Guide to Splines (1978), chapter 3"
+    port: ClassVar[str] = "cart or arm"
+    nature: ClassVar[str] = "source"
+
+    shapes: Float[Array, "6 knot"]
+    on: Float[Array, "2"]
+    variable: Float[Array, "7"]
+    first: Float[Array, ""]
+    spacing: Float[Array, ""]
+    slow: Float[Array, ""]
+    amount_1: Scalar = _amount(1)
+    amount_2: Scalar = _amount(2)
+    amount_3: Scalar = _amount(3)
+    amount_4: Scalar = _amount(4)
+    amount_5: Scalar = _amount(5)
+    amount_6: Scalar = _amount(6)
+
+    @classmethod
+    def over(
+        cls,
+        variable: str,
+        between: tuple[float, float],
+        *,
+        port: str,
+        shapes: np.ndarray | None = None,
+        amounts: np.ndarray | None = None,
+        slow: float = 1e-4,
+    ) -> "SplineForce":
+        """A learned force over a range of a variable; beyond it the force keeps its last value.
+
+        Args:
+            variable: of `VARIABLES`.
+            between: lowest and highest value, SI units.
+            port: "cart" [N] or "arm" [N m].
+            shapes: up to six curves, a row each, as heights at equally spaced knots; by default one hat for each of six
+                knots, which overlap with the stiffness, friction and torque constant of the model: fix those.
+            amounts: of the shapes at the start; zero by default.
+            slow: speed below which friction fades [m/s or rad/s].
+
+        Raises:
+            ValueError: an unknown variable or port, an empty range, or more than six shapes.
+        """
+        if variable not in VARIABLES:
+            raise ValueError(f"spline_force: {variable!r} is no variable; choose among {', '.join(VARIABLES)}.")
+        if port not in PORTS:
+            raise ValueError(f"spline_force: port {port!r} must be 'cart' or 'arm'.")
+        if not between[0] < between[1]:
+            raise ValueError(f"spline_force: {between} is no range; write (lowest, highest).")
+        table = np.eye(SHAPES) if shapes is None else np.atleast_2d(np.asarray(shapes, dtype=float))
+        if len(table) > SHAPES:
+            raise ValueError(f"spline_force: {len(table)} shapes; it adds up at most {SHAPES}.")
+        start = np.zeros(len(table)) if amounts is None else np.asarray(amounts, dtype=float)
+        padding = np.zeros((SHAPES - len(table), table.shape[1]))
+        amounts = np.append(start, np.zeros(SHAPES - len(table)))
+        return cls(
+            shapes=jnp.asarray(np.concatenate([table, padding])),
+            on=jnp.asarray([float(port == p) for p in PORTS]),
+            variable=jnp.asarray([float(variable == v) for v in VARIABLES]),
+            first=jnp.asarray(float(between[0])),
+            spacing=jnp.asarray((between[1] - between[0]) / (table.shape[1] - 1)),
+            slow=jnp.asarray(float(slow)),
+            **{f"amount_{i + 1}": value for i, value in enumerate(amounts)},
+        )
+
+    def force(self, motion: Motion, own: States) -> tuple[Any, Any]:
+        del own
+        amounts = (self.amount_1, self.amount_2, self.amount_3, self.amount_4, self.amount_5, self.amount_6)
+        total: Any = 0.0
+        for amount, shape in zip(amounts, self.shapes, strict=True):
+            total = total + amount * curve_value(shape, motion, self.variable, self.first, self.spacing, self.slow)
+        return self.on[0] * total, self.on[1] * total

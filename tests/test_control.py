@@ -1,0 +1,542 @@
+"""H-infinity: the paper's problem, what is promised of a controller, and closed loops against another integrator."""
+
+import math
+from itertools import pairwise
+
+import control as ct
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from estimators.plots._control import plot_batch, plot_closed_loop, plot_margins, plot_synthesis
+from rtac_jax import RTAC, RigidBody
+from rtac_jax.control import (
+    Actuation,
+    ClosedLoop,
+    InfeasibleError,
+    Units,
+    Weights,
+    closed_gamma,
+    closed_loop,
+    discretise,
+    margins,
+    mixed_sensitivity,
+    nominal_plant,
+    paper_nominal,
+    paper_weights,
+    price,
+    propose_weights,
+    reduce_controller,
+)
+from rtac_jax.effects import ArmViscous, CartViscous
+
+M, J, ME, K, KM = 1.23, 9.5e-5, 1.06e-3, 132.6, 8.04e-2
+VISCOUS, KV = 0.5543, 1.44e-4
+SMOOTH = RTAC(RigidBody(M, J, ME, K, KM), (CartViscous(VISCOUS), ArmViscous(KV, KV)))
+OMEGA = np.unique(np.concatenate([np.geomspace(1e-2, 1e4, 4000), np.linspace(5, 20, 3000)]))
+# Standard deviation over mean of Table 1; that of k is contained in that of (M+m)/k.
+SCATTER = {
+    "total_mass": 0.0064,
+    "eccentric_moment": 0.155,
+    "torque_constant": 0.062,
+    "cart_viscous.coefficient": 0.0968,
+    "cart_coulomb.level": 0.1474,
+    "arm_viscous.positive": 0.34,
+    "arm_viscous.negative": 0.33,
+}
+
+
+def response(system: ct.StateSpace | ct.TransferFunction) -> np.ndarray:
+    return np.asarray(system(1j * OMEGA))
+
+
+def rows(plant: np.ndarray, controller: np.ndarray, weights: Weights) -> np.ndarray:
+    """The three rows of (9) over OMEGA, in plain NumPy."""
+    s = 1 / (1 + plant * controller)
+    return np.stack(
+        [
+            response(weights.effort) * controller * s,
+            response(weights.uncertainty) * plant * controller * s,
+            response(weights.performance) * s,
+        ]
+    )
+
+
+# -- the problem of the paper ---------------------------------------------------------------------------------------
+
+
+def test_printed_weights():
+    weights, s = paper_weights(), 1j * OMEGA
+    desired = (s**2 + 20 * s + 10**2 + 12.9**2) / (s**2 + 5.4 * s + 2.7**2 + 12.9**2)
+    uncertainty = 0.55 * (s / 2 + 1) * (s / 80 + 1) / ((s / 5 + 1) * (s / 1000 + 1))
+    band_stop = 0.15 * (s**2 + 2.4 * s + 64) * (s**2 + 4.2 * s + 196) / ((s / 1.4 + 8) ** 2 * (s / 0.7 + 14) ** 2)
+    np.testing.assert_allclose(response(weights.desired), desired, rtol=1e-9)
+    np.testing.assert_allclose(response(weights.uncertainty), uncertainty, rtol=1e-9)
+    np.testing.assert_allclose(response(weights.effort), band_stop, rtol=1e-9)
+    np.testing.assert_allclose(response(weights.performance), 0.17 * desired, rtol=1e-9)
+    np.testing.assert_allclose(response(weights.w1), band_stop / desired, rtol=1e-7)
+    np.testing.assert_allclose(response(weights.w2), uncertainty / desired, rtol=1e-7)
+    np.testing.assert_allclose(response(weights.w3), 0.17 * np.ones(len(s)), rtol=1e-7)
+    # Common factors are cancelled: nothing has more states than it needs.
+    assert [len(w.poles()) for w in (weights.effort, weights.uncertainty, weights.performance)] == [4, 2, 2]
+    assert [len(w.poles()) for w in (weights.w1, weights.w2, weights.w3)] == [6, 4, 0]
+    zeros, poles = (175.7, -32.7), ((2.7, 12.9), (4.1, 37.4))
+    plant = 3.7e-3 * (s - zeros[0]) * (s - zeros[1]) * ((s + 14.5) ** 2 + 26.6**2)
+    for real, imaginary in poles:
+        plant = plant / ((s + real) ** 2 + imaginary**2)
+    np.testing.assert_allclose(response(paper_nominal()), plant, rtol=1e-9)
+
+
+def test_paper_problem():
+    weights = paper_weights()
+    found = mixed_sensitivity(paper_nominal(), weights, relax=1.0)
+    norms = np.linalg.norm(rows(response(paper_nominal()), response(found.controller), weights), axis=0)
+    np.testing.assert_allclose(found.gamma, np.max(norms), rtol=1e-3)
+    np.testing.assert_allclose(found.gamma, closed_gamma(paper_nominal(), found.controller, weights), rtol=1e-6)
+    assert np.all(ct.feedback(ct.ss(paper_nominal()) * found.controller, 1).poles().real < 0)
+    assert found.robustness < 1
+    assert np.max(np.abs(rows(response(paper_nominal()), response(found.controller), weights)[1])) < 1
+    assert "stable" in str(found)
+    # As good as any controller can be.
+    assert found.gamma < 1.002 * found.bound
+
+
+def test_no_controller_reaches_029_with_the_printed_weights():
+    """The target gamma <= 0.29 contradicts S + T = 1: at 12.9 rad/s |W| is 1.31 and |W_3 W_d| is 0.67."""
+    s = 12.9j
+    robust = abs(0.55 * (s / 2 + 1) * (s / 80 + 1) / ((s / 5 + 1) * (s / 1000 + 1)))
+    fast = 0.17 * abs((s**2 + 20 * s + 10**2 + 12.9**2) / (s**2 + 5.4 * s + 2.7**2 + 12.9**2))
+    x, y = np.meshgrid(np.linspace(-1, 2, 601), np.linspace(-1.5, 1.5, 601))
+    least = np.min(np.hypot(fast * np.abs(x + 1j * y), robust * np.abs(1 - x - 1j * y)))
+    assert 0.59 < least < 0.60
+    with pytest.raises(InfeasibleError, match=r"below 0\.598 .* at 12\.9 rad/s .* exclude each other"):
+        mixed_sensitivity(paper_nominal(), paper_weights(), limit=0.29)
+
+
+def test_relaxed_controller_keeps_its_promise():
+    found = mixed_sensitivity(paper_nominal(), paper_weights(), relax=1.3)
+    assert found.optimum < found.gamma <= 1.3 * found.optimum * 1.001
+    norms = np.linalg.norm(rows(response(paper_nominal()), response(found.controller), paper_weights()), axis=0)
+    np.testing.assert_allclose(found.gamma, np.max(norms), rtol=2e-3)
+
+
+# -- proposals, reduction, discretisation, margins ------------------------------------------------------------------
+
+
+def own_design(width: float = 0.8) -> tuple:
+    """Plant, weights and synthesis for Table 1(c), from the proposals alone."""
+    model = RTAC.paper()
+    units, actuation = Units.nondimensional(model), Actuation.proposed(model)
+    plant = nominal_plant(model, actuation=actuation)
+    weights = propose_weights(
+        plant, ct.tf([width], [1]), actuation.controller_limit * units.torque, displacement=0.015 * units.position
+    )
+    return units, actuation, plant, weights, mixed_sensitivity(plant, weights)
+
+
+@pytest.fixture(scope="module")
+def design() -> tuple:
+    return own_design()
+
+
+def test_proposal(design):
+    _, _, plant, weights, found = design
+    poles = plant.poles()
+    dominant = poles[np.argmax(np.abs(poles))]
+    moved = weights.desired.zeros()
+    np.testing.assert_allclose(np.abs(moved.imag), abs(dominant.imag), rtol=1e-6)
+    assert np.all(moved.real < 2 * dominant.real)
+    assert found.gamma < 1
+    assert found.robustness < 1
+    # Hardly any gain where an offset of the sensor would turn the arm, and the most near the resonance.
+    gain = np.abs(response(found.controller))
+    assert gain[0] < 0.01 * np.max(gain)
+    assert 0.5 < OMEGA[np.argmax(gain)] / abs(dominant) < 2
+
+
+def test_proposal_does_not_depend_on_units(design):
+    units, actuation, _, _, found = design
+    plant = nominal_plant(RTAC.paper(), units=Units.si(), actuation=actuation)
+    weights = propose_weights(plant, ct.tf([0.8], [1]), actuation.controller_limit, displacement=0.015)
+    other = mixed_sensitivity(plant, weights)
+    assert other.gamma == pytest.approx(found.gamma, rel=2e-3)
+    np.testing.assert_allclose(
+        response(other.controller) * units.torque / units.position, response(found.controller),
+        rtol=0.05, atol=1e-3 * np.max(np.abs(response(found.controller))),
+    )  # fmt: skip
+
+
+def test_wider_envelope_asks_for_less_damping():
+    damped = []
+    for width in (0.5, 1.0, 1.5, 3.0):
+        _, _, _, weights, found = own_design(width)
+        damped.append(-weights.desired.zeros()[0].real)
+        assert found.gamma <= 1
+    assert damped[0] >= damped[1] > damped[2] > damped[3]
+
+
+def test_reduction(design):
+    _, _, plant, weights, found = design
+    smaller = reduce_controller(found)
+    assert smaller.controller.nstates < found.controller.nstates
+    norm = np.max(np.linalg.norm(rows(response(plant), response(smaller.controller), weights), axis=0))
+    assert smaller.gamma == pytest.approx(norm, rel=2e-3)
+    assert smaller.gamma <= 1.02 * found.gamma
+    assert np.all(ct.feedback(plant * smaller.controller, 1).poles().real < 0)
+    assert reduce_controller(found, order=found.controller.nstates).controller is found.controller
+    assert reduce_controller(found, order=3).controller.nstates == 3
+    assert f"-> {smaller.controller.nstates}" in str(smaller)
+
+
+@pytest.mark.parametrize("method", ["tustin", "foh", "zoh"])
+def test_discretisation(design, method):
+    _, _, plant, _, found = design
+    sampled = discretise(found.controller, plant, 0.005, method=method)
+    assert sampled.dt == 0.005
+    low = OMEGA[(OMEGA > 5) & (OMEGA < 20)]
+    np.testing.assert_allclose(
+        np.asarray(sampled(np.exp(0.005j * low))) * np.exp(0.0025j * low if method == "zoh" else 0.0),
+        np.asarray(found.controller(1j * low)), rtol=0.02,
+    )  # fmt: skip
+    held = ct.sample_system(plant, 0.005, method="zoh")
+    assert np.all(np.abs(ct.feedback(held * sampled, 1).poles()) < 1)
+
+
+def test_margins(design):
+    _, _, plant, weights, found = design
+    result = margins(plant, found.controller, weights)
+    p, c = response(plant), response(found.controller)
+    s = 1 / (1 + p * c)
+    robust = np.abs(response(weights.uncertainty) * p * c * s)
+    both = robust + np.abs(response(weights.performance) * s)
+    assert result.worst_stability[0] == pytest.approx(np.max(robust), rel=1e-3)
+    assert result.worst_performance[0] == pytest.approx(np.max(both), rel=1e-3)
+    assert result.worst_performance[1] == pytest.approx(OMEGA[np.argmax(both)], rel=1e-2)
+    assert np.min(result.disk) == pytest.approx(np.min(np.abs(1 + p * c)), rel=1e-3)
+    assert f"{result.worst_stability[0]:.3f}" in str(result)
+
+
+def test_margin_is_where_stability_ends(design):
+    """All-pass perturbations below the margin keep the loop stable, and one just above it does not."""
+    _, _, plant, weights, found = design
+    worst, place = margins(plant, found.controller, weights).worst_stability
+
+    def stable(size: float, corner: float, sign: float) -> bool:
+        perturbation = ct.ss(ct.tf([-sign * size, sign * size * corner], [1, corner]))
+        disturbed = plant * (1 + ct.ss(weights.uncertainty) * perturbation)
+        return bool(np.all(ct.feedback(disturbed * found.controller, 1).poles().real < 0))
+
+    corners = place * np.geomspace(1e-3, 1e3, 121)
+    assert all(stable(0.99 / worst, corner, sign) for corner in corners for sign in (1.0, -1.0))
+    assert not all(stable(1.05 / worst, corner, sign) for corner in corners for sign in (1.0, -1.0))
+
+
+def test_price_of_what_a_model_leaves_out(design):
+    units, acting, plant, _, _ = design
+    limit, displacement = acting.controller_limit * units.torque, 0.015 * units.position
+    result = price(
+        {"without": (plant, ct.tf([1.6], [1])), "with": (plant, ct.tf([0.5], [1]))}, limit, displacement=displacement
+    )
+    assert result.gamma["without"] > 1 > result.gamma["with"]
+    assert result.damping["without"] < 0.7 * result.damping["with"]
+    for name, width in (("without", 1.6), ("with", 0.5)):
+        weights = result.syntheses[name].weights
+        assert abs(weights.uncertainty(1j)) == pytest.approx(width)
+        norm = np.max(
+            np.linalg.norm(rows(response(plant), response(result.syntheses[name].controller), weights), axis=0)
+        )
+        assert result.gamma[name] == pytest.approx(norm, rel=2e-3)
+        assert f"{result.gamma[name]:.3f}" in str(result)
+    with pytest.raises(ValueError, match="give at least two"):
+        price({"one": (plant, ct.tf([0.5], [1]))}, limit, displacement=displacement)
+
+
+# -- closed loops against another integrator ------------------------------------------------------------------------
+
+
+def reference(
+    controller: ct.StateSpace, acting: Actuation, start: tuple[float, float], time: np.ndarray, *, sampled: bool
+) -> np.ndarray:
+    """(N, 2) cart position and arm angle by DOP853 from equations (1) and (2) with Fig. 3, in plain NumPy."""
+    a, b, c, d = (np.array(x) for x in (controller.A, controller.B[:, 0], controller.C[0], controller.D[0, 0]))
+    position, torque = math.sqrt(M / J), M / (K * J)
+
+    def command(x: np.ndarray, own: np.ndarray) -> float:
+        cosine = math.cos(x[2])
+        if abs(cosine) <= acting.dead_band:
+            return 0.0
+        push = -(c @ own + d * position * x[0]) / torque / cosine
+        push = min(max(push, -acting.controller_limit), acting.controller_limit)
+        return min(max(push - acting.arm_stiffness * x[2], -acting.motor_limit), acting.motor_limit)
+
+    def moves(x: np.ndarray, push: float) -> list[float]:
+        on_cart = -K * x[0] - VISCOUS * x[1] + ME * x[3] ** 2 * math.sin(x[2])
+        on_arm, exchange = push - KV * x[3], ME * math.cos(x[2])
+        determinant = M * J - exchange**2
+        return [
+            x[1],
+            (J * on_cart - exchange * on_arm) / determinant,
+            x[3],
+            (M * on_arm - exchange * on_cart) / determinant,
+        ]
+
+    x, own, shown = np.array([start[0], 0.0, start[1], 0.0]), np.zeros(len(a)), []
+    for begin, end in pairwise(time):
+        shown.append(x[[0, 2]])
+        if sampled:
+            push = command(x, own)
+            own = a @ own + b * position * x[0]
+            solved = solve_ivp(lambda t, y, u=push: moves(y, u), (begin, end), x, "DOP853", rtol=1e-10, atol=1e-13)
+            x = solved.y[:, -1]
+        else:
+            solved = solve_ivp(
+                lambda t, y: [*moves(y[:4], command(y[:4], y[4:])), *(a @ y[4:] + b * position * y[0])],
+                (begin, end), np.concatenate([x, own]), "DOP853", rtol=1e-9, atol=1e-12,
+            )  # fmt: skip
+            x, own = solved.y[:4, -1], solved.y[4:, -1]
+    return np.array([*shown, x[[0, 2]]])
+
+
+ACTINGS = [
+    Actuation(),
+    Actuation(controller_limit=0.006, arm_stiffness=1e-3),
+    Actuation(motor_limit=0.004, dead_band=0.6),
+]
+
+
+@pytest.mark.parametrize("acting", ACTINGS)
+def test_sampled_loop(design, acting):
+    _, _, plant, _, found = design
+    controller = discretise(reduce_controller(found).controller, plant, 0.01)
+    time = 0.01 * np.arange(201)
+    expected = reference(controller, acting, (0.006, 0.4), time, sampled=True)
+    result = closed_loop(
+        SMOOTH,
+        controller,
+        actuation=acting,
+        displacement=0.006,
+        arm_angle=0.4,
+        duration=2.0,
+        sample_time=0.01,
+        substeps=8,
+    )
+    np.testing.assert_allclose(result.cart_position[:, 0], expected[:, 0], atol=1e-7 * 0.006)
+    np.testing.assert_allclose(result.arm_angle[:, 0], expected[:, 1], atol=1e-6)
+    assert result.time[-1] == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize("acting", ACTINGS[:2])
+def test_continuous_loop(design, acting):
+    _, _, _, _, found = design
+    controller, time = reduce_controller(found).controller, 0.01 * np.arange(151)
+    expected = reference(controller, acting, (0.006, 0.4), time, sampled=False)
+    result = closed_loop(
+        SMOOTH, controller, actuation=acting, displacement=0.006, arm_angle=0.4, duration=1.5, sample_time=0.01
+    )
+    np.testing.assert_allclose(result.cart_position[:, 0], expected[:, 0], atol=2e-5 * 0.006)
+    np.testing.assert_allclose(result.arm_angle[:, 0], expected[:, 1], atol=5e-4)
+    # The sampled controller is another one: so the test above can tell them apart.
+    sampled = closed_loop(
+        SMOOTH, discretise(controller, nominal_plant(SMOOTH), 0.01), actuation=acting, displacement=0.006, arm_angle=0.4,
+        duration=1.5, sample_time=0.01,
+    )  # fmt: skip
+    assert np.max(np.abs(sampled.arm_angle[:, 0] - expected[:, 1])) > 5e-3
+
+
+def test_batch_is_what_single_plants_are(design):
+    units, acting, plant, _, found = design
+    controller = discretise(reduce_controller(found).controller, plant, 0.005)
+    masses, starts = np.array([1.1, 1.23, 1.4]), np.array([0.01, 0.015, -0.02])
+    given = {"units": units, "actuation": acting, "duration": 1.0, "substeps": 2}
+    together = closed_loop(RTAC.paper().with_values({"total_mass": masses}), controller, displacement=starts, **given)
+    for column, (mass, start) in enumerate(zip(masses, starts, strict=True)):
+        alone = closed_loop(RTAC.paper().with_values({"total_mass": mass}), controller, displacement=start, **given)
+        np.testing.assert_allclose(together.cart_position[:, column], alone.cart_position[:, 0], atol=1e-14)
+        np.testing.assert_allclose(together.torque[:, column], alone.torque[:, 0], atol=1e-12)
+
+
+def test_drive_with_its_own_torque_constant(design):
+    units, acting, plant, _, found = design
+    controller = discretise(reduce_controller(found).controller, plant, 0.005)
+    weak = RTAC.paper().with_values({"torque_constant": 0.5 * KM})
+    given = {"units": units, "actuation": acting, "duration": 1.0}
+    as_known = closed_loop(weak, controller, **given)
+    believed = closed_loop(weak, controller, torque_constant=KM, **given)
+    assert believed.arm_swing[0] < 0.8 * as_known.arm_swing[0]
+
+
+# -- what the controllers do to the nonlinear rig -------------------------------------------------------------------
+
+
+def test_open_loop_takes_46_seconds():
+    assert closed_loop(RTAC.paper(), None).settling_time()[0] == pytest.approx(4.6, abs=0.05)
+
+
+def test_printed_problem_on_the_plant_of_table_1c():
+    """As it is: optimal for its own P_0, whose mode is at 12.9 instead of 10.4 rad/s, it winds up the arm of this plant."""
+    found = mixed_sensitivity(paper_nominal(), paper_weights())
+    result = closed_loop(RTAC.paper(), found.controller)
+    assert result.peak_torque[0] <= 0.1
+    assert result.wound_up[0]
+    small = closed_loop(RTAC.paper(), found.controller, displacement=0.003)
+    free = closed_loop(RTAC.paper(), None, displacement=0.003)
+    assert small.settling_time()[0] < free.settling_time()[0]
+
+
+def test_own_design_settles_in_three_seconds(design):
+    units, acting, plant, _, found = design
+    controller = discretise(reduce_controller(found).controller, plant, 0.005)
+    for chosen in (found.controller, controller):
+        result = closed_loop(RTAC.paper(), chosen, units=units, actuation=acting)
+        assert result.settling_time()[0] <= 3.0
+        assert result.peak_torque[0] <= 0.1
+        assert not result.wound_up[0]
+
+
+def drawn(kind: str, count: int) -> RTAC:
+    model, random = RTAC.paper(), np.random.default_rng(11)
+    if kind == "15 %":
+        spread = {name: 1 + 0.15 * random.uniform(-1, 1, count) for name in model.parameters}
+    else:
+        spread = {name: np.maximum(1 + std * random.standard_normal(count), 0.05) for name, std in SCATTER.items()}
+    return model.with_values({name: float(model[name]) * factor for name, factor in spread.items()})
+
+
+@pytest.mark.parametrize("kind", ["15 %", "Table 1"])
+def test_own_design_holds_for_2000_plants(design, kind):
+    units, acting, plant, _, found = design
+    controller = discretise(reduce_controller(found).controller, plant, 0.005)
+    batch = drawn(kind, 2000)
+    result = closed_loop(batch, controller, units=units, actuation=acting, torque_constant=KM)
+    assert np.mean(result.holds(within=3.0)) >= 0.99
+    assert np.all(result.peak_torque <= 0.1)
+    free = closed_loop(batch, None)
+    assert np.mean(free.settling_time() <= 3.0) < 0.01
+
+
+def test_noise_and_disturbance(design):
+    units, acting, plant, _, found = design
+    controller = discretise(reduce_controller(found).controller, plant, 0.005)
+    noisy = {"position_noise": 5e-5, "angle_noise": 1e-3}
+    given = {"units": units, "actuation": acting}
+    one, same, other = (closed_loop(RTAC.paper(), controller, seed=s, **noisy, **given) for s in (3, 3, 4))
+    np.testing.assert_array_equal(one.torque, same.torque)
+    assert np.any(one.torque != other.torque)
+    assert one.holds()[0]
+    # A push at the resonance.
+    push = 0.05 * np.sin(10.4 * 0.005 * np.arange(4000))
+    closed = closed_loop(RTAC.paper(), controller, displacement=0.0, force=push, **given, **noisy)
+    free = closed_loop(RTAC.paper(), None, displacement=0.0, force=push)
+    late = slice(3000, None)
+    assert np.std(closed.cart_position[late]) < 0.5 * np.std(free.cart_position[late])
+    assert not closed.wound_up[0]
+
+
+def test_metrics():
+    time = np.linspace(0, 2, 201)
+    falling = np.where(time < 1.0, 1.0, 0.05)
+    late = np.where((time > 1.5) & (time < 1.6), 0.2, falling)
+    never = np.ones(201)
+    broken = np.where(time > 1.2, np.nan, falling)
+    position = np.stack([falling, late, never, broken], axis=1)
+    angle = np.stack([np.sin(time), 2 * np.sin(3 * time), 0 * time, 0 * time], axis=1)
+    torque = np.stack([0.1 * np.sign(time - 1), 0.05 + 0 * time, 0 * time, 0 * time], axis=1)
+    found = ClosedLoop(time, position, angle, 0 * angle, torque, 0.1)
+    np.testing.assert_allclose(found.settling_time(), [1.0, 1.6, np.inf, np.inf], atol=0.011)
+    np.testing.assert_array_equal(found.wound_up, [False, True, False, False])
+    np.testing.assert_array_equal(found.holds(within=1.7), [True, False, False, False])
+    np.testing.assert_allclose(found.effort, [0.1 * math.sqrt(200 / 201), 0.05, 0, 0])
+    np.testing.assert_allclose(found.saturated, [200 / 201, 0, 0, 0])
+
+
+def test_pictures_state_what_they_show(design):
+    units, acting, plant, weights, found = design
+    given = {"units": units, "actuation": acting, "duration": 5.0}
+    controller = discretise(found.controller, plant, 0.005)
+    free, closed = closed_loop(RTAC.paper(), None, duration=5.0), closed_loop(RTAC.paper(), controller, **given)
+    both = closed_loop(RTAC.paper(), controller, displacement=np.array([0.01, 0.015]), **given)
+    stability = margins(plant, controller=found.controller, weights=weights).worst_stability[0]
+    for figure, words in (
+        (plot_closed_loop(free, {"closed loop": closed}), f"closed loop {closed.settling_time()[0]:.2f} s"),
+        (plot_synthesis(found), f"{found.robustness:.2f}"),
+        (plot_margins(margins(plant, found.controller, weights)), "Stable for the whole envelope"),
+        (plot_batch(both, free=free), "100.0 % of 2 plants"),
+    ):
+        assert words in figure.get_suptitle()
+        assert all(axis.get_xlabel() or axis.get_ylabel() for axis in figure.axes)
+    assert stability < 1
+
+
+# -- bad input ------------------------------------------------------------------------------------------------------
+
+ONE = ct.tf([1.0], [1.0])
+LAG = ct.tf([-5.0], [1.0, 0.4, 100.0])
+
+
+def weighed(**changed: ct.TransferFunction) -> Weights:
+    return Weights(**({"effort": ONE, "uncertainty": 0.1 * ONE, "performance": 0.5 * ONE, "desired": ONE} | changed))
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: weighed(uncertainty=ct.tf([1.0], [1.0, -2.0])), r"uncertainty weight has a pole at 2.*must be stable"),
+        (lambda: weighed(performance=ct.tf([1.0], [1.0, 0.0])), "performance weight has a pole at 0"),
+        (lambda: weighed(performance=ct.tf([1.0, 2.0, 3.0], [1.0, 1.0])), "more zeros than poles"),
+        (lambda: weighed(effort=ct.tf([1.0], [1.0, 1.0])), "effort weight vanishes at high frequency"),
+        (lambda: weighed(effort=ct.tf([np.nan], [1.0])), "not finite"),
+        (lambda: weighed(effort=ct.tf([1.0], [1.0], 0.1)), "discrete"),
+        (lambda: mixed_sensitivity(ct.ss(np.eye(2), np.eye(2), np.eye(2), 0), weighed()), "2 inputs and 2 outputs"),
+        (lambda: mixed_sensitivity(ct.tf([1.0], [1.0, np.inf]), weighed()), "not finite"),
+        (lambda: mixed_sensitivity(LAG, weighed(), relax=0.9), "relax is 0.9"),
+        (lambda: mixed_sensitivity(LAG, weighed(), limit=-1.0), "limit is -1"),
+        (
+            lambda: mixed_sensitivity(LAG, weighed(performance=5 * ONE, uncertainty=5 * ONE)),
+            "no controller has a gamma below 3.54 .*exclude each other",
+        ),
+        (
+            lambda: mixed_sensitivity(LAG, weighed(performance=2 * ONE)),
+            "smallest gamma is .* above the limit of 1: the .* weight is the tightest",
+        ),
+        (
+            lambda: mixed_sensitivity(ct.ss([[1.0, 0], [0, -1]], [[0.0], [1]], [[1.0, 1]], 0.0), weighed()),
+            "no controller stabilises the nominal plant",
+        ),
+        (lambda: propose_weights(ct.tf([1.0], [1.0, 1.0]), ONE, 1.0, displacement=1.0), "no oscillatory poles"),
+        (lambda: propose_weights(ct.tf([1.0], [1.0, -0.1, 1.0]), ONE, 1.0, displacement=1.0), "not stable"),
+        (lambda: propose_weights(LAG, ONE, 0.0, displacement=1.0), "torque_limit is 0"),
+        (lambda: propose_weights(LAG, ONE, 1.0, displacement=np.nan), "displacement is nan"),
+        (lambda: propose_weights(LAG, 50 * ONE, 1.0, displacement=1.0), "so wide that no damping can be added"),
+        (lambda: margins(ct.tf([1.0], [1.0, -1.0]), 0.1 * ONE, weighed()), "closed loop is not stable"),
+        (lambda: discretise(ONE, LAG, 0.0), "sample_time is 0"),
+        (lambda: discretise(-30 * ONE, ct.tf([-5.0], [1.0, 4.0, 100.0]), 0.2), "not stable .* sample faster than every"),
+        (lambda: closed_loop(SMOOTH, ONE, duration=np.inf), "duration is inf"),
+        (lambda: closed_loop(SMOOTH, ONE, position_noise=-1.0), "position_noise is -1"),
+        (lambda: closed_loop(SMOOTH, ONE, displacement=np.nan), "must be finite"),
+        (lambda: closed_loop(SMOOTH, ONE, force=np.array([0.0, np.inf])), "must be finite"),
+        (lambda: closed_loop(SMOOTH, ct.ss([[np.nan]], [[1.0]], [[1.0]], [[0.0]])), "not finite"),
+        (lambda: closed_loop(SMOOTH, ct.ss([[0.5]], [[1.0]], [[1.0]], [[0.0]], 0.1)), "sample time of 0.1 s"),
+        (lambda: closed_loop(SMOOTH, ct.ss(np.eye(2), np.eye(2), np.eye(2), 0)), "one input"),
+        (
+            lambda: closed_loop(SMOOTH.with_values({"total_mass": np.full(3, M)}), ONE, units=Units.si(), displacement=np.ones(2)),
+            "one value of each parameter",
+        ),
+        (lambda: closed_loop(SMOOTH.with_values({"total_mass": np.full(3, M)}), ONE), "give the units"),
+        (lambda: Actuation(controller_limit=0.0), "controller_limit is 0.0, but must be positive"),
+        (lambda: Actuation(arm_stiffness=-1.0), "arm_stiffness is -1.0"),
+        (lambda: Actuation.proposed(SMOOTH, arm_swing=2.0), "between 0 and pi/2"),
+    ],
+)  # fmt: skip
+def test_bad_input(call, message):
+    with pytest.raises(ValueError, match=message):
+        call()
+
+
+def test_bad_reduction(design):
+    *_, found = design
+    with pytest.raises(ValueError, match="between 1 and 8"):
+        reduce_controller(found, order=9)
+    with pytest.raises(ValueError, match="loss is -1"):
+        reduce_controller(found, loss=-1.0)
+    with pytest.raises(ValueError, match="starts at zero"):
+        closed_loop(SMOOTH, None, displacement=0.0, duration=0.1).settling_time()

@@ -24,12 +24,16 @@ class Information:
         covariance: of their physical values.
         directions: singular directions of the sensitivity in parameters divided by their size, best determined last.
         deviations: standard deviation along each of them, relative.
+        parts: Gauss-Newton matrix of each experiment, in physical parameters.
+        scores: gradient of each experiment's half sum of squares at the optimum.
     """
 
     names: tuple[str, ...]
     covariance: Float[np.ndarray, "parameter parameter"]
     directions: Float[np.ndarray, "direction parameter"]
     deviations: Float[np.ndarray, " direction"]
+    parts: Float[np.ndarray, "experiment parameter parameter"] | None = None
+    scores: Float[np.ndarray, "experiment parameter"] | None = None
 
     def undetermined(self) -> list[str]:
         """In words, every combination of parameters that the data leave free."""
@@ -44,6 +48,26 @@ class Information:
                 signs = {share > 0 for _, share in parts}
                 how = "scaled together" if len(signs) == 1 else "traded against each other"
                 said.append(f"{', '.join(name for name, _ in parts)} may be {how}")
+        return said
+
+    def weakest(self, *, above: float = 0.1) -> list[str]:
+        """In words, what these data determine, but worse than to this share of its size, the worst first."""
+        said = []
+        for direction, deviation in zip(self.directions, self.deviations, strict=True):
+            if deviation <= above:
+                break
+            if deviation >= _UNDETERMINED:
+                continue
+            shares = np.abs(direction)
+            names = [n for n, share in zip(self.names, shares, strict=True) if share > 0.3 * np.max(shares)]
+            if len(names) == 1:
+                said.append(f"these data hardly show {names[0]} (+-{_percent(deviation)})")
+                continue
+            # Only what all of them do together is unknown; a ratio or a sum of them may be known well.
+            rest = f"{', '.join(names[:-1])} from {names[-1]}"
+            said.append(
+                f"these data do not separate {rest} (their common direction is known to +-{_percent(deviation)})"
+            )
         return said
 
     def require_determined(self) -> None:
@@ -68,13 +92,19 @@ def information(factor: np.ndarray, space: Space, unknowns: Unknowns) -> Informa
     for block in np.asarray(factor):
         # Rotate the experiment's own unknowns away: what remains below them is what it says of the shared ones.
         own = block[:, shared:-1]
-        order = np.concatenate([own, block[:, :shared]], axis=1)
+        order = np.concatenate([own, block[:, :shared], block[:, -1:]], axis=1)
         triangle = np.asarray(np.linalg.qr(order, mode="r"))
         rows.append(triangle[own.shape[1] :, own.shape[1] :])
-    slope = _slope(space, unknowns)
-    names = tuple(space.names[int(i)] for i in np.asarray(space.active) if int(i) < len(space.names))
-    matrix = np.concatenate(rows)[:, : len(names)] / slope[: len(names)]
-    return information_of(matrix, names, _sizes(space, unknowns)[: len(names)])
+    inside = np.asarray(space.active) < len(space.names)
+    names = tuple(space.names[int(i)] for i in np.asarray(space.active)[inside])
+    slope = slope_of(space, unknowns)[inside]
+    blocks = [block[:, :shared][:, inside] / slope for block in rows]
+    found = information_of(np.concatenate(blocks), names, _sizes(space, unknowns)[inside])
+    return dataclasses.replace(
+        found,
+        parts=np.stack([block.T @ block for block in blocks]),
+        scores=np.stack([block.T @ whole[:, -1] for block, whole in zip(blocks, rows, strict=True)]),
+    )
 
 
 def information_of(matrix: np.ndarray, names: Sequence[str], size: np.ndarray) -> Information:
@@ -91,7 +121,7 @@ def information_of(matrix: np.ndarray, names: Sequence[str], size: np.ndarray) -
     return Information(tuple(names), covariance, directions[::-1], deviations[::-1])
 
 
-def _slope(space: Space, unknowns: Unknowns) -> np.ndarray:
+def slope_of(space: Space, unknowns: Unknowns) -> np.ndarray:
     """Derivative of each free physical parameter by its unconstrained stand-in, kept away from zero at a bound."""
     index = np.asarray(space.active)
     place = np.where(index < len(space.names), index, 0)
@@ -106,3 +136,7 @@ def _sizes(space: Space, unknowns: Unknowns) -> np.ndarray:
     present = np.abs(np.asarray(space.physical(unknowns)[0])[place])
     # At zero, as for an effect that turns out to be absent, the scale of what is plausible stands in.
     return np.where(inside, np.maximum(present, 0.1 * np.asarray(space.scale)[place]), 1.0)
+
+
+def _percent(share: float) -> str:
+    return f"{float(f'{100 * share:.2g}'):g} %"

@@ -356,23 +356,3 @@ def test_residual_statistics_of_a_trace() -> None:
     coloured = control.forced_response(control.tf([1], [0.05, 1]), time, random.normal(size=2000)).outputs
     stained = Trace("a", "cart_position", time, clean + coloured, clean, clean, time >= 0, 0.1)
     assert stained.whiteness_p < 1e-6
-
-
-def test_with_noise_closed_form_and_output_error_agree_within_their_deviations() -> None:
-    """Where the closed form's assumptions hold: a locked arm, viscous friction only, noise small beside the motion."""
-    random = np.random.default_rng(17)
-    time = 0.002 * np.arange(2500)
-    experiments = tuple(
-        rtac.Experiment.of(
-            f"free_{i}", kind="free", sample_time=0.002, arm="locked", initial_arm_angle=0.0,
-            cart_position=exact_decay(q, time) + 2e-6 * random.normal(size=len(time)),
-        )
-        for i, q in enumerate(np.linspace(0.006, 0.015, 6))
-    )  # fmt: skip
-    recording = rtac.Recording(experiments, rig={"total_mass": MASS})
-    model = rtac.RTAC.from_rig(recording).without("cart_coulomb")
-    closed = est.least_squares(model, recording).estimates
-    fit = est.output_error(model, recording, progress=False, starts=1).parameters
-    for name, truth in {"spring_stiffness": STIFFNESS, "cart_viscous.coefficient": VISCOUS}.items():
-        assert abs(fit[name].value - truth) < 4 * fit[name].std, name
-        assert abs(closed[name].value - fit[name].value) < 4 * np.hypot(closed[name].std, fit[name].std), name

@@ -1,0 +1,184 @@
+"""Closed form against output error: they agree on a clean rig at the stated rate, and disagree when something is hidden."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import estimators as est
+import rtac_jax as rtac
+from estimators._agreement import Agreement, Disagreement, agreement
+from estimators._sandwich import covariances
+from estimators._table import fit_table
+from rtac_jax import virtual_rig
+
+RIG = virtual_rig.Rig()
+HIDDEN = {
+    "cubic_spring": {"cubic_spring": 2e4},
+    "cart_stribeck": {"cart_stribeck": 0.02},
+    "cart_quadratic_drag": {"cart_quadratic_drag": 5.0},
+    "flexible_mode": {"flexible_mass": 0.1},
+    "hysteretic_spring": {"hysteresis_stiffness": 10.0},
+    "gravity_tilt": {"tilt_across": 0.01},
+    "arm_coulomb": {"arm_coulomb": 3e-4},
+    "arm_quadratic_drag": {"arm_quadratic_drag": 1e-5},
+    "cogging": {"cogging_torque": 1e-3},
+    "cable_spring": {"cable_stiffness": 1e-4},
+    "current_lag": {"current_lag": 0.003},
+    "input_delay": {"input_delay": 0.003},
+    "current_offset": {"current_offset": 0.002},
+    "dead_zone": {"dead_zone": 0.01},
+    "torque_droop": {"torque_droop": 0.3},
+    "tacho_bias": {"tacho_bias": 0.1},
+    "tacho_lag": {"tacho_lag": 0.003},
+}
+"""Effects large enough that the residual of the fit is a little to a few times the noise."""
+
+
+def recorded(rig: virtual_rig.Rig, seed: int) -> rtac.Recording:
+    plans = virtual_rig.standard_plans(seed=seed, sample_time=0.01, duration=3.0, free=3, forced=5, rest=1)
+    return virtual_rig.record(rig, plans, seed=seed + 7000)
+
+
+def held_together(recording: rtac.Recording, *, draws: int = 30, seed: int = 0) -> Agreement:
+    closed = est.least_squares(rtac.RTAC.from_rig(recording), recording, weak=True)
+    fit = est.output_error(closed.model, recording, from_model=True, progress=False)
+    return agreement([closed, fit], recording, draws=draws, seed=seed)
+
+
+def p_values(rig: virtual_rig.Rig, seeds: range, *, draws: int = 40) -> np.ndarray:
+    return np.array([held_together(recorded(rig, s), draws=draws, seed=s).pairs[0].p_value for s in seeds])
+
+
+@pytest.fixture(scope="module")
+def clean() -> rtac.Recording:
+    return recorded(RIG, 1)
+
+
+@pytest.fixture(scope="module")
+def found(clean: rtac.Recording) -> Agreement:
+    return held_together(clean)
+
+
+def test_on_a_clean_rig_they_agree_and_say_so(found: Agreement) -> None:
+    assert not found.rejected
+    assert found.differing == ()
+    assert found.suspects == ()
+    assert found.verdict.startswith("They agree")
+    text = str(found)
+    for part in ("closed form less output error", "spring_stiffness", "all together", "sigmas", "They agree"):
+        assert part in text
+    # Output error has the smaller deviation: it is efficient here, the closed form is not.
+    assert np.all(found.std[1] < 1.2 * found.std[0])
+    assert "agree within chance" in found.plot().get_suptitle()
+
+
+def test_deviations_are_those_of_repeated_recordings() -> None:
+    """The same plans recorded again and again: how far closed form and output error then scatter."""
+    plans = virtual_rig.standard_plans(seed=1, sample_time=0.01, duration=3.0, free=3, forced=5, rest=1)
+    recordings = virtual_rig.record_many([(RIG, plans, seed) for seed in range(14)])
+    results = []
+    for recording in recordings:
+        closed = est.least_squares(rtac.RTAC.from_rig(recording), recording, weak=True)
+        fit = est.output_error(closed.model, recording, from_model=True, progress=False)
+        results.append((closed, fit))
+    first = agreement(results[0], recordings[0], draws=40)
+    for way in range(2):
+        observed = np.std(
+            [
+                [r[0].estimates[n].pooled if way == 0 else r[1].parameters[n].value for n in first.names]
+                for r in results
+            ],
+            axis=0,
+            ddof=1,
+        )
+        ratio = observed / first.std[way]
+        assert np.all((ratio > 0.4) & (ratio < 2.2)), (way, ratio)
+        assert 0.7 < np.exp(np.mean(np.log(ratio))) < 1.4, (way, ratio)
+
+
+def test_false_alarms_are_rare_in_a_few_runs() -> None:
+    found = p_values(RIG, range(20, 25), draws=30)
+    assert np.sum(found < 0.01) <= 1, found
+    assert np.median(found) > 0.05
+
+
+@pytest.mark.slow
+def test_false_alarms_come_at_the_stated_rate() -> None:
+    found = p_values(RIG, range(1000, 1200), draws=80)
+    assert np.mean(found < 0.01) <= 0.03, np.sort(found)[:10]
+    assert 0.2 < np.mean(found < 0.5) < 0.8
+
+
+def test_coloured_sensor_noise_is_no_disagreement() -> None:
+    found = p_values(dataclasses.replace(RIG, noise_correlation=0.9), range(40, 42))
+    assert np.max(found) > 0.05, found
+    assert np.min(found) > 1e-3, found
+
+
+@pytest.mark.parametrize("effect", ["cubic_spring", "arm_coulomb"])
+def test_a_hidden_effect_makes_them_disagree(effect: str) -> None:
+    found = held_together(recorded(dataclasses.replace(RIG, **HIDDEN[effect]), 60))
+    assert found.rejected
+    assert found.verdict.startswith("They disagree")
+    assert found.differing[0] in found.verdict
+    assert set(found.suspects) <= set(rtac.effects.CATALOGUE)
+    assert "est.diagnose" in found.verdict
+    assert "disagree, most clearly in" in found.plot().get_suptitle()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("effect", list(HIDDEN))
+def test_hidden_effects_are_noticed_in_most_runs(effect: str) -> None:
+    found = p_values(dataclasses.replace(RIG, **HIDDEN[effect]), range(60, 70))
+    assert np.mean(found < 0.01) > 0.5, found
+
+
+def test_verdict_names_the_assumption_that_fails() -> None:
+    names, units = ("spring_stiffness", "torque_constant"), ("N/m", "N m/A")
+    pair = Disagreement(("a", "b"), np.array([9.0, 0.1]), np.zeros(2), np.ones(2), np.array([1e-12, 0.9]), 1e-11)
+    one = Agreement(names, units, ("a", "b"), np.ones((2, 2)), np.ones((2, 2)), (pair,), 0.01, 80)
+    assert one.differing == ("spring_stiffness",)
+    assert "the spring is linear" in one.verdict
+    assert "torque is proportional" not in one.verdict
+    assert one.suspects[0] == "cubic_spring"
+
+
+def test_two_fits_can_be_held_together(clean: rtac.Recording) -> None:
+    model = rtac.RTAC.from_rig(clean)
+    fit = est.output_error(model, clean, from_model=True, progress=False)
+    fixed = est.output_error(model.fix("eccentric_moment"), clean, from_model=True, progress=False)
+    found = agreement([fit, fixed], clean, draws=30)
+    assert found.labels == ("output error 1", "output error 2")
+    assert "eccentric_moment" not in found.names  # only one of them estimated it
+    assert not found.rejected
+
+
+def test_wrong_use_is_refused(clean: rtac.Recording) -> None:
+    model = rtac.RTAC.from_rig(clean)
+    closed = est.least_squares(model, clean, weak=True)
+    with pytest.raises(ValueError, match="two results or more"):
+        agreement([closed], clean)
+    with pytest.raises(ValueError, match="needs a fit"):
+        agreement([closed, closed], clean)
+    fit = est.output_error(model, clean, from_model=True, progress=False)
+    with pytest.raises(ValueError, match="more than 21"):
+        agreement([closed, fit], clean, draws=10)
+    with pytest.raises(ValueError, match="as many labels"):
+        agreement([closed, fit], clean, labels=["one"])
+    other = recorded(RIG, 2)
+    with pytest.raises(ValueError, match="give the recording that was fitted"):
+        agreement([closed, fit], rtac.Recording(other.experiments[:3], rig=other.rig))
+
+
+def test_one_table_says_it_all(clean: rtac.Recording) -> None:
+    closed = est.least_squares(rtac.RTAC.from_rig(clean), clean, weak=True)
+    fit = est.output_error(closed.model, clean, from_model=True, progress=False)
+    plain = fit_table(closed, fit)
+    text = fit_table(closed, fit, agreed=agreement([closed, fit], clean, draws=30), spread=covariances(fit, clean))
+    assert len(text.splitlines()[0].split()) > len(plain.splitlines()[0].split())
+    for part in ("sigmas apart", "clustered", "They agree", "Table 1 of these data", "(b) forced oscillation"):
+        assert part in text
+    row = next(line for line in text.splitlines() if line.startswith("spring_stiffness"))
+    assert f"{fit.parameters['spring_stiffness'].value:.6g}" in row
+    assert f"{closed.estimates['spring_stiffness'].pooled:.6g}" in row

@@ -1,0 +1,206 @@
+"""Frequency response and transient from neighbouring lines of a spectrum: local polynomials and local fractions."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Complex128, Float64, Int, Real
+
+# Two take off the bias by noise; more would let a pole chase the noise of single lines where the data show none.
+_REFINEMENTS = 2
+_NOTHING = 1e-9  # of the largest line, below which an input is rounding
+
+
+class VanishingError(ValueError):
+    """The input around a line cannot show the response there; `line` is its place in the spectrum."""
+
+    def __init__(self, line: float) -> None:
+        super().__init__(f"the excitation vanishes around line {line:g} of the spectrum; excite it or leave it out.")
+        self.line = line
+
+
+class LocalFit(NamedTuple):
+    """What the lines around each line tell.
+
+    Attributes:
+        response: [unit of output / unit of input].
+        std: root of the mean squared magnitude of the response's error.
+        noise: root of the mean squared magnitude of what is left at one line [unit of output].
+        freedom: complex degrees of freedom of `noise`.
+    """
+
+    response: Complex128[np.ndarray, " line"]
+    std: Float64[np.ndarray, " line"]
+    noise: Float64[np.ndarray, " line"]
+    freedom: int
+
+
+def local_response(
+    into: Complex128[np.ndarray, " bin"],
+    out: Complex128[np.ndarray, " bin"],
+    lines: Real[np.ndarray, " line"],
+    *,
+    half_width: int,
+    degree: int = 2,
+    poles: int = 2,
+) -> LocalFit:
+    """The response at some lines of two spectra, with transients and leakage as a smooth part of their own.
+
+    Around each line, with r the distance from it in half widths,
+
+        Y (1 + d_1 r + ...) = (g_0 + g_1 r + ...) U + t_0 + t_1 r + ...
+
+    is fitted over `2 half_width + 1` lines, and g_0 is the response. Without `poles` this is the local polynomial method
+    and linear; with them, a resonance that is as narrow as the window is followed as well, and the linear solution is
+    refined by two Gauss-Newton steps on the residual of Y itself.
+
+    Args:
+        into, out: discrete Fourier transforms of input and output, from zero frequency on.
+        lines: numbers of the lines asked for; places between lines are allowed.
+        half_width: lines to each side; near the ends of the spectrum the window is moved.
+        degree: of the polynomials g and t.
+        poles: degree of the polynomial d.
+
+    Raises:
+        ValueError: the window is too small for the unknowns or too large for the spectrum.
+        VanishingError: the input around a line vanishes, or has too few lines to tell response from transient.
+
+    Source: Schoukens, Vandersteen, Barbe and Pintelon (2009), and for the fractions McKelvey and Guerin (2012).
+    """
+    width = 2 * half_width + 1
+    unknowns = 2 * (degree + 1) + poles
+    if width <= unknowns:
+        raise ValueError(
+            f"half_width: {half_width} lines to each side give {width} equations for {unknowns} unknowns; use at least "
+            f"{unknowns // 2 + 1}."
+        )
+    if width > len(out) - 1:
+        raise ValueError(
+            f"half_width: a window of {width} lines does not fit into a spectrum of {len(out)}; record for longer."
+        )
+    # Zero frequency holds the offset of the sensor, and no window contains it.
+    first = np.clip(np.rint(lines).astype(np.int64) - half_width, 1, len(out) - width)
+    window = first[:, None] + np.arange(width)
+    distance = (window - lines[:, None]) / half_width
+    powers = distance[:, :, None] ** np.arange(max(degree, poles) + 1)
+    regressors = np.concatenate(
+        [
+            powers[:, :, : degree + 1] * into[window][:, :, None],
+            powers[:, :, : degree + 1].astype(np.complex128),
+            -powers[:, :, 1 : poles + 1] * out[window][:, :, None],
+        ],
+        axis=2,
+    )
+    scale = np.sqrt(np.mean(np.abs(regressors) ** 2, axis=1, keepdims=True))
+    vanishes = scale[:, 0, 0] <= _NOTHING * np.max(np.abs(into[1:]), initial=0.0)
+    if vanishes.any():
+        raise VanishingError(float(lines[np.argmax(vanishes)]))
+    regressors /= np.where(scale > 0, scale, 1.0)
+    upper = np.linalg.qr(regressors, mode="r")
+    diagonal = np.abs(np.diagonal(upper, axis1=1, axis2=2))
+    weak = diagonal[:, : degree + 1].min(axis=1) < _NOTHING * diagonal.max(axis=1)
+    if weak.any():
+        raise VanishingError(float(lines[np.argmax(weak)]))
+    target = out[window]
+    solution, first_row, left = _least_squares(regressors, target)
+    if poles:
+        # With noise on the output that equation has noise among its regressors, so the fraction itself is fitted next.
+        solution, first_row, left = _refined(
+            solution / scale[:, 0], target, regressors, scale, powers[:, :, 1 : poles + 1], 2 * (degree + 1)
+        )
+    solution, first_row = solution[:, 0] / scale[:, 0, 0], first_row / scale[:, 0, 0]
+    freedom = width - unknowns
+    noise = np.sqrt(np.sum(np.abs(left) ** 2, axis=1) / freedom)
+    return LocalFit(solution, noise * first_row, noise, freedom)
+
+
+def _least_squares(matrix: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Solutions of many problems [problem, equation, unknown], root of the first unknown's variance, and residuals."""
+    orthogonal, upper = np.linalg.qr(matrix)
+    projected = np.einsum("fwp,fw->fp", orthogonal.conj(), target)
+    inverse = np.linalg.inv(upper)
+    left = target - np.einsum("fwp,fp->fw", orthogonal, projected)
+    return np.einsum("fpq,fq->fp", inverse, projected), np.sqrt(np.sum(np.abs(inverse[:, 0]) ** 2, axis=1)), left
+
+
+def _refined(
+    unknowns: np.ndarray, target: np.ndarray, regressors: np.ndarray, scale: np.ndarray, powers: np.ndarray, linear: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Gauss-Newton for Y = (g U + t) / (1 + d): scaled unknowns, root of the first one's variance, and residuals.
+
+    A step that does not lower the residual of its line is not taken there.
+    """
+    scaled = unknowns * scale[:, 0]
+    top, size = regressors[:, :, :linear], scale[:, 0, linear:]
+
+    def model(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        below = 1.0 + np.einsum("fwp,fp->fw", powers, x[:, linear:] / size)
+        return np.einsum("fwp,fp->fw", top, x[:, :linear]) / below, below
+
+    def jacobian(value: np.ndarray, below: np.ndarray) -> np.ndarray:
+        by_poles = -powers * (value / below)[:, :, None] / size[:, None, :]
+        return np.concatenate([top / below[:, :, None], by_poles], axis=2)
+
+    value, below = model(scaled)
+    for _ in range(_REFINEMENTS):
+        step, _, _ = _least_squares(jacobian(value, below), target - value)
+        moved = scaled + step
+        fresh, fresh_below = model(moved)
+        better = np.sum(np.abs(target - fresh) ** 2, axis=1) < np.sum(np.abs(target - value) ** 2, axis=1)
+        scaled = np.where(better[:, None], moved, scaled)
+        value, below = np.where(better[:, None], fresh, value), np.where(better[:, None], fresh_below, below)
+        if not better.any():
+            break
+    _, first_row, _ = _least_squares(jacobian(value, below), target - value)
+    return scaled, first_row, target - value
+
+
+class Transient(NamedTuple):
+    """The smooth part at some lines, by the lines beside them, and what these leave.
+
+    Attributes:
+        smooth: at the line itself.
+        left: at the lines beside it.
+        factor: variance at the line after the smooth part is taken off, over that of one line.
+        freedom: complex degrees of freedom of `left`.
+    """
+
+    smooth: Complex128[np.ndarray, " line"]
+    left: Complex128[np.ndarray, "line neighbour"]
+    factor: Float64[np.ndarray, " line"]
+    freedom: int
+
+
+def local_transient(
+    out: Complex128[np.ndarray, " bin"],
+    lines: Int[np.ndarray, " line"],
+    *,
+    periods: int,
+    neighbours: int,
+    degree: int = 2,
+) -> Transient:
+    """Transient and noise at harmonics of a record of whole periods, from the lines between the harmonics.
+
+    A periodic steady state has only every `periods`-th line, so what lies between is transient, which is smooth, and
+    noise, which is not (Pintelon and Schoukens 2012, section 7.3).
+
+    Raises:
+        ValueError: fewer neighbours than the polynomial has unknowns, or than the spectrum has lines.
+    """
+    if neighbours <= degree + 1:
+        raise ValueError(
+            f"neighbours: {neighbours} lines leave nothing for noise beside a polynomial of degree {degree}; use more."
+        )
+    between = np.arange(1, len(out))
+    between = between[between % periods != 0]
+    if len(between) < neighbours:
+        raise ValueError(f"neighbours: there are only {len(between)} lines between the harmonics; record more periods.")
+    middle = np.searchsorted(between, lines)
+    window = between[np.clip(middle - neighbours // 2, 0, len(between) - neighbours)[:, None] + np.arange(neighbours)]
+    distance = (window - lines[:, None]) / (neighbours * periods / (periods - 1))
+    orthogonal, upper = np.linalg.qr(distance[:, :, None] ** np.arange(degree + 1))
+    values = out[window]
+    projected = np.einsum("fwp,fw->fp", orthogonal, values)
+    at_line = np.linalg.inv(upper)[:, 0]  # the polynomial at distance zero is its constant
+    left = values - np.einsum("fwp,fp->fw", orthogonal, projected)
+    factor = 1.0 + np.sum(at_line**2, axis=1)
+    return Transient(np.einsum("fp,fp->f", at_line, projected), left, factor, neighbours - degree - 1)

@@ -9,7 +9,7 @@ from estimators._compare import Comparison, compare
 from estimators._diagnose import Candidate, Diagnosis, Verdict, diagnose
 from estimators._output_error import Fit, output_error
 from rtac_jax import RTAC
-from rtac_jax.effects import Effect
+from rtac_jax.effects import CATALOGUE, Effect
 from rtac_jax.measurement import Recording
 
 
@@ -97,35 +97,34 @@ def improve(
     tested = [compare(fits[0], held_out, labels=["base"]).models[0]]
     diagnoses: list[Diagnosis] = []
     added: list[Candidate] = []
-    while True:
+    stopped = ""
+    while not stopped:
         found = diagnose(fits[-1], train, candidates=candidates, progress=progress)
         diagnoses.append(found)
-        if found.best is None:
+        if not found.additions:
             enough = found.verdict == "adequate"
             stopped = f"Stopped: {'nothing more is missing' if enough else 'what is missing is not in the catalogue'}."
-            break
-        if len(added) == most:
-            stopped = f"Stopped: {most} effects were added; more seem to be missing."
-            break
-        better = output_error(fits[-1].model + found.best, train, from_model=True, progress=progress)
-        label = "+ " + ", ".join([*(c.id for c in added), found.best.id])
-        test = compare(better, held_out, labels=[label]).models[0]
-        if _misfit(test) > _misfit(tested[-1]):
-            stopped = f"Stopped: with {found.best.id} the held-out error would not fall."
-            break
-        fits.append(better)
-        tested.append(test)
-        added.append(found.effects[0])
-        left = [c for c in (candidates or _catalogue()) if c.id not in better.model]
-        if not left:
+        known = {c.id: c for c in found.effects}
+        for effect in found.additions:
+            if len(added) == most:
+                stopped = f"Stopped: {most} effects were added; more seem to be missing."
+                break
+            better = output_error(fits[-1].model + effect, train, from_model=True, progress=progress)
+            label = "+ " + ", ".join([*(c.id for c in added), effect.id])
+            test = compare(better, held_out, labels=[label]).models[0]
+            if _misfit(test) > _misfit(tested[-1]):
+                stopped = f"Stopped: with {effect.id} the held-out error would not fall."
+                break
+            fits.append(better)
+            tested.append(test)
+            added.append(known[effect.id])
+        if not stopped and not [c for c in (candidates or CATALOGUE.values()) if c.id not in fits[-1].model]:
             stopped = "Stopped: every candidate was added."
-            break
     labels = [model.label for model in tested]
     last = diagnoses[-1].verdict
     verdict: Verdict = "unknown" if last in ("missing", "ambiguous") else last
     if added:
-        ambiguous = any(d.verdict == "ambiguous" for d in diagnoses[: len(added)])
-        verdict = "ambiguous" if ambiguous else "missing"
+        verdict = "ambiguous" if any(c.confusable_with for c in added) else "missing"
     return Improvement(
         fits=tuple(fits),
         diagnoses=tuple(diagnoses),
@@ -136,12 +135,6 @@ def improve(
         stopped=stopped,
         seconds=time.perf_counter() - began,
     )
-
-
-def _catalogue() -> list[type[Effect]]:
-    from rtac_jax.effects import CATALOGUE
-
-    return list(CATALOGUE.values())
 
 
 def _misfit(compared: Any) -> float:

@@ -7,9 +7,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from estimators._problem import Data, Space, states_at_start
+from estimators._coloured_noise import ColouredNoise
+from estimators._problem import CHANNELS, Data, Space, states_at_start
 from rtac_jax import RTAC, Excitation
 from rtac_jax._simulate import Steps, advance
+
+OUTPUTS = len(CHANNELS)
 
 
 class Filtered(NamedTuple):
@@ -50,7 +53,7 @@ def kalman(
     """
     shared, each, start = physical
     placed = model.with_values(dict(zip(space.names, shared, strict=True)) | dict(zip(space.each, each, strict=True)))
-    excitation = data.excitation
+    excitation = placed.driven(data.excitation)
     shape = excitation.sample_time.shape
     state = tuple(jnp.broadcast_to(x, shape) for x in states_at_start(placed, start, excitation))
     count = len(state)
@@ -58,6 +61,9 @@ def kalman(
     spread = jnp.zeros((count, count, *shape))
     for row, place in enumerate(places):
         spread = spread.at[place, place].set(start_variance[row])
+    wander = wandering(placed, sensor_variance, excitation.sample_time)
+    sensor_variance = wander.white
+    spread = spread + jnp.eye(count)[:, :, None] * wander.stationary[:, None]
     unit = tuple(jnp.broadcast_to(row[:, None], (count, *shape)) for row in jnp.eye(count))
 
     def one_sample(carry: tuple[Any, Array], row: dict[str, Any]) -> tuple[tuple[Any, Array], Any]:
@@ -68,35 +74,28 @@ def kalman(
 
         outputs, slopes = _with_slopes(shown, state, unit)
         slopes = jax.lax.stop_gradient(slopes)
-        gains, whitener, innovations = [], [], []
+        error = (row["values"] - outputs) * row["present"]
+        whitener, innovations = [], []
         likelihood = jnp.zeros(shape)
         # Outputs are uncorrelated given the state, so they are taken one after the other; the rows of the triangular
         # whitener and the joint gain follow by substitution.
-        shift = [jnp.zeros(shape) for _ in range(count)]
-        effect_of = [[jnp.zeros(shape) for _ in range(3)] for _ in range(count)]
-        for j in range(3):
-            there = row["present"][j]
-            h = slopes[j]
-            ph = [sum(spread[a, b] * h[b] for b in range(count)) for a in range(count)]
-            variance = sum(h[a] * ph[a] for a in range(count)) + sensor_variance[j]
-            k = [there * x / variance for x in ph]
-            # innovation_j = e_j - h . (shift so far), linear in the errors e_0 .. e_j
-            weights: list[Any] = [-sum(h[a] * effect_of[a][i] for a in range(count)) for i in range(3)]
-            weights[j] = weights[j] + 1.0
-            error = row["values"][j] - outputs[j] - sum(h[a] * shift[a] for a in range(count))
-            error = error * there
+        gain = jnp.zeros((count, OUTPUTS, *shape))
+        for j in range(OUTPUTS):
+            there, h = row["present"][j], slopes[j]
+            ph = jnp.sum(spread * h[None], axis=1)
+            variance = jnp.sum(h * ph, axis=0) + sensor_variance[j]
             deviation = jnp.sqrt(variance)
-            innovations.append(error / deviation)
-            whitener.append([there * w * row["present"][i] / deviation for i, w in enumerate(weights)])
-            likelihood = likelihood - 0.5 * there * (error**2 / variance + jnp.log(variance))
-            shift = [s + x * error for s, x in zip(shift, k, strict=True)]
-            effect_of = [
-                [effect_of[a][i] + k[a] * weights[i] * row["present"][i] for i in range(3)] for a in range(count)
-            ]
-            kk, pp = jnp.stack(k), jnp.stack(ph)
-            spread = spread - kk[:, None] * pp[None, :]
-            spread = 0.5 * (spread + jnp.swapaxes(spread, 0, 1))
-        gains = jnp.stack([jnp.stack(effect_of[a]) for a in range(count)])
+            # innovation_j = e_j - h . gain e, linear in the errors e_0 .. e_j
+            weights = (jnp.eye(OUTPUTS)[j][:, None] - jnp.sum(h[:, None] * gain, axis=0)) * row["present"]
+            innovation = there * jnp.sum(weights * error, axis=0)
+            innovations.append(innovation / deviation)
+            whitener.append(there * weights / deviation)
+            likelihood = likelihood - 0.5 * there * (innovation**2 / variance + jnp.log(variance))
+            k = there * ph / variance
+            gain = gain + k[:, None] * weights[None]
+            spread = spread - k[:, None] * ph[None, :]
+        spread = 0.5 * (spread + jnp.swapaxes(spread, 0, 1))
+        shift = jnp.sum(gain * error[None], axis=1)
         state = tuple(x + dx for x, dx in zip(state, shift, strict=True))
 
         current, force = (None if row[name] is None else tuple(row[name]) for name in ("current", "force"))
@@ -109,16 +108,16 @@ def kalman(
         # itself would cost far more and matter far less.
         here = jax.lax.stop_gradient(state)
         there, jacobian = jax.lax.stop_gradient(_with_slopes(forward, here, unit))
-        away = [x - x0 for x, x0 in zip(state, here, strict=True)]
-        state = tuple(x + sum(line[b] * away[b] for b in range(count)) for x, line in zip(there, jacobian, strict=True))
-        f = jnp.stack([jnp.stack(line) for line in jacobian])
+        away = jnp.stack(state) - jnp.stack(here)
+        state = tuple(there + jnp.sum(jacobian * away[None], axis=1))
         half = (
             0.5
             * excitation.sample_time
             * sum(density * push[:, None] * push[None, :] for density, push in zip(process, pushes, strict=True))
         )
-        spread = _product(_product(f, spread + half), jnp.swapaxes(f, 0, 1)) + half
-        return (state, spread), (gains, jnp.stack([jnp.stack(w) for w in whitener]), jnp.stack(innovations), likelihood)
+        spread = _product(_product(jacobian, spread + half), jnp.swapaxes(jacobian, 0, 1)) + half
+        spread = spread + jnp.eye(count)[:, :, None] * wander.fresh[:, None]
+        return (state, spread), (gain, jnp.stack(whitener), jnp.stack(innovations), likelihood)
 
     rows = {
         "current": excitation.current, "force": excitation.force, "values": data.values, "present": data.present
@@ -128,6 +127,35 @@ def kalman(
 
 
 filtered = eqx.filter_jit(kalman)
+
+
+class Wander(NamedTuple):
+    """Sensor noise of a model, white and coloured.
+
+    Attributes:
+        white: variance of what is white.
+        stationary: variance of the states that carry what is coloured; zero for all others.
+        fresh: of that, what every sample brings anew.
+    """
+
+    white: Float[Array, "output experiment"]
+    stationary: Float[Array, "state experiment"]
+    fresh: Float[Array, "state experiment"]
+
+
+def wandering(
+    model: RTAC, variance: Float[Array, "output experiment"], sample_time: Float[Array, " experiment"]
+) -> Wander:
+    """Split the variance of the sensor noise as the model's `ColouredNoise` says; all white without it."""
+    names = list(model.states)
+    nothing = jnp.zeros((len(names), len(sample_time)))
+    colour = next((effect for effect in model.effects if isinstance(effect, ColouredNoise)), None)
+    if colour is None:
+        return Wander(variance, nothing, nothing)
+    share, keep = colour.share[:, None], jnp.exp(-sample_time / colour.memory[:, None])
+    places = jnp.asarray([names.index(f"{colour.id}.{channel}") for channel in CHANNELS])
+    slow = share * variance
+    return Wander(variance - slow, nothing.at[places].set(slow), nothing.at[places].set((1 - keep**2) * slow))
 
 
 def _start_places(model: RTAC) -> tuple[int, ...]:
@@ -140,10 +168,10 @@ def _start_places(model: RTAC) -> tuple[int, ...]:
     return tuple(places)
 
 
-def _with_slopes(function: Any, state: Any, unit: Any) -> tuple[Any, list[Any]]:
-    """Value, and for each element of it the derivatives by every state."""
+def _with_slopes(function: Any, state: Any, unit: Any) -> tuple[Array, Array]:
+    """Value [row experiment], and its derivatives by every state [row state experiment]."""
     value, slopes = jax.vmap(lambda t: jax.jvp(function, (state,), (t,)), out_axes=(None, 0))(unit)
-    return tuple(value), [tuple(slope[i] for i in range(len(state))) for slope in slopes]
+    return jnp.stack(value), jnp.stack(slopes)
 
 
 def _pushes(model: RTAC, state: Any, excitation: Excitation) -> tuple[Array, Array]:

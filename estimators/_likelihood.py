@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 from scipy.optimize import minimize
 
 from estimators._bounds import solve_bounded
-from estimators._kalman import Filtered, filtered, kalman
+from estimators._kalman import Filtered, kalman
 from estimators._levenberg_marquardt import Arguments
 from estimators._problem import CHANNELS, Data, Space, Unknowns
 from rtac_jax import RTAC, Scales
@@ -22,6 +22,8 @@ from rtac_jax.measurement import Experiment
 # Random force and torque between these shares of the rms forces, as powers of e of their variance.
 _LEAST, _MOST, _FIRST = np.log(1e-5**2), np.log(1.0**2), np.log(3e-3**2)
 _PROCESS_UNIT = 0.3
+_LESS = (0.0, 4.0)  # by how much in the logarithm of the variance
+_ENOUGH = 1.0  # gain in log-likelihood that is worth another round
 
 
 @dataclasses.dataclass(frozen=True)
@@ -89,34 +91,37 @@ class Predictor:
         return float(np.exp(0.5 * self.noise[1]))
 
 
-def _densities(noise: Any, prior: NoiseModel) -> tuple[Any, Any]:
-    scale = jnp.asarray([prior.force**2, prior.torque**2]) * prior.interval
-    density = jnp.exp(noise[:2]) * scale
-    return density[0], density[1]
-
-
-def _variances(noise: Any, prior: NoiseModel, data: Data) -> Array:
-    return jnp.broadcast_to(
-        (jnp.exp(noise[2:]) * jnp.asarray(prior.sensor) ** 2)[:, None], (len(CHANNELS), data.experiments)
-    )
-
-
 @eqx.filter_jit
-def _slope(
+def _pass(
     model: RTAC, data: Data, space: Space, physical: Any, noise: Array, scale: Array, sensor: Array, start: Array,
     substeps: Steps,
-) -> tuple[Array, Array]:  # fmt: skip
-    def negative(at: Array) -> Array:
+) -> tuple[Array, Array, Filtered]:  # fmt: skip
+    """Negative log-likelihood, its slope by the noise, and the filter's pass; one compiled function for all three."""
+
+    def negative(at: Array) -> tuple[Array, Filtered]:
         density = jnp.exp(at[:2]) * scale
         variance = jnp.broadcast_to((jnp.exp(at[2:]) * sensor**2)[:, None], (len(CHANNELS), data.experiments))
         found = kalman(
             model, data, space, physical, sensor_variance=variance, process=(density[0], density[1]),
             start_variance=start, substeps=substeps,
         )  # fmt: skip
-        return -found.log_likelihood.sum()
+        return -found.log_likelihood.sum(), found
 
-    value, slope = jax.vmap(lambda t: jax.jvp(negative, (noise,), (t,)), out_axes=(None, 0))(jnp.eye(len(noise)))
-    return value, slope
+    return jax.vmap(lambda t: jax.jvp(negative, (noise,), (t,), has_aux=True), out_axes=(None, 0, None))(
+        jnp.eye(len(noise))
+    )
+
+
+def run_filter(
+    model: RTAC, data: Data, space: Space, physical: Any, prior: NoiseModel, noise: np.ndarray, substeps: Steps
+) -> tuple[float, np.ndarray, Filtered]:
+    """Negative log-likelihood at given noise, its slope, and the filter's pass."""
+    scale = jnp.asarray([prior.force**2, prior.torque**2]) * prior.interval
+    value, slope, found = _pass(
+        model, data, space, physical, jnp.asarray(noise), scale, jnp.asarray(prior.sensor), prior.start_variance,
+        substeps,
+    )  # fmt: skip
+    return float(value), np.asarray(slope), found
 
 
 def fit_noise(
@@ -124,16 +129,12 @@ def fit_noise(
 ) -> tuple[np.ndarray, float]:
     """Noise by maximum likelihood, and the log-likelihood there (without the prior's share)."""
     begin = np.array([_FIRST, _FIRST, 0.0, 0.0, 0.0]) if first is None else first
-    scale = jnp.asarray([prior.force**2, prior.torque**2]) * prior.interval
-    sensor = jnp.asarray(prior.sensor)
 
     def objective(at: np.ndarray) -> tuple[float, np.ndarray]:
-        value, slope = _slope(
-            model, data, space, physical, jnp.asarray(at), scale, sensor, prior.start_variance, substeps
-        )
+        value, slope, _ = run_filter(model, data, space, physical, prior, at, substeps)
         pull = at[2:] / prior.doubt
-        total = float(value) + 0.5 * float(pull @ pull)
-        gradient = np.asarray(slope) + np.concatenate([np.zeros(2), pull / prior.doubt])
+        total = value + 0.5 * float(pull @ pull)
+        gradient = slope + np.concatenate([np.zeros(2), pull / prior.doubt])
         if not np.isfinite(total):
             return 1e300, np.zeros_like(at)
         return total, gradient
@@ -179,38 +180,34 @@ def fit_predictor(
     *,
     substeps: Steps,
     first: np.ndarray | None = None,
-    rounds: int = 2,
+    rounds: int = 10,
     progress: Any = None,
 ) -> Predictor:
     """Physics and noise in turn: gains are frozen while the physics is fitted to the innovations, then refreshed.
+
+    Process noise that is large because the physics was wrong hides from the physics what it should mend. So where a
+    round gains nothing, gains for less noise are tried, and kept if they make the data more likely.
+    The states at the start are the filter's to mend, not the fit's: fitted with frozen gains they led astray.
 
     Source: Kristensen, Madsen and Jorgensen, Automatica 40 (2004); Ljung, System Identification (1999), section 7.
     """
     unknowns = space.unconstrained(start=False)
     physical = space.physical(unknowns)
     noise, likelihood = fit_noise(model, data, space, physical, prior, first, substeps)
+    failed = 0
     for _ in range(rounds):
-        passed = run_filter(model, data, space, physical, prior, noise, substeps)
+        less = _LESS[failed]
+        used = np.concatenate([np.maximum(noise[:2] - less, _LEAST), noise[2:]])
+        passed = run_filter(model, data, space, physical, prior, used, substeps)[2]
         arguments = Arguments(model, data, space, passed.whitener, passed.gain, substeps)
         trial = solve_bounded(unknowns, arguments, tolerance=1e-4, most=20, progress=progress).unknowns
         moved = space.physical(trial)
         new_noise, new_likelihood = fit_noise(model, data, space, moved, prior, noise, substeps)
         gained = new_likelihood - likelihood
-        if gained <= 0:
+        if gained > 0:
+            unknowns, physical, noise, likelihood = trial, moved, new_noise, new_likelihood
+        failed = 0 if gained > _ENOUGH else failed + 1
+        if failed == len(_LESS):
             break
-        unknowns, physical, noise, likelihood = trial, moved, new_noise, new_likelihood
-        if gained < 1.0:
-            break
-    passed = run_filter(model, data, space, physical, prior, noise, substeps)
+    passed = run_filter(model, data, space, physical, prior, noise, substeps)[2]
     return Predictor(unknowns, physical, noise, passed, likelihood)
-
-
-def run_filter(
-    model: RTAC, data: Data, space: Space, physical: Any, prior: NoiseModel, noise: np.ndarray, substeps: Steps
-) -> Filtered:
-    """One pass with given noise."""
-    at = jnp.asarray(noise)
-    return filtered(
-        model, data, space, physical, sensor_variance=_variances(at, prior, data), process=_densities(at, prior),
-        start_variance=prior.start_variance, substeps=substeps,
-    )  # fmt: skip

@@ -1,4 +1,4 @@
-"""How noisy each sensor is: stated in the file, seen at rest, or read off the quietest part of the spectrum."""
+"""How noisy each sensor is: seen at rest, stated in the file, or read off the quietest part of the spectrum."""
 
 from collections.abc import Sequence
 
@@ -14,7 +14,7 @@ Values = Float[np.ndarray, " sample"]
 def noise_levels(experiments: Sequence[Experiment]) -> dict[str, float]:
     """Standard deviation of the noise of every recorded channel, SI units.
 
-    In this order: `noise_std` of the file; the standard deviation at rest; the quietest fifth of the spectrum, which is
+    In this order: the standard deviation at rest; `noise_std` of the file; the quietest fifth of the spectrum, which is
     right where the motion leaves some band empty. Never below a twelfth of a quantisation step squared.
     """
     levels = {}
@@ -26,11 +26,11 @@ def noise_levels(experiments: Sequence[Experiment]) -> dict[str, float]:
         stated = [s for e in holders if (s := e.outputs[channel].noise_std) is not None]
         resting = [e.outputs[channel].values for e in holders if e.kind == "rest"]
         moving = [e for e in holders if e.kind != "rest"]
-        if stated:
-            level = float(np.sqrt(np.mean(np.square(stated))))
-        elif resting:
+        if resting:
             deviations = np.concatenate([values - np.nanmean(values) for values in resting])
             level = float(np.sqrt(np.nanmean(deviations**2)))
+        elif stated:
+            level = float(np.sqrt(np.mean(np.square(stated))))
         else:
             level = float(np.median([spectral_floor(e.outputs[channel].values) for e in moving]))
         levels[channel] = max(level, step / np.sqrt(12.0), 1e-300)

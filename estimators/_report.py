@@ -16,8 +16,9 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from estimators._candidate import Candidate
 from estimators._compare import Compared, Comparison
-from estimators._diagnose import Candidate, Diagnosis
+from estimators._diagnose import Diagnosis
 from estimators._improve import Improvement
 from estimators._least_squares import ClosedForm
 from estimators._output_error import Fit, Parameter
@@ -47,13 +48,10 @@ def report_dict(
         fit = fit or found.final
         train, validation = train or found.train, validation or found.validation
         first = found.diagnoses[0]
-        effects = [
-            _effect(candidate, _rest_of_group(diagnosis, candidate), found.final)
-            for candidate, diagnosis in zip(found.added, found.diagnoses, strict=False)
-        ]
+        effects = [_effect(candidate, found.final) for candidate in found.added]
     else:
         first = found
-        effects = [_effect(candidate, _rest_of_group(found, candidate), None) for candidate in found.effects]
+        effects = [_effect(candidate, None) for candidate in found.effects]
     accepted = {effect["id"] for effect in effects}
     return _clean(
         {
@@ -107,7 +105,7 @@ def comparison_rows(comparison: Comparison) -> list[dict[str, Any]]:
     )
 
 
-def _effect(candidate: Candidate, group: list[str], final: Fit | None) -> dict[str, Any]:
+def _effect(candidate: Candidate, final: Fit | None) -> dict[str, Any]:
     parameters = dict(candidate.parameters)
     if final is not None:  # the last fit knows them best
         known = final.parameters
@@ -117,13 +115,9 @@ def _effect(candidate: Candidate, group: list[str], final: Fit | None) -> dict[s
         "score": candidate.score,
         "p_value": candidate.p_value,
         "error_reduction": candidate.error_reduction,
-        "confusable_with": group,
+        "confusable_with": list(candidate.confusable_with),
         "parameters": _parameters(parameters),
     }
-
-
-def _rest_of_group(diagnosis: Diagnosis, candidate: Candidate) -> list[str]:
-    return [c.id for c in diagnosis.effects if c.id != candidate.id] if diagnosis.verdict == "ambiguous" else []
 
 
 def _candidate(c: Candidate, accepted: bool) -> dict[str, Any]:
@@ -244,6 +238,52 @@ def side_by_side(closed: ClosedForm, fit: Fit) -> Table:
         std = f"{p.std:.2g}" if name in fit.information.names else "fixed"
         rows.append((name, value, spread, f"{p.value:.6g}", std, p.unit))
     return Table(("parameter", "closed form", "std", "output error", "std", "unit"), tuple(rows))
+
+
+def comparison_table(rows: Sequence[Mapping[str, Any]]) -> Table:
+    """Error of every channel of every experiment, as `comparison_rows` gives it."""
+    header = ("experiment", "channel", "fit [%]", "rms [SI]", "rms/noise", "residual")
+    return Table(
+        header,
+        tuple(
+            (
+                row["experiment"],
+                row["channel"],
+                "" if row["fit_percent"] is None else f"{row['fit_percent']:.2f}",
+                f"{row['rms']:.3g}",
+                f"{row['rms_over_noise']:.2f}",
+                "white" if row["whiteness_p"] > 0.01 else "not white",
+            )
+            for row in rows
+        ),
+    )
+
+
+def evidence_table(diagnosis: Diagnosis) -> Table:
+    """The tests of whether anything is missing, before and after what was added."""
+    after = {test.test: test for test in diagnosis.left} if diagnosis.additions else {}
+    rows = []
+    for test in diagnosis.tests:
+        row = [test.test, f"{test.p_value:.2g}", "rejects" if test.rejects else "passes", test.words]
+        if diagnosis.additions:
+            then = after.get(test.test)
+            row[3:3] = [""] if then is None else [f"{'rejects' if then.rejects else 'passes'} (p {then.p_value:.2g})"]
+        rows.append(tuple(row))
+    header = ["test", "p", "base model", "in words"]
+    if diagnosis.additions:
+        header.insert(3, "with what was added")
+    return Table(
+        tuple(header), tuple(rows), "Is anything missing? All tests together reject one right model in a hundred."
+    )
+
+
+def place_table(diagnosis: Diagnosis, most: int = 8) -> Table:
+    """Where the innovations of the base model are too large."""
+    rows = [
+        (p.by, p.label, p.channel, f"{p.value:.2f}", f"{p.high:.2f}") for p in diagnosis.places[:most] if p.excess > 1
+    ]
+    header = ("by", "part", "channel", "mean square", "99 % bound")
+    return Table(header, tuple(rows), "Squared innovations where they exceed what chance allows, worst first.")
 
 
 def candidate_table(diagnosis: Diagnosis) -> Table:

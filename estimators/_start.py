@@ -126,10 +126,11 @@ def space_of(
     state, spread, held = initial_states(experiments)
     rows = start_rows(model)
     extra = len(rows) - 4
-    size = np.array(
-        [scales.position, scales.velocity, 1.0, scales.arm_velocity] + [scales.position, scales.velocity] * extra
-    )
-    size = size[: len(rows)]
+    by_unit = {
+        "m": scales.position, "m/s": scales.velocity, "rad": 1.0, "rad/s": scales.arm_velocity, "A": scales.current,
+        "N": scales.force, "N m": scales.torque,
+    }  # fmt: skip
+    size = np.array([by_unit.get(model.states[row], 1.0) for row in rows])
     state = np.concatenate([state, np.zeros((extra, count))])
     # A recording seldom begins far from equilibrium in a state that nothing shows, and where an effect is nearly
     # absent nothing else holds that state in place.

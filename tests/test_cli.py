@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 import estimators
 import estimators._diagnose
-from estimators import Improvement, cli
+from estimators import Improvement, _job, cli
 from estimators._report import Table, write_json, write_report
 from rtac_jax.effects import CATALOGUE
 from rtac_jax.measurement import Recording
@@ -269,9 +269,9 @@ def test_an_interruption_has_a_status_of_its_own(file, monkeypatch):
 
 def test_names_may_hold_commas(recording):
     odd = replace(recording["free_1"], name="free, slow")
-    assert cli._names(Recording((odd,)), "free, slow") == ["free, slow"]
-    assert cli._names(recording, "free_1, forced_1") == ["free_1", "forced_1"]
-    assert cli._names(recording, None) is None
+    assert _job._names(Recording((odd,)), "free, slow") == ["free, slow"]
+    assert _job._names(recording, "free_1, forced_1") == ["free_1", "forced_1"]
+    assert _job._names(recording, None) is None
 
 
 def test_json_has_no_nan(tmp_path):

@@ -27,18 +27,27 @@ HIDDEN = {
     "tacho_bias": (dict(tacho_bias=0.2), {"bias": 0.2}),
 }
 CASES = list(HIDDEN)
+# What no effect of the catalogue is, and on which port it acts.
+OUTSIDE = {
+    "floor vibration": dict(vibration_force=0.05, vibration_frequency=7.0),
+    "Maxwell spring": dict(maxwell_stiffness=10.0),
+    "magnetic detent": dict(detent_force=0.05),
+    "friction that grows along the way": dict(friction_slope=2.0),
+}
 
 
 @pytest.fixture(scope="module")
 def recordings() -> dict[str, rtac.Recording]:
     """One recording for each hidden effect and one with none, all of one shape, on rigs drawn around the paper's."""
     jobs = []
-    for number, name in enumerate([*CASES, "nothing"]):
+    hidden = {name: values for name, (values, _) in HIDDEN.items()} | {"nothing": {}} | OUTSIDE
+    for number, values in enumerate(hidden.values()):
         rig = virtual_rig.Rig().drawn(100 + number)
-        hidden = HIDDEN[name][0] if name in HIDDEN else {}
-        plans = virtual_rig.standard_plans(seed=200 + number, sample_time=0.005, duration=6.0, free=2, forced=4, rest=1)
-        jobs.append((dataclasses.replace(rig, **hidden), plans, 300 + number))
-    return dict(zip([*CASES, "nothing"], virtual_rig.record_many(jobs), strict=True))
+        plans = virtual_rig.standard_plans(
+            seed=200 + number, sample_time=0.005, duration=6.0, free=2, forced=4, rest=1, repeats=1
+        )
+        jobs.append((dataclasses.replace(rig, **values), plans, 300 + number))
+    return dict(zip(hidden, virtual_rig.record_many(jobs), strict=True))
 
 
 def diagnosed(recording: rtac.Recording) -> est.Diagnosis:
@@ -58,14 +67,28 @@ def test_hidden_effect_is_named(recordings: dict[str, rtac.Recording], name: str
         assert estimate.value == pytest.approx(truth, abs=5 * estimate.std + 0.02 * abs(truth)), (parameter, estimate)
     assert found.best is not None
     assert found.best.id == name
+    assert any(test.rejects for test in found.tests)
+    assert "repeats" in {test.test for test in found.tests}
 
 
 def test_nothing_hidden_is_adequate(recordings: dict[str, rtac.Recording]) -> None:
     found = diagnosed(recordings["nothing"])
     assert found.verdict == "adequate", found
     assert found.best is None
-    assert found.effects == ()
+    assert found.effects == found.latent == ()
+    assert not any(test.rejects for test in found.tests)
     assert all(np.isfinite(c.detection_limit) for c in found.candidates if c.testable)
+
+
+@pytest.mark.parametrize("name", OUTSIDE)
+def test_what_the_catalogue_does_not_know_is_not_named(recordings: dict[str, rtac.Recording], name: str) -> None:
+    found = diagnosed(recordings[name])
+    assert found.verdict == "unknown", found
+    assert found.effects == found.additions == ()
+    assert found.latent[0].port == "cart"
+    if name == "floor vibration":
+        assert found.latent[0].frequency == pytest.approx(2 * np.pi * 7.0, rel=0.05)
+        assert found.latent[0].rms[0] == pytest.approx(0.05 / np.sqrt(2), rel=0.2)
 
 
 def test_no_candidate_left_is_refused(recordings: dict[str, rtac.Recording]) -> None:

@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+from estimators._candidate import Candidate
 from estimators._compare import Compared, Comparison, Trace
-from estimators._diagnose import Candidate, Diagnosis
+from estimators._diagnose import Diagnosis
+from estimators._force_curve import ForceCurve
 from estimators._improve import Improvement
 from estimators._output_error import Parameter
-from estimators._screen import ForceCurve
 from estimators.plots import plot_comparison, plot_diagnosis, plot_improvement, plot_recording, plot_residuals
 from estimators.plots._diagnosis import finding
 from estimators.plots._style import prefixed, quantity, thin, worst_stretch
@@ -51,7 +52,10 @@ def candidate(name, score, **more):
 
 def curve(port, variable, reach, score=80.0):
     at = np.linspace(-reach, reach, 12)
-    return ForceCurve(port, variable, score, at, 0.05 * (at / reach) ** 3, np.full(12, 0.004), score + 90.0)
+    return ForceCurve(
+        port, variable, score, at, 0.05 * (at / reach) ** 3, np.full(12, 0.004), score + 90.0, score + 78.0, 1e-9,
+        np.eye(12)[:3], np.ones(3),
+    )  # fmt: skip
 
 
 CURVES = (
@@ -73,9 +77,8 @@ def diagnosis(verdict="missing", *, curves=CURVES, others=OTHERS):
     second = candidate("cubic_spring", 1100.0, refitted=True, bic_gain=895.0, error_reduction=0.97)
     effects = {"missing": (first,), "ambiguous": (first, second)}.get(verdict, ())
     return Diagnosis(
-        verdict, effects, None, (*effects, *others), curves, {("free_1", "cart_position"): 30.0}, 0.1, 0.1,
-        "In plain words.", 1.0,
-    )  # fmt: skip
+        verdict, effects, (), (*effects, *others), (), (), 1.0, curves, (), (), (), 0.1, 0.1, "In plain words.", 1.0
+    )
 
 
 def improvement(steps=2):

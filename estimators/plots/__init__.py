@@ -1,9 +1,35 @@
 """Pictures of recordings and results; each function returns a figure whose title says what it shows."""
 
+from estimators.plots._agreement import plot_agreement
 from estimators.plots._comparison import plot_comparison
+from estimators.plots._control import plot_batch, plot_closed_loop, plot_margins, plot_synthesis
 from estimators.plots._diagnosis import plot_diagnosis
+from estimators.plots._envelope import plot_envelope, plot_responses
 from estimators.plots._improvement import plot_improvement
+from estimators.plots._next_experiment import plot_next_experiment
+from estimators.plots._prediction_error import plot_equality, plot_innovations, plot_prediction_error
+from estimators.plots._profile import plot_profile
 from estimators.plots._recording import plot_recording
 from estimators.plots._residuals import plot_residuals
+from estimators.plots._table1 import plot_table_1
 
-__all__ = ["plot_comparison", "plot_diagnosis", "plot_improvement", "plot_recording", "plot_residuals"]
+__all__ = [
+    "plot_agreement",
+    "plot_batch",
+    "plot_closed_loop",
+    "plot_comparison",
+    "plot_diagnosis",
+    "plot_envelope",
+    "plot_equality",
+    "plot_improvement",
+    "plot_innovations",
+    "plot_margins",
+    "plot_next_experiment",
+    "plot_prediction_error",
+    "plot_profile",
+    "plot_recording",
+    "plot_residuals",
+    "plot_responses",
+    "plot_synthesis",
+    "plot_table_1",
+]

@@ -5,8 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from estimators._diagnose import Candidate, Diagnosis
-from estimators._screen import ALARM, ForceCurve
+from estimators._candidate import Candidate
+from estimators._diagnose import Diagnosis
+from estimators._force_curve import ForceCurve
+from estimators._screen import ALARM
 from estimators.plots._style import NAMES, SMALL, UNITS, Picture, picture, prefixed, quantity, tidy, times, title
 
 _MOST_BARS = 14

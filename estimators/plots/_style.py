@@ -17,6 +17,8 @@ NAMES = {
     "arm_angle": "arm angle",
     "current": "motor current",
     "disturbance_force": "disturbance force",
+    "cart_position, against the motion": "cart position, as friction",
+    "arm_angle, against the motion": "arm angle, as friction",
 }
 UNITS = {
     "cart_position": "m",
@@ -25,6 +27,8 @@ UNITS = {
     "arm_angle": "rad",
     "current": "A",
     "disturbance_force": "N",
+    "cart_position, against the motion": "m",
+    "arm_angle, against the motion": "rad",
 }
 MEASURED: dict[str, Any] = {"color": "0.65", "linewidth": 2.4, "linestyle": "-"}
 # From light to dark, so that the order survives a black-and-white print.

@@ -1,0 +1,120 @@
+"""Is anything missing? Every test that the innovations of a predictor must pass, each with its p-value."""
+
+import dataclasses
+from collections.abc import Sequence
+
+from scipy.stats import chi2
+
+from estimators._delayed_force import DelayedForce
+from estimators._force_curve import ForceCurve
+from estimators._repeats import RepeatTest
+from estimators._screen import ALARM, Screened
+from estimators._spectral_line import SpectralLine
+
+LEVEL = 0.01  # of all tests together
+ROBUST = 9.0  # least chi-square with the scatter of the data in place of the model's variance
+
+
+@dataclasses.dataclass(frozen=True)
+class Evidence:
+    """One test of whether anything is missing.
+
+    Attributes:
+        test: "repeats", "named effects", "static force", "delayed force" or "spectral line".
+        p_value: by chance, with everything counted that the test tried.
+        excess: what the test finds beyond chance, in units of twice the log-likelihood.
+        level: p-value below which it rejects.
+        words: what it says.
+    """
+
+    test: str
+    p_value: float
+    excess: float
+    level: float
+    words: str
+
+    @property
+    def rejects(self) -> bool:
+        """Whether it says that something is missing."""
+        return self.p_value < self.level
+
+
+def p_by_chance(one: Screened, tried: int) -> float:
+    """Probability of so large a statistic for any of the candidates that were tried."""
+    return float(min(1.0, tried * chi2.sf(one.statistic, len(one.amplitudes))))
+
+
+def alarming(screened: Sequence[Screened]) -> list[Screened]:
+    """The candidates that the innovations speak for, whatever the colour of the noise."""
+    return [
+        s
+        for s in screened
+        if s.statistic >= ALARM and s.robust >= ROBUST and p_by_chance(s, len(screened)) < 0.2 * LEVEL
+    ]
+
+
+def evidence(
+    screened: Sequence[Screened],
+    curves: Sequence[ForceCurve],
+    delayed: Sequence[DelayedForce],
+    line: SpectralLine | None,
+    repeats: RepeatTest | None,
+) -> tuple[Evidence, ...]:
+    """All tests, in the order in which a reader asks; those without data are left out."""
+    found: list[tuple[str, float, float, str]] = []
+    if repeats is not None:
+        found.append(
+            (
+                "repeats",
+                repeats.p_value,
+                repeats.excess,
+                f"what the {repeats.repeats} repeats share is {repeats.ratio:.2f} times what noise alone would leave",
+            )
+        )
+    if screened:
+        alarms = alarming(screened)
+        best = max(alarms or screened, key=lambda s: s.statistic)
+        found.append(
+            (
+                "named effects",
+                p_by_chance(best, len(screened)) if alarms else 1.0,
+                best.statistic - len(best.amplitudes),
+                f"{best.id} reaches {best.statistic:.0f}, the alarm is at {ALARM:.0f}",
+            )
+        )
+    if curves:
+        curve = min(curves, key=lambda c: (c.p_value, -c.excess))
+        found.append(
+            (
+                "static force",
+                min(1.0, curve.p_value * len(curves)),
+                curve.excess,
+                f"a force on the {curve.port} that depends on {curve.variable} would explain {curve.excess:.0f}",
+            )
+        )
+    if delayed:
+        one = min(delayed, key=lambda d: (d.p_value, -d.excess))
+        found.append(
+            (
+                "delayed force",
+                min(1.0, one.p_value * len(delayed)),
+                one.excess,
+                f"a force on the {one.port} that follows {one.follows} with a lag would explain {one.excess:.0f}",
+            )
+        )
+    if line is not None:
+        found.append(
+            (
+                "spectral line",
+                line.p_value,
+                line.excess,
+                f"the strongest line, of {line.channel} at {line.frequency:.3g} rad/s, has {line.ratio:.1f} times the power "
+                "around it",
+            )
+        )
+    return tuple(Evidence(name, p, excess, LEVEL / len(found), words) for name, p, excess, words in found)
+
+
+def excess_of(tests: Sequence[Evidence]) -> float:
+    """The most that any rejecting test finds beyond chance; zero where none rejects."""
+    return max((e.excess for e in tests if e.rejects), default=0.0)

@@ -1,0 +1,196 @@
+"""`rtac envelope` and `rtac control`: from many operating conditions to a controller."""
+
+import os
+import secrets
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from estimators._job import WRONG_USE, Job, job, say, stop
+from estimators._options import File, Json, Out, Validation
+
+Order = Annotated[int, typer.Option(min=1, max=12, help="Poles of the nominal model.")]
+WeightOrder = Annotated[int, typer.Option(min=0, max=8, help="Poles and zeros of the uncertainty weight.")]
+Band = Annotated[
+    str | None,
+    typer.Option(metavar="LOW,HIGH", help="Band [Hz]; by default where all currents have energy.", show_default=False),
+]
+
+
+class Kind(StrEnum):
+    """What the uncertainty does to the nominal model."""
+
+    MULTIPLICATIVE_OUTPUT = "multiplicative_output"
+    MULTIPLICATIVE_INPUT = "multiplicative_input"
+    ADDITIVE = "additive"
+    INVERSE_MULTIPLICATIVE = "inverse_multiplicative"
+
+
+def envelope(
+    file: File,
+    order: Order = 4,
+    weight_order: WeightOrder = 2,
+    kind: Annotated[Kind, typer.Option(help="What the uncertainty does to the nominal model.")] = (
+        Kind.MULTIPLICATIVE_OUTPUT
+    ),
+    band: Band = None,
+    validation: Validation = None,
+    out: Out = None,
+    json: Json = None,
+) -> None:
+    """One linear model and an uncertainty weight that cover all operating conditions."""
+    between = _band(band)
+    with job(file, validation, out, json) as work:
+        from estimators import _control_report as texts
+
+        used, found = _enveloped(work, between, order, weight_order, kind.value)
+        conditions, sources = texts.conditions_table(found, used.responses), texts.sources_table(found)
+        models, said = texts.models_table(found), texts.remarks(found, used)
+        say(found, *said[1:], conditions, sources)  # the envelope states its coverage itself
+        work.write_json(texts.envelope_dict(found, used, seconds=work.seconds))
+        if work.folder is None:
+            return
+        from estimators.plots import plot_envelope, plot_responses
+        from estimators.plots._envelope import finding
+
+        _write_mat(work.folder / "envelope.mat", found.save_mat)
+        figures = {"envelope": plot_envelope(found), "responses": plot_responses(used.responses)}
+        captions = {
+            "envelope": "Top: every condition and the nominal model. Below: how far each condition lies from it and the "
+            "weight above them; |W| < 1 (0 dB) is where a controller may act. Bottom: what the distance comes from.",
+            "responses": "Frequency responses from current times cos(theta) to cart position, with the least certain one's "
+            "95 % band.",
+        }
+        sections = [
+            ("Envelope", [f"{finding(found)}.", *said]),
+            ("Figures", _shown(figures, captions)),
+            ("Nominal model and weight", [models]),
+            ("Where the gaps come from", [sources]),
+            ("Conditions", [conditions]),
+        ]
+        work.write_report(f"Envelope of {work.file}", figures, sections, split=_sides(found))
+
+
+def control(
+    file: File,
+    order: Order = 4,
+    weight_order: WeightOrder = 2,
+    displacement: Annotated[
+        float, typer.Option(metavar="MM", help="From which the cart is to be brought to rest [mm].")
+    ] = 15.0,
+    torque_limit: Annotated[float, typer.Option(metavar="NM", help="Of the motor [N m].")] = 0.1,
+    band: Band = None,
+    validation: Validation = None,
+    out: Out = None,
+    json: Json = None,
+) -> None:
+    """An H-infinity controller for the envelope, tried on the fitted nonlinear model."""
+    between = _band(band)
+    for name, value in (("--displacement", displacement), ("--torque-limit", torque_limit)):
+        if not 0 < value < float("inf"):
+            stop(WRONG_USE, f"{name} is {value:g}; give a positive number.")
+    with job(file, validation, out, json) as work:
+        from estimators import _control_report as texts
+        from estimators import _report
+        from estimators._control_design import design
+
+        used, found = _enveloped(work, between, order, weight_order, "multiplicative_output")
+        sample_time = work.recording[used.responses[0].name].sample_time
+        fit = work.fitted(work.model())
+        made = design(
+            fit, found, used.responses, sample_time=sample_time, displacement=1e-3 * displacement,
+            torque_limit=torque_limit,
+        )  # fmt: skip
+        trained, tested = work.compared(fit)
+        errors, parameters = _report.error_table(trained, tested), _report.parameter_table(fit)
+        said, honest, loops = texts.outcome(made), texts.honesty(made), texts.design_table(made)
+        say(*said, *honest, loops, texts.controller_table(made), errors)
+        known = _report.fit_dict(fit, train=trained, validation=tested, seconds=work.seconds)["parameters"]
+        work.write_json(texts.design_dict(made, known, seconds=work.seconds))
+        if work.folder is None:
+            return
+        from estimators.plots import plot_batch, plot_closed_loop, plot_envelope, plot_margins, plot_synthesis
+
+        _save_mat(work.folder / "controller.mat", texts.design_mat(made))
+        figures = {
+            "closed_loop": plot_closed_loop(made.free, {"closed loop": made.closed}),
+            "batch": plot_batch(made.off, free=made.off_free, within=made.within),
+            "synthesis": plot_synthesis(made.synthesis),
+            "margins": plot_margins(made.margins),
+            "envelope": plot_envelope(made.covered),
+        }
+        captions = {
+            "closed_loop": "The fitted nonlinear model, sampled controller, limited torque, noisy sensors.",
+            "batch": "Plants whose parameters are each up to 15 % off, with and without the controller.",
+            "synthesis": "S, T and C S of the nominal loop, under what the weights allow.",
+            "margins": "Below 1 robust stability, or performance, holds for every linear plant of the envelope.",
+            "envelope": "What the controller was designed for: the conditions with the electric spring on the arm.",
+        }
+        sections = [
+            ("Controller", said),
+            ("What is guaranteed and what is not", honest),
+            ("Open and closed loop", [loops, *_shown(figures, captions)]),
+            ("The controller", [texts.controller_table(made)]),
+            ("The envelope", [*texts.remarks(made.covered, used), texts.models_table(made.covered)]),
+            ("The nonlinear model", ["It was fitted to the same recording.", errors, parameters]),
+        ]
+        work.write_report(f"Controller for {work.file}", figures, sections, split=_sides(found))
+
+
+def _enveloped(
+    work: Job, band: tuple[float, float] | None, order: int, weight_order: int, kind: str
+) -> tuple[Any, Any]:
+    import estimators as est
+    from estimators._usable_conditions import usable_conditions
+
+    used = usable_conditions(work.recording, band=band)
+    apart = set(work.held_out.names) if work.held_out is not None else set()
+    held = [i for i, one in enumerate(used.responses) if one.name in apart]
+    if work.names is None and len(used.responses) - len(held) < 2:
+        held = []  # of so few conditions none can be spared
+    found = est.envelope(
+        used.responses, kind=kind, order_nominal=order, order_weight=weight_order, held_out=held
+    )  # fmt: skip
+    return used, found
+
+
+def _sides(found: Any) -> tuple[list[str], list[str]]:
+    """Conditions that were fitted, and those held out."""
+    pairs = list(zip(found.names, found.held_out, strict=True))
+    return [name for name, held in pairs if not held], [name for name, held in pairs if held]
+
+
+def _band(text: str | None) -> tuple[float, float] | None:
+    if text is None:
+        return None
+    try:
+        low, high = (float(part) for part in text.split(","))
+    except ValueError:
+        low, high = 0.0, 0.0
+    if not 0 < low < high < float("inf"):
+        stop(WRONG_USE, f"--band is {text!r}; give two frequencies in Hz, such as 0.6,8.")
+    return low, high
+
+
+def _save_mat(path: Path, content: dict[str, Any]) -> None:
+    import scipy.io
+
+    _write_mat(path, lambda place: scipy.io.savemat(place, content))
+
+
+def _write_mat(path: Path, write: Any) -> None:
+    """So that whoever reads it finds the old or the new file, never a part."""
+    temporary = path.with_name(f".{secrets.token_hex(4)}.part.mat")
+    try:
+        write(temporary)
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _shown(figures: dict[str, Any], captions: dict[str, str]) -> list[Any]:
+    from estimators import _report
+
+    return [_report.Shown(figure, captions[name]) for name, figure in figures.items()]

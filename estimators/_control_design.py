@@ -1,0 +1,194 @@
+"""From an envelope and a fitted model to a controller, and what it does on that model."""
+
+import dataclasses
+from dataclasses import dataclass
+
+import control as ct
+import numpy as np
+from jaxtyping import Float
+
+from estimators._envelope import Envelope, envelope
+from estimators._output_error import Fit
+from estimators._response_record import FrequencyResponses
+from rtac_jax import RTAC, linearise
+from rtac_jax.control import (
+    Actuation,
+    ClosedLoop,
+    InfeasibleError,
+    Margins,
+    Reduction,
+    Synthesis,
+    Units,
+    Weights,
+    closed_loop,
+    discretise,
+    margins,
+    mixed_sensitivity,
+    nominal_plant,
+    paper_nominal,
+    paper_weights,
+    propose_weights,
+    reduce_controller,
+)
+
+PLANTS = 1000  # in each batch
+OFF = 0.15  # by which every parameter of a plant of the first batch is off at most
+SOONER = 2 / 3  # of the time without a controller, within which a plant has to settle
+_SHORTEST, _LONGEST = 8.0, 64.0  # s, of a simulation
+_ANGLE = 1e-3  # rad, noise of an angle that the recording does not have
+
+
+@dataclass(frozen=True, eq=False)
+class Design:
+    """A controller for an envelope, and its loop with the fitted nonlinear model.
+
+    Attributes:
+        covered: the envelope with the electric spring in the loop, from the controller's current [A] to the cart [m].
+        units, actuation: of the controller, and how its output becomes torque.
+        weights, synthesis, reduction, margins: of the mixed sensitivity problem, in the controller's units.
+        controller: of lower order, continuous, from cart position [m] to torque before the division by cos(theta) [N m].
+        sampled: the same for the recording's sample time; u = -C y for both.
+        displacement: at the start [m].
+        within: in which a plant has to settle [s].
+        free, closed: the fitted model without and with the controller, and with the noise of the recording's sensors.
+        off, drawn: batches of plants, with every parameter up to 15 % off, and drawn from the covariance of the fit.
+        off_free: the plants of the first batch without a controller.
+        printed_bound: the least gamma that the weights printed in the paper allow, and where [rad/s].
+    """
+
+    covered: Envelope
+    units: Units
+    actuation: Actuation
+    weights: Weights
+    synthesis: Synthesis
+    reduction: Reduction
+    margins: Margins
+    controller: ct.StateSpace
+    sampled: ct.StateSpace
+    displacement: float
+    within: float
+    free: ClosedLoop
+    closed: ClosedLoop
+    off: ClosedLoop
+    drawn: ClosedLoop
+    off_free: ClosedLoop
+    printed_bound: tuple[float, float]
+
+
+def design(
+    fit: Fit,
+    found: Envelope,
+    responses: FrequencyResponses,
+    *,
+    sample_time: float,
+    displacement: float = 0.015,
+    torque_limit: float = 0.1,
+) -> Design:
+    """Weights proposed from the envelope, mixed sensitivity synthesis, reduction, sampling, and simulation.
+
+    Args:
+        fit: of the nonlinear model to the same recording.
+        found: multiplicative envelope of `responses`, from current times cos(theta) [A] to cart position [m].
+        sample_time: of the controller [s].
+        displacement: from which the cart is to be brought to rest [m].
+        torque_limit: of the motor [N m].
+
+    Raises:
+        ValueError: the envelope is too wide at the resonance for any damping, the problem is infeasible, the sampled loop
+            is not stable, or the closed loop with the fitted model is none of any use.
+    """
+    model = fit.model
+    units, actuation = Units.nondimensional(model), Actuation.proposed(model, motor_limit=torque_limit)
+    covered = _with_spring(model, actuation, found, responses)
+    per_current = float(model["torque_constant"]) * units.torque
+    plant = ct.ss(covered.nominal) * (units.position / per_current)
+    weights = propose_weights(
+        plant, covered.weight, actuation.controller_limit * units.torque, displacement=displacement * units.position
+    )
+    synthesis = mixed_sensitivity(plant, weights)
+    reduction = reduce_controller(synthesis)
+    recursion = discretise(reduction.controller, synthesis.nominal, sample_time)
+
+    def loop(plants: RTAC, law: ct.StateSpace | None, *, noise: tuple[float, float] = (0.0, 0.0)) -> ClosedLoop:
+        return closed_loop(
+            plants, law, units=units, actuation=actuation, displacement=displacement, duration=duration,
+            sample_time=sample_time, torque_constant=float(model["torque_constant"]), position_noise=noise[0],
+            angle_noise=noise[1],
+        )  # fmt: skip
+
+    duration = _SHORTEST
+    free = loop(model, None)
+    while not np.isfinite(free.settling_time()[0]) and duration < _LONGEST:
+        duration *= 2
+        free = loop(model, None)
+    alone = float(free.settling_time()[0])
+    within = SOONER * (alone if np.isfinite(alone) else duration)
+    closed = loop(model, recursion, noise=(fit.noise.get("cart_position", 0.0), fit.noise.get("arm_angle", _ANGLE)))
+    if not np.all(np.isfinite(closed.cart_position)):
+        raise InfeasibleError("the closed loop with the fitted nonlinear model runs away; lower --displacement.")
+    printed = mixed_sensitivity(paper_nominal(), paper_weights())
+    return Design(
+        covered, units, actuation, weights, synthesis, reduction,
+        margins(synthesis.nominal, reduction.controller, weights),
+        _in_si(reduction.controller, units), _in_si(recursion, units), displacement, within, free, closed,
+        loop(_off(model), recursion), loop(_drawn(fit), recursion), loop(_off(model), None),
+        (printed.bound, printed.bound_frequency),
+    )  # fmt: skip
+
+
+def _with_spring(model: RTAC, actuation: Actuation, found: Envelope, responses: FrequencyResponses) -> Envelope:
+    """The envelope of what the controller sees once the electric spring holds the arm.
+
+    The spring is no part of the recording, so each response is multiplied by what the spring does to the linearised
+    model. The nominal model gets the spring's two states alone, and the weight covers what that leaves out.
+    """
+    s = 1j * found.frequency
+    plain, held = (nominal_plant(model, units=Units.si(), actuation=a)(s) for a in (None, actuation))
+    factor = np.asarray(held) / np.asarray(plain)
+    changed = [
+        dataclasses.replace(
+            one, response=one.response * factor, std=one.std * np.abs(factor), noise_std=one.noise_std * np.abs(factor)
+        )
+        for one in responses
+    ]
+    linear = linearise(model)
+    damping, gain = -float(np.array(linear.A)[3, 3]), float(np.array(linear.B)[3, 0])
+    spring = ct.TransferFunction([1.0, damping, 0.0], [1.0, damping, gain * actuation.arm_stiffness])
+    order = len(np.asarray(found.weight.poles()))
+    return envelope(
+        FrequencyResponses(tuple(changed)), nominal=_series(found.nominal, spring), order_weight=order,
+        held_out=[int(i) for i in np.flatnonzero(found.held_out)],
+    )  # fmt: skip
+
+
+def _series(first: ct.TransferFunction, then: ct.TransferFunction) -> ct.TransferFunction:
+    (a, b), (c, d) = ((np.asarray(one.num[0][0]), np.asarray(one.den[0][0])) for one in (first, then))
+    return ct.TransferFunction(np.polymul(a, c), np.polymul(b, d))
+
+
+def _in_si(controller: ct.StateSpace, units: Units) -> ct.StateSpace:
+    factor = units.position / units.torque
+    a, b, c, d = (np.asarray(getattr(controller, part), dtype=float) for part in "ABCD")
+    return ct.StateSpace(
+        a, b, factor * c, factor * d, controller.dt, inputs=["cart_position"], outputs=["torque"], name="controller"
+    )
+
+
+def _off(model: RTAC, seed: int = 0) -> RTAC:
+    """Plants with every parameter up to 15 % off."""
+    random = np.random.default_rng(seed)
+    return model.with_values(
+        {name: float(model[name]) * (1 + OFF * random.uniform(-1, 1, PLANTS)) for name in model.parameters}
+    )
+
+
+def _drawn(fit: Fit, seed: int = 0) -> RTAC:
+    """Plants drawn from the covariance of the estimates."""
+    names, random = fit.information.names, np.random.default_rng(seed)
+    middle = np.array([float(fit.model[name]) for name in names])
+    covariance = fit.information.covariance
+    std = np.sqrt(np.diagonal(covariance))  # the correlations are drawn, as the sizes differ by many decades
+    unit = random.multivariate_normal(np.zeros(len(names)), covariance / np.outer(std, std), PLANTS, method="eigh")
+    rows: Float[np.ndarray, "plant parameter"] = middle + std * unit
+    kept = np.where(rows * np.sign(middle) > 0, rows, middle)  # no spring or friction changes its sign
+    return fit.model.with_values({name: kept[:, i] for i, name in enumerate(names)})

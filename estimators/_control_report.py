@@ -1,0 +1,331 @@
+"""What `rtac envelope` and `rtac control` write: dictionaries for JSON and MAT, tables and sentences."""
+
+from collections.abc import Mapping
+from itertools import pairwise
+from typing import Any
+
+import control as ct
+import numpy as np
+
+from estimators._attribution import SOURCES
+from estimators._control_design import OFF, Design
+from estimators._envelope import Envelope
+from estimators._report import FORMAT, VERSION, Table
+from estimators._response_record import FrequencyResponses
+from estimators._usable_conditions import UsableConditions
+from rtac_jax.control import ClosedLoop
+
+_BANDS = 4
+_WORDS = {
+    "unmodelled": "left by the nominal model",
+    "amplitude": "amplitude of the input",
+    "scatter": "scatter between conditions",
+    "estimation": "noise of the estimates",
+}
+
+
+# -- envelope --------------------------------------------------------------------------------------------------------
+
+
+def envelope_dict(found: Envelope, used: UsableConditions, *, seconds: float) -> dict[str, Any]:
+    """An envelope, ready for `write_json`; complex numbers are pairs of real and imaginary part."""
+    distance = found.distance(used.responses)
+    inside = distance <= 1
+    conditions = [
+        {
+            "name": one.name,
+            "held_out": bool(found.held_out[i]),
+            "input_rms": one.input_rms,
+            "arm_angle": one.arm_angle,
+            "distance": float(distance[i]),
+            "inside": bool(inside[i]),
+            "response": _pairs(one.response),
+            "std": one.std.tolist(),
+            "gap": found.gaps[i].tolist(),
+        }
+        for i, one in enumerate(used.responses)
+    ]
+    coverage = found.coverage
+    return {
+        "format": FORMAT,
+        "version": VERSION,
+        "kind": found.kind,
+        "input": "current times cos(theta) [A]",
+        "output": "cart_position [m]",
+        "nominal": system_dict(found.nominal),
+        "weight": system_dict(found.weight),
+        "frequency": found.frequency.tolist(),
+        "profile": found.profile.tolist(),
+        "weight_magnitude": found.weight_magnitude().tolist(),
+        "excess_db": found.excess_db,
+        "coverage": {
+            "probability": coverage.probability,
+            "confidence": coverage.confidence,
+            "conditions": coverage.conditions,
+            "method": coverage.method,
+            "in_words": str(coverage),
+        },
+        "attribution": {name: found.attribution.shares[i].tolist() for i, name in enumerate(SOURCES)},
+        "conditions": conditions,
+        "left_out": dict(used.left_out),
+        "seconds": seconds,
+    }
+
+
+def system_dict(system: ct.TransferFunction) -> dict[str, Any]:
+    """Zeros, poles and gain, and numerator and denominator in falling powers of s [rad/s]."""
+    top, low = (np.trim_zeros(np.asarray(part[0][0], dtype=float), "f") for part in (system.num, system.den))
+    return {
+        "zeros": _pairs(np.asarray(system.zeros())),
+        "poles": _pairs(np.asarray(system.poles())),
+        "gain": float(top[0] / low[0]),
+        "numerator": top.tolist(),
+        "denominator": low.tolist(),
+    }
+
+
+def models_table(found: Envelope) -> Table:
+    """Nominal model and weight."""
+    rows = []
+    for name, system in (("P0, nominal model [m/A]", found.nominal), ("W, weight", found.weight)):
+        told = system_dict(system)
+        rows.append((name, f"{told['gain']:.4g}", roots(system.zeros()), roots(system.poles())))
+    return Table(
+        ("model", "gain", "zeros [rad/s]", "poles [rad/s]"),
+        tuple(rows),
+        "Gain, zeros and poles: gain * product of (s - zero) / product of (s - pole).",
+    )
+
+
+def roots(values: Any) -> str:
+    """Roots in text; a pair is one entry."""
+    shown = [v for v in np.sort_complex(np.asarray(values)) if v.imag >= 0]
+    return ", ".join(f"{v.real:.4g}" + (f" ± j{v.imag:.4g}" if v.imag > 0 else "") for v in shown) or "none"
+
+
+def conditions_table(found: Envelope, responses: FrequencyResponses) -> Table:
+    """What each condition was and how far it lies from the nominal model."""
+    distance = found.distance(responses)
+    rows = []
+    for i, one in enumerate(responses):
+        spread = 100 * float(np.median(one.std / np.abs(one.response)))
+        at = int(np.argmax(found.gaps[i]))
+        rows.append(
+            (
+                one.name,
+                "held out" if found.held_out[i] else "fitted",
+                "" if one.arm_angle is None else f"{one.arm_angle:.2f}",
+                f"{1e3 * one.input_rms:.3g}",
+                f"{spread:.2g}",
+                f"{found.gaps[i, at]:.2f}",
+                f"{found.frequency[at]:.3g}",
+                f"{distance[i]:.2f}",
+            )
+        )
+    header = (
+        "condition", "use", "mean arm angle [rad]", "current rms [mA]", "std [%]", "largest gap [1]", "at [rad/s]",
+        "largest |Δ| [1]",
+    )  # fmt: skip
+    return Table(header, tuple(rows), "A condition whose largest |Δ| is at most 1 lies inside the envelope.")
+
+
+def sources_table(found: Envelope) -> Table:
+    """What the gaps come from, in bands of equal width on a log scale."""
+    edges = np.geomspace(found.frequency[0], found.frequency[-1], _BANDS + 1)
+    rows = []
+    for low, high in pairwise(edges):
+        inside = (found.frequency >= low * (1 - 1e-9)) & (found.frequency <= high * (1 + 1e-9))
+        if np.any(inside):
+            shares = 100 * found.attribution.shares[:, inside].mean(axis=1)
+            rows.append((f"{low:.3g} to {high:.3g}", *(f"{share:.0f}" for share in shares)))
+    header = ("band [rad/s]", *(f"{_WORDS[name]} [%]" for name in SOURCES))
+    return Table(header, tuple(rows), "Shares of the mean squared gap between the conditions and the nominal model.")
+
+
+def remarks(found: Envelope, used: UsableConditions) -> list[str]:
+    """What a reader must know of an envelope beside its numbers."""
+    said = [f"Coverage: {found.coverage}."]
+    if np.all(found.weight_magnitude() >= 1) and found.kind != "additive":
+        said.append(
+            "|W| is at least 1 everywhere, so no linear controller can be robust for all of these conditions: they differ in "
+            "phase or sign, or the nominal model needs a higher order."
+        )
+    largest = SOURCES[int(np.argmax(found.attribution.shares.mean(axis=1)))]
+    said.append(
+        f"The gaps come mostly from the {_WORDS[largest].replace('left by', 'dynamics that are left by')}. The responses "
+        "are estimates by local polynomials, which count nonlinear distortion as noise."
+    )
+    said += [f"Left out: {name}: {why.rstrip('.')}." for name, why in used.left_out.items()]
+    return said
+
+
+# -- control ---------------------------------------------------------------------------------------------------------
+
+
+def design_dict(found: Design, fit_parameters: Mapping[str, Any], *, seconds: float) -> dict[str, Any]:
+    """A controller and what it achieves, ready for `write_json`."""
+    synthesis = found.synthesis
+    return {
+        "format": FORMAT,
+        "version": VERSION,
+        "gamma": found.reduction.gamma,
+        "gamma_full_order": synthesis.gamma,
+        "gamma_bound": synthesis.bound,
+        "gamma_bound_of_printed_weights": found.printed_bound[0],
+        "robust_stability": found.margins.worst_stability[0],
+        "robust_performance": found.margins.worst_performance[0],
+        "controller": {
+            "law": "torque = clip(u / cos(theta), controller_limit) - arm_stiffness * theta, clipped at motor_limit, "
+            "and 0 where |cos(theta)| <= dead_band; u = -C cart_position",
+            "input": "cart_position [m]",
+            "output": "torque [N m]",
+            "continuous": _matrices(found.controller),
+            "sampled": {**_matrices(found.sampled), "sample_time": float(found.sampled.dt or 0.0)},
+        },
+        "actuation": {
+            "controller_limit": found.actuation.controller_limit,
+            "motor_limit": found.actuation.motor_limit,
+            "arm_stiffness": found.actuation.arm_stiffness,
+            "dead_band": found.actuation.dead_band,
+        },
+        "nominal": system_dict(found.covered.nominal),
+        "weight": system_dict(found.covered.weight),
+        "displacement": found.displacement,
+        "within": found.within,
+        "open_loop": _loop(found.free),
+        "closed_loop": _loop(found.closed),
+        "batches": {
+            name: {
+                "plants": len(batch.peak_torque),
+                "share_that_holds": float(np.mean(batch.holds(within=found.within))),
+            }
+            for name, batch in (("parameters_off", found.off), ("parameter_covariance", found.drawn))
+        },
+        "parameters": dict(fit_parameters),
+        "seconds": seconds,
+    }
+
+
+def design_mat(found: Design) -> dict[str, Any]:
+    """The same controllers as matrices, for `scipy.io.savemat`."""
+    sampled = {**_arrays(found.sampled), "sample_time": float(found.sampled.dt or 0.0)}
+    actuation = found.actuation
+    return {
+        "C": _arrays(found.controller),
+        "C_sampled": sampled,
+        "controller_limit": actuation.controller_limit, "motor_limit": actuation.motor_limit,
+        "arm_stiffness": actuation.arm_stiffness, "dead_band": actuation.dead_band,
+        "gamma": found.reduction.gamma, "time": found.closed.time, "cart_position": found.closed.cart_position,
+        "arm_angle": found.closed.arm_angle, "torque": found.closed.torque,
+    }  # fmt: skip
+
+
+def outcome(found: Design) -> list[str]:
+    """What the controller does, in sentences, the answer first."""
+    alone, now = (float(r.settling_time()[0]) for r in (found.free, found.closed))
+    first = (
+        f"Released {1e3 * found.displacement:g} mm off, the cart of the fitted nonlinear model stays under a tenth "
+        f"after {_seconds(now)} with the controller and {_seconds(alone)} without; the torque stays within "
+        f"{1e3 * float(found.closed.peak_torque[0]):.1f} mN m and the arm swings {float(found.closed.arm_swing[0]):.2f} rad."
+    )
+    off, drawn, alone_off = found.off, found.drawn, found.off_free
+    times, before = off.settling_time(), alone_off.settling_time()
+    second = (
+        f"Of {len(times)} plants whose parameters are each up to {100 * OFF:.0f} % off, {_percent(times < before)} settle "
+        f"sooner than without it, in the median after {_seconds(float(np.median(times)))} instead of "
+        f"{_seconds(float(np.median(before)))}; {_percent(off.holds(within=found.within))} settle within {found.within:.2f} s, two "
+        f"thirds of what the fitted model takes alone, and keep the arm in its half of the circle. Of {len(drawn.peak_torque)} "
+        f"plants drawn from the covariance of the fit {_percent(drawn.holds(within=found.within))} do."
+    )
+    return [first, second]
+
+
+def honesty(found: Design) -> list[str]:
+    """What a reader of the paper has to know, and what is not guaranteed."""
+    act = found.actuation
+    bound, at = found.printed_bound
+    stable, _ = found.margins.worst_stability
+    performance, where = found.margins.worst_performance
+    kept = (
+        "is guaranteed for every linear plant of the envelope" if stable < 1 else "is not guaranteed for the envelope"
+    )
+    return [
+        f"This controller: gamma {found.reduction.gamma:.3f} at order {found.reduction.controller.nstates}; with this "
+        f"envelope and these weights no controller has less than {found.synthesis.bound:.3f}. Robust stability {kept} "
+        f"(max |W T| = {stable:.2f}); robust performance reaches {performance:.2f} at {where:.3g} rad/s and is "
+        + ("guaranteed." if performance < 1 else "not guaranteed, which needs less than 1."),
+        "That is a theorem for linear plants. Of the nonlinear rig it says nothing: what is said of that comes from "
+        "simulating the fitted model, and holds as far as that model does.",
+        f"The gamma of 0.29 that section 5.4 of the paper reports cannot follow from the weights as they are printed: since "
+        f"S + T = 1, no controller has a gamma below {bound:.3f}, at {at:.1f} rad/s.",
+        f"The actuation has rules of its own that are not in the paper: the controller may use {1e3 * act.controller_limit:.1f} "
+        f"of the motor's {1e3 * act.motor_limit:.0f} mN m, which limits the swing of the arm, and an electric spring of "
+        f"{1e3 * act.arm_stiffness:.2f} mN m/rad brings the arm back to theta = 0, which nothing else on a level rig does. "
+        f"The division by cos(theta), and no torque where |cos(theta)| is at most {act.dead_band:g}, are the paper's.",
+        "The recording was made without that spring: each response is multiplied by what the spring does to the linearised "
+        "fitted model, and the envelope is made from the products.",
+    ]  # fmt: skip
+
+
+def design_table(found: Design) -> Table:
+    """Open against closed loop."""
+    rows = []
+    for name, one in (("without controller", found.free), ("with controller", found.closed)):
+        rows.append(
+            (
+                name,
+                _seconds(float(one.settling_time()[0])),
+                f"{1e3 * float(one.peak_torque[0]):.2f}",
+                f"{1e3 * float(one.effort[0]):.2f}",
+                f"{float(one.arm_swing[0]):.2f}",
+                "yes" if one.wound_up[0] else "no",
+            )
+        )
+    return Table(
+        ("loop", "settling time", "largest torque [mN m]", "rms torque [mN m]", "arm swing [rad]", "arm wound up"),
+        tuple(rows),
+        "The fitted nonlinear model; settled: under a tenth of the displacement. The closed loop has the sensors' noise.",
+    )
+
+
+def controller_table(found: Design) -> Table:
+    """The sampled controller as poles, zeros and gain."""
+    system = found.sampled
+    rows = (
+        ("order", str(system.nstates)),
+        ("sample time", f"{1e3 * float(system.dt or 0.0):g} ms"),
+        ("zeros in z", roots(system.zeros())),
+        ("poles in z", roots(system.poles())),
+        ("gain at rest", f"{float(np.real(system.dcgain())):.3g} N m/m"),
+    )
+    return Table(("controller", "u = -C q"), rows, "The matrices are in the JSON and MAT files.")
+
+
+def _loop(one: ClosedLoop) -> dict[str, Any]:
+    return {
+        "settling_time": float(one.settling_time()[0]),
+        "peak_torque": float(one.peak_torque[0]),
+        "rms_torque": float(one.effort[0]),
+        "arm_swing": float(one.arm_swing[0]),
+        "wound_up": bool(one.wound_up[0]),
+    }
+
+
+def _arrays(system: ct.StateSpace) -> dict[str, Any]:
+    return {part: np.asarray(getattr(system, part), dtype=float) for part in "ABCD"}
+
+
+def _matrices(system: ct.StateSpace) -> dict[str, Any]:
+    return {part: values.tolist() for part, values in _arrays(system).items()}
+
+
+def _pairs(values: Any) -> list[list[float]]:
+    return [[float(v.real), float(v.imag)] for v in np.asarray(values, dtype=complex)]
+
+
+def _percent(which: Any) -> str:
+    return f"{100 * float(np.mean(which)):.1f} %"
+
+
+def _seconds(value: float) -> str:
+    return f"{value:.2f} s" if np.isfinite(value) else "never in this simulation"

@@ -1,0 +1,154 @@
+"""The missing force at a port of the rig as a function of one variable, with its standard deviation."""
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from estimators._innovations import Innovations, Rows, error_at
+from estimators._problem import Data, Space
+from estimators._score_test import score_test
+from rtac_jax import RTAC
+from rtac_jax._simulate import Steps
+from rtac_jax.effects import Force, Motion, States
+from rtac_jax.effects.spline_force import PORTS, SHAPES, VARIABLES, SplineForce, curve_value
+
+KNOTS = 12
+
+
+class Probe(Force):
+    """An unknown force at one port as a piecewise linear function of one variable; for `jax.jvp` at zero only."""
+
+    id: ClassVar[str] = "probe"
+    equation: ClassVar[str] = "sum of hat functions"
+    source: ClassVar[str] = "de Boor, A Practical Guide to Splines (1978), chapter 3"
+    port: ClassVar[str] = "cart or arm"
+    nature: ClassVar[str] = "source"
+
+    heights: Float[Array, " knot"]
+    on: Float[Array, "2"]
+    variable: Float[Array, " variable"]
+    first: Array
+    spacing: Array
+    slow: Array
+
+    def force(self, motion: Motion, own: States) -> tuple[Any, Any]:
+        total = curve_value(self.heights, motion, self.variable, self.first, self.spacing, self.slow)
+        return self.on[0] * total, self.on[1] * total
+
+
+@eqx.filter_jit
+def _derivatives(
+    model: RTAC,
+    probe: Probe,
+    directions: Array,
+    data: Data,
+    space: Space,
+    whitener: Array,
+    gain: Array,
+    substeps: Steps,
+) -> Array:
+    """Derivatives of the innovations by the heights of a probe at zero."""
+
+    def function(heights: Array) -> Array:
+        probed = model + eqx.tree_at(lambda p: p.heights, probe, heights)
+        return error_at(probed, data, space, whitener, gain, space.values, substeps)
+
+    zero = jnp.zeros(KNOTS)
+    return jax.vmap(lambda t: jax.jvp(function, (zero,), (t,))[1])(directions)
+
+
+@dataclasses.dataclass(frozen=True)
+class ForceCurve:
+    """What is missing at one port, as a function of one variable.
+
+    Attributes:
+        port: "cart" [N] or "arm" [N m].
+        variable: of `rtac_jax.effects.spline_force.VARIABLES`.
+        score: how much of the innovations it explains beyond chance and its price; negative for nothing.
+        at: values of the variable.
+        force: the missing force there.
+        std: its standard deviation.
+        explains: twice the gain in log-likelihood.
+        excess: that, less what chance explains.
+        p_value: of the score test, for this curve alone.
+        shapes: curves that the data tell from the model's own parameters, most telling first, as heights at `at`.
+        amounts: of each in `force`.
+        slow: speed below which friction fades [m/s or rad/s].
+    """
+
+    port: str
+    variable: str
+    score: float
+    at: Float[np.ndarray, " knot"]
+    force: Float[np.ndarray, " knot"]
+    std: Float[np.ndarray, " knot"]
+    explains: float
+    excess: float
+    p_value: float
+    shapes: Float[np.ndarray, "shape knot"]
+    amounts: Float[np.ndarray, " shape"]
+    slow: float = 1e-4
+
+    def effect(self) -> SplineForce:
+        """The missing force as an effect that can be added to the model: it makes the error fall, whatever it is."""
+        size = np.max(np.abs(self.shapes[:SHAPES] * self.amounts[:SHAPES, None]), axis=1)
+        size = np.where(size > 0, size, 1.0)
+        between = (float(self.at[0]), float(self.at[-1]))
+        # Amounts in units of what was found, so that all of them are of order one.
+        return SplineForce.over(
+            self.variable, between, port=self.port, shapes=self.shapes[:SHAPES] * size[:, None],
+            amounts=self.amounts[:SHAPES] / size, slow=self.slow,
+        )  # fmt: skip
+
+
+def force_curves(
+    innovations: Innovations,
+    error: np.ndarray,
+    basis: Rows,
+    ranges: Mapping[str, tuple[float, float]],
+    slow: tuple[float, float],
+) -> list[ForceCurve]:
+    """Missing force at each port against each variable, with bands, best score first.
+
+    Args:
+        error: the innovations of the base model.
+        basis: orthonormal columns that its parameters explain already.
+        ranges: between which values each variable moves.
+        slow: speeds of cart and arm below which friction fades.
+    """
+    found = []
+    count, blocks = int(np.sum(innovations.weight > 0)), innovations.blocks()
+    for place, port in enumerate(PORTS):
+        for index, variable in enumerate(VARIABLES):
+            low, high = ranges[variable.split(",")[0]]
+            rubbed = {"cart_position": "cart", "arm_angle": "arm"}
+            if not high > low or ("," in variable and rubbed[variable.split(",")[0]] != port):
+                continue
+            spacing = (high - low) / (KNOTS - 1)
+            probe = Probe(
+                jnp.zeros(KNOTS), jnp.eye(2)[place], jnp.eye(len(VARIABLES))[index], jnp.asarray(low),
+                jnp.asarray(spacing), jnp.asarray(slow[place]),
+            )  # fmt: skip
+            slopes = _derivatives(
+                innovations.model, probe, jnp.eye(KNOTS), innovations.data, innovations.space, innovations.whitener,
+                innovations.gain, innovations.substeps,
+            )  # fmt: skip
+            columns = innovations.rows(np.asarray(slopes))
+            test = score_test(columns, error, basis, blocks)
+            if test.freedom == 0:
+                continue
+            # Directions that the base parameters explain, such as a slope, are not the data's to give.
+            found.append(
+                ForceCurve(
+                    port, variable, test.explained - test.freedom * np.log(count), low + spacing * np.arange(KNOTS),
+                    test.coefficients, test.std, test.explained, test.excess, test.p_value, test.directions,
+                    test.amounts, slow[place],
+                )
+            )  # fmt: skip
+    return sorted(found, key=lambda curve: -curve.score)

@@ -1,0 +1,138 @@
+"""Innovations of a predictor with frozen gains, and what they would have been had something been otherwise."""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from estimators._problem import Data, Space, Unknowns, residual
+from rtac_jax import RTAC, Excitation
+from rtac_jax._simulate import Steps
+
+AT_ONCE = 8
+Rows = Float[np.ndarray, "row column"]
+
+
+class Innovations:
+    """Innovations of a predictor with frozen gains, as a function of parameter values; rows are whitened samples."""
+
+    def __init__(self, model: RTAC, data: Data, space: Space, whitener: Array, gain: Array, substeps: Steps):
+        self.model, self.data, self.space = model, data, space
+        self.whitener, self.gain, self.substeps = whitener, gain, substeps
+        self.used = np.asarray(data.present).any(axis=(0, 2))
+        self.weight = np.asarray(data.present)[:, self.used]
+
+    def at(self, values: Float[np.ndarray, "point parameter"]) -> Rows:
+        """Innovations for several sets of shared parameter values, one column each."""
+        columns = []
+        for first in range(0, len(values), AT_ONCE):
+            part = values[first : first + AT_ONCE]
+            padded = np.concatenate([part, np.repeat(part[-1:], AT_ONCE - len(part), axis=0)])
+            found = _innovations(
+                self.model, self.data, self.space, self.whitener, self.gain, jnp.asarray(padded), self.substeps
+            )
+            columns.append(self.rows(np.asarray(found)[: len(part)]))
+        return np.concatenate(columns, axis=1)
+
+    def jacobian(self) -> Rows:
+        """Derivatives by the free shared parameters, scaled."""
+        # A free parameter past the end is none: its direction, and so its column, is zero.
+        directions = np.eye(len(self.space.names) + 1)[np.asarray(self.space.active), :-1] * np.asarray(
+            self.space.scale
+        )
+        found = _jacobian(
+            self.model, self.data, self.space, self.whitener, self.gain, jnp.asarray(directions), self.substeps
+        )
+        return self.rows(np.asarray(found))
+
+    def pushed(self, current: np.ndarray, force: np.ndarray) -> Rows:
+        """Derivatives by currents [A] and cart forces [N] added to the inputs, each [direction sample experiment]."""
+        columns = []
+        for first in range(0, len(current), AT_ONCE):
+            parts = [added[first : first + AT_ONCE] for added in (current, force)]
+            missing = AT_ONCE - len(parts[0])
+            padded = [jnp.asarray(np.concatenate([p, np.zeros((missing, *p.shape[1:]))])) for p in parts]
+            found = _pushed(
+                self.model, self.data, self.space, self.whitener, self.gain, padded[0], padded[1], self.substeps
+            )
+            columns.append(self.rows(np.asarray(found)[: len(parts[0])]))
+        return np.concatenate(columns, axis=1)
+
+    def rows(self, found: np.ndarray) -> Rows:
+        """Whitened samples [direction sample output experiment] as columns, channels that nobody measured left out."""
+        return found[:, :, self.used].reshape(len(found), -1).T
+
+    def blocks(self) -> np.ndarray:
+        """For every row the number of the stretch of time that it belongs to."""
+        found = stretches(self.data)
+        return np.broadcast_to(found[:, None, :], (len(found), int(self.used.sum()), found.shape[1])).reshape(-1)
+
+
+def stretches(data: Data, seconds: float = 1.0) -> np.ndarray:
+    """For every sample and experiment the number of the stretch of time that it belongs to, within its experiment."""
+    interval = np.asarray(data.excitation.sample_time)
+    found = np.floor(np.arange(data.samples)[:, None] * interval / seconds).astype(int)
+    return found + (found.max() + 1) * np.arange(data.experiments)
+
+
+def error_at(
+    model: RTAC, data: Data, space: Space, whitener: Array, gain: Array, values: Array, substeps: Steps
+) -> Array:
+    """Whitened innovations at values of all shared parameters."""
+    fixed = dataclasses.replace(space, values=values, active=jnp.zeros((0,), dtype=int))
+    unknowns = Unknowns(jnp.zeros(0), _each(space), jnp.zeros((0, data.experiments)))
+    return residual(model, data, fixed, unknowns, whitener, substeps=substeps, gain=gain)[0]
+
+
+def _each(space: Space) -> Array:
+    """Unconstrained values of the parameters of each experiment; empty for most models."""
+    return jnp.asarray(space.unconstrained(start=False).each) if len(space.each) else jnp.zeros_like(space.each_values)
+
+
+@eqx.filter_jit
+def _innovations(
+    model: RTAC, data: Data, space: Space, whitener: Array, gain: Array, values: Array, substeps: Steps
+) -> Array:
+    return jax.vmap(lambda v: error_at(model, data, space, whitener, gain, v, substeps))(values)
+
+
+@eqx.filter_jit
+def _jacobian(
+    model: RTAC, data: Data, space: Space, whitener: Array, gain: Array, directions: Array, substeps: Steps
+) -> Array:
+    def function(values: Array) -> Array:
+        return error_at(model, data, space, whitener, gain, values, substeps)
+
+    return jax.vmap(lambda t: jax.jvp(function, (space.values,), (t,))[1])(directions)
+
+
+@eqx.filter_jit
+def _pushed(
+    model: RTAC, data: Data, space: Space, whitener: Array, gain: Array, current: Array, force: Array, substeps: Steps
+) -> Array:
+    nothing = jnp.zeros((data.samples, 1, data.experiments))
+
+    def function(added: tuple[Array, Array]) -> Array:
+        excitation = data.excitation
+        inputs = [
+            (nothing if known is None else known).at[:, 0].add(extra)
+            for known, extra in zip((excitation.current, excitation.force), added, strict=True)
+        ]
+        pushed = Excitation(inputs[0], inputs[1], excitation.sample_time, excitation.arm_free, excitation.cart_free)
+        changed = Data(pushed, data.values, data.present)
+        return error_at(model, changed, space, whitener, gain, space.values, substeps)
+
+    zero = jnp.zeros((data.samples, data.experiments))
+    return jax.vmap(lambda *t: jax.jvp(function, ((zero, zero),), (t,))[1])(current, force)
+
+
+def orthonormal(columns: Rows) -> Float[np.ndarray, "row basis"]:
+    """An orthonormal basis of what the columns span."""
+    if columns.shape[1] == 0:
+        return columns
+    size = np.sqrt(np.sum(columns**2, axis=0))
+    q, r = np.linalg.qr(columns / np.where(size > 0, size, 1.0))
+    return q[:, np.abs(np.diagonal(r)) > 1e-10]

@@ -1,0 +1,278 @@
+"""The missing force and torque in time: smoothed from the innovations as forces that change slowly."""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from scipy.signal import periodogram
+
+from estimators._kalman import Wander, wandering
+from estimators._problem import Data, Space, states_at_start
+from rtac_jax import RTAC
+from rtac_jax._simulate import Steps, advance, trajectories
+from rtac_jax.measurement import Experiment
+
+_PORTS = ("cart", "arm")
+_UNITS = {"cart": "N", "arm": "N m"}
+_MEMORY = 0.1  # correlation time of the force as a share of the period of the motion
+# Standard deviations of the force that are tried, as shares of the rms spring force or motor torque.
+_SHARES = (1e-4, 1e-3, 3e-3, 1e-2, 3e-2, 1e-1, 3e-1)
+_STILL = 1e-7  # share of the force that stands for none
+
+
+@dataclasses.dataclass(frozen=True)
+class LatentForce:
+    """A force at one port as a function of time.
+
+    Attributes:
+        port: "cart" [N] or "arm" [N m].
+        experiments: names.
+        force, std: smoothed force and its standard deviation; a column for each experiment, NaN past its end.
+        rms: of the force over all experiments, and its standard deviation.
+        by_experiment: rms in each.
+        frequency: at which it is strongest [rad/s].
+        gain: in log-likelihood by allowing it, with no force at the other port.
+    """
+
+    port: str
+    experiments: tuple[str, ...]
+    force: Float[np.ndarray, "sample experiment"]
+    std: Float[np.ndarray, "sample experiment"]
+    rms: tuple[float, float]
+    by_experiment: dict[str, float]
+    frequency: float
+    gain: float
+
+    @property
+    def unit(self) -> str:
+        """N or N m."""
+        return _UNITS[self.port]
+
+    def __str__(self) -> str:
+        most = max(self.by_experiment, key=lambda name: self.by_experiment[name])
+        return (
+            f"{self.rms[0]:.2g} +- {self.rms[1]:.1g} {self.unit} rms on the {self.port}, strongest at "
+            f"{self.frequency:.3g} rad/s and in {most}"
+        )
+
+
+def latent_forces(
+    model: RTAC,
+    data: Data,
+    space: Space,
+    physical: tuple[Array, Array, Array],
+    gain: Array,
+    substeps: Steps,
+    experiments: Sequence[Experiment],
+    *,
+    sensor_variance: Float[np.ndarray, " output"],
+    force: float,
+    torque: float,
+    frequency: float,
+) -> tuple[LatentForce, ...]:
+    """Smooth an Ornstein-Uhlenbeck force on the cart and one on the arm, of the sizes that the data make most likely.
+
+    Args:
+        physical: parameters and starts of the predictor with this gain.
+        force, torque: sizes that scale the forces [N, N m].
+        frequency: of the motion [rad/s].
+
+    Returns:
+        The larger gain in likelihood first; ports that nothing shows are left out.
+
+    Source: Rogers and Friis, Mechanical Systems and Signal Processing 166 (2022); smoother of Rauch, Tung and Striebel.
+    """
+    memory = _MEMORY * 2 * np.pi / frequency
+    scale = np.array([force, torque])
+    still = _STILL * scale
+    variance = jnp.broadcast_to(jnp.asarray(sensor_variance)[:, None], (len(sensor_variance), data.experiments))
+    linear = _linearised(model, data, space, physical, gain, variance, jnp.asarray(substeps))
+
+    def likelihood(sizes: np.ndarray) -> np.ndarray:
+        return np.asarray(_likelihoods(linear, data, gain, jnp.asarray(sizes), jnp.asarray(memory)))
+
+    trials = [still]
+    for port in range(2):
+        for share in _SHARES:
+            trial = still.copy()
+            trial[port] = share * scale[port]
+            trials.append(trial)
+    values = likelihood(np.array(trials))
+    none, by_port = values[0], values[1:].reshape(2, -1)
+    chosen = np.array([_SHARES[int(np.argmax(by_port[port]))] * scale[port] for port in range(2)])
+    chosen = np.where(by_port.max(axis=1) > none, chosen, still)
+    smoothed, spread = (np.asarray(x) for x in _smoothed(linear, data, gain, jnp.asarray(chosen), memory))
+    lengths = [e.samples for e in experiments]
+    found = []
+    for port, name in enumerate(_PORTS):
+        better = float(by_port[port].max() - none)
+        if better <= 0:
+            continue
+        at, std = smoothed[:, port].copy(), np.sqrt(np.maximum(spread[:, port], 0.0))
+        for column, length in enumerate(lengths):
+            at[length:, column] = np.nan
+            std[length:, column] = np.nan
+        # The mean square of an estimate counts its uncertainty once less than that of the force itself.
+        rms = float(np.sqrt(np.nanmean(at**2 + std**2)))
+        independent = np.sum(np.isfinite(at)) * np.median([e.sample_time for e in experiments]) / memory
+        doubt = float(
+            np.sqrt(np.nanmean(std**2)) / np.sqrt(max(independent, 1.0)) + rms / np.sqrt(2 * max(independent, 1.0))
+        )
+        found.append(
+            LatentForce(
+                name,
+                tuple(e.name for e in experiments),
+                at,
+                std,
+                (rms, doubt),
+                {e.name: float(np.sqrt(np.nanmean(at[:, i] ** 2))) for i, e in enumerate(experiments)},
+                _strongest(at, experiments),
+                better,
+            )
+        )
+    return tuple(sorted(found, key=lambda one: -one.gain))
+
+
+def _strongest(force: np.ndarray, experiments: Sequence[Experiment]) -> float:
+    grid = np.geomspace(0.5, np.pi / max(e.sample_time for e in experiments), 400)
+    total = np.zeros_like(grid)
+    for column, e in enumerate(experiments):
+        frequency, power = periodogram(force[: e.samples, column], 1 / e.sample_time, "hann")
+        total += e.samples * np.interp(grid, 2 * np.pi * frequency, power)
+    return float(grid[np.argmax(total)])
+
+
+class _Linear(eqx.Module):
+    """The model along the predicted motion: arrays with sample first and experiment last."""
+
+    transition: Float[Array, "sample state state experiment"]
+    push: Float[Array, "sample state port experiment"]
+    shown: Float[Array, "sample output state experiment"]
+    error: Float[Array, "sample output experiment"]
+    wander: Wander
+    interval: Float[Array, " experiment"]
+
+
+@eqx.filter_jit
+def _linearised(
+    model: RTAC,
+    data: Data,
+    space: Space,
+    physical: tuple[Array, Array, Array],
+    gain: Array,
+    variance: Array,
+    substeps: Steps,
+) -> _Linear:
+    shared, each, start = physical
+    placed = model.with_values(dict(zip(space.names, shared, strict=True)) | dict(zip(space.each, each, strict=True)))
+    excitation = placed.driven(data.excitation)
+    predicted = trajectories(
+        placed, states_at_start(placed, start, data.excitation), data.excitation, samples=data.samples, substeps=substeps,
+        measured=(data.values, data.present), gain=gain, states=True,
+    )  # fmt: skip
+    count, shape = predicted.shape[1], predicted[:, 0].shape
+
+    def outputs(*state: Array) -> Array:
+        return jnp.stack([jnp.broadcast_to(y, shape) for y in placed.outputs(state)])
+
+    state = tuple(predicted[:, i] for i in range(count))
+    error = (data.values - jnp.moveaxis(outputs(*state), 0, 1)) * data.present
+    corrected = tuple(x + jnp.sum(gain[:, i] * error, axis=1) for i, x in enumerate(state))
+    inputs = [
+        None if known is None else tuple(known[:, p] for p in range(known.shape[1]))
+        for known in (excitation.current, excitation.force)
+    ]
+
+    def onward(*at: Array) -> Array:
+        return jnp.stack(advance(placed, at, inputs[0], inputs[1], excitation, substeps=substeps))
+
+    unit = [tuple(jnp.full(shape, float(i == j)) for i in range(count)) for j in range(count)]
+    # [direction, row, sample, experiment] -> [sample, row, direction, experiment]
+    transition = jnp.transpose(jnp.stack([jax.jvp(onward, corrected, u)[1] for u in unit]), (2, 1, 0, 3))
+    shown = jnp.transpose(jnp.stack([jax.jvp(outputs, state, u)[1] for u in unit]), (2, 1, 0, 3))
+    cart_cart, cart_arm, arm_arm = (
+        jnp.broadcast_to(x, shape) for x in placed.pushes(corrected, excitation.arm_free, excitation.cart_free)
+    )
+    nothing = jnp.zeros(shape)
+    rest = [nothing] * (count - 4)
+    columns = [jnp.stack([nothing, a, nothing, b, *rest]) for a, b in ((cart_cart, cart_arm), (cart_arm, arm_arm))]
+    push = jnp.transpose(jnp.stack(columns, axis=1), (2, 0, 1, 3))
+    push = 0.5 * excitation.sample_time * (push + jnp.einsum("sabe,sbpe->sape", transition, push))
+    wander = wandering(placed, variance, excitation.sample_time)
+    return _Linear(transition, push, shown, error, wander, excitation.sample_time)
+
+
+def _filter(linear: _Linear, data: Data, gain: Array, size: Array, memory: Any) -> Any:
+    """Kalman filter of what the prediction missed, with the two forces as further states, and what the smoother needs."""
+    count, experiments = linear.transition.shape[1], linear.error.shape[2]
+    keep = jnp.exp(-linear.interval / memory)
+    whole, own, variance = count + 2, jnp.arange(count), linear.wander.white
+    fresh = jnp.zeros((whole, whole, experiments)).at[own, own].set(linear.wander.fresh)
+    fresh = fresh.at[count, count].set((1 - keep**2) * size[0] ** 2)
+    fresh = fresh.at[count + 1, count + 1].set((1 - keep**2) * size[1] ** 2)
+    spread = jnp.zeros((whole, whole, experiments)).at[own, own].set(linear.wander.stationary)
+    spread = spread.at[count, count].set(size[0] ** 2).at[count + 1, count + 1].set(size[1] ** 2)
+
+    def one(carry: Any, row: Any) -> Any:
+        mean, spread = carry
+        transition, push, shown, error, present, correction = row
+        before = (mean, spread)
+        likelihood = jnp.zeros(experiments)
+        for j in range(len(variance)):
+            h = jnp.concatenate([shown[j], jnp.zeros((2, experiments))])
+            ph = jnp.sum(spread * h[None], axis=1)
+            s = jnp.sum(h * ph, axis=0) + variance[j]
+            off = error[j] - jnp.sum(h * mean, axis=0)
+            k = present[j] * ph / s
+            mean, spread = mean + k * off, spread - k[:, None] * ph[None]
+            likelihood = likelihood - 0.5 * present[j] * (off**2 / s + jnp.log(s))
+        moved = jnp.sum(correction * error[None], axis=1)
+        forward = jnp.zeros((whole, whole, experiments)).at[:count, :count].set(transition)
+        forward = forward.at[:count, count:].set(push)
+        forward = forward.at[count, count].set(keep).at[count + 1, count + 1].set(keep)
+        known = mean.at[:count].add(-moved)
+        after = jnp.sum(forward * known[None], axis=1)
+        half = jnp.einsum("abe,bce->ace", forward, spread)
+        grown = jnp.einsum("abe,cbe->ace", half, forward) + fresh
+        # gain of the smoother: P F' (F P F' + Q)^-1
+        back = jnp.einsum("abe,cbe->ace", spread, forward)
+        return (after, 0.5 * (grown + jnp.swapaxes(grown, 0, 1))), (before, (mean, spread), back, likelihood)
+
+    rows = (linear.transition, linear.push, linear.shown, linear.error, data.present, gain)
+    start = jnp.zeros((whole, experiments))
+    return jax.lax.scan(one, (start, spread), rows)
+
+
+@eqx.filter_jit
+def _likelihoods(linear: _Linear, data: Data, gain: Array, sizes: Array, memory: Any) -> Array:
+    return jax.lax.map(lambda size: _filter(linear, data, gain, size, memory)[1][3].sum(), sizes)
+
+
+@eqx.filter_jit
+def _smoothed(linear: _Linear, data: Data, gain: Array, size: Array, memory: Any) -> tuple[Array, Array]:
+    """Mean and variance of the two forces, [sample port experiment]."""
+    last, (before, filtered, back, _) = _filter(linear, data, gain, size, memory)
+
+    def one(carry: Any, row: Any) -> Any:
+        ahead, ahead_spread = carry  # smoothed at the next sample
+        (mean, spread), back, (predicted, predicted_spread) = row
+        matrix = jnp.moveaxis(predicted_spread, 2, 0)
+        size = jnp.sqrt(jnp.maximum(jnp.diagonal(matrix, axis1=1, axis2=2), 1e-300))
+        scaled = matrix / (size[:, :, None] * size[:, None, :]) + 1e-9 * jnp.eye(matrix.shape[1])
+        left = jnp.moveaxis(back, 2, 0) / size[:, None, :]
+        j = jnp.moveaxis(
+            jnp.swapaxes(jnp.linalg.solve(scaled, jnp.swapaxes(left, 1, 2)), 1, 2) / size[:, None, :], 0, 2
+        )
+        mean = mean + jnp.sum(j * (ahead - predicted)[None], axis=1)
+        change = jnp.einsum("abe,bce->ace", j, ahead_spread - predicted_spread)
+        spread = spread + jnp.einsum("abe,cbe->ace", change, j)
+        return (mean, spread), (mean[-2:], jnp.stack([spread[-2, -2], spread[-1, -1]]))
+
+    ahead_predictions = jax.tree.map(lambda x, end: jnp.concatenate([x[1:], end[None]]), before, last)
+    _, (mean, spread) = jax.lax.scan(one, last, (filtered, back, ahead_predictions), reverse=True)
+    return mean, spread

@@ -1,0 +1,82 @@
+"""Repeats of one experiment: what comes back in every repeat is not noise, whatever the colour of the noise."""
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.signal import lfilter
+from scipy.stats import f as fisher
+
+from rtac_jax.measurement import Experiment
+
+_AVERAGE = 5  # samples of the moving average that leaves out what no mechanism follows
+
+
+@dataclasses.dataclass(frozen=True)
+class RepeatTest:
+    """Result of `repeat_test`.
+
+    Attributes:
+        ratio: mean square of what all repeats share over that of their differences; one where the model is right.
+        freedom: degrees of freedom of both, as the autocorrelation of the differences leaves them.
+        p_value: of so large a ratio by chance.
+        excess: of the shared part over chance, in units of twice the log-likelihood.
+        repeats: number of experiments.
+    """
+
+    ratio: float
+    freedom: tuple[float, float]
+    p_value: float
+    excess: float
+    repeats: int
+
+
+def repeat_test(innovations: np.ndarray, present: np.ndarray, experiments: Sequence[Experiment]) -> RepeatTest | None:
+    """F test of model error against noise from experiments that repeat each other; None where none does.
+
+    Args:
+        innovations: [sample output experiment], of unit variance where the model is right.
+        present: 1 where measured.
+
+    Source: Ljung, System Identification (1999), section 16.5, for model error against noise; degrees of freedom after
+    Bartlett, Supplement to the Journal of the Royal Statistical Society 8 (1946).
+    """
+    groups: dict[str, list[int]] = {}
+    for column, e in enumerate(experiments):
+        groups.setdefault(e.repeat_of or e.name, []).append(column)
+    shared, between, above, below, members = 0.0, 0.0, 0.0, 0.0, 0
+    for columns in groups.values():
+        m = len(columns)
+        if m < 2:
+            continue
+        members += m
+        for output in range(innovations.shape[1]):
+            there = present[:, output, columns].all(axis=1)
+            if there.sum() < 10 * _AVERAGE:
+                continue
+            error = innovations[there][:, output, columns]
+            smooth = np.asarray(lfilter(np.full(_AVERAGE, 1 / _AVERAGE), [1.0], error, axis=0))[_AVERAGE:]
+            mean = smooth.mean(axis=1)
+            apart = smooth - mean[:, None]
+            effective = _effective(apart)
+            shared += m * float(np.mean(mean**2)) * effective
+            between += float(np.mean(np.sum(apart**2, axis=1))) / (m - 1) * effective
+            above += effective
+            below += effective * (m - 1)
+    if not members or between <= 0:
+        return None
+    ratio = shared / between
+    p_value = float(fisher.sf(ratio, above, below))
+    return RepeatTest(ratio, (above, below), p_value, max(ratio - 1.0, 0.0) * above, members)
+
+
+def _effective(apart: np.ndarray) -> float:
+    """Number of independent values that have as uncertain a mean square as these."""
+    count = len(apart)
+    power = np.abs(np.fft.rfft(apart, 2 * count, axis=0)) ** 2
+    autocovariance = np.fft.irfft(power, axis=0)[: count // 2].sum(axis=1)
+    correlation = autocovariance / autocovariance[0]
+    # Beyond the first lag where nothing is left the estimate is noise only.
+    small = np.abs(correlation) < 2 / np.sqrt(count)
+    last = int(np.argmax(small)) if small.any() else len(correlation)
+    return count / (1.0 + 2.0 * float(np.sum(correlation[1:last] ** 2)))

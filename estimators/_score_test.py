@@ -1,0 +1,90 @@
+"""Do innovations contain what some columns would add to them? A score test, with the model's variance and with the data's."""
+
+import dataclasses
+
+import numpy as np
+from jaxtyping import Float
+from scipy.stats import chi2
+from scipy.stats import f as fisher
+
+from estimators._innovations import Rows
+
+_SMALLEST = 1e-3  # singular values below this share of the largest belong to directions that the data do not show
+
+
+@dataclasses.dataclass(frozen=True)
+class ScoreTest:
+    """Result of `score_test`.
+
+    Attributes:
+        explained: twice the gain in log-likelihood.
+        freedom: how many directions the data show.
+        p_value: the larger of two: by the model's variance, and by the scatter over stretches of time, which holds when the
+            noise is coloured or heavier than the model thinks.
+        coefficients: of the columns.
+        std: their standard deviations.
+        directions: combinations of the columns that the data show, most telling first.
+        amounts: of each in `coefficients`.
+    """
+
+    explained: float
+    freedom: int
+    p_value: float
+    coefficients: Float[np.ndarray, " column"]
+    std: Float[np.ndarray, " column"]
+    directions: Float[np.ndarray, "direction column"]
+    amounts: Float[np.ndarray, " direction"]
+
+    @property
+    def excess(self) -> float:
+        """What is explained beyond what chance explains."""
+        return self.explained - self.freedom
+
+
+def score_test(
+    columns: Rows, error: np.ndarray, basis: Float[np.ndarray, "row explained"], blocks: np.ndarray
+) -> ScoreTest:
+    """Test whether the error contains a combination of the columns.
+
+    Args:
+        columns: derivatives of the innovations.
+        error: innovations, without their share in the basis.
+        basis: orthonormal columns that the base model's parameters explain already.
+        blocks: number of the stretch of time that each row belongs to.
+
+    Source: Wooldridge, Journal of Econometrics 47 (1991) for the robust form; Bell and McCaffrey, Survey Methodology 28
+    (2002) for stretches against fits to the others; Hotelling's T-squared for few stretches.
+    """
+    size = np.linalg.norm(columns, axis=0)
+    columns = columns - basis @ (basis.T @ columns)
+    u, s, vt = np.linalg.svd(columns, full_matrices=False)
+    # What remains of a column that the base explains is rounding, not information.
+    keep = (s > _SMALLEST * max(float(s[0]), 1e-300)) & (s > 1e-7 * np.max(size, initial=1e-300))
+    nothing = np.zeros(columns.shape[1])
+    if not keep.any():
+        return ScoreTest(0.0, 0, 1.0, nothing, nothing + np.inf, np.zeros((0, len(nothing))), np.zeros(0))
+    directions = u[:, keep]
+    score = directions.T @ error
+    explained, freedom = float(score @ score), int(keep.sum())
+    left = error - directions @ score
+    # Each stretch against a fit to the others, or few stretches would look quieter than they are.
+    numbers = np.unique(blocks, return_inverse=True)[1]
+    order = np.argsort(numbers, kind="stable")
+    edges = np.flatnonzero(np.diff(numbers[order], prepend=-1))
+    products = directions[order][:, :, None] * directions[order][:, None, :]
+    own = np.eye(freedom) - np.add.reduceat(products, edges, axis=0)
+    by_block = np.add.reduceat(directions[order] * left[order, None], edges, axis=0)
+    by_block = np.stack([np.linalg.lstsq(o, b, rcond=1e-6)[0] for o, b in zip(own, by_block, strict=True)], axis=1)
+    scatter = by_block @ by_block.T
+    count = len(edges)
+    p_value = float(chi2.sf(explained, freedom))
+    if count > freedom + 1:
+        hotelling = float(score @ np.linalg.lstsq(scatter, score, rcond=1e-10)[0])
+        ratio = hotelling * (count - freedom) / (count * freedom)
+        p_value = max(p_value, float(fisher.sf(ratio, freedom, count - freedom)))
+    inverse = vt[keep].T / s[keep]
+    telling = np.argsort(-(score**2))
+    return ScoreTest(
+        explained, freedom, p_value, -inverse @ score, np.sqrt(np.sum(inverse**2, axis=1)), vt[keep][telling],
+        (-score / s[keep])[telling],
+    )  # fmt: skip

@@ -1,0 +1,406 @@
+"""The work of a diagnosis: predictor of the base model, tests of its innovations, refits with candidates added."""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from estimators._adequacy import Evidence, evidence
+from estimators._coloured_noise import ColouredNoise, colours_at_rest
+from estimators._covariance import information
+from estimators._delayed_force import delayed_forces
+from estimators._force_curve import ForceCurve, force_curves
+from estimators._innovations import Innovations, orthonormal, stretches
+from estimators._latent_force import LatentForce, latent_forces
+from estimators._levenberg_marquardt import Arguments, factor
+from estimators._likelihood import NoiseModel, Predictor, fit_noise, fit_predictor
+from estimators._line_classes import LineClass, line_classes
+from estimators._noise import noise_levels
+from estimators._output_error import Fit, Parameter, moving, pieces
+from estimators._problem import CHANNELS, Data, Space, start_rows
+from estimators._repeats import repeat_test
+from estimators._screen import Screened, screen
+from estimators._selection import by_sample, held_out
+from estimators._spectral_line import spectral_line
+from estimators._start import scales_of, space_of
+from estimators._where import Place, where
+from rtac_jax import RTAC
+from rtac_jax._parameter import declarations
+from rtac_jax._simulate import Steps
+from rtac_jax.effects import CATALOGUE, Effect
+from rtac_jax.measurement import Experiment, Recording
+
+_NUISANCE = 3  # free parameters that a candidate may have
+_SLOW = 1e-2  # share of the rms speed below which a learned friction fades
+_MEMORIES = (1.5, 4.0, 10.0, 25.0)  # correlation times of sensor noise that are tried, in samples
+_WORTH = 10.0  # gain in log-likelihood for which coloured noise is taken instead of white
+_ROOM = 8  # unknowns are padded to a multiple of this, so that a model with one effect more needs no new compilation
+
+
+@dataclasses.dataclass(frozen=True)
+class Refit:
+    """A model with some of the candidates added, fitted to the data.
+
+    Attributes:
+        added: ids of the effects beyond the base model.
+        model: with them, and with candidates at null that cost nothing.
+        predictor: the fit.
+        space: its unknowns.
+        by_sample: log-likelihood of each sample.
+        free: names of the free parameters.
+        triangles: triangular factors of the innovations and their derivatives, for each experiment.
+    """
+
+    added: tuple[str, ...]
+    model: RTAC
+    predictor: Predictor
+    space: Space
+    by_sample: np.ndarray
+    free: tuple[str, ...]
+    triangles: np.ndarray
+
+
+@dataclasses.dataclass(frozen=True)
+class Tested:
+    """What the innovations of one model say.
+
+    Attributes:
+        screened: named candidates, every shape of them.
+        curves: missing force against each variable.
+        tests: of whether anything is missing.
+    """
+
+    screened: tuple[Screened, ...]
+    curves: tuple[ForceCurve, ...]
+    tests: tuple[Evidence, ...]
+
+
+@dataclasses.dataclass
+class Search:
+    """What stays the same over one diagnosis: the data, and the candidates at null.
+
+    The filter runs on a model with all candidates that have no states of their own, so that most refits share compiled
+    functions; its cost grows with the cube of the number of states, so those that have some come in only when tried.
+    """
+
+    fit: Fit
+    absent: dict[str, Effect]
+    colour: ColouredNoise | None
+    experiments: list[Experiment]
+    data: Data
+    prior: NoiseModel
+    classes: dict[str, type[Effect]]
+    instances: list[Effect]
+    substeps: Steps
+    start: dict[str, np.ndarray]
+    bar: Any
+
+    @classmethod
+    def of(cls, fit: Fit, recording: Recording, classes: Sequence[type[Effect]], bar: Any) -> "Search":
+        """Set up; candidates that nothing in the recording could show are passed over."""
+        experiments = pieces(moving(recording))
+        scales = scales_of(fit.model, experiments)
+        possible: dict[str, type[Effect]] = {}
+        instances: list[Effect] = []
+        absent: dict[str, Effect] = {}
+        for c in classes:
+            found = c.candidates(scales)
+            if found and _can_show(c, experiments):
+                possible[c.id] = c
+                instances += list(found)
+                absent[c.id] = _absent_like(found[len(found) // 2])
+        levels = dict(noise_levels(recording.experiments))
+        colours = colours_at_rest(recording.experiments)
+        # The first samples tell the start better than a simulation of a model that may be wrong, except for an angle
+        # that nobody measured.
+        blind = [e for e in experiments if e.initial_arm_angle is None and "arm_angle" not in e.outputs]
+        start = {e.name: fit.start[e.name] for e in blind}
+        light = _with_all(fit.model, _stateless(absent))
+        space = space_of(light, experiments, free=_shared(fit.model), start=start)
+        prior = NoiseModel.of(levels, recording.experiments, scales, space)
+        colour = ColouredNoise.of(colours) if colours else None
+        return cls(
+            fit, absent, colour, experiments, Data.of(experiments), prior, possible, instances,
+            jnp.asarray(fit.statistics["substeps"]), start, bar,
+        )  # fmt: skip
+
+    @property
+    def samples(self) -> int:
+        """Number of measured values."""
+        return int(np.sum(np.asarray(self.data.present)))
+
+    def base(self) -> Refit:
+        """The base model."""
+        return self._fitted((), self._model(()), tuple(_shared(self.fit.model)), None)
+
+    def held_out_gain(self, before: Refit, after: Refit) -> float:
+        """Gain in the log-likelihood of experiments that did not take part in estimating the effect; NaN if none can tell."""
+        added = range(len(before.free), len(after.free))
+        change = held_out(after.triangles, len(after.predictor.unknowns.shared), added)
+        gains = np.asarray(after.predictor.filtered.log_likelihood) - np.asarray(
+            before.predictor.filtered.log_likelihood
+        )
+        known = np.isfinite(change)
+        return float(np.sum(gains[known] + change[known])) if known.any() else np.nan
+
+    def coloured(self, base: Refit) -> "Search | None":
+        """The same with coloured sensor noise, if that makes the data of the base model more likely; None otherwise.
+
+        Rest records would tell; without them the likelihood has to.
+        """
+        count = np.asarray(self.data.present).sum(axis=(0, 2))
+        interval = float(np.min(np.asarray(self.data.excitation.sample_time)))
+        best, likelihood = {}, base.predictor.log_likelihood
+        for channel in np.array(CHANNELS)[count > 0]:
+            for memory in interval * np.array(_MEMORIES):
+                trial = dataclasses.replace(self, colour=ColouredNoise.of({**best, str(channel): (1.0, float(memory))}))
+                model = trial._model(())
+                space = trial._space(model, base.free)
+                space = dataclasses.replace(space, values=_by_name(space, base.space, base.predictor.physical[0]))
+                physical = space.physical(space.unconstrained(start=False))
+                value = fit_noise(model, self.data, space, physical, self.prior, base.predictor.noise, self.substeps)[1]
+                if value > likelihood + _WORTH:
+                    likelihood, chosen = value, (1.0, float(memory))
+                    best = {**best, str(channel): chosen}
+        return dataclasses.replace(self, colour=ColouredNoise.of(best)) if best else None
+
+    def with_effect(self, before: Refit, s: Screened) -> Refit:
+        """A model with one candidate more, all parameters fitted together."""
+        declared = declarations(s.instance)
+        values = dict(zip(before.space.names, np.asarray(before.predictor.physical[0]), strict=True))
+        for name in declared:
+            start = float(np.asarray(getattr(s.instance, name)))
+            if name in s.amplitudes:
+                estimate = float(s.estimate[s.amplitudes.index(name)])
+                plausible = abs(start)
+                start = float(np.sign(estimate) * np.clip(abs(estimate), 0.05 * plausible, 20 * plausible))
+                start = start or 0.05 * plausible
+            values[f"{s.id}.{name}"] = start
+        added = (*before.added, s.id)
+        model = self._model(added)
+        model = model.with_values({n: v for n, v in values.items() if n in model.parameters})
+        free = before.free + tuple(f"{s.id}.{n}" for n in declared if not declared[n].fixed)
+        return self._fitted(added, model, free, before.predictor.noise)
+
+    def parameters(self, effect: str, refit: Refit) -> dict[str, Parameter]:
+        """Parameters of an added effect with standard deviations."""
+        found = refit.predictor
+        known = information(refit.triangles, refit.space, found.unknowns)
+        deviations = dict(zip(known.names, np.sqrt(np.diagonal(known.covariance)), strict=True))
+        values = dict(zip(refit.space.names, np.asarray(found.physical[0]), strict=True))
+        return {
+            name.split(".")[1]: Parameter(
+                float(value), float(deviations.get(name, 0.0)), refit.model.parameters[name].unit
+            )
+            for name, value in values.items()
+            if name.split(".")[0] == effect
+        }
+
+    def effect(self, effect: str, refit: Refit) -> Effect:
+        """An added effect at its estimated parameters."""
+        values = dict(zip(refit.space.names, np.asarray(refit.predictor.physical[0]), strict=True))
+        cls = self.classes[effect]
+        return cls(**{name: values[f"{effect}.{name}"] for name in declarations(cls)})
+
+    def stretches(self) -> np.ndarray:
+        """For every sample and experiment the number of the second that it belongs to."""
+        return stretches(self.data)
+
+    def tested(self, refit: Refit) -> Tested:
+        """Everything that the innovations of a model are asked."""
+        left = {i: effect for i, effect in self.absent.items() if i not in refit.added}
+        innovations = self._innovations(refit, list(left.values()), refit.free)
+        placed = innovations.space
+        raw = innovations.at(np.asarray(placed.values)[None])[:, 0]
+        basis = orthonormal(innovations.jacobian())
+        error = raw - basis @ (basis.T @ raw)
+
+        def place(instance: Effect, amplitude: str) -> np.ndarray:
+            values = np.asarray(placed.values).copy()
+            for name, declared in declarations(instance).items():
+                full = f"{instance.id}.{name}"
+                if declared.null is None or name == amplitude:
+                    values[placed.names.index(full)] = float(np.asarray(getattr(instance, name)))
+            return values
+
+        screened = screen(innovations, error, basis, [i for i in self.instances if i.id in left], place)
+        probed = self._innovations(refit, [], [])
+        scales = scales_of(self.fit.model, self.experiments)
+        slow = (_SLOW * scales.velocity, _SLOW * scales.arm_velocity)
+        curves = force_curves(probed, error, basis, self._ranges(), slow)
+        stiffness = float(np.asarray(self.fit.model.body.spring_stiffness))
+        delayed = delayed_forces(
+            probed, error, basis, self.experiments, frequency=scales.frequency, stiffness=stiffness
+        )  # fmt: skip
+        whitened, present = np.asarray(refit.predictor.filtered.innovations), np.asarray(self.data.present)
+        line = spectral_line(whitened, present, self.experiments)
+        repeats = repeat_test(whitened, present, self.experiments)
+        return Tested(tuple(screened), tuple(curves), evidence(screened, curves, delayed, line, repeats))
+
+    def places(self, refit: Refit) -> tuple[Place, ...]:
+        """Where the innovations are too large."""
+        whitened, present = np.asarray(refit.predictor.filtered.innovations), np.asarray(self.data.present)
+        return tuple(where(whitened, present, self.experiments))
+
+    def lines(self, refit: Refit) -> tuple[LineClass, ...]:
+        """Innovations by class of spectral line."""
+        whitened, present = np.asarray(refit.predictor.filtered.innovations), np.asarray(self.data.present)
+        return tuple(line_classes(whitened, present, self.experiments))
+
+    def latent(self, refit: Refit) -> tuple[LatentForce, ...]:
+        """The missing force in time."""
+        probed = self._innovations(refit, [], [])
+        scales = scales_of(self.fit.model, self.experiments)
+        empty = jnp.zeros((0, self.data.experiments))
+        return latent_forces(
+            probed.model, self.data, probed.space, (probed.space.values, empty, probed.space.start), probed.gain,
+            self.substeps, self.experiments,
+            sensor_variance=np.exp(refit.predictor.noise[2:]) * self.prior.sensor**2,
+            force=scales.force, torque=scales.torque, frequency=scales.frequency,
+        )  # fmt: skip
+
+    # -- parts -------------------------------------------------------------------------------------------------------
+
+    def _fitted(self, added: tuple[str, ...], model: RTAC, free: tuple[str, ...], noise: np.ndarray | None) -> Refit:
+        def show(text: str) -> None:
+            self.bar.update(1)
+            self.bar.set_postfix_str(text, refresh=False)
+
+        space = self._space(model, free)
+        found = fit_predictor(model, self.data, space, self.prior, substeps=self.substeps, first=noise, progress=show)
+        arguments = Arguments(model, self.data, space, found.filtered.whitener, found.filtered.gain, self.substeps)
+        triangles = np.asarray(factor(found.unknowns, arguments))
+        return Refit(added, model, found, space, by_sample(found.filtered, self.data), free, triangles)
+
+    def _model(self, added: Sequence[str]) -> RTAC:
+        """The base model with all candidates at null that have no states, and with those that were added."""
+        heavy = [effect for i, effect in self.absent.items() if effect.states and i in added]
+        return self._with(_stateless(self.absent) + heavy)
+
+    def _with(self, effects: Sequence[Effect]) -> RTAC:
+        return _with_all(self.fit.model, [*effects, *([self.colour] if self.colour is not None else [])])
+
+    def _space(self, model: RTAC, free: Sequence[str]) -> Space:
+        """The unknowns, padded to one number for all candidates so that they share compiled functions."""
+        found = space_of(model, self.experiments, free=free, start=self.start)
+        most = -(-max(len(_shared(self.fit.model)) + _NUISANCE, len(free)) // _ROOM) * _ROOM
+        padded = np.full(most, len(found.names))
+        padded[: len(found.active)] = np.asarray(found.active)
+        return dataclasses.replace(found, active=jnp.asarray(padded))
+
+    def _innovations(self, refit: Refit, absent: Sequence[Effect], free: Sequence[str]) -> Innovations:
+        """Innovations of a fitted model with some of the candidates beside what was added, and no others."""
+        added = [effect for i, effect in self.absent.items() if i in refit.added]
+        model = self._with([*added, *absent])
+        space = self._space(model, free)
+        predictor = refit.predictor
+        before = dict(zip(start_rows(refit.model), np.asarray(predictor.physical[2]), strict=True))
+        known = np.asarray(space.start)
+        start = np.stack([before.get(row, known[i]) for i, row in enumerate(start_rows(model))])
+        space = dataclasses.replace(
+            space,
+            values=_by_name(space, refit.space, predictor.physical[0]),
+            start=jnp.asarray(start),
+        )
+        # A state that the filter does not know is not corrected.
+        gain = np.asarray(predictor.filtered.gain)
+        rows = {name: gain[:, i] for i, name in enumerate(refit.model.states)}
+        nothing = np.zeros_like(gain[:, 0])
+        placed = jnp.asarray(np.stack([rows.get(name, nothing) for name in model.states], axis=1))
+        return Innovations(model, self.data, space, predictor.filtered.whitener, placed, self.substeps)
+
+    def _ranges(self) -> dict[str, tuple[float, float]]:
+        """Between which values each variable moves."""
+
+        def between(values: list[np.ndarray]) -> tuple[float, float]:
+            if not values:
+                return 0.0, 0.0
+            low, high = np.nanquantile(np.concatenate(values), [0.001, 0.999])
+            return float(low), float(high)
+
+        def outputs(channel: str) -> list[np.ndarray]:
+            return [e.outputs[channel].values for e in self.experiments if channel in e.outputs]
+
+        scales = scales_of(self.fit.model, self.experiments)
+        reach = 2.5 * scales.velocity if outputs("cart_position") else 0.0
+        arm = any(e.arm == "free" for e in self.experiments)
+        return {
+            "cart_position": between(outputs("cart_position")),
+            "cart_velocity": (-reach, reach),
+            "arm_angle": (-np.pi, np.pi) if arm else (0.0, 0.0),
+            "arm_velocity": between(outputs("arm_velocity")) if arm else (0.0, 0.0),
+            "current": between([e.inputs["current"].values for e in self.experiments if "current" in e.inputs]),
+        }
+
+
+def _with_all(model: RTAC, absent: Sequence[Effect]) -> RTAC:
+    """The model with candidates added, in the order of the catalogue, whatever it has already.
+
+    So every diagnosis of a loop runs the same compiled functions.
+    """
+    order = {name: place for place, name in enumerate(CATALOGUE)}
+    effects = sorted([*model.effects, *absent], key=lambda effect: order.get(effect.id, len(order)))
+    return RTAC(model.body, tuple(effects), model.fixed, model.per_experiment)
+
+
+def _by_name(space: Space, other: Space, values: Any) -> Any:
+    """Values of one space where another has a parameter of that name."""
+    known = dict(zip(other.names, np.asarray(values), strict=True))
+    return jnp.asarray([known.get(n, v) for n, v in zip(space.names, np.asarray(space.values), strict=True)])
+
+
+def _stateless(absent: Mapping[str, Effect]) -> list[Effect]:
+    return [effect for effect in absent.values() if not effect.states]
+
+
+def _shared(model: RTAC) -> list[str]:
+    return [name for name in model.free if name not in model.per_experiment]
+
+
+def _absent_like(instance: Effect) -> Effect:
+    """The effect at its null value with the shape of an instance."""
+    shape = {
+        name: float(np.asarray(getattr(instance, name)))
+        for name, declared in declarations(instance).items()
+        if declared.null is None
+    }
+    return type(instance).absent(**shape)
+
+
+_NEEDS = {"tacho": "arm_velocity", "encoder": "arm_angle", "lvdt": "cart_position", "channel": "cart_position"}
+"""Which output a sensor effect needs, by the first word of its id."""
+
+
+def _can_show(effect: type[Effect], experiments: Sequence[Experiment]) -> bool:
+    """Whether what the effect acts on moves, or is measured, in any experiment."""
+    arm = any(e.arm == "free" for e in experiments)
+    cart = any(e.cart == "free" for e in experiments)
+    driven = {name for e in experiments for name, signal in e.inputs.items() if np.any(signal.values)}
+    measured = {name for e in experiments for name in e.outputs}
+    if effect.port == "input":
+        return bool(driven)
+    if effect.port == "actuator":
+        return "current" in driven and arm
+    if effect.port == "sensor":
+        needs = _NEEDS.get(effect.id.split("_")[0])
+        return (needs is None or needs in measured) and (arm or needs != "arm_velocity")
+    if effect.id.startswith("arm_") or effect.port == "arm":
+        return arm
+    if effect.port == "cart":
+        return cart
+    return True
+
+
+def correlations(screened: Mapping[str, Screened]) -> dict[str, dict[str, float]]:
+    """Largest cosine between what each two candidates would change."""
+    bases = {name: orthonormal(s.templates) for name, s in screened.items()}
+    found: dict[str, dict[str, float]] = {name: {} for name in screened}
+    for a, qa in bases.items():
+        for b, qb in bases.items():
+            if a < b:
+                shown = qa.size and qb.size and np.any(qa) and np.any(qb)
+                value = float(np.linalg.svd(qa.T @ qb, compute_uv=False)[0]) if shown else 0.0
+                found[a][b] = found[b][a] = value
+    return found

@@ -1,0 +1,190 @@
+"""The tests behind a diagnosis on data made by plain NumPy: how often they cry wolf, and whether they see what is there."""
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from estimators._line_classes import line_classes, period
+from estimators._repeats import repeat_test
+from estimators._score_test import score_test
+from estimators._selection import held_out, vuong
+from estimators._spectral_line import spectral_line
+from estimators._where import where
+from rtac_jax.measurement import Experiment
+
+SAMPLES, COUNT = 1000, 4
+
+
+def experiments(*, repeats: bool = False, current: np.ndarray | None = None) -> list[Experiment]:
+    """Records whose only use here is their shape."""
+    return [
+        Experiment.of(
+            f"forced_{n}",
+            kind="forced",
+            sample_time=0.01,
+            current=np.sin(0.3 * np.arange(SAMPLES)) if current is None else current,
+            cart_position=np.cos(0.1 * np.arange(SAMPLES) + n),
+            repeat_of="forced_0" if repeats and n else None,
+        )
+        for n in range(COUNT)
+    ]
+
+
+def noise(random: np.random.Generator, colour: float, count: int = COUNT) -> np.ndarray:
+    """Noise of unit variance, [sample output experiment], first-order coloured; only the first output is measured."""
+    white = random.normal(size=(SAMPLES + 200, count))
+    found = np.zeros((SAMPLES, 3, count))
+    found[:, 0] = lfilter([np.sqrt(1 - colour**2)], [1.0, -colour], white, axis=0)[200:]
+    return found
+
+
+PRESENT = np.zeros((SAMPLES, 3, COUNT))
+PRESENT[:, 0] = 1.0
+
+
+@pytest.mark.parametrize("colour", [0.0, 0.9])
+def test_repeats_of_noise_alone_seldom_reject(colour: float) -> None:
+    random = np.random.default_rng(1)
+    p = []
+    for _ in range(400):
+        found = repeat_test(noise(random, colour), PRESENT, experiments(repeats=True))
+        assert found is not None
+        p.append(found.p_value)
+    assert 0.0 < np.mean(np.array(p) < 0.05) < 0.09
+    assert np.mean(np.array(p) < 0.01) < 0.03
+
+
+def test_what_repeats_share_is_found() -> None:
+    random = np.random.default_rng(2)
+    error = noise(random, 0.9)
+    error[:, 0] += 0.6 * np.sin(0.05 * np.arange(SAMPLES))[:, None]
+    found = repeat_test(error, PRESENT, experiments(repeats=True))
+    assert found is not None
+    assert found.p_value < 1e-3
+    assert found.ratio > 1.3
+    assert found.repeats == COUNT
+    assert repeat_test(error, PRESENT, experiments()) is None
+
+
+@pytest.mark.parametrize("colour", [0.0, 0.9])
+def test_score_test_keeps_its_level(colour: float) -> None:
+    """Also with coloured noise, of which the model knows nothing."""
+    random = np.random.default_rng(3)
+    time = np.arange(SAMPLES * COUNT)
+    columns = np.stack([np.sin(0.02 * k * time + 0.3 * k) for k in range(1, 9)], axis=1)
+    basis = np.linalg.qr(np.stack([np.ones(len(time)), time - 2000.0], axis=1))[0]
+    blocks = time // 100
+    p = []
+    for _ in range(400):
+        error = noise(random, colour)[:, 0].T.ravel()
+        p.append(score_test(columns, error - basis @ (basis.T @ error), basis, blocks).p_value)
+    assert np.mean(np.array(p) < 0.01) < 0.03
+    if colour == 0.0:
+        assert np.mean(np.array(p) < 0.2) > 0.08  # it does reject
+
+
+def test_score_test_estimates_what_is_there() -> None:
+    random = np.random.default_rng(4)
+    columns = random.normal(size=(SAMPLES, 3))
+    basis = np.linalg.qr(random.normal(size=(SAMPLES, 2)))[0]
+    inside = []
+    for _ in range(300):
+        truth = random.normal(size=3)
+        error = random.normal(size=SAMPLES) - columns @ truth
+        found = score_test(columns, error - basis @ (basis.T @ error), basis, np.arange(SAMPLES) // 20)
+        inside.append(np.abs(found.coefficients - truth) < 1.96 * found.std)
+    assert 0.92 < np.mean(inside) < 0.98
+    assert found.freedom == 3
+    again = score_test(basis, np.ones(SAMPLES), basis, np.zeros(SAMPLES, int))
+    assert again.freedom == 0  # what the basis explains already is nothing new
+    assert again.p_value == 1.0
+
+
+@pytest.mark.parametrize("colour", [0.0, 0.9])
+def test_noise_alone_seldom_has_a_line(colour: float) -> None:
+    random = np.random.default_rng(5)
+    p = []
+    for _ in range(300):
+        found = spectral_line(noise(random, colour), PRESENT, experiments())
+        assert found is not None
+        p.append(found.p_value)
+    assert np.mean(np.array(p) < 0.01) < 0.03
+
+
+def test_a_vibration_is_found_at_its_frequency() -> None:
+    random = np.random.default_rng(6)
+    error = noise(random, 0.9)
+    for n in range(COUNT):  # of a phase of its own in every experiment
+        error[:, 0, n] += 0.3 * np.sin(44.0 * 0.01 * np.arange(SAMPLES) + n)
+    found = spectral_line(error, PRESENT, experiments())
+    assert found is not None
+    assert found.p_value < 1e-6
+    assert found.frequency == pytest.approx(44.0, abs=2 * np.pi / 10.0)
+    assert found.channel == "cart_position"
+
+
+def periodic(odd_only: bool = True) -> np.ndarray:
+    random = np.random.default_rng(7)
+    time = np.arange(SAMPLES) / 250.0
+    lines = np.arange(1, 12, 2) if odd_only else np.arange(1, 12)
+    return sum(np.cos(2 * np.pi * k * time + random.uniform(0, 2 * np.pi)) for k in lines if k != 5)
+
+
+def test_line_classes_tell_odd_from_even() -> None:
+    random = np.random.default_rng(8)
+    drive = periodic()
+    assert period(drive) == 250
+    assert period(random.normal(size=100)) is None
+    assert period(np.zeros(100)) is None
+    for power, shows in ((3, "odd"), (2, "even"), (1, "excited")):
+        error = noise(random, 0.0)
+        error[:, 0] += 0.2 * (drive**power)[:, None]
+        classes = {c.lines: c for c in line_classes(error, PRESENT, experiments(current=drive))}
+        assert classes[shows].p_value < 1e-6
+        others = {"odd", "even"} - {shows}
+        if power != 1:
+            assert classes[others.pop()].p_value > 1e-3
+    quiet = line_classes(noise(random, 0.0), PRESENT, experiments(current=drive))
+    assert all(c.p_value > 1e-3 for c in quiet)
+    assert line_classes(noise(random, 0.0), PRESENT, experiments(current=random.normal(size=SAMPLES))) == []
+
+
+def test_bounds_of_the_places_hold() -> None:
+    random = np.random.default_rng(9)
+    above = [np.mean([p.value > p.high for p in where(noise(random, 0.0), PRESENT, experiments())]) for _ in range(200)]
+    assert 0.001 < np.mean(above) < 0.02
+    error = noise(random, 0.0)
+    error[:, :, 2] *= 1.5
+    worst = where(error, PRESENT, experiments())[0]
+    assert worst.label == "forced_2"
+    assert worst.value == pytest.approx(2.25, rel=0.2)
+
+
+def test_held_out_score_is_that_of_fits_without_each_experiment() -> None:
+    """For a linear model the step is exact, so it must equal real refits."""
+    random = np.random.default_rng(10)
+    matrices = random.normal(size=(5, 40, 3))
+    outputs = matrices @ np.array([1.0, -2.0, 0.5]) + random.normal(size=(5, 40))
+    whole = np.linalg.lstsq(matrices.reshape(-1, 3), outputs.ravel(), rcond=None)[0]
+    rests = outputs - matrices @ whole
+    factors = np.stack([np.linalg.qr(np.column_stack([-m, r]), mode="r") for m, r in zip(matrices, rests, strict=True)])
+    found = float(np.sum(-0.5 * np.sum(rests**2, axis=1) + held_out(factors, 3, range(3))))
+    expected = 0.0
+    for e in range(5):
+        others = [i for i in range(5) if i != e]
+        fitted = np.linalg.lstsq(matrices[others].reshape(-1, 3), outputs[others].ravel(), rcond=None)[0]
+        expected -= 0.5 * np.sum((outputs[e] - matrices[e] @ fitted) ** 2)
+    assert found == pytest.approx(expected, rel=1e-9)
+    only = np.where(np.arange(5)[:, None, None] == 2, factors, factors * np.array([1.0, 1.0, 0.0, 1.0]))
+    alone = held_out(only, 3, [2])  # one experiment alone tells of the third
+    assert np.isnan(alone[2])
+    assert np.isfinite(np.delete(alone, 2)).all()
+
+
+def test_vuong_of_equal_models_is_standard_normal() -> None:
+    random = np.random.default_rng(11)
+    blocks = np.arange(2000).reshape(-1, 1) // 20
+    z = [vuong(random.normal(size=(2000, 1)), random.normal(size=(2000, 1)), blocks, 0.0) for _ in range(400)]
+    assert np.std(z) == pytest.approx(1.0, abs=0.12)
+    assert abs(np.mean(z)) < 0.2
+    assert vuong(np.full((2000, 1), 0.1), random.normal(size=(2000, 1)), blocks, 0.0) > 2.0

@@ -1,0 +1,384 @@
+"""Prediction error against linear systems simulated here in plain NumPy and SciPy, and against the virtual rig."""
+
+import dataclasses
+
+import control as ct
+import numpy as np
+import pytest
+import scipy.linalg
+import scipy.signal
+
+import estimators as est
+import rtac_jax as rtac
+from rtac_jax.measurement import Experiment, Recording
+from rtac_jax.virtual_rig import Rig, record, standard_plans
+
+DT = 0.02
+NUMERATOR, DENOMINATOR = [2.0, 30.0], [1.0, 1.6, 110.0]
+POLE, ZERO = -0.8 + 1j * np.sqrt(110.0 - 0.64), -15.0
+A, B, C, _, _ = scipy.signal.cont2discrete(scipy.signal.tf2ss(NUMERATOR, DENOMINATOR), DT)
+RUNS = 200
+
+
+def respond(current, start=(0.0, 0.0)):
+    """Outputs of the held system for inputs [run, sample]."""
+    state = np.broadcast_to(np.asarray(start), (len(current), 2)).copy()
+    out = np.empty_like(current)
+    for n in range(current.shape[1]):
+        out[:, n] = state @ C[0]
+        state = state @ A.T + current[:, n : n + 1] * B[:, 0]
+    return out
+
+
+def recording(current, out, sample_time=DT, **options):
+    return Recording(
+        tuple(
+            Experiment.of(f"run_{i + 1}", kind="forced", sample_time=sample_time, current=u, cart_position=y, **options)
+            for i, (u, y) in enumerate(zip(current, out, strict=True))
+        )
+    )
+
+
+def simulated(noise, std, *, samples=2000, runs=RUNS, seed=0):
+    """Runs from different starts with the noise C(q)/D(q) e given."""
+    random = np.random.default_rng(seed)
+    current = random.standard_normal((runs, samples))
+    clean = respond(current, random.normal(0, 0.05, (runs, 2)))
+    white = std * random.standard_normal((runs, samples + 500))
+    return current, clean + scipy.signal.lfilter(*noise, white, axis=1)[:, 500:]
+
+
+# The sampled denominator of G, for structures in which noise passes through the same dynamics.
+SHARED = np.poly(scipy.linalg.eigvals(A)).real
+NOISES = {
+    "output_error": (([1.0], [1.0]), 0.1),
+    "box_jenkins": (([1.0, 0.5, 0.3], [1.0, -1.4, 0.6]), 0.03),
+    "armax": (([1.0, 0.4, 0.1], SHARED), 0.01),
+    "state_space": (([1.0, -0.6, 0.2], SHARED), 0.02),
+}
+
+
+@pytest.mark.parametrize("structure", NOISES)
+def test_known_systems_are_recovered_with_bands_that_hold(structure):
+    current, out = simulated(*NOISES[structure])
+    found = est.prediction_error(recording(current, out), structure=structure, compensate=False)
+    assert all(one.converged for one in found)
+    poles = np.array([one.poles[np.argmax(one.poles.imag)] for one in found])
+    std = np.array([one.poles_std[np.argmax(one.poles.imag)] for one in found])
+    away = np.stack([(poles - POLE).real, (poles - POLE).imag], axis=1) / std
+    # Of 400 normal numbers one lies beyond three on average; five or more do in one of 250 such tests.
+    assert np.sum(np.abs(away) > 3) <= 4
+    assert np.max(np.abs(away)) < 4.5
+    assert 0.92 < np.mean(np.abs(away) < 1.96) < 0.98
+    gains = np.array([(one.static_gain - 30 / 110) / one.static_gain_std for one in found])
+    zeros = np.array([(one.zeros[0].real - ZERO) / one.zeros_std[0, 0] for one in found])
+    assert 0.90 < np.mean(np.abs(gains) < 1.96) < 0.985
+    assert 0.90 < np.mean(np.abs(zeros) < 1.96) < 0.985
+    if structure != "output_error":
+        white = np.mean([one.residuals.white for one in found])
+        assert white > 0.95
+    assert np.mean([one.residuals.independent for one in found]) > 0.95
+
+
+def test_bands_of_the_response_hold_at_every_frequency():
+    current, out = simulated(*NOISES["box_jenkins"], samples=500, seed=1)
+    found = est.prediction_error(recording(current, out), structure="output_error", compensate=False)
+    omega = np.geomspace(1.0, 60.0, 12)
+    truth = np.polyval(NUMERATOR, 1j * omega) / np.polyval(DENOMINATOR, 1j * omega)
+    away = np.array([np.abs(one.response - truth) / one.radius(0.95) for one in found.responses(omega)])
+    # A disc for an error that is not circular holds nearly as often. Coloured noise is counted.
+    assert 0.9 < np.mean(away < 1) < 0.98
+    one = found[0]
+    response = found.responses(omega)[0].response
+    for system in (one.transfer_function(), one.state_space()):
+        np.testing.assert_allclose(np.asarray(system(1j * omega)), response, rtol=1e-9)
+    np.testing.assert_allclose(np.sort_complex(one.transfer_function().poles()), np.sort_complex(one.poles), rtol=1e-9)
+    assert isinstance(one.noise_model(), ct.TransferFunction)
+
+
+@pytest.fixture(scope="module")
+def different():
+    """Twenty conditions of different lengths, some with gaps, and noise of their own."""
+    random = np.random.default_rng(2)
+    current, out = simulated(([1.0, 0.5], [1.0, -0.9]), 0.03, samples=500, runs=20, seed=2)
+    experiments = []
+    for i, (u, y) in enumerate(zip(current, out, strict=True)):
+        samples = int(random.integers(300, 500))
+        y = y[:samples].copy()
+        if i % 4 == 0:
+            y[random.integers(0, samples, 20)] = np.nan
+        experiments.append(
+            Experiment.of(f"run_{i + 1}", kind="forced", sample_time=DT, current=u[:samples], cart_position=y)
+        )
+    return Recording(tuple(experiments))
+
+
+@pytest.mark.parametrize("structure", ["output_error", "armax"])
+def test_all_conditions_at_once_give_what_each_gives_alone(different, structure):
+    together = est.prediction_error(different, structure=structure, compensate=False)
+    for name in different.names:
+        alone = est.prediction_error(different.select([name]), structure=structure, compensate=False)[0]
+        np.testing.assert_allclose(together[name].values, alone.values, rtol=1e-8)
+        np.testing.assert_allclose(together[name].std, alone.std, rtol=1e-5)
+        np.testing.assert_allclose(together[name].noise_numerator, alone.noise_numerator, atol=1e-6)
+
+
+def test_predictions_over_any_horizon_are_those_of_the_difference_equation():
+    current, out = simulated(([1.0, 0.5, 0.3], [1.0, -1.4, 0.6]), 0.03, samples=400, runs=1)
+    one = est.prediction_error(recording(current, out), structure="box_jenkins", compensate=False)[0]
+    c, d = one.noise_numerator, one.noise_denominator
+    error = out[0] - one.predict(1)
+    disturbance = out[0] - one.simulated
+    # v = -d1 v(t-1) - ... + e + c1 e(t-1) + ..., run on from what is known, with errors to come at zero.
+    for horizon in (1, 2, 5):
+        for t in (50, 123, 399):
+            v, e = disturbance.copy(), error.copy()
+            e[t - horizon + 1 :] = 0
+            for n in range(t - horizon + 1, t + 1):
+                v[n] = -d[1] * v[n - 1] - d[2] * v[n - 2] + c[1] * e[n - 1] + c[2] * e[n - 2]
+            assert one.predict(horizon)[t] == pytest.approx(one.simulated[t] + v[t], abs=1e-10)
+    fits = [one.fit_percent(k) for k in (1, 2, 5, 20, None)]
+    assert fits == sorted(fits, reverse=True)
+    assert np.std(error) == pytest.approx(one.innovation_std, rel=0.05)
+    with pytest.raises(ValueError, match="horizon"):
+        one.predict(0)
+
+
+@pytest.mark.parametrize("hold", ["zoh", "foh", "bl"])
+def test_the_input_between_samples_is_counted(hold):
+    random = np.random.default_rng(3)
+    fine, samples = 20, 1500
+    if hold == "zoh":
+        slow = random.standard_normal(samples)
+        fast = np.repeat(slow, fine)
+    else:
+        # Smooth enough that straight lines, or a spline, are what the input does.
+        time = np.arange(samples * fine) * DT / fine
+        omega, phase = random.uniform(2, 40, 30), random.uniform(0, 6.28, 30)
+        fast = np.sin(omega * time[:, None] + phase).sum(axis=1)
+        slow = fast[::fine]
+        if hold == "foh":
+            fast = np.interp(time, time[::fine], slow)
+    kind = "zoh" if hold == "zoh" else "foh"
+    a, b, c, d, _ = scipy.signal.cont2discrete(scipy.signal.tf2ss(NUMERATOR, DENOMINATOR), DT / fine, method=kind)
+    out = scipy.signal.dlsim((a, b, c, d, DT / fine), fast[:, None])[1][::fine, 0]
+    noisy = out + 1e-3 * random.standard_normal(samples)
+    found = est.prediction_error(
+        recording(slow[None], noisy[None], intersample=hold), structure="output_error", compensate=False
+    )[0]
+    upper = int(np.argmax(found.poles.imag))
+    assert abs((found.poles[upper] - POLE).real) < 3.5 * found.poles_std[upper, 0]
+    assert abs((found.poles[upper] - POLE).imag) < 3.5 * found.poles_std[upper, 1]
+    assert abs(found.zeros[0].real - ZERO) < 3.5 * found.zeros_std[0, 0]
+
+
+TWO = ([2.0, 8.0, 900.0, 9000.0], np.convolve([1.0, 1.6, 110.0], [1.0, 2.4, 1400.0]))
+
+
+def two_modes(runs=6, samples=1500):
+    random = np.random.default_rng(4)
+    current = random.standard_normal((runs, samples))
+    a, b, c, d, _ = scipy.signal.cont2discrete(scipy.signal.tf2ss(*TWO), DT)
+    out = np.stack([scipy.signal.dlsim((a, b, c, d, DT), u[:, None])[1][:, 0] for u in current])
+    return recording(current, out + 0.05 * random.standard_normal(out.shape))
+
+
+def test_the_search_finds_as_many_modes_as_there_are():
+    found = est.prediction_error(two_modes(), structure="output_error", modes="search", compensate=False)
+    assert found.structure.modes == 2
+    assert set(found.searched) == {1, 2, 3}
+    truth = np.sort_complex(np.roots(TWO[1]))
+    for one in found:
+        order = np.argsort([np.argmin(np.abs(truth - p)) for p in one.poles])
+        away = (one.poles[order] - truth).imag / one.poles_std[order, 1]
+        assert np.max(np.abs(away)) < 4
+    one_mode = est.prediction_error(two_modes(), structure="output_error", modes=1, compensate=False)
+    assert not any(one.residuals.independent for one in one_mode)
+    assert "raise modes" in one_mode.verdict
+    assert "BIC" in str(found)
+    again = est.prediction_error(
+        two_modes(), structure="output_error", modes=2, compensate=False, start=ct.tf([1.0], TWO[1])
+    )
+    np.testing.assert_allclose([o.values for o in again], [o.values for o in found], rtol=1e-5)
+
+
+def test_zeros_as_many_as_asked_for():
+    random = np.random.default_rng(5)
+    current = random.standard_normal((3, 800))
+    for zeros, top in ((0, [30.0]), (2, [0.3, 2.0, 30.0])):
+        a, b, c, d, _ = scipy.signal.cont2discrete(scipy.signal.tf2ss(top, DENOMINATOR), DT)
+        out = np.stack([scipy.signal.dlsim((a, b, c, d, DT), u[:, None])[1][:, 0] for u in current])
+        data = recording(current, out + 0.01 * random.standard_normal(out.shape))
+        found = est.prediction_error(data, structure="output_error", zeros=zeros, compensate=False)
+        for one in found:
+            assert len(one.zeros) == zeros
+            assert abs(one.static_gain - 30 / 110) < 4 * one.static_gain_std
+            truth = np.roots(top)
+            if zeros:
+                assert np.max(np.abs(np.sort(one.zeros.imag) - np.sort(truth.imag)) / one.zeros_std[:, 1]) < 4
+
+
+def drifting(slope, seed=6):
+    """Twelve conditions whose natural frequency falls with the amplitude, in an order that has nothing to do with it."""
+    random = np.random.default_rng(seed)
+    sizes = random.permutation(np.linspace(0.5, 2.0, 12))
+    experiments = []
+    for i, size in enumerate(sizes):
+        current = size * random.standard_normal(1500)
+        system = scipy.signal.tf2ss(NUMERATOR, [1.0, 1.6, 110.0 * (1 - slope * size) ** 2])
+        a, b, c, d, _ = scipy.signal.cont2discrete(system, DT)
+        out = scipy.signal.dlsim((a, b, c, d, DT), current[:, None])[1][:, 0] + 0.05 * random.standard_normal(1500)
+        experiments.append(
+            Experiment.of(f"run_{i + 1}", kind="forced", sample_time=DT, current=current, cart_position=out)
+        )
+    return est.prediction_error(Recording(tuple(experiments)), structure="output_error", compensate=False)
+
+
+def test_a_drift_is_found_and_named():
+    found = drifting(0.02)
+    test = found.equality()
+    assert not test.equal
+    assert test.drifting[0] == "natural frequency"
+    trend = test.best_trend("natural frequency")
+    assert trend is not None
+    assert trend.covariate == "amplitude"
+    assert trend.share > 0.8
+    # 0.02 of 10.5 rad/s over inputs from 0.5 to 2; the output's rms grows a little less evenly.
+    assert trend.slope == pytest.approx(-0.02 * 1.5 * np.sqrt(110), rel=0.2)
+    assert "drifts with the amplitude" in str(test)
+    assert "drifts" in test.plot()._suptitle.get_text()
+    assert found.plot()._suptitle.get_text()
+
+
+def test_equal_conditions_are_called_equal_as_often_as_said():
+    p_values = np.array([drifting(0.0, seed).equality().p_value for seed in range(10)])
+    # Uniform between 0 and 1.
+    assert np.min(p_values) > 1e-3
+    assert 0.2 < np.mean(p_values) < 0.8
+    few = drifting(0.0)
+    with pytest.raises(ValueError, match="at least three"):
+        dataclasses.replace(few, models=few.models[:2]).equality()
+
+
+def test_an_envelope_takes_responses_and_systems():
+    found = drifting(0.02)
+    omega = np.geomspace(2.0, 50.0, 60)
+    covering = est.envelope(found.responses(omega), order_nominal=2)
+    assert np.all(covering.covers(found.responses(omega)))
+    assert np.all(covering.covers(found.transfer_functions(), omega))
+
+
+def refused(current, out, **options):
+    with pytest.raises(ValueError, match=r"\w") as caught:
+        est.prediction_error(recording(current, out), compensate=False, **options)
+    message = str(caught.value)
+    assert "\n" not in message
+    assert message.rstrip().endswith(".")
+    return message
+
+
+def test_what_cannot_be_fitted_is_refused_in_one_sentence():
+    random = np.random.default_rng(7)
+    current, out = simulated(([1.0], [1.0]), 0.1, samples=100, runs=1)
+    # Box-Jenkins with one mode: two poles, one zero and a gain, C and D of order two, two states each of G and H.
+    message = refused(current[:, :12], out[:, :12])
+    assert "12 samples" in message
+    assert "at least 13" in message
+    assert est.prediction_error(recording(current[:, :13], out[:, :13]), compensate=False)[0].structure.count == 12
+    assert "unstable" in refused(current, out, start=ct.tf([1.0], [1.0, -0.1, 110.0]))
+    assert "all samples are 1" in refused(current, np.ones_like(out))
+    assert "current is constant" in refused(np.ones_like(current), out)
+    one_line = np.sin(2 * np.pi * 5 * np.arange(100) / 100)[None]
+    assert "at 1 frequencies only" in refused(one_line, out)
+    assert "modes" in refused(current, out, modes=7)
+    assert "structure" in refused(current, out, structure="arx")
+    assert "zeros" in refused(current, out, zeros=4)
+    assert "noise_order" in refused(current, out, structure="armax", noise_order=3)
+    turned = recording(current, out, initial_arm_angle=np.pi / 2)
+    with pytest.raises(ValueError, match="excitation vanishes"):
+        est.prediction_error(turned, angles={"run_1": np.full(100, np.pi / 2)})
+    missing = out.copy()
+    missing[0, random.integers(0, 100, 5)] = np.nan
+    assert est.prediction_error(recording(current, missing), structure="output_error", compensate=False)[0].converged
+
+
+def test_as_good_as_a_subspace_method_on_the_same_data():
+    """Errors of the pole over 40 runs beside those of N4SID, which is the start of many toolboxes."""
+    pandas = pytest.importorskip("pandas")
+    nfoursid = pytest.importorskip("nfoursid.nfoursid")
+    current, out = simulated(*NOISES["state_space"], runs=40, seed=8)
+    found = est.prediction_error(recording(current, out), structure="state_space", compensate=False)
+    ours = np.array([one.poles[np.argmax(one.poles.imag)] - POLE for one in found])
+    theirs = []
+    for u, y in zip(current, out, strict=True):
+        fit = nfoursid.NFourSID(pandas.DataFrame({"u": u, "y": y}), ["y"], ["u"], num_block_rows=15)
+        fit.subspace_identification()
+        system, _ = fit.system_identification(rank=2)
+        poles = np.log(np.linalg.eigvals(system.a).astype(complex)) / DT
+        theirs.append(poles[np.argmax(poles.imag)] - POLE)
+    size = [float(np.sqrt(np.mean(np.abs(errors) ** 2))) for errors in (ours, np.array(theirs))]
+    print(f"root mean square error of the pole [rad/s]: prediction error {size[0]:.4f}, N4SID {size[1]:.4f}")
+    assert size[0] <= size[1]
+
+
+@pytest.fixture(scope="module")
+def shaken():
+    """A rig without dry friction under random forces and torques, its truth, and the model's values when nothing is known."""
+    rig = Rig(encoder=True, cart_coulomb=0.0, force_noise=0.01, torque_noise=5e-5)
+    plans = standard_plans(seed=1, sample_time=0.01, duration=8.0, free=3, forced=4, rest=1)
+    data = record(rig, plans, seed=2)
+    truth = {
+        "spring_stiffness": rig.spring_stiffness,
+        "cart_viscous.coefficient": rig.cart_viscous,
+        "eccentric_moment": rig.eccentric_moment,
+        "torque_constant": rig.torque_constant,
+        "arm_viscous.positive": rig.arm_viscous_positive,
+        "arm_viscous.negative": rig.arm_viscous_negative,
+    }
+    return data, rtac.RTAC.from_rig(data).without("cart_coulomb"), truth, rig
+
+
+def away(fit, truth):
+    return {name: (fit.parameters[name].value - value) / fit.parameters[name].std for name, value in truth.items()}
+
+
+def test_random_forces_do_not_bend_the_physics(shaken):
+    data, model, truth, rig = shaken
+    simulated_fit = est.output_error(model, data, progress=False)
+    found = est.prediction_error_nonlinear(model, data, progress=False)
+    # Of what is fitted by simulation, at least one parameter is farther off than ten of its standard deviations.
+    assert max(abs(x) for x in away(simulated_fit, truth).values()) > 10
+    assert max(abs(x) for x in away(found, truth).values()) < 3
+    assert found.force_noise == pytest.approx(rig.force_noise, rel=0.15)
+    assert found.torque_noise == pytest.approx(rig.torque_noise, rel=0.15)
+    assert found.noise["arm_angle"] == pytest.approx(rig.angle_noise, rel=0.1)
+    assert np.mean([w.p_value > 0.01 for w in found.whiteness]) > 0.9
+    assert all(0.8 < w.rms < 1.2 for w in found.whiteness)
+    assert "white" in str(found)
+    assert "white" in found.plot()._suptitle.get_text()
+
+
+def test_a_parameter_of_each_condition_beside_shared_ones(shaken):
+    data, model, truth, _ = shaken
+    found = est.prediction_error_nonlinear(
+        model.each_experiment("cart_viscous.coefficient"), data, progress=False, from_model=True
+    )
+    values = np.asarray(found.model["cart_viscous.coefficient"])
+    std = found.each_std["cart_viscous.coefficient"]
+    assert values.shape == std.shape == (7,)
+    sigmas = (values - truth["cart_viscous.coefficient"]) / std
+    assert np.max(np.abs(sigmas)) < 3.5
+    # Seven values of one truth: their chi-square lies within its 99.8 % range.
+    assert 0.6 < np.sum(sigmas**2) < 24.3
+    shared = {name: value for name, value in truth.items() if name != "cart_viscous.coefficient"}
+    assert max(abs(x) for x in away(found, shared).values()) < 3
+    assert "cart_viscous.coefficient in forced_1" in str(found)
+
+
+def test_nothing_to_fit_is_refused(shaken):
+    data, model, _, _ = shaken
+    with pytest.raises(ValueError, match="no free parameter"):
+        est.prediction_error_nonlinear(model.fix(*model.free), data)
+    resting = data.select([e.name for e in data if e.kind == "rest"])
+    with pytest.raises(ValueError, match="rest records only"):
+        est.prediction_error_nonlinear(model, resting)

@@ -222,7 +222,7 @@ def _untold(
     if _gain(before, tried[other]) < _RIVAL * _gain(before, tried[best]):
         return False
     price = 0.5 * (len(tried[best].free) - len(tried[other].free)) * float(np.log(search.samples))
-    return vuong(tried[best].by_sample, tried[other].by_sample, search.stretches(), price) < _VUONG
+    return bool(vuong(tried[best].by_sample, tried[other].by_sample, search.stretches(), price) < _VUONG)
 
 
 def _candidates(

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 _FIRST, _LEAST, _MOST = 1e-3, 1e-11, 1e12  # damping, relative to the sensitivities
-_EXACT = 1e-13  # predicted decrease relative to the cost
+_EXACT = 1e-15  # predicted decrease relative to the cost
 _ENOUGH = 1e-4  # in a log-likelihood: no unknown would move by a fiftieth of its standard deviation
 _PATIENCE = 25  # steps after which enough is enough, as where unknowns trade against each other
 

@@ -99,7 +99,10 @@ class Equality:
     def verdict(self) -> str:
         """In words: equal or not, which quantity drifts, and with what."""
         if self.equal:
-            return f"The {len(self.conditions)} conditions have one set of parameters, as far as these data tell (p = {self.p_value:.2g})."
+            return (
+                f"The {len(self.conditions)} conditions have one set of parameters, as far as these data tell "
+                f"(p = {self.p_value:.2g})."
+            )
         said = [f"The conditions differ (chi-square {self.chi_square:.0f} on {self.freedom}, p = {self.p_value:.2g})."]
         for name in self.drifting[:3]:
             place = self.names.index(name)

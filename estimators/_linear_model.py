@@ -120,8 +120,9 @@ class LinearModel:
         value, slope = self.unknowns.response(omega)
         std = np.sqrt(np.einsum("rfp,pq,rfq->f", slope, self.unknowns.covariance, slope))
         found = value[0] + 1j * value[1]
+        as_it_is: Any = False
         frequency, density = scipy.signal.welch(
-            self.signal, 1 / self.sample_time, detrend=False, nperseg=min(1024, len(self.signal))
+            self.signal, 1 / self.sample_time, detrend=as_it_is, nperseg=min(1024, len(self.signal))
         )
         into = np.interp(omega, 2 * np.pi * frequency, density)
         z = np.exp(1j * omega * self.sample_time)
@@ -189,9 +190,9 @@ class Unknown:
     covariance: Float[np.ndarray, "unknown unknown"]
     scale: Scale
 
-    def sections(self) -> Sections:
-        """G's sections, as NumPy arrays."""
-        return Sections(*(np.asarray(x) for x in _sections(self.structure, jnp.asarray(self.theta), self.scale)))
+    def sections(self) -> Any:
+        """G's `Sections`, as NumPy arrays."""
+        return jax.tree.map(np.asarray, _sections(self.structure, jnp.asarray(self.theta), self.scale))
 
     def numerator(self) -> Float[np.ndarray, " power"]:
         """Falling powers; the leading coefficients that are zero by structure are left out."""

@@ -91,24 +91,26 @@ class Rows(NamedTuple):
 
 
 @eqx.filter_jit
-def rows(structure: Structure, theta: Float[Array, "condition unknown"], data: Signals) -> Rows:
+def rows(structure: Structure, theta: Float[Array | np.ndarray, "condition unknown"], data: Signals) -> Rows:
     """Prediction errors and Jacobian at these unknowns."""
 
     def of_one(at: Array, one: Signals) -> Rows:
         return Rows(_errors(structure, at, one), jax.jacfwd(lambda t: _errors(structure, t, one))(at))
 
-    return jax.vmap(of_one)(theta, data)
+    return jax.vmap(of_one)(jnp.asarray(theta), data)
 
 
 @eqx.filter_jit
-def tracks(structure: Structure, theta: Float[Array, "condition unknown"], data: Signals) -> tuple[Track, Sampled]:
+def tracks(
+    structure: Structure, theta: Float[Array | np.ndarray, "condition unknown"], data: Signals
+) -> tuple[Track, Sampled]:
     """The predictors and what they show, in the output's unit."""
 
     def of_one(at: Array, one: Signals) -> tuple[Track, Sampled]:
         model = _sampled(structure, at, one)
         return track(model, one), model
 
-    return jax.vmap(of_one)(theta, data)
+    return jax.vmap(of_one)(jnp.asarray(theta), data)
 
 
 class Solved(NamedTuple):

@@ -126,4 +126,4 @@ def backward_coloured(
     columns: Float[np.ndarray, "sample *column"], whitening: Float[np.ndarray, " order"]
 ) -> Float[np.ndarray, "sample *column"]:
     """The transpose of the colouring filter 1 / whitening applied: backwards in time."""
-    return scipy.signal.lfilter([1.0], whitening, columns[::-1], axis=0)[::-1]
+    return np.asarray(scipy.signal.lfilter([1.0], whitening, columns[::-1], axis=0))[::-1]

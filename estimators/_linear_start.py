@@ -75,7 +75,7 @@ def next_pair(
         slope = s / np.sqrt(a0) * section
         # [pair column line]: numerator b and c, and the same two of the transient
         found = np.stack([section * u / size, slope * u / size, section + 0j, slope + 0j], axis=1)
-        return np.concatenate([found.real, found.imag], axis=2)
+        return np.concatenate([np.real(found), np.imag(found)], axis=2)
 
     target = np.concatenate([y.real, y.imag])
     beside = [columns(known).reshape(-1, len(target))] if known else []

@@ -382,3 +382,15 @@ def test_nothing_to_fit_is_refused(shaken):
     resting = data.select([e.name for e in data if e.kind == "rest"])
     with pytest.raises(ValueError, match="rest records only"):
         est.prediction_error_nonlinear(model, resting)
+
+
+@pytest.mark.slow
+@pytest.mark.xfail(
+    strict=True, reason="the filter is linear along its estimate, which makes dry friction come out too low"
+)
+def test_random_forces_do_not_bend_dry_friction():
+    """The target, not reached: measured -3.6 standard deviations for its level; the others are within 3."""
+    rig = Rig(encoder=True, force_noise=0.005, torque_noise=5e-5)
+    data = record(rig, standard_plans(seed=1, sample_time=0.01, duration=8.0, free=3, forced=4, rest=1), seed=1)
+    found = est.prediction_error_nonlinear(rtac.RTAC.from_rig(data), data, progress=False)
+    assert max(abs(x) for x in away(found, {"cart_coulomb.level": rig.cart_coulomb}).values()) < 3

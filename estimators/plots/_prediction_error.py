@@ -54,7 +54,8 @@ def plot_prediction_error(found: "LinearModels", omega: Float[np.ndarray, " freq
     sound = sum(one.residuals.white and one.residuals.independent for one in found)
     kind = found.structure.kind.replace("_", " ")
     title(
-        figure, f"{len(found)} conditions, {kind} with {found.structure.modes} mode(s): residuals of {sound} are chance"
+        figure,
+        f"{len(found)} conditions, {kind} with {found.structure.modes} mode(s): the residuals of {sound} are mere chance",
     )
     return figure
 

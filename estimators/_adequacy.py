@@ -22,9 +22,10 @@ class Evidence:
     Attributes:
         test: "repeats", "named effects", "static force", "delayed force" or "spectral line".
         p_value: by chance, with everything counted that the test tried.
-        excess: what the test finds beyond chance, in units of twice the log-likelihood.
+        excess: what the test finds beyond chance, in units of twice the log-likelihood; repeats give a ratio instead.
         level: p-value below which it rejects.
         words: what it says.
+        ratio: of model error with noise to noise alone, where repeats tell; NaN for other tests.
     """
 
     test: str
@@ -32,6 +33,7 @@ class Evidence:
     excess: float
     level: float
     words: str
+    ratio: float = float("nan")
 
     @property
     def rejects(self) -> bool:
@@ -67,7 +69,7 @@ def evidence(
             (
                 "repeats",
                 repeats.p_value,
-                repeats.excess,
+                0.0,
                 f"what the {repeats.repeats} repeats share is {repeats.ratio:.2f} times what noise alone would leave",
             )
         )
@@ -112,9 +114,22 @@ def evidence(
                 "around it",
             )
         )
-    return tuple(Evidence(name, p, excess, LEVEL / len(found), words) for name, p, excess, words in found)
+    ratios = {"repeats": repeats.ratio} if repeats is not None else {}
+    return tuple(
+        Evidence(name, p, excess, LEVEL / len(found), words, ratios.get(name, float("nan")))
+        for name, p, excess, words in found
+    )
 
 
 def excess_of(tests: Sequence[Evidence]) -> float:
     """The most that any rejecting test finds beyond chance; zero where none rejects."""
     return max((e.excess for e in tests if e.rejects), default=0.0)
+
+
+def removed_by_repeats(before: Sequence[Evidence], after: Sequence[Evidence]) -> float:
+    """Share of the model error that repeats show before and no longer after; 1 where they show none before."""
+    first = next((e for e in before if e.test == "repeats" and e.rejects), None)
+    last = next((e for e in after if e.test == "repeats"), None)
+    if first is None or last is None:
+        return 1.0
+    return 1.0 - max(last.ratio - 1.0, 0.0) / (first.ratio - 1.0)

@@ -17,7 +17,7 @@ from estimators._output_error import Fit
 from estimators._screen import Screened
 from estimators._search import Refit, Search, Tested, correlations
 from estimators._selection import vuong
-from estimators._verdict import Verdict, judge, words
+from estimators._verdict import Verdict, judge, surer, words
 from estimators._where import Place
 from rtac_jax import require_configured
 from rtac_jax._parameter import declarations
@@ -46,7 +46,7 @@ class Diagnosis:
         left: the same tests after the additions.
         removed: share of the misfit that the additions remove.
         curves: missing force at each port against each variable, best first.
-        latent: missing force at each port in time; empty where the model is adequate.
+        latent: missing force at each port in time, where the verdict is unknown.
         places: where the innovations are too large, worst first.
         lines: innovations by class of spectral line, where an input is periodic.
         random_force, random_torque: what the predictor of the base model needs, as shares of the rms forces.
@@ -154,11 +154,11 @@ def diagnose(
         )
         additions = tuple(search.effect(step.id, final) for step in steps) if accepted else ()
         places = search.places(base)
-        latent = search.latent(base) if verdict != "adequate" else ()
+        latent = search.latent(base) if verdict == "unknown" else ()
         predictor = base.predictor
         explanation = words(
             verdict, effects, all_candidates, steps, tested.tests, left, removed, tested.curves, latent, places
-        )
+        ) + surer(verdict, recording)
     return Diagnosis(
         verdict, effects, additions, tuple(all_candidates), tested.tests, left if steps else tested.tests, removed,
         tested.curves, latent, places, search.lines(base), predictor.random_force, predictor.random_torque,

@@ -20,14 +20,12 @@ class RepeatTest:
         ratio: mean square of what all repeats share over that of their differences; one where the model is right.
         freedom: degrees of freedom of both, as the autocorrelation of the differences leaves them.
         p_value: of so large a ratio by chance.
-        excess: of the shared part over chance, in units of twice the log-likelihood.
         repeats: number of experiments.
     """
 
     ratio: float
     freedom: tuple[float, float]
     p_value: float
-    excess: float
     repeats: int
 
 
@@ -67,7 +65,7 @@ def repeat_test(innovations: np.ndarray, present: np.ndarray, experiments: Seque
         return None
     ratio = shared / between
     p_value = float(fisher.sf(ratio, above, below))
-    return RepeatTest(ratio, (above, below), p_value, max(ratio - 1.0, 0.0) * above, members)
+    return RepeatTest(ratio, (above, below), p_value, members)
 
 
 def _effective(apart: np.ndarray) -> float:

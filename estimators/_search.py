@@ -253,9 +253,9 @@ class Search:
         """The missing force in time."""
         probed = self._innovations(refit, [], [])
         scales = scales_of(self.fit.model, self.experiments)
-        empty = jnp.zeros((0, self.data.experiments))
+        physical = (probed.space.values, refit.predictor.physical[1], probed.space.start)
         return latent_forces(
-            probed.model, self.data, probed.space, (probed.space.values, empty, probed.space.start), probed.gain,
+            probed.model, self.data, probed.space, physical, probed.gain,
             self.substeps, self.experiments,
             sensor_variance=np.exp(refit.predictor.noise[2:]) * self.prior.sensor**2,
             force=scales.force, torque=scales.torque, frequency=scales.frequency,
@@ -395,12 +395,15 @@ def _can_show(effect: type[Effect], experiments: Sequence[Experiment]) -> bool:
 
 def correlations(screened: Mapping[str, Screened]) -> dict[str, dict[str, float]]:
     """Largest cosine between what each two candidates would change."""
-    bases = {name: orthonormal(s.templates) for name, s in screened.items()}
-    found: dict[str, dict[str, float]] = {name: {} for name in screened}
-    for a, qa in bases.items():
-        for b, qb in bases.items():
-            if a < b:
-                shown = qa.size and qb.size and np.any(qa) and np.any(qb)
-                value = float(np.linalg.svd(qa.T @ qb, compute_uv=False)[0]) if shown else 0.0
+    bases = {name: orthonormal(s.templates) for name, s in screened.items() if np.any(s.templates)}
+    edges = np.cumsum([0, *(basis.shape[1] for basis in bases.values())])
+    whole = np.concatenate(list(bases.values()), axis=1) if bases else np.zeros((0, 0))
+    products = whole.T @ whole
+    found: dict[str, dict[str, float]] = {name: {o: 0.0 for o in screened if o != name} for name in screened}
+    for i, a in enumerate(bases):
+        for j, b in enumerate(bases):
+            if i < j:
+                block = products[edges[i] : edges[i + 1], edges[j] : edges[j + 1]]
+                value = float(np.linalg.norm(block, 2)) if block.size else 0.0
                 found[a][b] = found[b][a] = value
     return found

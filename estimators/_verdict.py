@@ -4,11 +4,12 @@ import math
 from collections.abc import Sequence
 from typing import Literal
 
-from estimators._adequacy import Evidence, excess_of
+from estimators._adequacy import Evidence, excess_of, removed_by_repeats
 from estimators._candidate import Candidate, Step
 from estimators._force_curve import ForceCurve
 from estimators._latent_force import LatentForce
 from estimators._where import Place
+from rtac_jax.measurement import Recording
 
 Verdict = Literal["adequate", "missing", "ambiguous", "unknown"]
 
@@ -24,7 +25,7 @@ def judge(steps: Sequence[Step], tests: Sequence[Evidence], left: Sequence[Evide
     if not steps:
         return ("unknown" if any(test.rejects for test in tests) else "adequate"), 0.0
     gained, missing = sum(step.gain for step in steps), excess_of(left)
-    removed = gained / (gained + missing)
+    removed = min(gained / (gained + missing), removed_by_repeats(tests, left))
     if removed < _FOUND:
         return "unknown", removed
     return ("ambiguous" if any(step.rivals for step in steps) else "missing"), removed
@@ -79,8 +80,21 @@ def words(
     groups = "; ".join(f"{step.id} or {', '.join(step.rivals)}" for step in steps if step.rivals)
     return (
         f"Ambiguous: the data cannot tell {groups} apart. The best fit: {text}.{share}{shown} An experiment that separates "
-        "them would decide."
+        "them would decide (est.next_experiment)."
     )
+
+
+def surer(verdict: Verdict, recording: Recording) -> str:
+    """What would make the verdict surer: records that this recording lacks."""
+    lacking = []
+    if not any(e.kind == "rest" for e in recording.experiments):
+        lacking.append("a rest record of two seconds, which tells the noise and its colour apart from the motion")
+    if not any(e.repeat_of for e in recording.experiments):
+        lacking.append("a repeat of one experiment (repeat_of), which shows model error whatever the noise is")
+    if not lacking:
+        return ""
+    surer = "A missing effect would show more surely" if verdict == "adequate" else "It would be surer"
+    return f" {surer} with {', and '.join(lacking)}."
 
 
 def _unknown(

@@ -12,7 +12,7 @@ from estimators._linear_predictor import Signals
 from estimators._linear_structure import Scale, Structure
 from estimators._noise import filled
 from rtac_jax import RTAC
-from rtac_jax._excitation import _coefficients
+from rtac_jax._excitation import coefficients
 from rtac_jax.measurement import INPUTS, OUTPUTS, Experiment, Recording, Signal
 
 _STRIDE = 256  # lengths are rounded up to multiples of this, so that near lengths share compiled functions
@@ -100,7 +100,7 @@ def require_enough(
 def stacked(raw: Sequence[Raw], present: Sequence[np.ndarray]) -> Signals:
     """All conditions padded to one length."""
     longest = -(-max(len(one.output) for one in raw) // _STRIDE) * _STRIDE
-    parts = [_coefficients(Signal(one.input, "A", one.intersample)) for one in raw]
+    parts = [coefficients(Signal(one.input, "A", one.intersample)) for one in raw]
     powers = max(part.shape[1] for part in parts)
     into = np.zeros((len(raw), longest, powers))
     out, here = np.zeros((len(raw), longest)), np.zeros((len(raw), longest))

@@ -57,7 +57,7 @@ def _stack(experiments: Sequence[Experiment], channel: str) -> Array | None:
     signals = [e.inputs.get(channel) for e in experiments]
     if not any(signal is not None and np.any(signal.values) for signal in signals):
         return None
-    parts = [None if signal is None else _coefficients(signal) for signal in signals]
+    parts = [None if signal is None else coefficients(signal) for signal in signals]
     powers = max(part.shape[1] for part in parts if part is not None)
     stacked = np.zeros((max(e.samples for e in experiments), powers, len(experiments)))
     for column, part in enumerate(parts):
@@ -66,7 +66,7 @@ def _stack(experiments: Sequence[Experiment], channel: str) -> Array | None:
     return jnp.asarray(stacked)
 
 
-def _coefficients(signal: Signal) -> Float[np.ndarray, "sample power"]:
+def coefficients(signal: Signal) -> Float[np.ndarray, "sample power"]:
     """Rising powers of the fraction of the interval that follows each sample; the last interval holds its value."""
     values = signal.values
     if signal.intersample == "zoh":

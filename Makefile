@@ -18,10 +18,10 @@ test: $(STAMP)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
-	MPLBACKEND=agg $(BIN)/python -m pytest
+	MPLBACKEND=agg $(BIN)/python -m pytest -n 2 --dist loadfile
 
 test-slow: $(STAMP)
-	MPLBACKEND=agg $(BIN)/python -m pytest -m slow
+	MPLBACKEND=agg $(BIN)/python -m pytest -n 2 --dist loadfile -m slow
 
 lint: $(STAMP)
 	$(BIN)/ruff check --fix .
@@ -30,6 +30,7 @@ lint: $(STAMP)
 
 bench: $(STAMP)
 	$(BIN)/python benchmarks/bench_simulation.py
+	$(BIN)/python benchmarks/bench_prediction_error.py
 
 notebooks: $(STAMP)
 	for f in notebooks/*.ipynb; do $(BIN)/python -m jupyter execute --inplace $$f || exit 1; done

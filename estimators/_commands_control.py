@@ -2,6 +2,7 @@
 
 import os
 import secrets
+from collections.abc import Sequence
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
@@ -11,11 +12,11 @@ import typer
 from estimators._job import WRONG_USE, Job, job, say, stop
 from estimators._options import File, Json, Out, Validation
 
-Order = Annotated[int, typer.Option(min=1, max=12, help="Poles of the nominal model.")]
+_ORDERS = (2, 4)  # of nominal models that `control` tries: one mode, and the paper's two
 WeightOrder = Annotated[int, typer.Option(min=0, max=8, help="Poles and zeros of the uncertainty weight.")]
 Band = Annotated[
     str | None,
-    typer.Option(metavar="LOW,HIGH", help="Band [Hz]; by default where all currents have energy.", show_default=False),
+    typer.Option(metavar="LOW,HIGH", help="Band in Hz; by default where all currents have energy.", show_default=False),
 ]
 
 
@@ -30,7 +31,7 @@ class Kind(StrEnum):
 
 def envelope(
     file: File,
-    order: Order = 4,
+    order: Annotated[int, typer.Option(min=1, max=12, help="Poles of the nominal model.")] = 4,
     weight_order: WeightOrder = 2,
     kind: Annotated[Kind, typer.Option(help="What the uncertainty does to the nominal model.")] = (
         Kind.MULTIPLICATIVE_OUTPUT
@@ -45,7 +46,7 @@ def envelope(
     with job(file, validation, out, json) as work:
         from estimators import _control_report as texts
 
-        used, found = _enveloped(work, between, order, weight_order, kind.value)
+        used, (found,) = _enveloped(work, between, [order], weight_order, kind.value)
         conditions, sources = texts.conditions_table(found, used.responses), texts.sources_table(found)
         models, said = texts.models_table(found), texts.remarks(found, used)
         say(found, *said[1:], conditions, sources)  # the envelope states its coverage itself
@@ -75,12 +76,20 @@ def envelope(
 
 def control(
     file: File,
-    order: Order = 4,
+    order: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            max=12,
+            show_default=False,
+            help="Poles of the nominal model; by default 2 and 4 are tried, and the better controller is kept.",
+        ),
+    ] = None,
     weight_order: WeightOrder = 2,
     displacement: Annotated[
-        float, typer.Option(metavar="MM", help="From which the cart is to be brought to rest [mm].")
+        float, typer.Option(metavar="MM", help="From which the cart is to be brought to rest, in mm.")
     ] = 15.0,
-    torque_limit: Annotated[float, typer.Option(metavar="NM", help="Of the motor [N m].")] = 0.1,
+    torque_limit: Annotated[float, typer.Option(metavar="NM", help="Of the motor, in N m.")] = 0.1,
     band: Band = None,
     validation: Validation = None,
     out: Out = None,
@@ -96,7 +105,8 @@ def control(
         from estimators import _report
         from estimators._control_design import design
 
-        used, found = _enveloped(work, between, order, weight_order, "multiplicative_output")
+        orders = _ORDERS if order is None else (order,)
+        used, found = _enveloped(work, between, orders, weight_order, "multiplicative_output", for_control=True)
         sample_time = work.recording[used.responses[0].name].sample_time
         fit = work.fitted(work.model())
         made = design(
@@ -136,23 +146,48 @@ def control(
             ("The envelope", [*texts.remarks(made.covered, used), texts.models_table(made.covered)]),
             ("The nonlinear model", ["It was fitted to the same recording.", errors, parameters]),
         ]
-        work.write_report(f"Controller for {work.file}", figures, sections, split=_sides(found))
+        work.write_report(f"Controller for {work.file}", figures, sections, split=_sides(made.covered))
 
 
 def _enveloped(
-    work: Job, band: tuple[float, float] | None, order: int, weight_order: int, kind: str
-) -> tuple[Any, Any]:
+    work: Job,
+    band: tuple[float, float] | None,
+    orders: Sequence[int],
+    weight_order: int,
+    kind: str,
+    *,
+    for_control: bool = False,
+) -> tuple[Any, list[Any]]:
+    """Responses, and an envelope for each order; one that cannot be is left out as long as another can.
+
+    For control the nominal model keeps closest to the responses where they are large, as limited torque does nothing
+    elsewhere; and unless they were named, none is held out: a held-out condition raises the weight at all frequencies alike,
+    which costs more than what could then be said of new ones.
+    """
+    import numpy as np
+
     import estimators as est
     from estimators._usable_conditions import usable_conditions
 
     used = usable_conditions(work.recording, band=band)
     apart = set(work.held_out.names) if work.held_out is not None else set()
     held = [i for i, one in enumerate(used.responses) if one.name in apart]
-    if work.names is None and len(used.responses) - len(held) < 2:
-        held = []  # of so few conditions none can be spared
-    found = est.envelope(
-        used.responses, kind=kind, order_nominal=order, order_weight=weight_order, held_out=held
-    )  # fmt: skip
+    if work.names is None and (for_control or len(used.responses) - len(held) < 2):
+        held = []  # of few conditions none can be spared
+    size = np.exp(np.mean(np.log(np.abs(used.responses.response)), axis=0))
+    importance = np.sqrt(size / np.max(size)) if for_control else None
+    found, refusals = [], []
+    for order in orders:
+        try:
+            one = est.envelope(
+                used.responses, kind=kind, order_nominal=order, order_weight=weight_order, held_out=held,
+                importance=importance,
+            )  # fmt: skip
+            found.append(one)
+        except ValueError as error:
+            refusals.append(error)
+    if not found:
+        raise refusals[0]
     return used, found
 
 
@@ -191,6 +226,6 @@ def _write_mat(path: Path, write: Any) -> None:
 
 
 def _shown(figures: dict[str, Any], captions: dict[str, str]) -> list[Any]:
-    from estimators import _report
+    from estimators._report_file import Shown
 
-    return [_report.Shown(figure, captions[name]) for name, figure in figures.items()]
+    return [Shown(figure, captions[name]) for name, figure in figures.items()]

@@ -14,8 +14,10 @@ from estimators._likelihood import NoiseModel, fit_predictor
 from estimators._noise import noise_levels
 from estimators._output_error import Fit, moving, pieces
 from estimators._problem import Data
+from estimators._screen import ALARM
 from estimators._start import scales_of, space_of
 from rtac_jax import RTAC
+from rtac_jax._parameter import declarations
 from rtac_jax.effects import CATALOGUE, Effect
 from rtac_jax.measurement import Recording
 
@@ -31,7 +33,8 @@ class Contest:
     Attributes:
         effects: ids.
         pairs: every effect against every other, or a single one against `MODEL`.
-        instances: of each effect: the one at its estimate, or all of plausible size where it was not fitted.
+        instances: of each effect: the one at its estimate, or all shapes, as large as the recording could hide,
+            where it was not fitted.
         truth: the model with the best of the effects, fitted to the recording.
         base: the same without any of them.
         process: spectral densities of random force [N^2 s] and random torque [(N m)^2 s] that the data show with `truth`.
@@ -77,7 +80,8 @@ def contest_of(
                 f"between: {name!r} is no candidate of the diagnosis; choose among {', '.join(c for c in known if c in classes)}."
             )
         estimate = {n: p.value for n, p in known[name].parameters.items()}
-        instances[name] = (classes[name](**estimate),) if estimate else tuple(classes[name].candidates(scales))
+        possible = (_hidden(instance, known[name]) for instance in classes[name].candidates(scales))
+        instances[name] = (classes[name](**estimate),) if estimate else tuple(possible)
     others = [effect for effect in found.additions if effect.id not in effects]
     best = next((e.id for e in found.additions if e.id in effects), None)
     if best is None:
@@ -119,6 +123,15 @@ def contest_of(
         substeps=substeps,
         start=start,
     )
+
+
+def _hidden(instance: Effect, known: Candidate) -> Effect:
+    """An instance of plausible size, made as small as the recording says: larger it would have been seen."""
+    names = type(instance).amplitudes()
+    values = {n: float(np.asarray(getattr(instance, n))) for n in declarations(instance)}
+    largest = known.detection_limit * np.sqrt(max(known.score / ALARM, 1.0))
+    share = min(1.0, largest / max(abs(values[n]) for n in names))
+    return type(instance)(**{n: value * (share if n in names else 1.0) for n, value in values.items()})
 
 
 def _chosen(found: Diagnosis, between: Sequence[str] | None) -> tuple[str, ...]:

@@ -1,7 +1,9 @@
 """From an envelope and a fitted model to a controller, and what it does on that model."""
 
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import control as ct
 import numpy as np
@@ -75,39 +77,42 @@ class Design:
     printed_bound: tuple[float, float]
 
 
+class _Attempt(NamedTuple):
+    """What one envelope leads to."""
+
+    covered: Envelope
+    weights: Weights
+    synthesis: Synthesis
+    reduction: Reduction
+    recursion: ct.StateSpace
+    closed: ClosedLoop
+
+
 def design(
     fit: Fit,
-    found: Envelope,
+    envelopes: Sequence[Envelope],
     responses: FrequencyResponses,
     *,
     sample_time: float,
     displacement: float = 0.015,
     torque_limit: float = 0.1,
 ) -> Design:
-    """Weights proposed from the envelope, mixed sensitivity synthesis, reduction, sampling, and simulation.
+    """Weights proposed from an envelope, mixed sensitivity synthesis, reduction, sampling, and simulation.
 
     Args:
         fit: of the nonlinear model to the same recording.
-        found: multiplicative envelope of `responses`, from current times cos(theta) [A] to cart position [m].
+        envelopes: multiplicative ones of `responses`, from current times cos(theta) [A] to cart position [m]; that whose
+            controller settles the fitted model soonest is kept.
         sample_time: of the controller [s].
         displacement: from which the cart is to be brought to rest [m].
         torque_limit: of the motor [N m].
 
     Raises:
-        ValueError: the envelope is too wide at the resonance for any damping, the problem is infeasible, the sampled loop
-            is not stable, or the closed loop with the fitted model is none of any use.
+        ValueError: for every envelope: it is too wide at the resonance for any damping, the problem is infeasible, the
+            sampled loop is not stable, or the closed loop with the fitted model runs away.
     """
     model = fit.model
     units, actuation = Units.nondimensional(model), Actuation.proposed(model, motor_limit=torque_limit)
-    covered = _with_spring(model, actuation, found, responses)
-    per_current = float(model["torque_constant"]) * units.torque
-    plant = ct.ss(covered.nominal) * (units.position / per_current)
-    weights = propose_weights(
-        plant, covered.weight, actuation.controller_limit * units.torque, displacement=displacement * units.position
-    )
-    synthesis = mixed_sensitivity(plant, weights)
-    reduction = reduce_controller(synthesis)
-    recursion = discretise(reduction.controller, synthesis.nominal, sample_time)
 
     def loop(plants: RTAC, law: ct.StateSpace | None, *, noise: tuple[float, float] = (0.0, 0.0)) -> ClosedLoop:
         return closed_loop(
@@ -116,23 +121,46 @@ def design(
             angle_noise=noise[1],
         )  # fmt: skip
 
+    def attempt(found: Envelope) -> _Attempt:
+        covered = _with_spring(model, actuation, found, responses)
+        per_current = float(model["torque_constant"]) * units.torque
+        plant = ct.ss(covered.nominal) * (units.position / per_current)
+        weights = propose_weights(
+            plant, covered.weight, actuation.controller_limit * units.torque, displacement=displacement * units.position
+        )
+        synthesis = mixed_sensitivity(plant, weights)
+        reduction = reduce_controller(synthesis)
+        recursion = discretise(reduction.controller, synthesis.nominal, sample_time)
+        noise = (fit.noise.get("cart_position", 0.0), fit.noise.get("arm_angle", _ANGLE))
+        closed = loop(model, recursion, noise=noise)
+        if not np.all(np.isfinite(closed.cart_position)):
+            raise InfeasibleError("the closed loop with the fitted nonlinear model runs away; lower --displacement.")
+        return _Attempt(covered, weights, synthesis, reduction, recursion, closed)
+
     duration = _SHORTEST
     free = loop(model, None)
     while not np.isfinite(free.settling_time()[0]) and duration < _LONGEST:
         duration *= 2
         free = loop(model, None)
     alone = float(free.settling_time()[0])
-    within = SOONER * (alone if np.isfinite(alone) else duration)
-    closed = loop(model, recursion, noise=(fit.noise.get("cart_position", 0.0), fit.noise.get("arm_angle", _ANGLE)))
-    if not np.all(np.isfinite(closed.cart_position)):
-        raise InfeasibleError("the closed loop with the fitted nonlinear model runs away; lower --displacement.")
+    made, refusals = [], []
+    for found in envelopes:
+        try:
+            made.append(attempt(found))
+        except ValueError as error:
+            refusals.append(error)
+    if not made:
+        raise refusals[0]
+    best = min(made, key=lambda one: (float(one.closed.settling_time()[0]), float(np.std(one.closed.cart_position))))
+    plants = _off(model)
     printed = mixed_sensitivity(paper_nominal(), paper_weights())
     return Design(
-        covered, units, actuation, weights, synthesis, reduction,
-        margins(synthesis.nominal, reduction.controller, weights),
-        _in_si(reduction.controller, units), _in_si(recursion, units), displacement, within, free, closed,
-        loop(_off(model), recursion), loop(_drawn(fit), recursion), loop(_off(model), None),
-        (printed.bound, printed.bound_frequency),
+        covered=best.covered, units=units, actuation=actuation, weights=best.weights, synthesis=best.synthesis,
+        reduction=best.reduction, margins=margins(best.synthesis.nominal, best.reduction.controller, best.weights),
+        controller=_in_si(best.reduction.controller, units), sampled=_in_si(best.recursion, units),
+        displacement=displacement, within=SOONER * (alone if np.isfinite(alone) else duration), free=free,
+        closed=best.closed, off=loop(plants, best.recursion), off_free=loop(plants, None),
+        drawn=loop(_drawn(fit), best.recursion), printed_bound=(printed.bound, printed.bound_frequency),
     )  # fmt: skip
 
 

@@ -10,12 +10,14 @@ import numpy as np
 from estimators._attribution import SOURCES
 from estimators._control_design import OFF, Design
 from estimators._envelope import Envelope
-from estimators._report import FORMAT, VERSION, Table
+from estimators._report import FORMAT, VERSION
+from estimators._report_file import Table
 from estimators._response_record import FrequencyResponses
 from estimators._usable_conditions import UsableConditions
 from rtac_jax.control import ClosedLoop
 
 _BANDS = 4
+_USEFUL = 0.8  # share of the settling time, above which a controller is of little use
 _WORDS = {
     "unmodelled": "left by the nominal model",
     "amplitude": "amplitude of the input",
@@ -237,7 +239,15 @@ def outcome(found: Design) -> list[str]:
         f"thirds of what the fitted model takes alone, and keep the arm in its half of the circle. Of {len(drawn.peak_torque)} "
         f"plants drawn from the covariance of the fit {_percent(drawn.holds(within=found.within))} do."
     )
-    return [first, second]
+    said = [first, second]
+    if not now < _USEFUL * alone:
+        width = float(np.max(np.abs(found.covered.weight(1j * _resonance(found)))))
+        said.append(
+            f"That is little: at the resonance the weight is {width:.2f}, and the wider the envelope is there, the less "
+            "damping can be promised for all of it. What narrows it: larger currents around the resonance, longer "
+            "records, or a band or an order of the nominal model that suits them better (--band, --order)."
+        )
+    return said
 
 
 def honesty(found: Design) -> list[str]:
@@ -262,6 +272,8 @@ def honesty(found: Design) -> list[str]:
         f"of the motor's {1e3 * act.motor_limit:.0f} mN m, which limits the swing of the arm, and an electric spring of "
         f"{1e3 * act.arm_stiffness:.2f} mN m/rad brings the arm back to theta = 0, which nothing else on a level rig does. "
         f"The division by cos(theta), and no torque where |cos(theta)| is at most {act.dead_band:g}, are the paper's.",
+        f"P0 has order {len(found.covered.nominal.poles()) - 2} and the spring's two poles, and keeps closest to the responses "
+        "where they are large, as limited torque does nothing elsewhere.",
         "The recording was made without that spring: each response is multiplied by what the spring does to the linearised "
         "fitted model, and the envelope is made from the products.",
     ]  # fmt: skip
@@ -321,6 +333,12 @@ def _matrices(system: ct.StateSpace) -> dict[str, Any]:
 
 def _pairs(values: Any) -> list[list[float]]:
     return [[float(v.real), float(v.imag)] for v in np.asarray(values, dtype=complex)]
+
+
+def _resonance(found: Design) -> float:
+    """Of the nominal model, where its response is largest [rad/s]."""
+    omega = found.covered.frequency
+    return float(omega[np.argmax(np.abs(found.covered.nominal_response()))])
 
 
 def _percent(which: Any) -> str:

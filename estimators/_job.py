@@ -90,10 +90,10 @@ class Job:
 
     def write_json(self, content: Any) -> None:
         """Write the numbers, if a file was named."""
-        from estimators import _report
+        from estimators import _report_file
 
         if self.json is not None:
-            _report.write_json(self.json, content)
+            _report_file.write_json(self.json, content)
 
     def write_report(
         self,
@@ -104,11 +104,11 @@ class Job:
         split: tuple[Sequence[str], Sequence[str]] | None = None,
     ) -> None:
         """Write figures and report.html; `split` names what was fitted and held out, where that is not the job's own."""
-        from estimators import _report
+        from estimators import _report_file
 
         assert self.folder is not None
         fitted, apart = split or (self.train.names, self.held_out.names if self.held_out is not None else ())
-        settings = _report.Table(
+        settings = _report_file.Table(
             ("setting", "value"),
             (
                 ("recording", self.file),
@@ -118,9 +118,9 @@ class Job:
             ),
         )
         whole = [(heading, [block for block in blocks if block != ""]) for heading, blocks in sections]
-        images = _report.write_figures(self.folder, figures)
-        whole.append(("Settings and versions", [settings, _report.versions()]))
-        _report.write_report(self.folder / "report.html", title, whole, images=images)
+        images = _report_file.write_figures(self.folder, figures)
+        whole.append(("Settings and versions", [settings, _report_file.versions()]))
+        _report_file.write_report(self.folder / "report.html", title, whole, images=images)
         typer.echo(f"\nreport: {self.folder / 'report.html'}")
 
 

@@ -21,6 +21,7 @@ _ANGLES = (0.0, 0.25 * np.pi, 0.5 * np.pi)
 _SWINGS = (0.5, 1.5)  # rad, of the arm under a square wave or a chirp
 _SQUARES = (0.5, 1.0, 1.6, 3.0, 6.0)  # Hz
 _BANDS = ((0.3, 3.0), (1.0, 8.0), (3.0, 20.0))  # Hz
+_LEAD = 0.1  # s without current at the beginning
 _CHANNELS = ("cart_position", "arm_velocity")
 _SPEEDS = (4.0, 12.0, 30.0)  # rad/s, at which friction balances a steady current
 
@@ -58,7 +59,8 @@ def default_menu(model: RTAC, limits: Limits, *, sample_time: float, duration: f
     Currents are sized by what they do to the arm, J theta'' = K_m i, and cut at the torque limit.
     """
     samples = round(duration / sample_time)
-    time = sample_time * np.arange(samples)
+    rest = min(max(5, round(_LEAD / sample_time)), samples // 10)
+    time = sample_time * np.arange(samples - rest)
     gain = float(np.asarray(model["torque_constant"]))
     inertia = float(np.asarray(model["arm_inertia"]))
     drag = float(np.asarray(model["arm_viscous.positive"])) if "arm_viscous" in model else 0.0
@@ -81,26 +83,31 @@ def default_menu(model: RTAC, limits: Limits, *, sample_time: float, duration: f
     for number, (low, high) in enumerate(_BANDS):
         if high < highest and low * duration >= 1:
             for rms in (0.05, 0.2):
-                wave = multisine(samples=samples, sample_time=sample_time, rms=rms, band=(low, high), seed=number)
+                wave = multisine(samples=len(time), sample_time=sample_time, rms=rms, band=(low, high), seed=number)
                 waves.append((f"multisine {low:g}-{high:g} Hz, {rms:g} A", np.clip(wave, -largest, largest)))
     for speed in _SPEEDS:
         level = min(drag * speed / gain, largest)
         if level > 0:
-            waves.append((f"steady current to {speed:g} rad per s", np.full(samples, level)))
+            waves.append((f"steady current to {speed:g} rad per s", np.full(len(time), level)))
             # Forth, off, back, off: the arm runs up, coasts, and comes back slowly through rest.
-            turn = np.array([1.0, 0.0, -1.0, 0.0])[np.floor(4 * time / duration).astype(int) % 4]
+            turn = np.array([1.0, 0.0, -1.0, 0.0])[np.floor(4 * time / time[-1]).astype(int) % 4]
             waves.append((f"steps to {speed:g} rad per s", level * turn))
     for swing in _SWINGS:
         low, high = 0.5, min(6.0, highest)
-        rate = low + (high - low) * time / duration
+        rate = low + (high - low) * time / time[-1]
         phase = 2 * np.pi * np.cumsum(rate) * sample_time
         # The current rises with the frequency squared, so that the arm swings alike throughout.
         wave = inertia * (2 * np.pi * rate) ** 2 * swing / gain * np.cos(phase)
         waves.append((f"chirp {low:g}-{high:g} Hz, {swing:g} rad", np.clip(wave, -largest, largest)))
+    # What came before a record is not known, so nothing that a delay or a lag would remember may begin with it.
+    lead = np.zeros(rest)
     plans += [
-        Plan(f"{name} at {_degrees(angle)}", "forced", duration, sample_time, wave, initial_angle=angle)
+        Plan(
+            f"{name} at {_degrees(angle)}", "forced", duration, sample_time, np.concatenate([lead, wave]),
+            initial_angle=angle,
+        )
         for (name, wave), angle in itertools.product(waves, (_ANGLES[0], _ANGLES[2]))
-    ]
+    ]  # fmt: skip
     return plans
 
 
@@ -112,6 +119,7 @@ def feasible(model: RTAC, plans: Sequence[Plan], limits: Limits, *, lower: bool)
     """
     plans, asked = list(plans), {plan.name: plan for plan in plans}
     refused: dict[str, str] = {}
+    shown: dict[str, Simulation] = {}
     gain = float(np.asarray(model["torque_constant"]))
     for attempt in range(_ROUNDS if lower else 1):
         shown = simulate(model, [_blank(plan) for plan in plans], start={plan.name: start_of(plan) for plan in plans})
@@ -174,7 +182,8 @@ def _experiment(plan: Plan, outputs: Mapping[str, Float[np.ndarray, " sample"]])
     return Experiment.of(
         plan.name, kind=plan.kind, sample_time=plan.sample_time, current=plan.current,
         disturbance_force=plan.disturbance_force, intersample=plan.intersample, initial_arm_angle=plan.initial_angle,
-        arm=plan.arm, cart=plan.cart, **outputs,
+        arm=plan.arm, cart=plan.cart, cart_position=outputs.get("cart_position"), arm_velocity=outputs.get("arm_velocity"),
+        arm_angle=outputs.get("arm_angle"),
     )  # fmt: skip
 
 

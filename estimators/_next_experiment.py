@@ -21,6 +21,9 @@ from rtac_jax.virtual_rig import Plan
 CONFUSABLE = 10.0
 """Separation below which two effects are not told apart."""
 
+ENOUGH = 500.0
+"""Separation beyond that of the recording, above which more decides nothing more: the gentler experiment comes first."""
+
 Pair = tuple[str, str]
 
 
@@ -35,6 +38,7 @@ class PlannedExperiment:
         travel: of the cart to each side, as the model predicts [m].
         torque: largest [N m].
         speed: of the arm, largest [rad/s].
+        effort: the largest of these as a share of its limit [1].
     """
 
     plan: Plan
@@ -42,6 +46,7 @@ class PlannedExperiment:
     travel: float
     torque: float
     speed: float
+    effort: float
 
     @property
     def smallest(self) -> float:
@@ -155,11 +160,13 @@ def next_experiment(
 ) -> NextExperiment:
     """The experiment that best tells apart the effects between which a diagnosis could not decide.
 
-    For each pair the separation is |(I - P) t_i|^2, with t_i what the first effect at its estimated size changes in the
-    innovations, and P the projection on what the model's parameters and the second effect, at its estimated size and with
-    all its parameters, can change: twice the expected gain in log-likelihood. The recommended experiment has the largest
-    smallest separation, together with the recording that exists. The noise is that which the recording shows once the best
-    effect is added.
+    For each pair the separation is |(I - P) (t_i - t_j)|^2, with t what an effect at its estimated size changes in the
+    innovations, and P the projection on what the parameters of the model and of the second effect can change: twice the
+    expected gain in log-likelihood with the noise as it is, which is that of the recording once the best effect is added.
+
+    The recommended experiment has the largest smallest separation, together with the recording that exists. Of those that
+    add more than `ENOUGH` it is the gentlest: a base model that fails by fifty times the noise, as under a violent
+    excitation, leads the next diagnosis astray.
 
     Args:
         fit: of the base model to the recording.
@@ -202,17 +209,16 @@ def next_experiment(
     planned = [predicted(plan, shown, channels) for plan, shown in zip(possible.plans, possible.shown, strict=True)]
     already, with_each = separations(contest, experiments, possible.plans, planned)
     gain = float(np.asarray(contest.truth["torque_constant"]))
-    ranked = sorted(
-        (
-            PlannedExperiment(
-                plan, separation, float(np.max(np.abs(shown.states["cart_position"]))),
-                0.0 if plan.current is None else gain * float(np.max(np.abs(plan.current))),
-                float(np.max(np.abs(shown.states["arm_velocity"]))),
-            )
-            for plan, shown, separation in zip(possible.plans, possible.shown, with_each, strict=True)
-        ),
-        key=lambda one: -one.smallest,
-    )  # fmt: skip
+    ranked = []
+    for plan, shown, separation in zip(possible.plans, possible.shown, with_each, strict=True):
+        reach, speed = (float(np.max(np.abs(shown.states[x]))) for x in ("cart_position", "arm_velocity"))
+        torque = 0.0 if plan.current is None else gain * float(np.max(np.abs(plan.current)))
+        effort = max(reach / travel, torque / torque_limit, speed / speed_limit)
+        ranked.append(PlannedExperiment(plan, separation, reach, torque, speed, effort))
+    # Of an effect that was never fitted the size is a guess, and no separation is surely enough.
+    fitted = all(c.refitted for c in found.candidates if c.id in contest.effects)
+    enough = min(already.values()) + ENOUGH if fitted else np.inf
+    ranked.sort(key=lambda one: (-min(one.smallest, enough), one.effort))
     best = next(e for e in planned if e.name == ranked[0].plan.name)
     comment = (
         f"Experiment to be played, to tell {' and '.join(contest.effects)} apart: the inputs are the design, the outputs are the "

@@ -1,20 +1,9 @@
-"""Results as JSON and as one HTML file that needs nothing else."""
+"""Results as dictionaries for JSON and as tables."""
 
-import base64
 import dataclasses
-import html
-import importlib.metadata
-import json
 import math
-import os
-import platform
-import secrets
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
-
-import numpy as np
-from matplotlib.figure import Figure
 
 from estimators._candidate import Candidate
 from estimators._compare import Compared, Comparison
@@ -22,9 +11,10 @@ from estimators._diagnose import Diagnosis
 from estimators._improve import Improvement
 from estimators._least_squares import ClosedForm
 from estimators._output_error import Fit, Parameter
+from estimators._ranking import ranked
+from estimators._report_file import Table, cleaned
 
 FORMAT, VERSION = "rtac-report", 1
-_PACKAGES = ("rtac-jax", "jax", "optimistix", "numpy", "scipy", "matplotlib")
 
 # -- dictionaries ----------------------------------------------------------------------------------------------------
 
@@ -53,7 +43,7 @@ def report_dict(
         first = found
         effects = [_effect(candidate, None) for candidate in found.effects]
     accepted = {effect["id"] for effect in effects}
-    return _clean(
+    return cleaned(
         {
             "format": FORMAT,
             "version": VERSION,
@@ -83,12 +73,12 @@ def fit_dict(
         found["closed_form"] = {
             name: {"value": e.value, "std": e.std, "unit": e.unit} for name, e in closed.estimates.items()
         }
-    return _clean(found)
+    return cleaned(found)
 
 
 def comparison_rows(comparison: Comparison) -> list[dict[str, Any]]:
     """Error of every channel of every experiment, worst first."""
-    return _clean(
+    return cleaned(
         [
             {
                 "model": compared.label,
@@ -150,47 +140,7 @@ def _errors(compared: Compared) -> dict[str, Any]:
     return {channel: dataclasses.asdict(error) for channel, error in compared.errors.items()}
 
 
-def _clean(value: Any) -> Any:
-    """Only what JSON knows: it has neither NaN nor infinity, and no arrays."""
-    if isinstance(value, Mapping):
-        return {str(key): _clean(part) for key, part in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_clean(part) for part in value]
-    if isinstance(value, (bool, np.bool_)):
-        return bool(value)
-    if isinstance(value, (int, np.integer)):
-        return int(value)
-    if isinstance(value, (float, np.floating)):
-        return float(value) if math.isfinite(value) else None
-    return value
-
-
 # -- tables ----------------------------------------------------------------------------------------------------------
-
-
-@dataclasses.dataclass(frozen=True)
-class Table:
-    """Rows of text under a header; columns of numbers are set to the right."""
-
-    header: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-    caption: str = ""
-
-    def __str__(self) -> str:
-        widths = [max(len(row[i]) for row in (self.header, *self.rows)) for i in range(len(self.header))]
-        lines = []
-        for row in (self.header, *self.rows):
-            cells = [
-                cell.rjust(width) if self.numeric(i) else cell.ljust(width)
-                for i, (cell, width) in enumerate(zip(row, widths, strict=True))
-            ]
-            lines.append("  ".join(cells).rstrip())
-        return "\n".join(lines)
-
-    def numeric(self, column: int) -> bool:
-        """Whether the column holds numbers, as far as it holds anything."""
-        cells = [row[column] for row in self.rows if row[column]]
-        return bool(cells) and all(cell[0].isdigit() or cell[0] in "-+<" for cell in cells)
 
 
 def error_table(train: Comparison, validation: Comparison | None) -> Table:
@@ -287,11 +237,12 @@ def place_table(diagnosis: Diagnosis, most: int = 8) -> Table:
 
 
 def candidate_table(diagnosis: Diagnosis) -> Table:
-    """All candidates, best first."""
+    """All candidates: what was accepted, then the others by their score."""
     accepted = {c.id for c in diagnosis.effects}
     rows = []
-    for c in diagnosis.candidates:
-        limit = f"{c.detection_limit:.2g} {c.unit}" if c.testable and math.isfinite(c.detection_limit) else ""
+    for c in ranked(diagnosis):
+        unit = "" if c.unit == "1" else f" {c.unit}"
+        limit = f"{c.detection_limit:.2g}{unit}" if c.testable and math.isfinite(c.detection_limit) else ""
         rows.append(
             (
                 c.id,
@@ -304,128 +255,9 @@ def candidate_table(diagnosis: Diagnosis) -> Table:
             )
         )
     header = ("effect", "score", "p", "BIC gain", "explains [%]", "would be found from", "")
-    return Table(header, tuple(rows))
-
-
-# -- files -----------------------------------------------------------------------------------------------------------
-
-
-@dataclasses.dataclass(frozen=True)
-class Shown:
-    """A figure and what it shows."""
-
-    figure: Figure
-    caption: str
-
-
-Block = str | Table | Shown
-Section = tuple[str, Sequence[Block]]
-
-
-def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
-    """Write a file so that whoever reads it finds the old or the new one, never a part."""
-    path = Path(path)
-    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.part")
-    try:
-        temporary.write_bytes(content)
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
-
-
-def write_json(path: str | os.PathLike[str], content: Mapping[str, Any]) -> None:
-    """Write a dictionary as JSON; what JSON does not know, such as NaN, becomes null."""
-    write_bytes(path, (json.dumps(_clean(content), indent=1, allow_nan=False) + "\n").encode())
-
-
-def write_figures(folder: str | os.PathLike[str], figures: Mapping[str, Figure]) -> dict[Figure, bytes]:
-    """Write every figure as NAME.png and NAME.svg; returns what is in the PNG files, for `write_report`."""
-    from estimators.plots._style import image_bytes
-
-    images = {}
-    for name, figure in figures.items():
-        images[figure] = image_bytes(figure, "png")
-        write_bytes(Path(folder) / f"{name}.png", images[figure])
-        write_bytes(Path(folder) / f"{name}.svg", image_bytes(figure, "svg"))
-    return images
-
-
-def versions() -> Table:
-    """What the numbers were computed with."""
-    rows = [("python", platform.python_version())]
-    for name in _PACKAGES:
-        try:
-            rows.append((name, importlib.metadata.version(name)))
-        except importlib.metadata.PackageNotFoundError:
-            rows.append((name, "not installed"))
-    return Table(("package", "version"), tuple(rows))
-
-
-def write_report(
-    path: str | os.PathLike[str],
-    title: str,
-    sections: Sequence[Section],
-    *,
-    images: Mapping[Figure, bytes] | None = None,
-) -> None:
-    """Write one HTML file with style and figures inside.
-
-    Args:
-        title: heading of the page.
-        sections: headings, each with paragraphs, tables and figures in their order; the first is the summary.
-        images: figures that were rendered before, as PNG; drawing them again takes a second each.
-    """
-    body = [f"<h1>{html.escape(title)}</h1>"]
-    for number, (heading, blocks) in enumerate(sections):
-        body.append(f'<section class="{"summary" if number == 0 else "part"}"><h2>{html.escape(heading)}</h2>')
-        body += [_block(block, images or {}) for block in blocks]
-        body.append("</section>")
-    page = (
-        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{html.escape(title)}</title><style>{_STYLE}</style></head>\n"
-        f"<body>\n{chr(10).join(body)}\n</body></html>\n"
+    return Table(
+        header,
+        tuple(rows),
+        "Score: chi-square gained on the one-step predictions, less the price of the parameters. Those that came nearest were "
+        "fitted, which gives BIC gain and share of the misfit.",
     )
-    write_bytes(path, page.encode())
-
-
-def _block(block: Block, images: Mapping[Figure, bytes]) -> str:
-    if isinstance(block, str):
-        return f"<p>{html.escape(block)}</p>"
-    if isinstance(block, Shown):
-        from estimators.plots._style import image_bytes
-
-        image = images[block.figure] if block.figure in images else image_bytes(block.figure, "png")
-        data = base64.b64encode(image).decode()
-        caption = html.escape(block.caption)
-        shown = f'<img alt="{caption}" src="data:image/png;base64,{data}">'
-        return f"<figure>{shown}<figcaption>{caption}</figcaption></figure>"
-    kinds = [' class="n"' if block.numeric(i) else "" for i in range(len(block.header))]
-
-    def row(cells: Sequence[str], tag: str) -> str:
-        inside = (f"<{tag}{kind}>{html.escape(cell)}</{tag}>" for cell, kind in zip(cells, kinds, strict=True))
-        return f"<tr>{''.join(inside)}</tr>"
-
-    caption = f"<caption>{html.escape(block.caption)}</caption>" if block.caption else ""
-    rows = "\n".join(row(cells, "td") for cells in block.rows)
-    head = f"<thead>{row(block.header, 'th')}</thead>"
-    return f'<div class="wide"><table>{caption}{head}\n<tbody>{rows}</tbody></table></div>'
-
-
-_STYLE = """
-body { font: 16px/1.5 system-ui, sans-serif; color: #1a1a1a; background: #fff; max-width: 62rem; margin: 2rem auto;
-  padding: 0 1rem; }
-h1 { font-size: 1.6rem; margin-bottom: 0.4rem; }
-h2 { font-size: 1.15rem; margin: 2rem 0 0.5rem; border-bottom: 1px solid #ccc; padding-bottom: 0.2rem; }
-.summary { background: #f3f6fa; border-left: 5px solid #08306b; padding: 0.4rem 1.2rem 0.6rem; }
-.summary h2 { border: 0; margin-top: 0.6rem; }
-table { border-collapse: collapse; margin: 0.6rem 0; font-size: 0.9rem; }
-caption { caption-side: bottom; text-align: left; color: #555; padding-top: 0.3rem; }
-th, td { text-align: left; padding: 0.2rem 0.8rem 0.2rem 0; border-bottom: 1px solid #e3e3e3; }
-th { border-bottom: 2px solid #888; }
-.n { text-align: right; font-variant-numeric: tabular-nums; }
-.wide { overflow-x: auto; }
-figure { margin: 1rem 0 1.6rem; }
-img { max-width: 100%; height: auto; }
-figcaption { color: #555; font-size: 0.9rem; }
-"""

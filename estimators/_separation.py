@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from estimators._contest import MODEL, Contest
-from estimators._innovations import Innovations
+from estimators._innovations import Innovations, Rows
 from estimators._kalman import filtered
 from estimators._menu import start_of
 from estimators._problem import CHANNELS, Data
@@ -19,6 +19,7 @@ from rtac_jax.effects import Effect
 from rtac_jax.measurement import Experiment
 from rtac_jax.virtual_rig import Plan
 
+_OWN = 6  # parameters that an effect may have
 _ROUNDING = 1e-10  # share of the largest eigenvalue below which a direction is rounding
 
 Separation = dict[tuple[str, str], float]
@@ -29,58 +30,62 @@ def separations(
 ) -> tuple[Separation, list[Separation]]:
     """Separation of each pair by what was recorded alone, and together with each planned experiment.
 
-    Everything is computed for all experiments at once, as products of columns that add up over experiments.
+    Everything is computed for all experiments at once, as products of columns that add up over experiments. What the
+    second effect of a pair cannot imitate is linearised where that effect is at its estimate, nearer to the first than the
+    model with neither.
     """
     experiments = [*recorded, *planned]
     start = dict(contest.start) | {plan.name: np.array(start_of(plan)) for plan in plans}
     innovations = _innovations(contest, experiments, start)
     space = innovations.space
-    values = np.asarray(space.values)
-    points: list[np.ndarray] = []
-    own: list[tuple[str, np.ndarray, list[int]]] = []
+    points = [(MODEL, np.asarray(space.values), np.zeros(0, dtype=int))]
     for name in contest.effects:
         for instance in contest.instances[name]:
-            at = values.copy()
+            at = np.asarray(space.values).copy()
             for parameter in declarations(instance):
                 at[space.names.index(f"{name}.{parameter}")] = float(np.asarray(getattr(instance, parameter)))
             free = [n for n, declared in declarations(instance).items() if not declared.fixed]
-            own.append((name, at, [space.names.index(f"{name}.{n}") for n in free]))
-            points.append(at)
-    changes = innovations.at(np.stack([values, *points]))
-    templates = changes[:, 1:] - changes[:, :1]
-    base = innovations.jacobian()
-    slopes = []
-    for _, at, free in own:
-        active = np.full(len(np.asarray(space.active)), len(space.names))
-        active[: len(free)] = free
-        moved = dataclasses.replace(space, values=jnp.asarray(at), active=jnp.asarray(active))
-        at_instance = Innovations(
-            innovations.model, innovations.data, moved, innovations.whitener, innovations.gain, innovations.substeps
-        )
-        slopes.append(at_instance.jacobian()[:, : len(free)])
-    columns = np.concatenate([templates, base, *slopes], axis=1)
-    split = columns.reshape(-1, len(experiments), columns.shape[1])
-    products = np.einsum("rea,reb->eab", split, split, optimize=True)
-    edges = np.cumsum([len(own) + base.shape[1], *(s.shape[1] for s in slopes)])
-    nuisance = list(range(len(own), len(own) + base.shape[1]))
-    before = products[: len(recorded)].sum(axis=0)
+            points.append((name, at, np.array([space.names.index(f"{name}.{n}") for n in free])))
+    errors = innovations.at(np.stack([at for _, at, _ in points]))
+    by_rival = {}
+    for number, (name, at, own) in enumerate(points):
+        if any(j == name for _, j in contest.pairs):
+            by_rival[number] = _products(innovations, errors - errors[:, [number]], at, own, len(experiments))
+    before = {number: product[: len(recorded)].sum(axis=0) for number, product in by_rival.items()}
 
-    def of(product: Float[np.ndarray, "column column"]) -> Separation:
+    def of(place: int | None) -> Separation:
         found = {}
         for i, j in contest.pairs:
-            mine = [number for number, (name, _, _) in enumerate(own) if name == i]
-            rival = [number for number, (name, _, _) in enumerate(own) if name == j]
-            imitated = [[number, *range(edges[number], edges[number + 1])] for number in rival]
-            options = [nuisance + extra for extra in imitated] if j != MODEL else [nuisance]
-            found[i, j] = min(_left(product, number, option) for number in mine for option in options)
+            found[i, j] = min(
+                _left(before[rival] + (0.0 if place is None else by_rival[rival][place]), number, len(points))
+                for number, (name, _, _) in enumerate(points)
+                for rival in by_rival
+                if name == i and points[rival][0] == j
+            )
         return found
 
-    return of(before), [of(before + product) for product in products[len(recorded) :]]
+    return of(None), [of(len(recorded) + place) for place in range(len(planned))]
 
 
-def _left(product: Float[np.ndarray, "column column"], number: int, others: Sequence[int]) -> float:
-    """Square of what is left of one column when the others have been projected out of it."""
-    here = np.array([number, *others])
+def _products(
+    innovations: Innovations, differences: Rows, at: np.ndarray, own: np.ndarray, experiments: int
+) -> Float[np.ndarray, "experiment term term"]:
+    """Products of the differences and of the derivatives by base and own parameters at a point, for each experiment."""
+    space = innovations.space
+    active = np.asarray(space.active).copy()
+    active[-_OWN : len(active) - _OWN + len(own)] = own
+    moved = dataclasses.replace(space, values=jnp.asarray(at), active=jnp.asarray(active))
+    here = Innovations(
+        innovations.model, innovations.data, moved, innovations.whitener, innovations.gain, innovations.substeps
+    )
+    columns = np.concatenate([differences, here.jacobian()], axis=1)
+    split = columns.reshape(-1, experiments, columns.shape[1])
+    return np.einsum("rea,reb->eab", split, split, optimize=True)
+
+
+def _left(product: Float[np.ndarray, "term term"], number: int, first: int) -> float:
+    """Square of what is left of one column when those from `first` on have been projected out of it."""
+    here = np.array([number, *range(first, len(product))])
     part = product[np.ix_(here, here)]
     if not np.all(np.isfinite(part)):
         return 0.0  # a predictor that breaks down tells nothing
@@ -110,8 +115,7 @@ def _innovations(contest: Contest, experiments: Sequence[Experiment], start: Map
     absent: list[Effect] = [_absent_like(contest.instances[name][0]) for name in contest.effects]
     model = _with_all(contest.base, absent)
     wide = space_of(model, experiments, free=free, start=start)
-    most = max(len(free), *(len(declarations(effect)) for effect in absent))
-    active = np.full(most, len(wide.names))
+    active = np.full(len(free) + _OWN, len(wide.names))
     active[: len(free)] = [wide.names.index(name) for name in free]
     wide = dataclasses.replace(wide, active=jnp.asarray(active))
     # A state that the filter does not know is not corrected.

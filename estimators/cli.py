@@ -162,20 +162,24 @@ def diagnose(file: File, validation: Validation = None, out: Out = None, json: J
             _report.report_dict(found, fit=fits[-1], train=trained, validation=tested, seconds=work.seconds)
         )
         if work.folder is not None:
-            from estimators.plots import plot_comparison, plot_diagnosis, plot_residuals
+            from estimators.plots import plot_bands, plot_comparison, plot_confusion, plot_diagnosis, plot_residuals
 
             figures = {
-                "diagnosis": plot_diagnosis(found),
+                "diagnosis": plot_diagnosis(found, recording=work.train),
+                "confusion": plot_confusion(found),
+                "bands": plot_bands(tested or trained),
                 "comparison": plot_comparison(tested or trained),
                 "residuals": plot_residuals(trained.models[0]),
             }
             captions = {
                 "diagnosis": _DIAGNOSIS,
+                "confusion": _CONFUSION,
+                "bands": f"{_BANDS} {work.held}",
                 "comparison": work.held,
                 "residuals": "What the base model leaves of the worst experiment.",
             }
             sections = [
-                (f"Verdict: {found.verdict}", [found.explanation, work.remark]),
+                (f"Verdict: {found.verdict}", [_without_limits(found.explanation), work.remark]),
                 ("Error before and after", [errors]),
                 ("Figures", _shown(figures, **captions)),
                 ("Candidates", [candidates]),
@@ -204,19 +208,31 @@ def _improve(work: Job) -> None:
     errors = _report.error_table(found.train, found.validation)
     parameters = _report.parameter_table(found.final, base=found.base if found.added else None)
     said = [diagnosis.explanation for diagnosis in found.diagnoses]
+    told = [_without_limits(text) for text in said]
     say(*said, found.stopped, _report.candidate_table(found.diagnoses[0]), errors, parameters)
     work.write_json(_report.report_dict(found, seconds=work.seconds))
     if work.folder is None:
         return
-    from estimators.plots import plot_comparison, plot_diagnosis, plot_improvement, plot_recording, plot_residuals
+    from estimators.plots import (
+        plot_bands,
+        plot_comparison,
+        plot_confusion,
+        plot_diagnosis,
+        plot_improvement,
+        plot_recording,
+        plot_residuals,
+    )
     from estimators.plots._improvement import finding
 
     leaves = "What the {} model leaves of the worst experiment."
     figures: dict[str, Any] = {"improvement": plot_improvement(found)}
     captions = {"improvement": _LADDER}
     for number, diagnosis in enumerate(found.diagnoses, 1):
-        figures[f"diagnosis_{number}"] = plot_diagnosis(diagnosis)
+        figures[f"diagnosis_{number}"] = plot_diagnosis(diagnosis, recording=work.train)
         captions[f"diagnosis_{number}"] = f"Diagnosis {number}. {_DIAGNOSIS}"
+    figures["confusion"] = plot_confusion(found.diagnoses[0])
+    captions["confusion"] = f"{_CONFUSION} First diagnosis."
+    figures["bands"], captions["bands"] = plot_bands(found.validation), f"{_BANDS} Held-out experiments."
     figures["comparison"], captions["comparison"] = plot_comparison(found.validation), "Held-out experiments."
     figures["residuals_before"] = plot_residuals(found.train.models[0])
     captions["residuals_before"] = leaves.format("base")
@@ -229,11 +245,11 @@ def _improve(work: Job) -> None:
         tables += [f"Diagnosis {number}: {diagnosis.verdict}.", _report.candidate_table(diagnosis)]
         tables += [_report.evidence_table(diagnosis)]
     sections = [
-        (f"Verdict: {found.verdict}", [f"{finding(found)}.", *said, found.stopped]),
+        (f"Verdict: {found.verdict}", [f"{finding(found)}.", *told, found.stopped]),
         ("Error before and after", [errors]),
+        ("Figures", _shown(figures, **captions)),
         ("Parameters", [parameters]),
         ("Candidates", tables),
-        ("Figures", _shown(figures, **captions)),
     ]
     work.write_report(f"Improvement of the model with {work.file}", figures, sections)
 
@@ -243,16 +259,31 @@ app.command()(control)
 
 _DIAGNOSIS = (
     "Left: what every candidate gains on the one-step predictions of the base model, and from which size on it would "
-    "have been found. Right: the missing force as a function of what it may depend on, with two standard deviations."
+    "have been found. Right: the missing force as a function of what it may depend on, with two standard deviations, in "
+    "which counts what the model's own parameters could take up, such as a slope. Where the effect that was found is such "
+    "a force, its curve is drawn over it."
 )
+_CONFUSION = (
+    "How much alike the changes are that two effects would make in these data: from 0.9 on it takes another kind of "
+    "experiment to tell them apart."
+)
+_BANDS = "Error of free simulation by frequency, in units of the sensor's noise in the same band."
 _LADDER = "Left: error of free simulation in units of the sensor noise. Right: the worst of the experiments held out."
+
+
+def _without_limits(explanation: str) -> str:
+    """The explanation as far as the tables of a report do not say it better."""
+    before, found, limits = explanation.partition(" An effect would have been found from: ")
+    rest = limits.partition(". ")[2]
+    table = " The table of candidates says from which size on each effect would have been found." if found else ""
+    return f"{before}{table}{' ' if rest else ''}{rest}"
 
 
 def _shown(figures: dict[str, Any], **captions: str) -> list[Any]:
     """Figures with their captions, in the order of the captions."""
-    from estimators import _report
+    from estimators._report_file import Shown
 
-    return [_report.Shown(figures[name], caption) for name, caption in captions.items()]
+    return [Shown(figures[name], caption) for name, caption in captions.items()]
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 import estimators
 import estimators._diagnose
 from estimators import Improvement, _job, cli
-from estimators._report import Table, write_json, write_report
+from estimators._report_file import Table, write_json, write_report
 from rtac_jax.effects import CATALOGUE
 from rtac_jax.measurement import Recording
 from rtac_jax.virtual_rig import Rig, record, standard_plans

@@ -1,5 +1,6 @@
 """`rtac envelope` and `rtac control`: what they write, against the rig itself, and how they refuse."""
 
+import functools
 import json
 import re
 from dataclasses import replace
@@ -9,25 +10,27 @@ import pytest
 import scipy.io
 from typer.testing import CliRunner
 
+import estimators
 from estimators import cli
 from estimators._usable_conditions import usable_conditions
 from rtac_jax.measurement import Experiment, Recording, from_rest, harmonic_grid, multisine
 from rtac_jax.virtual_rig import Plan, Rig, record
 
-RIG = Rig(cart_coulomb=0.0, position_noise=2e-6, quantisation_bits=16, encoder=True)
-SAMPLE_TIME, SAMPLES, CONDITIONS = 0.01, 1500, 5
+RIG = Rig(position_noise=2e-6, quantisation_bits=16, encoder=True)
+SAMPLE_TIME, SAMPLES, CONDITIONS = 0.01, 2000, 6
 COMMANDS = ("envelope", "control")
 
 
 def plans():
     """Arms that start within 45 degrees of where they push most, with a multisine of their own at three amplitudes."""
     random = np.random.default_rng(1)
-    harmonics = harmonic_grid("all", period=SAMPLES, sample_time=SAMPLE_TIME, band=(0.8, 6.0))
-    amplitudes = np.minimum((harmonics / (SAMPLES * SAMPLE_TIME * 1.7)) ** 2, 1.0)
+    harmonics = harmonic_grid("all", period=SAMPLES, sample_time=SAMPLE_TIME, band=(1.0, 6.0))
+    ratio = harmonics / (SAMPLES * SAMPLE_TIME * 1.7)  # of the frequency to that of the resonance
+    amplitudes = np.minimum(ratio**2, 1 / ratio)
     found = []
     for n in range(CONDITIONS):
         wave = multisine(
-            samples=SAMPLES, sample_time=SAMPLE_TIME, rms=0.12 * (1, 0.75, 0.5)[n % 3], harmonics=harmonics,
+            samples=SAMPLES, sample_time=SAMPLE_TIME, rms=0.12 * (1, 0.75, 0.5)[n % 3], harmonics=[int(h) for h in harmonics],
             amplitudes=amplitudes, seed=n,
         )  # fmt: skip
         angle = float(random.uniform(-0.8, 0.8)) + (np.pi if n % 2 else 0.0)
@@ -58,14 +61,16 @@ def file(recording, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def ran(file, tmp_path_factory):
-    """Each command once: exit status, output, folder and JSON."""
+    """Each command once: exit status, output, folder and JSON. The fit has tests of its own and takes one start here."""
     found = {}
-    for command in COMMANDS:
-        out = tmp_path_factory.mktemp(command)
-        result = call(command, file, "--out", out / "new", "--json", out / "result.json")
-        assert result.exit_code == 0, result.output
-        content = json.loads((out / "result.json").read_text(), parse_constant=pytest.fail)
-        found[command] = (result, out / "new", content)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(estimators, "output_error", functools.partial(estimators.output_error, from_model=True))
+        for command in COMMANDS:
+            out = tmp_path_factory.mktemp(command)
+            result = call(command, file, "--out", out / "new", "--json", out / "result.json")
+            assert result.exit_code == 0, result.output
+            content = json.loads((out / "result.json").read_text(), parse_constant=pytest.fail)
+            found[command] = (result, out / "new", content)
     return found
 
 
@@ -84,7 +89,7 @@ def test_a_command_writes_a_whole_report(ran, command):
     assert "http://" not in page
     assert "https://" not in page
     assert len(re.findall(r'src="data:image/png;base64,', page)) == len(images)
-    assert result.stdout.count("nan") == 0
+    assert not re.search(r"\bnan\b", result.stdout)
 
 
 # -- envelope --------------------------------------------------------------------------------------------------------
@@ -120,7 +125,9 @@ def test_the_weight_lies_above_every_condition(ran):
 def test_the_nominal_model_has_the_mode_of_the_rig(ran):
     poles = [complex(*pair) for pair in ran["envelope"][2]["nominal"]["poles"]]
     natural = np.sqrt(RIG.spring_stiffness / RIG.total_mass)
-    assert min(abs(abs(p.imag) - natural) for p in poles) < 0.05 * natural
+    assert (
+        min(abs(abs(p.imag) - natural) for p in poles) < 0.1 * natural
+    )  # a compromise over conditions, no estimate of the mode
 
 
 def test_the_held_out_condition_carries_the_coverage(ran):
@@ -129,7 +136,7 @@ def test_the_held_out_condition_carries_the_coverage(ran):
     assert content["coverage"]["method"] == "held out"
     assert content["coverage"]["probability"] == pytest.approx(0.05)  # 1 - 0.95 for a single one
     page = (folder / "report.html").read_text()
-    assert "condition_1, condition_2, condition_3, condition_5" in page
+    assert "condition_1, condition_2, condition_3, condition_5, condition_6" in page
     shares = np.array(list(content["attribution"].values()))
     np.testing.assert_allclose(shares.sum(axis=0), 1.0)
 
@@ -145,11 +152,11 @@ def test_matlab_gets_the_same_envelope(ran):
 
 def test_orders_kind_and_band_are_obeyed(file, tmp_path):
     target = tmp_path / "x.json"
-    options = ("--order", 2, "--weight-order", 1, "--kind", "additive", "--band", "1,5")
+    options = ("--order", 2, "--weight-order", 3, "--kind", "additive", "--band", "1,5")
     assert call("envelope", file, *options, "--json", target).exit_code == 0
     content = json.loads(target.read_text())
     assert content["kind"] == "additive"
-    assert (len(content["nominal"]["poles"]), len(content["weight"]["poles"])) == (2, 1)
+    assert (len(content["nominal"]["poles"]), len(content["weight"]["poles"])) == (2, 3)
     omega = np.array(content["frequency"])
     assert 2 * np.pi <= omega[0] < omega[-1] <= 10 * np.pi * (1 + 1e-9)
     responses = np.array([one["response"] for one in content["conditions"]]) @ [1, 1j]
@@ -162,7 +169,10 @@ def test_orders_kind_and_band_are_obeyed(file, tmp_path):
 
 
 def released(law, duration=8.0, inner=10):
-    """The rig itself, from 15 mm at rest, in plain NumPy: equation (1) with the arm's friction by direction."""
+    """The rig itself, from 15 mm at rest, in plain NumPy: equations (1) and (2) with friction by direction.
+
+    Dry friction is smoothed within 0.1 mm/s, which does not matter while the cart swings by a tenth and more.
+    """
     mass, inertia, moment = RIG.total_mass, RIG.arm_inertia, RIG.eccentric_moment
     step, state, own = SAMPLE_TIME / inner, np.array([0.015, 0.0, 0.0, 0.0]), None
     trace = []
@@ -171,11 +181,9 @@ def released(law, duration=8.0, inner=10):
         q, v, angle, speed = x
         drag = RIG.arm_viscous_positive if speed > 0 else RIG.arm_viscous_negative
         matrix = np.array([[mass, moment * np.cos(angle)], [moment * np.cos(angle), inertia]])
-        push = [
-            moment * np.sin(angle) * speed**2 - RIG.spring_stiffness * q - RIG.cart_viscous * v,
-            torque - drag * speed,
-        ]
-        cart, arm = np.linalg.solve(matrix, push)
+        rubbing = RIG.cart_viscous * v + RIG.cart_coulomb * np.tanh(v / 1e-4)
+        on_cart = moment * np.sin(angle) * speed**2 - RIG.spring_stiffness * q - rubbing
+        cart, arm = np.linalg.solve(matrix, [on_cart, torque - drag * speed])
         return np.array([v, cart, speed, arm])
 
     for _ in range(round(duration / SAMPLE_TIME)):

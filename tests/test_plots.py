@@ -14,11 +14,24 @@ from estimators._compare import Compared, Comparison, Trace
 from estimators._diagnose import Diagnosis
 from estimators._force_curve import ForceCurve
 from estimators._improve import Improvement
+from estimators._latent_force import LatentForce
 from estimators._output_error import Parameter
-from estimators.plots import plot_comparison, plot_diagnosis, plot_improvement, plot_recording, plot_residuals
+from estimators.plots import (
+    plot_bands,
+    plot_comparison,
+    plot_confusion,
+    plot_diagnosis,
+    plot_improvement,
+    plot_recording,
+    plot_residuals,
+)
+from estimators.plots._bands import band_errors
+from estimators.plots._confusion import confusable
 from estimators.plots._diagnosis import finding
-from estimators.plots._style import prefixed, quantity, thin, worst_stretch
+from estimators.plots._effect_curve import effect_curve
+from estimators.plots._style import image_bytes, picture, prefixed, quantity, thin, title, worst_stretch
 from rtac_jax import RTAC
+from rtac_jax.effects import CartStribeck, Cogging, CubicSpring, Effect, FlexibleMode, GravityTilt
 from rtac_jax.measurement import Experiment, Recording
 
 NOISE = {"cart_position": 2e-5, "arm_velocity": 0.05, "arm_angle": 1e-3}
@@ -69,7 +82,15 @@ OTHERS = tuple(
 )
 
 
-def diagnosis(verdict="missing", *, curves=CURVES, others=OTHERS):
+def latent():
+    """Half of the force in the second experiment, which is the shorter one."""
+    force = np.sin(0.05 * np.arange(900))[:, None] * np.array([0.01, 0.05])
+    force[600:, 1] = np.nan
+    rms = {"free_1": 0.007, "forced_1": 0.035}
+    return LatentForce("cart", tuple(rms), force, np.full((900, 2), 0.004), (0.02, 0.001), rms, 10.4, 900.0)
+
+
+def diagnosis(verdict="missing", *, curves=CURVES, others=OTHERS, additions=()):
     parameters = {"mass": Parameter(0.09, 0.001, "kg")}
     first = candidate(
         "flexible_mode", 1200.0, refitted=True, bic_gain=900.0, error_reduction=1.0, parameters=parameters
@@ -77,8 +98,30 @@ def diagnosis(verdict="missing", *, curves=CURVES, others=OTHERS):
     second = candidate("cubic_spring", 1100.0, refitted=True, bic_gain=895.0, error_reduction=0.97)
     effects = {"missing": (first,), "ambiguous": (first, second)}.get(verdict, ())
     return Diagnosis(
-        verdict, effects, (), (*effects, *others), (), (), 1.0, curves, (), (), (), 0.1, 0.1, "In plain words.", 1.0
+        verdict,
+        effects,
+        additions,
+        (*effects, *others),
+        (),
+        (),
+        1.0,
+        curves,
+        (latent(),) if verdict == "unknown" else (),
+        (),
+        (),
+        0.1,
+        0.1,
+        "In plain words.",
+        1.0,
     )
+
+
+def alike(count, correlation):
+    """Candidates of which the second looks like the accepted one, and no others like each other."""
+    names = [f"effect_{n}" for n in range(count)]
+    table = {name: dict.fromkeys((*names, "flexible_mode"), 0.1) for name in names}
+    table[names[1]]["flexible_mode"] = correlation
+    return tuple(candidate(name, 50.0 - n, correlation=table[name]) for n, name in enumerate(names))
 
 
 def improvement(steps=2):
@@ -123,7 +166,17 @@ PICTURES = {
     "diagnosis": lambda: plot_diagnosis(diagnosis()),
     "ambiguous": lambda: plot_diagnosis(diagnosis("ambiguous")),
     "adequate": lambda: plot_diagnosis(diagnosis("adequate", curves=())),
-    "unknown": lambda: plot_diagnosis(diagnosis("unknown", curves=CURVES[:2])),
+    "unknown": lambda: plot_diagnosis(diagnosis("unknown", curves=CURVES[:2]), recording=recording()),
+    "unknown without a recording": lambda: plot_diagnosis(diagnosis("unknown", curves=())),
+    "a static force": lambda: plot_diagnosis(diagnosis(additions=(CubicSpring(-29_000.0),))),
+    "forty candidates": lambda: plot_diagnosis(
+        diagnosis(others=tuple(candidate(f"effect_number_{n}", 30.0 - n) for n in range(39)))
+    ),
+    "confusion": lambda: plot_confusion(diagnosis(others=alike(15, 0.95))),
+    "confusion of few": lambda: plot_confusion(diagnosis("adequate", others=OTHERS)),
+    "confusion of one": lambda: plot_confusion(diagnosis(others=())),
+    "bands of one": lambda: plot_bands(Comparison((compared("model", 12.0),))),
+    "bands of two": lambda: plot_bands(Comparison((compared("base", 12.0), compared("+ mode", 0.2)))),
     "improvement": lambda: plot_improvement(improvement()),
     "improvement in two steps": lambda: plot_improvement(improvement(3)),
     "improvement of nothing": lambda: plot_improvement(improvement(1)),
@@ -152,7 +205,7 @@ def test_every_picture_is_labelled_and_states_a_finding(drawn, name):
     axes = figure.get_axes()
     assert axes
     for one in axes:
-        assert one.lines or one.patches or one.collections or one.texts, "empty axes"
+        assert one.lines or one.patches or one.collections or one.texts or one.images, "empty axes"
     labels = [text for one in axes for text in (one.get_xlabel(), one.get_ylabel()) if text]
     assert labels
     assert all(re.search(r"\[[^\]]+\]", text.replace("\n", " ")) for text in labels), labels
@@ -177,6 +230,105 @@ def test_titles_carry_the_numbers(drawn):
     assert "4 of 7" in drawn["recording"].get_suptitle().replace("\n", " ")
 
 
+def test_titles_of_the_new_pictures_carry_their_numbers(drawn):
+    assert "falls from" in drawn["bands of two"].get_suptitle().replace("\n", " ")
+    # 37.4 rad/s are 5.95 Hz
+    low, high = map(
+        float,
+        re.findall(r"between ([\d.]+) and ([\d.]+) Hz", drawn["bands of one"].get_suptitle().replace("\n", " "))[0],
+    )
+    assert low < 37.4 / (2 * np.pi) < high
+    assert "best 14 candidates, 26 more score lower" in drawn["forty candidates"].get_axes()[0].get_title(loc="left")
+    assert len(drawn["forty candidates"].get_axes()[0].get_yticks()) == 14
+
+
+def test_the_error_in_a_band_is_counted_in_noise():
+    """White noise is one times the noise in every band; a sine of that power is one band's alone."""
+    time = 0.005 * np.arange(4000)
+    noise = 2e-5 * np.random.default_rng(0).standard_normal(4000)
+    sine = np.sqrt(2) * 2e-5 * np.sin(2 * np.pi * 10 * time)
+    edges = np.array([1.0, 9.0, 11.0, 100.0])
+    found = []
+    for wrong in (0 * sine, sine):
+        measured = noise + wrong
+        one = Trace("a", "cart_position", time, measured, 0 * time, 0 * time, time >= 0, 2e-5)
+        found.append(band_errors(Compared("model", RTAC.paper(), (one,), {}), "cart_position", edges))
+    np.testing.assert_allclose(found[0], 1.0, atol=0.1)
+    # All of the sine's power, 1 in units of the noise over 100 Hz, lies in 2 Hz, beside 1/50 of the noise.
+    np.testing.assert_allclose(found[1], [1.0, np.sqrt(51.0), 1.0], rtol=0.1)
+
+
+def test_a_fitted_static_force_lies_on_the_curve_that_it_made():
+    """The curve of a cubic spring without the slope that the linear spring takes up, however much that is."""
+    at = np.linspace(-0.012, 0.012, 12)
+    for slope in (0.0, 3.0):
+        shown = dataclasses.replace(CURVES[0], at=at, force=-29_000.0 * at**3 + slope * at, std=np.full(12, 1e-3))
+        found = effect_curve(CubicSpring(29_000.0), shown)
+        assert found is not None
+        np.testing.assert_allclose(np.interp(at, *found), shown.force, atol=2e-4)
+
+
+def test_dry_friction_has_a_sign():
+    speeds = np.linspace(-0.1, 0.1, 12)
+    level = 0.05 * np.exp(-((speeds / 0.02) ** 2))
+    shown = dataclasses.replace(CURVES[1], at=speeds, force=-level * np.sign(speeds), std=np.full(12, 1e-3))
+    found = effect_curve(CartStribeck(0.05, 0.02), shown)
+    assert found is not None
+    np.testing.assert_allclose(found[1][found[0] > 0.05], 0.0, atol=2e-3)
+    assert found[1][found[0] < 0].max() > 0.02 > -0.02 > found[1][found[0] > 0].min()
+
+
+@pytest.mark.parametrize(
+    ("effect", "curve"),
+    [
+        (Cogging(1e-3, 0.0, 3.0), CURVES[0]),  # depends on the arm's angle, not on this variable
+        (CubicSpring(1e4), CURVES[1]),
+        (CubicSpring(1e4), CURVES[3]),  # on the other port
+        (FlexibleMode(0.1, 37.4, 0.03), CURVES[0]),  # has states of its own
+        (GravityTilt(0.01, 0.01), CURVES[0]),  # needs the mass of the body
+    ],
+)
+def test_only_a_static_force_in_the_variable_is_drawn(effect: Effect, curve: ForceCurve):
+    assert effect_curve(effect, curve) is None
+
+
+def test_the_latent_force_is_drawn_for_the_experiment_that_carries_most(drawn):
+    panel = next(a for a in drawn["unknown"].get_axes() if "forced_1" in a.get_title(loc="left"))
+    assert panel.get_xlabel() == "Time [s]"
+    x, y = panel.lines[0].get_data()
+    assert len(x) == 600
+    assert x[-1] == pytest.approx(599 * 0.005)
+    assert np.max(np.abs(y)) == pytest.approx(50.0, rel=1e-3)  # mN
+    assert any("Sample" in a.get_xlabel() for a in drawn["unknown without a recording"].get_axes())
+
+
+def test_what_looks_alike_is_named(drawn):
+    assert "effect_1 looks much like flexible_mode" in drawn["confusion"].get_suptitle().replace("\n", " ")
+    assert len(drawn["confusion"].get_axes()[0].get_xticks()) == 12
+    untestable = dataclasses.replace(candidate("no_way", 60.0), testable=False)
+    assert [c.id for c in confusable(diagnosis(others=(untestable, *alike(3, 0.2))))] == [
+        "flexible_mode", "effect_0", "effect_1", "effect_2",
+    ]  # fmt: skip
+
+
+def test_a_figure_is_the_same_in_both_formats_and_twice():
+    figure = plot_bands(Comparison((compared("model", 12.0),)))
+    first = image_bytes(figure, "png")
+    assert image_bytes(figure, "svg").startswith(b"<?xml")
+    assert image_bytes(figure, "png") == first
+
+
+def test_a_title_does_not_end_in_a_line_of_one_word():
+    figure = picture(9.6, 3.0)
+    title(
+        figure,
+        "The model with flexible_mode leaves nothing but noise: the worst, arm velocity in forced_2, is 1.04 times it",
+    )
+    lines = figure.get_suptitle().split("\n")
+    assert len(lines) == 2
+    assert len(lines[1]) > 0.6 * len(lines[0])
+
+
 def test_a_rival_is_named():
     rival = candidate("cubic_spring", 400.0, refitted=True, bic_gain=300.0, error_reduction=0.4)
     assert finding(diagnosis(others=(rival, *OTHERS))).endswith("the next, cubic_spring, 40 %")
@@ -193,6 +345,7 @@ def test_a_notebook_can_show_a_figure(drawn):
         (57_000.0, "N/m^3", "57 kN/m³"),
         (1.3e-4, "rad", "130 µrad"),
         (0.05, "1", "0.05"),
+        (0.0025, "1/A", "0.0025 1/A"),
         (0.0, "m", "0 m"),
     ],
 )

@@ -1,7 +1,9 @@
 """Pictures of recordings and results; each function returns a figure whose title says what it shows."""
 
 from estimators.plots._agreement import plot_agreement
+from estimators.plots._bands import plot_bands
 from estimators.plots._comparison import plot_comparison
+from estimators.plots._confusion import plot_confusion
 from estimators.plots._control import plot_batch, plot_closed_loop, plot_margins, plot_synthesis
 from estimators.plots._diagnosis import plot_diagnosis
 from estimators.plots._envelope import plot_envelope, plot_responses
@@ -15,9 +17,11 @@ from estimators.plots._table1 import plot_table_1
 
 __all__ = [
     "plot_agreement",
+    "plot_bands",
     "plot_batch",
     "plot_closed_loop",
     "plot_comparison",
+    "plot_confusion",
     "plot_diagnosis",
     "plot_envelope",
     "plot_equality",

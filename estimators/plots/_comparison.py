@@ -106,7 +106,7 @@ def _finding(comparison: Comparison, models: list[Any], rows: int) -> str:
     last = _same(models[-1].traces, first)
     after = last.rms / last.noise
     verb = "falls" if after < before else "rises"
+    with_what = models[-1].label.replace("+ ", "with ")
     return (
-        f"The largest error, {where}, {verb} from {times(before)} ({models[0].label}) to {times(after)} "
-        f"({models[-1].label}) times the noise {shown}"
+        f"The largest error, {where}, {verb} from {times(before)} to {times(after)} times the noise {with_what} {shown}"
     )

@@ -1,4 +1,4 @@
-"""Which effect is missing: the candidates beside each other, and the missing force as a curve."""
+"""Which effect is missing: the candidates beside each other, and the missing force as a curve and in time."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -8,26 +8,55 @@ import numpy as np
 from estimators._candidate import Candidate
 from estimators._diagnose import Diagnosis
 from estimators._force_curve import ForceCurve
+from estimators._latent_force import LatentForce
+from estimators._ranking import ranked
 from estimators._screen import ALARM
-from estimators.plots._style import NAMES, SMALL, UNITS, Picture, picture, prefixed, quantity, tidy, times, title
+from estimators.plots._effect_curve import effect_curve
+from estimators.plots._style import (
+    MODELS,
+    NAMES,
+    SMALL,
+    UNITS,
+    Picture,
+    picture,
+    prefixed,
+    quantity,
+    tidy,
+    times,
+    title,
+    worst_stretch,
+)
+from rtac_jax.effects import Effect
+from rtac_jax.measurement import Recording
 
 _MOST_BARS = 14
 _NEAR = 0.05  # share of the misfit that makes a rival worth naming
 _FORCE = {"cart": ("force", "N"), "arm": ("torque", "N m")}
+_FITTED: dict[str, Any] = {**MODELS[0], "linewidth": 1.6}
 _RUNNERS_UP = ("cart_position", "cart_velocity", "arm_angle")
 
 
-def plot_diagnosis(diagnosis: Diagnosis) -> Picture:
-    """Scores of the candidates with what would have been found of each, and the missing force as curves."""
-    curves = _chosen(diagnosis.curves)
+def plot_diagnosis(diagnosis: Diagnosis, *, recording: Recording | None = None) -> Picture:
+    """Scores of the candidates with what would have been found of each, and the missing force as curves.
+
+    Where no effect of the catalogue explains what is missing, the missing force is also drawn in time.
+
+    Args:
+        recording: that was diagnosed, for the time axis of that force; without it samples are counted.
+    """
+    latent = diagnosis.latent[0] if diagnosis.verdict == "unknown" and diagnosis.latent else None
+    curves = _chosen(diagnosis.curves)[: 1 if latent is not None else 3]
+    fitted = diagnosis.additions[0] if diagnosis.additions else None
     figure = picture(9.6, 6.2)
-    if curves:
-        grid = figure.add_gridspec(2, 4, width_ratios=[1.35, 1.35, 1, 1], height_ratios=[1.15, 1])
+    grid = figure.add_gridspec(2, 4, width_ratios=[1.35, 1.35, 1, 1], height_ratios=[1.15, 1])
+    if curves or latent is not None:
         bars = figure.add_subplot(grid[:, :2])
         places: list[Any] = [grid[0, 2:]]
         places += [grid[1, 2], grid[1, 3]] if len(curves) > 2 else [grid[1, 2:]]
         for place, curve in zip(places, curves, strict=False):
-            _curve(figure.add_subplot(place), curve, narrow=len(curves) > 2 and place is not places[0])
+            _curve(figure.add_subplot(place), curve, fitted, narrow=len(curves) > 2 and place is not places[0])
+        if latent is not None:
+            _in_time(figure.add_subplot(places[len(curves)]), latent, recording)
     else:
         bars = figure.add_subplot()
     _bars(bars, diagnosis)
@@ -60,8 +89,8 @@ def finding(diagnosis: Diagnosis) -> str:
 
 def _bars(axes: Any, diagnosis: Diagnosis) -> None:
     accepted = {c.id for c in diagnosis.effects}
-    ranked = list(diagnosis.candidates)
-    shown = ranked[:_MOST_BARS]
+    shown = ranked(diagnosis)[:_MOST_BARS]
+    left = len(diagnosis.candidates) - len(shown)
     top = max([c.score for c in shown] + [2 * ALARM])
     for row, c in enumerate(shown):
         axes.barh(
@@ -86,9 +115,9 @@ def _bars(axes: Any, diagnosis: Diagnosis) -> None:
     axes.set_ylim(len(shown) - 0.4, -1.1)
     axes.text(ALARM, -0.62, " alarm: chi-square 20", fontsize=7.5, ha="left", va="center")
     axes.set_xlabel("Score: chi-square gained less the price of the parameters [1]", fontsize=SMALL)
-    more = f" (first {len(shown)} of {len(ranked)})" if len(shown) < len(ranked) else ""
+    more = f"best {len(shown)} candidates, {left} more score lower" if left else f"all {len(shown)} candidates"
     marked = "★ and dark: accepted" if accepted else "none accepted"
-    axes.set_title(f"candidates{more}; {marked}", fontsize=9, loc="left")
+    axes.set_title(f"{more}; {marked}", fontsize=9, loc="left")
     tidy(axes)
     axes.grid(False, axis="y")
 
@@ -103,12 +132,12 @@ def _ticks(top: float) -> tuple[list[float], list[str]]:
 
 def _remark(c: Candidate, accepted: bool) -> str:
     if c.refitted and not accepted:
-        return f"fitted: explains {100 * c.error_reduction:.0f} %"
+        return f"when fitted, removes {100 * c.error_reduction:.0f} %"
     if accepted:
         return f"removes {100 * c.error_reduction:.0f} % of the misfit"
     if not np.isfinite(c.detection_limit) or not c.testable:
-        return "not testable"
-    return f"found from {quantity(c.detection_limit, c.unit)}"
+        return "not testable here"
+    return f"would show from {quantity(c.detection_limit, c.unit)}"
 
 
 def _chosen(curves: Sequence[ForceCurve]) -> list[ForceCurve]:
@@ -122,7 +151,39 @@ def _chosen(curves: Sequence[ForceCurve]) -> list[ForceCurve]:
     return [best, *different[:2]]
 
 
-def _curve(axes: Any, curve: ForceCurve, *, narrow: bool) -> None:
+def _in_time(axes: Any, latent: LatentForce, recording: Recording | None) -> None:
+    """The missing force over the experiment that carries most of it, or its strongest stretch."""
+    most = max(latent.by_experiment, key=lambda name: latent.by_experiment[name])
+    column = latent.experiments.index(most)
+    force, std = latent.force[:, column], latent.std[:, column]
+    known = np.isfinite(force)
+    force, std = force[known], std[known]
+    near = worst_stretch(force)
+    force, std = force[near], std[near]
+    scale = prefixed(float(np.max(np.abs(force) + 2 * std, initial=0.0)), latent.unit)
+    step = recording[most].sample_time if recording is not None and most in recording.names else None
+    at = np.arange(near.start, near.start + len(force)) * (1.0 if step is None else step)
+    axes.fill_between(
+        at,
+        scale.factor * (force - 2 * std),
+        scale.factor * (force + 2 * std),
+        color="0.78",
+        linewidth=0,
+        label="±2 std",
+    )
+    axes.plot(at, scale.factor * force, color="#08306b", linewidth=0.9, label="missing")
+    axes.axhline(0, color="black", linewidth=0.6)
+    what, _ = _FORCE[latent.port]
+    axes.set_xlabel("Sample [1]" if step is None else "Time [s]", fontsize=SMALL)
+    axes.set_ylabel(f"{what.capitalize()} [{scale.unit}]", fontsize=SMALL)
+    axes.set_title(
+        f"{what} missing on the {latent.port} in {most}, most at {latent.frequency:.2g} rad/s", fontsize=9, loc="left"
+    )
+    tidy(axes)
+    axes.legend(fontsize=7, loc="best")
+
+
+def _curve(axes: Any, curve: ForceCurve, fitted: Effect | None, *, narrow: bool) -> None:
     what, unit = _FORCE[curve.port]
     across = prefixed(float(np.max(np.abs(curve.at))), UNITS[curve.variable])
     # At the ends of its range a variable is seldom, and a band of that width would flatten everything else.
@@ -133,14 +194,17 @@ def _curve(axes: Any, curve: ForceCurve, *, narrow: bool) -> None:
     low, high = (up.factor * (curve.force + sign * 2 * curve.std) for sign in (-1, 1))
     axes.fill_between(x, low, high, color="0.82", linewidth=0, label="±2 std")
     axes.plot(x, up.factor * curve.force, color="#08306b", marker="o", markersize=3, linewidth=1.2, label="missing")
+    shape = None if fitted is None else effect_curve(fitted, curve)
+    if fitted is not None and shape is not None:
+        axes.plot(shape[0] * across.factor, shape[1] * up.factor, label=f"{fitted.id}, fitted", **_FITTED)
     axes.axhline(0, color="black", linewidth=0.6)
     axes.set_ylim(-1.2 * up.factor * reach, 1.2 * up.factor * reach)
     name = NAMES[curve.variable]
     axes.set_xlabel(f"{name[0].upper()}{name[1:]} [{across.unit}]", fontsize=SMALL)
     axes.set_ylabel(f"{what.capitalize()} [{up.unit}]", fontsize=SMALL)
     explains = f"chi-square {times(max(curve.explains, 0.0))}" if curve.score > ALARM else "nothing beyond chance"
-    head = f"missing on the {curve.port}: {explains}"
+    head = f"{what} missing on the {curve.port}: {explains}"
     axes.set_title(head.replace(": ", ":\n") if narrow else head, fontsize=SMALL if narrow else 9, loc="left")
     tidy(axes)
-    if not narrow:
+    if not narrow or shape is not None:
         axes.legend(fontsize=7, loc="best")

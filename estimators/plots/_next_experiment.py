@@ -66,15 +66,15 @@ def _bars(axes: Any, found: NextExperiment) -> None:
         )
     axes.set_xscale("log")
     axes.set_xlim(low, 4 * max(*values, 2 * CONFUSABLE))
-    lines = ((CONFUSABLE, "--", "below: not told apart"), (now, ":", "as it stands"))
-    for at, style, words in lines:
+    lines = ((CONFUSABLE, "--", "told apart from here on"), (now, ":", "as it stands"))
+    for height, (at, style, words) in enumerate(lines):
         if at > low:
-            axes.axvline(at, color="black", linestyle=style, linewidth=1, label=f"{words} ({_two(at)})")
+            axes.axvline(at, color="black", linestyle=style, linewidth=1)
+            axes.text(at, -0.75 - 0.7 * height, f" {words} ({_two(at)})", fontsize=7.5, ha="left", va="center")
     axes.set_yticks(range(len(shown)), [f"{'★ ' if row == 0 else ''}{one.plan.name}" for row, one in enumerate(shown)])
-    axes.set_ylim(len(shown) - 0.4, -0.6)
+    axes.set_ylim(len(shown) - 0.4, -1.9)
     axes.set_xlabel("Smallest separation, with what is recorded: twice the log-likelihood gain [1]", fontsize=SMALL)
     axes.xaxis.set_label_coords(0.2, -0.07)
-    axes.legend(fontsize=7.5, loc="lower right")
     more = f"first {len(shown)} of {len(found.ranked)}" if len(shown) < len(found.ranked) else f"{len(shown)}"
     axes.set_title(f"experiments within the limits ({more}); ★ recommended", fontsize=9, loc="left")
     tidy(axes)
@@ -83,4 +83,4 @@ def _bars(axes: Any, found: NextExperiment) -> None:
 
 
 def _two(value: float) -> str:
-    return f"{value:.0f}" if value >= 10 else f"{value:.2g}"
+    return f"{float(f'{value:.2g}'):,.0f}" if value >= 10 else f"{value:.2g}"

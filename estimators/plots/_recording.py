@@ -52,9 +52,8 @@ def _draw(panel: Any, experiment: Experiment, channel: str, factor: float) -> No
     tidy(panel)
     signals = _signals(experiment)
     if channel not in signals:
-        panel.text(
-            0.5, 0.5, "not recorded", transform=panel.transAxes, ha="center", va="center", fontsize=SMALL, color="0.4"
-        )
+        absent = "no input" if channel in INPUTS else "not recorded"
+        panel.text(0.5, 0.5, absent, transform=panel.transAxes, ha="center", va="center", fontsize=SMALL, color="0.4")
         return
     signal = signals[channel]
     panel.plot(

@@ -75,7 +75,8 @@ def _by_experiment(axes: Any, compared: Compared) -> None:
     axes.set_xlabel("rms of residual / noise [1]", fontsize=SMALL)
     count = f"worst {len(shown)} of {len(names)}" if len(shown) < len(names) else f"all {len(names)}"
     axes.set_title(f"error by experiment ({count})", fontsize=9, loc="left")
-    axes.legend(fontsize=7, loc="lower right")
+    # Above the bars, which may reach across the whole axes.
+    axes.legend(fontsize=7, loc="lower left", bbox_to_anchor=(0.0, 1.12), borderaxespad=0.0, frameon=False, ncols=2)
     tidy(axes)
 
 
@@ -141,7 +142,9 @@ def _spectrum(axes: Any, trace: Trace) -> float | None:
 def _finding(compared: Compared, trace: Trace, peak: float | None) -> str:
     ratio = trace.rms / trace.noise
     where = f"{NAMES[trace.channel]} in {trace.experiment}"
+    model = "The base model" if compared.label == "base" else f"The model {compared.label.replace('+ ', 'with ')}"
+    model = "The model" if compared.label == "model" else model
     if ratio < 1.2:
-        return f"{compared.label}: nothing is left but noise; the worst, {where}, has {times(ratio)} times it"
+        return f"{model} leaves nothing but noise: the worst, {where}, is {times(ratio)} times the noise"
     at = f", mostly at {peak:.2g} Hz ({2 * np.pi * peak:.0f} rad/s)" if peak is not None else ""
-    return f"{compared.label}: {times(ratio)} times the noise is left of {where}{at}"
+    return f"{model} leaves {times(ratio)} times the noise of {where}{at}"

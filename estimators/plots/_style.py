@@ -46,6 +46,7 @@ SMALL = 8
 
 _PREFIXES = ((1e9, "G"), (1e6, "M"), (1e3, "k"), (1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))
 _MOST_POINTS = 2000
+_DPI = 120  # a figure is as wide as a report at this, and its text stays sharp
 _WIDEST_TITLE = 10.2  # characters per inch at the size of a title
 
 
@@ -67,7 +68,8 @@ def image_bytes(figure: Figure, kind: Literal["png", "svg"]) -> bytes:
     """The figure as the contents of an image file; the same figure gives the same bytes."""
     kept = io.BytesIO()
     metadata = {"Date": None} if kind == "svg" else {}
-    figure.savefig(kept, format=kind, dpi=150, metadata=metadata)
+    figure.savefig(kept, format=kind, dpi=_DPI, metadata=metadata)
+    figure.set_layout_engine("none")  # it is laid out now; to do so again for the next format takes as long as drawing
     return kept.getvalue()
 
 
@@ -79,8 +81,8 @@ def picture(width: float, height: float) -> Picture:
 
 
 def prefixed(largest: float, unit: str) -> Scaled:
-    """The SI prefix with which the largest value is between 1 and 1000."""
-    if not np.isfinite(largest) or largest <= 0 or unit in ("1", ""):
+    """The SI prefix with which the largest value is between 1 and 1000; none before a unit such as 1/A."""
+    if not np.isfinite(largest) or largest <= 0 or unit in ("1", "") or unit.startswith("1/"):
         return Scaled(1.0, unit)
     if unit == "kg":
         size, gram = prefixed(1e3 * largest, "g")
@@ -136,7 +138,11 @@ def worst_stretch(residual: Values, most: int = 1200) -> slice:
 def title(figure: Figure, text: str) -> None:
     """State the finding above the figure, broken into lines that fit."""
     width = int(_WIDEST_TITLE * figure.get_figwidth())
-    figure.suptitle(textwrap.fill(text, width), fontsize=11, fontweight="bold")
+    lines = textwrap.wrap(text, width)
+    if len(lines) > 1:  # no line of a single word: as narrow as the same number of lines allows
+        narrow = next(w for w in range(len(text) // len(lines), width + 1) if len(textwrap.wrap(text, w)) <= len(lines))
+        lines = textwrap.wrap(text, narrow)
+    figure.suptitle("\n".join(lines), fontsize=11, fontweight="bold")
 
 
 def tidy(axes: Any) -> None:

@@ -73,9 +73,10 @@ class SplineForce(Force):
     port: ClassVar[str] = "cart or arm"
     nature: ClassVar[str] = "source"
 
-    shapes: Float[Array, "6 knot"]
-    on: Float[Array, "2"]
-    variable: Float[Array, "7"]
+    # Numbers, not arrays: an array in a model is taken for one value per experiment.
+    shapes: tuple[tuple[Float[Array, ""], ...], ...]
+    on: tuple[Float[Array, ""], ...]
+    variable: tuple[Float[Array, ""], ...]
     first: Float[Array, ""]
     spacing: Float[Array, ""]
     slow: Float[Array, ""]
@@ -109,7 +110,8 @@ class SplineForce(Force):
             slow: speed below which friction fades [m/s or rad/s].
 
         Raises:
-            ValueError: an unknown variable or port, an empty range, or more than six shapes.
+            ValueError: an unknown variable or port, an empty range, shapes or amounts of the wrong number, or a speed that is
+                not positive.
         """
         if variable not in VARIABLES:
             raise ValueError(f"spline_force: {variable!r} is no variable; choose among {', '.join(VARIABLES)}.")
@@ -120,13 +122,19 @@ class SplineForce(Force):
         table = np.eye(SHAPES) if shapes is None else np.atleast_2d(np.asarray(shapes, dtype=float))
         if len(table) > SHAPES:
             raise ValueError(f"spline_force: {len(table)} shapes; it adds up at most {SHAPES}.")
+        if table.shape[1] < 2:
+            raise ValueError("spline_force: a shape needs heights at two knots at least, the ends of its range.")
+        if amounts is not None and np.shape(amounts) != (len(table),):
+            raise ValueError(f"spline_force: amounts {np.shape(amounts)} for {len(table)} shapes; give one for each.")
+        if not slow > 0:
+            raise ValueError(f"spline_force: slow is {slow}; give a positive speed.")
         start = np.zeros(len(table)) if amounts is None else np.asarray(amounts, dtype=float)
         padding = np.zeros((SHAPES - len(table), table.shape[1]))
         amounts = np.append(start, np.zeros(SHAPES - len(table)))
         return cls(
-            shapes=jnp.asarray(np.concatenate([table, padding])),
-            on=jnp.asarray([float(port == p) for p in PORTS]),
-            variable=jnp.asarray([float(variable == v) for v in VARIABLES]),
+            shapes=tuple(tuple(jnp.asarray(height) for height in row) for row in np.concatenate([table, padding])),
+            on=tuple(jnp.asarray(float(port == p)) for p in PORTS),
+            variable=tuple(jnp.asarray(float(variable == v)) for v in VARIABLES),
             first=jnp.asarray(float(between[0])),
             spacing=jnp.asarray((between[1] - between[0]) / (table.shape[1] - 1)),
             slow=jnp.asarray(float(slow)),
@@ -136,7 +144,8 @@ class SplineForce(Force):
     def force(self, motion: Motion, own: States) -> tuple[Any, Any]:
         del own
         amounts = (self.amount_1, self.amount_2, self.amount_3, self.amount_4, self.amount_5, self.amount_6)
+        variable = jnp.stack(self.variable)
         total: Any = 0.0
         for amount, shape in zip(amounts, self.shapes, strict=True):
-            total = total + amount * curve_value(shape, motion, self.variable, self.first, self.spacing, self.slow)
+            total = total + amount * curve_value(jnp.stack(shape), motion, variable, self.first, self.spacing, self.slow)
         return self.on[0] * total, self.on[1] * total

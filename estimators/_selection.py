@@ -39,7 +39,7 @@ def held_out(
     others = np.setdiff1d(np.arange(shared), effect)
     follow = np.zeros((shared, len(effect)))
     follow[effect] = np.eye(len(effect))
-    follow[others] = -np.linalg.lstsq(whole[np.ix_(others, others)], whole[np.ix_(others, effect)], rcond=1e-12)[0]
+    follow[others] = -np.linalg.lstsq(whole[others][:, others], whole[others][:, effect], rcond=1e-12)[0]
     curvature = follow.T @ hessian @ follow
     pull = slope @ follow
     total = curvature.sum(axis=0)

@@ -86,12 +86,12 @@ def _products(
 def _left(product: Float[np.ndarray, "term term"], number: int, first: int) -> float:
     """Square of what is left of one column when those from `first` on have been projected out of it."""
     here = np.array([number, *range(first, len(product))])
-    part = product[np.ix_(here, here)]
+    part = product[here][:, here]
     if not np.all(np.isfinite(part)):
         return 0.0  # a predictor that breaks down tells nothing
     size = np.sqrt(np.diagonal(part)[1:])
     sound = size > 0
-    scaled = part[1:, 1:][np.ix_(sound, sound)] / np.outer(size[sound], size[sound])
+    scaled = part[1:, 1:][sound][:, sound] / np.outer(size[sound], size[sound])
     overlap = part[0, 1:][sound] / size[sound]
     weights, directions = np.linalg.eigh(scaled)
     keep = weights > _ROUNDING * np.max(weights, initial=0.0)

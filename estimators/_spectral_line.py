@@ -33,7 +33,9 @@ class SpectralLine:
     p_value: float
 
 
-def spectral_line(innovations: np.ndarray, present: np.ndarray, experiments: Sequence[Experiment]) -> SpectralLine | None:
+def spectral_line(
+    innovations: np.ndarray, present: np.ndarray, experiments: Sequence[Experiment]
+) -> SpectralLine | None:
     """The strongest line over all experiments together; None where they are too short.
 
     The noise around it is measured on the same spectrum, so that smooth colour of the noise is no line.

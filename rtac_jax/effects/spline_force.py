@@ -147,5 +147,7 @@ class SplineForce(Force):
         variable = jnp.stack(self.variable)
         total: Any = 0.0
         for amount, shape in zip(amounts, self.shapes, strict=True):
-            total = total + amount * curve_value(jnp.stack(shape), motion, variable, self.first, self.spacing, self.slow)
+            total = total + amount * curve_value(
+                jnp.stack(shape), motion, variable, self.first, self.spacing, self.slow
+            )
         return self.on[0] * total, self.on[1] * total

@@ -29,6 +29,7 @@ _CLOSE = 0.3  # and those whose score is within this share of the best
 _BIC_GAIN = 10.0  # what a candidate must gain, and within which it cannot be told from the best
 _VUONG = 1.645  # standard normal statistic below which the data do not tell two models apart
 _RIVAL = 0.5  # share of the best gain that a rival must reach to be one
+_DRIVEN = 0.5  # share of an effect's gain that its own states must bring without being corrected
 _EFFECTS = 3  # that one diagnosis names at most
 
 
@@ -182,14 +183,23 @@ def _named(search: Search, base: Refit, tested: Tested) -> tuple[list[Step], dic
             break
         top = ranked[0].statistic
         tried: dict[str, Refit] = {}
+        ahead: Tested | None = None  # what the best leaves
         for place, s in enumerate(ranked):
-            if place < _REFITS or s.statistic > (1 - _CLOSE) * top:
+            settled = ahead is not None and not any(test.rejects for test in ahead.tests)
+            if s.statistic > (1 - _CLOSE) * top or (place < _REFITS and not settled):
                 search.bar.set_description(f"diagnose: refit with {s.id}")
                 tried[s.id] = search.with_effect(now, s)
                 refits.setdefault(s.id, tried[s.id])
+            if place == 0:
+                # Where the best leaves nothing to explain, those far behind it need not be asked.
+                ahead = search.tested(tried[s.id])
         gains = {i: _bic_gain(search, now, refit) for i, refit in tried.items()}
         held_out = {i: search.held_out_gain(now, refit) for i, refit in tried.items()}
-        good = [i for i, gain in gains.items() if gain > _BIC_GAIN and not held_out[i] <= 0]
+        good = [
+            i
+            for i, gain in gains.items()
+            if gain > _BIC_GAIN and not held_out[i] <= 0 and search.driven_share(now, tried[i]) > _DRIVEN
+        ]
         if not good:
             break
         best = max(good, key=lambda i: gains[i])
@@ -199,7 +209,7 @@ def _named(search: Search, base: Refit, tested: Tested) -> tuple[list[Step], dic
         refits[best] = tried[best]
         now = tried[best]
         search.bar.set_description("diagnose: what is left")
-        seen = search.tested(now)
+        seen = ahead if ahead is not None and best == ranked[0].id else search.tested(now)
         if not any(test.rejects for test in seen.tests):
             break
     return steps, refits, seen.tests

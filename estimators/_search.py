@@ -32,11 +32,9 @@ from rtac_jax._simulate import Steps
 from rtac_jax.effects import CATALOGUE, Effect
 from rtac_jax.measurement import Experiment, Recording
 
-_NUISANCE = 3  # free parameters that a candidate may have
 _SLOW = 1e-2  # share of the rms speed below which a learned friction fades
 _MEMORIES = (1.5, 4.0, 10.0, 25.0)  # correlation times of sensor noise that are tried, in samples
 _WORTH = 10.0  # gain in log-likelihood for which coloured noise is taken instead of white
-_ROOM = 8  # unknowns are padded to a multiple of this, so that a model with one effect more needs no new compilation
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,7 +43,7 @@ class Refit:
 
     Attributes:
         added: ids of the effects beyond the base model.
-        model: with them, and with candidates at null that cost nothing.
+        model: with them.
         predictor: the fit.
         space: its unknowns.
         by_sample: log-likelihood of each sample.
@@ -81,8 +79,8 @@ class Tested:
 class Search:
     """What stays the same over one diagnosis: the data, and the candidates at null.
 
-    The filter runs on a model with all candidates that have no states of their own, so that most refits share compiled
-    functions; its cost grows with the cube of the number of states, so those that have some come in only when tried.
+    Screening simulates one model with all candidates at null; the filter, which costs the cube of the number of states, runs
+    on models with no more than what was added.
     """
 
     fit: Fit
@@ -117,8 +115,7 @@ class Search:
         # that nobody measured.
         blind = [e for e in experiments if e.initial_arm_angle is None and "arm_angle" not in e.outputs]
         start = {e.name: fit.start[e.name] for e in blind}
-        light = _with_all(fit.model, _stateless(absent))
-        space = space_of(light, experiments, free=_shared(fit.model), start=start)
+        space = space_of(fit.model, experiments, free=_shared(fit.model), start=start)
         prior = NoiseModel.of(levels, recording.experiments, scales, space)
         colour = ColouredNoise.of(colours) if colours else None
         return cls(
@@ -133,7 +130,7 @@ class Search:
 
     def base(self) -> Refit:
         """The base model."""
-        return self._fitted((), self._model(()), tuple(_shared(self.fit.model)), None)
+        return self._fitted((), self._with([]), tuple(_shared(self.fit.model)), None)
 
     def held_out_gain(self, before: Refit, after: Refit) -> float:
         """Gain in the log-likelihood of experiments that did not take part in estimating the effect; NaN if none can tell."""
@@ -144,6 +141,22 @@ class Search:
         )
         known = np.isfinite(change)
         return float(np.sum(gains[known] + change[known])) if known.any() else np.nan
+
+    def driven_share(self, before: Refit, after: Refit) -> float:
+        """Share of an effect's gain that is left when its own states are not corrected by what was measured.
+
+        An effect's states follow from the motion. Where they help only because the filter keeps correcting them they
+        stand for something that moves by itself, such as a vibration of the floor.
+        """
+        own = [i for i, name in enumerate(after.model.states) if name.split(".")[0] == after.added[-1]]
+        gain = after.predictor.log_likelihood - before.predictor.log_likelihood
+        if not own or gain <= 0:
+            return 1.0
+        innovations = self._innovations(after, [], [])
+        innovations.gain = innovations.gain.at[:, jnp.asarray(own)].set(0.0)
+        apart = innovations.at(np.asarray(innovations.space.values)[None])
+        lost = 0.5 * (float(np.sum(apart**2)) - float(np.sum(np.asarray(after.predictor.filtered.innovations) ** 2)))
+        return 1.0 - lost / gain
 
     def coloured(self, base: Refit) -> "Search | None":
         """The same with coloured sensor noise, if that makes the data of the base model more likely; None otherwise.
@@ -156,7 +169,7 @@ class Search:
         for channel in np.array(CHANNELS)[count > 0]:
             for memory in interval * np.array(_MEMORIES):
                 trial = dataclasses.replace(self, colour=ColouredNoise.of({**best, str(channel): (1.0, float(memory))}))
-                model = trial._model(())
+                model = trial._with([])
                 space = trial._space(model, base.free)
                 space = dataclasses.replace(space, values=_by_name(space, base.space, base.predictor.physical[0]))
                 physical = space.physical(space.unconstrained(start=False))
@@ -179,7 +192,7 @@ class Search:
                 start = start or 0.05 * plausible
             values[f"{s.id}.{name}"] = start
         added = (*before.added, s.id)
-        model = self._model(added)
+        model = self._with([effect for i, effect in self.absent.items() if i in added])
         model = model.with_values({n: v for n, v in values.items() if n in model.parameters})
         free = before.free + tuple(f"{s.id}.{n}" for n in declared if not declared[n].fixed)
         return self._fitted(added, model, free, before.predictor.noise)
@@ -274,21 +287,11 @@ class Search:
         triangles = np.asarray(factor(found.unknowns, arguments))
         return Refit(added, model, found, space, by_sample(found.filtered, self.data), free, triangles)
 
-    def _model(self, added: Sequence[str]) -> RTAC:
-        """The base model with all candidates at null that have no states, and with those that were added."""
-        heavy = [effect for i, effect in self.absent.items() if effect.states and i in added]
-        return self._with(_stateless(self.absent) + heavy)
-
     def _with(self, effects: Sequence[Effect]) -> RTAC:
         return _with_all(self.fit.model, [*effects, *([self.colour] if self.colour is not None else [])])
 
     def _space(self, model: RTAC, free: Sequence[str]) -> Space:
-        """The unknowns, padded to one number for all candidates so that they share compiled functions."""
-        found = space_of(model, self.experiments, free=free, start=self.start)
-        most = -(-max(len(_shared(self.fit.model)) + _NUISANCE, len(free)) // _ROOM) * _ROOM
-        padded = np.full(most, len(found.names))
-        padded[: len(found.active)] = np.asarray(found.active)
-        return dataclasses.replace(found, active=jnp.asarray(padded))
+        return space_of(model, self.experiments, free=free, start=self.start)
 
     def _innovations(self, refit: Refit, absent: Sequence[Effect], free: Sequence[str]) -> Innovations:
         """Innovations of a fitted model with some of the candidates beside what was added, and no others."""
@@ -349,10 +352,6 @@ def _by_name(space: Space, other: Space, values: Any) -> Any:
     """Values of one space where another has a parameter of that name."""
     known = dict(zip(other.names, np.asarray(values), strict=True))
     return jnp.asarray([known.get(n, v) for n, v in zip(space.names, np.asarray(space.values), strict=True)])
-
-
-def _stateless(absent: Mapping[str, Effect]) -> list[Effect]:
-    return [effect for effect in absent.values() if not effect.states]
 
 
 def _shared(model: RTAC) -> list[str]:

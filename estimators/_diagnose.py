@@ -29,7 +29,6 @@ _CLOSE = 0.3  # and those whose score is within this share of the best
 _BIC_GAIN = 10.0  # what a candidate must gain, and within which it cannot be told from the best
 _VUONG = 1.645  # standard normal statistic below which the data do not tell two models apart
 _RIVAL = 0.5  # share of the best gain that a rival must reach to be one
-_DRIVEN = 0.5  # share of an effect's gain that its own states must bring without being corrected
 _EFFECTS = 3  # that one diagnosis names at most
 
 
@@ -195,11 +194,7 @@ def _named(search: Search, base: Refit, tested: Tested) -> tuple[list[Step], dic
                 ahead = search.tested(tried[s.id])
         gains = {i: _bic_gain(search, now, refit) for i, refit in tried.items()}
         held_out = {i: search.held_out_gain(now, refit) for i, refit in tried.items()}
-        good = [
-            i
-            for i, gain in gains.items()
-            if gain > _BIC_GAIN and not held_out[i] <= 0 and search.driven_share(now, tried[i]) > _DRIVEN
-        ]
+        good = [i for i, gain in gains.items() if gain > _BIC_GAIN and not held_out[i] <= 0]
         if not good:
             break
         best = max(good, key=lambda i: gains[i])

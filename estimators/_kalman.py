@@ -59,6 +59,8 @@ def kalman(
     count = len(state)
     places = _start_places(model)
     spread = jnp.zeros((count, count, *shape))
+    if len(start_variance) != len(places):
+        raise ValueError(f"{len(start_variance)} variances for {len(places)} states at the start.")
     for row, place in enumerate(places):
         spread = spread.at[place, place].set(start_variance[row])
     wander = wandering(placed, sensor_variance, excitation.sample_time)

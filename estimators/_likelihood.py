@@ -58,8 +58,17 @@ class NoiseModel:
             scales.force,
             scales.torque,
             scales.sample_time,
-            (space.start_scale * (1 - space.start_held)) ** 2,
+            start_variance(space),
         )
+
+    def starting(self, space: Space) -> "NoiseModel":
+        """The same for a model with other states."""
+        return dataclasses.replace(self, start_variance=start_variance(space))
+
+
+def start_variance(space: Space) -> Float[Array, "start experiment"]:
+    """Variance of the states at the start; none where they are held."""
+    return (space.start_scale * (1 - space.start_held)) ** 2
 
 
 @dataclasses.dataclass(frozen=True)

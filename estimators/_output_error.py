@@ -16,6 +16,7 @@ from estimators._covariance import Information, information
 from estimators._kalman import filtered
 from estimators._least_squares import least_squares
 from estimators._levenberg_marquardt import Arguments, Solved, diverged, factor, plain_residual
+from estimators._likelihood import start_variance
 from estimators._noise import noise_levels
 from estimators._problem import CHANNELS, Data, Space, Unknowns
 from estimators._results import RESULTS, DivergedError
@@ -309,7 +310,7 @@ class _Run:
             model, self.data, space, space.physical(unknowns),
             sensor_variance=jnp.broadcast_to(jnp.asarray(noise**2)[:, None], (len(CHANNELS), self.data.experiments)),
             process=(jnp.asarray((share * scales.force) ** 2 * interval), jnp.asarray((share * scales.torque) ** 2 * interval)),
-            start_variance=(space.start_scale * (1 - space.start_held)) ** 2,
+            start_variance=start_variance(space),
             substeps=jnp.asarray(substeps),
         )  # fmt: skip
         # One whitener for all samples: enough for a start, and the same compiled function as for the simulation.

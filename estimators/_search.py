@@ -33,6 +33,7 @@ from rtac_jax.effects import CATALOGUE, Effect
 from rtac_jax.measurement import Experiment, Recording
 
 _SLOW = 1e-2  # share of the rms speed below which a learned friction fades
+_ROOM = 16  # unknowns are padded to a multiple of this
 _MEMORIES = (1.5, 4.0, 10.0, 25.0)  # correlation times of sensor noise that are tried, in samples
 _WORTH = 10.0  # gain in log-likelihood for which coloured noise is taken instead of white
 
@@ -142,22 +143,6 @@ class Search:
         known = np.isfinite(change)
         return float(np.sum(gains[known] + change[known])) if known.any() else np.nan
 
-    def driven_share(self, before: Refit, after: Refit) -> float:
-        """Share of an effect's gain that is left when its own states are not corrected by what was measured.
-
-        An effect's states follow from the motion. Where they help only because the filter keeps correcting them they
-        stand for something that moves by itself, such as a vibration of the floor.
-        """
-        own = [i for i, name in enumerate(after.model.states) if name.split(".")[0] == after.added[-1]]
-        gain = after.predictor.log_likelihood - before.predictor.log_likelihood
-        if not own or gain <= 0:
-            return 1.0
-        innovations = self._innovations(after, [], [])
-        innovations.gain = innovations.gain.at[:, jnp.asarray(own)].set(0.0)
-        apart = innovations.at(np.asarray(innovations.space.values)[None])
-        lost = 0.5 * (float(np.sum(apart**2)) - float(np.sum(np.asarray(after.predictor.filtered.innovations) ** 2)))
-        return 1.0 - lost / gain
-
     def coloured(self, base: Refit) -> "Search | None":
         """The same with coloured sensor noise, if that makes the data of the base model more likely; None otherwise.
 
@@ -173,7 +158,8 @@ class Search:
                 space = trial._space(model, base.free)
                 space = dataclasses.replace(space, values=_by_name(space, base.space, base.predictor.physical[0]))
                 physical = space.physical(space.unconstrained(start=False))
-                value = fit_noise(model, self.data, space, physical, self.prior, base.predictor.noise, self.substeps)[1]
+                prior = self.prior.starting(space)
+                value = fit_noise(model, self.data, space, physical, prior, base.predictor.noise, self.substeps)[1]
                 if value > likelihood + _WORTH:
                     likelihood, chosen = value, (1.0, float(memory))
                     best = {**best, str(channel): chosen}
@@ -282,7 +268,8 @@ class Search:
             self.bar.set_postfix_str(text, refresh=False)
 
         space = self._space(model, free)
-        found = fit_predictor(model, self.data, space, self.prior, substeps=self.substeps, first=noise, progress=show)
+        prior = self.prior.starting(space)
+        found = fit_predictor(model, self.data, space, prior, substeps=self.substeps, first=noise, progress=show)
         arguments = Arguments(model, self.data, space, found.filtered.whitener, found.filtered.gain, self.substeps)
         triangles = np.asarray(factor(found.unknowns, arguments))
         return Refit(added, model, found, space, by_sample(found.filtered, self.data), free, triangles)
@@ -298,6 +285,9 @@ class Search:
         added = [effect for i, effect in self.absent.items() if i in refit.added]
         model = self._with([*added, *absent])
         space = self._space(model, free)
+        # Padded with places past the end, so that a model with a few parameters more needs no new compilation.
+        active = np.full(-(-(len(free) + _ROOM) // _ROOM) * _ROOM, len(space.names))
+        active[: len(space.active)] = np.asarray(space.active)
         predictor = refit.predictor
         before = dict(zip(start_rows(refit.model), np.asarray(predictor.physical[2]), strict=True))
         known = np.asarray(space.start)
@@ -306,6 +296,7 @@ class Search:
             space,
             values=_by_name(space, refit.space, predictor.physical[0]),
             start=jnp.asarray(start),
+            active=jnp.asarray(active),
         )
         # A state that the filter does not know is not corrected.
         gain = np.asarray(predictor.filtered.gain)

@@ -10,6 +10,7 @@ from jaxtyping import Float
 from estimators._contest import MODEL, Contest
 from estimators._innovations import Innovations, Rows
 from estimators._kalman import filtered
+from estimators._likelihood import start_variance
 from estimators._menu import start_of
 from estimators._problem import CHANNELS, Data
 from estimators._search import _absent_like, _with_all
@@ -109,7 +110,7 @@ def _innovations(contest: Contest, experiments: Sequence[Experiment], start: Map
         contest.base, data, space, space.physical(space.unconstrained(start=False)),
         sensor_variance=jnp.broadcast_to(contest.sensor_variance[:, None], (len(CHANNELS), data.experiments)),
         process=(jnp.asarray(contest.process[0]), jnp.asarray(contest.process[1])),
-        start_variance=(space.start_scale * (1 - space.start_held)) ** 2,
+        start_variance=start_variance(space),
         substeps=substeps,
     )  # fmt: skip
     absent: list[Effect] = [_absent_like(contest.instances[name][0]) for name in contest.effects]

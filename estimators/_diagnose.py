@@ -3,6 +3,7 @@
 import dataclasses
 import time
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -126,7 +127,10 @@ def diagnose(
     with tqdm(total=None, disable=not progress, desc="diagnose", unit=" steps", leave=False) as bar:
         search = Search.of(fit, recording, classes, bar)
         bar.set_description("diagnose: predictor of the base model")
-        base = search.base()
+        with ThreadPoolExecutor(1) as other:
+            compiled = other.submit(search.compile_screening)
+            base = search.base()
+            compiled.result()
         bar.set_description("diagnose: candidates")
         tested = search.tested(base)
         steps, refits, left = _named(search, base, tested)

@@ -133,6 +133,16 @@ class Search:
         """The base model."""
         return self._fitted((), self._with([]), tuple(_shared(self.fit.model)), None)
 
+    def compile_screening(self) -> None:
+        """Compile what screening will run, so that another thread can do so while the base model is fitted."""
+        model = self._with(list(self.absent.values()))
+        space = self._padded(model, _shared(self.fit.model))
+        count = (self.data.samples, len(model.states), len(CHANNELS), self.data.experiments)
+        nothing = jnp.zeros(count)
+        innovations = Innovations(model, self.data, space, nothing[:, : len(CHANNELS)], nothing, self.substeps)
+        innovations.at(np.asarray(space.values)[None])
+        innovations.jacobian()
+
     def held_out_gain(self, before: Refit, after: Refit) -> float:
         """Gain in the log-likelihood of experiments that did not take part in estimating the effect; NaN if none can tell."""
         added = range(len(before.free), len(after.free))
@@ -280,14 +290,18 @@ class Search:
     def _space(self, model: RTAC, free: Sequence[str]) -> Space:
         return space_of(model, self.experiments, free=free, start=self.start)
 
+    def _padded(self, model: RTAC, free: Sequence[str]) -> Space:
+        """With places past the end, so that a model with a few parameters more needs no new compilation."""
+        space = self._space(model, free)
+        active = np.full(-(-(len(free) + _ROOM) // _ROOM) * _ROOM, len(space.names))
+        active[: len(space.active)] = np.asarray(space.active)
+        return dataclasses.replace(space, active=jnp.asarray(active))
+
     def _innovations(self, refit: Refit, absent: Sequence[Effect], free: Sequence[str]) -> Innovations:
         """Innovations of a fitted model with some of the candidates beside what was added, and no others."""
         added = [effect for i, effect in self.absent.items() if i in refit.added]
         model = self._with([*added, *absent])
-        space = self._space(model, free)
-        # Padded with places past the end, so that a model with a few parameters more needs no new compilation.
-        active = np.full(-(-(len(free) + _ROOM) // _ROOM) * _ROOM, len(space.names))
-        active[: len(space.active)] = np.asarray(space.active)
+        space = self._padded(model, free)
         predictor = refit.predictor
         before = dict(zip(start_rows(refit.model), np.asarray(predictor.physical[2]), strict=True))
         known = np.asarray(space.start)
@@ -296,7 +310,6 @@ class Search:
             space,
             values=_by_name(space, refit.space, predictor.physical[0]),
             start=jnp.asarray(start),
-            active=jnp.asarray(active),
         )
         # A state that the filter does not know is not corrected.
         gain = np.asarray(predictor.filtered.gain)

@@ -10,6 +10,7 @@ from estimators._compare import Compared, Comparison
 from estimators._diagnose import Diagnosis
 from estimators._improve import Improvement
 from estimators._least_squares import ClosedForm
+from estimators._next_experiment import NextExperiment
 from estimators._output_error import Fit, Parameter
 from estimators._ranking import ranked
 from estimators._report_file import Table, cleaned
@@ -25,6 +26,7 @@ def report_dict(
     fit: Fit | None = None,
     train: Comparison | None = None,
     validation: Comparison | None = None,
+    planned: NextExperiment | None = None,
     seconds: float | None = None,
 ) -> dict[str, Any]:
     """What a diagnosis or an improvement found, ready for `write_json`.
@@ -32,6 +34,7 @@ def report_dict(
     Args:
         fit: whose parameters to give; of an improvement by default the last one.
         train, validation: the base model and, after it, the model with the effect; an improvement brings its own.
+        planned: the experiment that would tell the rest apart.
         seconds: how long everything took; by default what the result says of itself.
     """
     if isinstance(found, Improvement):
@@ -52,7 +55,7 @@ def report_dict(
             "candidates": [_candidate(c, c.id in accepted) for c in first.candidates],
             "parameters": _parameters(fit.parameters) if fit is not None else {},
             "error": {"train": _before_after(train), "validation": _before_after(validation)},
-            "next_experiment": None,
+            "next_experiment": planned.as_dict() if planned is not None else None,
             "seconds": found.seconds if seconds is None else seconds,
         }
     )

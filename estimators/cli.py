@@ -157,9 +157,17 @@ def diagnose(file: File, validation: Validation = None, out: Out = None, json: J
                 work.remark = f"{work.remark} The model with {names} could not be fitted: {error}".strip()
         trained, tested = work.compared(fits, labels)
         candidates, errors = _report.candidate_table(found), _report.error_table(trained, tested)
-        say(found.explanation, work.remark, candidates, _report.evidence_table(found), errors)
+        planned = None
+        if found.verdict == "ambiguous":
+            try:
+                planned = est.next_experiment(base, work.train, found, progress=progress())
+            except (ValueError, FloatingPointError) as error:
+                work.remark = f"{work.remark} No next experiment could be planned: {error}".strip()
+        say(found.explanation, work.remark, candidates, _report.evidence_table(found), errors, planned or "")
         work.write_json(
-            _report.report_dict(found, fit=fits[-1], train=trained, validation=tested, seconds=work.seconds)
+            _report.report_dict(
+                found, fit=fits[-1], train=trained, validation=tested, planned=planned, seconds=work.seconds
+            )
         )
         if work.folder is not None:
             from estimators.plots import plot_bands, plot_comparison, plot_confusion, plot_diagnosis, plot_residuals
@@ -178,6 +186,10 @@ def diagnose(file: File, validation: Validation = None, out: Out = None, json: J
                 "comparison": work.held,
                 "residuals": "What the base model leaves of the worst experiment.",
             }
+            if planned is not None:
+                planned.save(work.folder / "next_experiment.h5")
+                figures["next_experiment"] = planned.plot()
+                captions["next_experiment"] = "What would tell them apart; next_experiment.h5 can be played on the rig."
             sections = [
                 (f"Verdict: {found.verdict}", [_without_limits(found.explanation), work.remark]),
                 ("Error before and after", [errors]),

@@ -1,8 +1,10 @@
 """Every test runs with shapes and types checked, in double precision, and with compiled code kept between runs."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import jaxtyping
+import pytest
 
 ROOT = Path(__file__).parents[1]
 # These check what they are given themselves, with messages of their own, and their tests give them wrong types.
@@ -12,9 +14,17 @@ DOORS = {"measurement", "virtual_rig"}
 parts = {path.stem for path in (ROOT / "rtac_jax").iterdir() if not path.name.startswith("__")} - DOORS
 jaxtyping.install_import_hook([*(f"rtac_jax.{part}" for part in sorted(parts)), "estimators"], "beartype.beartype")
 
+import jax  # noqa: E402 - after the hook
 import matplotlib  # noqa: E402 - after the hook
 
 import rtac_jax  # noqa: E402 - after the hook
 
 rtac_jax.configure(cache=ROOT / ".cache" / "jax")
 matplotlib.use("Agg")
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _compiled_code_is_dropped() -> Iterator[None]:
+    """Thousands of compiled functions in one process use up the memory maps that the kernel allows, and then it crashes."""
+    yield
+    jax.clear_caches()

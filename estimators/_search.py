@@ -1,13 +1,14 @@
 """The work of a diagnosis: predictor of the base model, tests of its innovations, refits with candidates added."""
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 
 from estimators._adequacy import Evidence, evidence
+from estimators._can_show import can_show
 from estimators._coloured_noise import ColouredNoise, colours_at_rest
 from estimators._covariance import information
 from estimators._delayed_force import delayed_forces
@@ -106,7 +107,7 @@ class Search:
         absent: dict[str, Effect] = {}
         for c in classes:
             found = c.candidates(scales)
-            if found and _can_show(c, experiments):
+            if found and can_show(c, experiments):
                 possible[c.id] = c
                 instances += list(found)
                 absent[c.id] = _absent_like(found[len(found) // 2])
@@ -370,43 +371,3 @@ def _absent_like(instance: Effect) -> Effect:
         if declared.null is None
     }
     return type(instance).absent(**shape)
-
-
-_NEEDS = {"tacho": "arm_velocity", "encoder": "arm_angle", "lvdt": "cart_position", "channel": "cart_position"}
-"""Which output a sensor effect needs, by the first word of its id."""
-
-
-def _can_show(effect: type[Effect], experiments: Sequence[Experiment]) -> bool:
-    """Whether what the effect acts on moves, or is measured, in any experiment."""
-    arm = any(e.arm == "free" for e in experiments)
-    cart = any(e.cart == "free" for e in experiments)
-    driven = {name for e in experiments for name, signal in e.inputs.items() if np.any(signal.values)}
-    measured = {name for e in experiments for name in e.outputs}
-    if effect.port == "input":
-        return bool(driven)
-    if effect.port == "actuator":
-        return "current" in driven and arm
-    if effect.port == "sensor":
-        needs = _NEEDS.get(effect.id.split("_")[0])
-        return (needs is None or needs in measured) and (arm or needs != "arm_velocity")
-    if effect.id.startswith("arm_") or effect.port == "arm":
-        return arm
-    if effect.port == "cart":
-        return cart
-    return True
-
-
-def correlations(screened: Mapping[str, Screened]) -> dict[str, dict[str, float]]:
-    """Largest cosine between what each two candidates would change."""
-    bases = {name: orthonormal(s.templates) for name, s in screened.items() if np.any(s.templates)}
-    edges = np.cumsum([0, *(basis.shape[1] for basis in bases.values())])
-    whole = np.concatenate(list(bases.values()), axis=1) if bases else np.zeros((0, 0))
-    products = whole.T @ whole
-    found: dict[str, dict[str, float]] = {name: {o: 0.0 for o in screened if o != name} for name in screened}
-    for i, a in enumerate(bases):
-        for j, b in enumerate(bases):
-            if i < j:
-                block = products[edges[i] : edges[i + 1], edges[j] : edges[j + 1]]
-                value = float(np.linalg.norm(block, 2)) if block.size else 0.0
-                found[a][b] = found[b][a] = value
-    return found

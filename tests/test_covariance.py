@@ -51,7 +51,7 @@ def coverage(runs: int, correlation: float) -> dict[str, float]:
     for seed in range(runs):
         _, found = fitted(decays(seed, correlation))
         for kind, held in hits.items():
-            for name, (low, high) in found.interval(kind).items():  # type: ignore[arg-type]
+            for name, (low, high) in found.interval(kind).items():  # type: ignore[arg-type] - kind is one of the literals
                 held.append(low <= TRUTH[name] <= high)
     return {kind: float(np.mean(held)) for kind, held in hits.items()}
 

@@ -76,7 +76,7 @@ def image_bytes(figure: Figure, kind: Literal["png", "svg"]) -> bytes:
 def picture(width: float, height: float) -> Picture:
     """An empty figure of this size in inches, laid out so that labels do not overlap."""
     figure = Picture(figsize=(width, height), layout="constrained")
-    figure.get_layout_engine().set(w_pad=0.06, h_pad=0.06)  # type: ignore[union-attr]
+    figure.get_layout_engine().set(w_pad=0.06, h_pad=0.06)  # type: ignore[union-attr] - figures here have an engine
     return figure
 
 

@@ -103,7 +103,7 @@ class InputDelay(Input):
         late, now = pieces(place - 1), pieces(place)
         return sum(
             before[:, power] * late[:, power, None] + after[:, power] * now[:, power, None] for power in range(powers)
-        )  # type: ignore[return-value]
+        )  # type: ignore[return-value] - sum begins with 0
 
 
 def _moments(length: Any, begin: Any, source: Any, powers: int, degree: int) -> Any:

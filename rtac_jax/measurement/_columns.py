@@ -79,7 +79,7 @@ def assemble(
         signals[channel] = values
     if time is not None:
         sample_time = uniform_step(columns[time][start:stop], time, start + first_row)
-    return Experiment.of(name, sample_time=sample_time, **signals, **conditions)  # pyright: ignore[reportArgumentType]
+    return Experiment.of(name, sample_time=sample_time, **signals, **conditions)  # pyright: ignore[reportArgumentType] - `of` checks them
 
 
 def uniform_step(times: Float64[np.ndarray, " sample"], column: str, offset: int) -> float:

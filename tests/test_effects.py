@@ -128,6 +128,8 @@ def test_catalogue_holds_every_public_effect_once():
     final = [
         c for c in public if isinstance(c, type) and issubclass(c, Effect) and isinstance(getattr(c, "id", 0), str)
     ]
+    # What was learned names no physics, so no diagnosis may offer it.
+    final.remove(effects.SplineForce)
     assert sorted(cls.id for cls in final) == sorted(CATALOGUE)
     assert set(CATALOGUE.values()) == set(final)
     assert set(CATALOGUE) == NAMES

@@ -3,6 +3,7 @@
 import dataclasses
 from collections.abc import Mapping
 
+from estimators._adequacy import Evidence
 from estimators._output_error import Parameter
 from estimators._search import Refit
 
@@ -44,7 +45,7 @@ class Candidate:
 
 @dataclasses.dataclass(frozen=True)
 class Step:
-    """One effect that the data named.
+    """One effect that improved the model.
 
     Attributes:
         id: of the effect.
@@ -53,6 +54,7 @@ class Step:
         bic_gain: the same less the price of its parameters.
         held_out_gain: in the log-likelihood of experiments that did not take part in estimating it; NaN where only one shows it.
         refit: the model with it.
+        left: the tests of the model with it.
     """
 
     id: str
@@ -61,3 +63,4 @@ class Step:
     bic_gain: float
     held_out_gain: float
     refit: Refit
+    left: tuple[Evidence, ...]

@@ -18,7 +18,7 @@ from estimators._output_error import Fit
 from estimators._screen import Screened, correlations
 from estimators._search import Refit, Search, Tested
 from estimators._selection import vuong
-from estimators._verdict import Verdict, judge, surer, words
+from estimators._verdict import Verdict, floor, judge, not_named, surer, words
 from estimators._where import Place
 from rtac_jax import require_configured
 from rtac_jax._parameter import declarations
@@ -128,12 +128,12 @@ def diagnose(
         search = Search.of(fit, recording, classes, bar)
         bar.set_description("diagnose: predictor of the base model")
         with ThreadPoolExecutor(1) as other:
-            compiled = other.submit(search.compile_screening)
+            compiled = other.submit(search.compile_tests)
             base = search.base()
             compiled.result()
         bar.set_description("diagnose: candidates")
         tested = search.tested(base)
-        steps, refits, left = _named(search, base, tested)
+        steps, refits = _improvements(search, base, tested)
         if any(test.rejects for test in tested.tests) and not any(e.kind == "rest" for e in recording.experiments):
             # Noise that wanders makes almost every effect look useful; without rest records the likelihood must say.
             bar.set_description("diagnose: colour of the noise")
@@ -143,35 +143,39 @@ def diagnose(
                 final = steps[-1].refit if steps else base
                 if coloured.predictor.log_likelihood > final.predictor.log_likelihood:
                     search, base, tested = other, coloured, other.tested(coloured)
-                    steps, refits, left = _named(search, base, tested)
-        final = steps[-1].refit if steps else base
+                    steps, refits = _improvements(search, base, tested)
         bar.set_description("diagnose: verdict")
-        all_candidates = _candidates(search, base, tested, steps, refits, left)
-        verdict, removed = judge(steps, tested.tests, left)
-        accepted = verdict in ("missing", "ambiguous")
-        groups = [(step.id, *step.rivals) for step in steps] if accepted else []
+        verdict, count, removed = judge(steps, tested.tests, search.samples)
+        all_candidates = _candidates(search, base, tested, steps, count, refits)
+        further, steps = steps[count:], steps[:count]
+        final = steps[-1].refit if steps else base
+        left = steps[-1].left if steps else tested.tests
+        groups = [(step.id, *step.rivals) for step in steps]
         by_id = {c.id: c for c in all_candidates}
         effects = tuple(
             dataclasses.replace(by_id[i], confusable_with=tuple(other for other in group if other != i))
             for group in groups
             for i in group
         )
-        additions = tuple(search.effect(step.id, final) for step in steps) if accepted else ()
+        additions = tuple(search.effect(step.id, final) for step in steps)
         places = search.places(base)
         latent = search.latent(base) if verdict == "unknown" else ()
         predictor = base.predictor
         explanation = words(
             verdict, effects, all_candidates, steps, tested.tests, left, removed, tested.curves, latent, places
-        ) + surer(verdict, recording)
+        )
+        if steps and further:
+            explanation += not_named(further, left, search.samples)
+        explanation += surer(verdict, recording)
     return Diagnosis(
-        verdict, effects, additions, tuple(all_candidates), tested.tests, left if steps else tested.tests, removed,
+        verdict, effects, additions, tuple(all_candidates), tested.tests, left, removed,
         tested.curves, latent, places, search.lines(base), predictor.random_force, predictor.random_torque,
         explanation, time.perf_counter() - began,
     )  # fmt: skip
 
 
-def _named(search: Search, base: Refit, tested: Tested) -> tuple[list[Step], dict[str, Refit], tuple[Evidence, ...]]:
-    """Effects that the data name one after the other, all first refits, and the tests that are left at the end."""
+def _improvements(search: Search, base: Refit, tested: Tested) -> tuple[list[Step], dict[str, Refit]]:
+    """Effects that improve the model one after the other, and all first refits."""
     steps: list[Step] = []
     refits: dict[str, Refit] = {}
     now, seen = base, tested
@@ -185,17 +189,17 @@ def _named(search: Search, base: Refit, tested: Tested) -> tuple[list[Step], dic
         if not ranked:
             break
         top = ranked[0].statistic
-        tried: dict[str, Refit] = {}
-        ahead: Tested | None = None  # what the best leaves
-        for place, s in enumerate(ranked):
-            settled = ahead is not None and not any(test.rejects for test in ahead.tests)
-            if s.statistic > (1 - _CLOSE) * top or (place < _REFITS and not settled):
-                search.bar.set_description(f"diagnose: refit with {s.id}")
-                tried[s.id] = search.with_effect(now, s)
-                refits.setdefault(s.id, tried[s.id])
-            if place == 0:
-                # Where the best leaves nothing to explain, those far behind it need not be asked.
-                ahead = search.tested(tried[s.id])
+        near = [s for s in ranked[1:] if s.statistic > (1 - _CLOSE) * top]
+        with search.refitting(now, [ranked[0], *near]) as refitted:
+            first = refitted(ranked[0])
+            ahead = search.tested(first)
+            tried = {s.id: refitted(s) for s in near}
+        # Where the best leaves nothing to explain, those far behind it need not be asked.
+        far = [s for s in ranked[1:_REFITS] if s.id not in tried] if any(t.rejects for t in ahead.tests) else []
+        with search.refitting(now, far) as refitted:
+            tried = {ranked[0].id: first, **tried, **{s.id: refitted(s) for s in far}}
+        for i, refit in tried.items():
+            refits.setdefault(i, refit)
         gains = {i: _bic_gain(search, now, refit) for i, refit in tried.items()}
         held_out = {i: search.held_out_gain(now, refit) for i, refit in tried.items()}
         good = [i for i, gain in gains.items() if gain > _BIC_GAIN and not held_out[i] <= 0]
@@ -204,14 +208,14 @@ def _named(search: Search, base: Refit, tested: Tested) -> tuple[list[Step], dic
         best = max(good, key=lambda i: gains[i])
         rivals = tuple(i for i in good if i != best and _untold(search, now, tried, gains, best, i))
         gain = 2 * _gain(now, tried[best])
-        steps.append(Step(best, rivals, gain, gains[best], held_out[best], tried[best]))
         refits[best] = tried[best]
         now = tried[best]
         search.bar.set_description("diagnose: what is left")
-        seen = ahead if ahead is not None and best == ranked[0].id else search.tested(now)
+        seen = ahead if best == ranked[0].id else search.tested(now)
+        steps.append(Step(best, rivals, gain, gains[best], held_out[best], now, seen.tests))
         if not any(test.rejects for test in seen.tests):
             break
-    return steps, refits, seen.tests
+    return steps, refits
 
 
 def _gain(before: Refit, after: Refit) -> float:
@@ -239,16 +243,17 @@ def _candidates(
     base: Refit,
     tested: Tested,
     steps: Sequence[Step],
+    named: int,
     refits: Mapping[str, Refit],
-    left: Sequence[Evidence],
 ) -> list[Candidate]:
+    """All candidates, those that improved the model first; the first `named` steps stand in the verdict."""
     best: dict[str, Screened] = {}
     for s in tested.screened:
         if s.id not in best or s.statistic > best[s.id].statistic:
             best[s.id] = s
     alike = correlations(best)
-    total = _misfit(base, steps, refits, tested.tests, left)
-    by_step = {step.id: step for step in steps}
+    most = _most(base, steps, refits, tested.tests, search.samples)
+    within = {step.id for step in steps[:named]}
     price = np.log(search.samples)
     found = []
     for s in best.values():
@@ -264,19 +269,19 @@ def _candidates(
             correlation=alike[s.id],
         )
         if s.id in refits:
-            step, refit = by_step.get(s.id), refits[s.id]
-            gain = step.gain if step else 2 * max(_gain(base, refit), 0.0) if len(refit.added) == 1 else 0.0
-            last = steps[-1].refit if step else refit
+            refit = refits[s.id]
+            place = len(refit.added) - 1  # steps before it
+            before = steps[place - 1].refit if place else base
+            last = steps[named - 1].refit if s.id in within else refit
+            removed = np.exp(-2 * _gain(base, before) / search.samples) - np.exp(
+                -2 * _gain(base, refit) / search.samples
+            )
             c = dataclasses.replace(
                 c,
                 refitted=True,
-                bic_gain=step.bic_gain if step else _bic_gain(search, base, refit),
-                held_out_gain=step.held_out_gain
-                if step
-                else search.held_out_gain(base, refit)
-                if len(refit.added) == 1
-                else 0.0,
-                error_reduction=float(np.clip(gain / total, 0.0, 1.0)) if total > 0 else 0.0,
+                bic_gain=_bic_gain(search, before, refit),
+                held_out_gain=search.held_out_gain(before, refit),
+                error_reduction=float(np.clip(removed / most, 0.0, 1.0)) if most > 0 else 0.0,
                 parameters=search.parameters(s.id, last),
             )
         found.append(c)
@@ -285,10 +290,12 @@ def _candidates(
     return found
 
 
-def _misfit(
-    base: Refit, steps: Sequence[Step], refits: Mapping[str, Refit], tests: Sequence[Evidence], left: Sequence[Evidence]
+def _most(
+    base: Refit, steps: Sequence[Step], refits: Mapping[str, Refit], tests: Sequence[Evidence], samples: int
 ) -> float:
-    """Twice the log-likelihood that is known to be missing in the base model."""
-    named = sum(step.gain for step in steps) + (excess_of(left) if steps else 0.0)
-    single = [2 * _gain(base, refit) for refit in refits.values() if len(refit.added) == 1]
-    return max([named, excess_of(tests), *single])
+    """Share of the base model's squared prediction error that is known to be avoidable."""
+    single = [_gain(base, refit) for refit in refits.values() if len(refit.added) == 1]
+    least = [np.exp(-2 * max(single, default=0.0) / samples), 1 - min(excess_of(tests) / samples, 1.0)]
+    if steps:
+        least.append(floor(steps, samples))
+    return float(1 - min(least))

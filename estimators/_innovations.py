@@ -1,6 +1,7 @@
 """Innovations of a predictor with frozen gains, and what they would have been had something been otherwise."""
 
 import dataclasses
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -8,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from estimators._compile import compile_only
 from estimators._problem import Data, Space, Unknowns, residual
 from rtac_jax import RTAC, Excitation
 from rtac_jax._simulate import Steps
@@ -31,22 +33,13 @@ class Innovations:
         for first in range(0, len(values), AT_ONCE):
             part = values[first : first + AT_ONCE]
             padded = np.concatenate([part, np.repeat(part[-1:], AT_ONCE - len(part), axis=0)])
-            found = _innovations(
-                self.model, self.data, self.space, self.whitener, self.gain, jnp.asarray(padded), self.substeps
-            )
+            found = _innovations(*self._arguments(padded))
             columns.append(self.rows(np.asarray(found)[: len(part)]))
         return np.concatenate(columns, axis=1)
 
     def jacobian(self) -> Rows:
         """Derivatives by the free shared parameters, scaled."""
-        # A free parameter past the end is none: its direction, and so its column, is zero.
-        directions = np.eye(len(self.space.names) + 1)[np.asarray(self.space.active), :-1] * np.asarray(
-            self.space.scale
-        )
-        found = _jacobian(
-            self.model, self.data, self.space, self.whitener, self.gain, jnp.asarray(directions), self.substeps
-        )
-        return self.rows(np.asarray(found))
+        return self.rows(np.asarray(_jacobian(*self._arguments(self._directions()))))
 
     def pushed(self, current: np.ndarray, force: np.ndarray) -> Rows:
         """Derivatives by currents [A] and cart forces [N] added to the inputs, each [direction sample experiment]."""
@@ -54,12 +47,30 @@ class Innovations:
         for first in range(0, len(current), AT_ONCE):
             parts = [added[first : first + AT_ONCE] for added in (current, force)]
             missing = AT_ONCE - len(parts[0])
-            padded = [jnp.asarray(np.concatenate([p, np.zeros((missing, *p.shape[1:]))])) for p in parts]
-            found = _pushed(
-                self.model, self.data, self.space, self.whitener, self.gain, padded[0], padded[1], self.substeps
-            )
+            padded = [np.concatenate([p, np.zeros((missing, *p.shape[1:]))]) for p in parts]
+            found = _pushed(*self._arguments(*padded))
             columns.append(self.rows(np.asarray(found)[: len(parts[0])]))
         return np.concatenate(columns, axis=1)
+
+    def compile(self) -> None:
+        """Compile `at` and `jacobian`, and run nothing."""
+        several = np.repeat(np.asarray(self.space.values)[None], AT_ONCE, axis=0)
+        compile_only(_innovations, *self._arguments(several))
+        compile_only(_jacobian, *self._arguments(self._directions()))
+
+    def compile_pushed(self) -> None:
+        """Likewise `pushed`."""
+        nothing = np.zeros((AT_ONCE, self.data.samples, self.data.experiments))
+        compile_only(_pushed, *self._arguments(nothing, nothing))
+
+    def _arguments(self, *several: np.ndarray) -> tuple[Any, ...]:
+        several_of = [jnp.asarray(one) for one in several]
+        return (self.model, self.data, self.space, self.whitener, self.gain, *several_of, self.substeps)
+
+    def _directions(self) -> np.ndarray:
+        # A free parameter past the end is none: its direction, and so its column, is zero.
+        unit = np.eye(len(self.space.names) + 1)[np.asarray(self.space.active), :-1]
+        return unit * np.asarray(self.space.scale)
 
     def rows(self, found: np.ndarray) -> Rows:
         """Whitened samples [direction sample output experiment] as columns, channels that nobody measured left out."""

@@ -12,8 +12,9 @@ from jaxtyping import Array, Float
 from scipy.optimize import minimize
 
 from estimators._bounds import solve_bounded
+from estimators._compile import compile_only
 from estimators._kalman import Filtered, kalman
-from estimators._levenberg_marquardt import Arguments
+from estimators._levenberg_marquardt import Arguments, factor
 from estimators._problem import CHANNELS, Data, Space, Unknowns
 from rtac_jax import RTAC, Scales
 from rtac_jax._simulate import Steps
@@ -125,19 +126,35 @@ def run_filter(
     model: RTAC, data: Data, space: Space, physical: Any, prior: NoiseModel, noise: np.ndarray, substeps: Steps
 ) -> tuple[float, np.ndarray, Filtered]:
     """Negative log-likelihood at given noise, its slope, and the filter's pass."""
-    scale = jnp.asarray([prior.force**2, prior.torque**2]) * prior.interval
-    value, slope, found = _pass(
-        model, data, space, physical, jnp.asarray(noise), scale, jnp.asarray(prior.sensor), prior.start_variance,
-        substeps,
-    )  # fmt: skip
+    value, slope, found = _pass(*_arguments(model, data, space, physical, prior, noise, substeps))
     return float(value), np.asarray(slope), found
+
+
+def _arguments(
+    model: RTAC, data: Data, space: Space, physical: Any, prior: NoiseModel, noise: np.ndarray, substeps: Steps
+) -> tuple[Any, ...]:
+    scale = jnp.asarray([prior.force**2, prior.torque**2]) * prior.interval
+    sensor = jnp.asarray(prior.sensor)
+    return model, data, space, physical, jnp.asarray(noise), scale, sensor, prior.start_variance, substeps
+
+
+def compile_predictor(model: RTAC, data: Data, space: Space, prior: NoiseModel, substeps: Steps) -> None:
+    """Compile what `fit_predictor` will run, and run nothing."""
+    unknowns = space.unconstrained(start=False)
+    compile_only(_pass, *_arguments(model, data, space, space.physical(unknowns), prior, _begin(), substeps))
+    gain = jnp.zeros((data.samples, len(model.states), len(CHANNELS), data.experiments))
+    compile_only(factor, unknowns, Arguments(model, data, space, gain[:, : len(CHANNELS)], gain, substeps))
+
+
+def _begin() -> np.ndarray:
+    return np.array([_FIRST, _FIRST, 0.0, 0.0, 0.0])
 
 
 def fit_noise(
     model: RTAC, data: Data, space: Space, physical: Any, prior: NoiseModel, first: np.ndarray | None, substeps: Steps
 ) -> tuple[np.ndarray, float]:
     """Noise by maximum likelihood, and the log-likelihood there (without the prior's share)."""
-    begin = np.array([_FIRST, _FIRST, 0.0, 0.0, 0.0]) if first is None else first
+    begin = _begin() if first is None else first
 
     def objective(at: np.ndarray) -> tuple[float, np.ndarray]:
         value, slope, _ = run_filter(model, data, space, physical, prior, at, substeps)
@@ -151,8 +168,8 @@ def fit_noise(
     # In units in which the likelihood is about equally curved: a variance known from n samples has curvature n / 2.
     count = np.asarray(data.present).sum(axis=(0, 2))
     unit = np.concatenate([[_PROCESS_UNIT] * 2, 1.0 / np.sqrt(0.5 * count + 1.0 / prior.doubt**2)])
-    low = np.array([_LEAST] * 2 + [-1.5] * 3) / unit
-    high = np.array([_MOST] * 2 + [1.5] * 3) / unit
+    low = np.array([_LEAST] * 2 + [-6.0] * 3) / unit
+    high = np.array([_MOST] * 2 + [6.0] * 3) / unit
 
     def scaled(at: np.ndarray) -> tuple[float, np.ndarray]:
         value, slope = objective(at * unit)

@@ -1,7 +1,9 @@
 """The work of a diagnosis: predictor of the base model, tests of its innovations, refits with candidates added."""
 
+import contextlib
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import jax.numpy as jnp
@@ -16,7 +18,7 @@ from estimators._force_curve import ForceCurve, force_curves
 from estimators._innovations import Innovations, orthonormal, stretches
 from estimators._latent_force import LatentForce, latent_forces
 from estimators._levenberg_marquardt import Arguments, factor
-from estimators._likelihood import NoiseModel, Predictor, fit_noise, fit_predictor
+from estimators._likelihood import NoiseModel, Predictor, compile_predictor, fit_noise, fit_predictor
 from estimators._line_classes import LineClass, line_classes
 from estimators._noise import noise_levels
 from estimators._output_error import Fit, Parameter, moving, pieces
@@ -134,15 +136,36 @@ class Search:
         """The base model."""
         return self._fitted((), self._with([]), tuple(_shared(self.fit.model)), None)
 
-    def compile_screening(self) -> None:
-        """Compile what screening will run, so that another thread can do so while the base model is fitted."""
-        model = self._with(list(self.absent.values()))
-        space = self._padded(model, _shared(self.fit.model))
-        count = (self.data.samples, len(model.states), len(CHANNELS), self.data.experiments)
-        nothing = jnp.zeros(count)
-        innovations = Innovations(model, self.data, space, nothing[:, : len(CHANNELS)], nothing, self.substeps)
-        innovations.at(np.asarray(space.values)[None])
-        innovations.jacobian()
+    def compile_tests(self) -> None:
+        """Compile what tests of innovations will run, so that another thread can do so while the base model is fitted."""
+        for absent in (list(self.absent.values()), []):
+            model = self._with(absent)
+            space = self._padded(model, _shared(self.fit.model) if absent else [])
+            count = (self.data.samples, len(model.states), len(CHANNELS), self.data.experiments)
+            nothing = jnp.zeros(count)
+            innovations = Innovations(model, self.data, space, nothing[:, : len(CHANNELS)], nothing, self.substeps)
+            if absent:
+                innovations.compile()
+            else:
+                innovations.compile_pushed()
+
+    @contextlib.contextmanager
+    def refitting(self, before: Refit, several: Sequence[Screened]) -> Iterator[Callable[[Screened], Refit]]:
+        """`with_effect` for several candidates; while one is fitted, the code of the next is compiled."""
+        with ThreadPoolExecutor(1) as other:
+            ready = {s.id: other.submit(self._compile, before, s) for s in several}
+
+            def refitted(s: Screened) -> Refit:
+                self.bar.set_description(f"diagnose: refit with {s.id}")
+                ready[s.id].result()
+                return self.with_effect(before, s)
+
+            yield refitted
+
+    def _compile(self, before: Refit, s: Screened) -> None:
+        model, free, _ = self._extended(before, s)
+        space = self._space(model, free)
+        compile_predictor(model, self.data, space, self.prior.starting(space), self.substeps)
 
     def held_out_gain(self, before: Refit, after: Refit) -> float:
         """Gain in the log-likelihood of experiments that did not take part in estimating the effect; NaN if none can tell."""
@@ -188,11 +211,17 @@ class Search:
                 start = float(np.sign(estimate) * np.clip(abs(estimate), 0.05 * plausible, 20 * plausible))
                 start = start or 0.05 * plausible
             values[f"{s.id}.{name}"] = start
-        added = (*before.added, s.id)
-        model = self._with([effect for i, effect in self.absent.items() if i in added])
+        model, free, added = self._extended(before, s)
         model = model.with_values({n: v for n, v in values.items() if n in model.parameters})
-        free = before.free + tuple(f"{s.id}.{n}" for n in declared if not declared[n].fixed)
         return self._fitted(added, model, free, before.predictor.noise)
+
+    def _extended(self, before: Refit, s: Screened) -> tuple[RTAC, tuple[str, ...], tuple[str, ...]]:
+        """A model with one candidate more at null, its free parameters, and what was added to the base model."""
+        added = (*before.added, s.id)
+        declared = declarations(s.instance)
+        model = self._with([effect for i, effect in self.absent.items() if i in added])
+        free = before.free + tuple(f"{s.id}.{n}" for n in declared if not declared[n].fixed)
+        return model, free, added
 
     def parameters(self, effect: str, refit: Refit) -> dict[str, Parameter]:
         """Parameters of an added effect with standard deviations."""

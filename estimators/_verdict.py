@@ -17,18 +17,36 @@ _FOUND = 0.9  # share of the misfit that the named effects must remove
 _STATIC = 0.5  # share of the misfit that a force curve must explain to be called the missing force
 
 
-def judge(steps: Sequence[Step], tests: Sequence[Evidence], left: Sequence[Evidence]) -> tuple[Verdict, float]:
-    """The verdict, and the share of the misfit that the named effects remove.
+def judge(steps: Sequence[Step], tests: Sequence[Evidence], samples: int) -> tuple[Verdict, int, float]:
+    """The verdict, how many of the steps it names, and the share of the misfit that they remove.
 
-    The best of a bad set is never named: what the named effects leave must be small beside what they remove.
+    The best of a bad set is never named: an effect is, if together with those named after it, it removes nearly
+    everything that was wrong before it. So a strong effect does not carry a doubtful one along.
     """
+    for count in range(len(steps), 0, -1):
+        shares = [share_removed(steps[first:count], _before(steps, tests, first), samples) for first in range(count)]
+        if min(shares) >= _FOUND:
+            return ("ambiguous" if any(step.rivals for step in steps[:count]) else "missing"), count, shares[0]
     if not steps:
-        return ("unknown" if any(test.rejects for test in tests) else "adequate"), 0.0
-    gained, missing = sum(step.gain for step in steps), excess_of(left)
-    removed = min(gained / (gained + missing), removed_by_repeats(tests, left))
-    if removed < _FOUND:
-        return "unknown", removed
-    return ("ambiguous" if any(step.rivals for step in steps) else "missing"), removed
+        return ("unknown" if any(test.rejects for test in tests) else "adequate"), 0, 0.0
+    return "unknown", 0, share_removed(steps, tests, samples)
+
+
+def share_removed(steps: Sequence[Step], tests: Sequence[Evidence], samples: int) -> float:
+    """Share of the excess squared prediction error that steps remove, of which the tests before the first are given."""
+    left = steps[-1].left
+    after = math.exp(-sum(step.gain for step in steps) / samples)
+    return min((1 - after) / (1 - floor(steps, samples)), removed_by_repeats(tests, left))
+
+
+def floor(steps: Sequence[Step], samples: int) -> float:
+    """Squared prediction error that would be left if also what the tests still find were explained, in shares of the first."""
+    after = math.exp(-sum(step.gain for step in steps) / samples)
+    return after * (1 - min(excess_of(steps[-1].left) / samples, 1.0))
+
+
+def _before(steps: Sequence[Step], tests: Sequence[Evidence], place: int) -> Sequence[Evidence]:
+    return steps[place - 1].left if place else tests
 
 
 def words(
@@ -82,6 +100,14 @@ def words(
         f"Ambiguous: the data cannot tell {groups} apart. The best fit: {text}.{share}{shown} An experiment that separates "
         "them would decide (est.next_experiment)."
     )
+
+
+def not_named(further: Sequence[Step], left: Sequence[Evidence], samples: int) -> str:
+    """What would explain a part of what the named effects leave, but too little of it."""
+    first = further[0]
+    share = share_removed([first], left, samples)
+    choice = " or ".join([first.id, *first.rivals])
+    return f" Of what is then left {choice} would remove {100 * share:.0f} %, too little to be named."
 
 
 def surer(verdict: Verdict, recording: Recording) -> str:

@@ -20,7 +20,7 @@ from estimators._search import Refit, Search, Tested
 from estimators._selection import vuong
 from estimators._verdict import Verdict, floor, judge, not_named, surer, words
 from estimators._where import Place
-from rtac_jax import require_configured
+from rtac_jax import RTAC, require_configured
 from rtac_jax._parameter import declarations
 from rtac_jax.effects import CATALOGUE, Effect
 from rtac_jax.measurement import Recording
@@ -121,7 +121,7 @@ def diagnose(
     """
     require_configured()
     began = time.perf_counter()
-    classes = [c for c in (candidates or CATALOGUE.values()) if c.id not in fit.model]
+    classes = _offered(fit.model, candidates)
     if not classes:
         raise ValueError("no candidate is left: the model has every effect that was offered.")
     with tqdm(total=None, disable=not progress, desc="diagnose", unit=" steps", leave=False) as bar:
@@ -174,6 +174,15 @@ def diagnose(
     )  # fmt: skip
 
 
+def compile_diagnosis(model: RTAC, recording: Recording, candidates: Sequence[type[Effect]] | None) -> None:
+    """Compile what `diagnose` will run first; for a thread beside the one that fits the model."""
+    Search.compile_for(model, recording, _offered(model, candidates))
+
+
+def _offered(model: RTAC, candidates: Sequence[type[Effect]] | None) -> list[type[Effect]]:
+    return [c for c in (candidates or CATALOGUE.values()) if c.id not in model]
+
+
 def _improvements(search: Search, base: Refit, tested: Tested) -> tuple[list[Step], dict[str, Refit]]:
     """Effects that improve the model one after the other, and all first refits."""
     steps: list[Step] = []
@@ -213,7 +222,9 @@ def _improvements(search: Search, base: Refit, tested: Tested) -> tuple[list[Ste
         search.bar.set_description("diagnose: what is left")
         seen = ahead if best == ranked[0].id else search.tested(now)
         steps.append(Step(best, rivals, gain, gains[best], held_out[best], now, seen.tests))
-        if not any(test.rejects for test in seen.tests):
+        count = judge(steps, tested.tests, search.samples)[1]
+        # Where some are named and the next cannot be, the rest is left to the next diagnosis, with those in the model.
+        if not any(test.rejects for test in seen.tests) or 0 < count < len(steps):
             break
     return steps, refits
 

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from estimators._compile import compile_only
 from estimators._innovations import Innovations, Rows, error_at
 from estimators._problem import Data, Space
 from estimators._score_test import score_test
@@ -131,14 +132,7 @@ def force_curves(
             if not high > low or ("," in variable and rubbed[variable.split(",")[0]] != port):
                 continue
             spacing = (high - low) / (KNOTS - 1)
-            probe = Probe(
-                jnp.zeros(KNOTS), jnp.eye(2)[place], jnp.eye(len(VARIABLES))[index], jnp.asarray(low),
-                jnp.asarray(spacing), jnp.asarray(slow[place]),
-            )  # fmt: skip
-            slopes = _derivatives(
-                innovations.model, probe, jnp.eye(KNOTS), innovations.data, innovations.space, innovations.whitener,
-                innovations.gain, innovations.substeps,
-            )  # fmt: skip
+            slopes = _derivatives(*_arguments(innovations, place, index, low, spacing, slow[place]))
             columns = innovations.rows(np.asarray(slopes))
             test = score_test(columns, error, basis, blocks)
             if test.freedom == 0:
@@ -152,3 +146,19 @@ def force_curves(
                 )
             )  # fmt: skip
     return sorted(found, key=lambda curve: -curve.score)
+
+
+def compile_force_curves(innovations: Innovations) -> None:
+    """Compile what `force_curves` will run, and run nothing."""
+    compile_only(_derivatives, *_arguments(innovations, 0, 0, 0.0, 1.0, 1.0))
+
+
+def _arguments(
+    innovations: Innovations, port: int, variable: int, low: float, spacing: float, slow: float
+) -> tuple[Any, ...]:
+    probe = Probe(
+        jnp.zeros(KNOTS), jnp.eye(2)[port], jnp.eye(len(VARIABLES))[variable], jnp.asarray(low), jnp.asarray(spacing),
+        jnp.asarray(slow),
+    )  # fmt: skip
+    i = innovations
+    return i.model, probe, jnp.eye(KNOTS), i.data, i.space, i.whitener, i.gain, i.substeps

@@ -3,10 +3,11 @@
 import dataclasses
 import time
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 from estimators._compare import Comparison, compare
-from estimators._diagnose import Candidate, Diagnosis, Verdict, diagnose
+from estimators._diagnose import Candidate, Diagnosis, Verdict, compile_diagnosis, diagnose
 from estimators._output_error import Fit, output_error
 from rtac_jax import RTAC
 from rtac_jax.effects import CATALOGUE, Effect
@@ -93,8 +94,11 @@ def improve(
     """
     began = time.perf_counter()
     train, held_out = recording.split(validation)
-    fits = [output_error(model, train, progress=progress)]
-    tested = [compare(fits[0], held_out, labels=["base"]).models[0]]
+    with ThreadPoolExecutor(1) as other:
+        compiled = other.submit(compile_diagnosis, model, train, candidates)
+        fits = [output_error(model, train, progress=progress)]
+        tested = [compare(fits[0], held_out, labels=["base"]).models[0]]
+        compiled.result()
     diagnoses: list[Diagnosis] = []
     added: list[Candidate] = []
     stopped = ""

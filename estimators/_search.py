@@ -2,7 +2,7 @@
 
 import contextlib
 import dataclasses
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -14,7 +14,7 @@ from estimators._can_show import can_show
 from estimators._coloured_noise import ColouredNoise, colours_at_rest
 from estimators._covariance import information
 from estimators._delayed_force import delayed_forces
-from estimators._force_curve import ForceCurve, force_curves
+from estimators._force_curve import ForceCurve, compile_force_curves, force_curves
 from estimators._innovations import Innovations, orthonormal, stretches
 from estimators._latent_force import LatentForce, latent_forces
 from estimators._levenberg_marquardt import Arguments, factor
@@ -87,7 +87,7 @@ class Search:
     on models with no more than what was added.
     """
 
-    fit: Fit
+    model: RTAC
     absent: dict[str, Effect]
     colour: ColouredNoise | None
     experiments: list[Experiment]
@@ -101,9 +101,28 @@ class Search:
 
     @classmethod
     def of(cls, fit: Fit, recording: Recording, classes: Sequence[type[Effect]], bar: Any) -> "Search":
-        """Set up; candidates that nothing in the recording could show are passed over."""
+        """Set up for the model of a fit; candidates that nothing in the recording could show are passed over."""
+        return cls._set_up(fit.model, recording, classes, fit.start, fit.statistics["substeps"], bar)
+
+    @classmethod
+    def compile_for(cls, model: RTAC, recording: Recording, classes: Sequence[type[Effect]]) -> None:
+        """Compile what the diagnosis of a model will run first, so that this can be done while the model is fitted."""
+        search = cls._set_up(model, recording, classes, {}, 1, None)
+        search._compile_fit(search._with([]), tuple(_shared(model)))
+        search.compile_tests()
+
+    @classmethod
+    def _set_up(
+        cls,
+        model: RTAC,
+        recording: Recording,
+        classes: Sequence[type[Effect]],
+        starts: Mapping[str, np.ndarray],
+        substeps: float,
+        bar: Any,
+    ) -> "Search":
         experiments = pieces(moving(recording))
-        scales = scales_of(fit.model, experiments)
+        scales = scales_of(model, experiments)
         possible: dict[str, type[Effect]] = {}
         instances: list[Effect] = []
         absent: dict[str, Effect] = {}
@@ -118,13 +137,13 @@ class Search:
         # The first samples tell the start better than a simulation of a model that may be wrong, except for an angle
         # that nobody measured.
         blind = [e for e in experiments if e.initial_arm_angle is None and "arm_angle" not in e.outputs]
-        start = {e.name: fit.start[e.name] for e in blind}
-        space = space_of(fit.model, experiments, free=_shared(fit.model), start=start)
+        start = {e.name: starts[e.name] for e in blind if e.name in starts}
+        space = space_of(model, experiments, free=_shared(model), start=start)
         prior = NoiseModel.of(levels, recording.experiments, scales, space)
         colour = ColouredNoise.of(colours) if colours else None
         return cls(
-            fit, absent, colour, experiments, Data.of(experiments), prior, possible, instances,
-            jnp.asarray(fit.statistics["substeps"]), start, bar,
+            model, absent, colour, experiments, Data.of(experiments), prior, possible, instances,
+            jnp.asarray(substeps), start, bar,
         )  # fmt: skip
 
     @property
@@ -134,26 +153,23 @@ class Search:
 
     def base(self) -> Refit:
         """The base model."""
-        return self._fitted((), self._with([]), tuple(_shared(self.fit.model)), None)
+        return self._fitted((), self._with([]), tuple(_shared(self.model)), None)
 
     def compile_tests(self) -> None:
         """Compile what tests of innovations will run, so that another thread can do so while the base model is fitted."""
-        for absent in (list(self.absent.values()), []):
-            model = self._with(absent)
-            space = self._padded(model, _shared(self.fit.model) if absent else [])
-            count = (self.data.samples, len(model.states), len(CHANNELS), self.data.experiments)
-            nothing = jnp.zeros(count)
-            innovations = Innovations(model, self.data, space, nothing[:, : len(CHANNELS)], nothing, self.substeps)
-            if absent:
-                innovations.compile()
-            else:
-                innovations.compile_pushed()
+        self._unfitted(self._with(list(self.absent.values())), _shared(self.model)).compile()
+        self._compile_probes(self._with([]))
 
     @contextlib.contextmanager
     def refitting(self, before: Refit, several: Sequence[Screened]) -> Iterator[Callable[[Screened], Refit]]:
         """`with_effect` for several candidates; while one is fitted, the code of the next is compiled."""
         with ThreadPoolExecutor(1) as other:
-            ready = {s.id: other.submit(self._compile, before, s) for s in several}
+            ready = {}
+            for s in several:
+                model, free, _ = self._extended(before, s)
+                ready[s.id] = other.submit(self._compile_fit, model, free)
+                if s is several[0]:
+                    other.submit(self._compile_probes, model)
 
             def refitted(s: Screened) -> Refit:
                 self.bar.set_description(f"diagnose: refit with {s.id}")
@@ -162,10 +178,20 @@ class Search:
 
             yield refitted
 
-    def _compile(self, before: Refit, s: Screened) -> None:
-        model, free, _ = self._extended(before, s)
+    def _compile_fit(self, model: RTAC, free: Sequence[str]) -> None:
         space = self._space(model, free)
         compile_predictor(model, self.data, space, self.prior.starting(space), self.substeps)
+
+    def _compile_probes(self, model: RTAC) -> None:
+        innovations = self._unfitted(model, [])
+        compile_force_curves(innovations)
+        innovations.compile_pushed()
+
+    def _unfitted(self, model: RTAC, free: Sequence[str]) -> Innovations:
+        """Innovations for compiling only: the shapes are right, gains and whiteners are nothing."""
+        gain = jnp.zeros((self.data.samples, len(model.states), len(CHANNELS), self.data.experiments))
+        space = self._padded(model, free)
+        return Innovations(model, self.data, space, gain[:, : len(CHANNELS)], gain, self.substeps)
 
     def held_out_gain(self, before: Refit, after: Refit) -> float:
         """Gain in the log-likelihood of experiments that did not take part in estimating the effect; NaN if none can tell."""
@@ -266,10 +292,10 @@ class Search:
 
         screened = screen(innovations, error, basis, [i for i in self.instances if i.id in left], place)
         probed = self._innovations(refit, [], [])
-        scales = scales_of(self.fit.model, self.experiments)
+        scales = scales_of(self.model, self.experiments)
         slow = (_SLOW * scales.velocity, _SLOW * scales.arm_velocity)
         curves = force_curves(probed, error, basis, self._ranges(), slow)
-        stiffness = float(np.asarray(self.fit.model.body.spring_stiffness))
+        stiffness = float(np.asarray(self.model.body.spring_stiffness))
         delayed = delayed_forces(
             probed, error, basis, self.experiments, frequency=scales.frequency, stiffness=stiffness
         )  # fmt: skip
@@ -291,7 +317,7 @@ class Search:
     def latent(self, refit: Refit) -> tuple[LatentForce, ...]:
         """The missing force in time."""
         probed = self._innovations(refit, [], [])
-        scales = scales_of(self.fit.model, self.experiments)
+        scales = scales_of(self.model, self.experiments)
         physical = (probed.space.values, refit.predictor.physical[1], probed.space.start)
         return latent_forces(
             probed.model, self.data, probed.space, physical, probed.gain,
@@ -315,7 +341,7 @@ class Search:
         return Refit(added, model, found, space, by_sample(found.filtered, self.data), free, triangles)
 
     def _with(self, effects: Sequence[Effect]) -> RTAC:
-        return _with_all(self.fit.model, [*effects, *([self.colour] if self.colour is not None else [])])
+        return _with_all(self.model, [*effects, *([self.colour] if self.colour is not None else [])])
 
     def _space(self, model: RTAC, free: Sequence[str]) -> Space:
         return space_of(model, self.experiments, free=free, start=self.start)
@@ -360,7 +386,7 @@ class Search:
         def outputs(channel: str) -> list[np.ndarray]:
             return [e.outputs[channel].values for e in self.experiments if channel in e.outputs]
 
-        scales = scales_of(self.fit.model, self.experiments)
+        scales = scales_of(self.model, self.experiments)
         reach = 2.5 * scales.velocity if outputs("cart_position") else 0.0
         arm = any(e.arm == "free" for e in self.experiments)
         return {

@@ -68,11 +68,12 @@ def _on_bounds(space: Space, unknowns: Unknowns, full: np.ndarray, held: dict[in
     shared = np.asarray(space.physical(unknowns)[0])
     gradient = full[:, :, : len(unknowns.shared)].transpose(0, 2, 1) @ full[:, :, -1:]
     downhill = -gradient.sum(axis=0)[:, 0]
+    lower, upper = np.asarray(space.lower), np.asarray(space.upper)
     result = {}
     for place, index in enumerate(np.asarray(space.active)):
         if index >= len(space.names):
             continue
-        value, low, high = shared[index], float(space.lower[index]), float(space.upper[index])
+        value, low, high = shared[index], lower[index], upper[index]
         deviation = deviations[found.names.index(space.names[index])]
         if place in held:
             # It leaves the bound only if that lowers the cost by more than chance would.

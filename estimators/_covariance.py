@@ -3,6 +3,7 @@
 import dataclasses
 from collections.abc import Sequence
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -13,6 +14,8 @@ from estimators._transform import slopes
 # A direction along which all free parameters may move by more than this share of their size within one standard
 # deviation is not determined by the data.
 _UNDETERMINED = 10.0
+
+_ROOM = 32  # parameters are padded to a multiple of this, so that one compiled function serves most models
 
 
 @dataclasses.dataclass(frozen=True)
@@ -125,7 +128,14 @@ def slope_of(space: Space, unknowns: Unknowns) -> np.ndarray:
     """Derivative of each free physical parameter by its unconstrained stand-in, kept away from zero at a bound."""
     index = np.asarray(space.active)
     place = np.where(index < len(space.names), index, 0)
-    slope = np.asarray(slopes(unknowns.shared, space.lower[place], space.upper[place], space.scale[place]))
+    count = len(index)
+    shared = np.zeros(-(-count // _ROOM) * _ROOM)
+    at = [
+        np.concatenate([np.asarray(x)[place], np.ones(len(shared) - count)])
+        for x in (space.lower, space.upper, space.scale)
+    ]
+    shared[:count] = np.asarray(unknowns.shared)
+    slope = np.asarray(slopes(*(jnp.asarray(x) for x in (shared, *at))))[:count]
     return np.where(np.abs(slope) > 1e-12 * _sizes(space, unknowns), slope, 1e-12 * _sizes(space, unknowns))
 
 

@@ -157,8 +157,8 @@ def _arguments(
     innovations: Innovations, port: int, variable: int, low: float, spacing: float, slow: float
 ) -> tuple[Any, ...]:
     probe = Probe(
-        jnp.zeros(KNOTS), jnp.eye(2)[port], jnp.eye(len(VARIABLES))[variable], jnp.asarray(low), jnp.asarray(spacing),
-        jnp.asarray(slow),
+        jnp.asarray(np.zeros(KNOTS)), jnp.asarray(np.eye(2)[port]), jnp.asarray(np.eye(len(VARIABLES))[variable]),
+        jnp.asarray(low), jnp.asarray(spacing), jnp.asarray(slow),
     )  # fmt: skip
     i = innovations
-    return i.model, probe, jnp.eye(KNOTS), i.data, i.space, i.whitener, i.gain, i.substeps
+    return i.model, probe, jnp.asarray(np.eye(KNOTS)), i.data, i.space, i.whitener, i.gain, i.substeps

@@ -51,7 +51,7 @@ def factor(unknowns: Unknowns, arguments: Arguments) -> Array:
 
 def diverged(factor: Array) -> bool:
     """Whether the factor is that of a model that left all bounds."""
-    return bool(jnp.max(factor[:, -1, -1]) >= _HOPELESS)
+    return bool(np.max(np.asarray(factor)[:, -1, -1]) >= _HOPELESS)
 
 
 @eqx.filter_jit
@@ -126,7 +126,9 @@ def solve(
     Raises:
         FloatingPointError: the model diverges at the very start.
     """
-    solver = optx.LevenbergMarquardt(rtol=tolerance, atol=tolerance, norm=_largest)
+    # As arrays, or every tolerance would compile its own step.
+    small = jnp.asarray(tolerance)
+    solver: Any = optx.LevenbergMarquardt(rtol=small, atol=small, norm=_largest)  # pyright: ignore[reportArgumentType]
     trial = factor(unknowns, arguments)
     if diverged(trial):
         raise FloatingPointError(

@@ -69,7 +69,7 @@ class NoiseModel:
 
 def start_variance(space: Space) -> Float[Array, "start experiment"]:
     """Variance of the states at the start; none where they are held."""
-    return (space.start_scale * (1 - space.start_held)) ** 2
+    return jnp.asarray((np.asarray(space.start_scale) * (1 - np.asarray(space.start_held))) ** 2)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -142,8 +142,11 @@ def compile_predictor(model: RTAC, data: Data, space: Space, prior: NoiseModel, 
     """Compile what `fit_predictor` will run, and run nothing."""
     unknowns = space.unconstrained(start=False)
     compile_only(_pass, *_arguments(model, data, space, space.physical(unknowns), prior, _begin(), substeps))
-    gain = jnp.zeros((data.samples, len(model.states), len(CHANNELS), data.experiments))
-    compile_only(factor, unknowns, Arguments(model, data, space, gain[:, : len(CHANNELS)], gain, substeps))
+    whitener, gain = (
+        jnp.asarray(np.zeros((data.samples, count, len(CHANNELS), data.experiments)))
+        for count in (len(CHANNELS), len(model.states))
+    )
+    compile_only(factor, unknowns, Arguments(model, data, space, whitener, gain, substeps))
 
 
 def _begin() -> np.ndarray:

@@ -308,13 +308,14 @@ class _Run:
         interval = float(np.min(np.asarray(self.data.excitation.sample_time)))
         result = filtered(
             model, self.data, space, space.physical(unknowns),
-            sensor_variance=jnp.broadcast_to(jnp.asarray(noise**2)[:, None], (len(CHANNELS), self.data.experiments)),
+            sensor_variance=jnp.asarray(np.broadcast_to(noise[:, None] ** 2, (len(CHANNELS), self.data.experiments))),
             process=(jnp.asarray((share * scales.force) ** 2 * interval), jnp.asarray((share * scales.torque) ** 2 * interval)),
             start_variance=start_variance(space),
             substeps=jnp.asarray(substeps),
         )  # fmt: skip
         # One whitener for all samples: enough for a start, and the same compiled function as for the simulation.
-        return result.gain, jnp.median(result.whitener[self.data.samples // 4 :], axis=0, keepdims=True)
+        middle = np.median(np.asarray(result.whitener)[self.data.samples // 4 :], axis=0, keepdims=True)
+        return result.gain, jnp.asarray(middle)
 
     def _deviation(self, model: RTAC, space: Space, unknowns: Unknowns, substeps: int, noise: np.ndarray) -> np.ndarray:
         whitener = diagonal_whitener(np.ones(len(CHANNELS)), self.data)
@@ -348,13 +349,13 @@ def accurate_substeps(model: RTAC, data: Data, space: Space, unknowns: Unknowns,
 
 def no_gain(model: RTAC, data: Data) -> Array:
     """The gain of a predictor that does not correct: a free simulation."""
-    return jnp.zeros((data.samples, len(model.states), len(CHANNELS), data.experiments))
+    return jnp.asarray(np.zeros((data.samples, len(model.states), len(CHANNELS), data.experiments)))
 
 
 def diagonal_whitener(deviation: np.ndarray, data: Data) -> Array:
     """Divides each output by its standard deviation; [1 row output experiment]."""
-    eye = jnp.diag(1.0 / jnp.asarray(deviation))
-    return jnp.broadcast_to(eye[None, :, :, None], (1, len(CHANNELS), len(CHANNELS), data.experiments))
+    inverse = np.diag(1.0 / np.asarray(deviation))[None, :, :, None]
+    return jnp.asarray(np.broadcast_to(inverse, (1, len(CHANNELS), len(CHANNELS), data.experiments)))
 
 
 def _concentrated(deviation: np.ndarray, data: Data) -> float:

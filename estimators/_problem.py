@@ -124,9 +124,9 @@ class Space(eqx.Module):
             np.asarray(self.each_values),
             *(np.asarray(x)[:, None] for x in (self.each_lower, self.each_upper, self.each_scale)),
         )
-        return Unknowns(
-            jnp.asarray(np.where(inside, shared, 0.0)), jnp.asarray(each), self.start[: len(self.start) * start] * 0.0
-        )
+        rows = np.asarray(self.start)[: len(self.start) * start]
+        shared = jnp.asarray(np.where(inside, shared, 0.0))
+        return Unknowns(shared, jnp.asarray(each), jnp.asarray(np.zeros_like(rows)))
 
 
 def states_at_start(model: RTAC, start: Array, excitation: Excitation) -> tuple[Any, ...]:

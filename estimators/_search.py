@@ -189,9 +189,11 @@ class Search:
 
     def _unfitted(self, model: RTAC, free: Sequence[str]) -> Innovations:
         """Innovations for compiling only: the shapes are right, gains and whiteners are nothing."""
-        gain = jnp.zeros((self.data.samples, len(model.states), len(CHANNELS), self.data.experiments))
-        space = self._padded(model, free)
-        return Innovations(model, self.data, space, gain[:, : len(CHANNELS)], gain, self.substeps)
+        gain, whitener = (
+            jnp.asarray(np.zeros((self.data.samples, count, len(CHANNELS), self.data.experiments)))
+            for count in (len(model.states), len(CHANNELS))
+        )
+        return Innovations(model, self.data, self._padded(model, free), whitener, gain, self.substeps)
 
     def held_out_gain(self, before: Refit, after: Refit) -> float:
         """Gain in the log-likelihood of experiments that did not take part in estimating the effect; NaN if none can tell."""

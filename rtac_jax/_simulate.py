@@ -142,19 +142,26 @@ def substeps_for(model: RTAC, excitation: Excitation, *, stability: float = 1.0,
     """
     count = len(model.states)
     longest = float(np.max(np.asarray(excitation.sample_time)))
-    first = jax.tree.map(lambda leaf: jnp.ravel(jnp.asarray(leaf))[0], model)
-
-    def slope(x: Array) -> Array:
-        # States that have a closed form are not integrated, however fast they are.
-        since = first.since(tuple(x), jnp.zeros(()), 1.0, jnp.zeros(()))
-        rates = first.derivative(tuple(x), jnp.zeros(()), 0.0, since=since)
-        return jnp.stack([jnp.asarray(dx, dtype=float) for dx in rates])
-
+    first = jax.tree.map(lambda leaf: jnp.asarray(np.ravel(leaf)[0]), model)
     fastest = 0.0
     for angle in (0.0, 1.5):
-        at = jnp.zeros(count).at[2].set(angle)
-        fastest = max(fastest, float(np.max(np.abs(np.linalg.eigvals(np.asarray(jax.jacfwd(slope)(at)))))))
+        at = np.zeros(count)
+        at[2] = angle
+        fastest = max(fastest, float(np.max(np.abs(np.linalg.eigvals(np.asarray(_slopes(first, jnp.asarray(at))))))))
     return int(np.clip(np.ceil(longest * fastest / stability), 1, most))
+
+
+@eqx.filter_jit
+def _slopes(model: RTAC, at: Array) -> Array:
+    """Jacobian of the state's rate."""
+
+    def rate(x: Array) -> Array:
+        # States that have a closed form are not integrated, however fast they are.
+        since = model.since(tuple(x), jnp.zeros(()), 1.0, jnp.zeros(()))
+        rates = model.derivative(tuple(x), jnp.zeros(()), 0.0, since=since)
+        return jnp.stack([jnp.asarray(dx, dtype=float) for dx in rates])
+
+    return jax.jacfwd(rate)(at)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -102,7 +102,7 @@ class Search:
     @classmethod
     def of(cls, fit: Fit, recording: Recording, classes: Sequence[type[Effect]], bar: Any) -> "Search":
         """Set up for the model of a fit; candidates that nothing in the recording could show are passed over."""
-        return cls._set_up(fit.model, recording, classes, fit.start, fit.statistics["substeps"], bar)
+        return cls._set_up(fit.model, recording, classes, fit.start, int(fit.statistics["substeps"]), bar)
 
     @classmethod
     def compile_for(cls, model: RTAC, recording: Recording, classes: Sequence[type[Effect]]) -> None:
@@ -118,7 +118,7 @@ class Search:
         recording: Recording,
         classes: Sequence[type[Effect]],
         starts: Mapping[str, np.ndarray],
-        substeps: float,
+        substeps: int,
         bar: Any,
     ) -> "Search":
         experiments = pieces(moving(recording))

@@ -36,11 +36,18 @@ OUTSIDE = {
 }
 
 
+# More than one thing at a time, and what is to be named.
+TOGETHER = {
+    "two effects": (dict(cubic_spring=5e4, current_lag=0.01), ["cubic_spring", "current_lag"]),
+    "an effect, and a little of what nobody knows": (dict(cubic_spring=1e5, maxwell_stiffness=1.0), ["cubic_spring"]),
+}
+
+
 @pytest.fixture(scope="module")
 def recordings() -> dict[str, rtac.Recording]:
     """One recording for each hidden effect and one with none, all of one shape, on rigs drawn around the paper's."""
     jobs = []
-    hidden = {name: values for name, (values, _) in HIDDEN.items()} | {"nothing": {}} | OUTSIDE
+    hidden = {name: values for name, (values, _) in (HIDDEN | TOGETHER).items()} | {"nothing": {}} | OUTSIDE
     for number, values in enumerate(hidden.values()):
         rig = virtual_rig.Rig().drawn(100 + number)
         plans = virtual_rig.standard_plans(
@@ -78,6 +85,15 @@ def test_nothing_hidden_is_adequate(recordings: dict[str, rtac.Recording]) -> No
     assert found.effects == found.latent == ()
     assert not any(test.rejects for test in found.tests)
     assert all(np.isfinite(c.detection_limit) for c in found.candidates if c.testable)
+
+
+@pytest.mark.parametrize("name", TOGETHER)
+def test_what_acts_together_is_named_as_far_as_it_is_known(recordings: dict[str, rtac.Recording], name: str) -> None:
+    found = diagnosed(recordings[name])
+    assert found.verdict == "missing", found
+    assert sorted(c.id for c in found.effects) == TOGETHER[name][1], found
+    # What nobody knows stays visible.
+    assert any(test.rejects for test in found.left) == (name != "two effects"), found
 
 
 @pytest.mark.parametrize("name", OUTSIDE)

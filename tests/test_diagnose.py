@@ -39,7 +39,7 @@ OUTSIDE = {
 # More than one thing at a time, and what is to be named.
 TOGETHER = {
     "two effects": (dict(cubic_spring=5e4, current_lag=0.01), ["cubic_spring", "current_lag"]),
-    "an effect, and a little of what nobody knows": (dict(cubic_spring=1e5, maxwell_stiffness=1.0), ["cubic_spring"]),
+    "an effect, and a little of what nobody knows": (dict(cubic_spring=3e5, maxwell_stiffness=0.5), ["cubic_spring"]),
 }
 
 

@@ -7,19 +7,23 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
+from scipy.fft import next_fast_len
+from scipy.signal.windows import parzen
 from scipy.stats import chi2, norm
 
 from estimators._bounds import solve_bounded
 from estimators._levenberg_marquardt import Arguments, plain_residual
 from estimators._noise import noise_levels
 from estimators._output_error import Fit, diagonal_whitener, moving, no_gain
-from estimators._problem import CHANNELS, Data
+from estimators._problem import CHANNELS, Data, Unknowns
+from estimators._results import DivergedError
 from estimators._start import space_of
 from rtac_jax import RTAC, require_configured
 from rtac_jax.measurement import Experiment, Recording
 
 # Longer experiments without memory of their start take it from their beginning alone.
 _LONG, _BEGINNING = 8192, 2048
+_LOST = 1e100  # an output beyond this has left all bounds, and its square would overflow
 
 Values = Float[np.ndarray, " sample"]
 
@@ -68,8 +72,12 @@ class Trace:
         return _correlation(self.residual, self.residual, lags)
 
     def cross_correlation(self, lags: int = 50) -> tuple[Float[np.ndarray, " lag"], float]:
-        """Of the residual with the input `lags` samples before to the input now, and the 99 % band."""
-        return _correlation(self.residual, self.current, lags)
+        """Of the residual with the input 0 to `lags` samples before, and the 99 % band for independence, whatever their colours.
+
+        Source: Bartlett, J. R. Statist. Soc. Suppl. 8 (1946); Ljung, System Identification (1999), section 16.6.
+        """
+        found, _ = _correlation(self.residual, self.current, lags)
+        return found, _independence_band(self.residual, self.current)
 
     @property
     def whiteness_p(self) -> float:
@@ -84,12 +92,35 @@ class Trace:
 
 
 def _correlation(a: Values, b: Values, lags: int) -> tuple[np.ndarray, float]:
-    x = np.nan_to_num(a - np.nanmean(a)) if np.isfinite(a).any() else np.zeros_like(a)
-    z = np.nan_to_num(b - np.nanmean(b)) if np.isfinite(b).any() else np.zeros_like(b)
+    """Cross-correlation, and the 99 % band if one of the two is white."""
+    x, z = _centred(a), _centred(b)
     lags = min(lags, len(x) - 1)
     size = np.sqrt(np.sum(x**2) * np.sum(z**2))
     found = np.array([np.sum(x[k:] * z[: len(z) - k]) for k in range(lags + 1)])
     return found / size if size > 0 else 0 * found, float(norm.ppf(0.995) / np.sqrt(max(np.isfinite(a).sum(), 1)))
+
+
+def _independence_band(a: Values, b: Values) -> float:
+    """99 % band of the cross-correlation of independent signals: its variance is sum_k R_a(k) R_b(k) / N."""
+    own = _autocorrelation(_centred(a)) * _autocorrelation(_centred(b))
+    # Over all lags the sum would be the mean square of the correlations themselves, and nothing could stand out of it;
+    # and Parzen's window keeps it positive, which a cut would not.
+    longest = max(len(own) // 3, 1)
+    weight = parzen(2 * longest - 1)[longest - 1 :]
+    inflation = own[0] + 2 * float(np.sum((weight * own[:longest])[1:]))
+    return float(norm.ppf(0.995) * np.sqrt(inflation / len(own)))
+
+
+def _autocorrelation(x: Values) -> Float[np.ndarray, " lag"]:
+    """At all lags; one at lag zero also where there is no signal."""
+    length = next_fast_len(2 * len(x))
+    found = np.fft.irfft(np.abs(np.fft.rfft(x, length)) ** 2, length)[: len(x)]
+    return found / found[0] if found[0] > 0 else np.eye(1, len(x))[0]
+
+
+def _centred(a: Values) -> Values:
+    """Without its mean, and zero where nothing was measured."""
+    return np.nan_to_num(a - np.nanmean(a)) if np.isfinite(a).any() else np.zeros_like(a)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -189,6 +220,7 @@ def compare(
 
     Raises:
         ValueError: nothing moves in the recording, or the labels do not fit.
+        DivergedError: a model leaves all bounds in an experiment; the message names both.
     """
     require_configured()
     several = [fits] if isinstance(fits, Fit | RTAC) else list(fits)
@@ -231,7 +263,7 @@ def _compare_one(
     traces: list[Trace] = []
     starts: dict[str, np.ndarray] = {}
     for group in groups:
-        simulated, start, used = _simulated(model, group, levels, known, start_samples, _substeps(fit))
+        simulated, start, used = _simulated(model, label, group, levels, known, start_samples, _substeps(fit))
         starts |= start
         for column, e in enumerate(group):
             drive = e.inputs.get("current") or e.inputs.get("disturbance_force")
@@ -258,6 +290,7 @@ def _substeps(fit: Fit | RTAC) -> int | None:
 
 def _simulated(
     model: RTAC,
+    label: str,
     experiments: Sequence[Experiment],
     levels: Mapping[str, float],
     known: Mapping[str, np.ndarray] | None,
@@ -283,8 +316,6 @@ def _simulated(
     arguments = Arguments(model, data, space, diagonal_whitener(noise, data), no_gain(model, data), steps)
     fitted = known is not None and start_samples is None and all(e.name in known for e in experiments)
     fitted = fitted and not model.per_experiment
-    if not fitted:
-        unknowns = solve_bounded(unknowns, arguments, tolerance=1e-5, most=40).unknowns
     everything = data if beginning == list(experiments) else Data.of(experiments)
     whole = dataclasses.replace(
         arguments,
@@ -292,10 +323,36 @@ def _simulated(
         whitener=diagonal_whitener(np.ones(3), everything),
         gain=no_gain(model, everything),
     )
-    error, _ = plain_residual(unknowns, whole)
-    simulated = np.asarray(everything.values) - np.asarray(error)
+    if not fitted:
+        try:
+            unknowns = solve_bounded(unknowns, arguments, tolerance=1e-5, most=40).unknowns
+        except FloatingPointError:
+            _outputs(unknowns, whole, label, experiments)  # says where
+            raise
+    simulated = _outputs(unknowns, whole, label, experiments)
     missing = np.asarray(everything.present) == 0
     if missing.any():
         simulated = np.where(missing, np.nan, simulated)
     states = np.asarray(space.physical(unknowns)[2])
     return simulated, {e.name: states[:, i] for i, e in enumerate(experiments)}, start_samples or 0
+
+
+def _outputs(unknowns: Unknowns, arguments: Arguments, label: str, experiments: Sequence[Experiment]) -> np.ndarray:
+    """What the model shows of these experiments.
+
+    Raises:
+        DivergedError: it leaves all bounds in one of them.
+    """
+    error, _ = plain_residual(unknowns, arguments)
+    simulated = np.asarray(arguments.data.values) - np.asarray(error)
+    # A comparison with NaN is false, so NaN counts as lost too.
+    lost = (np.asarray(arguments.data.present) > 0) & ~(np.abs(simulated) < _LOST)
+    for column, experiment in enumerate(experiments):
+        if lost[..., column].any():
+            instant = experiment.sample_time * float(np.argmax(lost[..., column].any(axis=1)))
+            raise DivergedError(
+                f"experiment {experiment.name}: the model {label!r} diverges {instant:.3g} s after the start and cannot be "
+                "compared; fit it to this rig again (est.output_error), or check the sign and unit of the parameter last "
+                "changed."
+            )
+    return simulated

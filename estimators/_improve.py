@@ -9,6 +9,7 @@ from typing import Any
 from estimators._compare import Comparison, compare
 from estimators._diagnose import Candidate, Diagnosis, Verdict, compile_diagnosis, diagnose
 from estimators._output_error import Fit, output_error
+from estimators._results import DivergedError, NotIdentifiableError
 from rtac_jax import RTAC
 from rtac_jax.effects import CATALOGUE, Effect
 from rtac_jax.measurement import Recording
@@ -90,7 +91,7 @@ def improve(
 
     Raises:
         ValueError: there is nothing to hold out, or nothing moves.
-        NotIdentifiableError, DivergedError: as `output_error`.
+        NotIdentifiableError, DivergedError: as `output_error`, for the base model.
     """
     began = time.perf_counter()
     train, held_out = recording.split(validation)
@@ -113,9 +114,13 @@ def improve(
             if len(added) == most:
                 stopped = f"Stopped: {most} effects were added; more seem to be missing."
                 break
-            better = output_error(fits[-1].model + effect, train, from_model=True, progress=progress)
             label = "+ " + ", ".join([*(c.id for c in added), effect.id])
-            test = compare(better, held_out, labels=[label]).models[0]
+            try:
+                better = output_error(fits[-1].model + effect, train, from_model=True, progress=progress)
+                test = compare(better, held_out, labels=[label]).models[0]
+            except (NotIdentifiableError, DivergedError, FloatingPointError) as error:
+                stopped = f"Stopped: with {effect.id} the model could not be fitted: {error}"
+                break
             if _misfit(test) > _misfit(tested[-1]):
                 stopped = f"Stopped: with {effect.id} the held-out error would not fall."
                 break

@@ -19,7 +19,12 @@ from rtac_jax.measurement import Experiment
 
 _PORTS = ("cart", "arm")
 _UNITS = {"cart": "N", "arm": "N m"}
-_MEMORY = 0.1  # correlation time of the force as a share of the period of the motion
+_MEMORIES = (
+    0.03,
+    0.1,
+    0.3,
+    1.0,
+)  # correlation times of the force that are tried, as shares of the period of the motion
 # Standard deviations of the force that are tried, as shares of the rms spring force or motor torque.
 _SHARES = (1e-4, 1e-3, 3e-3, 1e-2, 3e-2, 1e-1, 3e-1)
 _STILL = 1e-7  # share of the force that stands for none
@@ -87,26 +92,28 @@ def latent_forces(
 
     Source: Rogers and Friis, Mechanical Systems and Signal Processing 166 (2022); smoother of Rauch, Tung and Striebel.
     """
-    memory = _MEMORY * 2 * np.pi / frequency
     scale = np.array([force, torque])
     still = _STILL * scale
     variance = jnp.broadcast_to(jnp.asarray(sensor_variance)[:, None], (len(sensor_variance), data.experiments))
     linear = _linearised(model, data, space, physical, gain, variance, jnp.asarray(substeps))
 
-    def likelihood(sizes: np.ndarray) -> np.ndarray:
-        return np.asarray(_likelihoods(linear, data, gain, jnp.asarray(sizes), jnp.asarray(memory)))
+    def likelihood(shares: np.ndarray, memory: float) -> tuple[float, np.ndarray]:
+        """Without a force, and with one at each port of each size (a row of shares for each port)."""
+        trials = np.broadcast_to(still, (1 + shares.size, 2)).copy()
+        for port in range(2):
+            trials[1 + port * shares.shape[1] :, port][: shares.shape[1]] = shares[port] * scale[port]
+        values = np.asarray(_likelihoods(linear, data, gain, jnp.asarray(trials), jnp.asarray(memory)))
+        return float(values[0]), values[1:].reshape(2, -1)
 
-    trials = [still]
-    for port in range(2):
-        for share in _SHARES:
-            trial = still.copy()
-            trial[port] = share * scale[port]
-            trials.append(trial)
-    values = likelihood(np.array(trials))
-    none, by_port = values[0], values[1:].reshape(2, -1)
-    chosen = np.array([_SHARES[int(np.argmax(by_port[port]))] * scale[port] for port in range(2)])
+    coarse = np.broadcast_to(_SHARES, (2, len(_SHARES)))
+    memories = np.array(_MEMORIES) * 2 * np.pi / frequency
+    memory = float(max(memories, key=lambda m: likelihood(coarse, m)[1].max()))
+    middle = coarse[0, likelihood(coarse, memory)[1].argmax(axis=1)]
+    fine = middle[:, None] * np.geomspace(0.25, 4.0, len(_SHARES))
+    none, by_port = likelihood(fine, memory)
+    chosen = np.take_along_axis(fine, by_port.argmax(axis=1)[:, None], axis=1)[:, 0] * scale
     chosen = np.where(by_port.max(axis=1) > none, chosen, still)
-    smoothed, spread = (np.asarray(x) for x in _smoothed(linear, data, gain, jnp.asarray(chosen), memory))
+    smoothed, spread = (np.asarray(x) for x in _smoothed(linear, data, gain, jnp.asarray(chosen), jnp.asarray(memory)))
     lengths = [e.samples for e in experiments]
     found = []
     for port, name in enumerate(_PORTS):

@@ -5,6 +5,8 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from estimators._candidate import Candidate
 from estimators._compare import Compared, Comparison
 from estimators._diagnose import Diagnosis
@@ -53,7 +55,7 @@ def report_dict(
             "verdict": found.verdict,
             "effects": effects,
             "candidates": [_candidate(c, c.id in accepted) for c in first.candidates],
-            "parameters": _parameters(fit.parameters) if fit is not None else {},
+            "parameters": _parameters(_every(fit)) if fit is not None else {},
             "error": {"train": _before_after(train), "validation": _before_after(validation)},
             "next_experiment": planned.as_dict() if planned is not None else None,
             "seconds": found.seconds if seconds is None else seconds,
@@ -68,7 +70,7 @@ def fit_dict(
     found: dict[str, Any] = {
         "format": FORMAT,
         "version": VERSION,
-        "parameters": _parameters(fit.parameters),
+        "parameters": _parameters(_every(fit)),
         "error": {"train": _before_after(train), "validation": _before_after(validation)},
         "seconds": seconds,
     }
@@ -132,11 +134,22 @@ def _parameters(parameters: Mapping[str, Parameter]) -> dict[str, Any]:
     return {name: {"value": p.value, "std": p.std, "unit": p.unit} for name, p in parameters.items()}
 
 
+def _every(fit: Fit) -> dict[str, Parameter]:
+    """The shared parameters, and as NAME[EXPERIMENT] those that each experiment has for itself, which have no deviation."""
+    found = dict(fit.parameters)
+    for name in sorted(fit.model.per_experiment):
+        unit = fit.model.parameters[name].unit
+        values = np.broadcast_to(np.asarray(fit.model[name]), (len(fit.experiments),))
+        for experiment, value in zip(fit.experiments, values, strict=True):
+            found[f"{name}[{experiment}]"] = Parameter(float(value), math.nan, unit)
+    return found
+
+
 def _before_after(comparison: Comparison | None) -> dict[str, Any] | None:
+    """Of the first model and of the last, which is the same where nothing was added; None where nothing was held out."""
     if comparison is None:
         return None
-    first, *later = comparison.models
-    return {"before": _errors(first), "after": _errors(later[-1]) if later else None}
+    return {"before": _errors(comparison.models[0]), "after": _errors(comparison.models[-1])}
 
 
 def _errors(compared: Compared) -> dict[str, Any]:
@@ -168,9 +181,9 @@ def error_table(train: Comparison, validation: Comparison | None) -> Table:
 def parameter_table(fit: Fit, *, base: Fit | None = None) -> Table:
     """Parameters with standard deviations; with a base fit its values before them."""
     rows = []
-    known = base.parameters if base is not None else {}
-    for name, p in fit.parameters.items():
-        std = f"{p.std:.2g}" if name in fit.information.names else "fixed"
+    known = _every(base) if base is not None else {}
+    for name, p in _every(fit).items():
+        std = "" if math.isnan(p.std) else f"{p.std:.2g}" if name in fit.information.names else "fixed"
         row = [name, f"{p.value:.6g}", std, p.unit]
         if base is not None:
             row.insert(1, f"{known[name].value:.6g}" if name in known else "")

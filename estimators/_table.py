@@ -33,7 +33,7 @@ def fit_table(
     apart = _apart(agreed, fit)
     for name, p in fit.parameters.items():
         e = closed.estimates.get(name)
-        row = [name, p.unit, *(("", "") if e is None else (f"{e.pooled:.6g}", _short(e.std))), f"{p.value:.6g}"]
+        row = [name, p.unit, *(("", "") if e is None else (f"{e.value:.6g}", _short(e.std))), f"{p.value:.6g}"]
         row.append(_short(p.std) if name in fit.information.names else "fixed")
         if spread is not None:
             row += [_short(coloured.get(name, np.nan)), _short(by_cluster.get(name, np.nan))]

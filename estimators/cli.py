@@ -29,6 +29,7 @@ def main() -> None:
 @app.command()
 def demo(
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for everything that is written.")] = Path("demo"),
+    json: Json = None,
 ) -> None:
     """Make a recording with a hidden effect, run the whole loop on it, and write a report with figures."""
     began = time.perf_counter()
@@ -43,7 +44,7 @@ def demo(
             f"{folder / 'demo.h5'}: {len(recording)} experiments on a virtual rig that has more physics than the "
             "paper's model. The loop does not know what.\n"
         )
-        _improve(Job("demo.h5", recording, None, folder, folder / "result.json", began))
+        _improve(Job("demo.h5", recording, None, folder, json or folder / "result.json", began))
 
 
 @app.command()
@@ -71,7 +72,11 @@ def fit(file: File, validation: Validation = None, out: Out = None, json: Json =
         model = work.model()
         closed = est.least_squares(model, work.train, weak=True)
         found = work.fitted(model)
-        agreed = est.agreement([closed, found], work.train, labels=["closed form", "output error"])
+        agreed = None
+        try:
+            agreed = est.agreement([closed, found], work.train, labels=["closed form", "output error"])
+        except ValueError as error:  # the closed form needs channels that the fit does not
+            work.remark = f"{work.remark} The two were not compared: {error}".strip()
         spread = est.covariances(found, work.train)
         trained, tested = work.compared(found)
         errors = _report.error_table(trained, tested)
@@ -82,19 +87,14 @@ def fit(file: File, validation: Validation = None, out: Out = None, json: Json =
         if work.folder is not None:
             from estimators.plots import plot_comparison, plot_recording
 
-            figures = {
-                "agreement": agreed.plot(),
-                "comparison": plot_comparison(tested or trained),
-                "recording": plot_recording(work.recording),
-            }
-            captions = {
-                "agreement": "Estimates by both ways, with what chance allows between them.",
-                "comparison": work.held,
-                "recording": "The recording.",
-            }
+            figures = {"comparison": plot_comparison(tested or trained), "recording": plot_recording(work.recording)}
+            captions = {"comparison": work.held, "recording": "The recording."}
+            if agreed is not None:
+                figures = {"agreement": agreed.plot(), **figures}
+                captions = {"agreement": "Estimates by both ways, with what chance allows between them.", **captions}
             skipped = [f"The closed form could not use {name}: {why}" for name, why in closed.skipped.items()]
             sections = [
-                ("Result", [work.remark, agreed.verdict, ended, *skipped, errors]),
+                ("Result", [work.remark, "" if agreed is None else agreed.verdict, ended, *skipped, errors]),
                 ("Parameters", [_report.side_by_side(closed, found)]),
                 ("Figures", _shown(figures, **captions)),
             ]
@@ -157,12 +157,7 @@ def diagnose(file: File, validation: Validation = None, out: Out = None, json: J
                 work.remark = f"{work.remark} The model with {names} could not be fitted: {error}".strip()
         trained, tested = work.compared(fits, labels)
         candidates, errors = _report.candidate_table(found), _report.error_table(trained, tested)
-        planned = None
-        if found.verdict == "ambiguous":
-            try:
-                planned = est.next_experiment(base, work.train, found, progress=progress())
-            except (ValueError, FloatingPointError) as error:
-                work.remark = f"{work.remark} No next experiment could be planned: {error}".strip()
+        planned = _planned(work, base, found)
         say(found.explanation, work.remark, candidates, _report.evidence_table(found), errors, planned or "")
         work.write_json(
             _report.report_dict(
@@ -186,10 +181,7 @@ def diagnose(file: File, validation: Validation = None, out: Out = None, json: J
                 "comparison": work.held,
                 "residuals": "What the base model leaves of the worst experiment.",
             }
-            if planned is not None:
-                planned.save(work.folder / "next_experiment.h5")
-                figures["next_experiment"] = planned.plot()
-                captions["next_experiment"] = "What would tell them apart; next_experiment.h5 can be played on the rig."
+            _show_planned(planned, work, figures, captions)
             sections = [
                 (f"Verdict: {found.verdict}", [_without_limits(found.explanation), work.remark]),
                 ("Error before and after", [errors]),
@@ -221,8 +213,22 @@ def _improve(work: Job) -> None:
     parameters = _report.parameter_table(found.final, base=found.base if found.added else None)
     said = [diagnosis.explanation for diagnosis in found.diagnoses]
     told = [_without_limits(text) for text in said]
-    say(*said, found.stopped, _report.candidate_table(found.diagnoses[0]), errors, parameters)
-    work.write_json(_report.report_dict(found, seconds=work.seconds))
+    open_question = next((d for d in found.diagnoses if d.verdict == "ambiguous"), None)
+    planned = None
+    if open_question is not None:
+        before = found.diagnoses[: found.diagnoses.index(open_question)]
+        base = found.fits[sum(len(diagnosis.additions) for diagnosis in before)]
+        planned = _planned(work, base, open_question)
+    say(
+        *said,
+        found.stopped,
+        work.remark,
+        _report.candidate_table(found.diagnoses[0]),
+        errors,
+        parameters,
+        planned or "",
+    )
+    work.write_json(_report.report_dict(found, planned=planned, seconds=work.seconds))
     if work.folder is None:
         return
     from estimators.plots import (
@@ -252,12 +258,13 @@ def _improve(work: Job) -> None:
         figures["residuals_after"] = plot_residuals(found.train.models[-1])
         captions["residuals_after"] = leaves.format("last")
     figures["recording"], captions["recording"] = plot_recording(work.recording), "The recording."
+    _show_planned(planned, work, figures, captions)
     tables: list[Any] = []
     for number, diagnosis in enumerate(found.diagnoses, 1):
         tables += [f"Diagnosis {number}: {diagnosis.verdict}.", _report.candidate_table(diagnosis)]
         tables += [_report.evidence_table(diagnosis)]
     sections = [
-        (f"Verdict: {found.verdict}", [f"{finding(found)}.", *told, found.stopped]),
+        (f"Verdict: {found.verdict}", [f"{finding(found)}.", *told, found.stopped, work.remark]),
         ("Error before and after", [errors]),
         ("Figures", _shown(figures, **captions)),
         ("Parameters", [parameters]),
@@ -266,12 +273,33 @@ def _improve(work: Job) -> None:
     work.write_report(f"Improvement of the model with {work.file}", figures, sections)
 
 
+def _planned(work: Job, base: Any, found: Any) -> Any:
+    """The experiment that would tell the effects of an ambiguous diagnosis apart; None where none is needed or feasible."""
+    if found.verdict != "ambiguous":
+        return None
+    import estimators as est
+
+    try:
+        return est.next_experiment(base, work.train, found, progress=progress())
+    except (ValueError, FloatingPointError) as error:
+        work.remark = f"{work.remark} No next experiment could be planned: {error}".strip()
+        return None
+
+
+def _show_planned(planned: Any, work: Job, figures: dict[str, Any], captions: dict[str, str]) -> None:
+    if planned is None or work.folder is None:
+        return
+    planned.save(work.folder / "next_experiment.h5")
+    figures["next_experiment"] = planned.plot()
+    captions["next_experiment"] = "What would tell them apart; next_experiment.h5 can be played on the rig."
+
+
 app.command()(envelope)
 app.command()(control)
 
 _DIAGNOSIS = (
-    "Left: what every candidate gains on the one-step predictions of the base model, and from which size on it would "
-    "have been found. Right: the missing force as a function of what it may depend on, with two standard deviations, in "
+    "The bars: what every candidate gains on the one-step predictions of the base model, and from which size on it would "
+    "have been found. The curves: the missing force as a function of what it may depend on, with two standard deviations, in "
     "which counts what the model's own parameters could take up, such as a slope. Where the effect that was found is such "
     "a force, its curve is drawn over it."
 )

@@ -1,6 +1,7 @@
-"""Every picture, on small records made by hand: labels with units, a title that states a finding, nothing empty."""
+"""Every picture, and the JSON beside it, on small records made by hand: units, a title that states a finding, nothing empty."""
 
 import dataclasses
+import json
 import re
 import warnings
 
@@ -8,14 +9,19 @@ import matplotlib
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from scipy.signal import lfilter
 
 from estimators._candidate import Candidate
 from estimators._compare import Compared, Comparison, Trace
+from estimators._covariance import information_of
 from estimators._diagnose import Diagnosis
 from estimators._force_curve import ForceCurve
 from estimators._improve import Improvement
 from estimators._latent_force import LatentForce
-from estimators._output_error import Parameter
+from estimators._output_error import Fit, Parameter
+from estimators._report import report_dict
+from estimators._report_file import write_json
+from estimators._results import RESULTS
 from estimators.plots import (
     plot_bands,
     plot_comparison,
@@ -77,25 +83,37 @@ CURVES = (
     curve("cart", "arm_angle", np.pi, -5.0),
     curve("arm", "arm_velocity", 40.0, -20.0),
 )
+ARM_CURVES = tuple(
+    curve("arm", variable, reach, score)
+    for variable, reach, score in (
+        ("arm_velocity", 40.0, 90.0),
+        ("arm_angle", np.pi, 25.0),
+        ("cart_velocity", 0.1, -5.0),
+        ("cart_position", 0.012, -6.0),
+    )
+)
 OTHERS = tuple(
     candidate(name, -9.0 - i) for i, name in enumerate(("tacho_bias", "cogging", "dead_zone", "current_lag"))
 )
 
 
-def latent():
+def latent(port="cart"):
     """Half of the force in the second experiment, which is the shorter one."""
     force = np.sin(0.05 * np.arange(900))[:, None] * np.array([0.01, 0.05])
     force[600:, 1] = np.nan
     rms = {"free_1": 0.007, "forced_1": 0.035}
-    return LatentForce("cart", tuple(rms), force, np.full((900, 2), 0.004), (0.02, 0.001), rms, 10.4, 900.0)
+    return LatentForce(port, tuple(rms), force, np.full((900, 2), 0.004), (0.02, 0.001), rms, 10.4, 900.0)
 
 
-def diagnosis(verdict="missing", *, curves=CURVES, others=OTHERS, additions=()):
+def diagnosis(verdict="missing", *, curves=CURVES, others=OTHERS, additions=(), missing=None):
     parameters = {"mass": Parameter(0.09, 0.001, "kg")}
     first = candidate(
         "flexible_mode", 1200.0, refitted=True, bic_gain=900.0, error_reduction=1.0, parameters=parameters
     )
     second = candidate("cubic_spring", 1100.0, refitted=True, bic_gain=895.0, error_reduction=0.97)
+    if verdict == "ambiguous":
+        first = dataclasses.replace(first, confusable_with=(second.id,))
+        second = dataclasses.replace(second, confusable_with=(first.id,))
     effects = {"missing": (first,), "ambiguous": (first, second)}.get(verdict, ())
     return Diagnosis(
         verdict,
@@ -106,7 +124,7 @@ def diagnosis(verdict="missing", *, curves=CURVES, others=OTHERS, additions=()):
         (),
         1.0,
         curves,
-        (latent(),) if verdict == "unknown" else (),
+        (missing or latent(),) if verdict == "unknown" else (),
         (),
         (),
         0.1,
@@ -124,13 +142,13 @@ def alike(count, correlation):
     return tuple(candidate(name, 50.0 - n, correlation=table[name]) for n, name in enumerate(names))
 
 
-def improvement(steps=2):
+def improvement(steps=2, verdict=None):
     labels = ["base", "+ flexible_mode", "+ flexible_mode, cogging"][:steps]
     errors = [30.0, 3.0, 0.3][:steps]
     models = tuple(compared(label, error) for label, error in zip(labels, errors, strict=True))
-    found = diagnosis()
+    found = diagnosis(verdict or ("missing" if steps > 1 else "adequate"))
     return Improvement(
-        (), (found,), found.effects[: steps - 1] + OTHERS[1 : steps - 1], "missing" if steps > 1 else "adequate",
+        (), (found,), found.effects[: min(steps - 1, 1)] + OTHERS[1 : steps - 1], found.verdict,
         Comparison(models), Comparison(models), "Stopped.", 1.0,
     )  # fmt: skip
 
@@ -167,6 +185,11 @@ PICTURES = {
     "ambiguous": lambda: plot_diagnosis(diagnosis("ambiguous")),
     "adequate": lambda: plot_diagnosis(diagnosis("adequate", curves=())),
     "unknown": lambda: plot_diagnosis(diagnosis("unknown", curves=CURVES[:2]), recording=recording()),
+    "unknown on the arm": lambda: plot_diagnosis(
+        diagnosis("unknown", curves=ARM_CURVES, missing=latent("arm")), recording=recording()
+    ),
+    "a force in the arm's velocity": lambda: plot_diagnosis(diagnosis(curves=ARM_CURVES)),
+    "a locked arm": lambda: plot_diagnosis(diagnosis(curves=CURVES[:2])),
     "unknown without a recording": lambda: plot_diagnosis(diagnosis("unknown", curves=())),
     "a static force": lambda: plot_diagnosis(diagnosis(additions=(CubicSpring(-29_000.0),))),
     "forty candidates": lambda: plot_diagnosis(
@@ -258,6 +281,52 @@ def test_the_error_in_a_band_is_counted_in_noise():
     np.testing.assert_allclose(found[1], [1.0, np.sqrt(51.0), 1.0], rtol=0.1)
 
 
+def coloured(kind, samples, seed):
+    """Noise with the colour of a drifting sensor, or of a lightly damped mode at 37.4 rad/s."""
+    white = np.random.default_rng(seed).standard_normal(samples + 2000)
+    radius = np.exp(-0.03 * 37.4 * 0.005)
+    poles = {"drift": [1, -0.95], "mode": [1, -2 * radius * np.cos(37.4 * 0.005), radius**2]}[kind]
+    return lfilter([1.0], poles, white)[2000:]
+
+
+def correlated(residual, current):
+    at = 0.005 * np.arange(len(residual))
+    one = Trace("a", "cart_position", at, residual, 0 * at, current, at >= 0, 1.0)
+    return one.cross_correlation(50)
+
+
+@pytest.mark.parametrize(("residual", "current"), [("drift", "drift"), ("mode", "drift"), ("drift", "mode")])
+def test_one_in_a_hundred_correlations_with_an_independent_input_is_outside_its_band(residual, current):
+    """Coloured on both sides, where a band for white noise leaves tens of percent outside."""
+    outside, outside_white = [], []
+    for seed in range(150):
+        found, band = correlated(coloured(residual, 4000, (seed, 0)), coloured(current, 4000, (seed, 1)))
+        outside.append(np.mean(np.abs(found) > band))
+        outside_white.append(np.mean(np.abs(found) > 2.58 / np.sqrt(4000)))
+    assert 0.002 < np.mean(outside) < 0.03
+    assert np.mean(outside_white) > 0.1
+
+
+def test_an_input_that_acts_late_shows_at_its_lag():
+    current = np.random.default_rng(0).standard_normal(4000)
+    late = np.concatenate([np.zeros(7), current[:-7]])
+    found, band = correlated(coloured("drift", 4000, 1) + late, current)
+    assert np.argmax(found) == 7
+    assert found[7] > 2 * band
+    assert np.sum(np.abs(found) > band) < 6
+    # Half of the residual missing: what is left still shows it.
+    gaps = np.where(np.arange(4000) % 400 < 200, coloured("drift", 4000, 1) + late, np.nan)
+    found, band = correlated(gaps, current)
+    assert np.argmax(found) == 7
+    assert found[7] > band
+
+
+def test_an_input_that_stands_still_correlates_with_nothing():
+    found, band = correlated(coloured("drift", 400, 0), np.ones(400))
+    assert not np.any(found)
+    assert band == pytest.approx(2.576 / 20, rel=1e-3)
+
+
 def test_a_fitted_static_force_lies_on_the_curve_that_it_made():
     """The curve of a cubic spring without the slope that the linear spring takes up, however much that is."""
     at = np.linspace(-0.012, 0.012, 12)
@@ -290,6 +359,37 @@ def test_dry_friction_has_a_sign():
 )
 def test_only_a_static_force_in_the_variable_is_drawn(effect: Effect, curve: ForceCurve):
     assert effect_curve(effect, curve) is None
+
+
+@pytest.mark.parametrize(
+    ("name", "port", "variables"),
+    [
+        ("diagnosis", "cart", ["Cart position", "Cart velocity", "Arm angle"]),
+        ("ambiguous", "cart", ["Cart position", "Cart velocity", "Arm angle"]),
+        ("a locked arm", "cart", ["Cart position", "Cart velocity"]),
+        ("a force in the arm's velocity", "arm", ["Arm velocity", "Cart position", "Cart velocity", "Arm angle"]),
+        ("unknown on the arm", "arm", ["Time", "Arm velocity", "Cart position", "Cart velocity", "Arm angle"]),
+        ("unknown", "cart", ["Time", "Cart position", "Cart velocity"]),
+    ],
+)
+def test_the_missing_force_is_drawn_against_position_velocity_and_angle(drawn, name, port, variables):
+    panels = drawn[name].get_axes()[1:]
+    assert [re.sub(r" \[.*", "", panel.get_xlabel()) for panel in panels] == variables
+    assert all(f"on the {port} [" in panel.get_ylabel() for panel in panels)
+    curves = [panel for panel in panels if not panel.get_xlabel().startswith("Time")]
+    assert len({panel.get_ylim() for panel in curves}) == 1, "curves on different scales cannot be compared"
+
+
+def test_a_force_that_depends_on_nothing_is_drawn_where_it_acts():
+    """The best of the curves says nothing then; the force in time, or the effect that was named, says the port."""
+    nothing = tuple(dataclasses.replace(c, score=-1.0 - n) for n, c in enumerate((*CURVES, *ARM_CURVES)))
+    unknown = diagnosis("unknown", curves=nothing, missing=latent("arm"))
+    assert "missing on the arm is no function of position, velocity or angle" in finding(unknown)
+    named = diagnosis(curves=nothing, additions=(Cogging(1e-3, 0.0, 3.0),))
+    for found in (unknown, named):
+        panels = plot_diagnosis(found).get_axes()[-3:]
+        assert [panel.get_ylabel() for panel in panels] == ["Torque on the arm [mN m]"] * 3
+    assert plot_diagnosis(diagnosis(curves=nothing)).get_axes()[-1].get_ylabel() == "Force on the cart [mN]"
 
 
 def test_the_latent_force_is_drawn_for_the_experiment_that_carries_most(drawn):
@@ -376,3 +476,52 @@ def test_the_worst_stretch_holds_the_largest_residual():
     near = worst_stretch(residual)
     assert near.start <= 12_345 < near.stop
     assert worst_stretch(residual[:100]) == slice(0, 100)
+
+
+# -- results as JSON -------------------------------------------------------------------------------------------------
+
+ACCEPTED = {"adequate": [], "missing": ["flexible_mode"], "ambiguous": ["flexible_mode", "cubic_spring"], "unknown": []}
+RIVALS = {"flexible_mode": ["cubic_spring"], "cubic_spring": ["flexible_mode"]}
+
+
+def fitted():
+    """A fit in which each experiment has a friction of its own."""
+    model = RTAC.paper().each_experiment("cart_coulomb.level").with_values({"cart_coulomb.level": np.array([0.1, 0.2])})
+    known = information_of(np.zeros((1, 0)), (), np.zeros(0))
+    return Fit(model, RESULTS.successful, known, NOISE, NOISE, {}, ("free_1", "forced_1[0:1024]"), {})
+
+
+@pytest.mark.parametrize("command", ["diagnose", "improve"])
+@pytest.mark.parametrize("verdict", ACCEPTED)
+def test_the_json_has_one_form_whatever_the_verdict(verdict, command, tmp_path):
+    steps = 2 if ACCEPTED[verdict] else 1
+    loop = dataclasses.replace(improvement(steps, verdict), fits=(fitted(),) * steps)
+    found = loop if command == "improve" else loop.diagnoses[0]
+    write_json(tmp_path / "x.json", report_dict(found, fit=fitted(), train=loop.train, validation=loop.validation))
+    content = json.loads((tmp_path / "x.json").read_text(), parse_constant=pytest.fail)
+    assert list(content) == [
+        "format", "version", "verdict", "effects", "candidates", "parameters", "error", "next_experiment", "seconds",
+    ]  # fmt: skip
+    assert content["verdict"] == verdict
+    # The loop adds one of a group; a diagnosis names them all. Either says what it may be instead.
+    assert [e["id"] for e in content["effects"]] == ACCEPTED[verdict][: 1 if command == "improve" else None]
+    for effect in content["effects"]:
+        assert set(effect) == {"id", "score", "p_value", "error_reduction", "confusable_with", "parameters"}
+        assert effect["confusable_with"] == (RIVALS[effect["id"]] if verdict == "ambiguous" else [])
+    assert {c["id"] for c in content["candidates"]} == {c.id for c in (*diagnosis(verdict).effects, *OTHERS)}
+    assert [c["id"] for c in content["candidates"] if c["accepted"]] == [e["id"] for e in content["effects"]]
+    for side in ("train", "validation"):
+        before, after = (content["error"][side][moment] for moment in ("before", "after"))
+        assert set(before) == {"cart_position", "arm_velocity"}
+        for channel, numbers in before.items():
+            assert set(numbers) == {"fit_percent", "rms", "rms_over_noise"}
+            falls = after[channel]["rms"] < 0.5 * numbers["rms"]
+            assert falls if steps > 1 else after == before
+
+
+def test_the_json_gives_what_each_experiment_has_for_itself():
+    found = report_dict(diagnosis(), fit=fitted())["parameters"]
+    assert "cart_coulomb.level" not in found
+    assert found["cart_coulomb.level[free_1]"] == {"value": 0.1, "std": None, "unit": "N"}
+    assert found["cart_coulomb.level[forced_1[0:1024]]"]["value"] == 0.2
+    assert found["spring_stiffness"]["unit"] == "N/m"

@@ -1,6 +1,5 @@
 """Which effect is missing: the candidates beside each other, and the missing force as a curve and in time."""
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -33,33 +32,38 @@ _MOST_BARS = 14
 _NEAR = 0.05  # share of the misfit that makes a rival worth naming
 _FORCE = {"cart": ("force", "N"), "arm": ("torque", "N m")}
 _FITTED: dict[str, Any] = {**MODELS[0], "linewidth": 1.6}
-_RUNNERS_UP = ("cart_position", "cart_velocity", "arm_angle")
+_ALWAYS = ("cart_position", "cart_velocity", "arm_angle")
 
 
 def plot_diagnosis(diagnosis: Diagnosis, *, recording: Recording | None = None) -> Picture:
     """Scores of the candidates with what would have been found of each, and the missing force as curves.
 
-    Where no effect of the catalogue explains what is missing, the missing force is also drawn in time.
+    The curves are those of the port where most is missing: against position, velocity and angle, as far as the data have
+    them, and against what the force depends on most. Where no effect of the catalogue explains what is missing, the
+    missing force is also drawn in time.
 
     Args:
         recording: that was diagnosed, for the time axis of that force; without it samples are counted.
     """
     latent = diagnosis.latent[0] if diagnosis.verdict == "unknown" and diagnosis.latent else None
-    curves = _chosen(diagnosis.curves)[: 1 if latent is not None else 3]
+    always, other = _chosen(diagnosis)
     fitted = diagnosis.additions[0] if diagnosis.additions else None
-    figure = picture(9.6, 6.2)
-    grid = figure.add_gridspec(2, 4, width_ratios=[1.35, 1.35, 1, 1], height_ratios=[1.15, 1])
-    if curves or latent is not None:
-        bars = figure.add_subplot(grid[:, :2])
-        places: list[Any] = [grid[0, 2:]]
-        places += [grid[1, 2], grid[1, 3]] if len(curves) > 2 else [grid[1, 2:]]
-        for place, curve in zip(places, curves, strict=False):
-            _curve(figure.add_subplot(place), curve, fitted, narrow=len(curves) > 2 and place is not places[0])
-        if latent is not None:
-            _in_time(figure.add_subplot(places[len(curves)]), latent, recording)
-    else:
-        bars = figure.add_subplot()
-    _bars(bars, diagnosis)
+    beside = (latent is not None) + (other is not None)
+    tall = beside > 1
+    figure = picture(9.6, (8.4 if tall else 7.2) if always else 6.2)
+    rows = figure.add_gridspec(2 if always else 1, 1, height_ratios=[1.8 if tall else 1.3, 1] if always else [1])
+    top = rows[0].subgridspec(max(beside, 1), 2 if beside else 1, width_ratios=[1.15, 1] if beside else [1])
+    _bars(figure.add_subplot(top[:, 0]), diagnosis, wide=not beside)
+    # One scale for all, so that one sees which variable the force depends on.
+    reach = max((_reach(curve) for curve in (*always, other) if curve is not None), default=1.0)
+    if latent is not None:
+        _in_time(figure.add_subplot(top[0, 1]), latent, recording)
+    if other is not None:
+        _curve(figure.add_subplot(top[-1, 1]), other, fitted, reach, narrow=False, keyed=not always)
+    if always:
+        below = rows[1].subgridspec(1, len(always))
+        for column, curve in enumerate(always):
+            _curve(figure.add_subplot(below[column]), curve, fitted, reach, narrow=True, keyed=column == 0)
     title(figure, finding(diagnosis))
     return figure
 
@@ -71,9 +75,13 @@ def finding(diagnosis: Diagnosis) -> str:
         tried, count = len(diagnosis.candidates), sum(c.testable for c in diagnosis.candidates)
         return f"Nothing is missing at the noise floor: none of {tried} candidates ({count} testable) stands out"
     if diagnosis.verdict == "unknown":
-        best = diagnosis.curves[0] if diagnosis.curves else None
-        where = f"; what is missing on the {best.port} depends most on {NAMES[best.variable]}" if best else ""
-        return f"The model fails, and no effect of the catalogue explains it{where}"
+        failed = "The model fails, and no effect of the catalogue explains it"
+        if not diagnosis.curves:
+            return failed
+        best = diagnosis.curves[0]
+        if best.score <= ALARM:
+            return f"{failed}; what is missing on the {_deficient(diagnosis)} is no function of position, velocity or angle"
+        return f"{failed}; what is missing on the {best.port} depends most on {NAMES[best.variable]}"
     best = accepted[0]
     share = f"{100 * best.error_reduction:.0f} % of the misfit"
     if diagnosis.verdict == "ambiguous":
@@ -87,7 +95,7 @@ def finding(diagnosis: Diagnosis) -> str:
     return f"{best.id} explains {share}; the next, {second.id}, {100 * second.error_reduction:.0f} %"
 
 
-def _bars(axes: Any, diagnosis: Diagnosis) -> None:
+def _bars(axes: Any, diagnosis: Diagnosis, *, wide: bool) -> None:
     accepted = {c.id for c in diagnosis.effects}
     shown = ranked(diagnosis)[:_MOST_BARS]
     left = len(diagnosis.candidates) - len(shown)
@@ -107,7 +115,7 @@ def _bars(axes: Any, diagnosis: Diagnosis) -> None:
     axes.set_xscale("symlog", linthresh=ALARM, linscale=0.6)
     # The remarks stand to the right of the longest bar.
     decades = np.log10(top / ALARM)
-    axes.set_xlim(0, ALARM * 10 ** (2.1 * decades + 1.2))
+    axes.set_xlim(0, ALARM * 10 ** (1.35 * decades + 0.6 if wide else 2.1 * decades + 1.2))
     axes.set_xticks(*_ticks(top))
     axes.minorticks_off()
     names = [f"{'★ ' if c.id in accepted else ''}{c.id}" for c in shown]
@@ -140,15 +148,23 @@ def _remark(c: Candidate, accepted: bool) -> str:
     return f"would show from {quantity(c.detection_limit, c.unit)}"
 
 
-def _chosen(curves: Sequence[ForceCurve]) -> list[ForceCurve]:
-    """The best curve and up to two others of the same port, against what is most often to blame."""
-    if not curves:
-        return []
-    best = curves[0]
-    others = [c for c in curves[1:] if c.variable in _RUNNERS_UP and c.variable != best.variable]
-    others.sort(key=lambda c: (c.port != best.port, -c.score))
-    different = list({c.variable: c for c in reversed(others)}.values())[::-1]
-    return [best, *different[:2]]
+def _chosen(diagnosis: Diagnosis) -> tuple[list[ForceCurve], ForceCurve | None]:
+    """Curves of the deficient port against position, velocity and angle, and the best one where it is another."""
+    if not diagnosis.curves:
+        return [], None
+    best, port = diagnosis.curves[0], _deficient(diagnosis)
+    own = {curve.variable: curve for curve in diagnosis.curves if curve.port == port}
+    always = [own[variable] for variable in _ALWAYS if variable in own]
+    return always, best if best.port == port and best.variable not in _ALWAYS else None
+
+
+def _deficient(diagnosis: Diagnosis) -> str:
+    """The port where most is missing: by the curves or, where what is missing is no function of them, by what was found."""
+    best = diagnosis.curves[0]
+    if best.score > ALARM:
+        return best.port
+    found = [force.port for force in diagnosis.latent] + [effect.port for effect in diagnosis.additions]
+    return next((port for port in found if port in _FORCE), best.port)
 
 
 def _in_time(axes: Any, latent: LatentForce, recording: Recording | None) -> None:
@@ -175,7 +191,7 @@ def _in_time(axes: Any, latent: LatentForce, recording: Recording | None) -> Non
     axes.axhline(0, color="black", linewidth=0.6)
     what, _ = _FORCE[latent.port]
     axes.set_xlabel("Sample [1]" if step is None else "Time [s]", fontsize=SMALL)
-    axes.set_ylabel(f"{what.capitalize()} [{scale.unit}]", fontsize=SMALL)
+    axes.set_ylabel(f"{what.capitalize()} on the {latent.port} [{scale.unit}]", fontsize=SMALL)
     axes.set_title(
         f"{what} missing on the {latent.port} in {most}, most at {latent.frequency:.2g} rad/s", fontsize=9, loc="left"
     )
@@ -183,12 +199,15 @@ def _in_time(axes: Any, latent: LatentForce, recording: Recording | None) -> Non
     axes.legend(fontsize=7, loc="best")
 
 
-def _curve(axes: Any, curve: ForceCurve, fitted: Effect | None, *, narrow: bool) -> None:
+def _reach(curve: ForceCurve) -> float:
+    """The largest force with its band, but at the ends of its range a variable is seldom, and a band is too wide to show."""
+    sound = curve.std <= 6 * np.median(curve.std)
+    return float(np.max(np.abs(curve.force[sound]) + 2 * curve.std[sound], initial=0.0)) or 1.0
+
+
+def _curve(axes: Any, curve: ForceCurve, fitted: Effect | None, reach: float, *, narrow: bool, keyed: bool) -> None:
     what, unit = _FORCE[curve.port]
     across = prefixed(float(np.max(np.abs(curve.at))), UNITS[curve.variable])
-    # At the ends of its range a variable is seldom, and a band of that width would flatten everything else.
-    sound = curve.std <= 6 * np.median(curve.std)
-    reach = float(np.max(np.abs(curve.force[sound]) + 2 * curve.std[sound], initial=0.0)) or 1.0
     up = prefixed(reach, unit)
     x = across.factor * curve.at
     low, high = (up.factor * (curve.force + sign * 2 * curve.std) for sign in (-1, 1))
@@ -201,10 +220,11 @@ def _curve(axes: Any, curve: ForceCurve, fitted: Effect | None, *, narrow: bool)
     axes.set_ylim(-1.2 * up.factor * reach, 1.2 * up.factor * reach)
     name = NAMES[curve.variable]
     axes.set_xlabel(f"{name[0].upper()}{name[1:]} [{across.unit}]", fontsize=SMALL)
-    axes.set_ylabel(f"{what.capitalize()} [{up.unit}]", fontsize=SMALL)
-    explains = f"chi-square {times(max(curve.explains, 0.0))}" if curve.score > ALARM else "nothing beyond chance"
-    head = f"{what} missing on the {curve.port}: {explains}"
-    axes.set_title(head.replace(": ", ":\n") if narrow else head, fontsize=SMALL if narrow else 9, loc="left")
+    axes.set_ylabel(f"{what.capitalize()} on the {curve.port} [{up.unit}]", fontsize=SMALL)
+    explains = (
+        f"explains chi-square {times(max(curve.explains, 0.0))}" if curve.score > ALARM else "nothing beyond chance"
+    )
+    axes.set_title(f"against {name}:{chr(10) if narrow else ' '}{explains}", fontsize=9, loc="left")
     tidy(axes)
-    if not narrow or shape is not None:
+    if keyed or shape is not None:
         axes.legend(fontsize=7, loc="best")

@@ -201,12 +201,14 @@ def _improvements(search: Search, base: Refit, tested: Tested) -> tuple[list[Ste
         near = [s for s in ranked[1:] if s.statistic > (1 - _CLOSE) * top]
         with search.refitting(now, [ranked[0], *near]) as refitted:
             first = refitted(ranked[0])
-            ahead = search.tested(first)
-            tried = {s.id: refitted(s) for s in near}
+            ahead = None if first is None else search.tested(first)
+            several = {ranked[0].id: first} | {s.id: refitted(s) for s in near}
         # Where the best leaves nothing to explain, those far behind it need not be asked.
-        far = [s for s in ranked[1:_REFITS] if s.id not in tried] if any(t.rejects for t in ahead.tests) else []
+        settled = ahead is not None and not any(test.rejects for test in ahead.tests)
+        far = [] if settled else [s for s in ranked[1:_REFITS] if s.id not in several]
         with search.refitting(now, far) as refitted:
-            tried = {ranked[0].id: first, **tried, **{s.id: refitted(s) for s in far}}
+            several |= {s.id: refitted(s) for s in far}
+        tried = {i: refit for i, refit in several.items() if refit is not None}
         for i, refit in tried.items():
             refits.setdefault(i, refit)
         gains = {i: _bic_gain(search, now, refit) for i, refit in tried.items()}
@@ -220,7 +222,7 @@ def _improvements(search: Search, base: Refit, tested: Tested) -> tuple[list[Ste
         refits[best] = tried[best]
         now = tried[best]
         search.bar.set_description("diagnose: what is left")
-        seen = ahead if best == ranked[0].id else search.tested(now)
+        seen = ahead if ahead is not None and best == ranked[0].id else search.tested(now)
         steps.append(Step(best, rivals, gain, gains[best], held_out[best], now, seen.tests))
         count = judge(steps, tested.tests, search.samples)[1]
         # Where some are named and the next cannot be, the rest is left to the next diagnosis, with those in the model.

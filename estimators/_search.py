@@ -38,6 +38,7 @@ from rtac_jax.measurement import Experiment, Recording
 _SLOW = 1e-2  # share of the rms speed below which a learned friction fades
 _ROOM = 16  # unknowns are padded to a multiple of this
 _MEMORIES = (1.5, 4.0, 10.0, 25.0)  # correlation times of sensor noise that are tried, in samples
+_QUIETER = 6.0  # by how much in the logarithm of their variance random forces are lowered for that
 _WORTH = 10.0  # gain in log-likelihood for which coloured noise is taken instead of white
 
 
@@ -161,8 +162,11 @@ class Search:
         self._compile_probes(self._with([]))
 
     @contextlib.contextmanager
-    def refitting(self, before: Refit, several: Sequence[Screened]) -> Iterator[Callable[[Screened], Refit]]:
-        """`with_effect` for several candidates; while one is fitted, the code of the next is compiled."""
+    def refitting(self, before: Refit, several: Sequence[Screened]) -> Iterator[Callable[[Screened], Refit | None]]:
+        """`with_effect` for several candidates; while one is fitted, the code of the next is compiled.
+
+        None for a candidate with which the model diverges.
+        """
         with ThreadPoolExecutor(1) as other:
             ready = {}
             for s in several:
@@ -171,10 +175,13 @@ class Search:
                 if s is several[0]:
                     other.submit(self._compile_probes, model)
 
-            def refitted(s: Screened) -> Refit:
+            def refitted(s: Screened) -> Refit | None:
                 self.bar.set_description(f"diagnose: refit with {s.id}")
                 ready[s.id].result()
-                return self.with_effect(before, s)
+                try:
+                    return self.with_effect(before, s)
+                except FloatingPointError:
+                    return None
 
             yield refitted
 
@@ -221,7 +228,12 @@ class Search:
                 space = dataclasses.replace(space, values=_by_name(space, base.space, base.predictor.physical[0]))
                 physical = space.physical(space.unconstrained(start=False))
                 prior = self.prior.starting(space)
-                value = fit_noise(model, self.data, space, physical, prior, base.predictor.noise, self.substeps)[1]
+                # Random forces may stand for what is colour: so from without them, too.
+                quiet = np.concatenate([base.predictor.noise[:2] - _QUIETER, base.predictor.noise[2:]])
+                value = max(
+                    fit_noise(model, self.data, space, physical, prior, noise, self.substeps)[1]
+                    for noise in (base.predictor.noise, quiet)
+                )
                 if value > likelihood + _WORTH:
                     likelihood, chosen = value, (1.0, float(memory))
                     best = {**best, str(channel): chosen}

@@ -53,13 +53,13 @@ class Innovations:
         return np.concatenate(columns, axis=1)
 
     def compile(self) -> None:
-        """Compile `at` and `jacobian`, and run nothing."""
+        """Compile `at`, and run nothing."""
         several = np.repeat(np.asarray(self.space.values)[None], AT_ONCE, axis=0)
         compile_only(_innovations, *self._arguments(several))
-        compile_only(_jacobian, *self._arguments(self._directions()))
 
-    def compile_pushed(self) -> None:
-        """Likewise `pushed`."""
+    def compile_derivatives(self) -> None:
+        """Likewise `jacobian` and `pushed`."""
+        compile_only(_jacobian, *self._arguments(self._directions()))
         nothing = np.zeros((AT_ONCE, self.data.samples, self.data.experiments))
         compile_only(_pushed, *self._arguments(nothing, nothing))
 

@@ -190,7 +190,7 @@ def moving(recording: Recording) -> list[Experiment]:
     return found
 
 
-def pieces(experiments: Sequence[Experiment], longest: int = 8192, length: int = 1024) -> list[Experiment]:
+def pieces(experiments: Sequence[Experiment], longest: int = 8192, length: int = 512) -> list[Experiment]:
     """Long experiments cut into pieces that are simulated side by side, each with a start of its own.
 
     Only where every piece shows where it starts: with the arm locked or its angle measured.

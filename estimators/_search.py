@@ -159,7 +159,7 @@ class Search:
     def compile_tests(self) -> None:
         """Compile what tests of innovations will run, so that another thread can do so while the base model is fitted."""
         self._unfitted(self._with(list(self.absent.values())), _shared(self.model)).compile()
-        self._compile_probes(self._with([]))
+        self._compile_probes(self._with([]), _shared(self.model))
 
     @contextlib.contextmanager
     def refitting(self, before: Refit, several: Sequence[Screened]) -> Iterator[Callable[[Screened], Refit | None]]:
@@ -173,7 +173,7 @@ class Search:
                 model, free, _ = self._extended(before, s)
                 ready[s.id] = other.submit(self._compile_fit, model, free)
                 if s is several[0]:
-                    other.submit(self._compile_probes, model)
+                    other.submit(self._compile_probes, model, free)
 
             def refitted(s: Screened) -> Refit | None:
                 self.bar.set_description(f"diagnose: refit with {s.id}")
@@ -189,10 +189,10 @@ class Search:
         space = self._space(model, free)
         compile_predictor(model, self.data, space, self.prior.starting(space), self.substeps)
 
-    def _compile_probes(self, model: RTAC) -> None:
-        innovations = self._unfitted(model, [])
+    def _compile_probes(self, model: RTAC, free: Sequence[str]) -> None:
+        innovations = self._unfitted(model, free)
+        innovations.compile_derivatives()
         compile_force_curves(innovations)
-        innovations.compile_pushed()
 
     def _unfitted(self, model: RTAC, free: Sequence[str]) -> Innovations:
         """Innovations for compiling only: the shapes are right, gains and whiteners are nothing."""
@@ -293,7 +293,8 @@ class Search:
         innovations = self._innovations(refit, list(left.values()), refit.free)
         placed = innovations.space
         raw = innovations.at(np.asarray(placed.values)[None])[:, 0]
-        basis = orthonormal(innovations.jacobian())
+        probed = self._innovations(refit, [], refit.free)
+        basis = orthonormal(probed.jacobian())
         error = raw - basis @ (basis.T @ raw)
 
         def place(instance: Effect, amplitude: str) -> np.ndarray:
@@ -305,7 +306,6 @@ class Search:
             return values
 
         screened = screen(innovations, error, basis, [i for i in self.instances if i.id in left], place)
-        probed = self._innovations(refit, [], [])
         scales = scales_of(self.model, self.experiments)
         slow = (_SLOW * scales.velocity, _SLOW * scales.arm_velocity)
         curves = force_curves(probed, error, basis, self._ranges(), slow)

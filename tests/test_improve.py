@@ -8,6 +8,9 @@ import estimators as est
 import rtac_jax as rtac
 from rtac_jax import virtual_rig
 
+# tests/test_demo.py runs the same loop on another effect every time.
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def improved() -> est.Improvement:

@@ -183,6 +183,7 @@ def two_modes(runs=6, samples=1500):
     return recording(current, out + 0.05 * random.standard_normal(out.shape))
 
 
+@pytest.mark.slow
 def test_the_search_finds_as_many_modes_as_there_are():
     found = est.prediction_error(two_modes(), structure="output_error", modes="search", compensate=False)
     assert found.structure.modes == 2
@@ -302,6 +303,7 @@ def test_what_cannot_be_fitted_is_refused_in_one_sentence():
     assert est.prediction_error(recording(current, missing), structure="output_error", compensate=False)[0].converged
 
 
+@pytest.mark.slow
 def test_as_good_as_a_subspace_method_on_the_same_data():
     """Errors of the pole over 40 runs beside those of N4SID, which is the start of many toolboxes."""
     pandas = pytest.importorskip("pandas")

@@ -127,9 +127,11 @@ def excess_of(tests: Sequence[Evidence]) -> float:
 
 
 def removed_by_repeats(before: Sequence[Evidence], after: Sequence[Evidence]) -> float:
-    """Share of the model error that repeats show before and no longer after; 1 where they show none before or after."""
+    """Share of the model error that repeats show before and no longer after; 1 where they show none after."""
     first = next((e for e in before if e.test == "repeats" and e.rejects), None)
     last = next((e for e in after if e.test == "repeats" and e.rejects), None)
-    if first is None or last is None:
+    if last is None:
         return 1.0
+    if first is None:
+        return 0.0
     return 1.0 - max(last.ratio - 1.0, 0.0) / (first.ratio - 1.0)

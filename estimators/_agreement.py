@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.stats import f as fisher
 from scipy.stats import t as student
+from tqdm import tqdm
 
 from estimators._least_squares import ClosedForm
 from estimators._output_error import Fit
@@ -185,6 +186,7 @@ def agreement(
     draws: int = 80,
     block: float = 0.25,
     seed: int = 0,
+    progress: bool = True,
 ) -> Agreement:
     """Hold estimates of the same physics, made in different ways from the same recording, against each other.
 
@@ -202,6 +204,7 @@ def agreement(
         draws: replicates; more than three times as many as there are parameters.
         block: duration that stays together when the residual is put in another order [s]; longer than its memory.
         seed: of the replicates.
+        progress: show a bar.
 
     Raises:
         ValueError: fewer than two results, no fit among them, no parameter in common, or too few draws.
@@ -228,7 +231,7 @@ def agreement(
     ways = [estimator_of(result, names, replicates, recording) for result in several]
     random = np.random.default_rng(seed)
     found = np.empty((draws, len(several), len(names)))
-    for number in range(draws):
+    for number in tqdm(range(draws), desc="agreement", unit=" replicates", disable=not progress, leave=False):
         values = replicates.draw(random)
         found[number] = [way(values) for way, _ in ways]
     truth = np.array([fits[0].parameters[n].value for n in names])

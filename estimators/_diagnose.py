@@ -18,7 +18,7 @@ from estimators._output_error import Fit
 from estimators._screen import Screened, correlations
 from estimators._search import Refit, Search, Tested
 from estimators._selection import vuong
-from estimators._verdict import Verdict, floor, judge, not_named, surer, words
+from estimators._verdict import Verdict, floor, judge, not_named, surer, without_named_rivals, words
 from estimators._where import Place
 from rtac_jax import RTAC, require_configured
 from rtac_jax._parameter import declarations
@@ -128,9 +128,8 @@ def diagnose(
         search = Search.of(fit, recording, classes, bar)
         bar.set_description("diagnose: predictor of the base model")
         with ThreadPoolExecutor(1) as other:
-            compiled = other.submit(search.compile_tests)
+            other.submit(search.compile_tests)
             base = search.base()
-            compiled.result()
         bar.set_description("diagnose: candidates")
         tested = search.tested(base)
         steps, refits = _improvements(search, base, tested)
@@ -147,7 +146,7 @@ def diagnose(
         bar.set_description("diagnose: verdict")
         verdict, count, removed = judge(steps, tested.tests, search.samples)
         all_candidates = _candidates(search, base, tested, steps, count, refits)
-        further, steps = steps[count:], steps[:count]
+        further, steps = steps[count:], without_named_rivals(steps[:count])
         final = steps[-1].refit if steps else base
         left = steps[-1].left if steps else tested.tests
         groups = [(step.id, *step.rivals) for step in steps]
@@ -166,6 +165,10 @@ def diagnose(
         )
         if steps and further:
             explanation += not_named(further, left, search.samples)
+        if search.assumed:
+            explanation += (
+                f" Coloured noise of {', '.join(search.assumed)} was assumed: the data are far more likely with it."
+            )
         explanation += surer(verdict, recording)
     return Diagnosis(
         verdict, effects, additions, tuple(all_candidates), tested.tests, left, removed,
@@ -180,7 +183,7 @@ def compile_diagnosis(model: RTAC, recording: Recording, candidates: Sequence[ty
 
 
 def _offered(model: RTAC, candidates: Sequence[type[Effect]] | None) -> list[type[Effect]]:
-    return [c for c in (candidates or CATALOGUE.values()) if c.id not in model]
+    return [c for c in (CATALOGUE.values() if candidates is None else candidates) if c.id not in model]
 
 
 def _improvements(search: Search, base: Refit, tested: Tested) -> tuple[list[Step], dict[str, Refit]]:

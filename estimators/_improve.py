@@ -96,10 +96,9 @@ def improve(
     began = time.perf_counter()
     train, held_out = recording.split(validation)
     with ThreadPoolExecutor(1) as other:
-        compiled = other.submit(compile_diagnosis, model, train, candidates)
+        other.submit(compile_diagnosis, model, train, candidates)
         fits = [output_error(model, train, progress=progress)]
         tested = [compare(fits[0], held_out, labels=["base"]).models[0]]
-        compiled.result()
     diagnoses: list[Diagnosis] = []
     added: list[Candidate] = []
     stopped = ""

@@ -133,7 +133,7 @@ def run_filter(
 def _arguments(
     model: RTAC, data: Data, space: Space, physical: Any, prior: NoiseModel, noise: np.ndarray, substeps: Steps
 ) -> tuple[Any, ...]:
-    scale = jnp.asarray([prior.force**2, prior.torque**2]) * prior.interval
+    scale = jnp.asarray(np.array([prior.force**2, prior.torque**2]) * prior.interval)
     sensor = jnp.asarray(prior.sensor)
     return model, data, space, physical, jnp.asarray(noise), scale, sensor, prior.start_variance, substeps
 
@@ -141,7 +141,8 @@ def _arguments(
 def compile_predictor(model: RTAC, data: Data, space: Space, prior: NoiseModel, substeps: Steps) -> None:
     """Compile what `fit_predictor` will run, and run nothing."""
     unknowns = space.unconstrained(start=False)
-    compile_only(_pass, *_arguments(model, data, space, space.physical(unknowns), prior, _begin(), substeps))
+    physical = (space.values, space.each_values, space.start)  # of the shapes that space.physical computes
+    compile_only(_pass, *_arguments(model, data, space, physical, prior, _begin(), substeps))
     whitener, gain = (
         jnp.asarray(np.zeros((data.samples, count, len(CHANNELS), data.experiments)))
         for count in (len(CHANNELS), len(model.states))

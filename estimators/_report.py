@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from estimators._agreement import Agreement
 from estimators._candidate import Candidate
 from estimators._compare import Compared, Comparison
 from estimators._diagnose import Diagnosis
@@ -16,6 +17,7 @@ from estimators._next_experiment import NextExperiment
 from estimators._output_error import Fit, Parameter
 from estimators._ranking import ranked
 from estimators._report_file import Table, cleaned
+from estimators._sandwich import Covariances
 
 FORMAT, VERSION = "rtac-report", 1
 
@@ -64,9 +66,16 @@ def report_dict(
 
 
 def fit_dict(
-    fit: Fit, *, train: Comparison, validation: Comparison | None, seconds: float, closed: ClosedForm | None = None
+    fit: Fit,
+    *,
+    train: Comparison,
+    validation: Comparison | None,
+    seconds: float,
+    closed: ClosedForm | None = None,
+    agreed: Agreement | None = None,
+    spread: Covariances | None = None,
 ) -> dict[str, Any]:
-    """The parameters and errors of a fit, with the closed form beside it where there is one."""
+    """The parameters and errors of a fit; beside it the closed form, whether they agree, and other standard deviations."""
     found: dict[str, Any] = {
         "format": FORMAT,
         "version": VERSION,
@@ -78,6 +87,21 @@ def fit_dict(
         found["closed_form"] = {
             name: {"value": e.value, "std": e.std, "unit": e.unit} for name, e in closed.estimates.items()
         }
+    if agreed is not None:
+        pairs = [
+            {
+                "between": list(pair.labels),
+                "p_value": pair.p_value,
+                "parameters": {
+                    name: {"difference": d, "std": s, "p_value": p}
+                    for name, d, s, p in zip(agreed.names, pair.difference, pair.std, pair.p_values, strict=True)
+                },
+            }
+            for pair in agreed.pairs
+        ]
+        found["agreement"] = {"verdict": agreed.verdict, "pairs": pairs}
+    if spread is not None:
+        found["std"] = {kind: spread.std(kind) for kind in ("plain", "sandwich", "clustered")}
     return cleaned(found)
 
 

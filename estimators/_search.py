@@ -3,7 +3,7 @@
 import contextlib
 import dataclasses
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from typing import Any
 
 import jax.numpy as jnp
@@ -91,6 +91,7 @@ class Search:
     model: RTAC
     absent: dict[str, Effect]
     colour: ColouredNoise | None
+    colour_seen: bool
     experiments: list[Experiment]
     data: Data
     prior: NoiseModel
@@ -143,9 +144,16 @@ class Search:
         prior = NoiseModel.of(levels, recording.experiments, scales, space)
         colour = ColouredNoise.of(colours) if colours else None
         return cls(
-            model, absent, colour, experiments, Data.of(experiments), prior, possible, instances,
+            model, absent, colour, colour is not None, experiments, Data.of(experiments), prior, possible, instances,
             jnp.asarray(substeps), start, bar,
         )  # fmt: skip
+
+    @property
+    def assumed(self) -> tuple[str, ...]:
+        """Channels whose noise was taken as coloured although no rest record shows it."""
+        if self.colour is None or self.colour_seen:
+            return ()
+        return tuple(str(c) for c in np.array(CHANNELS)[np.asarray(self.colour.share) > 0])
 
     @property
     def samples(self) -> int:
@@ -177,7 +185,7 @@ class Search:
 
             def refitted(s: Screened) -> Refit | None:
                 self.bar.set_description(f"diagnose: refit with {s.id}")
-                ready[s.id].result()
+                wait([ready[s.id]])  # what could not be compiled there is compiled here
                 try:
                     return self.with_effect(before, s)
                 except FloatingPointError:

@@ -156,7 +156,7 @@ def space_of(
         scale=sizes(names),
         each_values=jnp.stack([jnp.broadcast_to(model[name], (count,)) for name in each])
         if each
-        else jnp.zeros((0, count)),
+        else jnp.asarray(np.zeros((0, count))),
         each_lower=bounds(each, 0),
         each_upper=bounds(each, 1),
         each_scale=sizes(each),

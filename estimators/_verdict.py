@@ -1,5 +1,6 @@
 """What follows from a diagnosis: adequate, missing, ambiguous or unknown, and the same in plain words."""
 
+import dataclasses
 import math
 from collections.abc import Sequence
 from typing import Literal
@@ -26,10 +27,17 @@ def judge(steps: Sequence[Step], tests: Sequence[Evidence], samples: int) -> tup
     for count in range(len(steps), 0, -1):
         shares = [share_removed(steps[first:count], _before(steps, tests, first), samples) for first in range(count)]
         if min(shares) >= _FOUND:
-            return ("ambiguous" if any(step.rivals for step in steps[:count]) else "missing"), count, shares[0]
+            open_question = any(step.rivals for step in without_named_rivals(steps[:count]))
+            return ("ambiguous" if open_question else "missing"), count, shares[0]
     if not steps:
         return ("unknown" if any(test.rejects for test in tests) else "adequate"), 0, 0.0
     return "unknown", 0, share_removed(steps, tests, samples)
+
+
+def without_named_rivals(steps: Sequence[Step]) -> list[Step]:
+    """The steps without those rivals that were named as well: they act beside each other, not instead of each other."""
+    named = {step.id for step in steps}
+    return [dataclasses.replace(step, rivals=tuple(r for r in step.rivals if r not in named)) for step in steps]
 
 
 def share_removed(steps: Sequence[Step], tests: Sequence[Evidence], samples: int) -> float:

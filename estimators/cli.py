@@ -74,7 +74,9 @@ def fit(file: File, validation: Validation = None, out: Out = None, json: Json =
         found = work.fitted(model)
         agreed = None
         try:
-            agreed = est.agreement([closed, found], work.train, labels=["closed form", "output error"])
+            agreed = est.agreement(
+                [closed, found], work.train, labels=["closed form", "output error"], progress=progress()
+            )
         except ValueError as error:  # the closed form needs channels that the fit does not
             work.remark = f"{work.remark} The two were not compared: {error}".strip()
         spread = est.covariances(found, work.train)
@@ -83,7 +85,8 @@ def fit(file: File, validation: Validation = None, out: Out = None, json: Json =
         starts = f"{found.statistics['agreed']} of {found.statistics['starts']} starts agree."
         ended = f"{est.RESULTS[found.result]} {starts}"
         say(work.remark, fit_table(closed, found, agreed=agreed, spread=spread), ended, errors)
-        work.write_json(_report.fit_dict(found, train=trained, validation=tested, seconds=work.seconds, closed=closed))
+        beside = {"closed": closed, "agreed": agreed, "spread": spread}
+        work.write_json(_report.fit_dict(found, train=trained, validation=tested, seconds=work.seconds, **beside))
         if work.folder is not None:
             from estimators.plots import plot_comparison, plot_recording
 

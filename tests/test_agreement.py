@@ -181,4 +181,4 @@ def test_one_table_says_it_all(clean: rtac.Recording) -> None:
         assert part in text
     row = next(line for line in text.splitlines() if line.startswith("spring_stiffness"))
     assert f"{fit.parameters['spring_stiffness'].value:.6g}" in row
-    assert f"{closed.estimates['spring_stiffness'].pooled:.6g}" in row
+    assert f"{closed.estimates['spring_stiffness'].value:.6g}" in row

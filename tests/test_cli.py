@@ -171,6 +171,15 @@ def test_fit_sets_both_estimates_side_by_side(ran):
     assert "closed form" in result.stdout
     assert "output error" in result.stdout
     assert content["closed_form"]["torque_constant"]["unit"] == "N m/A"
+    (pair,) = content["agreement"]["pairs"]
+    assert pair["between"] == ["closed form", "output error"]
+    assert 0 <= pair["p_value"] <= 1
+    assert set(pair["parameters"]) <= set(content["parameters"])
+    assert content["agreement"]["verdict"]
+    assert content["std"]["plain"]["torque_constant"] == pytest.approx(
+        content["parameters"]["torque_constant"]["std"], rel=0.5
+    )
+    assert set(content["std"]) == {"plain", "sandwich", "clustered"}
 
 
 def test_compare_says_where_the_model_fails(ran):

@@ -1,0 +1,70 @@
+"""The rule that names effects, on made-up gains: nearly everything that was wrong before an effect must go with it."""
+
+import math
+
+import pytest
+
+from estimators._adequacy import Evidence, removed_by_repeats
+from estimators._candidate import Step
+from estimators._search import Refit
+from estimators._verdict import judge, share_removed
+
+SAMPLES = 10_000
+
+
+def found(excess: float) -> Evidence:
+    return Evidence("static force", 0.0 if excess > 0 else 0.5, excess, 0.002, "")
+
+
+def repeats(ratio: float, *, rejects: bool) -> Evidence:
+    return Evidence("repeats", 0.0 if rejects else 0.5, 0.0, 0.002, "", ratio)
+
+
+def step(name: str, gain: float, left: float, rivals: tuple[str, ...] = ()) -> Step:
+    blank = Refit.__new__(Refit)  # the rule asks nothing of the fit itself
+    return Step(name, rivals, gain, gain, gain, blank, (found(left),))
+
+
+@pytest.mark.parametrize(
+    ("steps", "verdict", "count"),
+    [
+        ([], "unknown", 0),
+        ([step("a", 500.0, 0.0)], "missing", 1),
+        ([step("a", 500.0, 40.0)], "missing", 1),  # 93 %
+        ([step("a", 500.0, 100.0)], "unknown", 0),  # 83 %: the best of a bad set
+        ([step("a", 500.0, 0.0, ("b",))], "ambiguous", 1),
+        # Two of a size: neither alone, but both together.
+        ([step("a", 500.0, 400.0), step("b", 400.0, 0.0)], "missing", 2),
+        # Each of them the other's rival, and both named: they act beside each other.
+        ([step("a", 500.0, 400.0, ("b",)), step("b", 400.0, 0.0)], "missing", 2),
+        # A strong effect does not carry a doubtful one along.
+        ([step("a", 5000.0, 100.0), step("b", 50.0, 60.0)], "missing", 1),
+        ([step("a", 5000.0, 100.0, ("b",)), step("b", 50.0, 60.0)], "ambiguous", 1),
+        ([step("a", 300.0, 300.0), step("b", 100.0, 200.0), step("c", 50.0, 150.0)], "unknown", 0),
+    ],
+)
+def test_what_is_named(steps: list[Step], verdict: str, count: int) -> None:
+    assert judge(steps, (found(600.0),), SAMPLES)[:2] == (verdict, count)
+
+
+def test_nothing_found_and_nothing_wrong_is_adequate() -> None:
+    assert judge([], (found(0.0),), SAMPLES) == ("adequate", 0, 0.0)
+
+
+def test_the_share_is_that_of_the_excess_squared_error() -> None:
+    # The error falls to a quarter, of which a tenth could still be explained: from 1 to 0.25 where 0.225 is possible.
+    one = step("a", SAMPLES * math.log(4), 0.1 * SAMPLES)
+    assert share_removed([one], (found(1.0),), SAMPLES) == pytest.approx(0.75 / 0.775)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "share"),
+    [
+        (repeats(3.0, rejects=True), repeats(1.2, rejects=True), 0.9),
+        (repeats(3.0, rejects=True), repeats(1.01, rejects=False), 1.0),
+        (repeats(1.01, rejects=False), repeats(1.01, rejects=False), 1.0),
+        (repeats(1.01, rejects=False), repeats(2.0, rejects=True), 0.0),  # what was added made it worse
+    ],
+)
+def test_repeats_have_a_veto(before: Evidence, after: Evidence, share: float) -> None:
+    assert removed_by_repeats([before], [after]) == pytest.approx(share)

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 
 from estimators._adequacy import Evidence
 from estimators._output_error import Parameter
-from estimators._search import Refit
+from estimators._refit import Refit
 
 
 @dataclasses.dataclass(frozen=True)

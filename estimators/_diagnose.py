@@ -15,8 +15,9 @@ from estimators._force_curve import ForceCurve
 from estimators._latent_force import LatentForce
 from estimators._line_classes import LineClass
 from estimators._output_error import Fit
+from estimators._refit import Refit, Tested
 from estimators._screen import Screened, correlations
-from estimators._search import Refit, Search, Tested
+from estimators._search import Search
 from estimators._selection import vuong
 from estimators._verdict import Verdict, floor, judge, not_named, surer, without_named_rivals, words
 from estimators._where import Place

@@ -126,9 +126,8 @@ def solve(
     Raises:
         FloatingPointError: the model diverges at the very start.
     """
-    # As arrays, or every tolerance would compile its own step.
-    small = jnp.asarray(tolerance)
-    solver: Any = optx.LevenbergMarquardt(rtol=small, atol=small, norm=_largest)  # pyright: ignore[reportArgumentType]
+    small: Any = jnp.asarray(tolerance)  # an array, or every tolerance would compile its own step
+    solver = optx.LevenbergMarquardt(rtol=small, atol=small, norm=_largest)
     trial = factor(unknowns, arguments)
     if diverged(trial):
         raise FloatingPointError(

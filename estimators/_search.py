@@ -9,20 +9,21 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from estimators._adequacy import Evidence, evidence
+from estimators._adequacy import evidence
 from estimators._can_show import can_show
 from estimators._coloured_noise import ColouredNoise, colours_at_rest
 from estimators._covariance import information
 from estimators._delayed_force import delayed_forces
-from estimators._force_curve import ForceCurve, compile_force_curves, force_curves
+from estimators._force_curve import compile_force_curves, force_curves
 from estimators._innovations import Innovations, orthonormal, stretches
 from estimators._latent_force import LatentForce, latent_forces
 from estimators._levenberg_marquardt import Arguments, factor
-from estimators._likelihood import NoiseModel, Predictor, compile_predictor, fit_noise, fit_predictor
+from estimators._likelihood import NoiseModel, compile_predictor, fit_noise, fit_predictor
 from estimators._line_classes import LineClass, line_classes
 from estimators._noise import noise_levels
 from estimators._output_error import Fit, Parameter, moving, pieces
 from estimators._problem import CHANNELS, Data, Space, start_rows
+from estimators._refit import Refit, Tested
 from estimators._repeats import repeat_test
 from estimators._screen import Screened, screen
 from estimators._selection import by_sample, held_out
@@ -40,44 +41,6 @@ _ROOM = 16  # unknowns are padded to a multiple of this
 _MEMORIES = (1.5, 4.0, 10.0, 25.0)  # correlation times of sensor noise that are tried, in samples
 _QUIETER = 6.0  # by how much in the logarithm of their variance random forces are lowered for that
 _WORTH = 10.0  # gain in log-likelihood for which coloured noise is taken instead of white
-
-
-@dataclasses.dataclass(frozen=True)
-class Refit:
-    """A model with some of the candidates added, fitted to the data.
-
-    Attributes:
-        added: ids of the effects beyond the base model.
-        model: with them.
-        predictor: the fit.
-        space: its unknowns.
-        by_sample: log-likelihood of each sample.
-        free: names of the free parameters.
-        triangles: triangular factors of the innovations and their derivatives, for each experiment.
-    """
-
-    added: tuple[str, ...]
-    model: RTAC
-    predictor: Predictor
-    space: Space
-    by_sample: np.ndarray
-    free: tuple[str, ...]
-    triangles: np.ndarray
-
-
-@dataclasses.dataclass(frozen=True)
-class Tested:
-    """What the innovations of one model say.
-
-    Attributes:
-        screened: named candidates, every shape of them.
-        curves: missing force against each variable.
-        tests: of whether anything is missing.
-    """
-
-    screened: tuple[Screened, ...]
-    curves: tuple[ForceCurve, ...]
-    tests: tuple[Evidence, ...]
 
 
 @dataclasses.dataclass

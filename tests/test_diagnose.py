@@ -27,6 +27,8 @@ HIDDEN = {
     "tacho_bias": (dict(tacho_bias=0.2), {"bias": 0.2}),
 }
 CASES = list(HIDDEN)
+# What the paper's model has, where a model lacks it.
+PAPERS_OWN = ("cart_viscous", "cart_coulomb", "arm_viscous")
 # What no effect of the catalogue is, and on which port it acts.
 OUTSIDE = {
     "floor vibration": dict(vibration_force=0.05, vibration_frequency=7.0),
@@ -134,9 +136,6 @@ def test_coloured_noise_without_a_rest_record_is_no_effect(draw: int) -> None:
     )
     found = diagnosed(virtual_rig.record(rig, plans, seed=350 + draw))
     assert found.verdict == "adequate", found
-
-
-PAPERS_OWN = ("cart_viscous", "cart_coulomb", "arm_viscous")
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import pytest
 
 from estimators._adequacy import Evidence, removed_by_repeats
 from estimators._candidate import Step
-from estimators._search import Refit
+from estimators._refit import Refit
 from estimators._verdict import judge, share_removed
 
 SAMPLES = 10_000

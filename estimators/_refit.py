@@ -1,0 +1,50 @@
+"""A fitted predictor with some of the candidates added, and what its innovations say."""
+
+import dataclasses
+
+import numpy as np
+
+from estimators._adequacy import Evidence
+from estimators._force_curve import ForceCurve
+from estimators._likelihood import Predictor
+from estimators._problem import Space
+from estimators._screen import Screened
+from rtac_jax import RTAC
+
+
+@dataclasses.dataclass(frozen=True)
+class Refit:
+    """A model with some of the candidates added, fitted to the data.
+
+    Attributes:
+        added: ids of the effects beyond the base model.
+        model: with them.
+        predictor: the fit.
+        space: its unknowns.
+        by_sample: log-likelihood of each sample.
+        free: names of the free parameters.
+        triangles: triangular factors of the innovations and their derivatives, for each experiment.
+    """
+
+    added: tuple[str, ...]
+    model: RTAC
+    predictor: Predictor
+    space: Space
+    by_sample: np.ndarray
+    free: tuple[str, ...]
+    triangles: np.ndarray
+
+
+@dataclasses.dataclass(frozen=True)
+class Tested:
+    """What the innovations of one model say.
+
+    Attributes:
+        screened: named candidates, every shape of them.
+        curves: missing force against each variable.
+        tests: of whether anything is missing.
+    """
+
+    screened: tuple[Screened, ...]
+    curves: tuple[ForceCurve, ...]
+    tests: tuple[Evidence, ...]

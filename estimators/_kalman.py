@@ -9,8 +9,8 @@ from jaxtyping import Array, Float
 
 from estimators._coloured_noise import ColouredNoise
 from estimators._problem import CHANNELS, Data, Space, states_at_start
-from rtac_jax import RTAC, Excitation
-from rtac_jax._simulate import Steps, advance
+from rtac_jax import RTAC
+from rtac_jax._simulate import Steps, advance, unit_pushes
 
 OUTPUTS = len(CHANNELS)
 
@@ -105,7 +105,7 @@ def kalman(
         def forward(at: Any) -> Any:
             return advance(placed, at, current, force, excitation, substeps=substeps)
 
-        pushes = jax.lax.stop_gradient(_pushes(placed, state, excitation))
+        pushes = jax.lax.stop_gradient(unit_pushes(placed, state, excitation))
         # Derivatives by the noise go through the linearised step that the filter has anyway; those of the linearisation
         # itself would cost far more and matter far less.
         here = jax.lax.stop_gradient(state)
@@ -174,14 +174,6 @@ def _with_slopes(function: Any, state: Any, unit: Any) -> tuple[Array, Array]:
     """Value [row experiment], and its derivatives by every state [row state experiment]."""
     value, slopes = jax.vmap(lambda t: jax.jvp(function, (state,), (t,)), out_axes=(None, 0))(unit)
     return jnp.stack(value), jnp.stack(slopes)
-
-
-def _pushes(model: RTAC, state: Any, excitation: Excitation) -> tuple[Array, Array]:
-    """What a unit force on the cart and a unit torque on the arm do to all states' rates."""
-    cart_cart, cart_arm, arm_arm = model.pushes(state, excitation.arm_free, excitation.cart_free)
-    zero = jnp.zeros_like(state[0])
-    rest = [zero] * (len(state) - 4)
-    return jnp.stack([zero, cart_cart, zero, cart_arm, *rest]), jnp.stack([zero, cart_arm, zero, arm_arm, *rest])
 
 
 def _product(a: Array, b: Array) -> Array:

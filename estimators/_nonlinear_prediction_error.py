@@ -11,6 +11,7 @@ import scipy.stats
 from jaxtyping import Float
 from tqdm import tqdm
 
+from estimators._at_fit import Problem
 from estimators._covariance import Information, information
 from estimators._least_squares import least_squares
 from estimators._levenberg_marquardt import Arguments, diverged, factor
@@ -63,6 +64,7 @@ class PredictorFit:
         log_likelihood: of all data, less a constant.
         experiments: names of the experiments.
         statistics: substeps, samples and seconds.
+        problem: that was solved, at its solution.
     """
 
     model: RTAC
@@ -75,6 +77,7 @@ class PredictorFit:
     log_likelihood: float
     experiments: tuple[str, ...]
     statistics: Mapping[str, Any]
+    problem: Problem = dataclasses.field(repr=False)
 
     @property
     def parameters(self) -> dict[str, Parameter]:
@@ -212,6 +215,7 @@ def prediction_error_nonlinear(
             "samples": float(jnp.sum(data.present)),
             "seconds": time.perf_counter() - began,
         },
+        problem=Problem(arguments, found.unknowns, tuple(experiments), known.names),
     )
 
 

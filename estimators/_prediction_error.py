@@ -34,12 +34,14 @@ class LinearModels:
         structure: the model set.
         searched: summed BIC by number of modes, where that was searched.
         seconds: that the fit took.
+        options: of `prediction_error` that made the signals.
     """
 
     models: tuple[LinearModel, ...]
     structure: Structure
     searched: Mapping[int, float]
     seconds: float
+    options: Mapping[str, Any]
 
     def __iter__(self) -> Any:
         return iter(self.models)
@@ -162,9 +164,10 @@ def prediction_error(
     search = modes == "search"
     first = structure_of(structure, 1 if search else modes, zeros, noise_order)
     candidates = _candidates(start)
-    experiments, raw, angle, present = conditions(
-        recording, input=input, output=output, compensate=compensate, detrend=detrend, angles=angles, model=model
-    )
+    options = {
+        "input": input, "output": output, "compensate": compensate, "detrend": detrend, "angles": angles, "model": model,
+    }  # fmt: skip
+    experiments, raw, angle, present = conditions(recording, **options)
     names = [e.name for e in experiments]
     most = _MOST_MODES if search else first.modes
     largest = first.with_modes(most)
@@ -179,7 +182,7 @@ def prediction_error(
     stage = ended[min(scores, key=lambda number: scores[number])]
     sides = [(x, mask, a) for x, mask, a in zip(raw, present, angle, strict=True)]
     found = _models(stage, names, sides, compensate, (input, output))
-    return LinearModels(found, stage.structure, scores if search else {}, time.perf_counter() - began)
+    return LinearModels(found, stage.structure, scores if search else {}, time.perf_counter() - began, options)
 
 
 def structure_of(kind: str, modes: Any, zeros: int | None, noise_order: int | None) -> Structure:

@@ -158,8 +158,12 @@ def predict(
     *,
     substeps: Steps,
     gain: Array | None = None,
+    impulses: Array | None = None,
 ) -> Outputs3:
-    """Outputs of the model with these parameters: simulated, or predicted one sample ahead where there is a gain."""
+    """Outputs of the model with these parameters: simulated, or predicted one sample ahead where there is a gain.
+
+    Impulses [sample, cart or arm, experiment] strike what is simulated.
+    """
     shared, each, start = physical
     values: Mapping[str, Any] = dict(zip(space.names, shared, strict=True)) | dict(zip(space.each, each, strict=True))
     placed = model.with_values(values)
@@ -171,6 +175,7 @@ def predict(
         substeps=substeps,
         measured=None if gain is None else (data.values, data.present),
         gain=gain,
+        impulses=impulses,
     )
 
 

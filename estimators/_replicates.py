@@ -1,27 +1,26 @@
-"""Recordings as they might have come out too: a fitted simulation plus its own residual in another order."""
+"""Recordings as they might have come out too, around a fit: its own residual in another order, or random forces anew."""
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
-from estimators._at_fit import Problem, at_fit, rows_at, with_outputs
-from estimators._least_squares import ClosedForm, closed_form
-from estimators._levenberg_marquardt import plain_residual
-from estimators._noise import noise_levels
-from estimators._output_error import Fit, diagonal_whitener, moving
-from estimators._problem import CHANNELS
+from estimators._at_fit import Problem, at_fit
+from estimators._levenberg_marquardt import Arguments, plain_residual
+from estimators._nonlinear_prediction_error import PredictorFit
+from estimators._output_error import Fit, diagonal_whitener
+from estimators._problem import CHANNELS, Unknowns, predict
 from rtac_jax.measurement import Experiment, Recording
 
 Outputs = Float[np.ndarray, "sample output experiment"]
 _EXCESS = 1.5
-Estimator = Callable[[Outputs], Float[np.ndarray, " parameter"]]
 
 
 @dataclasses.dataclass(frozen=True)
-class Replicates:
+class Shuffled:
     """Simulated measurements of a fit, and its residual to be put in another order.
 
     Attributes:
@@ -37,7 +36,7 @@ class Replicates:
     block: tuple[int, ...]
 
     @classmethod
-    def of(cls, fit: Fit, recording: Recording, *, block: float) -> "Replicates":
+    def of(cls, fit: Fit, recording: Recording, *, block: float) -> "Shuffled":
         """Around a fit and the recording that it was made from, in blocks of this many seconds.
 
         Where the sensors' noise was recorded at rest or stated and the residual is clearly above it, the residual is made
@@ -60,8 +59,13 @@ class Replicates:
                 error[:, row] /= excess if excess > _EXCESS else 1.0
         return cls(problem, simulated, np.where(present, error, np.nan), lengths)
 
+    @property
+    def experiments(self) -> tuple[Experiment, ...]:
+        """Those of the fit."""
+        return self.problem.experiments
+
     def draw(self, random: np.random.Generator) -> Outputs:
-        """Another set of measurements: blocks of the residual, all channels together, in random order on a circle.
+        """Blocks of the residual, all channels together, in random order on a circle.
 
         Source: Politis and Romano, in Exploring the Limits of Bootstrap (1992): circular blocks.
         """
@@ -76,57 +80,75 @@ class Replicates:
         return self.simulated + drawn
 
 
-def estimator_of(
-    result: ClosedForm | Fit, names: Sequence[str], replicates: Replicates, recording: Recording
-) -> tuple[Estimator, Float[np.ndarray, " parameter"]]:
-    """How a result's parameters would come out from other measurements, and how they came out from these.
+@dataclasses.dataclass(frozen=True)
+class Shaken:
+    """The model of a predictor, struck by random impulses of the size that it estimated, with its sensors' noise.
 
-    A closed form is computed anew; a fit takes one Gauss-Newton step from where it is.
+    Attributes:
+        problem: of the predictor.
+        impulse: standard deviation of the impulses on cart and arm in one sample [N s, N m s], by experiment.
+        sensor: standard deviation of each channel's noise, SI units.
+        start: states at the start.
     """
-    if isinstance(result, ClosedForm):
-        experiments = moving(recording)
-        levels = noise_levels(recording.experiments)
 
-        def again(values: Outputs) -> np.ndarray:
-            found = closed_form(
-                result.model, _measured(experiments, replicates, values), levels, result.options, settled=True
-            )
-            return np.array([found.estimates[n].pooled if n in found.estimates else np.nan for n in names])
+    problem: Problem
+    impulse: Float[np.ndarray, "2 experiment"]
+    sensor: Float[np.ndarray, " output"]
+    start: Float[np.ndarray, "start experiment"]
 
-        return again, np.array([result.estimates[n].pooled for n in names])
+    @classmethod
+    def of(cls, fit: PredictorFit, simulated: Fit | None) -> "Shaken":
+        """At the fit's parameters and noise, and at the starts of a fit by simulation where there is one.
 
-    problem = (
-        replicates.problem if list(result.experiments) == [e.name for e in replicates.problem.experiments] else None
-    )
-    if problem is None:
-        raise ValueError("the fits used different experiments; fit them to the same recording.")
-    problem = at_fit(result, recording)
-    rows = rows_at(problem)
-    flat = rows.jacobian.reshape(-1, rows.jacobian.shape[-1])
-    step = -np.linalg.solve(flat.T @ flat, flat.T)
-    here = np.array([result.parameters[n].value for n in problem.names])
-    chosen = [problem.names.index(n) for n in names]
+        A predictor mends its start on the way, so what it begins with is known no better than from the first samples.
+        """
+        start = np.asarray(fit.problem.arguments.space.start)
+        if simulated is not None:
+            start = np.stack([np.asarray(simulated.start[e.name]) for e in fit.problem.experiments], axis=1)
+        interval = np.asarray(fit.problem.arguments.data.excitation.sample_time)
+        density = np.array([fit.force_noise, fit.torque_noise])
+        sensor = np.array([fit.noise.get(channel, 0.0) for channel in CHANNELS])
+        return cls(fit.problem, density[:, None] * np.sqrt(interval), sensor, start)
 
-    def stepped(values: Outputs) -> np.ndarray:
-        arguments = with_outputs(problem, jnp.asarray(np.nan_to_num(values)))
-        error = np.asarray(plain_residual(problem.unknowns, arguments)[0])
-        return (here + step @ error.ravel())[chosen]
+    @property
+    def experiments(self) -> tuple[Experiment, ...]:
+        """Those of the fit."""
+        return self.problem.experiments
 
-    return stepped, here[chosen]
+    def draw(self, random: np.random.Generator) -> Outputs:
+        """Simulated with white impulses and white sensor noise."""
+        data = self.problem.arguments.data
+        struck = random.normal(size=(data.samples, *self.impulse.shape)) * self.impulse
+        at = self.problem
+        shown = np.asarray(_struck(at.unknowns, at.arguments, jnp.asarray(self.start), jnp.asarray(struck)))
+        noisy = shown + random.normal(size=shown.shape) * self.sensor[:, None]
+        return np.where(np.asarray(data.present) > 0, noisy, np.nan)
 
 
-def _measured(experiments: Sequence[Experiment], replicates: Replicates, values: Outputs) -> list[Experiment]:
+@eqx.filter_jit
+def _struck(unknowns: Unknowns, arguments: Arguments, start: Array, impulses: Array) -> Array:
+    a = arguments
+    shared, each, _ = a.space.physical(unknowns)
+    return predict(a.model, a.data, a.space, (shared, each, start), substeps=a.substeps, impulses=impulses)
+
+
+Source = Shuffled | Shaken
+
+
+def measured_again(experiments: Sequence[Experiment], source: Source, values: Outputs) -> list[Experiment]:
     """The experiments with other measurements; pieces of a long experiment are put together again."""
     columns: dict[str, list[np.ndarray]] = {}
-    for i, piece in enumerate(replicates.problem.experiments):
+    for i, piece in enumerate(source.experiments):
         columns.setdefault(piece.name.split("[")[0], []).append(values[: piece.samples, :, i])
+    tables: Mapping[str, np.ndarray] = {name: np.concatenate(parts) for name, parts in columns.items()}
     found = []
     for e in experiments:
-        if e.name not in columns:
+        if e.name not in tables:
             continue
-        table = np.concatenate(columns[e.name])
         outputs = {
-            c: dataclasses.replace(s, values=table[:, CHANNELS.index(c)]) for c, s in e.outputs.items() if c in CHANNELS
+            c: dataclasses.replace(s, values=tables[e.name][:, CHANNELS.index(c)])
+            for c, s in e.outputs.items()
+            if c in CHANNELS
         }
         found.append(dataclasses.replace(e, outputs=outputs))
     return found

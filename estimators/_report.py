@@ -14,6 +14,7 @@ from estimators._diagnose import Diagnosis
 from estimators._improve import Improvement
 from estimators._least_squares import ClosedForm
 from estimators._next_experiment import NextExperiment
+from estimators._nonlinear_prediction_error import PredictorFit
 from estimators._output_error import Fit, Parameter
 from estimators._ranking import ranked
 from estimators._report_file import Table, cleaned
@@ -72,10 +73,11 @@ def fit_dict(
     validation: Comparison | None,
     seconds: float,
     closed: ClosedForm | None = None,
+    predicted: PredictorFit | None = None,
     agreed: Agreement | None = None,
     spread: Covariances | None = None,
 ) -> dict[str, Any]:
-    """The parameters and errors of a fit; beside it the closed form, whether they agree, and other standard deviations."""
+    """The parameters and errors of a fit; beside it other ways to estimate, whether they agree, and other deviations."""
     found: dict[str, Any] = {
         "format": FORMAT,
         "version": VERSION,
@@ -87,6 +89,14 @@ def fit_dict(
         found["closed_form"] = {
             name: {"value": e.value, "std": e.std, "unit": e.unit} for name, e in closed.estimates.items()
         }
+    if predicted is not None:
+        found["prediction_error"] = {
+            "parameters": {
+                name: {"value": p.value, "std": p.std, "unit": p.unit} for name, p in predicted.parameters.items()
+            },
+            "force_noise": predicted.force_noise,
+            "torque_noise": predicted.torque_noise,
+        }
     if agreed is not None:
         pairs = [
             {
@@ -95,6 +105,7 @@ def fit_dict(
                 "parameters": {
                     name: {"difference": d, "std": s, "p_value": p}
                     for name, d, s, p in zip(agreed.names, pair.difference, pair.std, pair.p_values, strict=True)
+                    if np.isfinite(d)
                 },
             }
             for pair in agreed.pairs

@@ -4,19 +4,26 @@ import numpy as np
 
 from estimators._agreement import Agreement
 from estimators._least_squares import ClosedForm
+from estimators._nonlinear_prediction_error import PredictorFit
 from estimators._output_error import Fit
 from estimators._sandwich import Covariances
 
 
 def fit_table(
-    closed: ClosedForm, fit: Fit, *, agreed: Agreement | None = None, spread: Covariances | None = None
+    closed: ClosedForm,
+    fit: Fit,
+    *,
+    predicted: PredictorFit | None = None,
+    agreed: Agreement | None = None,
+    spread: Covariances | None = None,
 ) -> str:
-    """Closed form and output error side by side, with standard deviations, and what their difference means.
+    """Closed form, output error and prediction error side by side, with standard deviations, and what they differ by.
 
     Args:
         closed: estimates in closed form.
         fit: output error.
-        agreed: both held against each other; adds the difference in its standard deviations and the verdict.
+        predicted: prediction error.
+        agreed: all held against each other; adds the largest difference in its standard deviations and the verdict.
         spread: covariances of the fit; adds the standard deviations that hold for a coloured residual.
 
     Returns:
@@ -25,6 +32,8 @@ def fit_table(
     header = ["parameter", "unit", "closed form", "std", "output error", "std"]
     if spread is not None:
         header += ["coloured", "clustered"]
+    if predicted is not None:
+        header += ["prediction error", "std"]
     if agreed is not None:
         header += ["sigmas apart"]
     rows = [header]
@@ -37,10 +46,18 @@ def fit_table(
         row.append(_short(p.std) if name in fit.information.names else "fixed")
         if spread is not None:
             row += [_short(coloured.get(name, np.nan)), _short(by_cluster.get(name, np.nan))]
+        if predicted is not None:
+            other = predicted.parameters[name]
+            row += [f"{other.value:.6g}", _short(other.std) if name in predicted.information.names else "fixed"]
         if agreed is not None:
             row.append(f"{apart[name]:.1f}" if name in apart else "")
         rows.append(row)
     parts = [_aligned(rows)]
+    if predicted is not None:
+        parts.append(
+            f"Prediction error takes a random force of {predicted.force_noise:.3g} N/sqrt(Hz) on the cart and a random torque "
+            f"of {predicted.torque_noise:.3g} N m/sqrt(Hz) on the arm into account."
+        )
     if agreed is not None:
         parts.append(agreed.verdict)
     if weak := fit.information.weakest():
@@ -54,7 +71,7 @@ def _apart(agreed: Agreement | None, fit: Fit) -> dict[str, float]:
     """The largest difference of any two ways, in its standard deviations."""
     if agreed is None:
         return {}
-    sigmas = np.max([np.abs(pair.difference / pair.std) for pair in agreed.pairs], axis=0)
+    sigmas = np.max([np.nan_to_num(np.abs(pair.difference / pair.std)) for pair in agreed.pairs], axis=0)
     return {n: float(s) for n, s in zip(agreed.names, sigmas, strict=True) if n in fit.information.names}
 
 

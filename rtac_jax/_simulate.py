@@ -107,12 +107,15 @@ def trajectories(
     measured: tuple[Float[Array, "sample output experiment"], Float[Array, "sample output experiment"]] | None = None,
     gain: Float[Array, "sample state output experiment"] | None = None,
     states: bool = False,
+    impulses: Float[Array, "sample 2 experiment"] | None = None,
 ) -> Float[Array, "sample row experiment"]:
     """Outputs of all experiments, one column each: cart position [m], arm velocity [rad/s], arm angle [rad].
 
     With `measured` (values, and 1 where there is one) and `gain` the state is corrected by gain times the error at each
     sample before it moves on, and the outputs are predictions one sample ahead; without, they are a simulation.
     With `states` the rows are the states themselves instead of the outputs.
+    With `impulses` the cart [N s] and the arm [N m s] are struck after each sample, as by a force and a torque that are over
+    before the next.
     """
     excitation = model.driven(excitation)
     shape = excitation.sample_time.shape
@@ -120,6 +123,8 @@ def trajectories(
     rows: dict[str, Any] = {"current": excitation.current, "force": excitation.force}
     if measured is not None and gain is not None:
         rows |= {"values": measured[0], "present": measured[1], "gain": gain}
+    if impulses is not None:
+        rows["impulses"] = impulses
 
     def one_sample(state: State, row: dict[str, Any]) -> tuple[State, Array]:
         shown = jnp.stack([jnp.broadcast_to(y, shape) for y in (state if states else model.outputs(state))])
@@ -127,11 +132,25 @@ def trajectories(
             outputs = jnp.stack([jnp.broadcast_to(y, shape) for y in model.outputs(state)]) if states else shown
             error = (row["values"] - outputs) * row["present"]
             state = tuple(x + sum(row["gain"][i, j] * error[j] for j in range(len(error))) for i, x in enumerate(state))
+        if "impulses" in row:
+            on_cart, on_arm = unit_pushes(model, state, excitation)
+            struck = row["impulses"][0] * on_cart + row["impulses"][1] * on_arm
+            state = tuple(x + struck[i] for i, x in enumerate(state))
         current, force = (None if row[name] is None else tuple(row[name]) for name in ("current", "force"))
         state = advance(model, state, current, force, excitation, substeps=substeps)
         return tuple(_without_denormals(x) for x in state), shown
 
     return jax.lax.scan(one_sample, start, rows, length=samples)[1]
+
+
+def unit_pushes(
+    model: RTAC, state: State, excitation: Excitation
+) -> tuple[Float[Array, "state experiment"], Float[Array, "state experiment"]]:
+    """What a unit force on the cart and a unit torque on the arm do to all states' rates."""
+    cart_cart, cart_arm, arm_arm = model.pushes(state, excitation.arm_free, excitation.cart_free)
+    zero = jnp.zeros_like(state[0])
+    rest = [zero] * (len(state) - 4)
+    return jnp.stack([zero, cart_cart, zero, cart_arm, *rest]), jnp.stack([zero, cart_arm, zero, arm_arm, *rest])
 
 
 def substeps_for(model: RTAC, excitation: Excitation, *, stability: float = 1.0, most: int = 64) -> int:

@@ -1,6 +1,11 @@
-"""Compiling ahead of time."""
+"""Compiling ahead of time, and room for compiled code."""
 
+from pathlib import Path
 from typing import Any
+
+import jax
+
+_SHARE = 0.5
 
 
 def compile_only(function: Any, *arguments: Any) -> None:
@@ -10,3 +15,21 @@ def compile_only(function: Any, *arguments: Any) -> None:
     compiling in one while another computes cannot.
     """
     function.lower(*arguments).compile()
+
+
+def make_room(
+    used: Path = Path("/proc/self/maps"), allowed: Path = Path("/proc/sys/vm/max_map_count"), share: float = _SHARE
+) -> bool:
+    """Drop compiled code if it takes up more than this share of the memory maps that Linux allows a process.
+
+    Every model structure has code of its own, and a study of many of them in one process would end in a crash of the
+    compiler. What is needed again comes back from the cache on disk. Only where nothing else computes.
+    """
+    try:
+        maps, limit = used.read_bytes().count(b"\n"), int(allowed.read_text())
+    except (OSError, ValueError):  # not Linux
+        return False
+    if maps <= share * limit:
+        return False
+    jax.clear_caches()
+    return True

@@ -11,6 +11,7 @@ from tqdm import tqdm
 
 from estimators._adequacy import Evidence, alarming, excess_of, p_by_chance
 from estimators._candidate import Candidate, Step
+from estimators._compile import make_room
 from estimators._force_curve import ForceCurve
 from estimators._latent_force import LatentForce
 from estimators._line_classes import LineClass
@@ -121,6 +122,7 @@ def diagnose(
     Nikiforov, Detection of Abrupt Changes (1993), section 7.
     """
     require_configured()
+    make_room()
     began = time.perf_counter()
     classes = _offered(fit.model, candidates)
     if not classes:

@@ -23,7 +23,7 @@ def plot_agreement(found: "Agreement") -> Picture:
     farthest = bound
     for number, pair in enumerate(found.pairs):
         sigmas = pair.difference / pair.std
-        farthest = max(farthest, float(np.max(np.abs(sigmas))))
+        farthest = max(farthest, float(np.nanmax(np.abs(sigmas))))
         shift = 0.16 * (number - 0.5 * (len(found.pairs) - 1))
         axes.plot(
             sigmas, places + shift, MARKERS[number % len(MARKERS)], color=MODELS[(number + 1) % len(MODELS)]["color"],

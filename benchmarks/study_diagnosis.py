@@ -1,9 +1,12 @@
 """False alarms, power and confusion of the diagnosis on virtual rigs that its development never saw.
 
-    python benchmarks/study_diagnosis.py run results.jsonl --draws 5        # goes on where it was killed
+    python benchmarks/study_diagnosis.py run results.jsonl --draws 5                    # goes on where it was killed
+    python benchmarks/study_diagnosis.py run results.jsonl --draws 34 --only nothing    # more of one kind
     python benchmarks/study_diagnosis.py table results.jsonl
 
-Every line of the result file is one recording: what was hidden, what was named, and what the tests said.
+Rigs are drawn within 15 % around the paper's, sampled at 500 Hz with 12 bits; every rig of an odd draw is shaken by random
+forces and torques. Draw 0 has been looked at in development, so draws begin at 1. Every line of the result file is one
+recording: what was hidden, what was named, and what the tests said.
 """
 
 import argparse
@@ -18,6 +21,7 @@ import rtac_jax as rtac
 from rtac_jax import virtual_rig
 
 _SEED = 900_000  # far from the seeds of the tests
+_SHAKEN = {"force_noise": 1e-3, "torque_noise": 3e-5}
 
 # Moderate sizes: the base model's error is a few times the noise.
 EFFECTS: dict[str, dict[str, float]] = {
@@ -57,7 +61,6 @@ NULLS: dict[str, tuple[dict[str, float], int]] = {
     "nothing, white noise": ({}, 1),
     "nothing, coloured noise": ({"noise_correlation": 0.9}, 1),
     "nothing, doubled noise": ({"noise_factor": 2.0}, 1),
-    "nothing, disturbed": ({"force_noise": 1e-3, "torque_noise": 3e-5}, 1),
     "nothing, white noise, no rest": ({}, 0),
     "nothing, coloured noise, no rest": ({"noise_correlation": 0.9}, 0),
 }
@@ -66,15 +69,15 @@ NULLS: dict[str, tuple[dict[str, float], int]] = {
 def cases(draws: int) -> list[tuple[str, int, dict[str, float], int]]:
     """Name, draw, what the rig hides, and rest records."""
     every = [(n, v, 1) for n, v in (EFFECTS | OUTSIDE).items()] + [(n, v, r) for n, (v, r) in NULLS.items()]
-    return [(name, draw, values, rest) for draw in range(draws) for name, values, rest in every]
+    return [(name, draw, values, rest) for draw in range(1, draws + 1) for name, values, rest in every]
 
 
 def one(name: str, draw: int, hidden: dict[str, float], rest: int) -> dict[str, object]:
     """Record and diagnose one rig."""
     seed = _SEED + 1000 * draw + sum(map(ord, name))
-    rig = dataclasses.replace(virtual_rig.Rig().drawn(seed), **hidden)
+    rig = dataclasses.replace(virtual_rig.Rig().drawn(seed), **(_SHAKEN if draw % 2 else {}), **hidden)
     plans = virtual_rig.standard_plans(
-        seed=seed + 1, sample_time=0.005, duration=6.0, free=2, forced=4, rest=rest, repeats=1
+        seed=seed + 1, sample_time=0.002, duration=5.0, free=2, forced=4, rest=rest, repeats=1
     )
     recording = virtual_rig.record(rig, plans, seed=seed + 2)
     began = time.perf_counter()
@@ -83,6 +86,7 @@ def one(name: str, draw: int, hidden: dict[str, float], rest: int) -> dict[str, 
     return {
         "case": name,
         "draw": draw,
+        "shaken": bool(draw % 2),
         "verdict": found.verdict,
         "effects": [c.id for c in found.effects],
         "groups": {c.id: c.confusable_with for c in found.effects},

@@ -19,7 +19,7 @@ class Screened:
         id: of the effect.
         instance: the effect at a plausible size.
         amplitudes: its amplitude parameters.
-        estimate: their estimated values.
+        estimate: where to begin to fit them.
         statistic: chi-square distributed when the effect is absent; zero where the sign is unphysical.
         robust: the same with the variance of each second of data in place of the model's.
         limit: size of the amplitudes at which the statistic would be 20 on average.
@@ -37,6 +37,8 @@ class Screened:
 
 
 ALARM = 20.0
+_SIZES = (0.1, 0.2, 0.35, 0.5, 0.7, 1.0, 1.5)  # of the plausible amplitude, that are tried
+_TRIED = 6  # candidates whose size is looked for so
 
 
 def screen(
@@ -71,7 +73,25 @@ def screen(
         names = tuple(name for name, _ in parts)
         templates = np.stack([column for _, column in parts], axis=1)
         found.append(_screened(instances[number], names, templates, error, blocks))
-    return found
+    clear = [s for s in found if s.statistic >= ALARM and len(s.amplitudes) == 1 and s.estimate[0] != 0]
+    sized = {id(s): _sized(innovations, basis, place, s) for s in sorted(clear, key=lambda s: -s.statistic)[:_TRIED]}
+    return [sized.get(id(s), s) for s in found]
+
+
+def _sized(innovations: Innovations, basis: Rows, place: Any, s: Screened) -> Screened:
+    """Begin at the size that leaves least, beyond what the base parameters explain.
+
+    What has a threshold, such as a drive that saturates, changes nothing up to a size and is far from linear beyond.
+    """
+    (name,) = s.amplitudes
+    plausible = abs(float(np.asarray(getattr(s.instance, name))))
+    linear = float(s.estimate[0])
+    sizes = np.array([linear, *(np.sign(linear) * plausible * share for share in _SIZES)])
+    points = [place(dataclasses.replace(s.instance, **{name: float(size)}), name) for size in sizes]
+    left = innovations.at(np.array(points))
+    left = np.sum((left - basis @ (basis.T @ left)) ** 2, axis=0)
+    best = int(np.argmin(np.where(np.isfinite(left), left, np.inf)))
+    return dataclasses.replace(s, estimate=sizes[best : best + 1])
 
 
 def _screened(

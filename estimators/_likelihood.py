@@ -21,7 +21,7 @@ from rtac_jax._simulate import Steps
 from rtac_jax.measurement import Experiment
 
 # Random force and torque between these shares of the rms forces, as powers of e of their variance.
-_LEAST, _MOST, _FIRST = np.log(1e-5**2), np.log(1.0**2), np.log(3e-3**2)
+_LEAST, _MOST, _FIRST = np.log(1e-5**2), np.log(10.0**2), np.log(3e-3**2)
 _PROCESS_UNIT = 0.3
 _LESS = (0.0, 4.0)  # by how much in the logarithm of the variance
 _ENOUGH = 1.0  # gain in log-likelihood that is worth another round

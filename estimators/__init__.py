@@ -9,7 +9,7 @@ from estimators._envelope import Envelope, envelope
 from estimators._expected import Expected, expected_std
 from estimators._frequency_response import frequency_responses
 from estimators._improve import Improvement, improve
-from estimators._least_squares import ClosedForm, least_squares
+from estimators._least_squares import AS_IN_PAPER, ClosedForm, least_squares
 from estimators._linear_equality import Equality, Trend
 from estimators._linear_model import LinearModel
 from estimators._linear_residuals import ResidualTest
@@ -23,6 +23,7 @@ from estimators._results import RESULTS, DivergedError, NotIdentifiableError
 from estimators._sandwich import Covariances, covariances
 
 __all__ = [
+    "AS_IN_PAPER",
     "RESULTS",
     "SOURCES",
     "Agreement",

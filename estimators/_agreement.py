@@ -2,7 +2,7 @@
 
 import dataclasses
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -21,6 +21,7 @@ from rtac_jax.effects import CATALOGUE, Effect
 from rtac_jax.measurement import Recording
 
 Vector = Float[np.ndarray, " quantity"]
+_FAR = 10.0  # times the noise, from which on one step from an output error says little of where it would end
 
 # What the paper's model assumes of the parameter, and the effects that break it.
 _ASSUMES = {
@@ -110,6 +111,7 @@ class Agreement:
         level: at which a disagreement is called one.
         draws: replicates that the distribution of the differences was taken from.
         disturbed: whether the replicates hold random forces and torques.
+        misfit: residual of each output error over the noise, of its worst channel, by label.
     """
 
     names: tuple[str, ...]
@@ -122,6 +124,7 @@ class Agreement:
     level: float
     draws: int
     disturbed: bool
+    misfit: Mapping[str, float]
 
     @property
     def rejected(self) -> bool:
@@ -179,12 +182,22 @@ class Agreement:
                 else " Ask est.diagnose;"
             )
             + " est.compare shows where the model fails."
-            + (
-                ""
-                if self.disturbed
-                else " A random force or torque on the rig makes them disagree too: add est.prediction_error_nonlinear's "
-                "result, which counts it."
+            + self._but()
+        )
+
+    def _but(self) -> str:
+        """What else than the model could be wrong with a disagreement."""
+        if not self.disturbed:
+            return (
+                " A random force or torque on the rig makes them disagree too: add est.prediction_error_nonlinear's result, "
+                "which counts it."
             )
+        far = [label for label in self.worst.labels if self.misfit.get(label, 0.0) > _FAR]
+        if not far:
+            return ""
+        return (
+            f" But the residual of {far[0]} is {self.misfit[far[0]]:.0f} times the noise, and how far a disturbance leads it "
+            "is known to first order only: hold the others against each other without it."
         )
 
     def __str__(self) -> str:
@@ -240,6 +253,7 @@ def agreement(
     Where `prediction_error_nonlinear` is among the results, a replicate is its model struck by random forces and torques as
     large as it estimated; else it is the first output error's simulation with its residual, in blocks and in random order, as
     the noise. The first kind counts disturbances of the rig, and so what they hide; the second takes them for a failing.
+    An output error that disturbances have led far astray, its residual many times the noise, is better left out.
 
     Args:
         results: of `least_squares`, `output_error`, `prediction_error_nonlinear` and `prediction_error`; at least one of the
@@ -274,11 +288,7 @@ def agreement(
     said = tuple(labels) if labels is not None else _labels(several)
     if len(said) != len(several) or len(set(said)) < len(said):
         raise ValueError(f"{len(several)} results need as many labels, each another, not {', '.join(said)}.")
-    source = (
-        Shaken.of(predictors[0], fits[0] if fits else None)
-        if predictors
-        else Shuffled.of(fits[0], recording, block=block)
-    )
+    source = Shaken.of(predictors[0]) if predictors else Shuffled.of(fits[0], recording, block=block)
     modal = any(isinstance(r, LinearModels) for r in several)
     for names in {tuple(r.experiments) for r in (*fits, *predictors)} - {tuple((predictors or fits)[0].experiments)}:
         raise ValueError(
@@ -310,7 +320,12 @@ def agreement(
     )  # fmt: skip
     spread = np.std(found, axis=0, ddof=1)
     asks = tuple(way.asks for way in ways)
-    return Agreement(names, units, said, asks, observed, spread, pairs, level, draws, bool(predictors))
+    misfit = {
+        label: max(result.residual_std[c] / n for c, n in result.noise.items() if c in result.residual_std)
+        for label, result in zip(said, several, strict=True)
+        if isinstance(result, Fit)
+    }
+    return Agreement(names, units, said, asks, observed, spread, pairs, level, draws, bool(predictors), misfit)
 
 
 def _common(one: Way, other: Way) -> tuple[str, ...]:

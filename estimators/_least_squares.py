@@ -17,6 +17,8 @@ from rtac_jax.measurement import Experiment, Recording
 _TURNS = 4
 _DRY = "cart_coulomb.level"
 CONSISTENT = 0.3
+AS_IN_PAPER: Mapping[str, Any] = {"weighting": "none", "near_zero": 0.0}
+"""Options of `least_squares` that leave out what the paper does not write of: weights, and samples where the cart hardly moves."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -80,8 +82,10 @@ def least_squares(
 ) -> ClosedForm:
     """Closed-form estimates: free oscillation first, then, with those known, forced oscillation.
 
-    By default as the paper does it, on filtered and differentiated measurements. With `weak` both equations are integrated
-    against test functions instead, which takes the errors of the regressors away.
+    By default as the paper does it, on filtered and differentiated measurements, with choices of our own where it is silent:
+    the filter's cut-off, the weights of the two equations, and leaving out samples where the cart hardly moves, without
+    which v and d of a decay that ends at rest are off by a factor. `**AS_IN_PAPER` leaves the last two out. With `weak` both
+    equations are integrated against test functions instead, which takes the errors of the regressors away.
 
     Args:
         model: gives the constants known beforehand (its fixed parameters) and which parameters there are.

@@ -65,6 +65,8 @@ class PredictorFit:
         experiments: names of the experiments.
         statistics: substeps, samples and seconds.
         problem: that was solved, at its solution.
+        prior: of the noise.
+        noise_exponents: the estimated noise as `run_filter` takes it.
     """
 
     model: RTAC
@@ -78,6 +80,8 @@ class PredictorFit:
     experiments: tuple[str, ...]
     statistics: Mapping[str, Any]
     problem: Problem = dataclasses.field(repr=False)
+    prior: NoiseModel = dataclasses.field(repr=False)
+    noise_exponents: Float[np.ndarray, " noise"] = dataclasses.field(repr=False)
 
     @property
     def parameters(self) -> dict[str, Parameter]:
@@ -216,6 +220,8 @@ def prediction_error_nonlinear(
             "seconds": time.perf_counter() - began,
         },
         problem=Problem(arguments, found.unknowns, tuple(experiments), known.names),
+        prior=prior,
+        noise_exponents=found.noise,
     )
 
 

@@ -162,7 +162,7 @@ def predict(
 ) -> Outputs3:
     """Outputs of the model with these parameters: simulated, or predicted one sample ahead where there is a gain.
 
-    Impulses [sample, cart or arm, experiment] strike what is simulated.
+    Impulses strike what is simulated; see `trajectories`.
     """
     shared, each, start = physical
     values: Mapping[str, Any] = dict(zip(space.names, shared, strict=True)) | dict(zip(space.each, each, strict=True))

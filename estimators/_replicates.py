@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from estimators._at_fit import Problem, at_fit
+from estimators._at_fit import Problem, at_fit, smoothed_start
 from estimators._levenberg_marquardt import Arguments, plain_residual
 from estimators._nonlinear_prediction_error import PredictorFit
 from estimators._output_error import Fit, diagonal_whitener
@@ -97,14 +97,9 @@ class Shaken:
     start: Float[np.ndarray, "start experiment"]
 
     @classmethod
-    def of(cls, fit: PredictorFit, simulated: Fit | None) -> "Shaken":
-        """At the fit's parameters and noise, and at the starts of a fit by simulation where there is one.
-
-        A predictor mends its start on the way, so what it begins with is known no better than from the first samples.
-        """
-        start = np.asarray(fit.problem.arguments.space.start)
-        if simulated is not None:
-            start = np.stack([np.asarray(simulated.start[e.name]) for e in fit.problem.experiments], axis=1)
+    def of(cls, fit: PredictorFit) -> "Shaken":
+        """At the fit's parameters and noise, and at its smoothed starts."""
+        start = smoothed_start(fit.problem, np.asarray(fit.prior.start_variance))
         interval = np.asarray(fit.problem.arguments.data.excitation.sample_time)
         density = np.array([fit.force_noise, fit.torque_noise])
         sensor = np.array([fit.noise.get(channel, 0.0) for channel in CHANNELS])
@@ -118,7 +113,7 @@ class Shaken:
     def draw(self, random: np.random.Generator) -> Outputs:
         """Simulated with white impulses and white sensor noise."""
         data = self.problem.arguments.data
-        struck = random.normal(size=(data.samples, *self.impulse.shape)) * self.impulse
+        struck = random.normal(size=(data.samples, 2, *self.impulse.shape)) * self.impulse
         at = self.problem
         shown = np.asarray(_struck(at.unknowns, at.arguments, jnp.asarray(self.start), jnp.asarray(struck)))
         noisy = shown + random.normal(size=shown.shape) * self.sensor[:, None]

@@ -74,8 +74,8 @@ def screen(
         templates = np.stack([column for _, column in parts], axis=1)
         found.append(_screened(instances[number], names, templates, error, blocks))
     clear = [s for s in found if s.statistic >= ALARM and len(s.amplitudes) == 1 and s.estimate[0] != 0]
-    sized = {id(s): _sized(innovations, basis, place, s) for s in sorted(clear, key=lambda s: -s.statistic)[:_TRIED]}
-    return [sized.get(id(s), s) for s in found]
+    largest = sorted(clear, key=lambda s: -s.statistic)[:_TRIED]
+    return [_sized(innovations, basis, place, s) if any(s is one for one in largest) else s for s in found]
 
 
 def _sized(innovations: Innovations, basis: Rows, place: Any, s: Screened) -> Screened:

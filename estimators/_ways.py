@@ -11,6 +11,7 @@ from estimators._at_fit import Problem, at_fit, rows_at, with_outputs
 from estimators._conditions import conditions, stacked
 from estimators._least_squares import ClosedForm, closed_form
 from estimators._levenberg_marquardt import plain_residual
+from estimators._likelihood import run_filter
 from estimators._linear_predictor import rows
 from estimators._linear_structure import Scale
 from estimators._noise import noise_levels
@@ -79,13 +80,13 @@ def way_of(result: Result, label: str, source: Source, recording: Recording, *, 
         names, values, again = _closed(result, source, recording)
         asks, model = "each moment by itself", result.model
     else:
-        if isinstance(result, Fit):
-            problem, asks, here = at_fit(result, recording), "the motion over a whole experiment", result.parameters
-        else:
-            problem, asks, here = result.problem, "the next sample, given the past", result.parameters
+        problem = at_fit(result, recording) if isinstance(result, Fit) else result.problem
         names, model = problem.names, result.model
-        values = np.array([here[n].value for n in names])
-        again = _stepped(problem, values)
+        values = np.array([result.parameters[n].value for n in names])
+        if isinstance(result, Fit):
+            asks, again = "the motion over a whole experiment", _simulated(problem, values)
+        else:
+            asks, again = "the next sample, given the past", _predicted(result, values)
     units = tuple(model.parameters[n].unit for n in names)
     if modal and "spring_stiffness" in names:
         return Way(
@@ -110,14 +111,30 @@ def _closed(
     return names, np.array([result.estimates[n].pooled for n in names]), again
 
 
-def _stepped(problem: Problem, here: Vector) -> Callable[[Outputs], Vector]:
-    """A Gauss-Newton step with the Jacobian, and the gains where there are any, of the fit itself."""
+def _simulated(problem: Problem, here: Vector) -> Callable[[Outputs], Vector]:
+    """A Gauss-Newton step; the Jacobian of a simulation does not depend on what was measured."""
     flat = (jacobian := rows_at(problem).jacobian).reshape(-1, jacobian.shape[-1])
     step = -np.linalg.solve(flat.T @ flat, flat.T)
 
     def again(values: Outputs) -> np.ndarray:
         arguments = with_outputs(problem, jnp.asarray(np.nan_to_num(values)))
         return here + step @ np.asarray(plain_residual(problem.unknowns, arguments)[0]).ravel()
+
+    return again
+
+
+def _predicted(fit: PredictorFit, here: Vector) -> Callable[[Outputs], Vector]:
+    """A Gauss-Newton step with gains along the new measurements, which the arm reaches by another way."""
+    problem, space = fit.problem, fit.problem.arguments.space
+    physical = space.physical(problem.unknowns)
+
+    def again(values: Outputs) -> np.ndarray:
+        a = with_outputs(problem, jnp.asarray(np.nan_to_num(values)))
+        passed = run_filter(a.model, a.data, space, physical, fit.prior, fit.noise_exponents, a.substeps)[2]
+        a = dataclasses.replace(a, whitener=passed.whitener, gain=passed.gain)
+        rows = rows_at(problem._replace(arguments=a))
+        flat = rows.jacobian.reshape(-1, len(here))
+        return here - np.linalg.solve(flat.T @ flat, flat.T @ rows.residual.ravel())
 
     return again
 

@@ -107,15 +107,16 @@ def trajectories(
     measured: tuple[Float[Array, "sample output experiment"], Float[Array, "sample output experiment"]] | None = None,
     gain: Float[Array, "sample state output experiment"] | None = None,
     states: bool = False,
-    impulses: Float[Array, "sample 2 experiment"] | None = None,
+    impulses: Float[Array, "sample 2 2 experiment"] | None = None,
 ) -> Float[Array, "sample row experiment"]:
     """Outputs of all experiments, one column each: cart position [m], arm velocity [rad/s], arm angle [rad].
 
     With `measured` (values, and 1 where there is one) and `gain` the state is corrected by gain times the error at each
     sample before it moves on, and the outputs are predictions one sample ahead; without, they are a simulation.
     With `states` the rows are the states themselves instead of the outputs.
-    With `impulses` the cart [N s] and the arm [N m s] are struck after each sample, as by a force and a torque that are over
-    before the next.
+    With `impulses` a white random force on the cart [N s] and torque on the arm [N m s] act between the samples: the first
+    number is the impulse, the second, independent and as large, makes the positions at the next sample what white noise
+    makes them; an impulse at once would move them too far.
     """
     excitation = model.driven(excitation)
     shape = excitation.sample_time.shape
@@ -134,8 +135,10 @@ def trajectories(
             state = tuple(x + sum(row["gain"][i, j] * error[j] for j in range(len(error))) for i, x in enumerate(state))
         if "impulses" in row:
             on_cart, on_arm = unit_pushes(model, state, excitation)
-            struck = row["impulses"][0] * on_cart + row["impulses"][1] * on_arm
-            state = tuple(x + struck[i] for i, x in enumerate(state))
+            struck, other = (kick[0] * on_cart + kick[1] * on_arm for kick in row["impulses"])
+            # Over the interval an impulse at its start moves by all of it; white noise by half and, at random, by 1 / sqrt 12.
+            late = excitation.sample_time * (np.sqrt(1 / 12) * other - 0.5 * struck)
+            state = tuple(x + struck[i] + (late[i + 1] if i in (0, 2) else 0.0) for i, x in enumerate(state))
         current, force = (None if row[name] is None else tuple(row[name]) for name in ("current", "force"))
         state = advance(model, state, current, force, excitation, substeps=substeps)
         return tuple(_without_denormals(x) for x in state), shown

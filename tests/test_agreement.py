@@ -119,8 +119,8 @@ def test_deviations_are_those_of_repeated_recordings() -> None:
 
 
 def test_false_alarms_are_rare_in_a_few_runs() -> None:
-    """Of ten uniform numbers the least lies above 0.001, the third above 0.01 and the mean inside the band in 98 of 100 tests."""
-    found = np.sort(p_values(RIG, range(20, 30), draws=30))
+    """Of eight uniform numbers the least lies above 0.001, the third above 0.01 and the mean inside the band in 98 of 100 tests."""
+    found = np.sort(p_values(RIG, range(20, 28), draws=24))
     assert found[0] > 1e-3, found
     assert found[2] > 0.01, found
     assert 0.15 < np.mean(found) < 0.85, found
@@ -199,7 +199,7 @@ def test_random_forces_make_them_disagree_until_they_are_counted() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("rig", [RIG, SHAKEN], ids=["clean", "shaken"])
 def test_false_alarms_of_all_four_ways_come_at_the_stated_rate(rig: virtual_rig.Rig) -> None:
-    found = smallest_p_values(rig, range(2000, 2200))
+    found = smallest_p_values(rig, range(2000, 2100))
     assert np.mean(found < 0.01) <= 0.03, np.sort(found)[:10]
     assert np.mean(found < 0.5) > 0.2  # a test that never speaks holds its level too
 
@@ -247,6 +247,7 @@ def test_verdict_names_the_assumption_that_fails() -> None:
         0.01,
         80,
         False,
+        {},
     )
     assert one.differing == ("spring_stiffness",)
     assert "the spring is linear" in one.verdict

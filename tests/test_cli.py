@@ -118,6 +118,13 @@ def test_a_command_writes_what_it_promises(ran, command):
     assert result.stdout
     assert (content["format"], content["version"]) == ("rtac-report", 1)
     check_parameters(content["parameters"])
+    if command == "fit":
+        check_parameters(content["prediction_error"]["parameters"])
+        assert content["prediction_error"]["force_noise"] > 0
+        assert [p["between"] for p in content["agreement"]["pairs"]] == [
+            ["closed form", "output error"], ["closed form", "prediction error"], ["output error", "prediction error"],
+        ]  # fmt: skip
+        assert "prediction error" in result.stdout
     check_errors(content["error"])
     assert content["parameters"]["total_mass"]["unit"] == "kg"
     assert content["seconds"] > 0

@@ -229,6 +229,17 @@ def test_weak_form_removes_the_bias_of_the_papers_estimates(as_in_paper: est.Clo
     assert np.mean(within) > 0.8, dict(zip(TRUTH, within, strict=True))
 
 
+def test_what_the_paper_does_not_write_of_is_needed(
+    quiet: rtac.Recording, model: rtac.RTAC, as_in_paper: est.ClosedForm
+) -> None:
+    """With the stuck end of each decay among the samples, dry friction is taken for viscous."""
+    literal = est.least_squares(model, quiet, **est.AS_IN_PAPER)
+    for name in ("v/k", "d/k"):
+        assert abs(error(literal, name)) > 3 * abs(error(as_in_paper, name)), name
+    for name in ("(M+m)/k", "torque_constant"):
+        assert abs(error(literal, name)) < 0.01, name
+
+
 def test_the_arms_reaction_moves_the_mass_and_helps(
     quiet: rtac.Recording, model: rtac.RTAC, weak: est.ClosedForm
 ) -> None:

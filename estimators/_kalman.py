@@ -13,6 +13,7 @@ from rtac_jax import RTAC
 from rtac_jax._simulate import Steps, advance, unit_pushes
 
 OUTPUTS = len(CHANNELS)
+_SMALL = 1e-9  # velocities [m/s, rad/s] below which a difference is lost in rounding
 
 
 class Filtered(NamedTuple):
@@ -110,6 +111,7 @@ def kalman(
         # itself would cost far more and matter far less.
         here = jax.lax.stop_gradient(state)
         there, jacobian = jax.lax.stop_gradient(_with_slopes(forward, here, unit))
+        jacobian = jax.lax.stop_gradient(_spanning(forward, here, spread, jacobian))
         away = jnp.stack(state) - jnp.stack(here)
         state = tuple(there + jnp.sum(jacobian * away[None], axis=1))
         half = (
@@ -174,6 +176,31 @@ def _with_slopes(function: Any, state: Any, unit: Any) -> tuple[Array, Array]:
     """Value [row experiment], and its derivatives by every state [row state experiment]."""
     value, slopes = jax.vmap(lambda t: jax.jvp(function, (state,), (t,)), out_axes=(None, 0))(unit)
     return jnp.stack(value), jnp.stack(slopes)
+
+
+def _spanning(
+    function: Any,
+    state: Any,
+    spread: Float[Array, "state state experiment"],
+    slopes: Float[Array, "row state experiment"],
+) -> Array:
+    """The slopes, those by the velocities taken over one standard deviation to either side.
+
+    Where dry friction holds a body at rest the derivative by its velocity is zero, and a filter that believes it would never
+    doubt again that the body rests, while random forces shake it loose.
+
+    Source: statistical linearisation; Gelb, Applied Optimal Estimation (1974), section 6.2.
+    """
+    for place in (1, 3):
+        reach = jnp.sqrt(spread[place, place])
+        sides = jax.vmap(
+            lambda sign, place=place, reach=reach: jnp.stack(
+                function(tuple(x + sign * reach if i == place else x for i, x in enumerate(state)))
+            )
+        )(jnp.array([1.0, -1.0]))
+        wide = (sides[0] - sides[1]) / (2 * jnp.where(reach > _SMALL, reach, 1.0))
+        slopes = slopes.at[:, place].set(jnp.where(reach > _SMALL, wide, slopes[:, place]))
+    return slopes
 
 
 def _product(a: Array, b: Array) -> Array:

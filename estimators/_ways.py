@@ -152,7 +152,7 @@ def _with_modal(model: RTAC, names: Sequence[str], values: Vector) -> np.ndarray
 
 
 def _linear(result: LinearModels, label: str, source: Source, recording: Recording) -> Way:
-    """The cart's mode, as the mean over conditions, weighed by how well each shows it."""
+    """The cart's mode, as the median over conditions: a fit that ends without damping is sure of it, and wrong."""
     structure, modes = result.structure, result.structure.modes
     theta = np.stack([one.unknowns.theta for one in result.models])
     scale = Scale(*(jnp.asarray([part[i] for part in (m.unknowns.scale for m in result.models)]) for i in range(3)))
@@ -162,12 +162,11 @@ def _linear(result: LinearModels, label: str, source: Source, recording: Recordi
     gains = np.abs(values[:, 2 * modes : 3 * modes])
     places = [(c, int(np.argmax(gains[c]))) for c in range(len(values))]
     rows_of = np.array([[m, modes + m] for _, m in places])
-    chosen, spread = np.take_along_axis(values, rows_of, 1), np.take_along_axis(std, rows_of, 1)
-    usable = np.isfinite(spread) & (spread > 0) & np.array([[one.converged] for one in result.models])
-    if not np.all(usable.any(axis=0)):
+    chosen = np.take_along_axis(values, rows_of, 1)
+    usable = np.all(np.isfinite(np.take_along_axis(std, rows_of, 1)), axis=1)
+    usable &= np.array([one.converged for one in result.models])
+    if not usable.any():
         raise ValueError("no condition of the linear fit shows the cart's mode; leave the linear fit out.")
-    weight = np.where(usable, 1.0 / np.where(usable, spread, 1.0) ** 2, 0.0)
-    weight = weight / weight.sum(axis=0)
     gradient = np.take_along_axis(slopes, rows_of[:, :, None], 1)
     rests = tuple(e for e in recording.experiments if e.kind == "rest")
 
@@ -177,9 +176,9 @@ def _linear(result: LinearModels, label: str, source: Source, recording: Recordi
         data = dataclasses.replace(stacked(raw, present), scale=scale)
         at = rows(structure, theta, data)
         moved = np.array([-np.linalg.lstsq(j, e, rcond=1e-10)[0] for e, j in zip(*map(np.asarray, at), strict=True)])
-        return np.sum(weight * (chosen + np.einsum("cqt,ct->cq", gradient, moved)), axis=0)
+        return np.median((chosen + np.einsum("cqt,ct->cq", gradient, moved))[usable], axis=0)
 
     return Way(
-        label, "a linear response to the current", MODAL, tuple(_UNITS.values()), np.sum(weight * chosen, axis=0), again,
+        label, "a linear response to the current", MODAL, tuple(_UNITS.values()), np.median(chosen[usable], axis=0), again,
         False,
     )  # fmt: skip

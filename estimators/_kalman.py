@@ -24,12 +24,15 @@ class Filtered(NamedTuple):
         whitener: lower triangular; times the prediction error it is white with unit variance.
         innovations: prediction errors in units of their standard deviation.
         log_likelihood: of each experiment, less the constant.
+        shaken: 1 where random forces may shake loose what dry friction holds, so that neither the model's rest nor its
+            motion is to be believed, and at the sample after; else 0.
     """
 
     gain: Float[Array, "sample state output experiment"]
     whitener: Float[Array, "sample output output experiment"]
     innovations: Float[Array, "sample output experiment"]
     log_likelihood: Float[Array, " experiment"]
+    shaken: Float[Array, "sample experiment"]
 
 
 def kalman(
@@ -112,6 +115,7 @@ def kalman(
         here = jax.lax.stop_gradient(state)
         there, jacobian = jax.lax.stop_gradient(_with_slopes(forward, here, unit))
         jacobian = jax.lax.stop_gradient(_spanning(forward, here, spread, jacobian))
+        shaken = _shaken(placed, here, spread, process, pushes, excitation.sample_time)
         away = jnp.stack(state) - jnp.stack(here)
         state = tuple(there + jnp.sum(jacobian * away[None], axis=1))
         half = (
@@ -121,13 +125,15 @@ def kalman(
         )
         spread = _product(_product(jacobian, spread + half), jnp.swapaxes(jacobian, 0, 1)) + half
         spread = spread + jnp.eye(count)[:, :, None] * wander.fresh[:, None]
-        return (state, spread), (gain, jnp.stack(whitener), jnp.stack(innovations), likelihood)
+        return (state, spread), (gain, jnp.stack(whitener), jnp.stack(innovations), likelihood, shaken)
 
     rows = {
         "current": excitation.current, "force": excitation.force, "values": data.values, "present": data.present
     }  # fmt: skip
-    _, (gain, whitener, innovations, likelihood) = jax.lax.scan(one_sample, (state, spread), rows, length=data.samples)
-    return Filtered(gain, whitener, innovations, likelihood.sum(axis=0))
+    found = jax.lax.scan(one_sample, (state, spread), rows, length=data.samples)[1]
+    gain, whitener, innovations, likelihood, shaken = found
+    after = jnp.concatenate([shaken[:1], jnp.maximum(shaken[1:], shaken[:-1])])
+    return Filtered(gain, whitener, innovations, likelihood.sum(axis=0), after)
 
 
 filtered = eqx.filter_jit(kalman)
@@ -176,6 +182,22 @@ def _with_slopes(function: Any, state: Any, unit: Any) -> tuple[Array, Array]:
     """Value [row experiment], and its derivatives by every state [row state experiment]."""
     value, slopes = jax.vmap(lambda t: jax.jvp(function, (state,), (t,)), out_axes=(None, 0))(unit)
     return jnp.stack(value), jnp.stack(slopes)
+
+
+def _shaken(
+    model: RTAC, state: Any, spread: Array, process: Any, pushes: Any, interval: Array
+) -> Float[Array, " experiment"]:
+    """1 where the cart or the arm may rest, and three standard deviations of the random force exceed its dry friction."""
+    levels = model.friction_levels(state)
+    found = jnp.zeros_like(state[0])
+    for body, place in enumerate((1, 3)):
+        level = sum((pair[body] for pair in levels), start=0.0)
+        push = pushes[body][place]
+        kicked = process[body] * interval * push**2  # variance of the velocity after one sample
+        strong = (9 * kicked > (interval * level * push) ** 2) & (level > 0)
+        slow = state[place] ** 2 < 9 * (spread[place, place] + kicked)
+        found = jnp.where(strong & slow, 1.0, found)
+    return jax.lax.stop_gradient(found)
 
 
 def _spanning(

@@ -284,19 +284,19 @@ class Search:
         delayed = delayed_forces(
             probed, error, basis, self.experiments, frequency=scales.frequency, stiffness=stiffness
         )  # fmt: skip
-        whitened, present = np.asarray(refit.predictor.filtered.innovations), np.asarray(self.data.present)
+        whitened, present = self._told(refit)
         line = spectral_line(whitened, present, self.experiments)
         repeats = repeat_test(whitened, present, self.experiments)
         return Tested(tuple(screened), tuple(curves), evidence(screened, curves, delayed, line, repeats))
 
     def places(self, refit: Refit) -> tuple[Place, ...]:
         """Where the innovations are too large."""
-        whitened, present = np.asarray(refit.predictor.filtered.innovations), np.asarray(self.data.present)
+        whitened, present = self._told(refit)
         return tuple(where(whitened, present, self.experiments))
 
     def lines(self, refit: Refit) -> tuple[LineClass, ...]:
         """Innovations by class of spectral line."""
-        whitened, present = np.asarray(refit.predictor.filtered.innovations), np.asarray(self.data.present)
+        whitened, present = self._told(refit)
         return tuple(line_classes(whitened, present, self.experiments))
 
     def latent(self, refit: Refit) -> tuple[LatentForce, ...]:
@@ -357,7 +357,17 @@ class Search:
         rows = {name: gain[:, i] for i, name in enumerate(refit.model.states)}
         nothing = np.zeros_like(gain[:, 0])
         placed = jnp.asarray(np.stack([rows.get(name, nothing) for name in model.states], axis=1))
-        return Innovations(model, self.data, space, predictor.filtered.whitener, placed, self.substeps)
+        sure = 1.0 - predictor.filtered.shaken[:, None, None]
+        return Innovations(model, self.data, space, predictor.filtered.whitener * sure, placed, self.substeps)
+
+    def _told(self, refit: Refit) -> tuple[np.ndarray, np.ndarray]:
+        """Innovations, and where there are any, but for samples at which dry friction is shaken loose.
+
+        There the model's own rest is in doubt, and what it predicts says nothing of what it lacks.
+        """
+        filtered = refit.predictor.filtered
+        sure = 1.0 - np.asarray(filtered.shaken)[:, None]
+        return np.asarray(filtered.innovations) * sure, np.asarray(self.data.present) * sure
 
     def _ranges(self) -> dict[str, tuple[float, float]]:
         """Between which values each variable moves."""

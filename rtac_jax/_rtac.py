@@ -370,14 +370,18 @@ class RTAC(eqx.Module):
 
         Source: time stepping of Moreau (1988), with the step cut at the instant of rest.
         """
-        rubbing = [effect for effect in self.effects if isinstance(effect, DryFriction)]
-        if not rubbing:
+        levels = self.friction_levels(before)
+        if not levels:
             return after
-        sine, cosine = sincos(before[2])
-        own = self._own_states(before)
-        motion = Motion(before[0], before[1], before[2], before[3], sine, cosine, 0.0, self.body)
-        levels = [effect.levels(motion, own[effect.id]) for effect in rubbing]
-        return brought_to_rest(before, after, step, levels, self._mobility(cosine, arm_free, cart_free))
+        return brought_to_rest(before, after, step, levels, self.pushes(before, arm_free, cart_free))
+
+    def friction_levels(self, state: tuple[Any, ...]) -> list[tuple[Any, Any]]:
+        """Largest dry friction force on the cart [N] and torque on the arm [N m], of each effect that has any."""
+        rubbing = [effect for effect in self.effects if isinstance(effect, DryFriction)]
+        sine, cosine = sincos(state[2])
+        own = self._own_states(state)
+        motion = Motion(state[0], state[1], state[2], state[3], sine, cosine, 0.0, self.body)
+        return [effect.levels(motion, own[effect.id]) for effect in rubbing]
 
     def outputs(self, state: tuple[Any, ...]) -> Outputs:
         """What the sensors show of a state."""

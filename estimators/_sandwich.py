@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.stats import t as student
 
-from estimators._at_fit import Rows, at_fit, rows_at
+from estimators._at_fit import Problem, Rows, at_fit, rows_at
 from estimators._covariance import Information
 from estimators._output_error import Fit
 from rtac_jax import require_configured
@@ -64,8 +64,9 @@ def covariances(fit: Fit, recording: Recording) -> Covariances:
     """Plain, sandwich and clustered covariance of a fit.
 
     The sandwich sums the autocovariance of the scores within each experiment under Bartlett's window, as wide as their
-    correlation asks; the clustered one takes each experiment's whole score as one observation, scaled so that it is right
-    on average when the residual is white, with as many degrees of freedom as then match its variance.
+    correlation asks, and makes up for what fitting took from the residual; the clustered one takes each experiment's whole
+    score as one observation, scaled so that it is right on average when the residual is white, with as many degrees of
+    freedom as then match its variance.
 
     Args:
         recording: the one that was fitted.
@@ -78,7 +79,9 @@ def covariances(fit: Fit, recording: Recording) -> Covariances:
     """
     require_configured()
     problem = at_fit(fit, recording)
-    meat, bread, lag = _coloured(rows_at(problem))
+    rows = rows_at(problem)
+    meat, bread, lag = _coloured(rows)
+    meat = meat * _spent(rows, problem)
     clusters = [name.split("[")[0] for name in fit.experiments]
     by_cluster, degrees = clustered(fit.information, clusters)
     names = fit.information.names
@@ -106,6 +109,16 @@ def _coloured(rows: Rows) -> tuple[Matrix, Matrix, int]:
         shifted = np.einsum("ksp,ksq->pq", scores[:, k:], scores[:, :-k])
         meat += (1 - k / (lag + 1)) * (shifted + shifted.T)
     return meat, bread, lag
+
+
+def _spent(rows: Rows, problem: Problem) -> float:
+    """By how much fitting made the residual smaller: a coloured one of n samples is worth fewer, and all unknowns fit it."""
+    power = float(np.sum(rows.residual**2))
+    rho = float(np.clip(np.sum(rows.residual[1:] * rows.residual[:-1]) / power, 0.0, 0.99)) if power > 0 else 0.0
+    worth = float(np.sum(np.asarray(problem.arguments.data.present))) * (1 - rho) / (1 + rho)
+    starts = float(np.sum(1 - np.asarray(problem.arguments.space.start_held)))
+    fitted = len(problem.names) + np.size(problem.unknowns.each) + starts
+    return worth / max(worth - fitted, 0.5 * worth)
 
 
 def _bandwidth(scores: Float[np.ndarray, "experiment sample parameter"]) -> int:

@@ -106,6 +106,39 @@ def test_coverage_with_coloured_noise() -> None:
     assert all(0.92 <= found[kind] <= 0.98 for kind in ("sandwich", "clustered")), found
 
 
+def coverage_on_the_rig(runs: int, correlation: float) -> dict[str, float]:
+    """Share of 95 % intervals that hold the truth, over runs and all seven parameters of the whole rig."""
+    rig = virtual_rig.Rig(noise_correlation=correlation)
+    truth = {
+        "spring_stiffness": rig.spring_stiffness, "cart_viscous.coefficient": rig.cart_viscous,
+        "cart_coulomb.level": rig.cart_coulomb, "eccentric_moment": rig.eccentric_moment,
+        "torque_constant": rig.torque_constant, "arm_viscous.positive": rig.arm_viscous_positive,
+        "arm_viscous.negative": rig.arm_viscous_negative,
+    }  # fmt: skip
+    drawn = virtual_rig.record_many([(rig, plans(), 5000 + run) for run in range(runs)])
+    hits: dict[str, list[bool]] = {"plain": [], "sandwich": [], "clustered": []}
+    for recording in drawn:
+        fit = est.output_error(rtac.RTAC.from_rig(recording), recording, progress=False, from_model=True)
+        found = covariances(fit, recording)
+        for kind, held in hits.items():
+            within = found.interval(kind)  # type: ignore[arg-type] - kind is one of the literals
+            held += [within[name][0] <= value <= within[name][1] for name, value in truth.items()]
+    return {kind: float(np.mean(held)) for kind, held in hits.items()}
+
+
+@pytest.mark.slow
+def test_coverage_on_the_whole_rig_with_white_noise() -> None:
+    found = coverage_on_the_rig(200, 0.0)
+    assert all(0.92 <= share <= 0.98 for share in found.values()), found
+
+
+@pytest.mark.slow
+def test_coverage_on_the_whole_rig_with_coloured_noise() -> None:
+    found = coverage_on_the_rig(200, 0.9)
+    assert found["plain"] < 0.85  # it claims white noise only
+    assert all(0.92 <= found[kind] <= 0.98 for kind in ("sandwich", "clustered")), found
+
+
 def test_clusters_of_linear_least_squares_match_their_average() -> None:
     """Ten clusters of a regression in plain NumPy: on average over noise the clustered variance is the true one."""
     random = np.random.default_rng(4)

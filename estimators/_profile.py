@@ -88,6 +88,9 @@ def profile(
         raise ValueError(f"the fit did not estimate {name!r}; it estimated {', '.join(fit.information.names)}.")
     if points < 3 or not 0 < level < 1 or reach <= 0:
         raise ValueError("profile needs three points or more, a positive reach, and a level between 0 and 1.")
+    needed = float(np.sqrt(chi2.ppf(level, 1)))
+    if reach < needed:
+        raise ValueError(f"reach is {reach:g}; an interval at {100 * level:g} % needs {needed:.2f} or more.")
     value, std = fit.parameters[name].value, fit.parameters[name].std
     lower, upper = fit.model.parameters[name].bounds
     whole = at_fit(fit, recording)

@@ -279,11 +279,23 @@ def test_profile_is_that_of_a_search_by_hand(white: tuple[rtac.Recording, est.Fi
         assert rise == pytest.approx(2 * (cost - best.cost), abs=0.05)
 
 
+def test_profile_says_where_the_data_bound_nothing(white: tuple[rtac.Recording, est.Fit, Covariances]) -> None:
+    """These decays have no dry friction, so how little there may be the data cannot say."""
+    recording, _, _ = white
+    fit = est.output_error(rtac.RTAC.from_rig(recording), recording, progress=False, from_model=True)
+    found = profile(fit, recording, "cart_coulomb.level", points=9)
+    assert found.interval[0] == -np.inf
+    assert found.value < found.interval[1] < 0.01
+    assert "the data do not bound it on one side" in str(found)
+
+
 def test_profile_refuses_what_was_not_estimated(recording: rtac.Recording, fit: est.Fit) -> None:
     with pytest.raises(ValueError, match="did not estimate 'total_mass'"):
         profile(fit, recording, "total_mass")
     with pytest.raises(ValueError, match="three points or more"):
         profile(fit, recording, "spring_stiffness", points=1)
+    with pytest.raises(ValueError, match=r"needs 1\.96 or more"):
+        profile(fit, recording, "spring_stiffness", reach=1.0)
     other = virtual_rig.record(virtual_rig.Rig(), [dataclasses.replace(plans()[0], name="other")], seed=0)
     with pytest.raises(ValueError, match="give the recording that was fitted"):
         profile(fit, other, "spring_stiffness")

@@ -71,6 +71,7 @@ def kalman(
     sensor_variance = wander.white
     spread = spread + jnp.eye(count)[:, :, None] * wander.stationary[:, None]
     unit = tuple(jnp.broadcast_to(row[:, None], (count, *shape)) for row in jnp.eye(count))
+    rubs = bool(placed.friction_levels(state))
 
     def one_sample(carry: tuple[Any, Array], row: dict[str, Any]) -> tuple[tuple[Any, Array], Any]:
         state, spread = carry
@@ -114,8 +115,10 @@ def kalman(
         # itself would cost far more and matter far less.
         here = jax.lax.stop_gradient(state)
         there, jacobian = jax.lax.stop_gradient(_with_slopes(forward, here, unit))
-        jacobian = jax.lax.stop_gradient(_spanning(forward, here, spread, jacobian))
-        shaken = _shaken(placed, here, spread, process, pushes, excitation.sample_time)
+        shaken = jnp.zeros(shape)
+        if rubs:
+            jacobian = jax.lax.stop_gradient(_spanning(forward, here, spread, jacobian))
+            shaken = _shaken(placed, here, spread, process, pushes, excitation.sample_time)
         away = jnp.stack(state) - jnp.stack(here)
         state = tuple(there + jnp.sum(jacobian * away[None], axis=1))
         half = (

@@ -38,7 +38,7 @@ class Screened:
 
 ALARM = 20.0
 _SIZES = (0.1, 0.2, 0.35, 0.5, 0.7, 1.0, 1.5)  # of the plausible amplitude, that are tried
-_TRIED = 6  # candidates whose size is looked for so
+_TRIED = 3  # candidates whose size is looked for so
 
 
 def screen(

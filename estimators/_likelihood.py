@@ -21,7 +21,10 @@ from rtac_jax._simulate import Steps
 from rtac_jax.measurement import Experiment
 
 # Random force and torque between these shares of the rms forces, as powers of e of their variance.
-_LEAST, _MOST, _FIRST = np.log(1e-5**2), np.log(10.0**2), np.log(3e-3**2)
+# A force beyond the rms force comes from wrong physics and would keep it wrong; a motor's torque is small beside what can
+# shake it.
+_LEAST, _FIRST = np.log(1e-5**2), np.log(3e-3**2)
+_MOST = (np.log(1.0**2), np.log(10.0**2))
 _PROCESS_UNIT = 0.3
 _LESS = (0.0, 4.0)  # by how much in the logarithm of the variance
 _ENOUGH = 1.0  # gain in log-likelihood that is worth another round
@@ -173,7 +176,7 @@ def fit_noise(
     count = np.asarray(data.present).sum(axis=(0, 2))
     unit = np.concatenate([[_PROCESS_UNIT] * 2, 1.0 / np.sqrt(0.5 * count + 1.0 / prior.doubt**2)])
     low = np.array([_LEAST] * 2 + [-6.0] * 3) / unit
-    high = np.array([_MOST] * 2 + [6.0] * 3) / unit
+    high = np.array([*_MOST, 6.0, 6.0, 6.0]) / unit
 
     def scaled(at: np.ndarray) -> tuple[float, np.ndarray]:
         value, slope = objective(at * unit)

@@ -38,6 +38,7 @@ class Screened:
 
 ALARM = 20.0
 _SIZES = (0.1, 0.2, 0.35, 0.5, 0.7, 1.0, 1.5)  # of the plausible amplitude, that are tried
+_THRESHOLD = 0.1  # of what proportion would ask of the smallest size, below which there is a threshold
 _TRIED = 3  # candidates whose size is looked for so
 
 
@@ -75,13 +76,14 @@ def screen(
         found.append(_screened(instances[number], names, templates, error, blocks))
     clear = [s for s in found if s.statistic >= ALARM and len(s.amplitudes) == 1 and s.estimate[0] != 0]
     largest = sorted(clear, key=lambda s: -s.statistic)[:_TRIED]
-    return [_sized(innovations, basis, place, s) if any(s is one for one in largest) else s for s in found]
+    return [_sized(innovations, error, basis, place, s) if any(s is one for one in largest) else s for s in found]
 
 
-def _sized(innovations: Innovations, basis: Rows, place: Any, s: Screened) -> Screened:
-    """Begin at the size that leaves least, beyond what the base parameters explain.
+def _sized(innovations: Innovations, error: np.ndarray, basis: Rows, place: Any, s: Screened) -> Screened:
+    """For what has a threshold: begin at the size that leaves least, beyond what the base parameters explain.
 
-    What has a threshold, such as a drive that saturates, changes nothing up to a size and is far from linear beyond.
+    A drive that saturates changes nothing up to a size and is far from linear beyond. What changes in proportion at small
+    sizes begins where that leads.
     """
     (name,) = s.amplitudes
     plausible = abs(float(np.asarray(getattr(s.instance, name))))
@@ -89,7 +91,11 @@ def _sized(innovations: Innovations, basis: Rows, place: Any, s: Screened) -> Sc
     sizes = np.array([linear, *(np.sign(linear) * plausible * share for share in _SIZES)])
     points = [place(dataclasses.replace(s.instance, **{name: float(size)}), name) for size in sizes]
     left = innovations.at(np.array(points))
-    left = np.sum((left - basis @ (basis.T @ left)) ** 2, axis=0)
+    left = left - basis @ (basis.T @ left)
+    least, whole = (np.linalg.norm(left[:, 1 + _SIZES.index(size)] - error) for size in (_SIZES[0], 1.0))
+    if not least < _THRESHOLD * _SIZES[0] * whole:
+        return s
+    left = np.sum(left**2, axis=0)
     best = int(np.argmin(np.where(np.isfinite(left), left, np.inf)))
     return dataclasses.replace(s, estimate=sizes[best : best + 1])
 

@@ -170,11 +170,10 @@ class Agreement:
         failing = list(dict.fromkeys(_ASSUMES[n][0] for n in self.differing if n in _ASSUMES))
         fails = f" Doubt first that {failing[0]}" + "".join(f", then that {f}" for f in failing[1:3]) + "."
         first, second = (self.asks[self.labels.index(label)] for label in self.worst.labels)
-        both = f"both for {first} and for {second}" if first != second else f"for {first}"
+        both = f"both for {first} and for {second}." if first != second else f"for {first}."
         return (
             f"They disagree (p = {smallest:.2g}), most clearly in {', '.join(self.differing[:3])}: one model cannot be right "
             + both
-            + "."
             + (fails if failing else "")
             + (
                 f" Ask est.diagnose, which should weigh {', '.join(self.suspects[:5])} (all in .candidates);"

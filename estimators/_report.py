@@ -91,9 +91,7 @@ def fit_dict(
         }
     if predicted is not None:
         found["prediction_error"] = {
-            "parameters": {
-                name: {"value": p.value, "std": p.std, "unit": p.unit} for name, p in predicted.parameters.items()
-            },
+            "parameters": _parameters(predicted.parameters),
             "force_noise": predicted.force_noise,
             "torque_noise": predicted.torque_noise,
         }

@@ -19,7 +19,7 @@ class Screened:
         id: of the effect.
         instance: the effect at a plausible size.
         amplitudes: its amplitude parameters.
-        estimate: where to begin to fit them.
+        begin: values at which to begin to fit them.
         statistic: chi-square distributed when the effect is absent; zero where the sign is unphysical.
         robust: the same with the variance of each second of data in place of the model's.
         limit: size of the amplitudes at which the statistic would be 20 on average.
@@ -29,7 +29,7 @@ class Screened:
     id: str
     instance: Any
     amplitudes: tuple[str, ...]
-    estimate: Float[np.ndarray, " amplitude"]
+    begin: Float[np.ndarray, " amplitude"]
     statistic: float
     robust: float
     limit: Float[np.ndarray, " amplitude"]
@@ -74,7 +74,7 @@ def screen(
         names = tuple(name for name, _ in parts)
         templates = np.stack([column for _, column in parts], axis=1)
         found.append(_screened(instances[number], names, templates, error, blocks))
-    clear = [s for s in found if s.statistic >= ALARM and len(s.amplitudes) == 1 and s.estimate[0] != 0]
+    clear = [s for s in found if s.statistic >= ALARM and len(s.amplitudes) == 1 and s.begin[0] != 0]
     largest = sorted(clear, key=lambda s: -s.statistic)[:_TRIED]
     return [_sized(innovations, error, basis, place, s) if any(s is one for one in largest) else s for s in found]
 
@@ -87,7 +87,7 @@ def _sized(innovations: Innovations, error: np.ndarray, basis: Rows, place: Any,
     """
     (name,) = s.amplitudes
     plausible = abs(float(np.asarray(getattr(s.instance, name))))
-    linear = float(s.estimate[0])
+    linear = float(s.begin[0])
     sizes = np.array([linear, *(np.sign(linear) * plausible * share for share in _SIZES)])
     points = [place(dataclasses.replace(s.instance, **{name: float(size)}), name) for size in sizes]
     left = innovations.at(np.array(points))
@@ -97,7 +97,7 @@ def _sized(innovations: Innovations, error: np.ndarray, basis: Rows, place: Any,
         return s
     left = np.sum(left**2, axis=0)
     best = int(np.argmin(np.where(np.isfinite(left), left, np.inf)))
-    return dataclasses.replace(s, estimate=sizes[best : best + 1])
+    return dataclasses.replace(s, begin=sizes[best : best + 1])
 
 
 def _screened(

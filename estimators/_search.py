@@ -217,9 +217,9 @@ class Search:
         for name in declared:
             start = float(np.asarray(getattr(s.instance, name)))
             if name in s.amplitudes:
-                estimate = float(s.estimate[s.amplitudes.index(name)])
+                begin = float(s.begin[s.amplitudes.index(name)])
                 plausible = abs(start)
-                start = float(np.sign(estimate) * np.clip(abs(estimate), 0.05 * plausible, 20 * plausible))
+                start = float(np.sign(begin) * np.clip(abs(begin), 0.05 * plausible, 20 * plausible))
                 start = start or 0.05 * plausible
             values[f"{s.id}.{name}"] = start
         model, free, added = self._extended(before, s)

@@ -69,7 +69,7 @@ def compiled(structure: str, data: Recording, repeats: int, *, optimistix: bool)
     }  # fmt: skip
     _, raw, _, present = signals(data, **options)
     kind = structure_of(structure, 1, None, None)
-    stage = predictor_stage(kind, simulation_stages(kind, stacked(raw, present), raw, [], 1)[-1])
+    stage = predictor_stage(kind, next(simulation_stages(kind, stacked(raw, present), raw, [], 1)))
     # From poles and residues off by two and five percent.
     begin = stage.theta + 0.02
     begin[:, 2:4] *= 1.05
@@ -111,12 +111,14 @@ def main() -> None:
     print(f"{'':14s} {'':>12s} {'at once':>9s} {'loop':>9s} {'ratio':>6s} {'difference':>11s} {'optimistix':>11s}")
     for structure in ("output_error", "armax", "box_jenkins", "state_space"):
         batch, together = best_of(
-            chosen.repeats, lambda s=structure: est.prediction_error(data, structure=s, compensate=False)
+            chosen.repeats,
+            lambda s=structure: est.prediction_error(data, structure=s, compensate=False, progress=False),
         )
 
         def loop(structure: str = structure) -> list[Any]:
             return [
-                est.prediction_error(data.select([n]), structure=structure, compensate=False)[0] for n in data.names
+                est.prediction_error(data.select([n]), structure=structure, compensate=False, progress=False)[0]
+                for n in data.names
             ]
 
         looped, alone = best_of(chosen.repeats, loop)

@@ -5,84 +5,170 @@
     python benchmarks/study_diagnosis.py table results.jsonl
 
 Rigs are drawn within 15 % around the paper's, sampled at 500 Hz with 12 bits; every rig of an odd draw is shaken by random
-forces and torques. Draw 0 has been looked at in development, so draws begin at 1. Every line of the result file is one
-recording: what was hidden, what was named, and what the tests said.
+forces and torques. Draws 0 to 3 have been looked at in development, so draws begin at 4. Every line of the result file is one
+recording: what was hidden, what was named, what the tests said, and the error on a validation recording of the base model, of
+the improved model, and of the best fit with the structure that the rig has. Cases named "twice the limit of" and "a third of
+the limit of" hide an effect at that multiple of the detection limit which the diagnosis of the same rig states with nothing
+hidden; they run once that is known.
 """
 
 import argparse
 import collections
 import dataclasses
+import itertools
 import json
 import time
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any, Literal
 
 import estimators as est
 import rtac_jax as rtac
+from estimators._output_error import moving
+from estimators._start import scales_of
 from rtac_jax import virtual_rig
+from rtac_jax.effects import Effect
 
 _SEED = 900_000  # far from the seeds of the tests
 _SHAKEN = {"force_noise": 1e-3, "torque_noise": 3e-5}
 
+
+@dataclasses.dataclass(frozen=True)
+class Case:
+    """What a rig hides and how it is recorded."""
+
+    hidden: dict[str, Any] = dataclasses.field(default_factory=dict)
+    rest: int = 1
+    repeats: int = 1
+    played: Literal["foh", "bl"] | None = None
+
+
 # Moderate sizes: the base model's error is a few times the noise.
-EFFECTS: dict[str, dict[str, float]] = {
-    "cubic_spring": {"cubic_spring": 5e4},
-    "quadratic_spring": {"quadratic_spring": 600.0},
-    "flexible_mode": {"flexible_mass": 0.08, "flexible_frequency": 37.4, "flexible_damping": 0.03},
-    "cart_quadratic_drag": {"cart_quadratic_drag": 2.0},
-    "cart_stribeck": {"cart_stribeck": 0.02, "cart_stribeck_velocity": 0.01},
-    "hysteretic_spring": {"hysteresis_stiffness": 20.0, "hysteresis_yield": 1e-3},
-    "end_stop": {"end_stop_travel": 0.009},
-    "arm_coulomb": {"arm_coulomb": 4e-4},
-    "arm_stribeck": {"arm_stribeck": 4e-4, "arm_stribeck_velocity": 1.0},
-    "arm_quadratic_drag": {"arm_quadratic_drag": 3e-6},
-    "cogging": {"cogging_torque": 4e-4, "cogging_order": 7.0, "cogging_phase": 0.7},
-    "cable_spring": {"cable_stiffness": 5e-5},
-    "gravity_tilt": {"tilt_across": 0.01},
-    "saturation": {"saturation": 0.25},
-    "current_lag": {"current_lag": 0.01},
-    "input_delay": {"input_delay": 0.004},
-    "dead_zone": {"dead_zone": 0.01},
-    "current_offset": {"current_offset": 0.005},
-    "torque_droop": {"torque_droop": 0.3},
-    "tacho_bias": {"tacho_bias": 0.2},
-    "tacho_gain": {"tacho_gain": 1.03},
-    "tacho_lag": {"tacho_lag": 0.005},
-    "lvdt_nonlinearity": {"lvdt_cubic": 300.0},
-    "lvdt_lag": {"lvdt_lag": 0.005},
+EFFECTS: dict[str, Case] = {
+    "cubic_spring": Case({"cubic_spring": 5e4}),
+    "quadratic_spring": Case({"quadratic_spring": 600.0}),
+    "force_offset": Case({"force_offset": 0.03}),
+    "flexible_mode": Case({"flexible_mass": 0.08, "flexible_frequency": 37.4, "flexible_damping": 0.03}),
+    "cart_quadratic_drag": Case({"cart_quadratic_drag": 2.0}),
+    "cart_stribeck": Case({"cart_stribeck": 0.02, "cart_stribeck_velocity": 0.01}),
+    "hysteretic_spring": Case({"hysteresis_stiffness": 20.0, "hysteresis_yield": 1e-3}),
+    "end_stop": Case({"end_stop_travel": 0.009}),
+    "arm_coulomb": Case({"arm_coulomb": 4e-4}),
+    "arm_stribeck": Case({"arm_stribeck": 4e-4, "arm_stribeck_velocity": 1.0}),
+    "arm_quadratic_drag": Case({"arm_quadratic_drag": 3e-6}),
+    "cogging": Case({"cogging_torque": 4e-4, "cogging_order": 7.0, "cogging_phase": 0.7}),
+    "cable_spring": Case({"cable_stiffness": 5e-5}),
+    "gravity_tilt": Case({"tilt_across": 0.01}),
+    "flexible_shaft": Case({"shaft_stiffness": 0.03, "shaft_damping": 2e-5}),
+    "backlash": Case({"backlash": 0.1}),
+    "saturation": Case({"saturation": 0.25}),
+    "current_lag": Case({"current_lag": 0.01}),
+    "input_delay": Case({"input_delay": 0.004}),
+    "input_hold": Case(played="foh"),
+    "dead_zone": Case({"dead_zone": 0.01}),
+    "current_offset": Case({"current_offset": 0.005}),
+    "torque_droop": Case({"torque_droop": 0.3}),
+    "tacho_bias": Case({"tacho_bias": 0.2}),
+    "tacho_gain": Case({"tacho_gain": 1.03}),
+    "tacho_lag": Case({"tacho_lag": 0.005}),
+    "tacho_ripple": Case({"tacho_ripple": 0.02, "tacho_ripple_phase": 0.7}),
+    "lvdt_gain": Case({"lvdt_gain": 1.1}),
+    "lvdt_offset": Case({"lvdt_offset": 2e-4}),
+    "lvdt_nonlinearity": Case({"lvdt_cubic": 300.0}),
+    "lvdt_lag": Case({"lvdt_lag": 0.005}),
+    "lvdt_ripple": Case({"lvdt_ripple": 6e-5, "lvdt_ripple_phase": 0.7}),
+    "channel_delay": Case({"channel_delay": 0.004}),
+    "encoder_gain": Case({"encoder_gain": 1.01, "encoder": True}),
+    "encoder_offset": Case({"encoder_offset": 0.05, "encoder": True}),
+    "encoder_lag": Case({"encoder_lag": 0.005, "encoder": True}),
+    "encoder_ripple": Case({"encoder_ripple": 0.005, "encoder_ripple_phase": 0.7, "encoder": True}),
 }
-OUTSIDE: dict[str, dict[str, float]] = {
-    "outside: friction along the way": {"friction_slope": 2.0},
-    "outside: magnetic detent": {"detent_force": 0.05},
-    "outside: floor vibration": {"vibration_force": 0.05},
-    "outside: Maxwell spring": {"maxwell_stiffness": 10.0},
-    "outside: eddy brake": {"eddy_torque": 1e-3, "eddy_velocity": 10.0},
+OUTSIDE: dict[str, Case] = {
+    "outside: friction along the way": Case({"friction_slope": 2.0}),
+    "outside: magnetic detent": Case({"detent_force": 0.05}),
+    "outside: floor vibration": Case({"vibration_force": 0.05}),
+    "outside: Maxwell spring": Case({"maxwell_stiffness": 10.0}),
+    "outside: eddy brake": Case({"eddy_torque": 1e-3, "eddy_velocity": 10.0}),
 }
-NULLS: dict[str, tuple[dict[str, float], int]] = {
-    "nothing, white noise": ({}, 1),
-    "nothing, coloured noise": ({"noise_correlation": 0.9}, 1),
-    "nothing, doubled noise": ({"noise_factor": 2.0}, 1),
-    "nothing, white noise, no rest": ({}, 0),
-    "nothing, coloured noise, no rest": ({"noise_correlation": 0.9}, 0),
+_NULL = "nothing, white noise"
+NULLS: dict[str, Case] = {
+    _NULL: Case(),
+    "nothing, coloured noise": Case({"noise_correlation": 0.9}),
+    "nothing, doubled noise": Case({"noise_factor": 2.0}),
+    "nothing, white noise, no rest": Case(rest=0),
+    "nothing, coloured noise, no rest": Case({"noise_correlation": 0.9}, rest=0),
+    "nothing, white noise, no repeats": Case(repeats=0),
 }
-
-
-def cases(draws: int) -> list[tuple[str, int, dict[str, float], int]]:
-    """Name, draw, what the rig hides, and rest records."""
-    every = [(n, v, 1) for n, v in (EFFECTS | OUTSIDE).items()] + [(n, v, r) for n, (v, r) in NULLS.items()]
-    return [(name, draw, values, rest) for draw in range(1, draws + 1) for name, values, rest in every]
-
-
-def one(name: str, draw: int, hidden: dict[str, float], rest: int) -> dict[str, object]:
-    """Record and diagnose one rig."""
-    seed = _SEED + 1000 * draw + sum(map(ord, name))
-    rig = dataclasses.replace(virtual_rig.Rig().drawn(seed), **(_SHAKEN if draw % 2 else {}), **hidden)
-    plans = virtual_rig.standard_plans(
-        seed=seed + 1, sample_time=0.002, duration=5.0, free=2, forced=4, rest=rest, repeats=1
+PAIRS: dict[str, Case] = {
+    f"{one} + {other}": Case(EFFECTS[one].hidden | EFFECTS[other].hidden)
+    for one, other in (
+        ("cubic_spring", "arm_coulomb"), ("cubic_spring", "current_lag"), ("cubic_spring", "tacho_bias"),
+        ("cubic_spring", "gravity_tilt"), ("quadratic_spring", "dead_zone"), ("quadratic_spring", "cogging"),
+        ("quadratic_spring", "cart_quadratic_drag"), ("flexible_mode", "arm_coulomb"), ("flexible_mode", "current_offset"),
+        ("cart_quadratic_drag", "current_lag"), ("cart_quadratic_drag", "gravity_tilt"), ("cart_stribeck", "tacho_bias"),
+        ("hysteretic_spring", "cogging"), ("hysteretic_spring", "input_delay"), ("arm_coulomb", "tacho_lag"),
+        ("arm_quadratic_drag", "lvdt_nonlinearity"), ("cable_spring", "dead_zone"), ("gravity_tilt", "torque_droop"),
+        ("saturation", "cubic_spring"), ("lvdt_lag", "arm_coulomb"),
     )
-    recording = virtual_rig.record(rig, plans, seed=seed + 2)
+}  # fmt: skip
+# The rig's name of what the effect's detection limit is about, and what it is without the effect.
+LIMITS: dict[str, tuple[str, float]] = {
+    "cubic_spring": ("cubic_spring", 0.0),
+    "quadratic_spring": ("quadratic_spring", 0.0),
+    "flexible_mode": ("flexible_mass", 0.0),
+    "cart_quadratic_drag": ("cart_quadratic_drag", 0.0),
+    "cart_stribeck": ("cart_stribeck", 0.0),
+    "hysteretic_spring": ("hysteresis_stiffness", 0.0),
+    "arm_coulomb": ("arm_coulomb", 0.0),
+    "arm_stribeck": ("arm_stribeck", 0.0),
+    "arm_quadratic_drag": ("arm_quadratic_drag", 0.0),
+    "cogging": ("cogging_torque", 0.0),
+    "cable_spring": ("cable_stiffness", 0.0),
+    "current_lag": ("current_lag", 0.0),
+    "input_delay": ("input_delay", 0.0),
+    "dead_zone": ("dead_zone", 0.0),
+    "current_offset": ("current_offset", 0.0),
+    "torque_droop": ("torque_droop", 0.0),
+    "tacho_bias": ("tacho_bias", 0.0),
+    "tacho_gain": ("tacho_gain", 1.0),
+    "tacho_lag": ("tacho_lag", 0.0),
+    "lvdt_nonlinearity": ("lvdt_cubic", 0.0),
+    "lvdt_lag": ("lvdt_lag", 0.0),
+}
+MULTIPLES = {"twice the limit of": 2.0, "a third of the limit of": 1 / 3}
+
+
+def cases(draws: range, done: dict[tuple[str, int], dict]) -> Iterator[tuple[str, int, Case]]:
+    """Name, draw and what is hidden; detection limits last, as they ask what was found before."""
+    for draw in draws:
+        for name, case in (EFFECTS | OUTSIDE | NULLS | PAIRS).items():
+            yield name, draw, case
+        limits = done.get((_NULL, draw), {}).get("limits", {})
+        for (words, multiple), effect in itertools.product(MULTIPLES.items(), LIMITS):
+            if effect in limits:
+                field, null = LIMITS[effect]
+                shape = EFFECTS[effect].hidden
+                yield f"{words} {effect}", draw, Case(shape | {field: null + multiple * limits[effect]})
+
+
+def one(name: str, draw: int, case: Case) -> dict[str, object]:
+    """Record and diagnose one rig, and hold what comes of it against a second recording."""
+    # A limit holds for the rig and the plans of which it was stated.
+    seed = _SEED + 1000 * draw + sum(map(ord, _NULL if "limit of" in name else name))
+    rig = dataclasses.replace(virtual_rig.Rig().drawn(seed), **(_SHAKEN if draw % 2 else {}), **case.hidden)
+    ahead = {"sample_time": 0.002, "duration": 5.0, "played": case.played}
+    plans = virtual_rig.standard_plans(seed=seed + 1, free=2, forced=4, rest=case.rest, repeats=case.repeats, **ahead)
+    checks = virtual_rig.standard_plans(seed=seed + 3, free=1, forced=2, rest=1, **ahead)
+    recording, validation = virtual_rig.record_many([(rig, plans, seed + 2), (rig, checks, seed + 4)])
     began = time.perf_counter()
     fit = est.output_error(rtac.RTAC.from_rig(recording), recording, progress=False)
     found = est.diagnose(fit, recording, progress=False)
+    seconds = time.perf_counter() - began
+    models = {"base": fit}
+    if found.additions:
+        models["improved"] = _fitted(_with(fit.model, found.additions), recording)
+    if name in EFFECTS or name in PAIRS:
+        models["structure"] = _best(fit.model, name.split(" + "), recording)
     return {
         "case": name,
         "draw": draw,
@@ -92,20 +178,53 @@ def one(name: str, draw: int, hidden: dict[str, float], rest: int) -> dict[str, 
         "groups": {c.id: c.confusable_with for c in found.effects},
         "removed": found.removed,
         "rejects": [t.test for t in found.tests if t.rejects],
-        "seconds": time.perf_counter() - began,
+        "limits": {c.id: c.detection_limit for c in found.candidates if c.testable},
+        "validation": {label: _error(model, validation) for label, model in models.items() if model is not None},
+        "seconds": seconds,
     }
 
 
-def run(path: Path, draws: int, only: str) -> None:
+def _with(model: rtac.RTAC, effects: Sequence[Effect]) -> rtac.RTAC:
+    for effect in effects:
+        model = model + effect
+    return model
+
+
+def _fitted(model: rtac.RTAC, recording: rtac.Recording) -> est.Fit | None:
+    try:
+        return est.output_error(model, recording, from_model=True, progress=False)
+    except (FloatingPointError, ValueError):
+        return None
+
+
+def _best(model: rtac.RTAC, effects: list[str], recording: rtac.Recording) -> est.Fit | None:
+    """The best fit with these effects over all shapes at which they may begin."""
+    scales = scales_of(model, moving(recording))
+    begins = itertools.product(*(rtac.effects.CATALOGUE[e].candidates(scales) for e in effects))
+    fits = [fit for begin in begins if (fit := _fitted(_with(model, begin), recording)) is not None]
+    return min(fits, key=lambda fit: _error(fit, recording)) if fits else None
+
+
+def _error(fit: est.Fit, recording: rtac.Recording) -> float:
+    """Largest rms error over noise of any channel; infinite where the model diverges."""
+    try:
+        return max(e.rms_over_noise for e in est.compare(fit, recording).models[0].errors.values())
+    except est.DivergedError:
+        return float("inf")
+
+
+def run(path: Path, draws: range, only: str) -> None:
     """Add what is missing in the result file."""
-    done = {(r["case"], r["draw"]) for r in read(path)} if path.exists() else set()
-    todo = [c for c in cases(draws) if (c[0], c[1]) not in done and only in c[0]]
     rtac.configure()
-    for number, case in enumerate(todo, 1):
-        result = one(*case)
+    done = {(r["case"], r["draw"]): r for r in read(path)} if path.exists() else {}
+    for name, draw, case in cases(draws, done):
+        if (name, draw) in done or only not in name:
+            continue
+        result = one(name, draw, case)
+        done[name, draw] = result
         with path.open("a") as file:
             file.write(json.dumps(result) + "\n")
-        print(f"{number}/{len(todo)} {case[0]} {case[1]}: {result['verdict']} {result['effects']}", flush=True)
+        print(f"draw {draw}, {name}: {result['verdict']} {result['effects']}, {result['seconds']:.0f} s", flush=True)
 
 
 def read(path: Path) -> list[dict]:
@@ -121,31 +240,44 @@ def read(path: Path) -> list[dict]:
 
 def outcome(result: dict) -> str:
     """What the verdict was worth."""
-    truth, verdict, named = result["case"], result["verdict"], result["effects"]
-    if truth in EFFECTS:
-        if verdict == "missing":
-            return "right" if named == [truth] else "right and more" if truth in named else "wrong"
-        if verdict == "ambiguous":
-            return "in the group" if truth in named else "wrong"
+    truth = result["case"].removeprefix("twice the limit of ").removeprefix("a third of the limit of ").split(" + ")
+    verdict, named = result["verdict"], result["effects"]
+    if verdict not in ("missing", "ambiguous"):
         return verdict
-    if verdict in ("missing", "ambiguous"):
+    if not set(truth) <= set(EFFECTS):
         return "wrong"
-    return verdict
+    if verdict == "missing" and sorted(named) == sorted(truth):
+        return "right"
+    if set(truth) <= set(named):
+        return "right and more" if verdict == "missing" else "in the group"
+    return "a part" if set(named) <= set(truth) else "wrong"
 
 
 def table(path: Path) -> str:
-    """Markdown: one row for each case."""
+    """Markdown: one row for each case, and one for each kind of case."""
+    kinds = {"**every effect**": EFFECTS, "**outside**": OUTSIDE, "**nothing hidden**": NULLS, "**pairs**": PAIRS}
+    kinds |= {f"**{words} an effect**": {f"{words} {effect}" for effect in LIMITS} for words in MULTIPLES}
     counts: dict[str, collections.Counter] = collections.defaultdict(collections.Counter)
     wrong: dict[str, set[str]] = collections.defaultdict(set)
+    ratios: dict[str, list[float]] = collections.defaultdict(list)
     for result in read(path):
-        counts[result["case"]][outcome(result)] += 1
-        if outcome(result) in ("wrong", "right and more"):
-            wrong[result["case"]].add(" + ".join(result["effects"]))
-    columns = ("right", "right and more", "in the group", "unknown", "adequate", "wrong")
-    lines = [f"| hidden | {' | '.join(columns)} | named instead |", "|---" * (len(columns) + 2) + "|"]
-    for name, values in counts.items():
-        cells = " | ".join(str(values[c]) if values[c] else "" for c in columns)
-        lines.append(f"| {name} | {cells} | {'; '.join(sorted(wrong[name]))} |")
+        for row in (result["case"], *(kind for kind, members in kinds.items() if result["case"] in members)):
+            counts[row][outcome(result)] += 1
+            if outcome(result) in ("wrong", "right and more", "a part"):
+                wrong[row].add(" + ".join(result["effects"]))
+            errors = result["validation"]
+            if "improved" in errors and "structure" in errors:
+                ratios[row].append(errors["improved"] / errors["structure"])
+    columns = ("right", "right and more", "in the group", "a part", "unknown", "adequate", "wrong")
+    lines = [
+        f"| hidden | {' | '.join(columns)} | error / structure's | named instead |",
+        "|---" * (len(columns) + 3) + "|",
+    ]
+    for name in sorted(counts, key=lambda n: n.startswith("**")):
+        cells = " | ".join(str(counts[name][c]) if counts[name][c] else "" for c in columns)
+        ratio = f"{max(ratios[name]):.2f}" if ratios[name] else ""
+        shown = "" if name.startswith("**") else "; ".join(sorted(wrong[name]))
+        lines.append(f"| {name} | {cells} | {ratio} | {shown} |")
     return "\n".join(lines)
 
 
@@ -154,11 +286,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("action", choices=["run", "table"])
     parser.add_argument("file", type=Path)
+    parser.add_argument("--first", type=int, default=4)
     parser.add_argument("--draws", type=int, default=5)
     parser.add_argument("--only", default="", help="cases whose name contains this")
     arguments = parser.parse_args()
     if arguments.action == "run":
-        run(arguments.file, arguments.draws, arguments.only)
+        run(arguments.file, range(arguments.first, arguments.first + arguments.draws), arguments.only)
     else:
         print(table(arguments.file))
 

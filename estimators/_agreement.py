@@ -11,6 +11,7 @@ from scipy.stats import f as fisher
 from scipy.stats import t as student
 from tqdm import tqdm
 
+from estimators._assumptions import ASSUMES
 from estimators._nonlinear_prediction_error import PredictorFit
 from estimators._output_error import Fit
 from estimators._prediction_error import LinearModels
@@ -22,55 +23,6 @@ from rtac_jax.measurement import Recording
 
 Vector = Float[np.ndarray, " quantity"]
 _FAR = 10.0  # times the noise, from which on one step from an output error says little of where it would end
-
-# What the paper's model assumes of the parameter, and the effects that break it.
-_ASSUMES = {
-    "spring_stiffness": (
-        "the spring is linear and all of the mass moves with the cart",
-        ("cubic_spring", "quadratic_spring", "hysteretic_spring", "flexible_mode", "lvdt_nonlinearity", "end_stop"),
-    ),
-    "cart_viscous.coefficient": (
-        "the cart's friction is viscous and dry only",
-        ("cart_quadratic_drag", "cart_stribeck", "hysteretic_spring", "flexible_mode", "cubic_spring"),
-    ),
-    "cart_coulomb.level": (
-        "the cart's dry friction is the same at all speeds",
-        ("cart_stribeck", "cart_quadratic_drag", "hysteretic_spring", "gravity_tilt", "cubic_spring"),
-    ),
-    "eccentric_moment": (
-        "the arm's angle is the integral of what the tachometer shows, and the plane is level",
-        ("tacho_bias", "tacho_lag", "gravity_tilt", "channel_delay"),
-    ),
-    "torque_constant": (
-        "the torque is proportional to the recorded current, at once and at all amplitudes",
-        (
-            "current_lag",
-            "input_delay",
-            "current_offset",
-            "torque_droop",
-            "dead_zone",
-            "saturation",
-            "tacho_lag",
-            "cogging",
-        ),
-    ),
-    "arm_viscous.positive": (
-        "the arm's friction is viscous, with one coefficient for each direction",
-        ("arm_coulomb", "arm_quadratic_drag", "arm_stribeck", "cogging", "tacho_bias", "current_offset"),
-    ),
-    "arm_viscous.negative": (
-        "the arm's friction is viscous, with one coefficient for each direction",
-        ("arm_coulomb", "arm_quadratic_drag", "arm_stribeck", "cogging", "tacho_bias", "current_offset"),
-    ),
-    "natural frequency": (
-        "the spring is linear and all of the mass moves with the cart",
-        ("cubic_spring", "quadratic_spring", "hysteretic_spring", "flexible_mode", "lvdt_nonlinearity", "end_stop"),
-    ),
-    "damping ratio": (
-        "the cart's friction is viscous and dry only",
-        ("cart_quadratic_drag", "cart_stribeck", "hysteretic_spring", "flexible_mode", "cubic_spring"),
-    ),
-}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -149,7 +101,7 @@ class Agreement:
     @property
     def suspects(self) -> tuple[str, ...]:
         """Ids of effects that would make these quantities differ; the most often named first."""
-        named = [effect for name in self.differing for effect in _ASSUMES.get(name, ("", ()))[1]]
+        named = [effect for name in self.differing for effect in ASSUMES.get(name, ("", ()))[1]]
         known = [effect for effect in dict.fromkeys(named) if effect in CATALOGUE]
         return tuple(sorted(known, key=lambda effect: -named.count(effect)))
 
@@ -167,7 +119,7 @@ class Agreement:
                 f"They agree: differences as large as these come about by chance (p = {smallest:.2g}). What the estimates "
                 "rest on holds as far as these data can tell."
             )
-        failing = list(dict.fromkeys(_ASSUMES[n][0] for n in self.differing if n in _ASSUMES))
+        failing = list(dict.fromkeys(ASSUMES[n][0] for n in self.differing if n in ASSUMES))
         fails = f" Doubt first that {failing[0]}" + "".join(f", then that {f}" for f in failing[1:3]) + "."
         first, second = (self.asks[self.labels.index(label)] for label in self.worst.labels)
         both = f"both for {first} and for {second}." if first != second else f"for {first}."

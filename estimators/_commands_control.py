@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from estimators._job import WRONG_USE, Job, job, say, stop
+from estimators._job import WRONG_USE, Job, job, progress, say, stop
 from estimators._options import File, Json, Out, Validation
 
 _ORDERS = (2, 4)  # of nominal models that `control` tries: one mode, and the paper's two
@@ -181,7 +181,7 @@ def _enveloped(
         try:
             one = est.envelope(
                 used.responses, kind=kind, order_nominal=order, order_weight=weight_order, held_out=held,
-                importance=importance,
+                importance=importance, progress=progress(),
             )  # fmt: skip
             found.append(one)
         except ValueError as error:

@@ -1,5 +1,7 @@
 """The weight that covers given plants, between the points of their grid too."""
 
+from collections.abc import Callable
+
 import control as ct
 import numpy as np
 from jaxtyping import Bool, Float64
@@ -20,8 +22,9 @@ _EQUAL = 1e-9  # of the plant, below which gaps are rounding
 
 
 def cover(
-    found: PlantSet, held: Bool[np.ndarray, " condition"], model: ct.TransferFunction, kind: Kind, order: int
-) -> tuple[Shape, float, Curve]:
+    found: PlantSet, held: Bool[np.ndarray, " condition"], model: ct.TransferFunction, kind: Kind, order: int,
+    done: Callable[[], object],
+) -> tuple[Shape, float, Curve]:  # fmt: skip
     """The weight, by how much those held out raised it, and the profile on the grid without zeros."""
     between = max(_DENSE, -(-2 * _FEWEST // (len(found.omega) - 1)))
     dense = _filled(found.omega, between)
@@ -33,7 +36,7 @@ def cover(
         raise ValueError("responses: all conditions equal the nominal model, so there is nothing to cover.")
     floor = _FLOOR * float(target.max())
     target = np.maximum(target, floor)
-    shape = fit_weight(fitting, np.interp(np.log(fitting), np.log(dense), target), order=order)
+    shape = fit_weight(fitting, np.interp(np.log(fitting), np.log(dense), target), order=order, done=done)
     shape = lift(shape, max(0.0, _shortfall(found, within, model, kind, shape, dense, floor)))
     up = max(0.0, _shortfall(found, held, model, kind, shape, dense, floor)) if held.any() else 0.0
     shape = lift(shape, up)

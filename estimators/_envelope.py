@@ -9,13 +9,15 @@ import control as ct
 import numpy as np
 import scipy.io
 from jaxtyping import Bool, Complex128, Float64
+from tqdm import tqdm
 
 from estimators._attribution import Attribution, attribute
 from estimators._cover import cover
 from estimators._coverage import Coverage, held_out_coverage, scenario_coverage
 from estimators._gap import KINDS, Kind, corners, errors, packed
-from estimators._nominal import log_measure, nominal_fit
+from estimators._nominal import NOMINAL_STEPS, log_measure, nominal_fit
 from estimators._plants import Responses, evaluate, gather
+from estimators._weight import WEIGHT_STEPS
 
 Curve = Float64[np.ndarray, " frequency"]
 
@@ -141,6 +143,7 @@ def envelope(
     amplitude: Float64[np.ndarray, " condition"] | None = None,
     within_db: float = 12.0,
     confidence: float = 0.95,
+    progress: bool = True,
 ) -> Envelope:
     """The stable nominal model that is least far from all plants, and a weight above all gaps (paper, equation (7)).
 
@@ -166,6 +169,7 @@ def envelope(
         amplitude: of each condition's input; by default theirs.
         within_db: largest mean excess of W over the profile that is still called covering.
         confidence: of the statement of coverage [1].
+        progress: show a bar.
 
     Raises:
         ValueError: fewer than two conditions to fit, an unstable nominal, a plant or nominal that is zero where the kind
@@ -203,14 +207,19 @@ def envelope(
 
     fitted = found.plants[~held]
     kept = corners(fitted, chosen)
-    if nominal is None:
-        fit = nominal_fit(
-            found.omega, packed(fitted, kept), chosen, order=order_nominal, zeros=free, importance=weightings
-        )
-        model = _named(ct.tf(*fit.coefficients()), "P0")
-    else:
-        model = _given(nominal)
-    shape, raised, profile = cover(found, held, model, chosen, order_weight)
+    with tqdm(
+        total=NOMINAL_STEPS + WEIGHT_STEPS, desc="envelope", unit=" steps", disable=not progress, leave=False
+    ) as bar:
+        if nominal is None:
+            fit = nominal_fit(
+                found.omega, packed(fitted, kept), chosen, order=order_nominal, zeros=free, importance=weightings,
+                done=bar.update,
+            )  # fmt: skip
+            model = _named(ct.tf(*fit.coefficients()), "P0")
+        else:
+            model = _given(nominal)
+            bar.update(NOMINAL_STEPS)
+        shape, raised, profile = cover(found, held, model, chosen, order_weight, bar.update)
     measure = log_measure(found.omega)
     excess = _DECIBEL * float(measure @ (shape.log_magnitude(found.omega) - np.log(profile)))
     if excess > within_db:

@@ -216,15 +216,16 @@ def _spanning(
 
     Source: statistical linearisation; Gelb, Applied Optimal Estimation (1974), section 6.2.
     """
-    for place in (1, 3):
-        reach = jnp.sqrt(spread[place, place])
-        sides = jax.vmap(
-            lambda sign, place=place, reach=reach: jnp.stack(
-                function(tuple(x + sign * reach if i == place else x for i, x in enumerate(state)))
-            )
-        )(jnp.array([1.0, -1.0]))
-        wide = (sides[0] - sides[1]) / (2 * jnp.where(reach > _SMALL, reach, 1.0))
-        slopes = slopes.at[:, place].set(jnp.where(reach > _SMALL, wide, slopes[:, place]))
+    places = (1, 3)
+    reach = jnp.stack([jnp.sqrt(spread[place, place]) for place in places])
+    at = jnp.stack(state)
+    several = jnp.stack(
+        [at.at[place].add(sign * r) for place, r in zip(places, reach, strict=True) for sign in (1.0, -1.0)]
+    )
+    ends = jax.vmap(lambda one: jnp.stack(function(tuple(one))))(several)
+    wide = (ends[0::2] - ends[1::2]) / (2 * jnp.where(reach > _SMALL, reach, 1.0))[:, None]
+    for place, r, slope in zip(places, reach, wide, strict=True):
+        slopes = slopes.at[:, place].set(jnp.where(r > _SMALL, slope, slopes[:, place]))
     return slopes
 
 

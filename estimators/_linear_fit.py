@@ -1,6 +1,6 @@
 """The stages of a linear fit: simulation error with ever more modes, then prediction error with a model of the noise."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -49,9 +49,8 @@ class Stage(NamedTuple):
 
 def simulation_stages(
     structure: Structure, data: Signals, raw: Sequence[Raw], candidates: Sequence[Pair], most: int
-) -> list[Stage]:
+) -> Iterator[Stage]:
     """Output error with 1, 2, ... `most` modes, each begun from the one before and the best further pair of poles."""
-    found: list[Stage] = []
     pairs: list[list[Pair]] = [[] for _ in raw]
     for modes in range(1, most + 1):
         zeros = structure.zeros - 2 * (structure.modes - modes)
@@ -67,9 +66,9 @@ def simulation_stages(
         simulation = Structure("output_error", modes, zeros, 0)
         theta = with_poles(simulation, pairs)
         theta = with_residues(simulation, theta, rows(simulation, theta, data))
-        found.append(descend(simulation, theta, data))
-        pairs = poles_of(found[-1])
-    return found
+        found = descend(simulation, theta, data)
+        yield found
+        pairs = poles_of(found)
 
 
 def predictor_stage(structure: Structure, simulation: Stage) -> Stage:

@@ -1,6 +1,6 @@
 """The stable linear model of chosen order that is least far from all plants at once."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import scipy.sparse
@@ -21,12 +21,19 @@ Plants = Complex128[np.ndarray, "corner frequency"]
 Curve = Float64[np.ndarray, " frequency"]
 
 
-def nominal_fit(omega: Curve, plants: Plants, kind: Kind, *, order: int, zeros: int, importance: Curve) -> Rational:
+NOMINAL_STEPS = 2 * _STARTS + 1
+"""How many searches `nominal_fit` makes."""
+
+
+def nominal_fit(
+    omega: Curve, plants: Plants, kind: Kind, *, order: int, zeros: int, importance: Curve, done: Callable[[], object]
+) -> Rational:
     """The stable rational function whose largest gap to the plants, times importance, is smallest.
 
     Vector fits through the centres of the smallest discs about the plants, and through their means, are starts; from the
     best, a sequence of linear programmes inside a trust region lowers the largest gap until it stays. Then, with that
-    held within 1 %, the mean over log frequency is lowered, as the largest gap alone says nothing about the rest.
+    held within 1 %, the mean over log frequency is lowered, as the largest gap alone says nothing about the rest. `done` is
+    called after each search.
     """
     middle = centres(plants, kind)
     starts = []
@@ -34,10 +41,16 @@ def nominal_fit(omega: Curve, plants: Plants, kind: Kind, *, order: int, zeros: 
         weight = importance if kind == "additive" else importance / np.abs(target)
         starts.append(vector_fit(omega, target, weight, order=order, zeros=zeros))
     starts.sort(key=lambda fit: _largest(fit, omega, plants, kind, importance))
-    refined = [_descend(fit, omega, plants, kind, importance, None) for fit in starts[:_STARTS]]
+
+    def searched(fit: Rational, ceiling: float | None) -> Rational:
+        found = _descend(fit, omega, plants, kind, importance, ceiling)
+        done()
+        return found
+
+    refined = [searched(fit, None) for fit in starts[:_STARTS]]
     ceiling = _SLACK * min(_largest(fit, omega, plants, kind, importance) for fit in refined)
     # The best fit lies nearer to most plants than what came of it, and may lead to another minimum.
-    settled = [_descend(fit, omega, plants, kind, importance, ceiling) for fit in (*refined, starts[0])]
+    settled = [searched(fit, ceiling) for fit in (*refined, starts[0])]
     return min(
         settled, key=lambda fit: _merit(_gaps(fit, omega, plants, kind, importance), log_measure(omega), ceiling)
     )

@@ -13,10 +13,9 @@ from tqdm import tqdm
 
 from estimators._bounds import solve_bounded
 from estimators._covariance import Information, information
-from estimators._kalman import filtered
 from estimators._least_squares import least_squares
 from estimators._levenberg_marquardt import Arguments, Solved, diverged, factor, plain_residual
-from estimators._likelihood import start_variance
+from estimators._likelihood import NoiseModel, run_filter, start_variance
 from estimators._noise import noise_levels
 from estimators._problem import CHANNELS, Data, Space, Unknowns
 from estimators._results import RESULTS, DivergedError
@@ -305,14 +304,12 @@ class _Run:
     def _gain(
         self, model: RTAC, space: Space, unknowns: Unknowns, noise: np.ndarray, scales: Any, share: float, substeps: int
     ) -> tuple[Array, Array]:
+        # By the function that a diagnosis runs too, so that it is compiled once for both.
         interval = float(np.min(np.asarray(self.data.excitation.sample_time)))
-        result = filtered(
-            model, self.data, space, space.physical(unknowns),
-            sensor_variance=jnp.asarray(np.broadcast_to(noise[:, None] ** 2, (len(CHANNELS), self.data.experiments))),
-            process=(jnp.asarray((share * scales.force) ** 2 * interval), jnp.asarray((share * scales.torque) ** 2 * interval)),
-            start_variance=start_variance(space),
-            substeps=jnp.asarray(substeps),
-        )  # fmt: skip
+        known = NoiseModel(noise, np.ones_like(noise), scales.force, scales.torque, interval, start_variance(space))
+        size = np.concatenate([np.full(2, 2 * np.log(share)), np.zeros(len(CHANNELS))])
+        physical = space.physical(unknowns)
+        result = run_filter(model, self.data, space, physical, known, size, jnp.asarray(substeps))[2]
         # One whitener for all samples: enough for a start, and the same compiled function as for the simulation.
         middle = np.median(np.asarray(result.whitener)[self.data.samples // 4 :], axis=0, keepdims=True)
         return result.gain, jnp.asarray(middle)

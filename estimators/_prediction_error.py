@@ -8,6 +8,7 @@ from typing import Any
 import control as ct
 import numpy as np
 from jaxtyping import Float, Float64
+from tqdm import tqdm
 
 from estimators._conditions import conditions, require_enough, stacked
 from estimators._linear_equality import Equality, equality_of
@@ -127,6 +128,7 @@ def prediction_error(
     detrend: bool = False,
     angles: Mapping[str, Float64[np.ndarray, " sample"]] | None = None,
     model: RTAC | None = None,
+    progress: bool = True,
 ) -> LinearModels:
     """Fit a linear model to each forced experiment, all of them in one batch (paper, section 5.1).
 
@@ -148,6 +150,7 @@ def prediction_error(
         detrend: take the means off input and output first. The paper advises against it.
         angles: theta(t) [rad] by name of experiment, where it is not measured.
         model: simulates theta(t) where it is neither measured nor given.
+        progress: show a bar.
 
     Returns:
         One model for each forced experiment.
@@ -173,11 +176,14 @@ def prediction_error(
     largest = first.with_modes(most)
     require_enough(first if search else largest, names, raw, present)
     data = stacked(raw, present)
-    stages = simulation_stages(largest, data, raw, candidates, most)
-    if search:
-        ended = {s.structure.modes: predictor_stage(first.with_modes(s.structure.modes), s) for s in stages}
-    else:
-        ended = {most: predictor_stage(first, stages[-1])}
+    ended: dict[int, Stage] = {}
+    with tqdm(total=2 * most if search else most + 1, desc="linear fits", disable=not progress, leave=False) as bar:
+        for simulated in simulation_stages(largest, data, raw, candidates, most):
+            bar.update()
+            number = simulated.structure.modes
+            if search or number == most:
+                ended[number] = predictor_stage(first.with_modes(number) if search else first, simulated)
+                bar.update()
     scores = {number: float(np.sum(_criteria(stage)[2])) for number, stage in ended.items()}
     stage = ended[min(scores, key=lambda number: scores[number])]
     sides = [(x, mask, a) for x, mask, a in zip(raw, present, angle, strict=True)]

@@ -4,6 +4,7 @@ import contextlib
 import dataclasses
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
+from functools import reduce
 from typing import Any
 
 import jax.numpy as jnp
@@ -33,7 +34,7 @@ from estimators._where import Place, where
 from rtac_jax import RTAC
 from rtac_jax._parameter import declarations
 from rtac_jax._simulate import Steps
-from rtac_jax.effects import CATALOGUE, Effect
+from rtac_jax.effects import Effect
 from rtac_jax.measurement import Experiment, Recording
 
 _SLOW = 1e-2  # share of the rms speed below which a learned friction fades
@@ -73,8 +74,8 @@ class Search:
     def compile_for(cls, model: RTAC, recording: Recording, classes: Sequence[type[Effect]]) -> None:
         """Compile what the diagnosis of a model will run first, so that this can be done while the model is fitted."""
         search = cls._set_up(model, recording, classes, {}, 1, None)
+        search.compile_tests()  # first: a fit begins with the filter too, and compiles it
         search._compile_fit(search._with([]), tuple(_shared(model)))
-        search.compile_tests()
 
     @classmethod
     def _set_up(
@@ -326,7 +327,7 @@ class Search:
         return Refit(added, model, found, space, by_sample(found.filtered, self.data), free, triangles)
 
     def _with(self, effects: Sequence[Effect]) -> RTAC:
-        return _with_all(self.model, [*effects, *([self.colour] if self.colour is not None else [])])
+        return reduce(RTAC.__add__, [*effects, *([self.colour] if self.colour is not None else [])], self.model)
 
     def _space(self, model: RTAC, free: Sequence[str]) -> Space:
         return space_of(model, self.experiments, free=free, start=self.start)
@@ -391,16 +392,6 @@ class Search:
             "arm_velocity": between(outputs("arm_velocity")) if arm else (0.0, 0.0),
             "current": between([e.inputs["current"].values for e in self.experiments if "current" in e.inputs]),
         }
-
-
-def _with_all(model: RTAC, absent: Sequence[Effect]) -> RTAC:
-    """The model with candidates added, in the order of the catalogue, whatever it has already.
-
-    So every diagnosis of a loop runs the same compiled functions.
-    """
-    order = {name: place for place, name in enumerate(CATALOGUE)}
-    effects = sorted([*model.effects, *absent], key=lambda effect: order.get(effect.id, len(order)))
-    return RTAC(model.body, tuple(effects), model.fixed, model.per_experiment)
 
 
 def _by_name(space: Space, other: Space, values: Any) -> Any:

@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Mapping, Sequence
+from functools import reduce
 
 import jax.numpy as jnp
 import numpy as np
@@ -13,8 +14,9 @@ from estimators._kalman import filtered
 from estimators._likelihood import start_variance
 from estimators._menu import start_of
 from estimators._problem import CHANNELS, Data
-from estimators._search import _absent_like, _with_all
+from estimators._search import _absent_like
 from estimators._start import space_of
+from rtac_jax import RTAC
 from rtac_jax._parameter import declarations
 from rtac_jax.effects import Effect
 from rtac_jax.measurement import Experiment
@@ -114,7 +116,7 @@ def _innovations(contest: Contest, experiments: Sequence[Experiment], start: Map
         substeps=substeps,
     )  # fmt: skip
     absent: list[Effect] = [_absent_like(contest.instances[name][0]) for name in contest.effects]
-    model = _with_all(contest.base, absent)
+    model = reduce(RTAC.__add__, absent, contest.base)
     wide = space_of(model, experiments, free=free, start=start)
     active = np.full(len(free) + _OWN, len(wide.names))
     active[: len(free)] = [wide.names.index(name) for name in free]

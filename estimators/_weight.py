@@ -1,5 +1,6 @@
 """A stable minimum-phase weight that lies above a profile at every frequency and as close to it as its order allows."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +13,8 @@ Curve = Float64[np.ndarray, " frequency"]
 
 _ROUNDS = 60
 _ENOUGH = 1e-4  # gain of a round in the mean logarithm, below which it is the last
-_STARTS = 6
+WEIGHT_STEPS = 6
+"""How many searches `fit_weight` makes, each from another start."""
 _REACH = (0.5, 1e-4)  # of the trust region in logarithms: at the start, and where it gives up
 _DAMPING = 0.05  # smallest damping ratio, so that no notch hides between the points of a grid
 _BEYOND = 100.0  # times the band, where corners may lie
@@ -59,7 +61,7 @@ class Shape(NamedTuple):
         return top, low
 
 
-def fit_weight(omega: Curve, profile: Curve, *, order: int, seed: int = 0) -> Shape:
+def fit_weight(omega: Curve, profile: Curve, *, order: int, done: Callable[[], object], seed: int = 0) -> Shape:
     """The weight above the profile whose excess in decibels, averaged over log frequency, is smallest.
 
     The gain always lifts the weight onto the profile, so only its shape is searched: by linear programmes in the
@@ -70,6 +72,7 @@ def fit_weight(omega: Curve, profile: Curve, *, order: int, seed: int = 0) -> Sh
         omega: [rad/s].
         profile: positive.
         order: zero or more.
+        done: called after each search.
     """
     target = np.log(profile)
     measure = log_measure(omega)
@@ -77,9 +80,10 @@ def fit_weight(omega: Curve, profile: Curve, *, order: int, seed: int = 0) -> Sh
     if order == 0:
         return best
     random = np.random.default_rng(seed)
-    for number in range(_STARTS):
+    for number in range(WEIGHT_STEPS):
         shape = _lifted(_start(omega, order, None if number == 0 else random), omega, target)
         shape, value = _descend(shape, omega, target, measure)
+        done()
         if value < smallest:
             best, smallest = shape, value
     return best

@@ -14,6 +14,7 @@ from rtac_jax._since import Since, through
 from rtac_jax._sincos import sincos
 from rtac_jax._stopping import brought_to_rest
 from rtac_jax.effects import (
+    CATALOGUE,
     Actuator,
     ArmViscous,
     CartCoulomb,
@@ -29,6 +30,7 @@ from rtac_jax.effects import (
 )
 from rtac_jax.measurement import Recording
 
+_PLACES = {name: place for place, name in enumerate(CATALOGUE)}
 RIGID_STATES = {"cart_position": "m", "cart_velocity": "m/s", "arm_angle": "rad", "arm_velocity": "rad/s"}
 
 _PAPER = {
@@ -45,7 +47,7 @@ class RTAC(eqx.Module):
 
     Attributes:
         body: equations (1) and (2).
-        effects: what else acts, in the order in which actuator and sensor stages follow each other.
+        effects: what else acts, in the order in which actuator and sensor stages follow each other; `+` keeps the catalogue's.
         fixed: names of parameters that are not estimated, though they could be.
         per_experiment: names of parameters that each experiment has for itself.
 
@@ -113,9 +115,13 @@ class RTAC(eqx.Module):
     # -- composition -------------------------------------------------------------------------------------------------
 
     def __add__(self, effect: Effect) -> "RTAC":
+        """One effect more, at its place in the order of the catalogue; an effect that is not in it comes last."""
         if not isinstance(effect, Effect):
             return NotImplemented
-        return type(self)(self.body, (*self.effects, effect), self.fixed, self.per_experiment)
+        places = [_PLACES.get(e.id, len(_PLACES)) for e in (*self.effects, effect)]
+        at = max((i + 1 for i, place in enumerate(places[:-1]) if place <= places[-1]), default=0)
+        effects = (*self.effects[:at], effect, *self.effects[at:])
+        return type(self)(self.body, effects, self.fixed, self.per_experiment)
 
     def without(self, *ids: str) -> "RTAC":
         """The model less the effects with these ids.

@@ -39,6 +39,7 @@ def advance(
     step = excitation.sample_time / substeps
     apart = model.steps_apart
 
+    @jax.jit
     def slope(at: State, fraction: Any, way: Any, since: Since | None) -> State:
         return model.derivative(
             at,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rtac_jax import RTAC, Experiment, Recording, RigidBody
-from rtac_jax.effects import Cogging, CubicSpring, FlexibleMode, TachoBias
+from rtac_jax.effects import CATALOGUE, Cogging, CubicSpring, CurrentLag, DeadZone, FlexibleMode, SplineForce, TachoBias
 
 SAMPLES, SAMPLE_TIME = 50, 0.01
 WAVE = np.sin(np.arange(SAMPLES))
@@ -52,13 +52,26 @@ def test_paper_has_table_1():
 def test_adding_makes_another_model():
     before = RTAC.paper().fix("total_mass").each_experiment("cart_coulomb.level")
     after = before + CubicSpring(2e4) + FlexibleMode(0.05, 37.4, 0.02)
-    assert after.ids == (*before.ids, "cubic_spring", "flexible_mode")
+    assert after.ids == ("cart_viscous", "cart_coulomb", "cubic_spring", "flexible_mode", "arm_viscous")
     assert before.ids == ("cart_viscous", "cart_coulomb", "arm_viscous")
     assert "cubic_spring" in after
     assert "cubic_spring" not in before
     assert float(after["cubic_spring.stiffness"]) == 2e4
     assert tuple(after.states)[4:] == ("flexible_mode.displacement", "flexible_mode.velocity")
     assert (after.fixed, after.per_experiment) == (before.fixed, before.per_experiment)
+
+
+def test_what_is_added_takes_its_place_in_the_order_of_the_catalogue():
+    """A lag and a dead zone follow each other as in the diagnosis that names them, whichever is added first."""
+    lag, zone = CurrentLag(0.01), DeadZone(0.01)
+    order = tuple(e for e in CATALOGUE if e in ("current_lag", "dead_zone"))
+    for first, second in ((lag, zone), (zone, lag)):
+        model = RTAC.paper() + first + second
+        assert tuple(e for e in model.ids if e in order) == order
+    learned = SplineForce.over("cart_position", (-0.01, 0.01), port="cart")
+    assert (RTAC.paper() + learned + lag).ids[-1] == "spline_force"
+    # Given whole, the order is the user's own.
+    assert RTAC(RTAC.paper().body, (zone, lag)).ids == ("dead_zone", "current_lag")
 
 
 def test_only_effects_can_be_added():

@@ -18,7 +18,7 @@ from estimators._prediction_error import LinearModels
 from estimators._replicates import Shaken, Shuffled
 from estimators._ways import MODAL, Result, Way, label_of, way_of
 from rtac_jax import require_configured
-from rtac_jax.effects import CATALOGUE, Effect
+from rtac_jax.effects import CATALOGUE
 from rtac_jax.measurement import Recording
 
 Vector = Float[np.ndarray, " quantity"]
@@ -100,15 +100,13 @@ class Agreement:
 
     @property
     def suspects(self) -> tuple[str, ...]:
-        """Ids of effects that would make these quantities differ; the most often named first."""
+        """Ids of effects that break what these quantities rest on; the most often named first.
+
+        Where to look first, and no list to choose from: a fit of the whole motion hands an error on to other quantities too.
+        """
         named = [effect for name in self.differing for effect in ASSUMES.get(name, ("", ()))[1]]
         known = [effect for effect in dict.fromkeys(named) if effect in CATALOGUE]
         return tuple(sorted(known, key=lambda effect: -named.count(effect)))
-
-    @property
-    def candidates(self) -> tuple[type[Effect], ...]:
-        """The suspects as classes, for `diagnose(fit, recording, candidates=...)`."""
-        return tuple(CATALOGUE[name] for name in self.suspects)
 
     @property
     def verdict(self) -> str:
@@ -128,7 +126,7 @@ class Agreement:
             + both
             + (fails if failing else "")
             + (
-                f" Ask est.diagnose, which should weigh {', '.join(self.suspects[:5])} (all in .candidates);"
+                f" Ask est.diagnose, and look first at {', '.join(self.suspects[:5])};"
                 if self.suspects
                 else " Ask est.diagnose;"
             )
@@ -260,7 +258,10 @@ def agreement(
         measured = source.draw(random)
         for row, way in enumerate(ways):
             found[number, row] = _in_order(way, way.again(measured), names)
-    observed = np.array([_in_order(way, way.values, names) for way in ways])
+    # The estimates by the same step as in the replicates: what an optimiser left undone is large beside the difference of
+    # two ways that almost agree.
+    measured = source.measured
+    observed = np.array([_in_order(way, way.again(measured), names) for way in ways])
     pairs = tuple(
         _pair(
             (said[a], said[b]), observed[a] - observed[b], found[:, a] - found[:, b],

@@ -10,7 +10,7 @@ _CART_FRICTION = (
 )
 _ARM_FRICTION = (
     "the arm's friction is viscous, with one coefficient for each direction",
-    ("arm_coulomb", "arm_quadratic_drag", "arm_stribeck", "cogging", "tacho_bias", "current_offset"),
+    ("arm_coulomb", "arm_quadratic_drag", "arm_stribeck", "cogging", "cable_spring", "tacho_bias", "current_offset"),
 )
 
 ASSUMES: dict[str, tuple[str, tuple[str, ...]]] = {
@@ -37,6 +37,7 @@ ASSUMES: dict[str, tuple[str, tuple[str, ...]]] = {
             "saturation",
             "tacho_lag",
             "cogging",
+            "cable_spring",
         ),
     ),
     "arm_viscous.positive": _ARM_FRICTION,

@@ -134,22 +134,6 @@ def rows_at(problem: Problem) -> Rows:
     return Rows(jacobian[..., : len(problem.names)] / steepness, value)
 
 
-def smoothed_start(problem: Problem, variance: Float[np.ndarray, "start experiment"]) -> np.ndarray:
-    """States at the start, SI units, given all measurements, for a problem whose predictor begins as doubtful as this.
-
-    The fixed-interval smoother at its first sample: the start less its variance times the slope of half the sum of squared
-    innovations.
-
-    Source: Rauch, Tung and Striebel, AIAA J. 3 (1965), by its adjoint form.
-    """
-    space = problem.arguments.space
-    unknowns = problem.unknowns._replace(start=jnp.asarray(np.zeros(space.start.shape)))
-    slopes = np.asarray(_columns(unknowns, problem.arguments)[0])[-len(unknowns.start) :]
-    error = np.asarray(plain_residual(unknowns, problem.arguments)[0])
-    gradient = np.einsum("dsok,sok->dk", slopes, error) / np.asarray(space.start_scale)
-    return np.asarray(space.start) - variance * gradient
-
-
 def with_outputs(problem: Problem, values: Array) -> Arguments:
     """The same problem for other measurements [sample output experiment]."""
     data = dataclasses.replace(problem.arguments.data, values=values * problem.arguments.data.present)

@@ -8,11 +8,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from estimators._at_fit import Problem, at_fit, smoothed_start
+from estimators._at_fit import Problem, at_fit
 from estimators._levenberg_marquardt import Arguments, plain_residual
 from estimators._nonlinear_prediction_error import PredictorFit
 from estimators._output_error import Fit, diagonal_whitener
 from estimators._problem import CHANNELS, Unknowns, predict
+from estimators._smoothed_start import smoothed_start
 from rtac_jax.measurement import Experiment, Recording
 
 Outputs = Float[np.ndarray, "sample output experiment"]
@@ -64,6 +65,11 @@ class Shuffled:
         """Those of the fit."""
         return self.problem.experiments
 
+    @property
+    def measured(self) -> Outputs:
+        """What was recorded."""
+        return _measured(self.problem)
+
     def draw(self, random: np.random.Generator) -> Outputs:
         """Blocks of the residual, all channels together, in random order on a circle.
 
@@ -99,7 +105,7 @@ class Shaken:
     @classmethod
     def of(cls, fit: PredictorFit) -> "Shaken":
         """At the fit's parameters and noise, and at its smoothed starts."""
-        start = smoothed_start(fit.problem, np.asarray(fit.prior.start_variance))
+        start = smoothed_start(fit)
         interval = np.asarray(fit.problem.arguments.data.excitation.sample_time)
         density = np.array([fit.force_noise, fit.torque_noise])
         sensor = np.array([fit.noise.get(channel, 0.0) for channel in CHANNELS])
@@ -110,6 +116,11 @@ class Shaken:
         """Those of the fit."""
         return self.problem.experiments
 
+    @property
+    def measured(self) -> Outputs:
+        """What was recorded."""
+        return _measured(self.problem)
+
     def draw(self, random: np.random.Generator) -> Outputs:
         """Simulated with white impulses and white sensor noise."""
         data = self.problem.arguments.data
@@ -118,6 +129,11 @@ class Shaken:
         shown = np.asarray(_struck(at.unknowns, at.arguments, jnp.asarray(self.start), jnp.asarray(struck)))
         noisy = shown + random.normal(size=shown.shape) * self.sensor[:, None]
         return np.where(np.asarray(data.present) > 0, noisy, np.nan)
+
+
+def _measured(problem: Problem) -> Outputs:
+    data = problem.arguments.data
+    return np.where(np.asarray(data.present) > 0, np.asarray(data.values), np.nan)
 
 
 @eqx.filter_jit

@@ -27,7 +27,7 @@ HIDDEN = {
     "tacho_bias": (dict(tacho_bias=0.2), {"bias": 0.2}),
 }
 # At every port one is named in every run of the tests, flexible_mode by the demo; the others take half a minute each.
-QUICK = ("cubic_spring", "arm_coulomb", "gravity_tilt", "current_lag", "tacho_bias")
+QUICK = ("cubic_spring", "arm_coulomb", "current_lag", "tacho_bias")
 CASES = [pytest.param(name, marks=() if name in QUICK else pytest.mark.slow) for name in HIDDEN]
 # What the paper's model has, where a model lacks it.
 PAPERS_OWN = ("cart_viscous", "cart_coulomb", "arm_viscous")
@@ -38,6 +38,7 @@ OUTSIDE = {
     "magnetic detent": dict(detent_force=0.05),
     "friction that grows along the way": dict(friction_slope=2.0),
 }
+OUTSIDE_QUICK = ("Maxwell spring", "friction that grows along the way")  # one with a memory, one without
 
 
 # More than one thing at a time, and what is to be named.
@@ -101,7 +102,7 @@ def test_what_acts_together_is_named_as_far_as_it_is_known(recordings: dict[str,
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[pytest.mark.slow] if "detent" in name else []) for name in OUTSIDE]
+    "name", [pytest.param(name, marks=[] if name in OUTSIDE_QUICK else [pytest.mark.slow]) for name in OUTSIDE]
 )
 def test_what_the_catalogue_does_not_know_is_not_named(recordings: dict[str, rtac.Recording], name: str) -> None:
     found = diagnosed(recordings[name])

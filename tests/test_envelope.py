@@ -9,6 +9,7 @@ import scipy.optimize
 import estimators as est
 from estimators._coverage import held_out_coverage, scenario_coverage
 from estimators._gap import KINDS, centres, corners, errors, packed
+from estimators._nominal import log_measure
 from estimators._plants import evaluate
 from estimators._vector_fit import vector_fit
 from estimators.plots import plot_envelope
@@ -93,6 +94,21 @@ def test_weight_covers_measured_responses_and_what_is_interpolated_between_them(
     dense = np.geomspace(1.0, 100.0, 3001)
     between = np.exp(np.interp(np.log(dense), np.log(OMEGA), np.log(found.profile)))
     assert np.all(found.weight_magnitude(dense) >= 0.999 * between)
+
+
+@pytest.mark.filterwarnings("default")  # of the peer's own imports
+@pytest.mark.parametrize("order", [1, 3])
+def test_weight_lies_nearer_to_the_profile_than_that_of_dkpy(order):
+    """On the mean, which is what is made small here; dkpy makes the largest excess small."""
+    dkpy = pytest.importorskip("dkpy")
+    found = est.envelope(PLANTS, omega=OMEGA, order_nominal=4, order_weight=order, within_db=30.0, progress=False)
+    peer = dkpy.fit_uncertainty_weight(
+        found.profile[:, None, None].astype(complex), OMEGA, order, weight=np.ones((len(OMEGA), 1))
+    )
+    theirs = np.abs(np.squeeze(peer(1j * OMEGA)))
+    assert np.all(theirs >= 0.999 * found.profile)  # it solves the same problem
+    ours, other = (log_measure(OMEGA) @ np.log(w / found.profile) for w in (found.weight_magnitude(), theirs))
+    assert ours < other
 
 
 @pytest.mark.parametrize("kind", ["multiplicative_output", "additive", "inverse_multiplicative"])

@@ -31,8 +31,8 @@ class Disagreement:
 
     Attributes:
         labels: of the two.
-        difference: first less second, less what their own bias would make it were the model right; NaN for a quantity that
-            one of them does not estimate.
+        difference: first less second, each after the step that the replicates take too, less what their own bias would make
+            it were the model right; NaN for a quantity that one of them does not estimate.
         bias: that bias, taken off.
         std: of the difference, were the model right.
         p_values: per quantity.
@@ -197,7 +197,8 @@ def agreement(
     is large beside its own standard deviation shows that the model is wrong. Neither estimator need be efficient: the
     distribution of the difference comes from replicates, from each of which every way estimates anew (a fit by one
     Gauss-Newton step), so that their common errors cancel, and the bias that a way has on such data is taken off. That also
-    lets a linear fit take part, whose natural frequency and damping are those of the cart with dry friction and arm.
+    lets a linear fit take part, whose natural frequency and damping are those of the cart with dry friction and arm; pairs
+    with it, and the joint verdict over pairs that depend on each other, reject more rarely than the level says.
 
     Where `prediction_error_nonlinear` is among the results, a replicate is its model struck by random forces and torques as
     large as it estimated; else it is the first output error's simulation with its residual, in blocks and in random order, as
@@ -262,6 +263,7 @@ def agreement(
     # two ways that almost agree.
     measured = source.measured
     observed = np.array([_in_order(way, way.again(measured), names) for way in ways])
+    values = np.array([_in_order(way, way.values, names) for way in ways])
     pairs = tuple(
         _pair(
             (said[a], said[b]), observed[a] - observed[b], found[:, a] - found[:, b],
@@ -277,7 +279,7 @@ def agreement(
         for label, result in zip(said, several, strict=True)
         if isinstance(result, Fit)
     }
-    return Agreement(names, units, said, asks, observed, spread, pairs, level, draws, bool(predictors), misfit)
+    return Agreement(names, units, said, asks, values, spread, pairs, level, draws, bool(predictors), misfit)
 
 
 def _common(one: Way, other: Way) -> tuple[str, ...]:

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 
 from estimators._covariance import slope_of
 from estimators._levenberg_marquardt import Arguments, plain_residual
-from estimators._output_error import Fit, diagonal_whitener, moving, no_gain, pieces
+from estimators._output_error import Fit, diagonal_whitener, mark_of, moving, no_gain, pieces
 from estimators._problem import CHANNELS, Data, Unknowns, residual
 from estimators._start import space_of
 from rtac_jax import RTAC
@@ -48,6 +48,11 @@ def at_fit(fit: Fit, recording: Recording) -> Problem:
             f"the fit used {', '.join(missing)}, which this recording does not hold; give the recording that was fitted."
         )
     experiments = [by_name[name] for name in fit.experiments]
+    other = [e.name for e in experiments if fit.marks.get(e.name) != mark_of(e)]
+    if other:
+        raise ValueError(
+            f"{other[0]} was fitted with other measurements than this recording holds; give the recording that was fitted."
+        )
     deviation = np.array([fit.residual_std.get(channel, 1.0) for channel in CHANNELS])
     return problem_of(fit.model, experiments, deviation, substeps=int(fit.statistics["substeps"]), start=fit.start)
 

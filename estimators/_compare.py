@@ -14,7 +14,7 @@ from scipy.stats import chi2, norm
 from estimators._bounds import solve_bounded
 from estimators._levenberg_marquardt import Arguments, plain_residual
 from estimators._noise import noise_levels
-from estimators._output_error import Fit, diagonal_whitener, moving, no_gain
+from estimators._output_error import Fit, diagonal_whitener, mark_of, moving, no_gain
 from estimators._problem import CHANNELS, Data, Unknowns
 from estimators._results import DivergedError
 from estimators._start import space_of
@@ -254,7 +254,10 @@ def _compare_one(
     start_samples: int | None,
 ) -> Compared:
     model = fit.model if isinstance(fit, Fit) else fit
-    known = fit.start if isinstance(fit, Fit) else None
+    known = None
+    if isinstance(fit, Fit):
+        same = [e.name for e in experiments if fit.marks.get(e.name) == mark_of(e)]
+        known = {name: fit.start[name] for name in same}
     each = {n: jnp.mean(model[n]) for n in model.per_experiment}
     model = model.with_values(each)
     # Padding short experiments to the length of a very long one would cost more than going one by one.

@@ -1,6 +1,7 @@
 """Output error: the simulation that comes nearest to all measurements, with shared physics and separate starts."""
 
 import dataclasses
+import hashlib
 import itertools
 import time
 from collections.abc import Mapping, Sequence
@@ -58,6 +59,7 @@ class Fit:
         start: states at the start of each experiment, SI units.
         experiments: names of the experiments.
         statistics: cost, steps, seconds, starts and how many agreed, substeps.
+        marks: of each experiment's measurements, which tell it from another of the same name.
     """
 
     model: RTAC
@@ -68,6 +70,7 @@ class Fit:
     start: Mapping[str, Float[np.ndarray, " state"]]
     experiments: tuple[str, ...]
     statistics: Mapping[str, Any]
+    marks: Mapping[str, str] = dataclasses.field(default_factory=dict)
 
     @property
     def parameters(self) -> dict[str, Parameter]:
@@ -174,7 +177,16 @@ def output_error(
             "substeps": stage.substeps,
             "seconds": time.perf_counter() - began,
         },
+        marks={e.name: mark_of(e) for e in experiments},
     )
+
+
+def mark_of(experiment: Experiment) -> str:
+    """A digest of what was measured; another recording may hold an experiment of the same name."""
+    digest = hashlib.blake2b(digest_size=16)
+    for channel in sorted(experiment.outputs):
+        digest.update(channel.encode() + np.ascontiguousarray(experiment.outputs[channel].values).tobytes())
+    return digest.hexdigest()
 
 
 def moving(recording: Recording) -> list[Experiment]:

@@ -8,6 +8,7 @@ import pytest
 import estimators as est
 import rtac_jax as rtac
 from estimators._agreement import Agreement, Disagreement, agreement
+from estimators._replicates import Shaken
 from estimators._sandwich import covariances
 from estimators._table import fit_table
 from rtac_jax import virtual_rig
@@ -184,6 +185,21 @@ def test_four_ways_agree_on_a_clean_rig(four: Agreement) -> None:
     assert "agree within chance" in four.plot().get_suptitle()
 
 
+def test_starts_are_found_where_friction_holds_the_cart_at_first() -> None:
+    """There the start has no derivative; from a wrong one the simulation leaves ten times the noise."""
+    recording = recorded(RIG, 2042)
+    fit = est.prediction_error_nonlinear(rtac.RTAC.from_rig(recording), recording, progress=False)
+    space = fit.problem.arguments.space
+    aside = 0.5 * np.sqrt(np.asarray(fit.prior.start_variance))  # half a standard deviation of what was known before
+    away = dataclasses.replace(space, start=space.start + aside)
+    moved = fit.problem._replace(arguments=dataclasses.replace(fit.problem.arguments, space=away))
+    for one in (fit, dataclasses.replace(fit, problem=moved)):
+        calm = Shaken.of(one)
+        calm = dataclasses.replace(calm, impulse=0 * calm.impulse, sensor=0 * calm.sensor)
+        left = (calm.measured - calm.draw(np.random.default_rng(0)))[:, 0]
+        assert np.all(np.sqrt(np.nanmean(left**2, axis=0)) < 1.5 * fit.noise["cart_position"])
+
+
 def test_random_forces_make_them_disagree_until_they_are_counted() -> None:
     recording = recorded(SHAKEN, 3)
     without = held_together(recording)
@@ -204,15 +220,17 @@ def test_false_alarms_of_all_four_ways_come_at_the_stated_rate(rig: virtual_rig.
     found = pairs_of_all_ways(rig, range(3000, 3100))
     together = found.shape[1] * found.min(axis=1)
     assert np.mean(together < 0.01) <= 0.03, np.sort(together)[:10]
-    # A test that never speaks holds its level too; those of a linear fit are cautious.
-    assert np.all(np.mean(found < 0.5, axis=0) > 0.1), np.mean(found < 0.5, axis=0)
-    assert np.mean(found[:, 0] < 0.5) > 0.3
+    # A test that never speaks holds its level too. Pairs with a linear fit, the third and the last two, are cautious.
+    below = np.mean(found < 0.5, axis=0)
+    assert np.all(below[[0, 1, 3]] > 0.3), below
+    assert np.all(below > 0.1), below
+    assert np.all(below < 0.7), below
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("hidden", [{"cubic_spring": 6e4}, {"current_lag": 0.005}], ids=["cubic_spring", "current_lag"])
 def test_large_effects_are_noticed_under_random_forces_too(hidden: dict[str, float]) -> None:
-    """At three times the size that shows without them; dead zone and dry friction of the arm are then seen in half of the runs."""
+    """At two to three times the size that shows without them; smaller ones, and what a random torque can stand for, hide."""
     found = pairs_of_all_ways(dataclasses.replace(SHAKEN, **hidden), range(80, 86))
     assert np.mean(found.shape[1] * found.min(axis=1) < 0.01) > 0.5, found
 

@@ -347,6 +347,16 @@ def test_comparison_with_a_model_that_diverges_names_model_and_experiment(
         est.compare([noisy_fit, lost], noisy, labels=["good", "tonnes"])
 
 
+def test_another_recording_with_the_same_names_has_starts_of_its_own(noisy: rtac.Recording, noisy_fit: est.Fit) -> None:
+    plans = virtual_rig.standard_plans(seed=77, sample_time=0.01, duration=3.0, free=2, forced=4, rest=1)
+    other = virtual_rig.record(virtual_rig.Rig(), plans, seed=78)
+    assert other.names == noisy.names
+    for error in est.compare(noisy_fit, other).models[0].errors.values():
+        assert error.rms_over_noise < 1.3
+    with pytest.raises(ValueError, match="other measurements than this recording holds; give the recording"):
+        est.covariances(noisy_fit, other)
+
+
 def test_comparison_names_the_one_experiment_that_a_model_leaves() -> None:
     """A softening spring lets go beyond 12 mm, where only the second decay begins."""
     time = 0.01 * np.arange(200)

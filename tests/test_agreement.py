@@ -220,11 +220,9 @@ def test_false_alarms_of_all_four_ways_come_at_the_stated_rate(rig: virtual_rig.
     found = pairs_of_all_ways(rig, range(3000, 3100))
     together = found.shape[1] * found.min(axis=1)
     assert np.mean(together < 0.01) <= 0.03, np.sort(together)[:10]
-    # A test that never speaks holds its level too. Pairs with a linear fit, the third and the last two, are cautious.
+    # A test that never speaks holds its level too; on a clean rig it is cautious in the middle (0.30 to 0.35 were measured).
     below = np.mean(found < 0.5, axis=0)
-    assert np.all(below[[0, 1, 3]] > 0.3), below
-    assert np.all(below > 0.1), below
-    assert np.all(below < 0.7), below
+    assert np.all((below > 0.2) & (below < 0.7)), below
 
 
 @pytest.mark.slow

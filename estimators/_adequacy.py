@@ -3,16 +3,13 @@
 import dataclasses
 from collections.abc import Sequence
 
-from scipy.stats import chi2
-
 from estimators._delayed_force import DelayedForce
 from estimators._force_curve import ForceCurve
 from estimators._repeats import RepeatTest
-from estimators._screen import ALARM, Screened
+from estimators._screen import ALARM, CHANCE, Screened
 from estimators._spectral_line import SpectralLine
 
 LEVEL = 0.01  # of all tests together
-ROBUST = 9.0  # least chi-square with the scatter of the data in place of the model's variance
 
 
 @dataclasses.dataclass(frozen=True)
@@ -43,16 +40,12 @@ class Evidence:
 
 def p_by_chance(one: Screened, tried: int) -> float:
     """Probability of so large a statistic for any of the candidates that were tried."""
-    return float(min(1.0, tried * chi2.sf(one.statistic, len(one.amplitudes))))
+    return min(1.0, tried * one.p_value)
 
 
 def alarming(screened: Sequence[Screened]) -> list[Screened]:
     """The candidates that the innovations speak for, whatever the colour of the noise."""
-    return [
-        s
-        for s in screened
-        if s.statistic >= ALARM and s.robust >= ROBUST and p_by_chance(s, len(screened)) < 0.2 * LEVEL
-    ]
+    return [s for s in screened if s.statistic >= ALARM and p_by_chance(s, len(screened)) < CHANCE]
 
 
 def evidence(

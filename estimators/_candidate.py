@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from estimators._adequacy import Evidence
 from estimators._output_error import Parameter
 from estimators._refit import Refit
+from estimators._screen import Screened
 
 
 @dataclasses.dataclass(frozen=True)
@@ -55,6 +56,7 @@ class Step:
         held_out_gain: in the log-likelihood of experiments that did not take part in estimating it; NaN where only one shows it.
         refit: the model with it.
         left: the tests of the model with it.
+        asked: all candidates that were refitted at this step, this one among them.
     """
 
     id: str
@@ -64,3 +66,4 @@ class Step:
     held_out_gain: float
     refit: Refit
     left: tuple[Evidence, ...]
+    asked: Mapping[str, Screened] = dataclasses.field(default_factory=dict)

@@ -11,6 +11,7 @@ from tqdm import tqdm
 
 from estimators._adequacy import Evidence, alarming, excess_of, p_by_chance
 from estimators._candidate import Candidate, Step
+from estimators._choice import bic_gain, chosen, gain, reconsidered
 from estimators._compile import make_room
 from estimators._force_curve import ForceCurve
 from estimators._latent_force import LatentForce
@@ -19,7 +20,6 @@ from estimators._output_error import Fit
 from estimators._refit import Refit, Tested
 from estimators._screen import Screened, correlations
 from estimators._search import Search
-from estimators._selection import vuong
 from estimators._verdict import Verdict, floor, judge, not_named, surer, without_named_rivals, words
 from estimators._where import Place
 from rtac_jax import RTAC, require_configured
@@ -29,9 +29,6 @@ from rtac_jax.measurement import Recording
 
 _REFITS = 4  # candidates refitted at least
 _CLOSE = 0.3  # and those whose score is within this share of the best
-_BIC_GAIN = 10.0  # what a candidate must gain, and within which it cannot be told from the best
-_VUONG = 1.645  # standard normal statistic below which the data do not tell two models apart
-_RIVAL = 0.5  # share of the best gain that a rival must reach to be one
 _EFFECTS = 3  # that one diagnosis names at most
 
 
@@ -189,13 +186,13 @@ def _offered(model: RTAC, candidates: Sequence[type[Effect]] | None) -> list[typ
     return [c for c in (CATALOGUE.values() if candidates is None else candidates) if c.id not in model]
 
 
-def _improvements(search: Search, base: Refit, tested: Tested) -> tuple[list[Step], dict[str, Refit]]:
-    """Effects that improve the model one after the other, and all first refits."""
+def _improvements(search: Search, base: Refit, tested: Tested) -> tuple[list[Step], dict[str, tuple[Refit, Refit]]]:
+    """Effects that improve the model one after the other, and of every candidate that was tried the model before and after."""
     steps: list[Step] = []
-    refits: dict[str, Refit] = {}
+    refits: dict[str, tuple[Refit, Refit]] = {}
     now, seen = base, tested
     price = np.log(search.samples)
-    while len(steps) < _EFFECTS:
+    for _ in range(2 * _EFFECTS):  # a step may be taken back
         best_shape: dict[str, Screened] = {}
         for s in alarming(seen.screened):
             if s.id not in best_shape or s.statistic > best_shape[s.id].statistic:
@@ -214,47 +211,26 @@ def _improvements(search: Search, base: Refit, tested: Tested) -> tuple[list[Ste
         far = [] if settled else [s for s in ranked[1:_REFITS] if s.id not in several]
         with search.refitting(now, far) as refitted:
             several |= {s.id: refitted(s) for s in far}
-        tried = {i: refit for i, refit in several.items() if refit is not None}
-        for i, refit in tried.items():
-            refits.setdefault(i, refit)
-        gains = {i: _bic_gain(search, now, refit) for i, refit in tried.items()}
-        held_out = {i: search.held_out_gain(now, refit) for i, refit in tried.items()}
-        good = [i for i, gain in gains.items() if gain > _BIC_GAIN and not held_out[i] <= 0]
-        if not good:
+        tried = {i: (best_shape[i], refit) for i, refit in several.items() if refit is not None}
+        for i, (_, refit) in tried.items():
+            refits.setdefault(i, (now, refit))
+        step = chosen(search, now, tried)
+        if step is None:
             break
-        best = max(good, key=lambda i: gains[i])
-        rivals = tuple(i for i in good if i != best and _untold(search, now, tried, gains, best, i))
-        gain = 2 * _gain(now, tried[best])
-        refits[best] = tried[best]
-        now = tried[best]
         search.bar.set_description("diagnose: what is left")
-        seen = ahead if ahead is not None and best == ranked[0].id else search.tested(now)
-        steps.append(Step(best, rivals, gain, gains[best], held_out[best], now, seen.tests))
+        seen = ahead if ahead is not None and step.id == ranked[0].id else search.tested(step.refit)
+        steps = reconsidered(search, base, [*steps, dataclasses.replace(step, left=seen.tests)])
+        if steps[-1].refit is not step.refit:
+            seen = search.tested(steps[-1].refit)
+            steps[-1] = dataclasses.replace(steps[-1], left=seen.tests)
+        befores = [base, *(s.refit for s in steps)]
+        refits |= {s.id: (before, s.refit) for s, before in zip(steps, befores, strict=False)}
+        now = steps[-1].refit
         count = judge(steps, tested.tests, search.samples)[1]
         # Where some are named and the next cannot be, the rest is left to the next diagnosis, with those in the model.
-        if not any(test.rejects for test in seen.tests) or 0 < count < len(steps):
+        if len(steps) == _EFFECTS or not any(test.rejects for test in seen.tests) or 0 < count < len(steps):
             break
     return steps, refits
-
-
-def _gain(before: Refit, after: Refit) -> float:
-    return after.predictor.log_likelihood - before.predictor.log_likelihood
-
-
-def _bic_gain(search: Search, before: Refit, after: Refit) -> float:
-    return 2 * _gain(before, after) - (len(after.free) - len(before.free)) * float(np.log(search.samples))
-
-
-def _untold(
-    search: Search, before: Refit, tried: Mapping[str, Refit], gains: Mapping[str, float], best: str, other: str
-) -> bool:
-    """Whether the data cannot tell a candidate from the best."""
-    if gains[best] - gains[other] < _BIC_GAIN:
-        return True
-    if _gain(before, tried[other]) < _RIVAL * _gain(before, tried[best]):
-        return False
-    price = 0.5 * (len(tried[best].free) - len(tried[other].free)) * float(np.log(search.samples))
-    return bool(vuong(tried[best].by_sample, tried[other].by_sample, search.stretches(), price) < _VUONG)
 
 
 def _candidates(
@@ -263,7 +239,7 @@ def _candidates(
     tested: Tested,
     steps: Sequence[Step],
     named: int,
-    refits: Mapping[str, Refit],
+    refits: Mapping[str, tuple[Refit, Refit]],
 ) -> list[Candidate]:
     """All candidates, those that improved the model first; the first `named` steps stand in the verdict."""
     best: dict[str, Screened] = {}
@@ -288,17 +264,13 @@ def _candidates(
             correlation=alike[s.id],
         )
         if s.id in refits:
-            refit = refits[s.id]
-            place = len(refit.added) - 1  # steps before it
-            before = steps[place - 1].refit if place else base
+            before, refit = refits[s.id]
             last = steps[named - 1].refit if s.id in within else refit
-            removed = np.exp(-2 * _gain(base, before) / search.samples) - np.exp(
-                -2 * _gain(base, refit) / search.samples
-            )
+            removed = np.exp(-2 * gain(base, before) / search.samples) - np.exp(-2 * gain(base, refit) / search.samples)
             c = dataclasses.replace(
                 c,
                 refitted=True,
-                bic_gain=_bic_gain(search, before, refit),
+                bic_gain=bic_gain(search, before, refit),
                 held_out_gain=search.held_out_gain(before, refit),
                 error_reduction=float(np.clip(removed / most, 0.0, 1.0)) if most > 0 else 0.0,
                 parameters=search.parameters(s.id, last),
@@ -310,10 +282,14 @@ def _candidates(
 
 
 def _most(
-    base: Refit, steps: Sequence[Step], refits: Mapping[str, Refit], tests: Sequence[Evidence], samples: int
+    base: Refit,
+    steps: Sequence[Step],
+    refits: Mapping[str, tuple[Refit, Refit]],
+    tests: Sequence[Evidence],
+    samples: int,
 ) -> float:
     """Share of the base model's squared prediction error that is known to be avoidable."""
-    single = [_gain(base, refit) for refit in refits.values() if len(refit.added) == 1]
+    single = [gain(base, refit) for before, refit in refits.values() if before is base]
     least = [np.exp(-2 * max(single, default=0.0) / samples), 1 - min(excess_of(tests) / samples, 1.0)]
     if steps:
         least.append(floor(steps, samples))

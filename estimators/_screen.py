@@ -6,8 +6,10 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
+from scipy.stats import f as fisher
 
 from estimators._innovations import AT_ONCE, Innovations, Rows, orthonormal
+from estimators._score_test import score_test
 from rtac_jax._parameter import declarations
 
 
@@ -21,8 +23,8 @@ class Screened:
         amplitudes: its amplitude parameters.
         begin: values at which to begin to fit them.
         statistic: chi-square distributed when the effect is absent; zero where the sign is unphysical.
-        robust: the same with the variance of each second of data in place of the model's.
-        limit: size of the amplitudes at which the statistic would be 20 on average.
+        p_value: by the model's variance or by the scatter over seconds of data, whichever is larger.
+        limit: size of the amplitudes at which an effect alone would raise the alarm on average.
         templates: projected change of the innovations per unit of each amplitude.
     """
 
@@ -31,12 +33,13 @@ class Screened:
     amplitudes: tuple[str, ...]
     begin: Float[np.ndarray, " amplitude"]
     statistic: float
-    robust: float
+    p_value: float
     limit: Float[np.ndarray, " amplitude"]
     templates: Rows
 
 
 ALARM = 20.0
+CHANCE = 2e-3  # of an alarm by any of the candidates that are tried, if nothing is missing
 _SIZES = (0.1, 0.2, 0.35, 0.5, 0.7, 1.0, 1.5)  # of the plausible amplitude, that are tried
 _THRESHOLD = 0.1  # of what proportion would ask of the smallest size, below which there is a threshold
 _TRIED = 3  # candidates whose size is looked for so
@@ -73,7 +76,7 @@ def screen(
     for number, parts in by_instance.items():
         names = tuple(name for name, _ in parts)
         templates = np.stack([column for _, column in parts], axis=1)
-        found.append(_screened(instances[number], names, templates, error, blocks))
+        found.append(_screened(instances[number], names, templates, error, basis, blocks, len(by_instance)))
     clear = [s for s in found if s.statistic >= ALARM and len(s.amplitudes) == 1 and s.begin[0] != 0]
     largest = sorted(clear, key=lambda s: -s.statistic)[:_TRIED]
     return [_sized(innovations, error, basis, place, s) if any(s is one for one in largest) else s for s in found]
@@ -101,17 +104,22 @@ def _sized(innovations: Innovations, error: np.ndarray, basis: Rows, place: Any,
 
 
 def _screened(
-    instance: Any, names: tuple[str, ...], templates: Rows, error: np.ndarray, blocks: np.ndarray
+    instance: Any,
+    names: tuple[str, ...],
+    templates: Rows,
+    error: np.ndarray,
+    basis: Rows,
+    blocks: np.ndarray,
+    tried: int,
 ) -> Screened:
-
     declared = declarations(instance)
     if not np.all(np.isfinite(templates)):
         none = np.zeros(len(names))
-        return Screened(instance.id, instance, names, none, 0.0, 0.0, none + np.inf, 0 * np.nan_to_num(templates))
+        return Screened(instance.id, instance, names, none, 0.0, 1.0, none + np.inf, 0 * np.nan_to_num(templates))
     gram = templates.T @ templates
     size = np.sqrt(np.diagonal(gram))
     with np.errstate(divide="ignore"):
-        limit = np.sqrt(ALARM) / size
+        limit = np.sqrt(_alarm(len(np.unique(blocks)), tried)) / size
     sound = size > 1e-12 / np.array([max(abs(float(np.asarray(getattr(instance, n)))), 1e-300) for n in names])
     estimate = np.zeros(len(names))
     if sound.any():
@@ -123,13 +131,18 @@ def _screened(
             estimate[i] = 0.0
     explained = -templates @ estimate
     statistic = float(2 * explained @ error - explained @ explained)
-    left = error - explained
-    # Scores by stretch of time: what a coloured noise does to them shows in their scatter.
-    score = float(explained @ error)
-    by_block = np.bincount(blocks, weights=explained * left)
-    scatter = float(np.sum(by_block**2))
-    robust = score**2 / scatter if scatter > 0 else 0.0
-    return Screened(instance.id, instance, names, estimate, max(statistic, 0.0), robust, limit, templates)
+    allowed = estimate != 0.0
+    # By stretch of time, too: what coloured noise, or friction that is shaken loose, does to a score shows in its scatter.
+    p_value = score_test(templates[:, allowed], error, basis, blocks).p_value if statistic > 0 else 1.0
+    return Screened(instance.id, instance, names, estimate, max(statistic, 0.0), p_value, limit, templates)
+
+
+def _alarm(stretches: int, tried: int) -> float:
+    """Chi-square at which one amplitude raises the alarm: fewer stretches of time tell their scatter less well."""
+    if stretches < 3:
+        return ALARM
+    least = float(fisher.isf(CHANCE / tried, 1, stretches - 1)) * stretches / (stretches - 1)
+    return max(ALARM, least)
 
 
 def correlations(screened: Mapping[str, Screened]) -> dict[str, dict[str, float]]:

@@ -176,7 +176,7 @@ class Search:
 
     def held_out_gain(self, before: Refit, after: Refit) -> float:
         """Gain in the log-likelihood of experiments that did not take part in estimating the effect; NaN if none can tell."""
-        added = range(len(before.free), len(after.free))
+        added = [place for place, name in enumerate(after.free) if name not in before.free]
         change = held_out(after.triangles, len(after.predictor.unknowns.shared), added)
         gains = np.asarray(after.predictor.filtered.log_likelihood) - np.asarray(
             before.predictor.filtered.log_likelihood
@@ -227,6 +227,15 @@ class Search:
         model = model.with_values({n: v for n, v in values.items() if n in model.parameters})
         return self._fitted(added, model, free, before.predictor.noise)
 
+    def without(self, refit: Refit, effect: str) -> Refit:
+        """A model with one of its added effects less, all parameters fitted together."""
+        added = tuple(i for i in refit.added if i != effect)
+        model = self._with([e for i, e in self.absent.items() if i in added])
+        values = dict(zip(refit.space.names, np.asarray(refit.predictor.physical[0]), strict=True))
+        model = model.with_values({n: v for n, v in values.items() if n in model.parameters})
+        free = tuple(name for name in refit.free if name.split(".")[0] != effect)
+        return self._fitted(added, model, free, refit.predictor.noise)
+
     def _extended(self, before: Refit, s: Screened) -> tuple[RTAC, tuple[str, ...], tuple[str, ...]]:
         """A model with one candidate more at null, its free parameters, and what was added to the base model."""
         added = (*before.added, s.id)
@@ -254,6 +263,11 @@ class Search:
         values = dict(zip(refit.space.names, np.asarray(refit.predictor.physical[0]), strict=True))
         cls = self.classes[effect]
         return cls(**{name: values[f"{effect}.{name}"] for name in declarations(cls)})
+
+    def loose(self, effect: str, refit: Refit) -> bool:
+        """Whether the data leave a parameter of an added effect free."""
+        known = information(refit.triangles, refit.space, refit.predictor.unknowns)
+        return any(f"{effect}." in said for said in known.undetermined())
 
     def stretches(self) -> np.ndarray:
         """For every sample and experiment the number of the second that it belongs to."""

@@ -73,6 +73,7 @@ class Effect(eqx.Module):
         source: where it comes from.
         port: the part of the rig on which it acts.
         states: names of its own states, with units.
+        contains: ids of simpler effects that it becomes at the edge of its shape.
         free_start: whether a recording may begin with these states away from `start`, so that a fit estimates them.
         closed: whether the states follow in closed form over a step (`follow`) instead of by integrating `rate`. A lag
             is exact in this way and may be as short as it likes without asking for small steps.
@@ -83,6 +84,7 @@ class Effect(eqx.Module):
     source: ClassVar[str]
     port: ClassVar[str]
     states: ClassVar[dict[str, str]] = {}
+    contains: ClassVar[tuple[str, ...]] = ()
     free_start: ClassVar[bool] = False
     closed: ClassVar[bool] = False
 

@@ -157,12 +157,13 @@ def diagnose(
             for i in group
         )
         additions = tuple(search.effect(step.id, final) for step in steps)
-        places = search.places(base)
+        places, lines = search.places(base), search.lines(base)
         latent = search.latent(base) if verdict == "unknown" else ()
         predictor = base.predictor
         explanation = words(
-            verdict, effects, all_candidates, steps, tested.tests, left, removed, tested.curves, latent, places
-        )
+            verdict, effects, all_candidates, steps, tested.tests, left, removed, tested.curves, latent, places,
+            lines,
+        )  # fmt: skip
         if steps and further:
             explanation += not_named(further, left, search.samples)
         if search.assumed:
@@ -172,7 +173,7 @@ def diagnose(
         explanation += surer(verdict, recording)
     return Diagnosis(
         verdict, effects, additions, tuple(all_candidates), tested.tests, left, removed,
-        tested.curves, latent, places, search.lines(base), predictor.random_force, predictor.random_torque,
+        tested.curves, latent, places, lines, predictor.random_force, predictor.random_torque,
         explanation, time.perf_counter() - began,
     )  # fmt: skip
 

@@ -58,11 +58,19 @@ class LatentForce:
         """N or N m."""
         return _UNITS[self.port]
 
+    @property
+    def carried_by(self) -> tuple[str, ...]:
+        """Experiments in which it is at least half as large as where it is largest, that one first."""
+        order = sorted(self.by_experiment, key=lambda name: -self.by_experiment[name])
+        return tuple(name for name in order if self.by_experiment[name] >= 0.5 * self.by_experiment[order[0]])
+
     def __str__(self) -> str:
-        most = max(self.by_experiment, key=lambda name: self.by_experiment[name])
+        names = self.carried_by
+        alike = len(names) == len(self.by_experiment) > 1
+        most = f"in all experiments alike, most in {names[0]}" if alike else f"in {', '.join(names)}"
         return (
             f"{self.rms[0]:.2g} +- {self.rms[1]:.1g} {self.unit} rms on the {self.port}, strongest at "
-            f"{self.frequency:.3g} rad/s and in {most}"
+            f"{self.frequency:.3g} rad/s and {most}"
         )
 
 

@@ -108,7 +108,7 @@ def _screened(
     names: tuple[str, ...],
     templates: Rows,
     error: np.ndarray,
-    basis: Rows,
+    basis: Float[np.ndarray, "row explained"],
     blocks: np.ndarray,
     tried: int,
 ) -> Screened:

@@ -5,10 +5,11 @@ import math
 from collections.abc import Sequence
 from typing import Literal
 
-from estimators._adequacy import Evidence, excess_of, removed_by_repeats
+from estimators._adequacy import LEVEL, Evidence, excess_of, removed_by_repeats
 from estimators._candidate import Candidate, Step
 from estimators._force_curve import ForceCurve
 from estimators._latent_force import LatentForce
+from estimators._line_classes import LineClass
 from estimators._where import Place
 from rtac_jax.measurement import Recording
 
@@ -68,6 +69,7 @@ def words(
     curves: Sequence[ForceCurve],
     latent: Sequence[LatentForce],
     places: Sequence[Place],
+    lines: Sequence[LineClass],
 ) -> str:
     """A paragraph: what is missing, how big, where it shows, how sure, and what would make it surer."""
     if verdict == "adequate":
@@ -83,7 +85,7 @@ def words(
         shown = f" It shows most in {worst.channel} of {worst.label} ({worst.value:.2f} times the expected squares)"
         shown += f" and at {part.label}." if part is not None else "."
     if verdict == "unknown":
-        return _unknown(candidates, tests, removed, curves, latent) + shown
+        return _unknown(candidates, tests, removed, curves, latent, lines) + shown
     by_id = {c.id: c for c in effects}
     sentences = []
     for step in steps:
@@ -137,6 +139,7 @@ def _unknown(
     removed: float,
     curves: Sequence[ForceCurve],
     latent: Sequence[LatentForce],
+    lines: Sequence[LineClass],
 ) -> str:
     reasons = "; ".join(f"{test.test}: {test.words}" for test in tests if test.rejects)
     refitted = [c for c in candidates if c.refitted]
@@ -151,4 +154,10 @@ def _unknown(
         static = f" It depends most on {curve.variable} ({curve.port})."
     else:
         static = " It is no static function of position, velocity, angle or current."
+    telling = min(lines, key=lambda line: line.p_value, default=None)
+    if telling is not None and telling.p_value < LEVEL / len(lines):
+        static += (
+            f" On the {telling.lines} lines of the periodic input {telling.channel} has {telling.ratio:.2g} times the power "
+            f"of the noise, which shows {telling.shows}."
+        )
     return f"Unknown: the model fails and no effect of the catalogue explains it ({reasons}).{nearest}{force}{static}"

@@ -269,7 +269,7 @@ def _improve(work: Job) -> None:
     tables: list[Any] = []
     for number, diagnosis in enumerate(found.diagnoses, 1):
         tables += [f"Diagnosis {number}: {diagnosis.verdict}.", _report.candidate_table(diagnosis)]
-        tables += [_report.evidence_table(diagnosis)]
+        tables += [_report.evidence_table(diagnosis), _report.place_table(diagnosis)]
     sections = [
         (f"Verdict: {found.verdict}", [f"{finding(found)}.", *told, found.stopped, work.remark]),
         ("Error before and after", [errors]),

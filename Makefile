@@ -32,6 +32,7 @@ bench: $(STAMP)
 	$(BIN)/python benchmarks/bench_simulation.py
 	$(BIN)/python benchmarks/bench_prediction_error.py
 	$(BIN)/python benchmarks/bench_weight.py
+	$(BIN)/python benchmarks/bench_diagnosis.py
 
 notebooks: $(STAMP)
 	for f in notebooks/*.ipynb; do $(BIN)/python -m jupyter execute --inplace $$f || exit 1; done

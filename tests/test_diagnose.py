@@ -1,13 +1,17 @@
 """Hidden effects, made by the independent virtual rig, are named; with nothing hidden nothing is."""
 
 import dataclasses
+from typing import Any, ClassVar
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import estimators as est
 import rtac_jax as rtac
-from rtac_jax import virtual_rig
+from estimators._report import report_dict
+from rtac_jax import parameter, virtual_rig
+from rtac_jax.effects import CATALOGUE, Force
 
 # What the rig hides, and which parameter of the model's effect should come out at which value.
 HIDDEN = {
@@ -74,9 +78,9 @@ def test_hidden_effect_is_named(recordings: dict[str, rtac.Recording], name: str
     assert [c.id for c in found.effects] == [name], found
     assert found.effects[0].error_reduction > 0.9
     estimates = found.effects[0].parameters
-    for parameter, truth in HIDDEN[name][1].items():
-        estimate = estimates[parameter]
-        assert estimate.value == pytest.approx(truth, abs=5 * estimate.std + 0.02 * abs(truth)), (parameter, estimate)
+    for one, truth in HIDDEN[name][1].items():
+        estimate = estimates[one]
+        assert estimate.value == pytest.approx(truth, abs=5 * estimate.std + 0.02 * abs(truth)), (one, estimate)
     assert found.best is not None
     assert found.best.id == name
     assert any(test.rejects for test in found.tests)
@@ -121,6 +125,37 @@ def test_what_the_catalogue_does_not_know_is_not_named(recordings: dict[str, rta
 def test_size_of_a_vibration(recordings: dict[str, rtac.Recording]) -> None:
     found = diagnosed(recordings["floor vibration"])
     assert found.latent[0].rms[0] == pytest.approx(0.05 / np.sqrt(2), rel=0.2)
+
+
+class Detent(Force):
+    """A magnet that a user suspects somewhere beneath the table."""
+
+    id: ClassVar[str] = "detent"
+    equation: ClassVar[str] = "-F z exp((1 - z^2) / 2), z = (q - q_0) / 1 mm"
+    source: ClassVar[str] = "own rig"
+    port: ClassVar[str] = "cart"
+    strength: Any = parameter(symbol="F", unit="N", meaning="pull", null=0.0, plausible=lambda s: 0.05 * s.force)
+    centre: Any = parameter(symbol="q_0", unit="m", meaning="place", plausible=tuple(1e-3 * n for n in range(-6, 7)))
+
+    def force(self, motion: Any, own: Any) -> tuple[Any, Any]:
+        away = (motion.cart_position - self.centre) / 1e-3
+        return -self.strength * away * jnp.exp(0.5 * (1 - away**2)), 0.0
+
+
+def test_an_effect_of_the_users_own_is_named_fitted_and_reported(recordings: dict[str, rtac.Recording]) -> None:
+    recording = recordings["magnetic detent"]
+    fit = est.output_error(rtac.RTAC.from_rig(recording), recording, progress=False)
+    others = [CATALOGUE[name] for name in ("quadratic_spring", "cubic_spring", "cart_stribeck")]
+    found = est.diagnose(fit, recording, candidates=[*others, Detent], progress=False)
+    assert found.verdict == "missing", found
+    assert [c.id for c in found.effects] == ["detent"], found
+    assert found.best is not None
+    better = est.output_error(fit.model + found.best, recording, from_model=True, progress=False)
+    reported = report_dict(found, fit=better)
+    assert [effect["id"] for effect in reported["effects"]] == ["detent"]
+    for name, truth in (("strength", 0.05), ("centre", 3e-3)):
+        said = reported["parameters"][f"detent.{name}"]
+        assert said["value"] == pytest.approx(truth, abs=5 * said["std"] + 0.02 * truth), said
 
 
 def test_no_candidate_left_is_refused(recordings: dict[str, rtac.Recording]) -> None:

@@ -220,7 +220,12 @@ def _improvements(search: Search, base: Refit, tested: Tested) -> tuple[list[Ste
             break
         search.bar.set_description("diagnose: what is left")
         seen = ahead if ahead is not None and step.id == ranked[0].id else search.tested(step.refit)
-        steps = reconsidered(search, base, [*steps, dataclasses.replace(step, left=seen.tests)])
+        steps = [*steps, dataclasses.replace(step, left=seen.tests)]
+        # Where some are named and the next cannot be, the rest is left to the next diagnosis, with those in the model.
+        if 0 < judge(steps, tested.tests, search.samples)[1] < len(steps):
+            refits[step.id] = (now, step.refit)
+            break
+        steps = reconsidered(search, base, steps)
         if steps[-1].refit is not step.refit:
             seen = search.tested(steps[-1].refit)
             steps[-1] = dataclasses.replace(steps[-1], left=seen.tests)
@@ -228,7 +233,6 @@ def _improvements(search: Search, base: Refit, tested: Tested) -> tuple[list[Ste
         refits |= {s.id: (before, s.refit) for s, before in zip(steps, befores, strict=False)}
         now = steps[-1].refit
         count = judge(steps, tested.tests, search.samples)[1]
-        # Where some are named and the next cannot be, the rest is left to the next diagnosis, with those in the model.
         if len(steps) == _EFFECTS or not any(test.rejects for test in seen.tests) or 0 < count < len(steps):
             break
     return steps, refits

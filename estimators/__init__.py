@@ -4,6 +4,7 @@ from estimators._agreement import Agreement, agreement
 from estimators._attribution import SOURCES, Attribution
 from estimators._candidate import Candidate
 from estimators._compare import Comparison, compare
+from estimators._control_design import ControlDesign, control
 from estimators._diagnose import Diagnosis, diagnose
 from estimators._envelope import Envelope, envelope
 from estimators._expected import Expected, expected_std
@@ -31,6 +32,7 @@ __all__ = [
     "Candidate",
     "ClosedForm",
     "Comparison",
+    "ControlDesign",
     "Covariances",
     "Diagnosis",
     "DivergedError",
@@ -52,6 +54,7 @@ __all__ = [
     "Trend",
     "agreement",
     "compare",
+    "control",
     "covariances",
     "diagnose",
     "envelope",

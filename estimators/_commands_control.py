@@ -101,21 +101,21 @@ def control(
         if not 0 < value < float("inf"):
             stop(WRONG_USE, f"{name} is {value:g}; give a positive number.")
     with job(file, validation, out, json) as work:
+        import estimators as est
         from estimators import _control_report as texts
         from estimators import _report
-        from estimators._control_design import design
 
         orders = _ORDERS if order is None else (order,)
         used, found = _enveloped(work, between, orders, weight_order, "multiplicative_output", for_control=True)
         sample_time = work.recording[used.responses[0].name].sample_time
         fit = work.fitted(work.model())
-        made = design(
+        made = est.control(
             fit, found, used.responses, sample_time=sample_time, displacement=1e-3 * displacement,
             torque_limit=torque_limit,
         )  # fmt: skip
         trained, tested = work.compared(fit)
         errors, parameters = _report.error_table(trained, tested), _report.parameter_table(fit)
-        said, honest, loops = texts.outcome(made), texts.honesty(made), texts.design_table(made)
+        said, honest, loops = texts.outcome(made), [*texts.honesty(made), texts.WEIGHTED], texts.design_table(made)
         say(*said, *honest, loops, texts.controller_table(made), errors)
         known = _report.fit_dict(fit, train=trained, validation=tested, seconds=work.seconds)["parameters"]
         work.write_json(texts.design_dict(made, known, seconds=work.seconds))

@@ -8,7 +8,7 @@ import control as ct
 import numpy as np
 
 from estimators._attribution import SOURCES
-from estimators._control_design import OFF, Design
+from estimators._control_design import OFF, ControlDesign
 from estimators._envelope import Envelope
 from estimators._report import FORMAT, VERSION
 from estimators._report_file import Table
@@ -16,6 +16,7 @@ from estimators._response_record import FrequencyResponses
 from estimators._usable_conditions import UsableConditions
 from rtac_jax.control import ClosedLoop
 
+WEIGHTED = "P0 keeps closest to the responses where they are large, as limited torque does nothing elsewhere."
 _BANDS = 4
 _USEFUL = 0.8  # share of the settling time, above which a controller is of little use
 _WORDS = {
@@ -164,7 +165,7 @@ def remarks(found: Envelope, used: UsableConditions) -> list[str]:
 # -- control ---------------------------------------------------------------------------------------------------------
 
 
-def design_dict(found: Design, fit_parameters: Mapping[str, Any], *, seconds: float) -> dict[str, Any]:
+def design_dict(found: ControlDesign, fit_parameters: Mapping[str, Any], *, seconds: float) -> dict[str, Any]:
     """A controller and what it achieves, ready for `write_json`."""
     synthesis = found.synthesis
     return {
@@ -208,7 +209,7 @@ def design_dict(found: Design, fit_parameters: Mapping[str, Any], *, seconds: fl
     }
 
 
-def design_mat(found: Design) -> dict[str, Any]:
+def design_mat(found: ControlDesign) -> dict[str, Any]:
     """The same controllers as matrices, for `scipy.io.savemat`."""
     sampled = {**_arrays(found.sampled), "sample_time": float(found.sampled.dt or 0.0)}
     actuation = found.actuation
@@ -222,7 +223,7 @@ def design_mat(found: Design) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def outcome(found: Design) -> list[str]:
+def outcome(found: ControlDesign) -> list[str]:
     """What the controller does, in sentences, the answer first."""
     alone, now = (float(r.settling_time()[0]) for r in (found.free, found.closed))
     first = (
@@ -250,7 +251,7 @@ def outcome(found: Design) -> list[str]:
     return said
 
 
-def honesty(found: Design) -> list[str]:
+def honesty(found: ControlDesign) -> list[str]:
     """What a reader of the paper has to know, and what is not guaranteed."""
     act = found.actuation
     bound, at = found.printed_bound
@@ -272,14 +273,15 @@ def honesty(found: Design) -> list[str]:
         f"of the motor's {1e3 * act.motor_limit:.0f} mN m, which limits the swing of the arm, and an electric spring of "
         f"{1e3 * act.arm_stiffness:.2f} mN m/rad brings the arm back to theta = 0, which nothing else on a level rig does. "
         f"The division by cos(theta), and no torque where |cos(theta)| is at most {act.dead_band:g}, are the paper's.",
-        f"P0 has order {len(found.covered.nominal.poles()) - 2} and the spring's two poles, and keeps closest to the responses "
-        "where they are large, as limited torque does nothing elsewhere.",
+        f"The weight covers what was recorded, {found.covered.frequency[0]:.3g} to {found.covered.frequency[-1]:.3g} rad/s: beyond "
+        "that band it is only continued, and nothing is said there of plants that differ by more.",
+        f"P0 has order {len(found.covered.nominal.poles()) - 2} and the spring's two poles.",
         "The recording was made without that spring: each response is multiplied by what the spring does to the linearised "
         "fitted model, and the envelope is made from the products.",
     ]  # fmt: skip
 
 
-def design_table(found: Design) -> Table:
+def design_table(found: ControlDesign) -> Table:
     """Open against closed loop."""
     rows = []
     for name, one in (("without controller", found.free), ("with controller", found.closed)):
@@ -300,7 +302,7 @@ def design_table(found: Design) -> Table:
     )
 
 
-def controller_table(found: Design) -> Table:
+def controller_table(found: ControlDesign) -> Table:
     """The sampled controller as poles, zeros and gain."""
     system = found.sampled
     rows = (
@@ -335,7 +337,7 @@ def _pairs(values: Any) -> list[list[float]]:
     return [[float(v.real), float(v.imag)] for v in np.asarray(values, dtype=complex)]
 
 
-def _resonance(found: Design) -> float:
+def _resonance(found: ControlDesign) -> float:
     """Of the nominal model, where its response is largest [rad/s]."""
     omega = found.covered.frequency
     return float(omega[np.argmax(np.abs(found.covered.nominal_response()))])

@@ -241,6 +241,7 @@ def test_what_is_guaranteed_is_told_apart_from_what_is_not(ran):
         assert "no controller has a gamma below 0.598, at 12.9 rad/s" in text
         assert "electric spring" in text
         assert "theorem for linear plants" in text
+        assert re.search(r"what was recorded, 6\.28 to 3\d(\.\d)? rad/s: beyond that band it is only continued", text)
     # |W| = 1.31 and |W_3 W_d| = 0.67 at 12.9 rad/s, as printed in the paper
     s = 12.9j
     uncertainty = abs(0.55 * (s / 2 + 1) * (s / 80 + 1) / ((s / 5 + 1) * (s / 1000 + 1)))

@@ -175,6 +175,15 @@ def test_wider_envelope_asks_for_less_damping():
     assert damped[0] >= damped[1] > damped[2] > damped[3]
 
 
+def test_a_resonance_outside_the_measured_band_is_not_taken_for_the_one_to_damp():
+    """Fitted models put sharp pairs of poles and zeros where nothing was measured."""
+    spurious = ct.tf([1.0, 0.0, 2.0**2], [1.0, 0.002, 2.1**2])
+    plant = ct.ss(LAG) * ct.ss(spurious)
+    for band, expected in (((5.0, 40.0), 10.0), ((0.0, np.inf), 2.1)):
+        weights = propose_weights(plant, 0.3 * ONE, 1.0, displacement=1.0, band=band)
+        assert np.max(weights.desired.zeros().imag) == pytest.approx(expected, rel=0.01)
+
+
 def test_reduction(design):
     _, _, plant, weights, found = design
     smaller = reduce_controller(found)
@@ -506,6 +515,10 @@ def weighed(**changed: ct.TransferFunction) -> Weights:
         (lambda: propose_weights(ct.tf([1.0], [1.0, -0.1, 1.0]), ONE, 1.0, displacement=1.0), "not stable"),
         (lambda: propose_weights(LAG, ONE, 0.0, displacement=1.0), "torque_limit is 0"),
         (lambda: propose_weights(LAG, ONE, 1.0, displacement=np.nan), "displacement is nan"),
+        (
+            lambda: propose_weights(LAG, ONE, 1.0, displacement=1.0, band=(20.0, 40.0)),
+            "no oscillatory poles from 20 to 40 rad/s, where it was measured",
+        ),
         (lambda: propose_weights(LAG, 50 * ONE, 1.0, displacement=1.0), "so wide that no damping can be added"),
         (lambda: margins(ct.tf([1.0], [1.0, -1.0]), 0.1 * ONE, weighed()), "closed loop is not stable"),
         (lambda: discretise(ONE, LAG, 0.0), "sample_time is 0"),

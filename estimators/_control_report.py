@@ -198,11 +198,13 @@ def design_dict(found: ControlDesign, fit_parameters: Mapping[str, Any], *, seco
         "open_loop": _loop(found.free),
         "closed_loop": _loop(found.closed),
         "batches": {
-            name: {
-                "plants": len(batch.peak_torque),
-                "share_that_holds": float(np.mean(batch.holds(within=found.within))),
-            }
-            for name, batch in (("parameters_off", found.off), ("parameter_covariance", found.drawn))
+            name: {"plants": len(batch.peak_torque), "share_that_holds": found.shares[name]}
+            for name, batch in (
+                ("parameters_off", found.off),
+                ("parameter_covariance", found.drawn),
+                ("envelope", found.inside),
+            )
+            if batch is not None
         },
         "parameters": dict(fit_parameters),
         "seconds": seconds,
@@ -231,14 +233,19 @@ def outcome(found: ControlDesign) -> list[str]:
         f"after {_seconds(now)} with the controller and {_seconds(alone)} without; the torque stays within "
         f"{1e3 * float(found.closed.peak_torque[0]):.1f} mN m and the arm swings {float(found.closed.arm_swing[0]):.2f} rad."
     )
-    off, drawn, alone_off = found.off, found.drawn, found.off_free
-    times, before = off.settling_time(), alone_off.settling_time()
+    times, before, shares = found.off.settling_time(), found.off_free.settling_time(), found.shares
     second = (
         f"Of {len(times)} plants whose parameters are each up to {100 * OFF:.0f} % off, {_percent(times < before)} settle "
         f"sooner than without it, in the median after {_seconds(float(np.median(times)))} instead of "
-        f"{_seconds(float(np.median(before)))}; {_percent(off.holds(within=found.within))} settle within {found.within:.2f} s, two "
-        f"thirds of what the fitted model takes alone, and keep the arm in its half of the circle. Of {len(drawn.peak_torque)} "
-        f"plants drawn from the covariance of the fit {_percent(drawn.holds(within=found.within))} do."
+        f"{_seconds(float(np.median(before)))}; {_percent(shares['parameters_off'])} settle within {found.within:.2f} s, two "
+        f"thirds of what the fitted model takes alone, and keep the arm in its half of the circle. Of "
+        f"{len(found.drawn.peak_torque)} plants drawn from the covariance of the fit {_percent(shares['parameter_covariance'])} do"
+    )
+    second += (
+        ". No plant with parameters near the fitted ones was found in the envelope."
+        if found.inside is None
+        else f", and of {len(found.inside.peak_torque)} of the envelope, parameters up to {100 * OFF:.0f} % off and damped as much "
+        f"as the envelope asks, {_percent(shares['envelope'])}."
     )
     said = [first, second]
     if not now < _USEFUL * alone:

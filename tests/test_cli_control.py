@@ -225,12 +225,26 @@ def settled(position):
 def test_the_controller_of_the_file_damps_the_rig_itself(ran):
     content = ran["control"][2]
     alone, (position, angle, torque) = released(None)[0], released(law_of(content))
-    assert settled(position) < 0.75 * settled(alone)
     assert settled(position) == pytest.approx(content["closed_loop"]["settling_time"], rel=0.1)
     assert settled(alone) == pytest.approx(content["open_loop"]["settling_time"], rel=0.1)
-    assert np.max(np.abs(torque)) <= 0.1
     assert np.max(np.abs(torque)) == pytest.approx(content["closed_loop"]["peak_torque"], rel=0.1)
+    assert np.max(np.abs(angle)) == pytest.approx(content["closed_loop"]["arm_swing"], rel=0.1)
+
+
+def test_the_controller_from_recordings_keeps_what_the_issue_asks(ran):
+    """From 15 mm under a tenth in at most 3.0 s, on the rig itself, and on 99 % of plants that are not the fitted one."""
+    content = ran["control"][2]
+    position, angle, torque = released(law_of(content))
+    assert settled(released(None)[0]) == pytest.approx(4.6, abs=0.1)
+    assert settled(position) <= 3.0
     assert np.max(np.abs(angle)) < 0.5 * np.pi
+    limit = content["actuation"]["motor_limit"]
+    assert np.mean(np.abs(torque) >= limit * (1 - 1e-9)) < 0.01, (
+        "the motor has enough torque; the loop does not live at its limit"
+    )
+    for name in ("parameter_covariance", "envelope"):
+        assert content["batches"][name]["plants"] == 2000
+        assert content["batches"][name]["share_that_holds"] >= 0.99
 
 
 def test_what_is_guaranteed_is_told_apart_from_what_is_not(ran):

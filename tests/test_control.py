@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from estimators import envelope
+from estimators._plants_inside import plants_inside
 from estimators.plots._control import plot_batch, plot_closed_loop, plot_margins, plot_synthesis
 from rtac_jax import RTAC, RigidBody
 from rtac_jax.control import (
@@ -421,6 +423,39 @@ def test_own_design_holds_for_2000_plants(design, kind):
     assert np.all(result.peak_torque <= 0.1)
     free = closed_loop(batch, None)
     assert np.mean(free.settling_time() <= 3.0) < 0.01
+
+
+def test_plants_inside_an_envelope_are_inside():
+    """Against equations (1) and (2) at small motions, in plain NumPy, and all-pass perturbations of the envelope itself."""
+    model, acting = RTAC.paper(), Actuation.proposed(RTAC.paper())
+    omega = np.geomspace(6.0, 40.0, 80)
+    s = 1j * omega
+
+    def response(mass, inertia, moment, spring, constant, viscous, ahead, back):
+        cart = mass * s**2 + viscous * s + spring
+        # The drive believes the model's torque constant, also where it makes the electric spring.
+        arm = inertia * s**2 + 0.5 * (ahead + back) * s + acting.arm_stiffness * constant / KM
+        return -moment * s**2 * constant / (cart * arm - (moment * s**2) ** 2)
+
+    # Dry friction shows as damping: the conditions are those of a cart that is damped several times as much.
+    damped = [response(M, J, ME * f, K, KM, VISCOUS * g, KV, KV) for f in (0.8, 1.0, 1.2) for g in (4.0, 8.0)]
+    covered = envelope(np.array(damped), omega=omega, progress=False)
+    found = plants_inside(covered, model, acting, off=0.15, count=300)
+    assert found is not None
+    names = ("total_mass", "arm_inertia", "eccentric_moment", "spring_stiffness", "torque_constant", "cart_viscous.coefficient",
+             "arm_viscous.positive", "arm_viscous.negative")  # fmt: skip
+    assert set(found.parameters) == set(names)
+    drawn = np.array([np.asarray(found[name]) for name in names])
+    plants = np.array([response(*row) for row in drawn.T])
+    gaps = np.abs(plants / covered.nominal_response() - 1) / covered.weight_magnitude()
+    assert len(gaps) == 300
+    assert np.max(gaps) <= 1 + 1e-6
+    assert np.max(gaps) > 0.9, "up to the boundary"
+    ratio = drawn / np.array([[float(model[name])] for name in names])
+    assert np.all(np.abs(np.log(np.delete(ratio, 5, axis=0))) <= np.log(1.15) + 1e-12)
+    assert 2 < np.median(ratio[5]) < 20
+    nowhere = envelope(100 * np.array(damped), omega=omega, progress=False)
+    assert plants_inside(nowhere, model, acting, off=0.15, count=10) is None
 
 
 def test_noise_and_disturbance(design):

@@ -6,6 +6,7 @@ from estimators._candidate import Candidate
 from estimators._compare import Comparison, compare
 from estimators._control_design import ControlDesign, control
 from estimators._diagnose import Diagnosis, diagnose
+from estimators._effect_cost import EffectCost, effect_cost
 from estimators._envelope import Envelope, envelope
 from estimators._expected import Expected, expected_std
 from estimators._frequency_response import frequency_responses
@@ -36,6 +37,7 @@ __all__ = [
     "Covariances",
     "Diagnosis",
     "DivergedError",
+    "EffectCost",
     "Envelope",
     "Equality",
     "Expected",
@@ -57,6 +59,7 @@ __all__ = [
     "control",
     "covariances",
     "diagnose",
+    "effect_cost",
     "envelope",
     "expected_std",
     "frequency_responses",

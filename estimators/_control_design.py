@@ -207,12 +207,7 @@ def _check(envelopes: Sequence[Envelope], responses: FrequencyResponses) -> None
             raise ValueError(f"covered: is {found.kind}; control needs an envelope with kind='multiplicative_output'.")
         if found.names != names or not np.array_equal(found.frequency, grid):
             raise ValueError("covered: was made of other responses; give those of which the envelope was made.")
-    for one in responses:
-        if (one.input, one.output, one.compensated) != ("current", "cart_position", True):
-            raise ValueError(
-                f"responses: {one.name} is from {one.input} to {one.output}{'' if one.compensated else ', not compensated'}; "
-                "give those from current times cos(theta) to cart_position."
-            )
+    responses.require("current", "cart_position")
 
 
 def _with_spring(model: RTAC, actuation: Actuation, found: Envelope, responses: FrequencyResponses) -> Envelope:

@@ -36,8 +36,10 @@ def plants_inside(
     """
     dry = {effect.id: effect.port for effect in model.effects if isinstance(effect, DryFriction)}
     middle, random, found = model.without(*dry), np.random.default_rng(seed), []
-    damping = {
-        e.id for e in middle.effects if isinstance(e, Force) and e.nature == "dissipative" and e.port in dry.values()
+    damping = {  # not what has states of its own, which moves the resonance and does not only damp it
+        e.id
+        for e in middle.effects
+        if isinstance(e, Force) and e.nature == "dissipative" and not e.states and e.port in dry.values()
     }
     size, damped = np.log(1 + off), np.log(_DAMPED)
     for _ in range(_MOST):

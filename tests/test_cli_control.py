@@ -238,10 +238,10 @@ def test_the_controller_from_recordings_keeps_what_the_issue_asks(ran):
     assert settled(released(None)[0]) == pytest.approx(4.6, abs=0.1)
     assert settled(position) <= 3.0
     assert np.max(np.abs(angle)) < 0.5 * np.pi
-    limit = content["actuation"]["motor_limit"]
-    assert np.mean(np.abs(torque) >= limit * (1 - 1e-9)) < 0.01, (
-        "the motor has enough torque; the loop does not live at its limit"
-    )
+    rules = content["actuation"]
+    saturated = np.abs(torque + rules["arm_stiffness"] * angle) >= rules["controller_limit"] * (1 - 1e-9)
+    assert np.mean(saturated[:300]) < 0.4
+    assert not np.any(saturated[250:]), "a settled cart needs no more than the motor gives"
     for name in ("parameter_covariance", "envelope"):
         assert content["batches"][name]["plants"] == 2000
         assert content["batches"][name]["share_that_holds"] >= 0.99

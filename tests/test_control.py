@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from estimators import envelope
+import estimators as est
 from estimators._plants_inside import plants_inside
 from estimators.plots._control import plot_batch, plot_closed_loop, plot_margins, plot_synthesis
 from rtac_jax import RTAC, RigidBody
@@ -439,7 +439,7 @@ def test_plants_inside_an_envelope_are_inside():
 
     # Dry friction shows as damping: the conditions are those of a cart that is damped several times as much.
     damped = [response(M, J, ME * f, K, KM, VISCOUS * g, KV, KV) for f in (0.8, 1.0, 1.2) for g in (4.0, 8.0)]
-    covered = envelope(np.array(damped), omega=omega, progress=False)
+    covered = est.envelope(np.array(damped), omega=omega, progress=False)
     found = plants_inside(covered, model, acting, off=0.15, count=300)
     assert found is not None
     names = ("total_mass", "arm_inertia", "eccentric_moment", "spring_stiffness", "torque_constant", "cart_viscous.coefficient",
@@ -454,7 +454,7 @@ def test_plants_inside_an_envelope_are_inside():
     ratio = drawn / np.array([[float(model[name])] for name in names])
     assert np.all(np.abs(np.log(np.delete(ratio, 5, axis=0))) <= np.log(1.15) + 1e-12)
     assert 2 < np.median(ratio[5]) < 20
-    nowhere = envelope(100 * np.array(damped), omega=omega, progress=False)
+    nowhere = est.envelope(100 * np.array(damped), omega=omega, progress=False)
     assert plants_inside(nowhere, model, acting, off=0.15, count=10) is None
 
 
@@ -578,6 +578,36 @@ def weighed(**changed: ct.TransferFunction) -> Weights:
 def test_bad_input(call, message):
     with pytest.raises(ValueError, match=message):
         call()
+
+
+def test_envelopes_that_no_controller_can_be_made_from_are_refused():
+    omega = np.linspace(5.0, 20.0, 30)
+    sizes = (0.8, 1.0, 1.3)
+
+    def measured(omega=omega, **changed):
+        known = dict.fromkeys(("std", "noise_std", "coherence"), np.ones(len(omega)))
+        known |= {"odd_distortion": None, "even_distortion": None, "freedom": 9, "input_rms": 1.0, "arm_angle": 0.0}
+        parts: dict = known | {"compensated": True} | changed
+        return est.FrequencyResponses(
+            tuple(
+                est.FrequencyResponse(
+                    name=f"c{n}", frequency=omega, response=size * np.asarray(LAG(1j * omega)), **parts
+                )
+                for n, size in enumerate(sizes)
+            )
+        )
+
+    fit = object.__new__(est.Fit)  # is not looked at before the envelope is
+    found = est.envelope(measured(), order_nominal=2, progress=False)
+    for covered, responses, message in (
+        ([], measured(), "covered: holds no envelope"),
+        (est.envelope(measured(), kind="additive", progress=False), measured(), "covered: is additive; control needs"),
+        (found, measured(1.1 * omega), "covered: was made of other responses"),
+        (found, measured(compensated=False), "c0 is from current to cart_position; give those from current times"),
+        (found, measured(input="disturbance_force"), "c0 is from disturbance_force times cos"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            est.control(fit, covered, responses, sample_time=0.01)
 
 
 def test_bad_reduction(design):

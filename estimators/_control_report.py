@@ -10,6 +10,7 @@ import numpy as np
 from estimators._attribution import SOURCES
 from estimators._control_design import OFF, ControlDesign
 from estimators._envelope import Envelope
+from estimators._prediction_error import LinearModels
 from estimators._report import FORMAT, VERSION
 from estimators._report_file import Table
 from estimators._response_record import FrequencyResponses
@@ -71,6 +72,8 @@ def envelope_dict(found: Envelope, used: UsableConditions, *, seconds: float) ->
         "attribution": {name: found.attribution.shares[i].tolist() for i, name in enumerate(SOURCES)},
         "conditions": conditions,
         "left_out": dict(used.left_out),
+        "method": "local" if used.models is None else "prediction-error",
+        "linear_models": None if used.models is None else models_said(used.models),
         "seconds": seconds,
     }
 
@@ -155,11 +158,28 @@ def remarks(found: Envelope, used: UsableConditions) -> list[str]:
         )
     largest = SOURCES[int(np.argmax(found.attribution.shares.mean(axis=1)))]
     said.append(
-        f"The gaps come mostly from the {_WORDS[largest].replace('left by', 'dynamics that are left by')}. The responses "
-        "are estimates by local polynomials, which count nonlinear distortion as noise."
+        f"The gaps come mostly from the {_WORDS[largest].replace('left by', 'dynamics that are left by')}. "
+        + (
+            "The responses are estimates by local polynomials, which count nonlinear distortion as noise."
+            if used.models is None
+            else f"The responses are those of linear models with {used.models.structure.modes} mode(s), by the prediction error "
+            "method; what a model lacks is in no standard deviation."
+        )
     )
     said += [f"Left out: {name}: {why.rstrip('.')}." for name, why in used.left_out.items()]
     return said
+
+
+def models_said(models: LinearModels) -> list[str]:
+    """What the residuals of linear models say, and whether all conditions have the same parameters."""
+    return [*models.verdict.splitlines(), _equality(models)]
+
+
+def _equality(models: LinearModels) -> str:
+    try:
+        return models.equality().verdict
+    except ValueError as error:
+        return f"Whether the conditions have the same parameters cannot be told: {error}"
 
 
 # -- control ---------------------------------------------------------------------------------------------------------

@@ -113,6 +113,8 @@ def test_the_weight_lies_above_every_condition(ran):
     gaps = np.abs(responses / nominal - 1)
     assert np.all(gaps <= np.abs(weight) * (1 + 1e-6))
     assert np.max(gaps, axis=0) == pytest.approx(content["profile"], rel=1e-6)
+    assert content["method"] == "local"
+    assert content["linear_models"] is None
     assert [one["distance"] for one in content["conditions"]] == pytest.approx(
         np.max(gaps / np.abs(weight), axis=1), rel=1e-6
     )
@@ -163,6 +165,43 @@ def test_orders_kind_and_band_are_obeyed(file, tmp_path):
     assert np.all(
         np.abs(responses - at(content["nominal"], omega)) <= np.abs(at(content["weight"], omega)) * (1 + 1e-6)
     )
+
+
+def test_responses_may_be_those_of_linear_models(tmp_path):
+    """Against equations (1) and (2) at small motions, in plain NumPy, on a rig without dry friction."""
+    rig = replace(RIG, cart_coulomb=0.0)
+    lines = [int(h) for h in harmonic_grid("all", period=1000, sample_time=0.02, band=(1.0, 6.0))]
+    plans = [
+        Plan(
+            f"condition_{n + 1}", "forced", 20.0, 0.02,
+            from_rest(multisine(samples=1000, sample_time=0.02, rms=0.01, harmonics=lines, seed=n)), initial_angle=0.3 * n,
+        )
+        for n in range(4)
+    ]  # fmt: skip
+    record(rig, plans, seed=1, step=1e-3).save(tmp_path / "smooth.h5")
+    target = tmp_path / "x.json"
+    result = call(
+        "envelope", tmp_path / "smooth.h5", "--method", "prediction-error", "--order", 2, "--validation", "condition_4",
+        "--out", tmp_path / "new", "--json", target,
+    )  # fmt: skip
+    assert result.exit_code == 0, result.output
+    content = json.loads(target.read_text())
+    assert content["method"] == "prediction-error"
+    s = 1j * np.array(content["frequency"])
+    arm = rig.arm_inertia * s**2 + 0.5 * (rig.arm_viscous_positive + rig.arm_viscous_negative) * s
+    cart = rig.total_mass * s**2 + rig.cart_viscous * s + rig.spring_stiffness
+    push = rig.eccentric_moment * s**2
+    truth = -push * rig.torque_constant / (cart * arm - push**2)
+    # Around the mode; below it the friction of the arm adds a real pole, which one mode has not.
+    around = (s.imag > 9) & (s.imag < 20)
+    for one in content["conditions"]:
+        assert np.max(np.abs(np.array(one["response"]) @ [1, 1j] / truth - 1)[around]) < 0.15
+    page = (tmp_path / "new" / "report.html").read_text()
+    assert "Linear models of the conditions" in page
+    assert len(content["linear_models"]) >= 2
+    for said in content["linear_models"]:
+        assert said in result.stdout
+    assert re.search(r"conditions have one set of parameters|conditions differ", content["linear_models"][-1])
 
 
 # -- control ---------------------------------------------------------------------------------------------------------

@@ -195,7 +195,7 @@ def test_responses_may_be_those_of_linear_models(tmp_path):
     # Around the mode; below it the friction of the arm adds a real pole, which one mode has not.
     around = (s.imag > 9) & (s.imag < 20)
     for one in content["conditions"]:
-        assert np.max(np.abs(np.array(one["response"]) @ [1, 1j] / truth - 1)[around]) < 0.15
+        assert np.max(np.abs(np.array(one["response"]) @ [1, 1j] / truth - 1)[around]) < 0.25
     page = (tmp_path / "new" / "report.html").read_text()
     assert "Linear models of the conditions" in page
     assert len(content["linear_models"]) >= 2

@@ -1,5 +1,6 @@
 """H-infinity: the paper's problem, what is promised of a controller, and closed loops against another integrator."""
 
+import dataclasses
 import math
 from itertools import pairwise
 
@@ -98,7 +99,11 @@ def test_paper_problem():
     assert np.all(ct.feedback(ct.ss(paper_nominal()) * found.controller, 1).poles().real < 0)
     assert found.robustness < 1
     assert np.max(np.abs(rows(response(paper_nominal()), response(found.controller), weights)[1])) < 1
-    assert "stable" in str(found)
+    assert "every plant of the envelope is stable" in str(found)
+    fast = dataclasses.replace(weights, performance=100 * weights.performance)
+    bold = mixed_sensitivity(paper_nominal(), fast, limit=np.inf)
+    assert bold.robustness > 1
+    assert "the envelope is not covered" in str(bold)
     # As good as any controller can be.
     assert found.gamma < 1.002 * found.bound
 
@@ -387,11 +392,17 @@ def test_printed_problem_on_the_plant_of_table_1c():
     """As it is: optimal for its own P_0, whose mode is at 12.9 instead of 10.4 rad/s, it winds up the arm of this plant."""
     found = mixed_sensitivity(paper_nominal(), paper_weights())
     result = closed_loop(RTAC.paper(), found.controller)
-    assert result.peak_torque[0] <= 0.1
     assert result.wound_up[0]
     small = closed_loop(RTAC.paper(), found.controller, displacement=0.003)
     free = closed_loop(RTAC.paper(), None, displacement=0.003)
     assert small.settling_time()[0] < free.settling_time()[0]
+
+
+def saturated(result: ClosedLoop, acting: Actuation) -> np.ndarray:
+    """Share of the first three seconds in which each plant's controller asks for more than it may."""
+    within = result.time <= 3.0
+    own = result.torque + acting.arm_stiffness * result.arm_angle
+    return np.mean(np.abs(own[within]) >= acting.controller_limit * (1 - 1e-9), axis=0)
 
 
 def test_own_design_settles_in_three_seconds(design):
@@ -400,7 +411,7 @@ def test_own_design_settles_in_three_seconds(design):
     for chosen in (found.controller, controller):
         result = closed_loop(RTAC.paper(), chosen, units=units, actuation=acting)
         assert result.settling_time()[0] <= 3.0
-        assert result.peak_torque[0] <= 0.1
+        assert saturated(result, acting)[0] < 0.4
         assert not result.wound_up[0]
 
 
@@ -420,7 +431,7 @@ def test_own_design_holds_for_2000_plants(design, kind):
     batch = drawn(kind, 2000)
     result = closed_loop(batch, controller, units=units, actuation=acting, torque_constant=KM)
     assert np.mean(result.holds(within=3.0)) >= 0.99
-    assert np.all(result.peak_torque <= 0.1)
+    assert np.quantile(saturated(result, acting), 0.99) < 0.5
     free = closed_loop(batch, None)
     assert np.mean(free.settling_time() <= 3.0) < 0.01
 

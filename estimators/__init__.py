@@ -4,7 +4,9 @@ from estimators._agreement import Agreement, agreement
 from estimators._attribution import SOURCES, Attribution
 from estimators._candidate import Candidate
 from estimators._compare import Comparison, compare
+from estimators._control_design import ControlDesign, control
 from estimators._diagnose import Diagnosis, diagnose
+from estimators._effect_cost import EffectCost, effect_cost
 from estimators._envelope import Envelope, envelope
 from estimators._expected import Expected, expected_std
 from estimators._frequency_response import frequency_responses
@@ -31,9 +33,11 @@ __all__ = [
     "Candidate",
     "ClosedForm",
     "Comparison",
+    "ControlDesign",
     "Covariances",
     "Diagnosis",
     "DivergedError",
+    "EffectCost",
     "Envelope",
     "Equality",
     "Expected",
@@ -52,8 +56,10 @@ __all__ = [
     "Trend",
     "agreement",
     "compare",
+    "control",
     "covariances",
     "diagnose",
+    "effect_cost",
     "envelope",
     "expected_std",
     "frequency_responses",

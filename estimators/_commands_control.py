@@ -29,6 +29,13 @@ class Kind(StrEnum):
     INVERSE_MULTIPLICATIVE = "inverse_multiplicative"
 
 
+class Method(StrEnum):
+    """How the frequency response of a condition is found."""
+
+    LOCAL = "local"
+    PREDICTION_ERROR = "prediction-error"
+
+
 def envelope(
     file: File,
     order: Annotated[int, typer.Option(min=1, max=12, help="Poles of the nominal model.")] = 4,
@@ -36,6 +43,12 @@ def envelope(
     kind: Annotated[Kind, typer.Option(help="What the uncertainty does to the nominal model.")] = (
         Kind.MULTIPLICATIVE_OUTPUT
     ),
+    method: Annotated[
+        Method,
+        typer.Option(
+            help="Responses by local polynomials, or of linear models with half as many modes as P0 has poles."
+        ),
+    ] = Method.LOCAL,
     band: Band = None,
     validation: Validation = None,
     out: Out = None,
@@ -46,10 +59,12 @@ def envelope(
     with job(file, validation, out, json) as work:
         from estimators import _control_report as texts
 
-        used, (found,) = _enveloped(work, between, [order], weight_order, kind.value)
+        modes = (order + 1) // 2 if method is Method.PREDICTION_ERROR else None
+        used, (found,) = _enveloped(work, between, [order], weight_order, kind.value, modes=modes)
         conditions, sources = texts.conditions_table(found, used.responses), texts.sources_table(found)
         models, said = texts.models_table(found), texts.remarks(found, used)
-        say(found, *said[1:], conditions, sources)  # the envelope states its coverage itself
+        linear = [] if used.models is None else texts.models_said(used.models)
+        say(found, *said[1:], *linear, conditions, sources)  # the envelope states its coverage itself
         work.write_json(texts.envelope_dict(found, used, seconds=work.seconds))
         if work.folder is None:
             return
@@ -71,6 +86,14 @@ def envelope(
             ("Where the gaps come from", [sources]),
             ("Conditions", [conditions]),
         ]
+        if used.models is not None:
+            from estimators.plots import plot_prediction_error
+
+            figures["linear_models"] = plot_prediction_error(used.models)
+            shown = _shown(
+                {"linear_models": figures["linear_models"]}, {"linear_models": "The models and their residuals."}
+            )
+            sections.insert(2, ("Linear models of the conditions", [*linear, *shown]))
         work.write_report(f"Envelope of {work.file}", figures, sections, split=_sides(found))
 
 
@@ -101,21 +124,21 @@ def control(
         if not 0 < value < float("inf"):
             stop(WRONG_USE, f"{name} is {value:g}; give a positive number.")
     with job(file, validation, out, json) as work:
+        import estimators as est
         from estimators import _control_report as texts
         from estimators import _report
-        from estimators._control_design import design
 
         orders = _ORDERS if order is None else (order,)
         used, found = _enveloped(work, between, orders, weight_order, "multiplicative_output", for_control=True)
         sample_time = work.recording[used.responses[0].name].sample_time
         fit = work.fitted(work.model())
-        made = design(
+        made = est.control(
             fit, found, used.responses, sample_time=sample_time, displacement=1e-3 * displacement,
             torque_limit=torque_limit,
         )  # fmt: skip
         trained, tested = work.compared(fit)
         errors, parameters = _report.error_table(trained, tested), _report.parameter_table(fit)
-        said, honest, loops = texts.outcome(made), texts.honesty(made), texts.design_table(made)
+        said, honest, loops = texts.outcome(made), [*texts.honesty(made), texts.WEIGHTED], texts.design_table(made)
         say(*said, *honest, loops, texts.controller_table(made), errors)
         known = _report.fit_dict(fit, train=trained, validation=tested, seconds=work.seconds)["parameters"]
         work.write_json(texts.design_dict(made, known, seconds=work.seconds))
@@ -156,6 +179,7 @@ def _enveloped(
     weight_order: int,
     kind: str,
     *,
+    modes: int | None = None,
     for_control: bool = False,
 ) -> tuple[Any, list[Any]]:
     """Responses, and an envelope for each order; one that cannot be is left out as long as another can.
@@ -169,7 +193,7 @@ def _enveloped(
     import estimators as est
     from estimators._usable_conditions import usable_conditions
 
-    used = usable_conditions(work.recording, band=band)
+    used = usable_conditions(work.recording, band=band, modes=modes, progress=progress())
     apart = set(work.held_out.names) if work.held_out is not None else set()
     held = [i for i, one in enumerate(used.responses) if one.name in apart]
     if work.names is None and (for_control or len(used.responses) - len(held) < 2):

@@ -3,7 +3,7 @@
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import control as ct
 import numpy as np
@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from estimators._envelope import Envelope, envelope
 from estimators._output_error import Fit
+from estimators._plants_inside import plants_inside
 from estimators._response_record import FrequencyResponses
 from rtac_jax import RTAC, linearise
 from rtac_jax.control import (
@@ -33,16 +34,16 @@ from rtac_jax.control import (
     reduce_controller,
 )
 
-PLANTS = 1000  # in each batch
-OFF = 0.15  # by which every parameter of a plant of the first batch is off at most
+PLANTS = 2000  # in each batch
+OFF = 0.15  # by which every parameter of a plant is off at most, where no covariance says more
 SOONER = 2 / 3  # of the time without a controller, within which a plant has to settle
 _SHORTEST, _LONGEST = 8.0, 64.0  # s, of a simulation
 _ANGLE = 1e-3  # rad, noise of an angle that the recording does not have
 
 
 @dataclass(frozen=True, eq=False)
-class Design:
-    """A controller for an envelope, and its loop with the fitted nonlinear model.
+class ControlDesign:
+    """A controller for an envelope, and its loop with the fitted nonlinear model; the result of `control`.
 
     Attributes:
         covered: the envelope with the electric spring in the loop, from the controller's current [A] to the cart [m].
@@ -53,7 +54,8 @@ class Design:
         displacement: at the start [m].
         within: in which a plant has to settle [s].
         free, closed: the fitted model without and with the controller, and with the noise of the recording's sensors.
-        off, drawn: batches of plants, with every parameter up to 15 % off, and drawn from the covariance of the fit.
+        off, drawn: batches of 2,000 plants, with every parameter up to 15 % off, and drawn from the covariance of the fit.
+        inside: a batch of plants of the envelope, as `plants_inside` draws them; None where it holds none that the model can be.
         off_free: the plants of the first batch without a controller.
         printed_bound: the least gamma that the weights printed in the paper allow, and where [rad/s].
     """
@@ -73,8 +75,26 @@ class Design:
     closed: ClosedLoop
     off: ClosedLoop
     drawn: ClosedLoop
+    inside: ClosedLoop | None
     off_free: ClosedLoop
     printed_bound: tuple[float, float]
+
+    @property
+    def shares(self) -> dict[str, float]:
+        """Share of the plants of each batch that settle within `within` and keep the arm in its half of the circle [1]."""
+        batches = {"parameters_off": self.off, "parameter_covariance": self.drawn, "envelope": self.inside}
+        return {name: float(np.mean(one.holds(within=self.within))) for name, one in batches.items() if one is not None}
+
+    def __str__(self) -> str:
+        from estimators._control_report import honesty, outcome
+
+        return "\n".join([*outcome(self), *honesty(self)])
+
+    def plot(self) -> Any:
+        """Cart, arm and torque of the fitted nonlinear model, with and without the controller (Fig. 8 of the paper)."""
+        from estimators.plots._control import plot_closed_loop
+
+        return plot_closed_loop(self.free, {"closed loop": self.closed})
 
 
 class _Attempt(NamedTuple):
@@ -88,29 +108,37 @@ class _Attempt(NamedTuple):
     closed: ClosedLoop
 
 
-def design(
+def control(
     fit: Fit,
-    envelopes: Sequence[Envelope],
+    covered: Envelope | Sequence[Envelope],
     responses: FrequencyResponses,
     *,
     sample_time: float,
     displacement: float = 0.015,
     torque_limit: float = 0.1,
-) -> Design:
-    """Weights proposed from an envelope, mixed sensitivity synthesis, reduction, sampling, and simulation.
+) -> ControlDesign:
+    """An H-infinity controller for an envelope, tried on the fitted nonlinear model (paper, section 5.4 and Fig. 8).
+
+    The electric spring that holds the arm is put into the envelope, weights are proposed from it, and the mixed
+    sensitivity problem (9) is solved; the controller is reduced, sampled, and simulated with the model, its friction,
+    the motor's limit and the sensors' noise, and with many plants that differ from it.
 
     Args:
-        fit: of the nonlinear model to the same recording.
-        envelopes: multiplicative ones of `responses`, from current times cos(theta) [A] to cart position [m]; that whose
-            controller settles the fitted model soonest is kept.
+        fit: of the nonlinear model, to the same recording.
+        covered: multiplicative, of `responses`; of several that whose controller settles the fitted model soonest is kept.
+        responses: of all conditions, from current times cos(theta) [A] to cart position [m].
         sample_time: of the controller [s].
         displacement: from which the cart is to be brought to rest [m].
         torque_limit: of the motor [N m].
 
     Raises:
-        ValueError: for every envelope: it is too wide at the resonance for any damping, the problem is infeasible, the
-            sampled loop is not stable, or the closed loop with the fitted model runs away.
+        ValueError: the envelope is of another kind or of other responses, or for every envelope: it is too wide at the
+            resonance for any damping, the problem is infeasible, the sampled loop is not stable, or the closed loop
+            with the fitted model runs away.
+        RuntimeError: `rtac_jax.configure()` was not called.
     """
+    envelopes = [covered] if isinstance(covered, Envelope) else list(covered)
+    _check(envelopes, responses)
     model = fit.model
     units, actuation = Units.nondimensional(model), Actuation.proposed(model, motor_limit=torque_limit)
 
@@ -126,7 +154,11 @@ def design(
         per_current = float(model["torque_constant"]) * units.torque
         plant = ct.ss(covered.nominal) * (units.position / per_current)
         weights = propose_weights(
-            plant, covered.weight, actuation.controller_limit * units.torque, displacement=displacement * units.position
+            plant,
+            covered.weight,
+            actuation.controller_limit * units.torque,
+            displacement=displacement * units.position,
+            band=(float(covered.frequency[0]), float(covered.frequency[-1])),
         )
         synthesis = mixed_sensitivity(plant, weights)
         reduction = reduce_controller(synthesis)
@@ -153,15 +185,29 @@ def design(
         raise refusals[0]
     best = min(made, key=lambda one: (float(one.closed.settling_time()[0]), float(np.std(one.closed.cart_position))))
     plants = _off(model)
+    inside = plants_inside(best.covered, model, actuation, off=OFF, count=PLANTS)
     printed = mixed_sensitivity(paper_nominal(), paper_weights())
-    return Design(
+    return ControlDesign(
         covered=best.covered, units=units, actuation=actuation, weights=best.weights, synthesis=best.synthesis,
         reduction=best.reduction, margins=margins(best.synthesis.nominal, best.reduction.controller, best.weights),
         controller=_in_si(best.reduction.controller, units), sampled=_in_si(best.recursion, units),
         displacement=displacement, within=SOONER * (alone if np.isfinite(alone) else duration), free=free,
         closed=best.closed, off=loop(plants, best.recursion), off_free=loop(plants, None),
-        drawn=loop(_drawn(fit), best.recursion), printed_bound=(printed.bound, printed.bound_frequency),
+        drawn=loop(_drawn(fit), best.recursion), inside=None if inside is None else loop(inside, best.recursion),
+        printed_bound=(printed.bound, printed.bound_frequency),
     )  # fmt: skip
+
+
+def _check(envelopes: Sequence[Envelope], responses: FrequencyResponses) -> None:
+    if not envelopes:
+        raise ValueError("covered: holds no envelope; give at least one.")
+    names, grid = tuple(one.name for one in responses), responses.frequency
+    for found in envelopes:
+        if not found.kind.startswith("multiplicative"):
+            raise ValueError(f"covered: is {found.kind}; control needs an envelope with kind='multiplicative_output'.")
+        if found.names != names or not np.array_equal(found.frequency, grid):
+            raise ValueError("covered: was made of other responses; give those of which the envelope was made.")
+    responses.require("current", "cart_position")
 
 
 def _with_spring(model: RTAC, actuation: Actuation, found: Envelope, responses: FrequencyResponses) -> Envelope:

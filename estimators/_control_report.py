@@ -8,14 +8,16 @@ import control as ct
 import numpy as np
 
 from estimators._attribution import SOURCES
-from estimators._control_design import OFF, Design
+from estimators._control_design import OFF, ControlDesign
 from estimators._envelope import Envelope
+from estimators._prediction_error import LinearModels
 from estimators._report import FORMAT, VERSION
 from estimators._report_file import Table
 from estimators._response_record import FrequencyResponses
 from estimators._usable_conditions import UsableConditions
 from rtac_jax.control import ClosedLoop
 
+WEIGHTED = "P0 keeps closest to the responses where they are large, as limited torque does nothing elsewhere."
 _BANDS = 4
 _USEFUL = 0.8  # share of the settling time, above which a controller is of little use
 _WORDS = {
@@ -70,6 +72,8 @@ def envelope_dict(found: Envelope, used: UsableConditions, *, seconds: float) ->
         "attribution": {name: found.attribution.shares[i].tolist() for i, name in enumerate(SOURCES)},
         "conditions": conditions,
         "left_out": dict(used.left_out),
+        "method": "local" if used.models is None else "prediction-error",
+        "linear_models": None if used.models is None else models_said(used.models),
         "seconds": seconds,
     }
 
@@ -154,17 +158,34 @@ def remarks(found: Envelope, used: UsableConditions) -> list[str]:
         )
     largest = SOURCES[int(np.argmax(found.attribution.shares.mean(axis=1)))]
     said.append(
-        f"The gaps come mostly from the {_WORDS[largest].replace('left by', 'dynamics that are left by')}. The responses "
-        "are estimates by local polynomials, which count nonlinear distortion as noise."
+        f"The gaps come mostly from the {_WORDS[largest].replace('left by', 'dynamics that are left by')}. "
+        + (
+            "The responses are estimates by local polynomials, which count nonlinear distortion as noise."
+            if used.models is None
+            else f"The responses are those of linear models with {used.models.structure.modes} mode(s), by the prediction error "
+            "method; what a model lacks is in no standard deviation."
+        )
     )
     said += [f"Left out: {name}: {why.rstrip('.')}." for name, why in used.left_out.items()]
     return said
 
 
+def models_said(models: LinearModels) -> list[str]:
+    """What the residuals of linear models say, and whether all conditions have the same parameters."""
+    return [*models.verdict.splitlines(), _equality(models)]
+
+
+def _equality(models: LinearModels) -> str:
+    try:
+        return models.equality().verdict
+    except ValueError as error:
+        return f"Whether the conditions have the same parameters cannot be told: {error}"
+
+
 # -- control ---------------------------------------------------------------------------------------------------------
 
 
-def design_dict(found: Design, fit_parameters: Mapping[str, Any], *, seconds: float) -> dict[str, Any]:
+def design_dict(found: ControlDesign, fit_parameters: Mapping[str, Any], *, seconds: float) -> dict[str, Any]:
     """A controller and what it achieves, ready for `write_json`."""
     synthesis = found.synthesis
     return {
@@ -197,18 +218,20 @@ def design_dict(found: Design, fit_parameters: Mapping[str, Any], *, seconds: fl
         "open_loop": _loop(found.free),
         "closed_loop": _loop(found.closed),
         "batches": {
-            name: {
-                "plants": len(batch.peak_torque),
-                "share_that_holds": float(np.mean(batch.holds(within=found.within))),
-            }
-            for name, batch in (("parameters_off", found.off), ("parameter_covariance", found.drawn))
+            name: {"plants": len(batch.peak_torque), "share_that_holds": found.shares[name]}
+            for name, batch in (
+                ("parameters_off", found.off),
+                ("parameter_covariance", found.drawn),
+                ("envelope", found.inside),
+            )
+            if batch is not None
         },
         "parameters": dict(fit_parameters),
         "seconds": seconds,
     }
 
 
-def design_mat(found: Design) -> dict[str, Any]:
+def design_mat(found: ControlDesign) -> dict[str, Any]:
     """The same controllers as matrices, for `scipy.io.savemat`."""
     sampled = {**_arrays(found.sampled), "sample_time": float(found.sampled.dt or 0.0)}
     actuation = found.actuation
@@ -222,7 +245,7 @@ def design_mat(found: Design) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def outcome(found: Design) -> list[str]:
+def outcome(found: ControlDesign) -> list[str]:
     """What the controller does, in sentences, the answer first."""
     alone, now = (float(r.settling_time()[0]) for r in (found.free, found.closed))
     first = (
@@ -230,14 +253,19 @@ def outcome(found: Design) -> list[str]:
         f"after {_seconds(now)} with the controller and {_seconds(alone)} without; the torque stays within "
         f"{1e3 * float(found.closed.peak_torque[0]):.1f} mN m and the arm swings {float(found.closed.arm_swing[0]):.2f} rad."
     )
-    off, drawn, alone_off = found.off, found.drawn, found.off_free
-    times, before = off.settling_time(), alone_off.settling_time()
+    times, before, shares = found.off.settling_time(), found.off_free.settling_time(), found.shares
     second = (
         f"Of {len(times)} plants whose parameters are each up to {100 * OFF:.0f} % off, {_percent(times < before)} settle "
         f"sooner than without it, in the median after {_seconds(float(np.median(times)))} instead of "
-        f"{_seconds(float(np.median(before)))}; {_percent(off.holds(within=found.within))} settle within {found.within:.2f} s, two "
-        f"thirds of what the fitted model takes alone, and keep the arm in its half of the circle. Of {len(drawn.peak_torque)} "
-        f"plants drawn from the covariance of the fit {_percent(drawn.holds(within=found.within))} do."
+        f"{_seconds(float(np.median(before)))}; {_percent(shares['parameters_off'])} settle within {found.within:.2f} s, two "
+        f"thirds of what the fitted model takes alone, and keep the arm in its half of the circle. Of "
+        f"{len(found.drawn.peak_torque)} plants drawn from the covariance of the fit {_percent(shares['parameter_covariance'])} do"
+    )
+    second += (
+        ". No plant with parameters near the fitted ones was found in the envelope."
+        if found.inside is None
+        else f", and of {len(found.inside.peak_torque)} of the envelope, parameters up to {100 * OFF:.0f} % off and damped as much "
+        f"as the envelope asks, {_percent(shares['envelope'])}."
     )
     said = [first, second]
     if not now < _USEFUL * alone:
@@ -250,7 +278,7 @@ def outcome(found: Design) -> list[str]:
     return said
 
 
-def honesty(found: Design) -> list[str]:
+def honesty(found: ControlDesign) -> list[str]:
     """What a reader of the paper has to know, and what is not guaranteed."""
     act = found.actuation
     bound, at = found.printed_bound
@@ -272,14 +300,15 @@ def honesty(found: Design) -> list[str]:
         f"of the motor's {1e3 * act.motor_limit:.0f} mN m, which limits the swing of the arm, and an electric spring of "
         f"{1e3 * act.arm_stiffness:.2f} mN m/rad brings the arm back to theta = 0, which nothing else on a level rig does. "
         f"The division by cos(theta), and no torque where |cos(theta)| is at most {act.dead_band:g}, are the paper's.",
-        f"P0 has order {len(found.covered.nominal.poles()) - 2} and the spring's two poles, and keeps closest to the responses "
-        "where they are large, as limited torque does nothing elsewhere.",
+        f"The weight covers what was recorded, {found.covered.frequency[0]:.3g} to {found.covered.frequency[-1]:.3g} rad/s: beyond "
+        "that band it is only continued, and nothing is said there of plants that differ by more.",
+        f"P0 has order {len(found.covered.nominal.poles()) - 2} and the spring's two poles.",
         "The recording was made without that spring: each response is multiplied by what the spring does to the linearised "
         "fitted model, and the envelope is made from the products.",
     ]  # fmt: skip
 
 
-def design_table(found: Design) -> Table:
+def design_table(found: ControlDesign) -> Table:
     """Open against closed loop."""
     rows = []
     for name, one in (("without controller", found.free), ("with controller", found.closed)):
@@ -300,7 +329,7 @@ def design_table(found: Design) -> Table:
     )
 
 
-def controller_table(found: Design) -> Table:
+def controller_table(found: ControlDesign) -> Table:
     """The sampled controller as poles, zeros and gain."""
     system = found.sampled
     rows = (
@@ -335,7 +364,7 @@ def _pairs(values: Any) -> list[list[float]]:
     return [[float(v.real), float(v.imag)] for v in np.asarray(values, dtype=complex)]
 
 
-def _resonance(found: Design) -> float:
+def _resonance(found: ControlDesign) -> float:
     """Of the nominal model, where its response is largest [rad/s]."""
     omega = found.covered.frequency
     return float(omega[np.argmax(np.abs(found.covered.nominal_response()))])

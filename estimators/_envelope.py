@@ -16,7 +16,7 @@ from estimators._cover import cover
 from estimators._coverage import Coverage, held_out_coverage, scenario_coverage
 from estimators._gap import KINDS, Kind, corners, errors, packed
 from estimators._nominal import NOMINAL_STEPS, log_measure, nominal_fit
-from estimators._plants import Responses, evaluate, gather
+from estimators._plants import PlantSet, Responses, evaluate, gather, require_stable
 from estimators._weight import WEIGHT_STEPS
 
 Curve = Float64[np.ndarray, " frequency"]
@@ -70,7 +70,7 @@ class Envelope:
         Raises:
             ValueError: as `envelope` does for its responses.
         """
-        found = gather(responses, self.frequency if omega is None else omega)
+        found = _representable(responses, self.frequency if omega is None else omega, self.kind)
         gap = np.abs(errors(found.plants, self.nominal_response(found.omega), self.kind))
         return np.max(gap / self.weight_magnitude(found.omega), axis=1)
 
@@ -156,7 +156,8 @@ def envelope(
     as small as possible. Both searches are local, from several starts.
 
     Args:
-        responses: frequency responses of the conditions, python-control systems, or numbers [condition, frequency].
+        responses: frequency responses of the conditions, python-control systems, or numbers [condition, frequency]; of
+            stable plants unless the kind is inverse, which is checked where systems are given.
         omega: [rad/s], for numbers and for parametric systems.
         order_nominal: poles of P_0.
         zeros: of P_0; by default as many as poles.
@@ -172,8 +173,8 @@ def envelope(
         progress: show a bar.
 
     Raises:
-        ValueError: fewer than two conditions to fit, an unstable nominal, a plant or nominal that is zero where the kind
-            divides by it, orders out of range, or a weight that covers only far above the profile.
+        ValueError: fewer than two conditions to fit, an unstable nominal or plant, a plant or nominal that is zero where the
+            kind divides by it, orders out of range, or a weight that covers only far above the profile.
     """
     if kind not in KINDS:
         raise ValueError(f"kind: is {kind!r}; use one of {', '.join(KINDS)}.")
@@ -185,7 +186,7 @@ def envelope(
         raise ValueError(f"zeros: is {zeros}; a proper model of order {order_nominal} has from 0 to {order_nominal}.")
     if not 0 < confidence < 1:
         raise ValueError(f"confidence: is {confidence}; give a probability between 0 and 1.")
-    found = gather(responses, omega)
+    found = _representable(responses, omega, chosen)
     count = len(found.plants)
     held = np.zeros(count, dtype=bool)
     for number in held_out:
@@ -251,6 +252,14 @@ def envelope(
             amplitude=found.amplitude if amplitude is None else amplitude,
         ),
     )  # fmt: skip
+
+
+def _representable(responses: Responses, omega: Any, kind: Kind) -> PlantSet:
+    """Raises `ValueError` as `gather` does, and for plants that this kind of uncertainty cannot be."""
+    found = gather(responses, omega)
+    if kind != "inverse_multiplicative":  # 1 / (1 + Delta W) may be unstable
+        require_stable(found)
+    return found
 
 
 def _given(nominal: ct.TransferFunction | ct.StateSpace) -> ct.TransferFunction:

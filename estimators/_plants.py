@@ -77,6 +77,21 @@ def gather(responses: Responses, omega: Any) -> PlantSet:
     return PlantSet(names, grid, plants, std, amplitude, systems)
 
 
+def require_stable(found: PlantSet) -> None:
+    """Raises `ValueError` for a parametric plant that is not stable: with P_0, W and Delta stable, no P_0 + Delta W and no
+    (1 + Delta W) P_0 is it, so that what small gain promises would not hold for it.
+
+    Responses do not show whether a plant is stable; of them it is taken for granted.
+    """
+    for name, system in zip(found.names, found.systems or (), strict=False):
+        poles: Any = np.asarray(system.poles())
+        if len(poles) and not np.max(poles.real) < 0:
+            raise ValueError(
+                f"{name}: has a pole at {poles[np.argmax(poles.real)]:.4g}, and no plant of such an envelope is unstable or "
+                "integrates; leave the condition out, or take off a mode that the output does not show."
+            )
+
+
 def evaluate(
     systems: Sequence[Any], omega: Float64[np.ndarray, " frequency"]
 ) -> Complex128[np.ndarray, "condition frequency"]:

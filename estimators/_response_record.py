@@ -122,6 +122,19 @@ class FrequencyResponses:
         _ = self.frequency
         return np.stack([one.std for one in self.conditions])
 
+    def require(self, into: str, out: str) -> None:
+        """Refuse responses of other channels, or without the compensation of Fig. 3.
+
+        Raises:
+            ValueError: names the first such condition.
+        """
+        for one in self:
+            if (one.input, one.output, one.compensated) != (into, out, True):
+                raise ValueError(
+                    f"responses: {one.name} is from {one.input}{' times cos(theta)' if one.compensated else ''} to {one.output}; "
+                    f"give those from {into} times cos(theta) to {out}."
+                )
+
     def frd(self) -> list[ct.FrequencyResponseData]:
         """As python-control's `FRD`, one for each condition."""
         return [one.frd() for one in self.conditions]

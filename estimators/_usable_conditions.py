@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimators._frequency_response import frequency_responses
+from estimators._prediction_error import LinearModels, prediction_error
 from estimators._response_record import FrequencyResponses
 from rtac_jax.measurement import Experiment, Recording
 
@@ -20,22 +21,29 @@ class UsableConditions:
     """Responses from current times cos(theta) [A] to cart position [m].
 
     Attributes:
-        responses: of the conditions that could be used, by the local polynomial method.
+        responses: of the conditions that could be used.
         left_out: why each other forced experiment could not.
+        models: that the responses are of, by the prediction error method; None where they are by local polynomials.
     """
 
     responses: FrequencyResponses
     left_out: dict[str, str]
+    models: LinearModels | None = None
 
 
-def usable_conditions(recording: Recording, *, band: tuple[float, float] | None = None) -> UsableConditions:
+def usable_conditions(
+    recording: Recording, *, band: tuple[float, float] | None = None, modes: int | None = None, progress: bool = False
+) -> UsableConditions:
     """Every forced experiment with a current and a cart position is a condition, unless it repeats another.
 
     Args:
         band: [Hz]; by default where all currents have energy.
+        modes: of linear models fitted by the prediction error method, whose responses are taken; by default there are no
+            models, and the responses are by local polynomials.
+        progress: show a bar.
 
     Raises:
-        ValueError: fewer than two conditions, or a band in which they have no common lines.
+        ValueError: fewer than two conditions, a band in which they have no common lines, or as `prediction_error`.
     """
     kept, left_out = [], {}
     for e in recording:
@@ -49,6 +57,10 @@ def usable_conditions(recording: Recording, *, band: tuple[float, float] | None 
         raise ValueError(_too_few([e.name for e in kept], left_out))
     grid = _grid(kept, band)
     rests = [e.name for e in recording if e.kind == "rest"]  # they tell the tachometer's bias
+    if modes is not None:
+        chosen = recording.select([*(e.name for e in kept), *rests])
+        models = prediction_error(chosen, modes=modes, progress=progress)
+        return UsableConditions(models.responses(grid), left_out, models)
     found = []
     for e in kept:
         half = int(np.clip(round(_WINDOW * e.duration), _LEAST, _MOST))

@@ -1,5 +1,6 @@
 """The model about an operating point as a linear system, and equation (4) in closed form."""
 
+from collections.abc import Callable, Mapping
 from typing import Any, Literal
 
 import control as ct
@@ -53,18 +54,45 @@ def linearise(
     if several:
         raise ValueError(f"{several[0]} has {np.size(model[several[0]])} values; linearise one plant at a time.")
     rest, holding = _equilibrium(model, arm_angle)
-    inputs = jnp.array([holding, 0.0])
-    sides = []
-    for side in (_NUDGE, -_NUDGE):
-        at = jnp.asarray(rest).at[jnp.array([1, 3])].add(side)
-        sides.append([np.asarray(part) for part in _jacobians(model, at, inputs)])
-    a, b, c = (0.5 * (left + right) for left, right in zip(*sides, strict=True))
+    a, b, c = _both_sides(lambda at, inputs: _jacobians(model, at, inputs), rest, holding)
     if drive == "torque":
         b = b / np.array([float(model["torque_constant"]), 1.0])
     return ct.StateSpace(
         a, b, c, np.zeros((len(OUTPUTS), 2)), states=[name.replace(".", "_") for name in model.states],
         inputs=[drive, "disturbance_force"], outputs=list(OUTPUTS), name="rtac",
     )  # fmt: skip
+
+
+def linear_matrices(
+    model: RTAC, values: Mapping[str, Float[np.ndarray, " plant"]]
+) -> tuple[
+    Float[np.ndarray, "plant state state"], Float[np.ndarray, "plant state 2"], Float[np.ndarray, "plant 3 state"]
+]:
+    """A, B and C of `linearise` at theta = 0, from the current, for many plants at once.
+
+    All are linearised about the equilibrium of the model itself, which is theirs too where nothing pulls the rig aside.
+
+    Args:
+        values: of some parameters, one for each plant.
+
+    Raises:
+        ValueError: as `linearise`.
+    """
+    plants = model.with_values(values)
+    # A parameter has one value for each plant where the model has one.
+    axes = jax.tree.map(lambda one, many: 0 if np.ndim(many) > np.ndim(one) else None, model, plants)
+    several = eqx.filter_vmap(_jacobians, in_axes=(axes, None, None))
+    return _both_sides(lambda at, inputs: several(plants, at, inputs), *_equilibrium(model, 0.0))
+
+
+def _both_sides(jacobians: Callable[[Array, Array], Any], rest: np.ndarray, holding: float) -> tuple[Any, Any, Any]:
+    """Mean of the slopes on both sides of rest."""
+    sides = []
+    for side in (_NUDGE, -_NUDGE):
+        at = jnp.asarray(rest).at[jnp.array([1, 3])].add(side)
+        sides.append([np.asarray(part) for part in jacobians(at, jnp.array([holding, 0.0]))])
+    a, b, c = (0.5 * (left + right) for left, right in zip(*sides, strict=True))
+    return a, b, c
 
 
 def equation_4(model: RTAC, *, arm_angle: float = 0.0, rate: float = 1.0) -> ct.TransferFunction:

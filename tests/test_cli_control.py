@@ -113,6 +113,8 @@ def test_the_weight_lies_above_every_condition(ran):
     gaps = np.abs(responses / nominal - 1)
     assert np.all(gaps <= np.abs(weight) * (1 + 1e-6))
     assert np.max(gaps, axis=0) == pytest.approx(content["profile"], rel=1e-6)
+    assert content["method"] == "local"
+    assert content["linear_models"] is None
     assert [one["distance"] for one in content["conditions"]] == pytest.approx(
         np.max(gaps / np.abs(weight), axis=1), rel=1e-6
     )
@@ -163,6 +165,43 @@ def test_orders_kind_and_band_are_obeyed(file, tmp_path):
     assert np.all(
         np.abs(responses - at(content["nominal"], omega)) <= np.abs(at(content["weight"], omega)) * (1 + 1e-6)
     )
+
+
+def test_responses_may_be_those_of_linear_models(tmp_path):
+    """Against equations (1) and (2) at small motions, in plain NumPy, on a rig without dry friction."""
+    rig = replace(RIG, cart_coulomb=0.0)
+    lines = [int(h) for h in harmonic_grid("all", period=1000, sample_time=0.02, band=(1.0, 6.0))]
+    plans = [
+        Plan(
+            f"condition_{n + 1}", "forced", 20.0, 0.02,
+            from_rest(multisine(samples=1000, sample_time=0.02, rms=0.01, harmonics=lines, seed=n)), initial_angle=0.3 * n,
+        )
+        for n in range(4)
+    ]  # fmt: skip
+    record(rig, plans, seed=1, step=1e-3).save(tmp_path / "smooth.h5")
+    target = tmp_path / "x.json"
+    result = call(
+        "envelope", tmp_path / "smooth.h5", "--method", "prediction-error", "--order", 2, "--validation", "condition_4",
+        "--out", tmp_path / "new", "--json", target,
+    )  # fmt: skip
+    assert result.exit_code == 0, result.output
+    content = json.loads(target.read_text())
+    assert content["method"] == "prediction-error"
+    s = 1j * np.array(content["frequency"])
+    arm = rig.arm_inertia * s**2 + 0.5 * (rig.arm_viscous_positive + rig.arm_viscous_negative) * s
+    cart = rig.total_mass * s**2 + rig.cart_viscous * s + rig.spring_stiffness
+    push = rig.eccentric_moment * s**2
+    truth = -push * rig.torque_constant / (cart * arm - push**2)
+    # Around the mode; below it the friction of the arm adds a real pole, which one mode has not.
+    around = (s.imag > 9) & (s.imag < 20)
+    for one in content["conditions"]:
+        assert np.max(np.abs(np.array(one["response"]) @ [1, 1j] / truth - 1)[around]) < 0.25
+    page = (tmp_path / "new" / "report.html").read_text()
+    assert "Linear models of the conditions" in page
+    assert len(content["linear_models"]) >= 2
+    for said in content["linear_models"]:
+        assert said in result.stdout
+    assert re.search(r"conditions have one set of parameters|conditions differ", content["linear_models"][-1])
 
 
 # -- control ---------------------------------------------------------------------------------------------------------
@@ -225,12 +264,26 @@ def settled(position):
 def test_the_controller_of_the_file_damps_the_rig_itself(ran):
     content = ran["control"][2]
     alone, (position, angle, torque) = released(None)[0], released(law_of(content))
-    assert settled(position) < 0.75 * settled(alone)
     assert settled(position) == pytest.approx(content["closed_loop"]["settling_time"], rel=0.1)
     assert settled(alone) == pytest.approx(content["open_loop"]["settling_time"], rel=0.1)
-    assert np.max(np.abs(torque)) <= 0.1
     assert np.max(np.abs(torque)) == pytest.approx(content["closed_loop"]["peak_torque"], rel=0.1)
+    assert np.max(np.abs(angle)) == pytest.approx(content["closed_loop"]["arm_swing"], rel=0.1)
+
+
+def test_the_controller_from_recordings_keeps_what_the_issue_asks(ran):
+    """From 15 mm under a tenth in at most 3.0 s, on the rig itself, and on 99 % of plants that are not the fitted one."""
+    content = ran["control"][2]
+    position, angle, torque = released(law_of(content))
+    assert settled(released(None)[0]) == pytest.approx(4.6, abs=0.1)
+    assert settled(position) <= 3.0
     assert np.max(np.abs(angle)) < 0.5 * np.pi
+    rules = content["actuation"]
+    saturated = np.abs(torque + rules["arm_stiffness"] * angle) >= rules["controller_limit"] * (1 - 1e-9)
+    assert np.mean(saturated[:300]) < 0.4
+    assert not np.any(saturated[250:]), "a settled cart needs no more than the motor gives"
+    for name in ("parameter_covariance", "envelope"):
+        assert content["batches"][name]["plants"] == 2000
+        assert content["batches"][name]["share_that_holds"] >= 0.99
 
 
 def test_what_is_guaranteed_is_told_apart_from_what_is_not(ran):
@@ -241,6 +294,7 @@ def test_what_is_guaranteed_is_told_apart_from_what_is_not(ran):
         assert "no controller has a gamma below 0.598, at 12.9 rad/s" in text
         assert "electric spring" in text
         assert "theorem for linear plants" in text
+        assert re.search(r"what was recorded, 6\.28 to 3\d(\.\d)? rad/s: beyond that band it is only continued", text)
     # |W| = 1.31 and |W_3 W_d| = 0.67 at 12.9 rad/s, as printed in the paper
     s = 12.9j
     uncertainty = abs(0.55 * (s / 2 + 1) * (s / 80 + 1) / ((s / 5 + 1) * (s / 1000 + 1)))

@@ -1,5 +1,6 @@
 """H-infinity: the paper's problem, what is promised of a controller, and closed loops against another integrator."""
 
+import dataclasses
 import math
 from itertools import pairwise
 
@@ -8,6 +9,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+import estimators as est
+from estimators._plants_inside import plants_inside
 from estimators.plots._control import plot_batch, plot_closed_loop, plot_margins, plot_synthesis
 from rtac_jax import RTAC, RigidBody
 from rtac_jax.control import (
@@ -96,7 +99,11 @@ def test_paper_problem():
     assert np.all(ct.feedback(ct.ss(paper_nominal()) * found.controller, 1).poles().real < 0)
     assert found.robustness < 1
     assert np.max(np.abs(rows(response(paper_nominal()), response(found.controller), weights)[1])) < 1
-    assert "stable" in str(found)
+    assert "every plant of the envelope is stable" in str(found)
+    fast = dataclasses.replace(weights, performance=100 * weights.performance)
+    bold = mixed_sensitivity(paper_nominal(), fast, limit=np.inf)
+    assert bold.robustness > 1
+    assert "the envelope is not covered" in str(bold)
     # As good as any controller can be.
     assert found.gamma < 1.002 * found.bound
 
@@ -173,6 +180,15 @@ def test_wider_envelope_asks_for_less_damping():
         damped.append(-weights.desired.zeros()[0].real)
         assert found.gamma <= 1
     assert damped[0] >= damped[1] > damped[2] > damped[3]
+
+
+def test_a_resonance_outside_the_measured_band_is_not_taken_for_the_one_to_damp():
+    """Fitted models put sharp pairs of poles and zeros where nothing was measured."""
+    spurious = ct.tf([1.0, 0.0, 2.0**2], [1.0, 0.002, 2.1**2])
+    plant = ct.ss(LAG) * ct.ss(spurious)
+    for band, expected in (((5.0, 40.0), 10.0), ((0.0, np.inf), 2.1)):
+        weights = propose_weights(plant, 0.3 * ONE, 1.0, displacement=1.0, band=band)
+        assert np.max(weights.desired.zeros().imag) == pytest.approx(expected, rel=0.01)
 
 
 def test_reduction(design):
@@ -376,11 +392,17 @@ def test_printed_problem_on_the_plant_of_table_1c():
     """As it is: optimal for its own P_0, whose mode is at 12.9 instead of 10.4 rad/s, it winds up the arm of this plant."""
     found = mixed_sensitivity(paper_nominal(), paper_weights())
     result = closed_loop(RTAC.paper(), found.controller)
-    assert result.peak_torque[0] <= 0.1
     assert result.wound_up[0]
     small = closed_loop(RTAC.paper(), found.controller, displacement=0.003)
     free = closed_loop(RTAC.paper(), None, displacement=0.003)
     assert small.settling_time()[0] < free.settling_time()[0]
+
+
+def saturated(result: ClosedLoop, acting: Actuation) -> np.ndarray:
+    """Share of the first three seconds in which each plant's controller asks for more than it may."""
+    within = result.time <= 3.0
+    own = result.torque + acting.arm_stiffness * result.arm_angle
+    return np.mean(np.abs(own[within]) >= acting.controller_limit * (1 - 1e-9), axis=0)
 
 
 def test_own_design_settles_in_three_seconds(design):
@@ -389,7 +411,7 @@ def test_own_design_settles_in_three_seconds(design):
     for chosen in (found.controller, controller):
         result = closed_loop(RTAC.paper(), chosen, units=units, actuation=acting)
         assert result.settling_time()[0] <= 3.0
-        assert result.peak_torque[0] <= 0.1
+        assert saturated(result, acting)[0] < 0.4
         assert not result.wound_up[0]
 
 
@@ -409,9 +431,42 @@ def test_own_design_holds_for_2000_plants(design, kind):
     batch = drawn(kind, 2000)
     result = closed_loop(batch, controller, units=units, actuation=acting, torque_constant=KM)
     assert np.mean(result.holds(within=3.0)) >= 0.99
-    assert np.all(result.peak_torque <= 0.1)
+    assert np.quantile(saturated(result, acting), 0.99) < 0.5
     free = closed_loop(batch, None)
     assert np.mean(free.settling_time() <= 3.0) < 0.01
+
+
+def test_plants_inside_an_envelope_are_inside():
+    """Against equations (1) and (2) at small motions, in plain NumPy, and all-pass perturbations of the envelope itself."""
+    model, acting = RTAC.paper(), Actuation.proposed(RTAC.paper())
+    omega = np.geomspace(6.0, 40.0, 80)
+    s = 1j * omega
+
+    def response(mass, inertia, moment, spring, constant, viscous, ahead, back):
+        cart = mass * s**2 + viscous * s + spring
+        # The drive believes the model's torque constant, also where it makes the electric spring.
+        arm = inertia * s**2 + 0.5 * (ahead + back) * s + acting.arm_stiffness * constant / KM
+        return -moment * s**2 * constant / (cart * arm - (moment * s**2) ** 2)
+
+    # Dry friction shows as damping: the conditions are those of a cart that is damped several times as much.
+    damped = [response(M, J, ME * f, K, KM, VISCOUS * g, KV, KV) for f in (0.8, 1.0, 1.2) for g in (4.0, 8.0)]
+    covered = est.envelope(np.array(damped), omega=omega, progress=False)
+    found = plants_inside(covered, model, acting, off=0.15, count=300)
+    assert found is not None
+    names = ("total_mass", "arm_inertia", "eccentric_moment", "spring_stiffness", "torque_constant", "cart_viscous.coefficient",
+             "arm_viscous.positive", "arm_viscous.negative")  # fmt: skip
+    assert set(found.parameters) == set(names)
+    drawn = np.array([np.asarray(found[name]) for name in names])
+    plants = np.array([response(*row) for row in drawn.T])
+    gaps = np.abs(plants / covered.nominal_response() - 1) / covered.weight_magnitude()
+    assert len(gaps) == 300
+    assert np.max(gaps) <= 1 + 1e-6
+    assert np.max(gaps) > 0.9, "up to the boundary"
+    ratio = drawn / np.array([[float(model[name])] for name in names])
+    assert np.all(np.abs(np.log(np.delete(ratio, 5, axis=0))) <= np.log(1.15) + 1e-12)
+    assert 2 < np.median(ratio[5]) < 20
+    nowhere = est.envelope(100 * np.array(damped), omega=omega, progress=False)
+    assert plants_inside(nowhere, model, acting, off=0.15, count=10) is None
 
 
 def test_noise_and_disturbance(design):
@@ -506,6 +561,10 @@ def weighed(**changed: ct.TransferFunction) -> Weights:
         (lambda: propose_weights(ct.tf([1.0], [1.0, -0.1, 1.0]), ONE, 1.0, displacement=1.0), "not stable"),
         (lambda: propose_weights(LAG, ONE, 0.0, displacement=1.0), "torque_limit is 0"),
         (lambda: propose_weights(LAG, ONE, 1.0, displacement=np.nan), "displacement is nan"),
+        (
+            lambda: propose_weights(LAG, ONE, 1.0, displacement=1.0, band=(20.0, 40.0)),
+            "no oscillatory poles from 20 to 40 rad/s, where it was measured",
+        ),
         (lambda: propose_weights(LAG, 50 * ONE, 1.0, displacement=1.0), "so wide that no damping can be added"),
         (lambda: margins(ct.tf([1.0], [1.0, -1.0]), 0.1 * ONE, weighed()), "closed loop is not stable"),
         (lambda: discretise(ONE, LAG, 0.0), "sample_time is 0"),
@@ -530,6 +589,36 @@ def weighed(**changed: ct.TransferFunction) -> Weights:
 def test_bad_input(call, message):
     with pytest.raises(ValueError, match=message):
         call()
+
+
+def test_envelopes_that_no_controller_can_be_made_from_are_refused():
+    omega = np.linspace(5.0, 20.0, 30)
+    sizes = (0.8, 1.0, 1.3)
+
+    def measured(omega=omega, **changed):
+        known = dict.fromkeys(("std", "noise_std", "coherence"), np.ones(len(omega)))
+        known |= {"odd_distortion": None, "even_distortion": None, "freedom": 9, "input_rms": 1.0, "arm_angle": 0.0}
+        parts: dict = known | {"compensated": True} | changed
+        return est.FrequencyResponses(
+            tuple(
+                est.FrequencyResponse(
+                    name=f"c{n}", frequency=omega, response=size * np.asarray(LAG(1j * omega)), **parts
+                )
+                for n, size in enumerate(sizes)
+            )
+        )
+
+    fit = object.__new__(est.Fit)  # is not looked at before the envelope is
+    found = est.envelope(measured(), order_nominal=2, progress=False)
+    for covered, responses, message in (
+        ([], measured(), "covered: holds no envelope"),
+        (est.envelope(measured(), kind="additive", progress=False), measured(), "covered: is additive; control needs"),
+        (found, measured(1.1 * omega), "covered: was made of other responses"),
+        (found, measured(compensated=False), "c0 is from current to cart_position; give those from current times"),
+        (found, measured(input="disturbance_force"), "c0 is from disturbance_force times cos"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            est.control(fit, covered, responses, sample_time=0.01)
 
 
 def test_bad_reduction(design):

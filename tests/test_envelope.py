@@ -301,7 +301,8 @@ def cover(plants=PLANTS, **options):
     return est.envelope(plants, **{"omega": OMEGA, **options})
 
 
-UNSTABLE = ct.tf([1.0], [1.0, -0.5, 10.0])
+UNSTABLE = ct.tf([1.0], [1.0, -0.5, 10.0], name="rolling")
+INTEGRATOR = ct.ss([[0.0, 1.0], [0.0, -2.0]], [[0.0], [1.0]], [[1.0, 0.0]], 0.0, name="turning")
 SYSTEMS = draw(3, seed=13)
 
 
@@ -328,6 +329,12 @@ SYSTEMS = draw(3, seed=13)
         (lambda: est.envelope([ct.frd(PLANTS[0], OMEGA), ct.frd(PLANTS[1, :50], OMEGA[:50])]), "has other frequencies"),
         (lambda: est.envelope([ct.tf([1.0], [1.0, 0.5], 0.1)] * 2, omega=OMEGA), "discrete-time"),
         (lambda: est.envelope([ct.rss(2, 2, 1)] * 2, omega=OMEGA), "choose one of each"),
+        (lambda: est.envelope([*SYSTEMS, UNSTABLE], omega=OMEGA), r"rolling: has a pole at 0\.25[+-]3\.152j"),
+        (
+            lambda: est.envelope([*SYSTEMS, INTEGRATOR], omega=OMEGA, kind="additive"),
+            r"turning: has a pole at 0\+0j.* integrates",
+        ),
+        (lambda: est.envelope(SYSTEMS, omega=OMEGA).covers([UNSTABLE]), r"rolling: has a pole at 0\.25"),
     ],
 )
 def test_refusals(call, message):

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from rtac_jax import RTAC, Experiment, RigidBody, equation_4, linearise, simulate
+from rtac_jax._linearise import linear_matrices
 from rtac_jax.control import Actuation, Units, nominal_plant
 from rtac_jax.effects import ArmViscous, CartViscous, FlexibleMode, GravityTilt
 
@@ -134,3 +135,13 @@ def test_nominal_plant_is_minimal_and_scaled():
 def test_bad_input(call, message):
     with pytest.raises(ValueError, match=message):
         call(RTAC(BODY, (CartViscous(VISCOUS),)))
+
+
+def test_many_plants_at_once_are_what_each_is_alone():
+    model = RTAC(BODY, (CartViscous(VISCOUS), ArmViscous(1e-4, 3e-4), FlexibleMode(0.15, 35.0, 0.05)))
+    values = {"total_mass": np.array([1.1, 1.23, 1.4]), "arm_viscous.positive": np.array([1e-4, 2e-4, 5e-4])}
+    together = linear_matrices(model, values)
+    for i in range(3):
+        alone = linearise(model.with_values({name: one[i] for name, one in values.items()}), drive="current")
+        for several, one in zip(together, (alone.A, alone.B, alone.C), strict=True):
+            np.testing.assert_allclose(several[i], np.asarray(one), rtol=1e-12, atol=1e-12)

@@ -197,10 +197,60 @@ def test_the_search_finds_as_many_modes_as_there_are():
     assert not any(one.residuals.independent for one in one_mode)
     assert "raise modes" in one_mode.verdict
     assert "BIC" in str(found)
-    again = est.prediction_error(
-        two_modes(), structure="output_error", modes=2, compensate=False, start=ct.tf([1.0], TWO[1])
-    )
-    np.testing.assert_allclose([o.values for o in again], [o.values for o in found], rtol=1e-5)
+
+
+def test_a_start_finds_what_a_search_over_spectra_loses_in_noise():
+    """A sharp mode under noise of twice its size; the rig's model linearised, or a linear one, says where it is."""
+    random = np.random.default_rng(9)
+    mass, inertia, moment, spring, viscous = 1.23, 9.5e-5, 1.06e-3, 25 * 132.6, 0.0126
+    denominator = [
+        mass * inertia - moment**2,
+        viscous * inertia,
+        spring * inertia,
+    ]  # of equations (1) and (2), as printed
+    truth = np.roots(denominator)[np.argmax(np.roots(denominator).imag)]
+    gain = 1e-4 * np.array([2.0, 30.0])
+    a, b, c, d, _ = scipy.signal.cont2discrete(scipy.signal.tf2ss(gain, denominator), DT)
+    current = random.standard_normal((6, 3000))
+    out = np.stack([scipy.signal.dlsim((a, b, c, d, DT), u[:, None])[1][:, 0] for u in current])
+    data = recording(current, out + 2 * np.std(out) * random.standard_normal(out.shape))
+    model = rtac.RTAC(rtac.RigidBody(mass, inertia, moment, spring, 0.08), (rtac.effects.CartViscous(viscous),))
+    away = {}
+    for name, start in (("none", None), ("linear", ct.tf([1.0], denominator)), ("rig", model)):
+        found = est.prediction_error(data, structure="output_error", compensate=False, start=start, progress=False)
+        away[name] = [np.min(np.abs(one.poles - truth)) for one in found]
+    assert np.max(away["none"]) > 2
+    assert np.max(away["linear"]) < 0.1
+    assert np.max(away["rig"]) < 0.1
+
+
+def test_means_are_taken_off_only_where_asked():
+    current, out = simulated(([1.0], [1.0]), 0.02, samples=500, runs=2, seed=3)
+    options = {"structure": "output_error", "compensate": False, "progress": False}
+    moved = recording(current + 1.0, out + 5.0)
+    flat = recording(current - current.mean(axis=1)[:, None], out - out.mean(axis=1)[:, None])
+    asked = est.prediction_error(moved, detrend=True, **options)
+    by_hand = est.prediction_error(flat, **options)
+    np.testing.assert_allclose([o.values for o in asked], [o.values for o in by_hand], rtol=1e-8)
+    assert all(np.min(np.abs(one.poles - POLE)) < 0.1 for one in asked)
+    left = est.prediction_error(moved, **options)
+    assert all(np.min(np.abs(one.poles - POLE)) > 1 for one in left), "an offset is no part of the model set"
+
+
+@pytest.mark.parametrize("structure", ["output_error", "armax", "state_space"])
+def test_models_are_stable_even_of_a_system_that_is_not(structure):
+    """The truth's poles lie at +0.05 +- 10.5j."""
+    random = np.random.default_rng(10)
+    a, b, c, d, _ = scipy.signal.cont2discrete(scipy.signal.tf2ss(NUMERATOR, [1.0, -0.1, 110.0]), DT)
+    current = random.standard_normal((2, 500))
+    out = np.stack([scipy.signal.dlsim((a, b, c, d, DT), u[:, None])[1][:, 0] for u in current])
+    noisy = out + 0.02 * random.standard_normal(out.shape)
+    found = est.prediction_error(recording(current, noisy), structure=structure, compensate=False, progress=False)
+    for one in found:
+        assert np.all(one.poles.real < 0)
+        assert np.max(np.abs(one.poles.imag)) == pytest.approx(np.sqrt(110), rel=0.01)
+        assert np.all(np.abs(np.roots(one.noise_denominator)) < 1 + 1e-9)
+        assert np.all(np.abs(np.roots(one.noise_numerator)) < 1 + 1e-9)
 
 
 def test_zeros_as_many_as_asked_for():

@@ -1,11 +1,17 @@
 """The examples of the README run as they stand."""
 
+import functools
 import re
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
+import estimators
 import rtac_jax as rtac
+from rtac_jax.measurement import from_rest, multisine
+from rtac_jax.virtual_rig import Plan, Rig, record
 
 BLOCKS = re.findall(r"```python\n(.*?)```", Path(__file__).parents[1].joinpath("README.md").read_text(), re.DOTALL)
 
@@ -22,8 +28,40 @@ def test_the_fifteen_line_example_finds_what_it_says(capsys: pytest.CaptureFixtu
     assert before > 2 * after
 
 
+CONTROL = next(block for block in BLOCKS if "est.control" in block)
+
+
+def test_three_calls_lead_from_conditions_to_a_controller(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rig = Rig(encoder=True, position_noise=2e-6)
+    plans = [
+        Plan(
+            f"condition_{n + 1}", "forced", 15.0, 0.01,
+            from_rest(multisine(samples=1500, sample_time=0.01, rms=0.1, band=(1.0, 5.0), seed=n)),
+            initial_angle=0.3 * n - 0.5 + (np.pi if n % 2 else 0.0),
+        )
+        for n in range(4)
+    ]  # fmt: skip
+    record(rig, plans, seed=1, step=1e-3).save(tmp_path / "conditions.h5")
+    monkeypatch.chdir(tmp_path)
+    # The fit has tests of its own and takes one start here.
+    monkeypatch.setattr(estimators, "output_error", functools.partial(estimators.output_error, from_model=True))
+    names: dict[str, Any] = {}
+    exec(CONTROL.replace("rtac.configure()", ""), names)
+    made = names["made"]
+    assert made.closed.settling_time()[0] < 3.0 < 4.4 < made.free.settling_time()[0]
+    assert np.all(made.covered.gaps <= made.covered.weight_magnitude())
+    printed = capsys.readouterr().out
+    assert f"under a tenth after {made.closed.settling_time()[0]:.2f} s with the controller" in printed
+    assert "beyond that band it is only continued" in printed
+    assert made.shares["parameter_covariance"] >= 0.99
+    assert f"closed loop {made.closed.settling_time()[0]:.2f} s" in made.plot().get_suptitle()
+
+
 def test_the_other_examples_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     for block in BLOCKS[1:]:
-        exec(block, {})
+        if block is not CONTROL:
+            exec(block, {})
     assert rtac.Recording.load("rig.h5").rig["total_mass"] == 1.23

@@ -6,7 +6,7 @@ from estimators.plots._comparison import plot_comparison
 from estimators.plots._confusion import plot_confusion
 from estimators.plots._control import plot_batch, plot_closed_loop, plot_margins, plot_synthesis
 from estimators.plots._diagnosis import plot_diagnosis
-from estimators.plots._envelope import plot_envelope, plot_responses
+from estimators.plots._envelope import plot_effect_cost, plot_envelope, plot_responses
 from estimators.plots._improvement import plot_improvement
 from estimators.plots._next_experiment import plot_next_experiment
 from estimators.plots._prediction_error import plot_equality, plot_innovations, plot_prediction_error
@@ -23,6 +23,7 @@ __all__ = [
     "plot_comparison",
     "plot_confusion",
     "plot_diagnosis",
+    "plot_effect_cost",
     "plot_envelope",
     "plot_equality",
     "plot_improvement",

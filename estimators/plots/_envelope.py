@@ -7,6 +7,7 @@ from jaxtyping import Float64
 from matplotlib.ticker import FuncFormatter, LogLocator, MultipleLocator, NullFormatter
 
 from estimators._attribution import SOURCES
+from estimators._effect_cost import EffectCost
 from estimators._envelope import Envelope
 from estimators._nominal import log_measure
 from estimators._response_record import FrequencyResponses
@@ -84,6 +85,39 @@ def plot_envelope(envelope: Envelope) -> Picture:
     for panel in (axes[1], axes[3]):
         _frequencies(panel)
     title(figure, finding(envelope))
+    return figure
+
+
+def plot_effect_cost(cost: EffectCost) -> Picture:
+    """The largest gaps of the same conditions about both models, under the weights that cover them."""
+    figure = picture(8.0, 4.2)
+    axes = figure.subplots()
+    for word, found, colour in (("before", cost.before, _WEIGHT["color"]), ("after", cost.after, _NOMINAL["color"])):
+        gamma = cost.price.gamma[word]
+        axes.semilogx(
+            found.frequency,
+            _decibel(found.profile),
+            color=colour,
+            linewidth=2.0,
+            label=f"{word}: largest gap, γ = {gamma:.3f}",
+        )
+        dense = np.geomspace(found.frequency[0], found.frequency[-1], 800)
+        axes.semilogx(
+            dense,
+            _decibel(found.weight_magnitude(dense)),
+            color=colour,
+            linewidth=1.2,
+            linestyle="--",
+            label=f"{word}: |W|",
+        )
+    axes.axhline(0.0, color="black", linestyle=":", linewidth=1.0)
+    axes.set_ylabel("|ΔW| needed [dB]", fontsize=SMALL)
+    axes.set_xlabel("Frequency [rad/s]", fontsize=SMALL)
+    axes.legend(fontsize=SMALL, ncols=2, framealpha=0.9)
+    _frequencies(axes)
+    before, after = (100 * float(found.profile.max()) for found in (cost.before, cost.after))
+    named = ", ".join(cost.effects) or "nothing more"
+    title(figure, f"Knowing {named} brings the largest gap from {before:.0f}\u00a0% to {after:.0f}\u00a0%")
     return figure
 
 

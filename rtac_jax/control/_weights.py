@@ -102,6 +102,7 @@ def propose_weights(
     torque_limit: float,
     *,
     displacement: float,
+    band: tuple[float, float] = (0.0, np.inf),
 ) -> Weights:
     """Weights that spend the torque on the damping of the plant's dominant mode, for any nominal plant and envelope.
 
@@ -120,16 +121,17 @@ def propose_weights(
         uncertainty: W, multiplicative.
         torque_limit: largest amplitude of the plant's input, in its units; see `effort_limit`.
         displacement: from which the cart is to be brought to rest, in units of the plant's output.
+        band: where the plant was measured [rad/s]; what a fitted plant does outside is not taken for its resonance.
 
     Raises:
-        ValueError: the plant has no oscillatory poles or is not stable, a limit is not positive, or the envelope is so
+        ValueError: the plant has no oscillatory poles in the band or is not stable, a limit is not positive, or the envelope is so
             wide at the resonance that no damping can be added.
     """
     plant, weight = plant_of(nominal), weight_of(uncertainty, "uncertainty")
     for name, value in (("torque_limit", torque_limit), ("displacement", displacement)):
         if not (np.isfinite(value) and value > 0):
             raise ValueError(f"{name} is {value}, but must be positive and finite, in the nominal plant's units.")
-    pole, residue = _dominant(plant)
+    pole, residue = _dominant(plant, band)
     resonance, damping = float(abs(pole)), float(-pole.real)
     gain = torque_limit / (_LINEAR_SHARE * displacement)
     width = float(np.abs(finite_response(weight, np.array([resonance]), "uncertainty"))[0])
@@ -149,8 +151,8 @@ def propose_weights(
     return Weights(_scaled(shape, size), weight, _scaled(desired, _PERFORMANCE), desired)
 
 
-def _dominant(plant: ct.StateSpace) -> tuple[complex, complex]:
-    """The oscillatory pole with the highest resonance, and the plant's residue there."""
+def _dominant(plant: ct.StateSpace, band: tuple[float, float]) -> tuple[complex, complex]:
+    """The oscillatory pole with the highest resonance in the band, and the plant's residue there."""
     poles, left = (np.array(x, dtype=complex) for x in np.linalg.eig(np.array(plant.A)))
     if not is_stable(plant):
         raise ValueError("the nominal plant is not stable; weights are proposed for stable plants only.")
@@ -159,6 +161,12 @@ def _dominant(plant: ct.StateSpace) -> tuple[complex, complex]:
     rising = np.flatnonzero(np.imag(poles) > 1e-6 * np.abs(poles))
     if not rising.size:
         raise ValueError("the nominal plant has no oscillatory poles; there is no resonance to damp.")
+    rising = rising[(np.abs(poles[rising]) >= band[0]) & (np.abs(poles[rising]) <= band[1])]
+    if not rising.size:
+        raise ValueError(
+            f"the nominal plant has no oscillatory poles from {band[0]:.3g} to {band[1]:.3g} rad/s, where it was measured; measure "
+            "around its resonance."
+        )
     best = rising[np.argmax(np.abs(residues[rising]) / -np.real(poles[rising]))]
     return complex(poles[best]), complex(residues[best])
 

@@ -12,7 +12,6 @@ from estimators._candidate import Candidate
 from estimators._compare import Compared, Comparison
 from estimators._diagnose import Diagnosis
 from estimators._improve import Improvement
-from estimators._latent_force import LatentForce
 from estimators._least_squares import ClosedForm
 from estimators._next_experiment import NextExperiment
 from estimators._nonlinear_prediction_error import PredictorFit
@@ -61,7 +60,6 @@ def report_dict(
             "candidates": [_candidate(c, c.id in accepted) for c in first.candidates],
             "parameters": _parameters(_every(fit)) if fit is not None else {},
             "error": {"train": _before_after(train), "validation": _before_after(validation)},
-            "missing_force": [_force(force) for force in first.latent],
             "next_experiment": planned.as_dict() if planned is not None else None,
             "seconds": found.seconds if seconds is None else seconds,
         }
@@ -133,17 +131,6 @@ def comparison_rows(comparison: Comparison) -> list[dict[str, Any]]:
             for t in compared.worst(len(compared.traces))
         ]
     )
-
-
-def _force(latent: LatentForce) -> dict[str, Any]:
-    return {
-        "port": latent.port,
-        "unit": latent.unit,
-        "rms": latent.rms[0],
-        "std": latent.rms[1],
-        "frequency": latent.frequency,
-        "rms_by_experiment": dict(latent.by_experiment),
-    }
 
 
 def _effect(candidate: Candidate, final: Fit | None) -> dict[str, Any]:

@@ -23,6 +23,10 @@ from rtac_jax.measurement import Recording
 
 Vector = Float[np.ndarray, " quantity"]
 _FAR = 10.0  # times the noise, from which on one step from an output error says little of where it would end
+_HIDES = (
+    " The random forces that the prediction error takes into account may stand for an effect that is missing; est.diagnose "
+    "tells the two apart."
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -115,7 +119,7 @@ class Agreement:
         if not self.rejected:
             return (
                 f"They agree: differences as large as these come about by chance (p = {smallest:.2g}). What the estimates "
-                "rest on holds as far as these data can tell."
+                "rest on holds as far as these data can tell." + (_HIDES if "prediction error" in self.labels else "")
             )
         failing = list(dict.fromkeys(ASSUMES[n][0] for n in self.differing if n in ASSUMES))
         fails = f" Doubt first that {failing[0]}" + "".join(f", then that {f}" for f in failing[1:3]) + "."

@@ -89,6 +89,7 @@ def test_on_a_clean_rig_they_agree_and_say_so(found: Agreement) -> None:
     assert found.differing == ()
     assert found.suspects == ()
     assert found.verdict.startswith("They agree")
+    assert found.verdict.endswith("as far as these data can tell.")  # neither way takes a random force into account
     text = str(found)
     for part in ("closed form less output error", "spring_stiffness", "all together", "sigmas", "They agree"):
         assert part in text
@@ -171,6 +172,7 @@ def test_four_ways_agree_on_a_clean_rig(four: Agreement) -> None:
     assert four.labels == ("closed form", "output error", "prediction error", "linear prediction error")
     assert len(four.pairs) == 6
     assert not four.rejected, four
+    assert four.verdict.endswith("est.diagnose tells the two apart.")
     frequency = four.names.index("natural frequency")
     stiffness = four.names.index("spring_stiffness")
     # The linear fit sees the arm's reaction and dry friction as frequency and damping; the replicates know by how much.

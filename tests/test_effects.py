@@ -148,6 +148,11 @@ def test_says_what_it_is(effect_id):
         assert cls.nature in {"dissipative", "conservative", "source"}
     assert all(is_unit(unit) for unit in cls.states.values())
     assert cls.amplitudes(), "nothing switches the effect off"
+    assert set(cls.contains) <= set(CATALOGUE) - {effect_id}
+    one_sided = {"s": "a lag or a delay acts later", "dissipative": "what takes energy out cannot give it"}
+    for name in cls.amplitudes():
+        if declarations(cls)[name].unit in one_sided or getattr(cls, "nature", "") in one_sided:
+            assert declarations(cls)[name].bounds[0] == 0.0, name
     for name, declared in declarations(cls).items():
         assert is_unit(declared.unit), name
         assert declared.symbol.strip(), name

@@ -61,7 +61,7 @@ def _untold(
 
 
 def reconsidered(search: Search, base: Refit, steps: list[Step]) -> list[Step]:
-    """The steps with every earlier effect held against those that improved the model with it, now that the later ones are there.
+    """The steps with every earlier effect held against those that were refitted beside it, now that the later ones are there.
 
     What improves a model most while another effect is missing may only mend what that one does. An effect that is not needed
     any more goes, and one that another replaces better goes for it; rivals are those that the data cannot tell from it now.

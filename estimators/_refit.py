@@ -34,6 +34,11 @@ class Refit:
     free: tuple[str, ...]
     triangles: np.ndarray
 
+    @property
+    def values(self) -> dict[str, float]:
+        """All shared parameters by name."""
+        return dict(zip(self.space.names, np.asarray(self.predictor.physical[0]).tolist(), strict=True))
+
 
 @dataclasses.dataclass(frozen=True)
 class Tested:

@@ -214,7 +214,7 @@ class Search:
     def with_effect(self, before: Refit, s: Screened) -> Refit:
         """A model with one candidate more, all parameters fitted together."""
         declared = declarations(s.instance)
-        values = dict(zip(before.space.names, np.asarray(before.predictor.physical[0]), strict=True))
+        values = before.values
         for name in declared:
             start = float(np.asarray(getattr(s.instance, name)))
             if name in s.amplitudes:
@@ -231,8 +231,7 @@ class Search:
         """A model with one of its added effects less, all parameters fitted together."""
         added = tuple(i for i in refit.added if i != effect)
         model = self._with([e for i, e in self.absent.items() if i in added])
-        values = dict(zip(refit.space.names, np.asarray(refit.predictor.physical[0]), strict=True))
-        model = model.with_values({n: v for n, v in values.items() if n in model.parameters})
+        model = model.with_values({n: v for n, v in refit.values.items() if n in model.parameters})
         free = tuple(name for name in refit.free if name.split(".")[0] != effect)
         return self._fitted(added, model, free, refit.predictor.noise)
 
@@ -249,20 +248,18 @@ class Search:
         found = refit.predictor
         known = information(refit.triangles, refit.space, found.unknowns)
         deviations = dict(zip(known.names, np.sqrt(np.diagonal(known.covariance)), strict=True))
-        values = dict(zip(refit.space.names, np.asarray(found.physical[0]), strict=True))
         return {
             name.split(".")[1]: Parameter(
                 float(value), float(deviations.get(name, 0.0)), refit.model.parameters[name].unit
             )
-            for name, value in values.items()
+            for name, value in refit.values.items()
             if name.split(".")[0] == effect
         }
 
     def effect(self, effect: str, refit: Refit) -> Effect:
         """An added effect at its estimated parameters."""
-        values = dict(zip(refit.space.names, np.asarray(refit.predictor.physical[0]), strict=True))
         cls = self.classes[effect]
-        return cls(**{name: values[f"{effect}.{name}"] for name in declarations(cls)})
+        return cls(**{name: refit.values[f"{effect}.{name}"] for name in declarations(cls)})
 
     def loose(self, effect: str, refit: Refit) -> bool:
         """Whether the data leave a parameter of an added effect free."""

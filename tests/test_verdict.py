@@ -2,12 +2,15 @@
 
 import math
 
+import numpy as np
 import pytest
 
 from estimators._adequacy import Evidence, removed_by_repeats
 from estimators._candidate import Step
+from estimators._latent_force import LatentForce
+from estimators._line_classes import LineClass
 from estimators._refit import Refit
-from estimators._verdict import judge, share_removed
+from estimators._verdict import judge, share_removed, words
 
 SAMPLES = 10_000
 
@@ -68,3 +71,34 @@ def test_the_share_is_that_of_the_excess_squared_error() -> None:
 )
 def test_repeats_have_a_veto(before: Evidence, after: Evidence, share: float) -> None:
     assert removed_by_repeats([before], [after]) == pytest.approx(share)
+
+
+def missing_force(**rms: float) -> LatentForce:
+    shape = (4, len(rms))
+    return LatentForce("cart", tuple(rms), np.ones(shape), np.ones(shape), (0.02, 0.001), rms, 10.4, 900.0)
+
+
+@pytest.mark.parametrize(
+    ("rms", "shown"),
+    [
+        ({"free_1": 0.007, "forced_1": 0.035, "forced_2": 0.02}, "at 10.4 rad/s and in forced_1, forced_2"),
+        ({"free_1": 0.03, "forced_1": 0.035}, "in all experiments alike, most in forced_1"),
+        ({"free_1": 0.03}, "at 10.4 rad/s and in free_1"),
+    ],
+)
+def test_unknown_says_which_experiments_carry_the_force(rms: dict[str, float], shown: str) -> None:
+    assert shown in unknown([missing_force(**rms)], [])
+
+
+def test_unknown_says_which_lines_of_a_periodic_input_show_it() -> None:
+    quiet, telling = (LineClass("even", "arm_velocity", 1.1, 0.3), LineClass("odd", "cart_position", 3.2, 1e-6))
+    text = unknown([], [quiet, telling])
+    assert "On the odd lines of the periodic input cart_position has 3.2 times the power of the noise" in text
+    assert "an odd nonlinearity" in text
+    assert "periodic input" not in unknown(
+        [], [quiet, LineClass("odd", "cart_position", 1.5, 0.006)]
+    )  # one of two by chance
+
+
+def unknown(latent: list[LatentForce], lines: list[LineClass]) -> str:
+    return words("unknown", [], [], [], (found(600.0),), (), 0.0, [], latent, [], lines)

@@ -525,3 +525,15 @@ def test_the_json_gives_what_each_experiment_has_for_itself():
     assert found["cart_coulomb.level[free_1]"] == {"value": 0.1, "std": None, "unit": "N"}
     assert found["cart_coulomb.level[forced_1[0:1024]]"]["value"] == 0.2
     assert found["spring_stiffness"]["unit"] == "N/m"
+
+
+def test_a_bar_beyond_the_line_that_is_no_alarm_says_so():
+    scattered = dataclasses.replace(candidate("lvdt_gain", 60.0), p_value=0.1)
+    figure = plot_diagnosis(
+        diagnosis("adequate", others=(scattered, candidate("tacho_gain", 90.0), *OTHERS), additions=())
+    )
+    texts = [t.get_text() for axes in figure.axes for t in axes.texts]
+    assert "no alarm: by its scatter p = 0.1" in texts
+    bars = {b.get_width(): b.get_hatch() for b in figure.axes[0].patches}
+    assert not bars[60.0]
+    assert bars[90.0] == "///"

@@ -9,7 +9,7 @@ from estimators._diagnose import Diagnosis
 from estimators._force_curve import ForceCurve
 from estimators._latent_force import LatentForce
 from estimators._ranking import ranked
-from estimators._screen import ALARM
+from estimators._screen import ALARM, CHANCE
 from estimators.plots._effect_curve import effect_curve
 from estimators.plots._style import (
     MODELS,
@@ -95,6 +95,11 @@ def finding(diagnosis: Diagnosis) -> str:
     return f"{best.id} explains {share}; the next, {second.id}, {100 * second.error_reduction:.0f} %"
 
 
+def _alarms(c: Candidate) -> bool:
+    """Whether a candidate is large, and not by the scatter of a few seconds."""
+    return c.score >= ALARM and c.p_value < CHANCE
+
+
 def _bars(axes: Any, diagnosis: Diagnosis, *, wide: bool) -> None:
     accepted = {c.id for c in diagnosis.effects}
     shown = ranked(diagnosis)[:_MOST_BARS]
@@ -103,8 +108,8 @@ def _bars(axes: Any, diagnosis: Diagnosis, *, wide: bool) -> None:
     for row, c in enumerate(shown):
         axes.barh(
             row, max(c.score, 0.0), height=0.62, edgecolor="black", linewidth=0.6,
-            color="#08306b" if c.id in accepted else "0.8" if c.score >= ALARM else "0.95",
-            hatch="" if c.id in accepted or c.score < ALARM else "///",
+            color="#08306b" if c.id in accepted else "0.8" if _alarms(c) else "0.95",
+            hatch="///" if _alarms(c) and c.id not in accepted else "",
         )  # fmt: skip
         axes.annotate(
             _remark(c, c.id in accepted), (1.0, row), xycoords=("axes fraction", "data"), xytext=(-2, 0),
@@ -125,6 +130,8 @@ def _bars(axes: Any, diagnosis: Diagnosis, *, wide: bool) -> None:
     axes.set_xlabel("Score: chi-square gained less the price of the parameters [1]", fontsize=SMALL)
     more = f"best {len(shown)} candidates, {left} more score lower" if left else f"all {len(shown)} candidates"
     marked = "★ and dark: accepted" if accepted else "none accepted"
+    if any(_alarms(c) and c.id not in accepted for c in shown):
+        marked += "; hatched: alarm"
     axes.set_title(f"{more}; {marked}", fontsize=9, loc="left")
     tidy(axes)
     axes.grid(False, axis="y")
@@ -145,6 +152,8 @@ def _remark(c: Candidate, accepted: bool) -> str:
         return f"removes {100 * c.error_reduction:.0f} % of the misfit"
     if not np.isfinite(c.detection_limit) or not c.testable:
         return "not testable here"
+    if c.score >= ALARM and not _alarms(c):
+        return f"no alarm: by its scatter p = {c.p_value:.1g}"
     return f"would show from {quantity(c.detection_limit, c.unit)}"
 
 

@@ -73,13 +73,15 @@ class Innovations:
         return unit * np.asarray(self.space.scale)
 
     def rows(self, found: np.ndarray) -> Rows:
-        """Whitened samples [direction sample output experiment] as columns, channels that nobody measured left out."""
-        return found[:, :, self.used].reshape(len(found), -1).T
+        """Whitened samples [direction sample output experiment] as columns, channels that nobody measured left out.
+
+        Rows of an experiment, and within it of a stretch of time, are neighbours.
+        """
+        return np.moveaxis(found[:, :, self.used], 3, 1).reshape(len(found), -1).T
 
     def blocks(self) -> np.ndarray:
-        """For every row the number of the stretch of time that it belongs to."""
-        found = stretches(self.data)
-        return np.broadcast_to(found[:, None, :], (len(found), int(self.used.sum()), found.shape[1])).reshape(-1)
+        """For every row the number of the stretch of time that it belongs to; it never falls."""
+        return np.repeat(stretches(self.data).T.reshape(-1), int(self.used.sum()))
 
 
 def stretches(data: Data, seconds: float = 1.0) -> np.ndarray:

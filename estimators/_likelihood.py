@@ -2,14 +2,13 @@
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from scipy.optimize import minimize
 
 from estimators._bounds import solve_bounded
 from estimators._compile import compile_only
@@ -25,7 +24,9 @@ from rtac_jax.measurement import Experiment
 # shake it.
 _LEAST, _FIRST = np.log(1e-5**2), np.log(3e-3**2)
 _MOST = (np.log(1.0**2), np.log(10.0**2))
-_PROCESS_UNIT = 0.3
+_FAR = 3.0  # the longest step in the logarithm of a variance
+_LITTLE = 0.1  # gain in log-likelihood that is not worth another pass of the filter
+_PASSES = 25
 _LESS = (0.0, 4.0)  # by how much in the logarithm of the variance
 _ENOUGH = 1.0  # gain in log-likelihood that is worth another round
 
@@ -89,7 +90,7 @@ class Predictor:
 
     unknowns: Unknowns
     physical: tuple[Array, Array, Array]
-    noise: Float[np.ndarray, " parameter"]
+    noise: Float[np.ndarray, " noise"]
     filtered: Filtered
     log_likelihood: float
 
@@ -104,33 +105,54 @@ class Predictor:
         return float(np.exp(0.5 * self.noise[1]))
 
 
+class Passed(NamedTuple):
+    """A pass of the filter, and how the likelihood changes with the noise.
+
+    Attributes:
+        value: negative log-likelihood.
+        slope: of that, by the logarithms of the variances.
+        information: expected curvature (Fisher).
+        filtered: the pass.
+    """
+
+    value: Array
+    slope: Float[Array, " noise"]
+    information: Float[Array, "noise noise"]
+    filtered: Filtered
+
+
 @eqx.filter_jit
 def _pass(
     model: RTAC, data: Data, space: Space, physical: Any, noise: Array, scale: Array, sensor: Array, start: Array,
     substeps: Steps,
-) -> tuple[Array, Array, Filtered]:  # fmt: skip
-    """Negative log-likelihood, its slope by the noise, and the filter's pass; one compiled function for all three."""
+) -> Passed:  # fmt: skip
+    """One compiled function for the pass and its derivatives."""
 
-    def negative(at: Array) -> tuple[Array, Filtered]:
+    def innovations(at: Array) -> tuple[tuple[Array, Array, Array], Filtered]:
         density = jnp.exp(at[:2]) * scale
         variance = jnp.broadcast_to((jnp.exp(at[2:]) * sensor**2)[:, None], (len(CHANNELS), data.experiments))
         found = kalman(
             model, data, space, physical, sensor_variance=variance, process=(density[0], density[1]),
             start_variance=start, substeps=substeps,
         )  # fmt: skip
-        return -found.log_likelihood.sum(), found
+        scale_of = jnp.moveaxis(jnp.diagonal(found.whitener, axis1=1, axis2=2), 2, 1)  # one over the standard deviation
+        deviation = -jnp.log(jnp.where(scale_of > 0, scale_of, 1.0))
+        return (-found.log_likelihood.sum(), found.innovations, deviation), found
 
-    return jax.vmap(lambda t: jax.jvp(negative, (noise,), (t,), has_aux=True), out_axes=(None, 0, None))(
-        jnp.eye(len(noise))
-    )
+    (value, white, _), (slope, change, wider), found = jax.vmap(
+        lambda t: jax.jvp(innovations, (noise,), (t,), has_aux=True), out_axes=(None, 0, None)
+    )(jnp.eye(len(noise)))
+    # Of an innovation e in units of its standard deviation s: the change of the innovation itself is de + e dlog s.
+    change = change + white * wider
+    information = jnp.einsum("isof,jsof->ij", change, change) + 2 * jnp.einsum("isof,jsof->ij", wider, wider)
+    return Passed(value, slope, information, found)
 
 
 def run_filter(
     model: RTAC, data: Data, space: Space, physical: Any, prior: NoiseModel, noise: np.ndarray, substeps: Steps
-) -> tuple[float, np.ndarray, Filtered]:
-    """Negative log-likelihood at given noise, its slope, and the filter's pass."""
-    value, slope, found = _pass(*_arguments(model, data, space, physical, prior, noise, substeps))
-    return float(value), np.asarray(slope), found
+) -> Passed:
+    """The filter's pass at given noise."""
+    return _pass(*_arguments(model, data, space, physical, prior, noise, substeps))
 
 
 def _arguments(
@@ -157,52 +179,61 @@ def _begin() -> np.ndarray:
     return np.array([_FIRST, _FIRST, 0.0, 0.0, 0.0])
 
 
+class Noise(NamedTuple):
+    """Noise of the greatest likelihood.
+
+    Attributes:
+        exponents: logarithms of the process variances and of the sensors' variance ratios.
+        log_likelihood: there, without the prior's share.
+        filtered: the pass of the filter there.
+    """
+
+    exponents: Float[np.ndarray, " noise"]
+    log_likelihood: float
+    filtered: Filtered
+
+
 def fit_noise(
     model: RTAC, data: Data, space: Space, physical: Any, prior: NoiseModel, first: np.ndarray | None, substeps: Steps
-) -> tuple[np.ndarray, float]:
-    """Noise by maximum likelihood, and the log-likelihood there (without the prior's share)."""
-    begin = _begin() if first is None else first
+) -> Noise:
+    """Noise by maximum likelihood: Newton's steps with the expected curvature, damped where they lead uphill.
 
-    def objective(at: np.ndarray) -> tuple[float, np.ndarray]:
-        value, slope, _ = run_filter(model, data, space, physical, prior, at, substeps)
-        pull = at[2:] / prior.doubt
-        total = value + 0.5 * float(pull @ pull)
-        gradient = slope + np.concatenate([np.zeros(2), pull / prior.doubt])
-        if not np.isfinite(total):
-            return 1e300, np.zeros_like(at)
-        return total, gradient
+    A pass of the filter costs far more than a step, and gives the expected curvature with the slope; so few passes do.
 
-    # In units in which the likelihood is about equally curved: a variance known from n samples has curvature n / 2.
-    count = np.asarray(data.present).sum(axis=(0, 2))
-    unit = np.concatenate([[_PROCESS_UNIT] * 2, 1.0 / np.sqrt(0.5 * count + 1.0 / prior.doubt**2)])
-    low = np.array([_LEAST] * 2 + [-6.0] * 3) / unit
-    high = np.array([*_MOST, 6.0, 6.0, 6.0]) / unit
+    Source: Gupta and Mehra, IEEE Transactions on Automatic Control 19 (1974), scoring.
+    """
+    at = _begin() if first is None else first
+    low = np.array([_LEAST] * 2 + [-6.0] * 3)
+    high = np.array([*_MOST, 6.0, 6.0, 6.0])
+    tight = np.concatenate([np.zeros(2), 1.0 / prior.doubt**2])
 
-    def scaled(at: np.ndarray) -> tuple[float, np.ndarray]:
-        value, slope = objective(at * unit)
-        return value - reference, slope * unit
+    def evaluated(at: np.ndarray) -> tuple[float, np.ndarray, np.ndarray, Passed]:
+        passed = run_filter(model, data, space, physical, prior, at, substeps)
+        total = float(passed.value) + 0.5 * float(tight @ at**2)
+        return total, np.asarray(passed.slope) + tight * at, np.asarray(passed.information) + np.diag(tight), passed
 
-    reference = objective(begin)[0]
-    found = minimize(
-        scaled, begin / unit, jac=True, method="L-BFGS-B", bounds=np.stack([low, high], axis=1),
-        options={"maxiter": 25, "maxfun": 30, "ftol": 0.0, "gtol": 0.3},
-        callback=_Stalled(),
-    )  # fmt: skip
-    best, value = found.x * unit, float(found.fun) + reference
-    pull = best[2:] / prior.doubt
-    return best, -value + 0.5 * float(pull @ pull)
-
-
-class _Stalled:
-    """Stops the optimiser when two iterations gained less than matters in a log-likelihood."""
-
-    def __init__(self) -> None:
-        self.values: list[float] = []
-
-    def __call__(self, intermediate_result: Any) -> None:
-        self.values.append(float(intermediate_result.fun))
-        if len(self.values) > 2 and self.values[-3] - self.values[-1] < 0.2:
-            raise StopIteration
+    value, slope, curvature, passed = evaluated(at)
+    damping = 0.0
+    for _ in range(_PASSES if np.isfinite(value) else 0):
+        free = np.flatnonzero(~((at <= low) & (slope > 0) | (at >= high) & (slope < 0)))
+        inner = curvature[free][:, free]
+        damped = inner + damping * np.diag(np.diagonal(inner)) + 1e-9 * np.trace(curvature) * np.eye(len(free))
+        move = np.zeros_like(at)
+        move[free] = np.clip(-np.linalg.solve(damped, slope[free]), -_FAR, _FAR)
+        trial = np.clip(at + move, low, high)
+        move = trial - at
+        if -(slope @ move) < _LITTLE:
+            break
+        there = evaluated(trial)
+        gained = value - there[0]
+        if not gained > 0:
+            damping = max(10.0 * damping, 1.0)
+            continue
+        at, (value, slope, curvature, passed) = trial, there
+        damping *= 0.1
+        if gained < _LITTLE:
+            break
+    return Noise(at, -float(passed.value) if np.isfinite(value) else -np.inf, passed.filtered)
 
 
 def fit_predictor(
@@ -226,21 +257,21 @@ def fit_predictor(
     """
     unknowns = space.unconstrained(start=False)
     physical = space.physical(unknowns)
-    noise, likelihood = fit_noise(model, data, space, physical, prior, first, substeps)
+    noise = fit_noise(model, data, space, physical, prior, first, substeps)
     failed = 0
     for _ in range(rounds):
-        less = _LESS[failed]
-        used = np.concatenate([np.maximum(noise[:2] - less, _LEAST), noise[2:]])
-        passed = run_filter(model, data, space, physical, prior, used, substeps)[2]
+        passed = noise.filtered
+        if _LESS[failed] > 0:
+            used = np.concatenate([np.maximum(noise.exponents[:2] - _LESS[failed], _LEAST), noise.exponents[2:]])
+            passed = run_filter(model, data, space, physical, prior, used, substeps).filtered
         arguments = Arguments(model, data, space, passed.whitener, passed.gain, substeps)
         trial = solve_bounded(unknowns, arguments, tolerance=1e-4, most=20, progress=progress).unknowns
         moved = space.physical(trial)
-        new_noise, new_likelihood = fit_noise(model, data, space, moved, prior, noise, substeps)
-        gained = new_likelihood - likelihood
+        new = fit_noise(model, data, space, moved, prior, noise.exponents, substeps)
+        gained = new.log_likelihood - noise.log_likelihood
         if gained > 0:
-            unknowns, physical, noise, likelihood = trial, moved, new_noise, new_likelihood
+            unknowns, physical, noise = trial, moved, new
         failed = 0 if gained > _ENOUGH else failed + 1
         if failed == len(_LESS):
             break
-    passed = run_filter(model, data, space, physical, prior, noise, substeps)[2]
-    return Predictor(unknowns, physical, noise, passed, likelihood)
+    return Predictor(unknowns, physical, noise.exponents, noise.filtered, noise.log_likelihood)

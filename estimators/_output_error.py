@@ -321,7 +321,7 @@ class _Run:
         known = NoiseModel(noise, np.ones_like(noise), scales.force, scales.torque, interval, start_variance(space))
         size = np.concatenate([np.full(2, 2 * np.log(share)), np.zeros(len(CHANNELS))])
         physical = space.physical(unknowns)
-        result = run_filter(model, self.data, space, physical, known, size, jnp.asarray(substeps))[2]
+        result = run_filter(model, self.data, space, physical, known, size, jnp.asarray(substeps)).filtered
         # One whitener for all samples: enough for a start, and the same compiled function as for the simulation.
         middle = np.median(np.asarray(result.whitener)[self.data.samples // 4 :], axis=0, keepdims=True)
         return result.gain, jnp.asarray(middle)

@@ -50,33 +50,33 @@ def score_test(
         columns: derivatives of the innovations.
         error: innovations, without their share in the basis.
         basis: orthonormal columns that the base model's parameters explain already.
-        blocks: number of the stretch of time that each row belongs to.
+        blocks: number of the stretch of time that each row belongs to; rows of one stretch are neighbours.
 
     Source: Wooldridge, Journal of Econometrics 47 (1991) for the robust form; Bell and McCaffrey, Survey Methodology 28
     (2002) for stretches against fits to the others; Hotelling's T-squared for few stretches.
     """
     size = np.linalg.norm(columns, axis=0)
     columns = columns - basis @ (basis.T @ columns)
-    u, s, vt = np.linalg.svd(columns, full_matrices=False)
+    # The singular values, from the small product of the columns with themselves: those that count are far above rounding.
+    squares, v = np.linalg.eigh(columns.T @ columns)
+    s, vt = np.sqrt(np.maximum(squares[::-1], 0.0)), v.T[::-1]
     # What remains of a column that the base explains is rounding, not information.
-    keep = (s > _SMALLEST * max(float(s[0]), 1e-300)) & (s > 1e-7 * np.max(size, initial=1e-300))
+    keep = (s > _SMALLEST * max(float(np.max(s, initial=0.0)), 1e-300)) & (s > 1e-7 * np.max(size, initial=1e-300))
     nothing = np.zeros(columns.shape[1])
     if not keep.any():
         return ScoreTest(0.0, 0, 1.0, nothing, nothing + np.inf, np.zeros((0, len(nothing))), np.zeros(0))
-    directions = u[:, keep]
+    directions = columns @ (vt[keep].T / s[keep])
     score = directions.T @ error
     explained, freedom = float(score @ score), int(keep.sum())
     left = error - directions @ score
     # Each stretch against a fit to the others, or few stretches would look quieter than they are.
-    numbers = np.unique(blocks, return_inverse=True)[1]
-    order = np.argsort(numbers, kind="stable")
-    edges = np.flatnonzero(np.diff(numbers[order], prepend=-1))
-    products = directions[order][:, :, None] * directions[order][:, None, :]
-    own = np.eye(freedom) - np.add.reduceat(products, edges, axis=0)
-    by_block = np.add.reduceat(directions[order] * left[order, None], edges, axis=0)
-    by_block = np.stack([np.linalg.lstsq(o, b, rcond=1e-6)[0] for o, b in zip(own, by_block, strict=True)], axis=1)
-    scatter = by_block @ by_block.T
-    count = len(edges)
+    edges = np.flatnonzero(np.diff(blocks)) + 1
+    parts = list(zip(np.split(directions, edges), np.split(left, edges), strict=True))
+    others = np.eye(freedom) - np.stack([d.T @ d for d, _ in parts])
+    slopes = np.stack([d.T @ one for d, one in parts])
+    by_block = np.linalg.pinv(others, rcond=1e-6, hermitian=True) @ slopes[:, :, None]
+    scatter = np.einsum("bi,bj->ij", by_block[:, :, 0], by_block[:, :, 0])
+    count = len(parts)
     p_value = float(chi2.sf(explained, freedom))
     if count > freedom + 1:
         hotelling = float(score @ np.linalg.lstsq(scatter, score, rcond=1e-10)[0])

@@ -47,7 +47,7 @@ _TRIED = 3  # candidates whose size is looked for so
 
 def screen(
     innovations: Innovations,
-    error: np.ndarray,
+    raw: np.ndarray,
     basis: Rows,
     instances: Sequence[Any],
     place: Any,
@@ -55,6 +55,8 @@ def screen(
     """Hold instances of candidates against the innovations.
 
     Args:
+        raw: innovations with all candidates at null.
+        basis: orthonormal columns that the base model's parameters explain already.
         place: gives for an effect, a parameter of it and the instance's other parameters the vector of shared values
             with only this amplitude switched on.
     """
@@ -63,12 +65,12 @@ def screen(
         for amplitude in type(instance).amplitudes():
             points.append(place(instance, amplitude))
             owners.append((number, amplitude))
-    base = innovations.at(np.asarray(innovations.space.values)[None])[:, 0]
+    error = raw - basis @ (basis.T @ raw)
     blocks = innovations.blocks()
     found = []
     by_instance: dict[int, list[tuple[str, np.ndarray]]] = {}
     for first in range(0, len(points), AT_ONCE):
-        columns = innovations.at(np.array(points[first : first + AT_ONCE])) - base[:, None]
+        columns = innovations.at(np.array(points[first : first + AT_ONCE])) - raw[:, None]
         columns = columns - basis @ (basis.T @ columns)
         for (number, amplitude), column in zip(owners[first : first + AT_ONCE], columns.T, strict=True):
             size = float(np.asarray(getattr(instances[number], amplitude)))

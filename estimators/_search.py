@@ -203,7 +203,7 @@ class Search:
                 # Random forces may stand for what is colour: so from without them, too.
                 quiet = np.concatenate([base.predictor.noise[:2] - _QUIETER, base.predictor.noise[2:]])
                 value = max(
-                    fit_noise(model, self.data, space, physical, prior, noise, self.substeps)[1]
+                    fit_noise(model, self.data, space, physical, prior, noise, self.substeps).log_likelihood
                     for noise in (base.predictor.noise, quiet)
                 )
                 if value > likelihood + _WORTH:
@@ -288,7 +288,7 @@ class Search:
                     values[placed.names.index(full)] = float(np.asarray(getattr(instance, name)))
             return values
 
-        screened = screen(innovations, error, basis, [i for i in self.instances if i.id in left], place)
+        screened = screen(innovations, raw, basis, [i for i in self.instances if i.id in left], place)
         scales = scales_of(self.model, self.experiments)
         slow = (_SLOW * scales.velocity, _SLOW * scales.arm_velocity)
         curves = force_curves(probed, error, basis, self._ranges(), slow)

@@ -35,7 +35,7 @@ def smoothed_start(fit: PredictorFit) -> Float[np.ndarray, "start experiment"]:
     def looked_at(moved: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Log of the probability, and the innovations, after moves in standard deviations beforehand."""
         physical: Any = (jnp.asarray(shared), jnp.asarray(each), jnp.asarray(first + deviation * moved))
-        passed = run_filter(a.model, a.data, a.space, physical, sure, fit.noise_exponents, a.substeps)[2]
+        passed = run_filter(a.model, a.data, a.space, physical, sure, fit.noise_exponents, a.substeps).filtered
         likelihood = np.asarray(passed.log_likelihood) - 0.5 * np.sum(moved**2, axis=0)
         return np.where(np.isfinite(likelihood), likelihood, -np.inf), np.nan_to_num(
             np.asarray(passed.innovations), posinf=0.0, neginf=0.0

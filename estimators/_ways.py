@@ -130,7 +130,7 @@ def _predicted(fit: PredictorFit, here: Vector) -> Callable[[Outputs], Vector]:
 
     def again(values: Outputs) -> np.ndarray:
         a = with_outputs(problem, jnp.asarray(np.nan_to_num(values)))
-        passed = run_filter(a.model, a.data, space, physical, fit.prior, fit.noise_exponents, a.substeps)[2]
+        passed = run_filter(a.model, a.data, space, physical, fit.prior, fit.noise_exponents, a.substeps).filtered
         a = dataclasses.replace(a, whitener=passed.whitener, gain=passed.gain)
         rows = rows_at(problem._replace(arguments=a))
         flat = rows.jacobian.reshape(-1, len(here))

@@ -52,7 +52,7 @@ class Case:
     played: Literal["foh", "bl"] | None = None
 
 
-# Moderate sizes: the base model's error is a few times the noise.
+# Moderate sizes: the base model's error is at most some twenty times the noise.
 EFFECTS: dict[str, Case] = {
     "cubic_spring": Case({"cubic_spring": 5e4}),
     "quadratic_spring": Case({"quadratic_spring": 600.0}),
@@ -61,14 +61,14 @@ EFFECTS: dict[str, Case] = {
     "cart_quadratic_drag": Case({"cart_quadratic_drag": 2.0}),
     "cart_stribeck": Case({"cart_stribeck": 0.02, "cart_stribeck_velocity": 0.01}),
     "hysteretic_spring": Case({"hysteresis_stiffness": 20.0, "hysteresis_yield": 1e-3}),
-    "end_stop": Case({"end_stop_travel": 0.009}),
+    "end_stop": Case({"end_stop_travel": 0.012, "end_stop_stiffness": 300.0}),  # a soft bumper
     "arm_coulomb": Case({"arm_coulomb": 4e-4}),
     "arm_stribeck": Case({"arm_stribeck": 4e-4, "arm_stribeck_velocity": 1.0}),
     "arm_quadratic_drag": Case({"arm_quadratic_drag": 3e-6}),
     "cogging": Case({"cogging_torque": 4e-4, "cogging_order": 7.0, "cogging_phase": 0.7}),
     "cable_spring": Case({"cable_stiffness": 5e-5}),
     "gravity_tilt": Case({"tilt_across": 0.01}),
-    "flexible_shaft": Case({"shaft_stiffness": 0.03, "shaft_damping": 2e-5}),
+    "flexible_shaft": Case({"shaft_stiffness": 0.3, "shaft_damping": 2e-5}),
     "backlash": Case({"backlash": 0.1}),
     "saturation": Case({"saturation": 0.25}),
     "current_lag": Case({"current_lag": 0.01}),

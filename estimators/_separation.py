@@ -82,8 +82,8 @@ def _products(
         innovations.model, innovations.data, moved, innovations.whitener, innovations.gain, innovations.substeps
     )
     columns = np.concatenate([differences, here.jacobian()], axis=1)
-    split = columns.reshape(-1, experiments, columns.shape[1])
-    return np.einsum("rea,reb->eab", split, split, optimize=True)
+    split = columns.reshape(experiments, -1, columns.shape[1])
+    return np.einsum("era,erb->eab", split, split, optimize=True)
 
 
 def _left(product: Float[np.ndarray, "term term"], number: int, first: int) -> float:

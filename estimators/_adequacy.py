@@ -48,6 +48,17 @@ def alarming(screened: Sequence[Screened]) -> list[Screened]:
     return [s for s in screened if s.statistic >= ALARM and p_by_chance(s, len(screened)) < CHANCE]
 
 
+def suspects(screened: Sequence[Screened], tests: Sequence[Evidence]) -> list[Screened]:
+    """The candidates to refit: those that alarm; where only other tests reject, all that reach the alarm's size.
+
+    What acts at a few instants, as a stop that is hit once, scatters over stretches of time as much as it shows.
+    """
+    alarms = alarming(screened)
+    if alarms or not any(test.rejects for test in tests):
+        return alarms
+    return [s for s in screened if s.statistic >= ALARM]
+
+
 def evidence(
     screened: Sequence[Screened],
     curves: Sequence[ForceCurve],

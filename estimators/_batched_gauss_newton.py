@@ -36,7 +36,7 @@ class _State(NamedTuple):
 
 
 def gauss_newton(
-    residual: Callable[[Any], Any], theta: Float[Array, " unknown"], *, most: int = 60
+    residual: Callable[[Any], Any], theta: Float[Array, " unknown"], *, most: int | Int[Array, ""] = 60
 ) -> tuple[Point, Bool[Array, ""]]:
     """Where half the sum of squares is least, and whether it came to rest; made to be vmapped.
 
@@ -47,8 +47,7 @@ def gauss_newton(
     """
 
     def at(where: Array) -> Point:
-        error = residual(where)
-        jacobian = jax.jacfwd(residual)(where)
+        jacobian, error = jax.jacfwd(lambda t: (residual(t),) * 2, has_aux=True)(where)
         return Point(where, 0.5 * jnp.sum(error**2), jacobian.T @ error, jacobian.T @ jacobian)
 
     def step(state: _State) -> _State:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from estimators._adequacy import Evidence, alarming, excess_of, p_by_chance
+from estimators._adequacy import Evidence, alarming, excess_of, p_by_chance, suspects
 from estimators._candidate import Candidate, Step
 from estimators._choice import bic_gain, chosen, gain, reconsidered
 from estimators._compile import make_room
@@ -195,7 +195,7 @@ def _improvements(search: Search, base: Refit, tested: Tested) -> tuple[list[Ste
     price = np.log(search.samples)
     for _ in range(2 * _EFFECTS):  # a step may be taken back
         best_shape: dict[str, Screened] = {}
-        for s in alarming(seen.screened):
+        for s in alarming(seen.screened) if steps else suspects(seen.screened, seen.tests):
             if s.id not in best_shape or s.statistic > best_shape[s.id].statistic:
                 best_shape[s.id] = s
         ranked = sorted(best_shape.values(), key=lambda s: -(s.statistic - len(s.amplitudes) * price))

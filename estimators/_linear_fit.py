@@ -12,6 +12,7 @@ from estimators._linear_start import Pair, next_pair, noise_starts, with_poles, 
 from estimators._linear_structure import Structure
 
 _DAMPED = 0.1  # damping ratio of a second start
+_SHORT = 12  # steps after which the best of several starts is known
 
 
 class Raw(NamedTuple):
@@ -88,16 +89,18 @@ def predictor_stage(structure: Structure, simulation: Stage) -> Stage:
     for noise in noise_starts(structure, errors, np.asarray(data.present), denominators):
         for each in (theta,) if np.array_equal(theta, damped) else (theta, damped):
             begin = np.concatenate([each[:, :dynamics], noise, each[:, dynamics:], still], axis=1)
-            stage = descend(structure, begin, data)
+            stage = descend(structure, begin, data, most=_SHORT)
             best = stage if best is None else _better(best, stage)
     assert best is not None
-    return best
+    return descend(structure, best.theta, best.data)
 
 
-def descend(structure: Structure, theta: Float[np.ndarray, "condition unknown"], data: Signals) -> Stage:
-    """Scale the errors to one where they are now, and minimise."""
+def descend(
+    structure: Structure, theta: Float[np.ndarray, "condition unknown"], data: Signals, *, most: int = 60
+) -> Stage:
+    """Scale the errors to one where they are now, and minimise in at most so many steps."""
     data = _scaled(data, rows(structure, theta, data))
-    solved = solve(structure, theta, data)
+    solved = solve(structure, theta, data, most=most)
     return Stage(structure, solved.theta, data, rows(structure, solved.theta, data), solved.converged)
 
 

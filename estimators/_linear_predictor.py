@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from estimators._batched_gauss_newton import gauss_newton
 from estimators._linear_structure import Sampled, Scale, Structure, sampled
@@ -122,14 +122,18 @@ class Solved(NamedTuple):
 
 
 @eqx.filter_jit
-def _solve(structure: Structure, theta: Float[Array, "condition unknown"], data: Signals) -> tuple[Array, Array, Array]:
+def _solve(
+    structure: Structure, theta: Float[Array, "condition unknown"], data: Signals, most: Int[Array, ""]
+) -> tuple[Array, Array, Array]:
     def of_one(at: Array, one: Signals) -> tuple[Array, Array, Array]:
-        found, converged = gauss_newton(lambda t: _errors(structure, t, one), at)
+        found, converged = gauss_newton(lambda t: _errors(structure, t, one), at, most=most)
         return found.theta, found.cost, converged
 
     return jax.vmap(of_one)(theta, data)
 
 
-def solve(structure: Structure, theta: Float[np.ndarray, "condition unknown"], data: Signals) -> Solved:
+def solve(
+    structure: Structure, theta: Float[np.ndarray, "condition unknown"], data: Signals, *, most: int = 60
+) -> Solved:
     """Minimise the sum of squares of each condition's prediction errors; all conditions in one compiled call."""
-    return Solved(*(np.asarray(x) for x in _solve(structure, jnp.asarray(theta), data)))
+    return Solved(*(np.asarray(x) for x in _solve(structure, jnp.asarray(theta), data, jnp.asarray(most))))

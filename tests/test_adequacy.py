@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from estimators._adequacy import Evidence, suspects
 from estimators._line_classes import line_classes, period
 from estimators._repeats import repeat_test
 from estimators._score_test import score_test
+from estimators._screen import Screened
 from estimators._selection import held_out, vuong
 from estimators._spectral_line import spectral_line
 from estimators._where import where
@@ -188,3 +190,17 @@ def test_vuong_of_equal_models_is_standard_normal() -> None:
     assert np.std(z) == pytest.approx(1.0, abs=0.12)
     assert abs(np.mean(z)) < 0.2
     assert vuong(np.full((2000, 1), 0.1), random.normal(size=(2000, 1)), blocks, 0.0) > 2.0
+
+
+def test_where_only_another_test_rejects_every_large_candidate_is_refitted() -> None:
+    def one(name: str, statistic: float, p_value: float) -> Screened:
+        return Screened(name, None, (), np.zeros(0), statistic, p_value, np.zeros(0), np.zeros((4, 0)))
+
+    def said(p_value: float) -> list[Evidence]:
+        return [Evidence("static force", p_value, 400.0, 0.002, "")]
+
+    # A stop that is hit once is large by the model's variance, and no more than its scatter over seconds.
+    stop, spring, small = one("end_stop", 461.0, 0.05), one("cubic_spring", 356.0, 1e-9), one("cogging", 9.0, 0.3)
+    assert suspects([stop, small], said(1e-40)) == [stop]
+    assert suspects([stop, small], said(0.5)) == []
+    assert suspects([stop, spring, small], said(1e-40)) == [spring]

@@ -49,14 +49,18 @@ def alarming(screened: Sequence[Screened]) -> list[Screened]:
 
 
 def suspects(screened: Sequence[Screened], tests: Sequence[Evidence]) -> list[Screened]:
-    """The candidates to refit: those that alarm; where only other tests reject, all that reach the alarm's size.
+    """The candidates to refit where none alarms and another test rejects: all that reach the alarm's size.
 
     What acts at a few instants, as a stop that is hit once, scatters over stretches of time as much as it shows.
     """
-    alarms = alarming(screened)
-    if alarms or not any(test.rejects for test in tests):
-        return alarms
+    if alarming(screened) or not any(test.rejects for test in tests):
+        return []
     return [s for s in screened if s.statistic >= ALARM]
+
+
+def line_left(tests: Sequence[Evidence]) -> bool:
+    """Whether the spectrum has a line that neither input nor state explains."""
+    return any(test.test == "spectral line" and test.rejects for test in tests)
 
 
 def evidence(

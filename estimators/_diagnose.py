@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from estimators._adequacy import Evidence, alarming, excess_of, p_by_chance, suspects
+from estimators._adequacy import Evidence, alarming, excess_of, line_left, p_by_chance, suspects
 from estimators._candidate import Candidate, Step
 from estimators._choice import bic_gain, chosen, gain, reconsidered
 from estimators._compile import make_room
@@ -143,6 +143,16 @@ def diagnose(
                 if coloured.predictor.log_likelihood > final.predictor.log_likelihood:
                     search, base, tested = other, coloured, other.tested(coloured)
                     steps, refits = _improvements(search, base, tested)
+        for look in (lambda: suspects(tested.screened, tested.tests), lambda: search.quietly(base)):
+            if judge(steps, tested.tests, search.samples)[0] != "unknown":
+                break
+            bar.set_description("diagnose: what raised no alarm")
+            again, more = _improvements(search, base, tested, look())
+            refits = more | refits
+            named = judge(again, tested.tests, search.samples)[1]
+            # A mode without damping can follow a vibration from outside, but for the line that this leaves.
+            if named and not line_left(again[named - 1].left):
+                steps, refits = again, refits | more
         bar.set_description("diagnose: verdict")
         verdict, count, removed = judge(steps, tested.tests, search.samples)
         all_candidates = _candidates(search, base, tested, steps, count, refits)
@@ -187,18 +197,25 @@ def _offered(model: RTAC, candidates: Sequence[type[Effect]] | None) -> list[typ
     return [c for c in (CATALOGUE.values() if candidates is None else candidates) if c.id not in model]
 
 
-def _improvements(search: Search, base: Refit, tested: Tested) -> tuple[list[Step], dict[str, tuple[Refit, Refit]]]:
-    """Effects that improve the model one after the other, and of every candidate that was tried the model before and after."""
+def _improvements(
+    search: Search, base: Refit, tested: Tested, hidden: Sequence[Screened] | None = None
+) -> tuple[list[Step], dict[str, tuple[Refit, Refit]]]:
+    """Effects that improve the model one after the other, and of every candidate that was tried the model before and after.
+
+    The candidates of the first step are those that alarm, or the strongest of those given.
+    """
     steps: list[Step] = []
     refits: dict[str, tuple[Refit, Refit]] = {}
     now, seen = base, tested
     price = np.log(search.samples)
     for _ in range(2 * _EFFECTS):  # a step may be taken back
         best_shape: dict[str, Screened] = {}
-        for s in alarming(seen.screened) if steps else suspects(seen.screened, seen.tests):
+        for s in alarming(seen.screened) if steps or hidden is None else hidden:
             if s.id not in best_shape or s.statistic > best_shape[s.id].statistic:
                 best_shape[s.id] = s
         ranked = sorted(best_shape.values(), key=lambda s: -(s.statistic - len(s.amplitudes) * price))
+        if hidden is not None and not steps:
+            ranked = ranked[:_REFITS]
         if not ranked:
             break
         top = ranked[0].statistic

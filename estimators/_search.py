@@ -16,10 +16,10 @@ from estimators._coloured_noise import ColouredNoise, colours_at_rest
 from estimators._covariance import information
 from estimators._delayed_force import delayed_forces
 from estimators._force_curve import compile_force_curves, force_curves
-from estimators._innovations import Innovations, orthonormal, stretches
+from estimators._innovations import Innovations, Rows, orthonormal, stretches
 from estimators._latent_force import LatentForce, latent_forces
 from estimators._levenberg_marquardt import Arguments, factor
-from estimators._likelihood import NoiseModel, compile_predictor, fit_noise, fit_predictor
+from estimators._likelihood import FIRST, NoiseModel, compile_predictor, fit_noise, fit_predictor, run_filter
 from estimators._line_classes import LineClass, line_classes
 from estimators._noise import noise_levels
 from estimators._output_error import Fit, Parameter, moving, pieces
@@ -272,23 +272,10 @@ class Search:
 
     def tested(self, refit: Refit) -> Tested:
         """Everything that the innovations of a model are asked."""
-        left = {i: effect for i, effect in self.absent.items() if i not in refit.added}
-        innovations = self._innovations(refit, list(left.values()), refit.free)
-        placed = innovations.space
-        raw = innovations.at(np.asarray(placed.values)[None])[:, 0]
         probed = self._innovations(refit, [], refit.free)
         basis = orthonormal(probed.jacobian())
+        screened, raw = self._screened(refit, basis)
         error = raw - basis @ (basis.T @ raw)
-
-        def place(instance: Effect, amplitude: str) -> np.ndarray:
-            values = np.asarray(placed.values).copy()
-            for name, declared in declarations(instance).items():
-                full = f"{instance.id}.{name}"
-                if declared.null is None or name == amplitude:
-                    values[placed.names.index(full)] = float(np.asarray(getattr(instance, name)))
-            return values
-
-        screened = screen(innovations, raw, basis, [i for i in self.instances if i.id in left], place)
         scales = scales_of(self.model, self.experiments)
         slow = (_SLOW * scales.velocity, _SLOW * scales.arm_velocity)
         curves = force_curves(probed, error, basis, self._ranges(), slow)
@@ -300,6 +287,37 @@ class Search:
         line = spectral_line(whitened, present, self.experiments)
         repeats = repeat_test(whitened, present, self.experiments)
         return Tested(tuple(screened), tuple(curves), evidence(screened, curves, delayed, line, repeats))
+
+    def quietly(self, refit: Refit) -> list[Screened]:
+        """Candidates held against a predictor that allows for random forces no larger than where their fit begins.
+
+        Random forces that stand for a missing effect make the predictor follow the sensors, and hide from it what moves
+        slowly beside the samples. Such statistics only rank: the innovations are not white.
+        """
+        found = refit.predictor
+        noise = np.concatenate([np.minimum(found.noise[:2], FIRST), found.noise[2:]])
+        prior = self.prior.starting(refit.space)
+        passed = run_filter(refit.model, self.data, refit.space, found.physical, prior, noise, self.substeps).filtered
+        quiet = dataclasses.replace(refit, predictor=dataclasses.replace(found, noise=noise, filtered=passed))
+        basis = orthonormal(self._innovations(quiet, [], quiet.free).jacobian())
+        return self._screened(quiet, basis)[0]
+
+    def _screened(self, refit: Refit, basis: Rows) -> tuple[list[Screened], np.ndarray]:
+        """Candidates that were not added against the innovations, and these."""
+        left = {i: effect for i, effect in self.absent.items() if i not in refit.added}
+        innovations = self._innovations(refit, list(left.values()), refit.free)
+        placed = innovations.space
+        raw = innovations.at(np.asarray(placed.values)[None])[:, 0]
+
+        def place(instance: Effect, amplitude: str) -> np.ndarray:
+            values = np.asarray(placed.values).copy()
+            for name, declared in declarations(instance).items():
+                full = f"{instance.id}.{name}"
+                if declared.null is None or name == amplitude:
+                    values[placed.names.index(full)] = float(np.asarray(getattr(instance, name)))
+            return values
+
+        return screen(innovations, raw, basis, [i for i in self.instances if i.id in left], place), raw
 
     def places(self, refit: Refit) -> tuple[Place, ...]:
         """Where the innovations are too large."""

@@ -31,6 +31,7 @@ lint: $(STAMP)
 bench: $(STAMP)
 	$(BIN)/python benchmarks/bench_simulation.py
 	$(BIN)/python benchmarks/bench_prediction_error.py
+	$(BIN)/python benchmarks/bench_subspace.py
 	$(BIN)/python benchmarks/bench_weight.py
 	$(BIN)/python benchmarks/bench_diagnosis.py
 

@@ -71,7 +71,8 @@ def screen(
     by_instance: dict[int, list[tuple[str, np.ndarray]]] = {}
     for first in range(0, len(points), AT_ONCE):
         columns = innovations.at(np.array(points[first : first + AT_ONCE])) - raw[:, None]
-        columns = columns - basis @ (basis.T @ columns)
+        sound = np.isfinite(columns).all(axis=0)  # a candidate at its plausible size may make the model diverge
+        columns[:, sound] -= basis @ (basis.T @ columns[:, sound])
         for (number, amplitude), column in zip(owners[first : first + AT_ONCE], columns.T, strict=True):
             size = float(np.asarray(getattr(instances[number], amplitude)))
             by_instance.setdefault(number, []).append((amplitude, column / size))

@@ -143,6 +143,7 @@ def diagnose(
                 if coloured.predictor.log_likelihood > final.predictor.log_likelihood:
                     search, base, tested = other, coloured, other.tested(coloured)
                     steps, refits = _improvements(search, base, tested)
+        found_late = False
         for look in (lambda: suspects(tested.screened, tested.tests), lambda: search.quietly(base)):
             if judge(steps, tested.tests, search.samples)[0] != "unknown":
                 break
@@ -152,7 +153,7 @@ def diagnose(
             named = judge(again, tested.tests, search.samples)[1]
             # A mode without damping can follow a vibration from outside, but for the line that this leaves.
             if named and not line_left(again[named - 1].left):
-                steps, refits = again, refits | more
+                steps, refits, found_late = again, refits | more, True
         bar.set_description("diagnose: verdict")
         verdict, count, removed = judge(steps, tested.tests, search.samples)
         all_candidates = _candidates(search, base, tested, steps, count, refits)
@@ -176,6 +177,10 @@ def diagnose(
         )  # fmt: skip
         if steps and further:
             explanation += not_named(further, left, search.samples)
+        if found_late:
+            explanation += (
+                " The tests alone did not speak for it: it was tried because what they spoke for explained too little."
+            )
         if search.assumed:
             explanation += (
                 f" Coloured noise of {', '.join(search.assumed)} was assumed: the data are far more likely with it."

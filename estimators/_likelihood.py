@@ -135,8 +135,10 @@ def _pass(
             model, data, space, physical, sensor_variance=variance, process=(density[0], density[1]),
             start_variance=start, substeps=substeps,
         )  # fmt: skip
-        scale_of = jnp.moveaxis(jnp.diagonal(found.whitener, axis1=1, axis2=2), 2, 1)  # one over the standard deviation
-        deviation = -jnp.log(jnp.where(scale_of > 0, scale_of, 1.0))
+        precision = jnp.moveaxis(
+            jnp.diagonal(found.whitener, axis1=1, axis2=2), 2, 1
+        )  # one over the standard deviation
+        deviation = -jnp.log(jnp.where(precision > 0, precision, 1.0))
         return (-found.log_likelihood.sum(), found.innovations, deviation), found
 
     (value, white, _), (slope, change, wider), found = jax.vmap(

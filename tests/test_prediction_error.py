@@ -10,6 +10,7 @@ import scipy.signal
 
 import estimators as est
 import rtac_jax as rtac
+from estimators._likelihood import run_filter
 from rtac_jax.measurement import Experiment, Recording
 from rtac_jax.virtual_rig import Rig, record, standard_plans
 
@@ -408,6 +409,28 @@ def test_random_forces_do_not_bend_the_physics(shaken):
     assert all(0.8 < w.rms < 1.2 for w in found.whiteness)
     assert "white" in str(found)
     assert "white" in found.plot()._suptitle.get_text()
+
+
+def test_the_curvature_of_the_noise_is_that_of_its_likelihood(shaken):
+    """At the estimate, beside central differences of the slope; expected and observed curvature differ by chance only."""
+    data, model, _, _ = shaken
+    found = est.prediction_error_nonlinear(model, data, progress=False, rounds=2)
+    a, at = found.problem.arguments, found.noise_exponents
+    physical = a.space.physical(found.problem.unknowns)
+
+    def passed(noise):
+        return run_filter(a.model, a.data, a.space, physical, found.prior, noise, a.substeps)
+
+    step = 1e-3
+    observed = [
+        (np.asarray(passed(at + d).slope) - np.asarray(passed(at - d).slope)) / (2 * step) for d in step * np.eye(5)
+    ]
+    expected = np.asarray(passed(at).information)
+    size = np.sqrt(np.diagonal(expected))
+    np.testing.assert_allclose(np.array(observed) / np.outer(size, size), expected / np.outer(size, size), atol=0.1)
+    # Where the noise is likeliest, less than a tenth is to be gained by a step.
+    slope = np.asarray(passed(at).slope) + np.concatenate([np.zeros(2), at[2:] / found.prior.doubt**2])
+    assert slope @ np.linalg.solve(expected, slope) < 0.2
 
 
 def test_a_parameter_of_each_condition_beside_shared_ones(shaken):

@@ -178,9 +178,7 @@ def diagnose(
         if steps and further:
             explanation += not_named(further, left, search.samples)
         if found_late:
-            explanation += (
-                " The tests alone did not speak for it: it was tried because what they spoke for explained too little."
-            )
+            explanation += " It raised no alarm by itself: it was tried because what did explained too little."
         if search.assumed:
             explanation += (
                 f" Coloured noise of {', '.join(search.assumed)} was assumed: the data are far more likely with it."

@@ -144,11 +144,14 @@ def diagnose(
                     search, base, tested = other, coloured, other.tested(coloured)
                     steps, refits = _improvements(search, base, tested)
         found_late = False
-        for look in (lambda: suspects(tested.screened, tested.tests), lambda: search.quietly(base)):
+        for simulated, look in (
+            (False, lambda: suspects(tested.screened, tested.tests)),
+            (True, lambda: search.quietly(base)),
+        ):
             if judge(steps, tested.tests, search.samples)[0] != "unknown":
                 break
             bar.set_description("diagnose: what raised no alarm")
-            again, more = _improvements(search, base, tested, look())
+            again, more = _improvements(search, base, tested, look(), simulated=simulated)
             refits = more | refits
             named = judge(again, tested.tests, search.samples)[1]
             # A mode without damping can follow a vibration from outside, but for the line that this leaves.
@@ -201,11 +204,17 @@ def _offered(model: RTAC, candidates: Sequence[type[Effect]] | None) -> list[typ
 
 
 def _improvements(
-    search: Search, base: Refit, tested: Tested, hidden: Sequence[Screened] | None = None
+    search: Search,
+    base: Refit,
+    tested: Tested,
+    hidden: Sequence[Screened] | None = None,
+    *,
+    simulated: bool = False,
 ) -> tuple[list[Step], dict[str, tuple[Refit, Refit]]]:
     """Effects that improve the model one after the other, and of every candidate that was tried the model before and after.
 
-    The candidates of the first step are those that alarm, or the strongest of those given.
+    The candidates of the first step are those that alarm, or the strongest of those given, which are refitted from a
+    simulation too if so asked.
     """
     steps: list[Step] = []
     refits: dict[str, tuple[Refit, Refit]] = {}
@@ -223,14 +232,15 @@ def _improvements(
             break
         top = ranked[0].statistic
         near = [s for s in ranked[1:] if s.statistic > (1 - _CLOSE) * top]
-        with search.refitting(now, [ranked[0], *near]) as refitted:
+        thorough = simulated and not steps
+        with search.refitting(now, [ranked[0], *near], simulated=thorough) as refitted:
             first = refitted(ranked[0])
             ahead = None if first is None else search.tested(first)
             several = {ranked[0].id: first} | {s.id: refitted(s) for s in near}
         # Where the best leaves nothing to explain, those far behind it need not be asked.
         settled = ahead is not None and not any(test.rejects for test in ahead.tests)
         far = [] if settled else [s for s in ranked[1:_REFITS] if s.id not in several]
-        with search.refitting(now, far) as refitted:
+        with search.refitting(now, far, simulated=thorough) as refitted:
             several |= {s.id: refitted(s) for s in far}
         tried = {i: (best_shape[i], refit) for i, refit in several.items() if refit is not None}
         for i, (_, refit) in tried.items():

@@ -7,7 +7,7 @@ import numpy as np
 from estimators._adequacy import Evidence
 from estimators._force_curve import ForceCurve
 from estimators._likelihood import Predictor
-from estimators._problem import Space
+from estimators._problem import Space, start_rows
 from estimators._screen import Screened
 from rtac_jax import RTAC
 
@@ -38,6 +38,11 @@ class Refit:
     def values(self) -> dict[str, float]:
         """All shared parameters by name."""
         return dict(zip(self.space.names, np.asarray(self.predictor.physical[0]).tolist(), strict=True))
+
+    @property
+    def start(self) -> dict[str, np.ndarray]:
+        """States at the start by name, of every experiment."""
+        return dict(zip(start_rows(self.model), np.asarray(self.predictor.physical[2]), strict=True))
 
 
 @dataclasses.dataclass(frozen=True)

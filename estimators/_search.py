@@ -22,10 +22,11 @@ from estimators._levenberg_marquardt import Arguments, factor
 from estimators._likelihood import FIRST, NoiseModel, compile_predictor, fit_noise, fit_predictor, run_filter
 from estimators._line_classes import LineClass, line_classes
 from estimators._noise import noise_levels
-from estimators._output_error import Fit, Parameter, moving, pieces
+from estimators._output_error import Fit, Parameter, moving, output_error, pieces
 from estimators._problem import CHANNELS, Data, Space, start_rows
 from estimators._refit import Refit, Tested
 from estimators._repeats import repeat_test
+from estimators._results import NotIdentifiableError
 from estimators._screen import Screened, screen
 from estimators._selection import by_sample, held_out
 from estimators._spectral_line import spectral_line
@@ -53,6 +54,7 @@ class Search:
     """
 
     model: RTAC
+    recording: Recording
     absent: dict[str, Effect]
     colour: ColouredNoise | None
     colour_seen: bool
@@ -108,7 +110,7 @@ class Search:
         prior = NoiseModel.of(levels, recording.experiments, scales, space)
         colour = ColouredNoise.of(colours) if colours else None
         return cls(
-            model, absent, colour, colour is not None, experiments, Data.of(experiments), prior, possible, instances,
+            model, recording, absent, colour, colour is not None, experiments, Data.of(experiments), prior, possible, instances,
             jnp.asarray(substeps), start, bar,
         )  # fmt: skip
 
@@ -126,7 +128,7 @@ class Search:
 
     def base(self) -> Refit:
         """The base model."""
-        return self._fitted((), self._with([]), tuple(_shared(self.model)), None)
+        return self._fitted((), self._with([]), tuple(_shared(self.model)), None, {})
 
     def compile_tests(self) -> None:
         """Compile what tests of innovations will run, so that another thread can do so while the base model is fitted."""
@@ -134,10 +136,12 @@ class Search:
         self._compile_probes(self._with([]), _shared(self.model))
 
     @contextlib.contextmanager
-    def refitting(self, before: Refit, several: Sequence[Screened]) -> Iterator[Callable[[Screened], Refit | None]]:
+    def refitting(
+        self, before: Refit, several: Sequence[Screened], *, simulated: bool = False
+    ) -> Iterator[Callable[[Screened], Refit | None]]:
         """`with_effect` for several candidates; while one is fitted, the code of the next is compiled.
 
-        None for a candidate with which the model diverges.
+        None for a candidate with which the model diverges. `simulated`: as `from_simulation` where that is more likely.
         """
         with ThreadPoolExecutor(1) as other:
             ready = {}
@@ -150,10 +154,11 @@ class Search:
             def refitted(s: Screened) -> Refit | None:
                 self.bar.set_description(f"diagnose: refit with {s.id}")
                 wait([ready[s.id]])  # what could not be compiled there is compiled here
-                try:
-                    return self.with_effect(before, s)
-                except FloatingPointError:
-                    return None
+                found = []
+                for refit in (self.with_effect, self.from_simulation) if simulated else (self.with_effect,):
+                    with contextlib.suppress(ArithmeticError, NotIdentifiableError):
+                        found.append(refit(before, s))
+                return max(found, key=lambda refit: refit.predictor.log_likelihood, default=None)
 
             yield refitted
 
@@ -213,6 +218,31 @@ class Search:
 
     def with_effect(self, before: Refit, s: Screened) -> Refit:
         """A model with one candidate more, all parameters fitted together."""
+        model, free, added = self._beginning(before, s)
+        return self._fitted(added, model, free, before.predictor.noise, before.start)
+
+    def from_simulation(self, before: Refit, s: Screened) -> Refit:
+        """The same from parameters and starts with which a free simulation follows the data, and from little random force.
+
+        What works by contact or play has no derivative by which a filter could follow it, and what swings fast misleads the
+        start that the first samples show. The filter takes either for a large random torque, and the fit to its innovations
+        ends there.
+
+        Raises:
+            ArithmeticError: the model diverges.
+            NotIdentifiableError: the data leave parameters of the simulation free.
+        """
+        model, free, added = self._beginning(before, s)
+        simulated = reduce(RTAC.__add__, [effect for effect in model.effects if effect.id in added], self.model)
+        found = output_error(simulated, self.recording, from_model=True, progress=False)
+        values = {name: parameter.value for name, parameter in found.parameters.items()}
+        noise = np.concatenate([np.minimum(before.predictor.noise[:2], FIRST), before.predictor.noise[2:]])
+        start = np.stack([found.start[e.name] for e in self.experiments], axis=1)
+        begun = dict(zip(start_rows(found.model), start, strict=True))
+        return self._fitted(added, model.with_values(values), free, noise, begun)
+
+    def _beginning(self, before: Refit, s: Screened) -> tuple[RTAC, tuple[str, ...], tuple[str, ...]]:
+        """A model with one candidate more where its refit begins, its free parameters, and what was added to the base model."""
         declared = declarations(s.instance)
         values = before.values
         for name in declared:
@@ -224,8 +254,7 @@ class Search:
                 start = start or 0.05 * plausible
             values[f"{s.id}.{name}"] = start
         model, free, added = self._extended(before, s)
-        model = model.with_values({n: v for n, v in values.items() if n in model.parameters})
-        return self._fitted(added, model, free, before.predictor.noise)
+        return model.with_values({n: v for n, v in values.items() if n in model.parameters}), free, added
 
     def without(self, refit: Refit, effect: str) -> Refit:
         """A model with one of its added effects less, all parameters fitted together."""
@@ -233,7 +262,7 @@ class Search:
         model = self._with([e for i, e in self.absent.items() if i in added])
         model = model.with_values({n: v for n, v in refit.values.items() if n in model.parameters})
         free = tuple(name for name in refit.free if name.split(".")[0] != effect)
-        return self._fitted(added, model, free, refit.predictor.noise)
+        return self._fitted(added, model, free, refit.predictor.noise, refit.start)
 
     def _extended(self, before: Refit, s: Screened) -> tuple[RTAC, tuple[str, ...], tuple[str, ...]]:
         """A model with one candidate more at null, its free parameters, and what was added to the base model."""
@@ -343,12 +372,19 @@ class Search:
 
     # -- parts -------------------------------------------------------------------------------------------------------
 
-    def _fitted(self, added: tuple[str, ...], model: RTAC, free: tuple[str, ...], noise: np.ndarray | None) -> Refit:
+    def _fitted(
+        self,
+        added: tuple[str, ...],
+        model: RTAC,
+        free: tuple[str, ...],
+        noise: np.ndarray | None,
+        start: Mapping[str, np.ndarray],
+    ) -> Refit:
         def show(text: str) -> None:
             self.bar.update(1)
             self.bar.set_postfix_str(text, refresh=False)
 
-        space = self._space(model, free)
+        space = _begun(self._space(model, free), model, start)
         prior = self.prior.starting(space)
         found = fit_predictor(model, self.data, space, prior, substeps=self.substeps, first=noise, progress=show)
         arguments = Arguments(model, self.data, space, found.filtered.whitener, found.filtered.gain, self.substeps)
@@ -374,14 +410,8 @@ class Search:
         model = self._with([*added, *absent])
         space = self._padded(model, free)
         predictor = refit.predictor
-        before = dict(zip(start_rows(refit.model), np.asarray(predictor.physical[2]), strict=True))
-        known = np.asarray(space.start)
-        start = np.stack([before.get(row, known[i]) for i, row in enumerate(start_rows(model))])
-        space = dataclasses.replace(
-            space,
-            values=_by_name(space, refit.space, predictor.physical[0]),
-            start=jnp.asarray(start),
-        )
+        space = _begun(space, model, refit.start)
+        space = dataclasses.replace(space, values=_by_name(space, refit.space, predictor.physical[0]))
         # A state that the filter does not know is not corrected.
         gain = np.asarray(predictor.filtered.gain)
         rows = {name: gain[:, i] for i, name in enumerate(refit.model.states)}
@@ -427,6 +457,12 @@ def _by_name(space: Space, other: Space, values: Any) -> Any:
     """Values of one space where another has a parameter of that name."""
     known = dict(zip(other.names, np.asarray(values), strict=True))
     return jnp.asarray([known.get(n, v) for n, v in zip(space.names, np.asarray(space.values), strict=True)])
+
+
+def _begun(space: Space, model: RTAC, start: Mapping[str, np.ndarray]) -> Space:
+    """With states at the start where they are known by name."""
+    known = zip(start_rows(model), np.asarray(space.start), strict=True)
+    return dataclasses.replace(space, start=jnp.asarray(np.stack([start.get(row, first) for row, first in known])))
 
 
 def _shared(model: RTAC) -> list[str]:

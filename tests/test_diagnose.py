@@ -93,20 +93,15 @@ SECOND_LOOK = {
         dict(end_stop_travel=0.012, end_stop_stiffness=300.0, force_noise=1e-3, torque_noise=3e-5), {"travel": 0.012}
     ),
     "flexible_shaft": (dict(shaft_stiffness=0.3, shaft_damping=2e-5), {}),
+    "backlash": (dict(backlash=0.1), {"gap": 0.1}),
+    "lvdt_ripple": (
+        dict(lvdt_ripple=6e-5, lvdt_ripple_pitch=1.85e-3, force_noise=1e-3, torque_noise=3e-5), {"pitch": 1.85e-3}
+    ),
 }  # fmt: skip
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "name",
-    [
-        "end_stop",
-        pytest.param(
-            "flexible_shaft",
-            marks=pytest.mark.xfail(strict=True, reason="unknown on this rig, named on another: issue 4"),
-        ),
-    ],
-)
+@pytest.mark.parametrize("name", SECOND_LOOK)
 def test_a_second_look_finds_what_hides(name: str) -> None:
     values, truth = SECOND_LOOK[name]
     rig = dataclasses.replace(virtual_rig.Rig().drawn(501), **values)

@@ -60,8 +60,8 @@ class LvdtRipple(Sensor):
         symbol="b", unit="m", meaning="ripple, cosine", null=0.0, plausible=lambda s: 0.01 * s.position
     )
     pitch: Scalar = parameter(
-        symbol="p", unit="m", bounds=(0.0, np.inf), meaning="length of a period", fixed=True,
-        plausible=lambda s: tuple(s.position * share for share in (0.25, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0)),
+        symbol="p", unit="m", bounds=(0.0, np.inf), meaning="length of a period",
+        plausible=lambda s: tuple(s.position * 0.25 * 2.0 ** (k / 4) for k in range(13)),
     )  # fmt: skip
 
     def read(self, outputs: Outputs, own: States) -> Outputs:

@@ -22,7 +22,7 @@ from rtac_jax.measurement import Experiment
 # Random force and torque between these shares of the rms forces, as powers of e of their variance.
 # A force beyond the rms force comes from wrong physics and would keep it wrong; a motor's torque is small beside what can
 # shake it.
-_LEAST, FIRST = np.log(1e-5**2), np.log(3e-3**2)
+_LEAST, _FIRST = np.log(1e-5**2), np.log(3e-3**2)
 _MOST = (np.log(1.0**2), np.log(10.0**2))
 _FAR = 3.0  # the longest step in the logarithm of a variance
 _LITTLE = 0.1  # gain in log-likelihood that is not worth another pass of the filter
@@ -178,7 +178,7 @@ def compile_predictor(model: RTAC, data: Data, space: Space, prior: NoiseModel, 
 
 
 def _begin() -> np.ndarray:
-    return np.array([FIRST, FIRST, 0.0, 0.0, 0.0])
+    return np.array([_FIRST, _FIRST, 0.0, 0.0, 0.0])
 
 
 class Noise(NamedTuple):

@@ -19,7 +19,7 @@ from estimators._force_curve import compile_force_curves, force_curves
 from estimators._innovations import Innovations, Rows, orthonormal, stretches
 from estimators._latent_force import LatentForce, latent_forces
 from estimators._levenberg_marquardt import Arguments, factor
-from estimators._likelihood import FIRST, NoiseModel, compile_predictor, fit_noise, fit_predictor, run_filter
+from estimators._likelihood import NoiseModel, compile_predictor, fit_noise, fit_predictor, run_filter
 from estimators._line_classes import LineClass, line_classes
 from estimators._noise import noise_levels
 from estimators._output_error import Fit, Parameter, moving, output_error, pieces
@@ -42,6 +42,7 @@ _SLOW = 1e-2  # share of the rms speed below which a learned friction fades
 _ROOM = 16  # unknowns are padded to a multiple of this
 _MEMORIES = (1.5, 4.0, 10.0, 25.0)  # correlation times of sensor noise that are tried, in samples
 _QUIETER = 6.0  # by how much in the logarithm of their variance random forces are lowered for that
+_QUIET = np.log(1e-3**2)  # variance of random forces, in shares of the rms forces, where they should not hide an effect
 _WORTH = 10.0  # gain in log-likelihood for which coloured noise is taken instead of white
 
 
@@ -236,7 +237,7 @@ class Search:
         simulated = reduce(RTAC.__add__, [effect for effect in model.effects if effect.id in added], self.model)
         found = output_error(simulated, self.recording, from_model=True, progress=False)
         values = {name: parameter.value for name, parameter in found.parameters.items()}
-        noise = np.concatenate([np.minimum(before.predictor.noise[:2], FIRST), before.predictor.noise[2:]])
+        noise = np.concatenate([np.minimum(before.predictor.noise[:2], _QUIET), before.predictor.noise[2:]])
         start = np.stack([found.start[e.name] for e in self.experiments], axis=1)
         begun = dict(zip(start_rows(found.model), start, strict=True))
         return self._fitted(added, model.with_values(values), free, noise, begun)
@@ -318,13 +319,13 @@ class Search:
         return Tested(tuple(screened), tuple(curves), evidence(screened, curves, delayed, line, repeats))
 
     def quietly(self, refit: Refit) -> list[Screened]:
-        """Candidates held against a predictor that allows for random forces no larger than where their fit begins.
+        """Candidates held against a predictor that allows for little random force.
 
         Random forces that stand for a missing effect make the predictor follow the sensors, and hide from it what moves
         slowly beside the samples. Such statistics only rank: the innovations are not white.
         """
         found = refit.predictor
-        noise = np.concatenate([np.minimum(found.noise[:2], FIRST), found.noise[2:]])
+        noise = np.concatenate([np.minimum(found.noise[:2], _QUIET), found.noise[2:]])
         prior = self.prior.starting(refit.space)
         passed = run_filter(refit.model, self.data, refit.space, found.physical, prior, noise, self.substeps).filtered
         quiet = dataclasses.replace(refit, predictor=dataclasses.replace(found, noise=noise, filtered=passed))

@@ -101,7 +101,20 @@ SECOND_LOOK = {
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", SECOND_LOOK)
+@pytest.mark.parametrize(
+    "name",
+    [
+        "end_stop",
+        "flexible_shaft",
+        pytest.param(
+            "backlash", marks=pytest.mark.xfail(strict=True, reason="unknown on this rig, named on two others: issue 4")
+        ),
+        pytest.param(
+            "lvdt_ripple",
+            marks=pytest.mark.xfail(strict=True, reason="named after a flexible_mode that is not there: issue 4"),
+        ),
+    ],
+)
 def test_a_second_look_finds_what_hides(name: str) -> None:
     values, truth = SECOND_LOOK[name]
     rig = dataclasses.replace(virtual_rig.Rig().drawn(501), **values)

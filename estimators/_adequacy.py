@@ -3,6 +3,8 @@
 import dataclasses
 from collections.abc import Sequence
 
+import numpy as np
+
 from estimators._delayed_force import DelayedForce
 from estimators._force_curve import ForceCurve
 from estimators._repeats import RepeatTest
@@ -48,6 +50,17 @@ def alarming(screened: Sequence[Screened]) -> list[Screened]:
     return [s for s in screened if s.statistic >= ALARM and p_by_chance(s, len(screened)) < CHANCE]
 
 
+def promising(screened: Sequence[Screened]) -> list[Screened]:
+    """The candidates to refit: those that alarm, and those that are larger than any of these.
+
+    What is large at few instants scatters over stretches of time as much as it shows, and does not alarm by itself. Once
+    something does, a candidate that would explain more than all that do is not passed over for it.
+    """
+    alarms = alarming(screened)
+    largest = max((s.statistic for s in alarms), default=np.inf)
+    return alarms + [s for s in screened if s.statistic > largest]
+
+
 def suspects(screened: Sequence[Screened], tests: Sequence[Evidence]) -> list[Screened]:
     """The candidates to refit where none alarms and another test rejects: all that reach the alarm's size.
 
@@ -58,9 +71,9 @@ def suspects(screened: Sequence[Screened], tests: Sequence[Evidence]) -> list[Sc
     return [s for s in screened if s.statistic >= ALARM]
 
 
-def line_left(tests: Sequence[Evidence]) -> bool:
-    """Whether the spectrum has a line that neither input nor state explains."""
-    return any(test.test == "spectral line" and test.rejects for test in tests)
+def line_left(tests: Sequence[Evidence]) -> float:
+    """What a line of the spectrum that neither input nor state explains has beyond chance; zero where there is none."""
+    return max((test.excess for test in tests if test.test == "spectral line" and test.rejects), default=0.0)
 
 
 def evidence(

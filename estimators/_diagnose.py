@@ -2,14 +2,14 @@
 
 import dataclasses
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
 from tqdm import tqdm
 
-from estimators._adequacy import Evidence, alarming, excess_of, line_left, p_by_chance, suspects
+from estimators._adequacy import Evidence, excess_of, line_left, p_by_chance, promising, suspects
 from estimators._candidate import Candidate, Step
 from estimators._choice import bic_gain, chosen, gain, reconsidered
 from estimators._compile import make_room
@@ -19,7 +19,7 @@ from estimators._line_classes import LineClass
 from estimators._output_error import Fit
 from estimators._refit import Refit, Tested
 from estimators._screen import Screened, correlations
-from estimators._search import Search
+from estimators._search import Search, Way
 from estimators._verdict import Verdict, floor, judge, not_named, surer, without_named_rivals, words
 from estimators._where import Place
 from rtac_jax import RTAC, require_configured
@@ -29,7 +29,11 @@ from rtac_jax.measurement import Recording
 
 _REFITS = 4  # candidates refitted at least
 _CLOSE = 0.3  # and those whose score is within this share of the best
+_LINE = 0.02  # of what late finds remove, in units of twice the log-likelihood, that may be left in a spectral line
 _EFFECTS = 3  # that one diagnosis names at most
+
+Tried = dict[str, tuple[Refit, Refit]]
+"""Of every candidate that was tried the model before and after."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -143,20 +147,7 @@ def diagnose(
                 if coloured.predictor.log_likelihood > final.predictor.log_likelihood:
                     search, base, tested = other, coloured, other.tested(coloured)
                     steps, refits = _improvements(search, base, tested)
-        found_late = False
-        for simulated, look in (
-            (False, lambda: suspects(tested.screened, tested.tests)),
-            (True, lambda: search.quietly(base)),
-        ):
-            if judge(steps, tested.tests, search.samples)[0] != "unknown":
-                break
-            bar.set_description("diagnose: what raised no alarm")
-            again, more = _improvements(search, base, tested, look(), simulated=simulated)
-            refits = more | refits
-            named = judge(again, tested.tests, search.samples)[1]
-            # A mode without damping can follow a vibration from outside, but for the line that this leaves.
-            if named and not line_left(again[named - 1].left):
-                steps, refits, found_late = again, refits | more, True
+        steps, refits, found_late = _second_looks(search, base, tested, steps, refits)
         bar.set_description("diagnose: verdict")
         verdict, count, removed = judge(steps, tested.tests, search.samples)
         all_candidates = _candidates(search, base, tested, steps, count, refits)
@@ -203,44 +194,67 @@ def _offered(model: RTAC, candidates: Sequence[type[Effect]] | None) -> list[typ
     return [c for c in (CATALOGUE.values() if candidates is None else candidates) if c.id not in model]
 
 
-def _improvements(
-    search: Search,
-    base: Refit,
-    tested: Tested,
-    hidden: Sequence[Screened] | None = None,
-    *,
-    simulated: bool = False,
-) -> tuple[list[Step], dict[str, tuple[Refit, Refit]]]:
-    """Effects that improve the model one after the other, and of every candidate that was tried the model before and after.
+@dataclasses.dataclass(frozen=True)
+class _Look:
+    """Candidates of a first step that raised no alarm, of which the strongest are refitted, and the ways to do so."""
 
-    The candidates of the first step are those that alarm, or the strongest of those given, which are refitted from a
-    simulation too if so asked.
+    candidates: Sequence[Screened]
+    ways: Sequence[Way]
+
+
+def _second_looks(
+    search: Search, base: Refit, tested: Tested, steps: list[Step], refits: Tried
+) -> tuple[list[Step], Tried, bool]:
+    """The same steps and refits, or, where these leave the misfit unknown, others that explain it, and whether that is so."""
+    looks = (
+        lambda: _Look(suspects(tested.screened, tested.tests), [search.with_effect]),
+        lambda: _Look(search.quietly(base), [search.with_effect, search.from_simulation]),
+    )
+    for look in looks:
+        if judge(steps, tested.tests, search.samples)[0] != "unknown":
+            break
+        search.bar.set_description("diagnose: what raised no alarm")
+        again, more = _improvements(search, base, tested, look())
+        refits = more | refits
+        named = judge(again, tested.tests, search.samples)[1]
+        # A mode without damping can follow a vibration from outside, but for the line that this leaves.
+        removed = sum(step.gain for step in again[:named])
+        if named and line_left(again[named - 1].left) <= _LINE * removed:
+            return again, refits | more, True
+    return steps, refits, False
+
+
+def _improvements(search: Search, base: Refit, tested: Tested, look: _Look | None = None) -> tuple[list[Step], Tried]:
+    """Effects that improve the model one after the other, and what was tried.
+
+    The candidates of the first step are those that the tests speak for, or those of a look.
     """
     steps: list[Step] = []
-    refits: dict[str, tuple[Refit, Refit]] = {}
+    refits: Tried = {}
     now, seen = base, tested
     price = np.log(search.samples)
     for _ in range(2 * _EFFECTS):  # a step may be taken back
         best_shape: dict[str, Screened] = {}
-        for s in alarming(seen.screened) if steps or hidden is None else hidden:
+        for s in promising(seen.screened) if look is None else look.candidates:
             if s.id not in best_shape or s.statistic > best_shape[s.id].statistic:
                 best_shape[s.id] = s
         ranked = sorted(best_shape.values(), key=lambda s: -(s.statistic - len(s.amplitudes) * price))
-        if hidden is not None and not steps:
+        if look is not None:
             ranked = ranked[:_REFITS]
         if not ranked:
             break
         top = ranked[0].statistic
         near = [s for s in ranked[1:] if s.statistic > (1 - _CLOSE) * top]
-        thorough = simulated and not steps
-        with search.refitting(now, [ranked[0], *near], simulated=thorough) as refitted:
+        ways = () if look is None else look.ways
+        look = None  # further steps are as any
+        with search.refitting(now, [ranked[0], *near], ways) as refitted:
             first = refitted(ranked[0])
             ahead = None if first is None else search.tested(first)
             several = {ranked[0].id: first} | {s.id: refitted(s) for s in near}
         # Where the best leaves nothing to explain, those far behind it need not be asked.
         settled = ahead is not None and not any(test.rejects for test in ahead.tests)
         far = [] if settled else [s for s in ranked[1:_REFITS] if s.id not in several]
-        with search.refitting(now, far, simulated=thorough) as refitted:
+        with search.refitting(now, far, ways) as refitted:
             several |= {s.id: refitted(s) for s in far}
         tried = {i: (best_shape[i], refit) for i, refit in several.items() if refit is not None}
         for i, (_, refit) in tried.items():
@@ -274,7 +288,7 @@ def _candidates(
     tested: Tested,
     steps: Sequence[Step],
     named: int,
-    refits: Mapping[str, tuple[Refit, Refit]],
+    refits: Tried,
 ) -> list[Candidate]:
     """All candidates, those that improved the model first; the first `named` steps stand in the verdict."""
     best: dict[str, Screened] = {}
@@ -319,7 +333,7 @@ def _candidates(
 def _most(
     base: Refit,
     steps: Sequence[Step],
-    refits: Mapping[str, tuple[Refit, Refit]],
+    refits: Tried,
     tests: Sequence[Evidence],
     samples: int,
 ) -> float:

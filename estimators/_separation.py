@@ -14,7 +14,7 @@ from estimators._kalman import filtered
 from estimators._likelihood import start_variance
 from estimators._menu import start_of
 from estimators._problem import CHANNELS, Data
-from estimators._search import _absent_like
+from estimators._setting import absent_like
 from estimators._start import space_of
 from rtac_jax import RTAC
 from rtac_jax._parameter import declarations
@@ -115,7 +115,7 @@ def _innovations(contest: Contest, experiments: Sequence[Experiment], start: Map
         start_variance=start_variance(space),
         substeps=substeps,
     )  # fmt: skip
-    absent: list[Effect] = [_absent_like(contest.instances[name][0]) for name in contest.effects]
+    absent: list[Effect] = [absent_like(contest.instances[name][0]) for name in contest.effects]
     model = reduce(RTAC.__add__, absent, contest.base)
     wide = space_of(model, experiments, free=free, start=start)
     active = np.full(len(free) + _OWN, len(wide.names))

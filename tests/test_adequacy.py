@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from estimators._adequacy import Evidence, suspects
+from estimators._adequacy import Evidence, line_left, promising, suspects
 from estimators._line_classes import line_classes, period
 from estimators._repeats import repeat_test
 from estimators._score_test import score_test
@@ -192,10 +192,11 @@ def test_vuong_of_equal_models_is_standard_normal() -> None:
     assert vuong(np.full((2000, 1), 0.1), random.normal(size=(2000, 1)), blocks, 0.0) > 2.0
 
 
-def test_where_only_another_test_rejects_every_large_candidate_is_refitted() -> None:
-    def one(name: str, statistic: float, p_value: float) -> Screened:
-        return Screened(name, None, (), np.zeros(0), statistic, p_value, np.zeros(0), np.zeros((4, 0)))
+def one(name: str, statistic: float, p_value: float) -> Screened:
+    return Screened(name, None, (), np.zeros(0), statistic, p_value, np.zeros(0), np.zeros((4, 0)))
 
+
+def test_where_only_another_test_rejects_every_large_candidate_is_refitted() -> None:
     def said(p_value: float) -> list[Evidence]:
         return [Evidence("static force", p_value, 400.0, 0.002, "")]
 
@@ -204,3 +205,21 @@ def test_where_only_another_test_rejects_every_large_candidate_is_refitted() -> 
     assert suspects([stop, small], said(1e-40)) == [stop]
     assert suspects([stop, small], said(0.5)) == []
     assert suspects([stop, spring, small], said(1e-40)) == []
+
+
+def test_what_is_larger_than_all_that_alarms_is_refitted_beside_it() -> None:
+    ripple, gain, mode = (
+        one("lvdt_ripple", 2957.0, 0.02),
+        one("lvdt_gain", 1676.0, 1e-15),
+        one("flexible_mode", 900.0, 0.1),
+    )
+    assert promising([ripple, mode, gain]) == [gain, ripple]
+    assert promising([ripple, mode]) == []
+
+
+def test_only_a_line_that_rejects_is_left() -> None:
+    def line(p_value: float) -> Evidence:
+        return Evidence("spectral line", p_value, 128.0, 0.002, "")
+
+    assert line_left([line(1e-18), Evidence("static force", 1e-9, 400.0, 0.002, "")]) == 128.0
+    assert line_left([line(0.1)]) == 0.0

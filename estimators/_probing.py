@@ -1,0 +1,170 @@
+"""What the innovations of a fitted predictor are asked: which candidates they speak for, and whether anything is left."""
+
+import dataclasses
+from collections.abc import Sequence
+
+import jax.numpy as jnp
+import numpy as np
+
+from estimators._adequacy import evidence
+from estimators._delayed_force import delayed_forces
+from estimators._force_curve import compile_force_curves, force_curves
+from estimators._innovations import Innovations, Rows, orthonormal
+from estimators._latent_force import LatentForce, latent_forces
+from estimators._likelihood import run_filter
+from estimators._line_classes import LineClass, line_classes
+from estimators._problem import CHANNELS
+from estimators._refit import Refit, Tested
+from estimators._repeats import repeat_test
+from estimators._screen import Screened, screen
+from estimators._setting import Setting, begun, by_name, shared
+from estimators._spectral_line import spectral_line
+from estimators._start import scales_of
+from estimators._where import Place, where
+from rtac_jax import RTAC
+from rtac_jax._parameter import declarations
+from rtac_jax.effects import Effect
+
+_SLOW = 1e-2  # share of the rms speed below which a learned friction fades
+QUIET = np.log(1e-3**2)  # variance of random forces, in shares of the rms forces, where they should not hide an effect
+
+
+class Probing(Setting):
+    """Tests of the innovations of models with some of the candidates."""
+
+    def compile_tests(self) -> None:
+        """Compile what tests of innovations will run, so that another thread can do so while the base model is fitted."""
+        self._unfitted(self.with_effects(list(self.absent.values())), shared(self.model)).compile()
+        self._compile_probes(self.with_effects([]), shared(self.model))
+
+    def _compile_probes(self, model: RTAC, free: Sequence[str]) -> None:
+        innovations = self._unfitted(model, free)
+        innovations.compile_derivatives()
+        compile_force_curves(innovations)
+
+    def _unfitted(self, model: RTAC, free: Sequence[str]) -> Innovations:
+        """Innovations for compiling only: the shapes are right, gains and whiteners are nothing."""
+        gain, whitener = (
+            jnp.asarray(np.zeros((self.data.samples, count, len(CHANNELS), self.data.experiments)))
+            for count in (len(model.states), len(CHANNELS))
+        )
+        return Innovations(model, self.data, self.padded(model, free), whitener, gain, self.substeps)
+
+    def tested(self, refit: Refit) -> Tested:
+        """Everything that the innovations of a model are asked."""
+        probed = self._innovations(refit, [], refit.free)
+        basis = orthonormal(probed.jacobian())
+        screened, raw = self._screened(refit, basis)
+        error = raw - basis @ (basis.T @ raw)
+        scales = scales_of(self.model, self.experiments)
+        slow = (_SLOW * scales.velocity, _SLOW * scales.arm_velocity)
+        curves = force_curves(probed, error, basis, self._ranges(), slow)
+        stiffness = float(np.asarray(self.model.body.spring_stiffness))
+        delayed = delayed_forces(
+            probed, error, basis, self.experiments, frequency=scales.frequency, stiffness=stiffness
+        )  # fmt: skip
+        whitened, present = self._told(refit)
+        line = spectral_line(whitened, present, self.experiments)
+        repeats = repeat_test(whitened, present, self.experiments)
+        return Tested(tuple(screened), tuple(curves), evidence(screened, curves, delayed, line, repeats))
+
+    def quietly(self, refit: Refit) -> list[Screened]:
+        """Candidates held against a predictor that allows for little random force.
+
+        Random forces that stand for a missing effect make the predictor follow the sensors, and hide from it what moves
+        slowly beside the samples. Such statistics only rank: the innovations are not white.
+        """
+        found = refit.predictor
+        noise = np.concatenate([np.minimum(found.noise[:2], QUIET), found.noise[2:]])
+        prior = self.prior.starting(refit.space)
+        passed = run_filter(refit.model, self.data, refit.space, found.physical, prior, noise, self.substeps).filtered
+        quiet = dataclasses.replace(refit, predictor=dataclasses.replace(found, noise=noise, filtered=passed))
+        basis = orthonormal(self._innovations(quiet, [], quiet.free).jacobian())
+        return self._screened(quiet, basis)[0]
+
+    def _screened(self, refit: Refit, basis: Rows) -> tuple[list[Screened], np.ndarray]:
+        """Candidates that were not added against the innovations, and these."""
+        left = {i: effect for i, effect in self.absent.items() if i not in refit.added}
+        innovations = self._innovations(refit, list(left.values()), refit.free)
+        placed = innovations.space
+        raw = innovations.at(np.asarray(placed.values)[None])[:, 0]
+
+        def place(instance: Effect, amplitude: str) -> np.ndarray:
+            values = np.asarray(placed.values).copy()
+            for name, declared in declarations(instance).items():
+                full = f"{instance.id}.{name}"
+                if declared.null is None or name == amplitude:
+                    values[placed.names.index(full)] = float(np.asarray(getattr(instance, name)))
+            return values
+
+        return screen(innovations, raw, basis, [i for i in self.instances if i.id in left], place), raw
+
+    def places(self, refit: Refit) -> tuple[Place, ...]:
+        """Where the innovations are too large."""
+        whitened, present = self._told(refit)
+        return tuple(where(whitened, present, self.experiments))
+
+    def lines(self, refit: Refit) -> tuple[LineClass, ...]:
+        """Innovations by class of spectral line."""
+        whitened, present = self._told(refit)
+        return tuple(line_classes(whitened, present, self.experiments))
+
+    def latent(self, refit: Refit) -> tuple[LatentForce, ...]:
+        """The missing force in time."""
+        probed = self._innovations(refit, [], [])
+        scales = scales_of(self.model, self.experiments)
+        physical = (probed.space.values, refit.predictor.physical[1], probed.space.start)
+        return latent_forces(
+            probed.model, self.data, probed.space, physical, probed.gain,
+            self.substeps, self.experiments,
+            sensor_variance=np.exp(refit.predictor.noise[2:]) * self.prior.sensor**2,
+            force=scales.force, torque=scales.torque, frequency=scales.frequency,
+        )  # fmt: skip
+
+    def _innovations(self, refit: Refit, absent: Sequence[Effect], free: Sequence[str]) -> Innovations:
+        """Innovations of a fitted model with some of the candidates beside what was added, and no others."""
+        added = [effect for i, effect in self.absent.items() if i in refit.added]
+        model = self.with_effects([*added, *absent])
+        space = self.padded(model, free)
+        predictor = refit.predictor
+        space = begun(space, model, refit.start)
+        space = dataclasses.replace(space, values=by_name(space, refit.space, predictor.physical[0]))
+        # A state that the filter does not know is not corrected.
+        gain = np.asarray(predictor.filtered.gain)
+        rows = {name: gain[:, i] for i, name in enumerate(refit.model.states)}
+        nothing = np.zeros_like(gain[:, 0])
+        placed = jnp.asarray(np.stack([rows.get(name, nothing) for name in model.states], axis=1))
+        sure = 1.0 - predictor.filtered.shaken[:, None, None]
+        return Innovations(model, self.data, space, predictor.filtered.whitener * sure, placed, self.substeps)
+
+    def _told(self, refit: Refit) -> tuple[np.ndarray, np.ndarray]:
+        """Innovations, and where there are any, but for samples at which dry friction is shaken loose.
+
+        There the model's own rest is in doubt, and what it predicts says nothing of what it lacks.
+        """
+        filtered = refit.predictor.filtered
+        sure = 1.0 - np.asarray(filtered.shaken)[:, None]
+        return np.asarray(filtered.innovations) * sure, np.asarray(self.data.present) * sure
+
+    def _ranges(self) -> dict[str, tuple[float, float]]:
+        """Between which values each variable moves."""
+
+        def between(values: list[np.ndarray]) -> tuple[float, float]:
+            if not values:
+                return 0.0, 0.0
+            low, high = np.nanquantile(np.concatenate(values), [0.001, 0.999])
+            return float(low), float(high)
+
+        def outputs(channel: str) -> list[np.ndarray]:
+            return [e.outputs[channel].values for e in self.experiments if channel in e.outputs]
+
+        scales = scales_of(self.model, self.experiments)
+        reach = 2.5 * scales.velocity if outputs("cart_position") else 0.0
+        arm = any(e.arm == "free" for e in self.experiments)
+        return {
+            "cart_position": between(outputs("cart_position")),
+            "cart_velocity": (-reach, reach),
+            "arm_angle": (-np.pi, np.pi) if arm else (0.0, 0.0),
+            "arm_velocity": between(outputs("arm_velocity")) if arm else (0.0, 0.0),
+            "current": between([e.inputs["current"].values for e in self.experiments if "current" in e.inputs]),
+        }

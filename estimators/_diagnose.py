@@ -196,10 +196,10 @@ def _offered(model: RTAC, candidates: Sequence[type[Effect]] | None) -> list[typ
 
 @dataclasses.dataclass(frozen=True)
 class _Look:
-    """Candidates of a first step that raised no alarm, of which the strongest are refitted, and the ways to do so."""
+    """Candidates of a first step that raised no alarm, of which the strongest are refitted, and the way to do so."""
 
     candidates: Sequence[Screened]
-    ways: Sequence[Way]
+    way: Way
 
 
 def _second_looks(
@@ -207,8 +207,8 @@ def _second_looks(
 ) -> tuple[list[Step], Tried, bool]:
     """The same steps and refits, or, where these leave the misfit unknown, others that explain it, and whether that is so."""
     looks = (
-        lambda: _Look(suspects(tested.screened, tested.tests), [search.with_effect]),
-        lambda: _Look(search.quietly(base), [search.with_effect, search.from_simulation]),
+        lambda: _Look(suspects(tested.screened, tested.tests), search.with_effect),
+        lambda: _Look(search.quietly(base), search.thoroughly),
     )
     for look in looks:
         if judge(steps, tested.tests, search.samples)[0] != "unknown":
@@ -245,16 +245,16 @@ def _improvements(search: Search, base: Refit, tested: Tested, look: _Look | Non
             break
         top = ranked[0].statistic
         near = [s for s in ranked[1:] if s.statistic > (1 - _CLOSE) * top]
-        ways = () if look is None else look.ways
+        way = None if look is None else look.way
         look = None  # further steps are as any
-        with search.refitting(now, [ranked[0], *near], ways) as refitted:
+        with search.refitting(now, [ranked[0], *near], way) as refitted:
             first = refitted(ranked[0])
             ahead = None if first is None else search.tested(first)
             several = {ranked[0].id: first} | {s.id: refitted(s) for s in near}
         # Where the best leaves nothing to explain, those far behind it need not be asked.
         settled = ahead is not None and not any(test.rejects for test in ahead.tests)
         far = [] if settled else [s for s in ranked[1:_REFITS] if s.id not in several]
-        with search.refitting(now, far, ways) as refitted:
+        with search.refitting(now, far, way) as refitted:
             several |= {s.id: refitted(s) for s in far}
         tried = {i: (best_shape[i], refit) for i, refit in several.items() if refit is not None}
         for i, (_, refit) in tried.items():

@@ -59,20 +59,36 @@ class Search(Probing):
         model, free, added = self._beginning(before, s)
         return self._fitted(added, model, free, before.predictor.noise, before.start)
 
-    def from_simulation(self, before: Refit, s: Screened) -> Refit:
-        """The same from parameters and starts with which a free simulation follows the data, and from little random force.
+    def thoroughly(self, before: Refit, s: Screened) -> Refit:
+        """The likelier of `with_effect` and a refit from a free simulation.
 
         What works by contact or play has no derivative by which a filter could follow it, and what swings fast misleads the
         start that the first samples show. The filter takes either for a large random torque, and the fit to its innovations
-        ends there.
+        ends there. So the refit begins again from parameters and starts with which a simulation follows the data, and from
+        little random force. The simulation is fitted from the fit that is diagnosed or, where it diverges from there, from what
+        the filter found.
 
         Raises:
             ArithmeticError: the model diverges.
-            NotIdentifiableError: the data leave parameters of the simulation free.
+            NotIdentifiableError: the data leave parameters of the effect free.
         """
         model, free, added = self._beginning(before, s)
         simulated = reduce(RTAC.__add__, [effect for effect in model.effects if effect.id in added], self.model)
-        found = output_error(simulated, self.recording, from_model=True, progress=False)
+        try:
+            filtered = self.with_effect(before, s)
+        except ArithmeticError:
+            return self._from_simulation(before, added, model, free, simulated)
+        known = {name: value for name, value in filtered.values.items() if name in simulated.parameters}
+        for begin in (simulated, simulated.with_values(known)):
+            with contextlib.suppress(ArithmeticError, NotIdentifiableError):
+                refit = self._from_simulation(before, added, model, free, begin)
+                return max(filtered, refit, key=lambda one: one.predictor.log_likelihood)
+        return filtered
+
+    def _from_simulation(
+        self, before: Refit, added: tuple[str, ...], model: RTAC, free: tuple[str, ...], begin: RTAC
+    ) -> Refit:
+        found = output_error(begin, self.recording, from_model=True, progress=False)
         values = {name: parameter.value for name, parameter in found.parameters.items()}
         noise = np.concatenate([np.minimum(before.predictor.noise[:2], QUIET), before.predictor.noise[2:]])
         start = np.stack([found.start[e.name] for e in self.experiments], axis=1)
@@ -89,12 +105,11 @@ class Search(Probing):
 
     @contextlib.contextmanager
     def refitting(
-        self, before: Refit, several: Sequence[Screened], ways: Sequence[Way] = ()
+        self, before: Refit, several: Sequence[Screened], way: Way | None = None
     ) -> Iterator[Callable[[Screened], Refit | None]]:
         """Refits with several candidates; while one is fitted, the code of the next is compiled.
 
-        Each is the likeliest of those that the ways find, by default of `with_effect` alone; None for a candidate with which
-        the model diverges.
+        The way is `with_effect` by default; None for a candidate with which the model diverges.
         """
         with ThreadPoolExecutor(1) as other:
             ready = {}
@@ -107,11 +122,9 @@ class Search(Probing):
             def refitted(s: Screened) -> Refit | None:
                 self.bar.set_description(f"diagnose: refit with {s.id}")
                 wait([ready[s.id]])  # what could not be compiled there is compiled here
-                found = []
-                for refit in ways or (self.with_effect,):
-                    with contextlib.suppress(ArithmeticError, NotIdentifiableError):
-                        found.append(refit(before, s))
-                return max(found, key=lambda refit: refit.predictor.log_likelihood, default=None)
+                with contextlib.suppress(ArithmeticError, NotIdentifiableError):
+                    return (way or self.with_effect)(before, s)
+                return None
 
             yield refitted
 

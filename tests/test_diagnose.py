@@ -87,7 +87,8 @@ def test_hidden_effect_is_named(recordings: dict[str, rtac.Recording], name: str
     assert "repeats" in {test.test for test in found.tests}
 
 
-# A stop that is hit by one swing raises no alarm; a soft shaft looks like random torques, which hide it from the predictor.
+# A stop that is hit by one swing raises no alarm, and a ripple of the LVDT may not; a soft shaft and a backlash look like
+# random torques, which hide them from the predictor.
 SECOND_LOOK = {
     "end_stop": (
         dict(end_stop_travel=0.012, end_stop_stiffness=300.0, force_noise=1e-3, torque_noise=3e-5), {"travel": 0.012}
@@ -101,20 +102,7 @@ SECOND_LOOK = {
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "name",
-    [
-        "end_stop",
-        "flexible_shaft",
-        pytest.param(
-            "backlash", marks=pytest.mark.xfail(strict=True, reason="unknown on this rig, named on two others: issue 4")
-        ),
-        pytest.param(
-            "lvdt_ripple",
-            marks=pytest.mark.xfail(strict=True, reason="named after a flexible_mode that is not there: issue 4"),
-        ),
-    ],
-)
+@pytest.mark.parametrize("name", SECOND_LOOK)
 def test_a_second_look_finds_what_hides(name: str) -> None:
     values, truth = SECOND_LOOK[name]
     rig = dataclasses.replace(virtual_rig.Rig().drawn(501), **values)

@@ -50,15 +50,16 @@ def alarming(screened: Sequence[Screened]) -> list[Screened]:
     return [s for s in screened if s.statistic >= ALARM and p_by_chance(s, len(screened)) < CHANCE]
 
 
-def promising(screened: Sequence[Screened]) -> list[Screened]:
-    """The candidates to refit: those that alarm, and those that are larger than any of these.
+def overshadowing(screened: Sequence[Screened]) -> list[Screened]:
+    """Candidates that do not alarm in any shape, and are larger than all that do.
 
-    What is large at few instants scatters over stretches of time as much as it shows, and does not alarm by itself. Once
-    something does, a candidate that would explain more than all that do is not passed over for it.
+    What is large at few instants scatters over stretches of time as much as it shows. Once something alarms, what would
+    explain more than all that does is not passed over for it.
     """
     alarms = alarming(screened)
+    ids = {s.id for s in alarms}
     largest = max((s.statistic for s in alarms), default=np.inf)
-    return alarms + [s for s in screened if s.statistic > largest]
+    return [s for s in screened if s.id not in ids and s.statistic > largest]
 
 
 def suspects(screened: Sequence[Screened], tests: Sequence[Evidence]) -> list[Screened]:

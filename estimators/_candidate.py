@@ -1,7 +1,7 @@
 """What a diagnosis says of one effect of the catalogue, and of each effect that it named."""
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 from estimators._adequacy import Evidence
 from estimators._output_error import Parameter
@@ -57,6 +57,7 @@ class Step:
         refit: the model with it.
         left: the tests of the model with it.
         asked: all candidates that were refitted at this step, this one among them.
+        way: in which they were, where that was not the usual one.
     """
 
     id: str
@@ -67,3 +68,4 @@ class Step:
     refit: Refit
     left: tuple[Evidence, ...]
     asked: Mapping[str, Screened] = dataclasses.field(default_factory=dict)
+    way: Callable[[Refit, Screened], Refit] | None = None

@@ -65,12 +65,12 @@ class Search(Probing):
         What works by contact or play has no derivative by which a filter could follow it, and what swings fast misleads the
         start that the first samples show. The filter takes either for a large random torque, and the fit to its innovations
         ends there. So the refit begins again from parameters and starts with which a simulation follows the data, and from
-        little random force. The simulation is fitted from the fit that is diagnosed or, where it diverges from there, from what
+        little random force. The simulation is fitted from the fit that is diagnosed or, where nothing comes of that, from what
         the filter found.
 
         Raises:
-            ArithmeticError: the model diverges.
-            NotIdentifiableError: the data leave parameters of the effect free.
+            ArithmeticError: the model diverges in the filter and in a simulation.
+            NotIdentifiableError: it diverges in the filter, and a simulation leaves parameters free.
         """
         model, free, added = self._beginning(before, s)
         simulated = reduce(RTAC.__add__, [effect for effect in model.effects if effect.id in added], self.model)

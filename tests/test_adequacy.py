@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from estimators._adequacy import Evidence, line_left, promising, suspects
+from estimators._adequacy import Evidence, line_left, overshadowing, suspects
 from estimators._line_classes import line_classes, period
 from estimators._repeats import repeat_test
 from estimators._score_test import score_test
@@ -207,14 +207,15 @@ def test_where_only_another_test_rejects_every_large_candidate_is_refitted() -> 
     assert suspects([stop, spring, small], said(1e-40)) == []
 
 
-def test_what_is_larger_than_all_that_alarms_is_refitted_beside_it() -> None:
+def test_what_is_larger_than_all_that_alarms_is_not_passed_over_for_it() -> None:
     ripple, gain, mode = (
         one("lvdt_ripple", 2957.0, 0.02),
         one("lvdt_gain", 1676.0, 1e-15),
         one("flexible_mode", 900.0, 0.1),
     )
-    assert promising([ripple, mode, gain]) == [gain, ripple]
-    assert promising([ripple, mode]) == []
+    other_shape = one("lvdt_gain", 3000.0, 0.02)
+    assert overshadowing([ripple, mode, gain, other_shape]) == [ripple]
+    assert overshadowing([ripple, mode]) == []
 
 
 def test_only_a_line_that_rejects_is_left() -> None:

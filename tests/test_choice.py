@@ -1,4 +1,4 @@
-"""Which refit is chosen, and what becomes of an effect when a later one explains what it was chosen for; on made-up gains."""
+"""Which refit is chosen, what becomes of it when a later one explains the same, and what is found late; on made-up gains."""
 
 import contextlib
 from collections.abc import Iterator, Sequence
@@ -8,11 +8,16 @@ from typing import Any
 import numpy as np
 import pytest
 
+from estimators._adequacy import Evidence
 from estimators._candidate import Step
 from estimators._choice import chosen, reconsidered
+from estimators._diagnose import _improvements, _second_looks
 from estimators._refit import Refit
+from estimators._refit import Tested as Answers
 from estimators._screen import Screened
 from estimators._search import Search
+from estimators._verdict import judge
+from rtac_jax import RTAC
 from rtac_jax.effects import CATALOGUE
 
 SIZES = {"arm_stribeck": 2, "arm_coulomb": 1, "lvdt_lag": 1, "cubic_spring": 1}
@@ -63,8 +68,8 @@ class Known(Search):
         return SimpleNamespace(tests=())
 
     @contextlib.contextmanager
-    def refitting(self, before: Refit, several: Sequence[Screened]) -> Iterator[Any]:
-        yield lambda s: self.with_effect(before, s)
+    def refitting(self, before: Refit, several: Sequence[Screened], way: Any = None) -> Iterator[Any]:
+        yield lambda s: (way or self.with_effect)(before, s)
 
 
 def screened(effect: str) -> Screened:
@@ -147,3 +152,99 @@ def test_what_is_needed_stays_and_a_rival_of_the_first_round_is_told_from_it() -
     after = reconsidered(search, search.refit(), before)
     assert [s.id for s in after] == ["cubic_spring", "lvdt_lag"]
     assert after[0].rivals == ()
+
+
+class Late(Known):
+    """One in which every refit leaves a spectral line, and all candidates but some are seen by a quiet predictor only."""
+
+    line = 0.0
+    seen: tuple[Screened, ...] = ()
+
+    def tested(self, refit: Refit) -> Any:
+        return Answers((), (), (Evidence("spectral line", 1e-9 if self.line else 1.0, self.line, 0.002, ""),))
+
+    def quietly(self, refit: Refit) -> list[Screened]:
+        return [sized("cubic_spring", 900.0, 1.0)]
+
+    def thoroughly(self, before: Refit, s: Screened) -> Refit:
+        return self.with_effect(before, s)
+
+
+def sized(effect: str, statistic: float, p_value: float) -> Screened:
+    return Screened(effect, None, ("size",), np.ones(1), statistic, p_value, np.ones(1), np.zeros((4, 1)))
+
+
+FORCE = Evidence("static force", 1e-9, 2000.0, 0.002, "")
+
+
+@pytest.mark.parametrize(("line", "named"), [(0.0, 1), (30.0, 1), (60.0, 0)])
+def test_a_late_find_may_leave_a_small_line_only(line: float, named: int) -> None:
+    """Of a gain of 2000, in units of twice the log-likelihood, 40 are a fiftieth."""
+    search = Late(known(base=0.0, cubic_spring=1000.0))
+    search.line = line
+    steps, tried = _second_looks(search, search.refit(), Answers((), (), (FORCE,)), [], {})
+    assert judge(steps, (FORCE,), search.samples)[1] == named
+    assert set(tried) == {"cubic_spring"}
+
+
+@pytest.mark.parametrize(("line", "first"), [(30.0, "lvdt_lag"), (60.0, "arm_coulomb")])
+def test_what_overshadows_the_alarms_is_chosen_where_it_gains_most_and_leaves_no_large_line(
+    line: float, first: str
+) -> None:
+    search = Late(known(base=0.0, arm_coulomb=500.0, lvdt_lag=1000.0))
+    search.line = line
+    screened = (sized("arm_coulomb", 400.0, 1e-15), sized("lvdt_lag", 900.0, 0.1))
+    steps, _ = _improvements(search, search.refit(), Answers(screened, (), (FORCE,)))
+    assert steps[0].id == first
+
+
+class Simulated(Known):
+    """One in which the filter finds a local optimum at size 2, and a simulation can follow from some sizes only."""
+
+    follows: tuple[float, ...] = ()
+    filter_follows = True
+    model = RTAC.paper()
+
+    def _beginning(self, before: Refit, s: Screened) -> Any:
+        return self.model + CATALOGUE["cubic_spring"](stiffness=1.0), (), ("cubic_spring",)
+
+    def _at(self, likelihood: float, size: float) -> Refit:
+        found = self.refit()
+        predictor = SimpleNamespace(log_likelihood=likelihood, physical=(np.array([size]),))
+        object.__setattr__(found, "predictor", predictor)
+        object.__setattr__(found, "space", SimpleNamespace(names=("cubic_spring.stiffness",)))
+        return found
+
+    def with_effect(self, before: Refit, s: Screened) -> Refit:
+        if not self.filter_follows:
+            raise FloatingPointError
+        return self._at(10.0, 2.0)
+
+    def _from_simulation(self, before: Refit, added: Any, model: RTAC, free: Any, begin: RTAC) -> Refit:
+        size = float(np.asarray(begin["cubic_spring.stiffness"]))
+        if size not in self.follows:
+            raise FloatingPointError
+        return self._at(20.0, 10.0 * size)
+
+
+@pytest.mark.parametrize(
+    ("follows", "found"),
+    [
+        ((1.0, 2.0), 10.0),
+        ((2.0,), 20.0),
+        ((), 2.0),
+    ],  # from where the refit begins, from what the filter found, or not at all
+)
+def test_a_thorough_refit_begins_where_a_simulation_can_follow(follows: tuple[float, ...], found: float) -> None:
+    search = Simulated(known(base=0.0))
+    search.follows = follows
+    assert search.thoroughly(search.refit(), screened("cubic_spring")).values["cubic_spring.stiffness"] == found
+
+
+def test_a_thorough_refit_needs_the_filter_or_a_simulation() -> None:
+    search = Simulated(known(base=0.0))
+    search.filter_follows = False
+    with pytest.raises(FloatingPointError):
+        search.thoroughly(search.refit(), screened("cubic_spring"))
+    search.follows = (1.0,)
+    assert search.thoroughly(search.refit(), screened("cubic_spring")).values["cubic_spring.stiffness"] == 10.0

@@ -124,6 +124,18 @@ def test_all_conditions_at_once_give_what_each_gives_alone(different, structure)
         np.testing.assert_allclose(together[name].noise_numerator, alone.noise_numerator, atol=1e-6)
 
 
+def test_criteria_count_samples_and_what_was_estimated(different):
+    """Ljung (1999), section 16.4."""
+    found = est.prediction_error(different, structure="output_error", compensate=False)
+    unknowns = 4 + 2  # frequency, damping and two gains, and the two states at the start
+    for one in found:
+        error = (one.output - one.simulated)[np.isfinite(one.output)]
+        count, loss = len(error), np.mean(error**2)
+        assert one.fpe == pytest.approx(loss * (count + unknowns) / (count - unknowns), rel=1e-9)
+        assert one.aic == pytest.approx(count * np.log(loss) + 2 * unknowns, rel=1e-9)
+        assert one.bic == pytest.approx(count * np.log(loss) + np.log(count) * unknowns, rel=1e-9)
+
+
 def test_predictions_over_any_horizon_are_those_of_the_difference_equation():
     current, out = simulated(([1.0, 0.5, 0.3], [1.0, -1.4, 0.6]), 0.03, samples=400, runs=1)
     one = est.prediction_error(recording(current, out), structure="box_jenkins", compensate=False)[0]

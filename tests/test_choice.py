@@ -11,11 +11,11 @@ import pytest
 from estimators._adequacy import Evidence
 from estimators._candidate import Step
 from estimators._choice import chosen, reconsidered
-from estimators._diagnose import _improvements, _second_looks
 from estimators._refit import Refit
 from estimators._refit import Tested as Answers
 from estimators._screen import Screened
 from estimators._search import Search
+from estimators._stepwise import improvements, second_looks
 from estimators._verdict import judge
 from rtac_jax import RTAC
 from rtac_jax.effects import CATALOGUE
@@ -182,7 +182,7 @@ def test_a_late_find_may_leave_a_small_line_only(line: float, named: int) -> Non
     """Of a gain of 2000, in units of twice the log-likelihood, 40 are a fiftieth."""
     search = Late(known(base=0.0, cubic_spring=1000.0))
     search.line = line
-    steps, tried = _second_looks(search, search.refit(), Answers((), (), (FORCE,)), [], {})
+    steps, tried = second_looks(search, search.refit(), Answers((), (), (FORCE,)), [], {})
     assert judge(steps, (FORCE,), search.samples)[1] == named
     assert set(tried) == {"cubic_spring"}
 
@@ -194,7 +194,7 @@ def test_what_overshadows_the_alarms_is_chosen_where_it_gains_most_and_leaves_no
     search = Late(known(base=0.0, arm_coulomb=500.0, lvdt_lag=1000.0))
     search.line = line
     screened = (sized("arm_coulomb", 400.0, 1e-15), sized("lvdt_lag", 900.0, 0.1))
-    steps, _ = _improvements(search, search.refit(), Answers(screened, (), (FORCE,)))
+    steps, _ = improvements(search, search.refit(), Answers(screened, (), (FORCE,)))
     assert steps[0].id == first
 
 

@@ -63,12 +63,11 @@ def improvements(search: Search, base: Refit, tested: Tested, look: _Look | None
     now, seen = base, tested
     price = float(np.log(search.samples))
     for _ in range(2 * _EFFECTS):  # a step may be taken back
-        first_look = look if not steps else None
-        way = None if first_look is None else first_look.way
-        ranked = by_size(alarming(seen.screened) if first_look is None else first_look.candidates, price)
-        above = by_size(overshadowing(seen.screened), price)[:_REFITS] if first_look is None else []
-        if first_look is not None:
-            ranked = ranked[:_REFITS]
+        if look is not None and not steps:
+            way, ranked, above = look.way, by_size(look.candidates, price)[:_REFITS], []
+        else:
+            way, ranked = None, by_size(alarming(seen.screened), price)
+            above = by_size(overshadowing(seen.screened), price)[:_REFITS]
         if not ranked:
             break
         top = ranked[0].statistic
@@ -87,7 +86,6 @@ def improvements(search: Search, base: Refit, tested: Tested, look: _Look | None
         for i, (_, refit) in tried.items():
             refits.setdefault(i, (now, refit))
         search.bar.set_description("diagnose: what is left")
-        step = None
         while (step := chosen(search, now, tried)) is not None:
             seen = ahead if ahead is not None and step.id == ranked[0].id else search.tested(step.refit)
             if not any(s.id == step.id for s in above) or line_left(seen.tests) <= _LINE * step.gain:

@@ -99,6 +99,7 @@ def diagnose(
     recording: Recording,
     *,
     candidates: Sequence[type[Effect]] | None = None,
+    thorough: bool = True,
     progress: bool = True,
 ) -> Diagnosis:
     """Say which effects the model of a fit leaves out, or that none is, or that the data cannot say.
@@ -106,6 +107,7 @@ def diagnose(
     Args:
         fit: of the base model to this recording.
         candidates: classes of effects to try; by default the whole catalogue. Those of the model are passed over.
+        thorough: where the verdict would be unknown, look again at what raised no alarm; that may take minutes.
         progress: show a bar.
 
     Raises:
@@ -122,62 +124,96 @@ def diagnose(
     if not classes:
         raise ValueError("no candidate is left: the model has every effect that was offered.")
     with tqdm(total=None, disable=not progress, desc="diagnose", unit=" steps", leave=False) as bar:
-        search = Search.of(fit, recording, classes, bar)
-        bar.set_description("diagnose: predictor of the base model")
-        with ThreadPoolExecutor(1) as other:
-            other.submit(search.compile_tests)
-            base = search.base()
-        bar.set_description("diagnose: candidates")
-        tested = search.tested(base)
-        steps, refits = improvements(search, base, tested)
-        if any(test.rejects for test in tested.tests) and not any(e.kind == "rest" for e in recording.experiments):
-            # Noise that wanders makes almost every effect look useful; without rest records the likelihood must say.
-            bar.set_description("diagnose: colour of the noise")
-            other = search.coloured(base)
-            if other is not None:
-                coloured = other.base()
-                final = steps[-1].refit if steps else base
-                if coloured.predictor.log_likelihood > final.predictor.log_likelihood:
-                    search, base, tested = other, coloured, other.tested(coloured)
-                    steps, refits = improvements(search, base, tested)
-        steps, refits = second_looks(search, base, tested, steps, refits)
+        found = _searched(Search.of(fit, recording, classes, bar), thorough)
         bar.set_description("diagnose: verdict")
-        verdict, count, removed = judge(steps, tested.tests, search.samples)
-        all_candidates = _candidates(search, base, tested, steps, count, refits)
-        further, steps = steps[count:], without_named_rivals(steps[:count])
-        final = steps[-1].refit if steps else base
-        left = steps[-1].left if steps else tested.tests
-        groups = [(step.id, *step.rivals) for step in steps]
-        by_id = {c.id: c for c in all_candidates}
-        effects = tuple(
+        told = _told(found)
+    return dataclasses.replace(told, seconds=time.perf_counter() - began)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Found:
+    """What a search came to."""
+
+    search: Search
+    base: Refit
+    tested: Tested
+    steps: list[Step]
+    refits: Tried
+    thorough: bool
+
+
+def _searched(search: Search, thorough: bool) -> _Found:
+    search.bar.set_description("diagnose: predictor of the base model")
+    with ThreadPoolExecutor(1) as other:
+        other.submit(search.compile_tests)
+        base = search.base()
+    search.bar.set_description("diagnose: candidates")
+    tested = search.tested(base)
+    steps, refits = improvements(search, base, tested)
+    if any(test.rejects for test in tested.tests) and not any(e.kind == "rest" for e in search.recording.experiments):
+        # Noise that wanders makes almost every effect look useful; without rest records the likelihood must say.
+        search.bar.set_description("diagnose: colour of the noise")
+        other = search.coloured(base)
+        if other is not None:
+            coloured = other.base()
+            final = steps[-1].refit if steps else base
+            if coloured.predictor.log_likelihood > final.predictor.log_likelihood:
+                search, base, tested = other, coloured, other.tested(coloured)
+                steps, refits = improvements(search, base, tested)
+    if thorough:
+        steps, refits = second_looks(search, base, tested, steps, refits)
+    return _Found(search, base, tested, steps, refits, thorough)
+
+
+def _told(found: _Found) -> Diagnosis:
+    """The verdict and its reasons."""
+    search, base, tests = found.search, found.base, found.tested.tests
+    verdict, count, removed = judge(found.steps, tests, search.samples)
+    candidates = _candidates(search, base, found.tested, found.steps, count, found.refits)
+    steps = without_named_rivals(found.steps[:count])
+    final, left = (steps[-1].refit, steps[-1].left) if steps else (base, tests)
+    groups = [(step.id, *step.rivals) for step in steps]
+    by_id = {c.id: c for c in candidates}
+    told = Diagnosis(
+        verdict=verdict,
+        effects=tuple(
             dataclasses.replace(by_id[i], confusable_with=tuple(other for other in group if other != i))
             for group in groups
             for i in group
-        )
-        additions = tuple(search.effect(step.id, final) for step in steps)
-        places, lines = search.places(base), search.lines(base)
-        latent = search.latent(base) if verdict == "unknown" else ()
-        predictor = base.predictor
-        explanation = words(
-            verdict, effects, all_candidates, steps, tested.tests, left, removed, tested.curves, latent, places,
-            lines,
-        )  # fmt: skip
-        if steps and further:
-            explanation += not_named(further, left, search.samples)
-        if steps and steps[0].id not in {s.id for s in alarming(tested.screened)}:
-            explanation += (
-                f" {steps[0].id} raised no alarm by itself: it was tried because what did explains less, or nothing."
-            )
-        if search.assumed:
-            explanation += (
-                f" Coloured noise of {', '.join(search.assumed)} was assumed: the data are far more likely with it."
-            )
-        explanation += surer(verdict, recording)
-    return Diagnosis(
-        verdict, effects, additions, tuple(all_candidates), tested.tests, left, removed,
-        tested.curves, latent, places, lines, predictor.random_force, predictor.random_torque,
-        explanation, time.perf_counter() - began,
+        ),
+        additions=tuple(search.effect(step.id, final) for step in steps),
+        candidates=tuple(candidates),
+        tests=tests,
+        left=left,
+        removed=removed,
+        curves=found.tested.curves,
+        latent=search.latent(base) if verdict == "unknown" else (),
+        places=search.places(base),
+        lines=search.lines(base),
+        random_force=base.predictor.random_force,
+        random_torque=base.predictor.random_torque,
+        explanation="",
+        seconds=0.0,
+    )
+    return dataclasses.replace(told, explanation=_explanation(told, steps, found, found.steps[count:]))
+
+
+def _explanation(told: Diagnosis, steps: Sequence[Step], found: _Found, further: Sequence[Step]) -> str:
+    """The verdict in plain words, with what it rests on and what would make it surer."""
+    search = found.search
+    text = words(
+        told.verdict, told.effects, told.candidates, steps, told.tests, told.left, told.removed, told.curves, told.latent,
+        told.places, told.lines,
     )  # fmt: skip
+    if steps and further:
+        text += not_named(further, told.left, search.samples)
+    if steps and steps[0].id not in {s.id for s in alarming(found.tested.screened)}:
+        text += f" {steps[0].id} raised no alarm by itself: it was tried because what did explains less, or nothing."
+    if told.verdict == "unknown" and not found.thorough:
+        text += " This was a quick diagnosis: a thorough one also tries what raised no alarm."
+    if search.assumed:
+        text += f" Coloured noise of {', '.join(search.assumed)} was assumed: the data are far more likely with it."
+    return text + surer(told.verdict, search.recording)
 
 
 def compile_diagnosis(model: RTAC, recording: Recording, candidates: Sequence[type[Effect]] | None) -> None:

@@ -62,6 +62,7 @@ def residual_test(
     error: Float[np.ndarray, " sample"],
     signal: Float[np.ndarray, " sample"],
     present: Float[np.ndarray, " sample"],
+    colour: tuple[Float[np.ndarray, " order"], float],
     *,
     noise_parameters: int,
     lags: int = 25,
@@ -73,6 +74,7 @@ def residual_test(
 
     Args:
         error: zero where the output is not present.
+        colour: of the error, by `whitened`.
         noise_parameters: of H, which cost degrees of freedom.
 
     Source: Ljung, System Identification (1999), section 16.6; Ljung and Box, Biometrika 65 (1978).
@@ -86,7 +88,7 @@ def residual_test(
     white_p = float(scipy.stats.chi2.sf(statistic, max(lags - noise_parameters, 1)))
 
     # The variance of sum e(t) u(t - k) is that of white noise against u filtered backwards by the errors' colour.
-    whitening, innovation = whitened(error)
+    whitening, innovation = colour
     coloured = backward_coloured(signal, whitening)
     variance = innovation * count * scipy.linalg.toeplitz(autocovariance(coloured, lags))
     cross = np.array([error[k:] @ signal[: len(signal) - k] for k in range(lags + 1)])

@@ -11,6 +11,9 @@ from estimators._linear_predictor import Rows
 from estimators._linear_structure import Structure
 
 Pair = tuple[float, float]  # a_0 [rad^2/s^2] and a_1 [rad/s] of s^2 + a_1 s + a_0
+Lines = Float[np.ndarray, " line"]
+ComplexLines = Complex128[np.ndarray, " line"]
+ComplexColumns = Complex128[np.ndarray, "pair 4 line"]
 
 _DAMPING = (0.02, 0.07, 0.25, 0.9)
 _SPACING = 1.07  # of natural frequencies tried
@@ -68,38 +71,83 @@ def next_pair(
     u, y = into[lines] * hold.get(intersample, 1.0), out[lines]
     size = np.linalg.norm(u) / max(float(np.linalg.norm(y)), 1e-300)
 
-    def columns(pairs: Sequence[Pair]) -> np.ndarray:
-        a0, a1 = np.array(pairs).T[:, :, None]
-        s = 1j * omega
-        section = a0 / (s * s + a1 * s + a0)
-        slope = s / np.sqrt(a0) * section
-        # [pair column line]: numerator b and c, and the same two of the transient
-        found = np.stack([section * u / size, slope * u / size, section + 0j, slope + 0j], axis=1)
-        return np.concatenate([np.real(found), np.imag(found)], axis=2)
-
-    target = np.concatenate([y.real, y.imag])
-    beside = [columns(known).reshape(-1, len(target))] if known else []
-    if direct:
-        sampled = into[lines]  # what goes straight through is not held
-        beside.append(np.concatenate([sampled.real, sampled.imag])[None] / size)
-    fixed = np.linalg.qr(np.concatenate(beside).T)[0] if beside else None
-    if fixed is not None:
-        target = target - fixed @ (fixed.T @ target)
     # Beyond half the sampling rate lie the aliases, which a held input cannot tell from what is below.
     last = min(2 * float(omega[-1]), np.pi / interval)
     count = int(np.ceil(np.log(2 * last / omega[0]) / np.log(_SPACING)))
     rates = np.minimum(0.5 * omega[0] * _SPACING ** np.arange(count), last)
-    trials = [*candidates, *((float(w * w), float(2 * z * w)) for z in _DAMPING for w in rates)]
-    gains = []
-    for first in range(0, len(trials), 100):
-        part = columns(trials[first : first + 100])
-        if fixed is not None:
-            part = part - (part @ fixed) @ fixed.T
-        gram = part @ part.transpose(0, 2, 1)
-        toward = part @ target
-        ridge = 1e-10 * np.trace(gram, axis1=1, axis2=2)[:, None, None] * np.eye(4) + 1e-300 * np.eye(4)
-        gains.append(np.einsum("tc,tc->t", toward, np.linalg.solve(gram + ridge, toward[:, :, None])[:, :, 0]))
-    return trials[int(np.argmax(np.concatenate(gains)))]
+    grid = [np.stack([rates**2, 2 * damping * rates], axis=1) for damping in _DAMPING]
+    trials = np.concatenate([np.reshape(candidates, (-1, 2)), *grid])
+    into_each = u / size
+    beside = [_columns(np.array(known), omega, into_each).reshape(-1, len(omega))] if known else []
+    if direct:
+        beside.append(into[lines][None] / size)  # what goes straight through is not held
+    gains = _explained(trials, omega, into_each, y, np.concatenate(beside) if beside else None)
+    a0, a1 = trials[int(np.argmax(gains))].tolist()
+    return a0, a1
+
+
+def _columns(pairs: Float[np.ndarray, "pair 2"], omega: Lines, into: ComplexLines) -> ComplexColumns:
+    """Of each pair of poles the numerator's c and b, and the same two of the transient."""
+    a0, a1 = pairs.T[:, :, None]
+    section = a0 / (a0 - omega**2 + 1j * a1 * omega)
+    slope = 1j * omega / np.sqrt(a0) * section
+    return np.stack([section * into, slope * into, section, slope], axis=1)
+
+
+def _explained(
+    pairs: Float[np.ndarray, "pair 2"],
+    omega: Lines,
+    into: ComplexLines,
+    target: ComplexLines,
+    beside: Complex128[np.ndarray, "known line"] | None,
+) -> Float[np.ndarray, " pair"]:
+    """Square of the target that `_columns` of each pair explain with real factors, beside columns that are there anyway.
+
+    The columns themselves are never formed: their products are sums over lines of the section's real part, imaginary part and
+    square with weights that do not depend on the pair.
+    """
+    a0, a1 = pairs.T[:, :, None]
+    rest, damping = a0 - omega**2, a1 * omega
+    below = a0 / (rest**2 + damping**2)
+    real, imag = rest * below, -damping * below
+    rate = np.sqrt(a0[:, 0])
+    weights = np.stack(
+        [
+            np.abs(into) ** 2, omega**2 * np.abs(into) ** 2, np.ones_like(omega), omega**2,
+            np.real(into), omega**2 * np.real(into), omega * np.imag(into),
+        ],
+        axis=1,
+    )  # fmt: skip
+    cc, bb, tt, ss, ct, bs, cs = ((real**2 + imag**2) @ weights).T
+    cs = cs / rate
+    bb, ss, bs = bb / rate**2, ss / rate**2, bs / rate**2
+    none = np.zeros_like(cc)
+    gram = np.array([[cc, none, ct, cs], [none, bb, -cs, bs], [ct, -cs, tt, none], [cs, bs, none, ss]])
+    gram = gram.transpose(2, 0, 1)
+    scale = np.trace(gram, axis1=1, axis2=2)
+
+    def toward(columns: Complex128[np.ndarray, "column line"]) -> Float[np.ndarray, "pair 4 column"]:
+        driven = np.conj(into) * columns
+        found = [
+            part
+            for each in (driven, columns)
+            for part in (
+                real @ np.real(each).T + imag @ np.imag(each).T,
+                (real @ (omega * np.imag(each)).T - imag @ (omega * np.real(each)).T) / rate[:, None],
+            )
+        ]
+        return np.stack(found, axis=1)
+
+    aim = toward(target[None])[:, :, 0]
+    if beside is not None:
+        stacked = np.concatenate([np.real(beside), np.imag(beside)], axis=1)
+        basis = np.linalg.qr(stacked.T)[0].T
+        fixed = basis[:, : len(omega)] + 1j * basis[:, len(omega) :]
+        along = toward(fixed)
+        gram = gram - along @ along.transpose(0, 2, 1)
+        aim = aim - along @ np.real(np.conj(fixed) @ target)
+    ridge = (1e-10 * scale + 1e-300)[:, None, None] * np.eye(4)
+    return np.einsum("tc,tc->t", aim, np.linalg.solve(gram + ridge, aim[:, :, None])[:, :, 0])
 
 
 def with_poles(structure: Structure, pairs: Sequence[Sequence[Pair]]) -> Float[np.ndarray, "condition unknown"]:

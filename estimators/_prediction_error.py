@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import control as ct
+import jax
 import numpy as np
 from jaxtyping import Float, Float64
 from tqdm import tqdm
@@ -237,14 +238,14 @@ def _models(
     shown, predictors = tracks(structure, stage.theta, stage.data)
     fpe, aic, bic = _criteria(stage)
     error, jacobian = np.asarray(stage.rows.error), np.asarray(stage.rows.jacobian)
-    size = np.asarray(stage.data.scale.error)
+    scales = jax.tree.map(np.asarray, stage.data.scale)
     labels, units = _labels(structure)
     found = []
     for i, (name, (raw, mask, angle)) in enumerate(zip(names, sides, strict=True)):
         count = len(raw.output)
-        covariance, free = _covariance(error[i, :count], jacobian[i, :count], mask, structure)
-        scale = Scale(*(part[i] for part in stage.data.scale))
-        at = Unknown(structure, stage.theta[i], covariance, scale)
+        colour = whitened(error[i, :count])
+        covariance, free = _covariance(error[i, :count], jacobian[i, :count], mask, colour, structure)
+        at = Unknown(structure, stage.theta[i], covariance, Scale(*(part[i] for part in scales)))
         values, slope = at.quantities()
         poles, poles_std, zeros, zeros_std = at.roots()
         static, static_slope = at.response(np.zeros(1))
@@ -258,10 +259,10 @@ def _models(
                 static_gain_std=float(np.sqrt(static_slope[0, 0] @ covariance @ static_slope[0, 0])),
                 noise_numerator=np.append(1.0, np.asarray(predictors.c)[i]),
                 noise_denominator=np.append(1.0, np.asarray(predictors.d)[i]),
-                innovation_std=float(size[i] * np.sqrt(np.sum(error[i] ** 2) / kept)),
+                innovation_std=float(scales.error[i] * np.sqrt(np.sum(error[i] ** 2) / kept)),
                 undetermined=free, converged=bool(stage.converged[i]),
                 fpe=float(fpe[i]), aic=float(aic[i]), bic=float(bic[i]),
-                residuals=residual_test(error[i, :count], raw.input, here, noise_parameters=structure.noise),
+                residuals=residual_test(error[i, :count], raw.input, here, colour, noise_parameters=structure.noise),
                 output=np.where(mask, raw.output, np.nan), simulated=np.asarray(shown.simulated)[i, :count],
                 noise_states=np.asarray(shown.noise)[i, :count], signal=raw.input, sample_time=raw.interval,
                 arm_angle=angle, compensated=compensated, channels=channels, unknowns=at,
@@ -274,11 +275,12 @@ def _covariance(
     error: Float[np.ndarray, " sample"],
     jacobian: Float[np.ndarray, "sample unknown"],
     present: Any,
+    colour: tuple[Float[np.ndarray, " order"], float],
     structure: Structure,
 ) -> tuple[Float[np.ndarray, "unknown unknown"], int]:
     """Of the unknowns, and how many combinations of them the data leave free.
 
-    For output error, whose errors may be coloured, by Ljung's (9.42) with the colour of an autoregression.
+    For output error, whose errors may be coloured, by Ljung's (9.42) with the colour of an autoregression (`whitened`).
     """
     size = np.linalg.norm(jacobian, axis=0)
     size = np.where(size > 1e-12 * np.max(size), size, np.inf)  # without any effect: nothing else depends on it
@@ -289,7 +291,7 @@ def _covariance(
     freedom = float(np.sum(present)) - structure.count
     if structure.noise:
         return bread * float(np.sum(error**2)) / freedom, int(np.sum(~kept))
-    whitening, variance = whitened(error)
+    whitening, variance = colour
     rows = backward_coloured(jacobian, whitening)
     factor = variance * len(error) / freedom
     return factor * bread @ (rows.T @ rows) @ bread, int(np.sum(~kept))

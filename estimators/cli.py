@@ -143,14 +143,22 @@ def compare(file: File, validation: Validation = None, out: Out = None, json: Js
 
 
 @app.command()
-def diagnose(file: File, validation: Validation = None, out: Out = None, json: Json = None) -> None:
+def diagnose(
+    file: File,
+    validation: Validation = None,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Do not look again, for minutes, where the verdict would be unknown.")
+    ] = False,
+    out: Out = None,
+    json: Json = None,
+) -> None:
     """Rank the effects that the paper's model may be missing."""
     with job(file, validation, out, json) as work:
         import estimators as est
         from estimators import _report
 
         base = work.fitted(work.model())
-        found = est.diagnose(base, work.train, progress=progress())
+        found = est.diagnose(base, work.train, thorough=not quick, progress=progress())
         fits, labels = [base], ["base"]
         if found.additions:
             names = ", ".join(effect.id for effect in found.additions)

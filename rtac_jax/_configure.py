@@ -9,9 +9,10 @@ import jax
 # xla_backend_extra_options, so a JAX that drops them only loses speed.
 _CPU_OPTIONS = "xla_cpu_use_multi_output_fusion=true,xla_cpu_prefer_vector_width=512"
 _FLAG = "--xla_backend_extra_options="
+_CACHE = os.environ.get("JAX_COMPILATION_CACHE_DIR", "~/.cache/rtac-jax")
 
 
-def configure(*, fast: bool = True, cache: str | Path | None = "~/.cache/rtac-jax") -> str:
+def configure(*, fast: bool = True, cache: str | Path | None = _CACHE) -> str:
     """Prepare JAX: double precision, compiler options for batched simulation on a CPU, and a cache of compiled code.
 
     Call it once, before anything is computed. It may be called again.
@@ -19,7 +20,8 @@ def configure(*, fast: bool = True, cache: str | Path | None = "~/.cache/rtac-ja
     Args:
         fast: set the CPU compiler options. They must be in place before JAX starts its backend, and options that the
             user has put in `XLA_FLAGS` are kept.
-        cache: folder for compiled code, so that the second run starts at once; None for no cache.
+        cache: folder for compiled code, so that the second run starts at once; None for no cache. By default
+            ~/.cache/rtac-jax, or what the environment variable JAX_COMPILATION_CACHE_DIR names.
 
     Returns:
         One sentence that says what was set and what could not be.

@@ -1,5 +1,6 @@
 """Every test runs with shapes and types checked, in double precision, and with compiled code kept between runs."""
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -10,6 +11,8 @@ ROOT = Path(__file__).parents[1]
 # These check what they are given themselves, with messages of their own, and their tests give them wrong types.
 DOORS = {"measurement", "virtual_rig"}
 
+# For this process, and for the notebooks that it runs.
+os.environ["JAX_COMPILATION_CACHE_DIR"] = str(ROOT / ".cache" / "jax")
 # Before anything of the packages is imported: the hook rewrites their modules as they load.
 parts = {path.stem for path in (ROOT / "rtac_jax").iterdir() if not path.name.startswith("__")} - DOORS
 jaxtyping.install_import_hook([*(f"rtac_jax.{part}" for part in sorted(parts)), "estimators"], "beartype.beartype")
@@ -19,7 +22,7 @@ import matplotlib  # noqa: E402 - after the hook
 
 import rtac_jax  # noqa: E402 - after the hook
 
-rtac_jax.configure(cache=ROOT / ".cache" / "jax")
+rtac_jax.configure()
 matplotlib.use("Agg")
 
 

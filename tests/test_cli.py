@@ -194,6 +194,20 @@ def test_compare_says_where_the_model_fails(ran):
     assert {row["experiment"] for row in content["experiments"]} == {"forced_2"}
 
 
+def test_quick_takes_no_second_look(file, monkeypatch):
+    asked = []
+
+    def diagnosed(*_, **options):
+        asked.append(options["thorough"])
+        raise ValueError("that is enough.")
+
+    monkeypatch.setattr(estimators, "output_error", lambda *_, **__: None)
+    monkeypatch.setattr(estimators, "diagnose", diagnosed)
+    for flags in ([], ["--quick"]):
+        refused(call("diagnose", file, *flags), 1, "that is enough")
+    assert asked == [True, False]
+
+
 def test_info_describes_and_warns(file):
     result = call("info", file)
     assert result.exit_code == 0

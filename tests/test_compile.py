@@ -1,10 +1,12 @@
 """Room for compiled code in long studies."""
 
+import os
 from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 
+import rtac_jax as rtac
 from estimators._compile import compile_only, make_room
 
 
@@ -41,3 +43,7 @@ def test_what_was_compiled_ahead_is_not_compiled_again() -> None:
     assert len(traced) == 1
     assert float(tripled(jnp.ones(3))[0]) == 3.0
     assert len(traced) == 1
+
+
+def test_compiled_code_is_kept_where_the_environment_says() -> None:
+    assert f"compile cache in {os.environ['JAX_COMPILATION_CACHE_DIR']}" in rtac.configure()

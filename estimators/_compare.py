@@ -1,5 +1,6 @@
 """Where a model fails: its free simulation against the measurements, per channel and experiment, and residual tests."""
 
+import contextlib
 import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -23,6 +24,8 @@ from rtac_jax.measurement import Experiment, Recording
 
 # Longer experiments without memory of their start take it from their beginning alone.
 _LONG, _BEGINNING = 8192, 2048
+_PARTS = (1 / 32, 1 / 8, 1 / 2, 1.0)  # of an experiment, over which its start is estimated in turn
+_NOISE = 1.2  # mean square of an error over its noise from which on a start is sought further
 _LOST = 1e100  # an output beyond this has left all bounds, and its square would overflow
 
 Values = Float[np.ndarray, " sample"]
@@ -327,17 +330,44 @@ def _simulated(
         gain=no_gain(model, everything),
     )
     if not fitted:
-        try:
-            unknowns = solve_bounded(unknowns, arguments, tolerance=1e-5, most=40).unknowns
-        except FloatingPointError:
+        found = _started(unknowns, arguments)
+        if found is None:
             _outputs(unknowns, whole, label, experiments)  # says where
-            raise
+            raise FloatingPointError(f"the model {label!r} diverges from every start that was tried.")
+        unknowns = found
     simulated = _outputs(unknowns, whole, label, experiments)
     missing = np.asarray(everything.present) == 0
     if missing.any():
         simulated = np.where(missing, np.nan, simulated)
     states = np.asarray(space.physical(unknowns)[2])
     return simulated, {e.name: states[:, i] for i, e in enumerate(experiments)}, start_samples or 0
+
+
+def _started(unknowns: Unknowns, arguments: Arguments) -> Unknowns | None:
+    """The start from which the simulation follows best what was measured; None where it diverges from every one.
+
+    It is sought at once and, where more than noise is left, by way of ever longer parts: a state that the first samples do
+    not show, as the speed of an arm behind a soft shaft, adds up to turns of the arm over a whole experiment, but not
+    over its beginning.
+    """
+    data = arguments.data
+    best, least = None, np.inf
+    for shares in ((1.0,), _PARTS):
+        with contextlib.suppress(FloatingPointError):
+            begin = unknowns
+            for share in shares:
+                here = (np.arange(data.samples) < share * data.samples).astype(float)
+                part = dataclasses.replace(data, present=data.present * jnp.asarray(here[:, None, None]))
+                begin = solve_bounded(
+                    begin, dataclasses.replace(arguments, data=part), tolerance=1e-5, most=40
+                ).unknowns
+            error, known = plain_residual(begin, arguments)
+            squares = float(jnp.sum(error**2) + jnp.sum(known**2))
+            if squares < least:
+                best, least = begin, squares
+        if least < _NOISE * float(jnp.sum(data.present)):
+            break
+    return best
 
 
 def _outputs(unknowns: Unknowns, arguments: Arguments, label: str, experiments: Sequence[Experiment]) -> np.ndarray:

@@ -65,30 +65,35 @@ class Search(Probing):
         What works by contact or play has no derivative by which a filter could follow it, and what swings fast misleads the
         start that the first samples show. The filter takes either for a large random torque, and the fit to its innovations
         ends there. So the refit begins again from parameters and starts with which a simulation follows the data, and from
-        little random force. The simulation is fitted from the fit that is diagnosed or, where nothing comes of that, from what
-        the filter found.
+        little random force. Simulations are fitted from the fit that is diagnosed, and from what the filter found: of what
+        rings for long a simulation follows only what it has the frequency of, which the filter finds from farther away.
 
         Raises:
-            ArithmeticError: the model diverges in the filter and in a simulation.
-            NotIdentifiableError: it diverges in the filter, and a simulation leaves parameters free.
+            ArithmeticError: the model diverges, or leaves parameters free, in the filter and in every simulation.
         """
         model, free, added = self._beginning(before, s)
-        simulated = reduce(RTAC.__add__, [effect for effect in model.effects if effect.id in added], self.model)
-        try:
+        begins = [reduce(RTAC.__add__, [effect for effect in model.effects if effect.id in added], self.model)]
+        refits = []
+        with contextlib.suppress(ArithmeticError):
             filtered = self.with_effect(before, s)
-        except ArithmeticError:
-            return self._from_simulation(before, added, model, free, simulated)
-        known = {name: value for name, value in filtered.values.items() if name in simulated.parameters}
-        for begin in (simulated, simulated.with_values(known)):
+            known = {name: value for name, value in filtered.values.items() if name in begins[0].parameters}
+            begins.append(begins[0].with_values(known))
+            refits.append(filtered)
+        simulated = []
+        for begin in begins:
             with contextlib.suppress(ArithmeticError, NotIdentifiableError):
-                refit = self._from_simulation(before, added, model, free, begin)
-                return max(filtered, refit, key=lambda one: one.predictor.log_likelihood)
-        return filtered
+                simulated.append(output_error(begin, self.recording, from_model=True, progress=False))
+        for found in sorted(simulated, key=lambda found: found.statistics["cost"]):
+            with contextlib.suppress(ArithmeticError):
+                refits.append(self._from_simulation(before, added, model, free, found))
+                break
+        if not refits:
+            raise FloatingPointError(f"with {s.id} the model diverges in the filter and in a simulation.")
+        return max(refits, key=lambda one: one.predictor.log_likelihood)
 
     def _from_simulation(
-        self, before: Refit, added: tuple[str, ...], model: RTAC, free: tuple[str, ...], begin: RTAC
+        self, before: Refit, added: tuple[str, ...], model: RTAC, free: tuple[str, ...], found: Fit
     ) -> Refit:
-        found = output_error(begin, self.recording, from_model=True, progress=False)
         values = {name: parameter.value for name, parameter in found.parameters.items()}
         noise = np.concatenate([np.minimum(before.predictor.noise[:2], QUIET), before.predictor.noise[2:]])
         start = np.stack([found.start[e.name] for e in self.experiments], axis=1)

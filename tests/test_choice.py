@@ -8,17 +8,19 @@ from typing import Any
 import numpy as np
 import pytest
 
+from estimators import _search
 from estimators._adequacy import Evidence
 from estimators._candidate import Step
 from estimators._choice import chosen, reconsidered
 from estimators._refit import Refit
 from estimators._refit import Tested as Answers
+from estimators._results import DivergedError
 from estimators._screen import Screened
 from estimators._search import Search
 from estimators._stepwise import improvements, second_looks
 from estimators._verdict import judge
 from rtac_jax import RTAC
-from rtac_jax.effects import CATALOGUE
+from rtac_jax.effects import CATALOGUE, CubicSpring
 
 SIZES = {"arm_stribeck": 2, "arm_coulomb": 1, "lvdt_lag": 1, "cubic_spring": 1}
 
@@ -199,14 +201,14 @@ def test_what_overshadows_the_alarms_is_chosen_where_it_gains_most_and_leaves_no
 
 
 class Simulated(Known):
-    """One in which the filter finds a local optimum at size 2, and a simulation can follow from some sizes only."""
+    """One in which the filter finds a local optimum at size 2, and the refit from a simulation ends at ten times its size."""
 
-    follows: tuple[float, ...] = ()
     filter_follows = True
     model = RTAC.paper()
+    recording: Any = None
 
     def _beginning(self, before: Refit, s: Screened) -> Any:
-        return self.model + CATALOGUE["cubic_spring"](stiffness=1.0), (), ("cubic_spring",)
+        return self.model + CubicSpring(1.0), (), ("cubic_spring",)
 
     def _at(self, likelihood: float, size: float) -> Refit:
         found = self.refit()
@@ -220,31 +222,39 @@ class Simulated(Known):
             raise FloatingPointError
         return self._at(10.0, 2.0)
 
-    def _from_simulation(self, before: Refit, added: Any, model: RTAC, free: Any, begin: RTAC) -> Refit:
-        size = float(np.asarray(begin["cubic_spring.stiffness"]))
-        if size not in self.follows:
-            raise FloatingPointError
-        return self._at(20.0, 10.0 * size)
+    def _from_simulation(self, before: Refit, added: Any, model: RTAC, free: Any, found: Any) -> Refit:
+        return self._at(20.0, 10.0 * found.size)
+
+
+def simulations(monkeypatch: pytest.MonkeyPatch, costs: dict[float, float]) -> None:
+    """Fits of a simulation that stay at the size where they begin; from other sizes than these they diverge."""
+
+    def fitted(model: RTAC, *_: Any, **__: Any) -> Any:
+        size = float(np.asarray(model["cubic_spring.stiffness"]))
+        if size not in costs:
+            raise DivergedError("it diverges.")
+        return SimpleNamespace(size=size, statistics={"cost": costs[size]})
+
+    monkeypatch.setattr(_search, "output_error", fitted)
 
 
 @pytest.mark.parametrize(
-    ("follows", "found"),
-    [
-        ((1.0, 2.0), 10.0),
-        ((2.0,), 20.0),
-        ((), 2.0),
-    ],  # from where the refit begins, from what the filter found, or not at all
+    ("costs", "found"), [({1.0: 5.0, 2.0: 9.0}, 10.0), ({1.0: 9.0, 2.0: 5.0}, 20.0), ({2.0: 5.0}, 20.0), ({}, 2.0)]
 )
-def test_a_thorough_refit_begins_where_a_simulation_can_follow(follows: tuple[float, ...], found: float) -> None:
+def test_a_thorough_refit_begins_where_a_simulation_follows_best(
+    monkeypatch: pytest.MonkeyPatch, costs: dict[float, float], found: float
+) -> None:
+    """From the fit that is diagnosed, from what the filter found, or not at all."""
+    simulations(monkeypatch, costs)
     search = Simulated(known(base=0.0))
-    search.follows = follows
     assert search.thoroughly(search.refit(), screened("cubic_spring")).values["cubic_spring.stiffness"] == found
 
 
-def test_a_thorough_refit_needs_the_filter_or_a_simulation() -> None:
+def test_a_thorough_refit_needs_the_filter_or_a_simulation(monkeypatch: pytest.MonkeyPatch) -> None:
     search = Simulated(known(base=0.0))
     search.filter_follows = False
-    with pytest.raises(FloatingPointError):
+    simulations(monkeypatch, {})
+    with pytest.raises(FloatingPointError, match="cubic_spring the model diverges"):
         search.thoroughly(search.refit(), screened("cubic_spring"))
-    search.follows = (1.0,)
+    simulations(monkeypatch, {1.0: 5.0})
     assert search.thoroughly(search.refit(), screened("cubic_spring")).values["cubic_spring.stiffness"] == 10.0

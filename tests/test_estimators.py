@@ -6,7 +6,6 @@ import re
 import subprocess
 import sys
 
-import control
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -576,19 +575,3 @@ def test_covariance_integrates_the_starts_out(noisy: rtac.Recording) -> None:
     z = np.asarray(unknowns.shared)
     slope = np.asarray(space.scale)[np.asarray(space.active)] * 0.5 * (1 + z / np.sqrt(z * z + 4))
     np.testing.assert_allclose(found.covariance, covariance * np.outer(slope, slope), rtol=1e-6)
-
-
-def test_residual_statistics_of_a_trace() -> None:
-    from estimators._compare import Trace
-
-    random = np.random.default_rng(2)
-    time = 0.01 * np.arange(2000)
-    clean = np.sin(time)
-    white = Trace("a", "cart_position", time, clean + 0.1 * random.normal(size=2000), clean, clean, time >= 0, 0.1)
-    assert white.rms == pytest.approx(0.1, rel=0.1)
-    assert white.fit_percent == pytest.approx(100 * (1 - white.rms / np.std(white.measured)), rel=1e-9)
-    assert white.whiteness_p > 0.01
-    assert np.mean(np.abs(white.autocorrelation()[0][1:]) < white.autocorrelation()[1]) > 0.9
-    coloured = control.forced_response(control.tf([1], [0.05, 1]), time, random.normal(size=2000)).outputs
-    stained = Trace("a", "cart_position", time, clean + coloured, clean, clean, time >= 0, 0.1)
-    assert stained.whiteness_p < 1e-6

@@ -1,20 +1,22 @@
 """Effects that improve a model one after the other, and second looks where these leave the misfit unknown."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from estimators._adequacy import alarming, line_left, overshadowing, suspects
+from estimators._adequacy import alarming, excess_of, line_left, overshadowing, suspects
 from estimators._candidate import Step
 from estimators._choice import chosen, reconsidered
 from estimators._refit import Refit, Tested
 from estimators._screen import Screened
 from estimators._search import Search, Way
 from estimators._verdict import judge
+from rtac_jax.effects import Impact
 
 _REFITS = 4  # candidates refitted at least
 _CLOSE = 0.3  # and those whose score is within this share of the best
+_HIDDEN = 3  # candidates refitted by each of two orders, where random forces may hide what is missing
 # Share of what an effect that raised no alarm gains, that may be left in a spectral line: a mode that followed a vibration of the
 # floor left 9 %, a backlash on a rig whose contact is softer than the model's left 0.4 %.
 _LINE = 0.02
@@ -26,10 +28,53 @@ Tried = dict[str, tuple[Refit, Refit]]
 
 @dataclasses.dataclass(frozen=True)
 class _Look:
-    """Candidates of a first step whether they alarm or not, of which the strongest are refitted, and the way to do so."""
+    """Candidates of a first step, whether they alarm or not, in the order of how strongly they are suspected.
 
-    candidates: Sequence[Screened]
+    Attributes:
+        ranked: those to be refitted, all but the first and what is near it only if the first leaves something.
+        near: those among them that are suspected about as much as the first.
+        way: to refit them.
+    """
+
+    ranked: Sequence[Screened]
+    near: Sequence[Screened]
     way: Way
+
+
+def _statistic(s: Screened) -> float:
+    return s.statistic
+
+
+def _consistency(s: Screened) -> float:
+    return -float(np.log(max(s.p_value, 1e-300)))
+
+
+def _near(ranked: Sequence[Screened], strength: Callable[[Screened], float]) -> list[Screened]:
+    return [s for s in ranked[1:] if strength(s) > (1 - _CLOSE) * strength(ranked[0])]
+
+
+def _unalarmed(search: Search, base: Refit, tested: Tested) -> _Look:
+    """Candidates that are large, but act at a few instants only."""
+    found = by_size(suspects(tested.screened, tested.tests), float(np.log(search.samples)))[:_REFITS]
+    return _Look(found, _near(found, _statistic), search.with_effect)
+
+
+def _hidden(search: Search, base: Refit, tested: Tested) -> _Look:
+    """Candidates that random forces of the predictor may hide.
+
+    Where the innovations are far from white, what is alike in every second tells more than what is large. And where the most that
+    is left is a line of the spectrum that neither input nor state explains, something rings: what has a resonance comes first.
+    """
+    large = by_size(search.quietly(base), float(np.log(search.samples)))
+    alike = sorted(large, key=_consistency, reverse=True)
+    first = alike[:_HIDDEN]
+    near = _near(first, _consistency)
+    if 0 < line_left(tested.tests) == excess_of(tested.tests):
+        kinds = search.classes
+        ringing = [s for s in alike if len(kinds[s.id].states) > 1 and not issubclass(kinds[s.id], Impact)]
+        first, near = [*ringing, *first], ringing[1:]
+    ranked = {s.id: s for s in (*first, *large[:_HIDDEN])}
+    return _Look(list(ranked.values()), near, search.thoroughly)
 
 
 def second_looks(
@@ -38,13 +83,9 @@ def second_looks(
     """The same steps, or, where these leave the misfit unknown, others that explain it; and all that was tried."""
     if judge(steps, tested.tests, search.samples)[0] != "unknown":
         return steps, refits
-    looks = (
-        lambda: _Look(suspects(tested.screened, tested.tests), search.with_effect),
-        lambda: _Look(search.quietly(base), search.thoroughly),
-    )
-    for look in looks:
+    for look in (_unalarmed, _hidden):
         search.bar.set_description("diagnose: what raised no alarm")
-        again, more = improvements(search, base, tested, look())
+        again, more = improvements(search, base, tested, look(search, base, tested))
         refits = more | refits
         named = judge(again, tested.tests, search.samples)[1]
         # A mode without damping can follow a vibration from outside, but for the line that this leaves.
@@ -64,21 +105,21 @@ def improvements(search: Search, base: Refit, tested: Tested, look: _Look | None
     price = float(np.log(search.samples))
     for _ in range(2 * _EFFECTS):  # a step may be taken back
         if look is not None and not steps:
-            way, ranked, above = look.way, by_size(look.candidates, price)[:_REFITS], []
+            way, ranked, near, above = look.way, look.ranked, look.near, []
         else:
             way, ranked = None, by_size(alarming(seen.screened), price)
+            near = _near(ranked, _statistic)
             above = by_size(overshadowing(seen.screened), price)[:_REFITS]
         if not ranked:
             break
-        top = ranked[0].statistic
-        near = [s for s in ranked[1:] if s.statistic > (1 - _CLOSE) * top]
         with search.refitting(now, [ranked[0], *near], way) as refitted:
             first = refitted(ranked[0])
             ahead = None if first is None else search.tested(first)
             several = {ranked[0].id: first} | {s.id: refitted(s) for s in near}
         # Where the best leaves nothing to explain, those far behind it need not be asked.
         settled = ahead is not None and not any(test.rejects for test in ahead.tests)
-        far = [] if settled else [*(s for s in ranked[1:_REFITS] if s.id not in several), *above]
+        most = len(ranked) if way else _REFITS
+        far = [] if settled else [*(s for s in ranked[1:most] if s.id not in several), *above]
         with search.refitting(now, far, way) as refitted:
             several |= {s.id: refitted(s) for s in far}
         asked = {s.id: s for s in (*ranked, *above)}

@@ -12,6 +12,7 @@ from scipy.fft import next_fast_len
 from scipy.signal.windows import parzen
 from scipy.stats import chi2, norm
 
+from estimators._beginning import at_rest, nearest, squares
 from estimators._bounds import solve_bounded
 from estimators._levenberg_marquardt import Arguments, plain_residual
 from estimators._noise import noise_levels
@@ -346,27 +347,24 @@ def _simulated(
 def _started(unknowns: Unknowns, arguments: Arguments) -> Unknowns | None:
     """The start from which the simulation follows best what was measured; None where it diverges from every one.
 
-    It is sought at once and, where more than noise is left, by way of ever longer parts: a state that the first samples do
-    not show, as the speed of an arm behind a soft shaft, adds up to turns of the arm over a whole experiment, but not
-    over its beginning.
+    It is sought from the first samples, where more than noise is left from rest, and then by way of ever longer parts: a state
+    that the first samples do not show, as the speed of an arm behind a soft shaft, adds up to turns of the arm over a whole
+    experiment, but not over its beginning.
     """
     data = arguments.data
-    best, least = None, np.inf
-    for shares in ((1.0,), _PARTS):
+    best: Unknowns | None = None
+    rest = at_rest(unknowns, arguments.space)
+    for begin, shares in ((unknowns, (1.0,)), (rest, (1.0,)), (unknowns, _PARTS)):
         with contextlib.suppress(FloatingPointError):
-            begin = unknowns
             for share in shares:
                 here = (np.arange(data.samples) < share * data.samples).astype(float)
                 part = dataclasses.replace(data, present=data.present * jnp.asarray(here[:, None, None]))
                 begin = solve_bounded(
                     begin, dataclasses.replace(arguments, data=part), tolerance=1e-5, most=40
                 ).unknowns
-            error, known = plain_residual(begin, arguments)
-            squares = float(jnp.sum(error**2) + jnp.sum(known**2))
-            if squares < least:
-                best, least = begin, squares
-        if least < _NOISE * float(jnp.sum(data.present)):
-            break
+            best = begin if best is None else nearest([best, begin], arguments)
+            if np.sum(squares(best, arguments)) < _NOISE * float(jnp.sum(data.present)):
+                break
     return best
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from tqdm import tqdm
 
+from estimators._beginning import at_rest, nearest
 from estimators._bounds import solve_bounded
 from estimators._covariance import Information, information
 from estimators._least_squares import least_squares
@@ -33,6 +34,8 @@ _MOST_SUBSTEPS = 32
 _CORRECTION = (0.3, 0.03)
 # Times the noise from which on a start is led to the simulation by predictions with correction.
 _GUIDED = 5.0
+# An experiment begins at rest where that leaves less than this share of what is left from where its first samples begin.
+_AT_REST = 0.5
 # A start whose short predictions stay this many times worse than another's is given up.
 _HOPELESS = 5.0
 
@@ -269,6 +272,8 @@ class _Run:
         nothing = no_gain(model, self.data)
         whitener = diagonal_whitener(noise, self.data)
         substeps = accurate_substeps(model, self.data, space, unknowns, noise)
+        simulated = Arguments(model, self.data, space, whitener, nothing, substeps)
+        unknowns = nearest([unknowns, at_rest(unknowns, space)], simulated, worth=_AT_REST)
         # A start whose free simulation is near already, as after adding what a diagnosis found, needs no guidance.
         begins_near = bool(np.all(self._deviation(model, space, unknowns, substeps, noise) < _GUIDED * noise))
         for share in () if begins_near else _CORRECTION:

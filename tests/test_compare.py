@@ -3,12 +3,18 @@
 import dataclasses
 
 import control
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import estimators as est
 import rtac_jax as rtac
+from estimators._beginning import at_rest, nearest, squares
 from estimators._compare import Trace
+from estimators._levenberg_marquardt import Arguments
+from estimators._output_error import diagonal_whitener, moving, no_gain
+from estimators._problem import Data
+from estimators._start import space_of
 from rtac_jax import virtual_rig
 
 STIFFNESS, DAMPING, ROTOR = 0.3, 2e-5, 0.3  # of a soft shaft; the last is what the motor has of the arm's inertia
@@ -38,3 +44,26 @@ def test_a_simulation_begins_at_a_speed_of_the_arm_that_no_sample_shows() -> Non
     shaft = rtac.effects.FlexibleShaft(rig.arm_inertia / STIFFNESS, ROTOR, damping, 0.9 / 0.002)
     for trace in est.compare(rtac.RTAC.paper() + shaft, recording).models[0].traces:
         assert trace.rms < 1.2 * trace.noise, (trace.experiment, trace.channel)
+
+
+def test_of_several_starts_each_experiment_takes_the_one_that_leaves_least() -> None:
+    """Two decays from rest; the first is told a speed that it does not have, the second is not."""
+    plans = virtual_rig.standard_plans(seed=5, sample_time=0.01, duration=3.0, free=2, forced=0, rest=1)
+    experiments = moving(virtual_rig.record(virtual_rig.Rig(), plans, seed=6))
+    model, data = rtac.RTAC.paper(), Data.of(experiments)
+    space = space_of(model, experiments, free=[])
+    start = np.asarray(space.start).copy()
+    start[3] = 5.0, 0.0
+    space = dataclasses.replace(space, start=jnp.asarray(start))
+    whitener, nothing = diagonal_whitener(np.array([2e-5, 1e-3, 0.05]), data), no_gain(model, data)
+    arguments = Arguments(model, data, space, whitener, nothing, 1)
+    told = space.unconstrained()
+    rest = at_rest(told, space)
+    assert np.max(np.abs(np.asarray(space.physical(rest)[2])[[1, 3]])) < 1e-12
+    best = nearest([told, rest], arguments)
+    assert np.all(squares(best, arguments) == np.minimum(squares(told, arguments), squares(rest, arguments)))
+    assert squares(best, arguments)[0] < 0.01 * squares(told, arguments)[0]
+    # One that is a little better is not worth a change, nor is one that diverges.
+    assert nearest([told, rest], arguments, worth=1e-6) is told
+    lost = told._replace(start=told.start.at[0].set(np.nan))
+    assert nearest([told, lost], arguments) is told

@@ -17,7 +17,7 @@ from estimators._refit import Tested as Answers
 from estimators._results import DivergedError
 from estimators._screen import Screened
 from estimators._search import Search
-from estimators._stepwise import improvements, second_looks
+from estimators._stepwise import _hidden, improvements, second_looks
 from estimators._verdict import judge
 from rtac_jax import RTAC
 from rtac_jax.effects import CATALOGUE, CubicSpring
@@ -160,13 +160,13 @@ class Late(Known):
     """One in which every refit leaves a spectral line, and all candidates but some are seen by a quiet predictor only."""
 
     line = 0.0
-    seen: tuple[Screened, ...] = ()
+    quiet: tuple[tuple[str, float, float], ...] = (("cubic_spring", 900.0, 1.0),)
 
     def tested(self, refit: Refit) -> Any:
         return Answers((), (), (Evidence("spectral line", 1e-9 if self.line else 1.0, self.line, 0.002, ""),))
 
     def quietly(self, refit: Refit) -> list[Screened]:
-        return [sized("cubic_spring", 900.0, 1.0)]
+        return [sized(*one) for one in self.quiet]
 
     def thoroughly(self, before: Refit, s: Screened) -> Refit:
         return self.with_effect(before, s)
@@ -187,6 +187,34 @@ def test_a_late_find_may_leave_a_small_line_only(line: float, named: int) -> Non
     steps, tried = second_looks(search, search.refit(), Answers((), (), (FORCE,)), [], {})
     assert judge(steps, (FORCE,), search.samples)[1] == named
     assert set(tried) == {"cubic_spring"}
+
+
+QUIET = (
+    ("end_stop", 9000.0, 0.4), ("lvdt_gain", 8000.0, 0.3), ("arm_coulomb", 7000.0, 1e-4), ("lvdt_lag", 600.0, 1e-5),
+    ("backlash", 500.0, 0.01), ("flexible_mode", 400.0, 0.2), ("flexible_shaft", 300.0, 0.05), ("saturation", 200.0, 0.5),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("line", "ranked", "near"),
+    [
+        # By p-value, of which the first two are near each other, and then what is largest.
+        (1999.0, ["lvdt_lag", "arm_coulomb", "backlash", "end_stop", "lvdt_gain"], ["arm_coulomb"]),
+        # A line that is more than all else is of what has a resonance, which a play has not.
+        (
+            2001.0,
+            ["flexible_shaft", "flexible_mode", "lvdt_lag", "arm_coulomb", "backlash", "end_stop", "lvdt_gain"],
+            ["flexible_mode"],
+        ),
+    ],
+)
+def test_what_random_forces_hide_is_tried_in_this_order(line: float, ranked: list[str], near: list[str]) -> None:
+    search = Late(known(base=0.0))
+    search.quiet = QUIET
+    tests = (FORCE, Evidence("spectral line", 1e-9, line, 0.002, ""))
+    look = _hidden(search, search.refit(), Answers((), (), tests))
+    assert [s.id for s in look.ranked] == ranked
+    assert [s.id for s in look.near] == near
 
 
 @pytest.mark.parametrize(("line", "first"), [(30.0, "lvdt_lag"), (60.0, "arm_coulomb")])

@@ -55,16 +55,13 @@ TOGETHER = {
 
 @pytest.fixture(scope="module")
 def recordings() -> dict[str, rtac.Recording]:
-    """One recording for each hidden effect and one with none, all of one shape, on rigs drawn around the paper's.
-
-    Notebook 04 fits data of this shape too, so that the code that is compiled for one serves the other.
-    """
+    """One recording for each hidden effect and one with none, all of one shape, on rigs drawn around the paper's."""
     jobs = []
     hidden = {name: values for name, (values, _) in (HIDDEN | TOGETHER).items()} | {"nothing": {}} | OUTSIDE
     for number, values in enumerate(hidden.values()):
         rig = virtual_rig.Rig().drawn(100 + number)
         plans = virtual_rig.standard_plans(
-            seed=200 + number, sample_time=0.005, duration=5.0, free=2, forced=3, rest=1, repeats=1
+            seed=200 + number, sample_time=0.005, duration=6.0, free=2, forced=4, rest=1, repeats=1
         )
         jobs.append((dataclasses.replace(rig, **values), plans, 300 + number))
     return dict(zip(hidden, virtual_rig.record_many(jobs), strict=True))

@@ -6,6 +6,7 @@ from jaxtyping import Float
 
 from estimators._levenberg_marquardt import Arguments, plain_residual
 from estimators._problem import Space, Unknowns
+from rtac_jax import RTAC
 
 _SPEEDS = (1, 3)  # rows of the cart's and the arm's
 
@@ -19,14 +20,18 @@ def at_rest(unknowns: Unknowns, space: Space) -> Unknowns:
     start = np.asarray(unknowns.start).copy()
     if len(start) == 0:
         return unknowns
-    rows = list(_SPEEDS)
+    rows = [*_SPEEDS, *range(4, len(start))]
     start[rows] = -(np.asarray(space.start) / np.asarray(space.start_scale))[rows]
-    start[4:] = 0.0
     return unknowns._replace(start=jnp.asarray(start))
 
 
-def nearest(several: list[Unknowns], arguments: Arguments, *, worth: float = 1.0) -> Unknowns:
-    """The first, with the starts of another for those experiments in which that one leaves less than this share of it."""
+def may_swing(model: RTAC) -> bool:
+    """Whether something in the model could move beside cart and arm, so that first samples may mislead."""
+    return any(effect.states for effect in model.effects)
+
+
+def best_starts(several: list[Unknowns], arguments: Arguments, *, worth: float = 1.0) -> Unknowns:
+    """The first, with what another has for those experiments alone in which that one leaves less than this share of it."""
     left = np.stack([squares(one, arguments) for one in several])
     left[1:] /= worth
     best = np.argmin(left, axis=0)

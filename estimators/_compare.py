@@ -12,7 +12,7 @@ from scipy.fft import next_fast_len
 from scipy.signal.windows import parzen
 from scipy.stats import chi2, norm
 
-from estimators._beginning import at_rest, nearest, squares
+from estimators._beginning import at_rest, best_starts, may_swing, squares
 from estimators._bounds import solve_bounded
 from estimators._levenberg_marquardt import Arguments, plain_residual
 from estimators._noise import noise_levels
@@ -25,8 +25,7 @@ from rtac_jax.measurement import Experiment, Recording
 
 # Longer experiments without memory of their start take it from their beginning alone.
 _LONG, _BEGINNING = 8192, 2048
-_PARTS = (1 / 32, 1 / 8, 1 / 2, 1.0)  # of an experiment, over which its start is estimated in turn
-_NOISE = 1.2  # mean square of an error over its noise from which on a start is sought further
+_NOISE = 1.2  # mean square of an error over its noise, from which on a start is sought elsewhere
 _LOST = 1e100  # an output beyond this has left all bounds, and its square would overflow
 
 Values = Float[np.ndarray, " sample"]
@@ -334,7 +333,7 @@ def _simulated(
         found = _started(unknowns, arguments)
         if found is None:
             _outputs(unknowns, whole, label, experiments)  # says where
-            raise FloatingPointError(f"the model {label!r} diverges from every start that was tried.")
+            raise DivergedError(f"the model {label!r} diverges from every start that was tried; check its parameters.")
         unknowns = found
     simulated = _outputs(unknowns, whole, label, experiments)
     missing = np.asarray(everything.present) == 0
@@ -347,23 +346,18 @@ def _simulated(
 def _started(unknowns: Unknowns, arguments: Arguments) -> Unknowns | None:
     """The start from which the simulation follows best what was measured; None where it diverges from every one.
 
-    It is sought from the first samples, where more than noise is left from rest, and then by way of ever longer parts: a state
-    that the first samples do not show, as the speed of an arm behind a soft shaft, adds up to turns of the arm over a whole
-    experiment, but not over its beginning.
+    It is sought from the first samples. Where that leaves more than noise of an experiment, and something may swing beside cart
+    and arm, it is sought from rest too: a state that the first samples do not show, as the speed of an arm behind a soft shaft,
+    adds up to turns of the arm, from where no small step leads back.
     """
-    data = arguments.data
+    enough = _NOISE * np.asarray(arguments.data.present).sum(axis=(0, 1))
+    begins = [unknowns, at_rest(unknowns, arguments.space)]
     best: Unknowns | None = None
-    rest = at_rest(unknowns, arguments.space)
-    for begin, shares in ((unknowns, (1.0,)), (rest, (1.0,)), (unknowns, _PARTS)):
+    for begin in begins if may_swing(arguments.model) else begins[:1]:
         with contextlib.suppress(FloatingPointError):
-            for share in shares:
-                here = (np.arange(data.samples) < share * data.samples).astype(float)
-                part = dataclasses.replace(data, present=data.present * jnp.asarray(here[:, None, None]))
-                begin = solve_bounded(
-                    begin, dataclasses.replace(arguments, data=part), tolerance=1e-5, most=40
-                ).unknowns
-            best = begin if best is None else nearest([best, begin], arguments)
-            if np.sum(squares(best, arguments)) < _NOISE * float(jnp.sum(data.present)):
+            found = solve_bounded(begin, arguments, tolerance=1e-5, most=40).unknowns
+            best = found if best is None else best_starts([best, found], arguments)
+            if np.all(squares(best, arguments) < enough):
                 break
     return best
 

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from tqdm import tqdm
 
-from estimators._beginning import at_rest, nearest
+from estimators._beginning import at_rest, best_starts, may_swing
 from estimators._bounds import solve_bounded
 from estimators._covariance import Information, information
 from estimators._least_squares import least_squares
@@ -272,8 +272,9 @@ class _Run:
         nothing = no_gain(model, self.data)
         whitener = diagonal_whitener(noise, self.data)
         substeps = accurate_substeps(model, self.data, space, unknowns, noise)
-        simulated = Arguments(model, self.data, space, whitener, nothing, substeps)
-        unknowns = nearest([unknowns, at_rest(unknowns, space)], simulated, worth=_AT_REST)
+        if may_swing(model):
+            simulated = Arguments(model, self.data, space, whitener, nothing, substeps)
+            unknowns = best_starts([unknowns, at_rest(unknowns, space)], simulated, worth=_AT_REST)
         # A start whose free simulation is near already, as after adding what a diagnosis found, needs no guidance.
         begins_near = bool(np.all(self._deviation(model, space, unknowns, substeps, noise) < _GUIDED * noise))
         for share in () if begins_near else _CORRECTION:

@@ -9,10 +9,10 @@ from estimators._adequacy import alarming, excess_of, line_left, overshadowing, 
 from estimators._candidate import Step
 from estimators._choice import chosen, reconsidered
 from estimators._refit import Refit, Tested
-from estimators._screen import Screened
+from estimators._screen import ALARM, Screened
 from estimators._search import Search, Way
 from estimators._verdict import judge
-from rtac_jax.effects import Impact
+from rtac_jax.effects import Effect, Impact
 
 _REFITS = 4  # candidates refitted at least
 _CLOSE = 0.3  # and those whose score is within this share of the best
@@ -32,7 +32,7 @@ class _Look:
 
     Attributes:
         ranked: those to be refitted, all but the first and what is near it only if the first leaves something.
-        near: those among them that are suspected about as much as the first.
+        near: those among them that are refitted together with the first.
         way: to refit them.
     """
 
@@ -63,18 +63,23 @@ def _hidden(search: Search, base: Refit, tested: Tested) -> _Look:
     """Candidates that random forces of the predictor may hide.
 
     Where the innovations are far from white, what is alike in every second tells more than what is large. And where the most that
-    is left is a line of the spectrum that neither input nor state explains, something rings: what has a resonance comes first.
+    is left is a line of the spectrum that neither input nor state explains, something rings: what has a resonance comes first, and
+    is held against those that would come first otherwise.
     """
     large = by_size(search.quietly(base), float(np.log(search.samples)))
     alike = sorted(large, key=_consistency, reverse=True)
-    first = alike[:_HIDDEN]
-    near = _near(first, _consistency)
+    first = alike[:1]
+    together = [*first, *_near(alike[:_HIDDEN], _consistency)]
     if 0 < line_left(tested.tests) == excess_of(tested.tests):
-        kinds = search.classes
-        ringing = [s for s in alike if len(kinds[s.id].states) > 1 and not issubclass(kinds[s.id], Impact)]
-        first, near = [*ringing, *first], ringing[1:]
-    ranked = {s.id: s for s in (*first, *large[:_HIDDEN])}
-    return _Look(list(ranked.values()), near, search.thoroughly)
+        together = [*(s for s in alike if _rings(search.classes[s.id]) and s.statistic > ALARM), *together]
+    ranked = list({s.id: s for s in (*together, *alike[:_HIDDEN], *large[:_HIDDEN])}.values())
+    names = {s.id for s in together}
+    return _Look(ranked, [s for s in ranked[1:] if s.id in names], search.thoroughly)
+
+
+def _rings(effect: type[Effect]) -> bool:
+    """Whether an effect has a resonance: two states of its own, which are not those of a play."""
+    return len(effect.states) > 1 and not issubclass(effect, Impact)
 
 
 def second_looks(

@@ -9,7 +9,7 @@ import jax
 # xla_backend_extra_options, so a JAX that drops them only loses speed.
 _CPU_OPTIONS = "xla_cpu_use_multi_output_fusion=true,xla_cpu_prefer_vector_width=512"
 _FLAG = "--xla_backend_extra_options="
-_CACHE = os.environ.get("JAX_COMPILATION_CACHE_DIR", "~/.cache/rtac-jax")
+_CACHE = os.environ.get("JAX_COMPILATION_CACHE_DIR") or "~/.cache/rtac-jax"
 
 
 def configure(*, fast: bool = True, cache: str | Path | None = _CACHE) -> str:

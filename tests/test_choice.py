@@ -204,7 +204,7 @@ QUIET = (
         (
             2001.0,
             ["flexible_shaft", "flexible_mode", "lvdt_lag", "arm_coulomb", "backlash", "end_stop", "lvdt_gain"],
-            ["flexible_mode"],
+            ["flexible_mode", "lvdt_lag", "arm_coulomb"],
         ),
     ],
 )

@@ -9,7 +9,7 @@ import pytest
 
 import estimators as est
 import rtac_jax as rtac
-from estimators._beginning import at_rest, nearest, squares
+from estimators._beginning import at_rest, best_starts, squares
 from estimators._compare import Trace
 from estimators._levenberg_marquardt import Arguments
 from estimators._output_error import diagonal_whitener, moving, no_gain
@@ -60,10 +60,10 @@ def test_of_several_starts_each_experiment_takes_the_one_that_leaves_least() -> 
     told = space.unconstrained()
     rest = at_rest(told, space)
     assert np.max(np.abs(np.asarray(space.physical(rest)[2])[[1, 3]])) < 1e-12
-    best = nearest([told, rest], arguments)
+    best = best_starts([told, rest], arguments)
     assert np.all(squares(best, arguments) == np.minimum(squares(told, arguments), squares(rest, arguments)))
     assert squares(best, arguments)[0] < 0.01 * squares(told, arguments)[0]
     # One that is a little better is not worth a change, nor is one that diverges.
-    assert nearest([told, rest], arguments, worth=1e-6) is told
+    assert best_starts([told, rest], arguments, worth=1e-6) is told
     lost = told._replace(start=told.start.at[0].set(np.nan))
-    assert nearest([told, lost], arguments) is told
+    assert best_starts([told, lost], arguments) is told

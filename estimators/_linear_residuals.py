@@ -10,6 +10,9 @@ from jaxtyping import Float
 
 from estimators._linear_start import autocovariance, autoregression
 
+Colour = tuple[Float[np.ndarray, " order"], float]
+"""The autoregression that whitens errors, leading one included, and the variance that it leaves."""
+
 _LEVEL = 0.01
 _LONGEST = 20  # order of the autoregression that stands for the colour of the errors
 
@@ -62,7 +65,7 @@ def residual_test(
     error: Float[np.ndarray, " sample"],
     signal: Float[np.ndarray, " sample"],
     present: Float[np.ndarray, " sample"],
-    colour: tuple[Float[np.ndarray, " order"], float],
+    colour: Colour,
     *,
     noise_parameters: int,
     lags: int = 25,
@@ -108,7 +111,7 @@ def residual_test(
     )
 
 
-def whitened(error: Float[np.ndarray, " sample"]) -> tuple[Float[np.ndarray, " order"], float]:
+def whitened(error: Float[np.ndarray, " sample"]) -> Colour:
     """The autoregression that whitens the errors, leading one included, of the order with the least AIC, and the variance left."""
     count = len(error)
     covariance = autocovariance(error, min(_LONGEST, count // 10))

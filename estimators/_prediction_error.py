@@ -16,7 +16,7 @@ from estimators._linear_equality import Equality, equality_of
 from estimators._linear_fit import Stage, predictor_stage, simulation_stages
 from estimators._linear_model import LinearModel, Unknown
 from estimators._linear_predictor import tracks
-from estimators._linear_residuals import backward_coloured, residual_test, whitened
+from estimators._linear_residuals import Colour, backward_coloured, residual_test, whitened
 from estimators._linear_start import Pair, pole_pairs
 from estimators._linear_structure import STRUCTURES, Scale, Structure
 from estimators._response_record import FrequencyResponses
@@ -275,7 +275,7 @@ def _covariance(
     error: Float[np.ndarray, " sample"],
     jacobian: Float[np.ndarray, "sample unknown"],
     present: Any,
-    colour: tuple[Float[np.ndarray, " order"], float],
+    colour: Colour,
     structure: Structure,
 ) -> tuple[Float[np.ndarray, "unknown unknown"], int]:
     """Of the unknowns, and how many combinations of them the data leave free.

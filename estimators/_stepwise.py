@@ -68,8 +68,7 @@ def _hidden(search: Search, base: Refit, tested: Tested) -> _Look:
     """
     large = by_size(search.quietly(base), float(np.log(search.samples)))
     alike = sorted(large, key=_consistency, reverse=True)
-    first = alike[:1]
-    together = [*first, *_near(alike[:_HIDDEN], _consistency)]
+    together = [*alike[:1], *_near(alike[:_HIDDEN], _consistency)]
     if 0 < line_left(tested.tests) == excess_of(tested.tests):
         together = [*(s for s in alike if _rings(search.classes[s.id]) and s.statistic > ALARM), *together]
     ranked = list({s.id: s for s in (*together, *alike[:_HIDDEN], *large[:_HIDDEN])}.values())

@@ -10,7 +10,7 @@ from tqdm import tqdm
 
 from estimators._candidate import Candidate
 from estimators._diagnose import Diagnosis
-from estimators._likelihood import NoiseModel, fit_predictor
+from estimators._likelihood import NoiseModel, fit_trusted
 from estimators._noise import noise_levels
 from estimators._output_error import Fit, moving, pieces
 from estimators._problem import Data
@@ -98,7 +98,7 @@ def contest_of(
     prior = NoiseModel.of(dict(noise_levels(recording.experiments)), recording.experiments, scales, space)
     substeps = int(fit.statistics["substeps"])
     with tqdm(total=None, disable=not progress, desc="next experiment", unit=" steps", leave=False) as bar:
-        predictor = fit_predictor(
+        predictor, _ = fit_trusted(
             truth,
             Data.of(experiments),
             space,

@@ -146,7 +146,7 @@ def _searched(search: Search, thorough: bool) -> _Found:
     search.bar.set_description("diagnose: predictor of the base model")
     with ThreadPoolExecutor(1) as other:
         other.submit(search.compile_tests)
-        base = search.base()
+        search, base = search.trusting(search.base())
     search.bar.set_description("diagnose: candidates")
     tested = search.tested(base)
     steps, refits = improvements(search, base, tested)

@@ -135,7 +135,7 @@ def _pushed(
             for known, extra in zip((excitation.current, excitation.force), added, strict=True)
         ]
         pushed = Excitation(inputs[0], inputs[1], excitation.sample_time, excitation.arm_free, excitation.cart_free)
-        changed = Data(pushed, data.values, data.present)
+        changed = dataclasses.replace(data, excitation=pushed)
         return error_at(model, changed, space, whitener, gain, space.values, substeps)
 
     zero = jnp.zeros((data.samples, data.experiments))

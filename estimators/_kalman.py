@@ -21,7 +21,8 @@ class Filtered(NamedTuple):
 
     Attributes:
         gain: correction of the state by the prediction error at each sample.
-        whitener: lower triangular; times the prediction error it is white with unit variance.
+        whitener: lower triangular; times the prediction error it is white with unit variance. Zero where samples are not
+            trusted.
         innovations: prediction errors in units of their standard deviation.
         log_likelihood: of each experiment, less the constant.
         shaken: 1 where random forces may shake loose what dry friction holds, so that neither the model's rest nor its
@@ -95,9 +96,10 @@ def kalman(
             # innovation_j = e_j - h . gain e, linear in the errors e_0 .. e_j
             weights = (jnp.eye(OUTPUTS)[j][:, None] - jnp.sum(h[:, None] * gain, axis=0)) * row["present"]
             innovation = there * jnp.sum(weights * error, axis=0)
-            innovations.append(innovation / deviation)
-            whitener.append(there * weights / deviation)
-            likelihood = likelihood - 0.5 * there * (innovation**2 / variance + jnp.log(variance))
+            counts = there * row["trusted"]
+            innovations.append(counts * innovation / deviation)
+            whitener.append(counts * weights / deviation)
+            likelihood = likelihood - 0.5 * counts * (innovation**2 / variance + jnp.log(variance))
             k = there * ph / variance
             gain = gain + k[:, None] * weights[None]
             spread = spread - k[:, None] * ph[None, :]
@@ -131,7 +133,8 @@ def kalman(
         return (state, spread), (gain, jnp.stack(whitener), jnp.stack(innovations), likelihood, shaken)
 
     rows = {
-        "current": excitation.current, "force": excitation.force, "values": data.values, "present": data.present
+        "current": excitation.current, "force": excitation.force, "values": data.values, "present": data.present,
+        "trusted": data.trusted,
     }  # fmt: skip
     found = jax.lax.scan(one_sample, (state, spread), rows, length=data.samples)[1]
     gain, whitener, innovations, likelihood, shaken = found

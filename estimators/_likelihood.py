@@ -238,6 +238,28 @@ def fit_noise(
     return Noise(at, -float(passed.value) if np.isfinite(value) else -np.inf, passed.filtered)
 
 
+def without_shaken(data: Data, filtered: Filtered) -> Data:
+    """The data, of which no sample counts at which random forces shake loose what dry friction holds.
+
+    There the filter takes for a straight line what is a step, and how likely it finds the data changes more with the level of
+    the friction than with the rest of the physics: counted, such samples make the level too low.
+    """
+    return dataclasses.replace(data, trusted=data.trusted * (1.0 - filtered.shaken))
+
+
+def fit_trusted(
+    model: RTAC, data: Data, space: Space, prior: NoiseModel, *, substeps: Steps, rounds: int = 10, progress: Any = None
+) -> tuple[Predictor, Data]:
+    """`fit_predictor`, and again from there `without_shaken` samples; and the data that counted."""
+    found = fit_predictor(model, data, space, prior, substeps=substeps, rounds=rounds, progress=progress)
+    if not np.any(found.filtered.shaken):
+        return found, data
+    data = without_shaken(data, found.filtered)
+    space = dataclasses.replace(space, values=found.physical[0], each_values=found.physical[1])
+    options = {"substeps": substeps, "rounds": rounds, "progress": progress}
+    return fit_predictor(model, data, space, prior, first=found.noise, **options), data
+
+
 def fit_predictor(
     model: RTAC,
     data: Data,

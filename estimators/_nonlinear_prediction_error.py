@@ -15,7 +15,7 @@ from estimators._at_fit import Problem
 from estimators._covariance import Information, information
 from estimators._least_squares import least_squares
 from estimators._levenberg_marquardt import Arguments, diverged, factor
-from estimators._likelihood import NoiseModel, Predictor, fit_predictor
+from estimators._likelihood import NoiseModel, Predictor, fit_trusted
 from estimators._linear_start import autocovariance
 from estimators._noise import noise_levels
 from estimators._output_error import Parameter, accurate_substeps, moving, pieces
@@ -146,9 +146,8 @@ def prediction_error_nonlinear(
 
     The states at the start are taken from the first samples, as doubtful as those are; the filter mends them.
 
-    The filter is linear along its estimate, and dry friction is not: where random forces shake a cart that all but stands
-    still, the level of the friction comes out too low, by two to four of its standard deviations in trials, and what takes
-    its place, viscous friction and random force, too high.
+    The filter is linear along its estimate, and dry friction is not: samples at which random forces may shake loose what
+    dry friction holds do not count.
 
     Args:
         model: parameters released with `per_condition` are estimated for each experiment, the other free ones for all.
@@ -185,7 +184,8 @@ def prediction_error_nonlinear(
         bar.set_postfix_str(text, refresh=False)
 
     try:
-        found = fit_predictor(start, data, space, prior, substeps=jnp.asarray(substeps), rounds=rounds, progress=show)
+        steps = jnp.asarray(substeps)
+        found, data = fit_trusted(start, data, space, prior, substeps=steps, rounds=rounds, progress=show)
     except FloatingPointError as error:
         raise DivergedError(str(error)) from None
     finally:
@@ -216,7 +216,7 @@ def prediction_error_nonlinear(
         experiments=tuple(e.name for e in experiments),
         statistics={
             "substeps": substeps,
-            "samples": float(jnp.sum(data.present)),
+            "samples": float(jnp.sum(data.present * data.trusted[:, None])),
             "seconds": time.perf_counter() - began,
         },
         problem=Problem(arguments, found.unknowns, tuple(experiments), known.names),
@@ -256,12 +256,12 @@ def _each_slopes(space: Space, found: Predictor) -> Float[np.ndarray, "each expe
 
 
 def _whiteness(found: Predictor, data: Data, experiments: list[Experiment]) -> tuple[Whiteness, ...]:
-    innovations, present = np.asarray(found.filtered.innovations), np.asarray(data.present)
+    innovations = np.asarray(found.filtered.innovations)
+    counts = np.asarray(data.present) * np.asarray(data.trusted)[:, None]
     result = []
     for column, experiment in enumerate(experiments):
         for row, channel in enumerate(CHANNELS):
-            here = present[:, row, column]
-            count = float(np.sum(here))
+            count = float(np.sum(counts[:, row, column]))
             if count < 2 * _LAGS:
                 continue
             error = innovations[: experiment.samples, row, column]

@@ -143,7 +143,7 @@ class Probing(Setting):
         There the model's own rest is in doubt, and what it predicts says nothing of what it lacks.
         """
         filtered = refit.predictor.filtered
-        sure = 1.0 - np.asarray(filtered.shaken)[:, None]
+        sure = ((1.0 - np.asarray(filtered.shaken)) * np.asarray(self.data.trusted))[:, None]
         return np.asarray(filtered.innovations) * sure, np.asarray(self.data.present) * sure
 
     def _ranges(self) -> dict[str, tuple[float, float]]:

@@ -25,11 +25,13 @@ class Data(eqx.Module):
         excitation: the inputs.
         values: outputs in the order of `CHANNELS`; zero where there is none.
         present: 1 where an output was measured, else 0.
+        trusted: 0 where a filter follows the outputs but its likelihood and its innovations do not count, else 1.
     """
 
     excitation: Excitation
     values: Outputs3
     present: Outputs3
+    trusted: Float[Array, "sample experiment"]
 
     @classmethod
     def of(cls, experiments: Sequence[Experiment]) -> "Data":
@@ -41,7 +43,10 @@ class Data(eqx.Module):
                     values[: experiment.samples, row, column] = experiment.outputs[channel].values
         present = np.isfinite(values)
         return cls(
-            Excitation.of(experiments), jnp.asarray(np.where(present, values, 0.0)), jnp.asarray(present.astype(float))
+            Excitation.of(experiments),
+            jnp.asarray(np.where(present, values, 0.0)),
+            jnp.asarray(present.astype(float)),
+            jnp.ones((values.shape[0], values.shape[2])),
         )
 
     @property

@@ -12,7 +12,7 @@ import numpy as np
 from estimators._coloured_noise import ColouredNoise
 from estimators._covariance import information
 from estimators._levenberg_marquardt import Arguments, factor
-from estimators._likelihood import compile_predictor, fit_noise, fit_predictor
+from estimators._likelihood import compile_predictor, fit_noise, fit_predictor, without_shaken
 from estimators._output_error import Fit, Parameter, output_error
 from estimators._probing import QUIET, Probing
 from estimators._problem import CHANNELS, start_rows
@@ -53,6 +53,17 @@ class Search(Probing):
     def base(self) -> Refit:
         """The base model."""
         return self._fitted((), self.with_effects([]), tuple(shared(self.model)), None, {})
+
+    def trusting(self, base: Refit) -> "tuple[Search, Refit]":
+        """The same search, and the base model fitted again, where no sample counts at which dry friction is shaken loose.
+
+        The samples are those of the base model, for all models: likelihoods compare only where they count the same data.
+        """
+        if not np.any(base.predictor.filtered.shaken):
+            return self, base
+        search = dataclasses.replace(self, data=without_shaken(self.data, base.predictor.filtered))
+        model = base.model.with_values(base.values)
+        return search, search._fitted((), model, base.free, base.predictor.noise, base.start)
 
     def with_effect(self, before: Refit, s: Screened) -> Refit:
         """A model with one candidate more, all parameters fitted together."""
@@ -232,4 +243,4 @@ class Search(Probing):
         found = fit_predictor(model, self.data, space, prior, substeps=self.substeps, first=noise, progress=show)
         arguments = Arguments(model, self.data, space, found.filtered.whitener, found.filtered.gain, self.substeps)
         triangles = np.asarray(factor(found.unknowns, arguments))
-        return Refit(added, model, found, space, by_sample(found.filtered, self.data), free, triangles)
+        return Refit(added, model, found, space, by_sample(found.filtered), free, triangles)

@@ -6,7 +6,6 @@ import numpy as np
 from jaxtyping import Float
 
 from estimators._kalman import Filtered
-from estimators._problem import Data
 
 _KNOWN = 0.02  # share of what all know of an effect that the other experiments must know
 
@@ -55,12 +54,12 @@ def held_out(
     return change
 
 
-def by_sample(filtered: Filtered, data: Data) -> Float[np.ndarray, "sample experiment"]:
+def by_sample(filtered: Filtered) -> Float[np.ndarray, "sample experiment"]:
     """Log-likelihood of each sample given those before it, less a constant."""
     scale = np.diagonal(np.asarray(filtered.whitener), axis1=1, axis2=2)  # [sample experiment output]
-    present = np.swapaxes(np.asarray(data.present), 1, 2) > 0
+    counts = scale > 0
     errors = np.swapaxes(np.asarray(filtered.innovations), 1, 2)
-    return np.sum(np.where(present, np.log(np.where(present, scale, 1.0)) - 0.5 * errors**2, 0.0), axis=2)
+    return np.sum(np.where(counts, np.log(np.where(counts, scale, 1.0)) - 0.5 * errors**2, 0.0), axis=2)
 
 
 def vuong(better: np.ndarray, other: np.ndarray, blocks: np.ndarray, price: float) -> float:

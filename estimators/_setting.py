@@ -96,8 +96,8 @@ class Setting:
 
     @property
     def samples(self) -> int:
-        """Number of measured values."""
-        return int(np.sum(np.asarray(self.data.present)))
+        """Number of measured values that count."""
+        return int(np.sum(np.asarray(self.data.present) * np.asarray(self.data.trusted)[:, None]))
 
     def stretches(self) -> np.ndarray:
         """For every sample and experiment the number of the second that it belongs to."""

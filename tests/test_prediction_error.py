@@ -471,13 +471,15 @@ def test_nothing_to_fit_is_refused(shaken):
         est.prediction_error_nonlinear(model, resting)
 
 
-@pytest.mark.slow
-@pytest.mark.xfail(
-    strict=True, reason="the filter is linear along its estimate, which makes dry friction come out too low"
-)
 def test_random_forces_do_not_bend_dry_friction():
-    """The target, not reached: measured -3.6 standard deviations for its level; the others are within 3."""
+    """With the samples counted at which they shake it loose its level is 6 standard deviations low, and damping 4 high."""
     rig = Rig(encoder=True, force_noise=0.005, torque_noise=5e-5)
     data = record(rig, standard_plans(seed=1, sample_time=0.01, duration=8.0, free=3, forced=4, rest=1), seed=1)
     found = est.prediction_error_nonlinear(rtac.RTAC.from_rig(data), data, progress=False)
-    assert max(abs(x) for x in away(found, {"cart_coulomb.level": rig.cart_coulomb}).values()) < 3
+    truth = {
+        "cart_coulomb.level": rig.cart_coulomb, "cart_viscous.coefficient": rig.cart_viscous,
+        "spring_stiffness": rig.spring_stiffness, "eccentric_moment": rig.eccentric_moment,
+    }  # fmt: skip
+    assert max(abs(x) for x in away(found, truth).values()) < 3
+    counted = found.statistics["samples"] / sum(e.samples * len(e.outputs) for e in data if e.kind != "rest")
+    assert 0.5 < counted < 0.98, "some samples are left out, and not most"

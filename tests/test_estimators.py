@@ -494,13 +494,19 @@ def test_kalman_filter_agrees_with_one_for_linear_systems() -> None:
     )
     model = rtac.RTAC.from_rig(rtac.Recording((experiment,), rig={})).without("cart_coulomb")
     space = space_of(model, [experiment], free=[], start={"a": np.array([0.003, 0.0, 0.0, 0.0])})
-    found = filtered(
-        model, Data.of([experiment]), space, space.physical(space.unconstrained(start=False)),
-        sensor_variance=jnp.full((3, 1), sensor**2), process=(jnp.asarray(density), jnp.asarray(0.0)),
-        start_variance=jnp.asarray([[1e-8], [1e-6], [0.0], [0.0]]), substeps=8,
+    data = Data.of([experiment])
+    # A third of the samples is followed and does not count.
+    counts = (np.arange(count) % 3 > 0).astype(float)
+    found, some = (
+        filtered(
+            model, dataclasses.replace(data, trusted=trusted), space, space.physical(space.unconstrained(start=False)),
+            sensor_variance=jnp.full((3, 1), sensor**2), process=(jnp.asarray(density), jnp.asarray(0.0)),
+            start_variance=jnp.asarray([[1e-8], [1e-6], [0.0], [0.0]]), substeps=8,
+        )
+        for trusted in (data.trusted, jnp.asarray(counts[:, None]))
     )  # fmt: skip
 
-    state, spread, likelihood = np.array([0.003, 0.0]), np.diag([1e-8, 1e-6]), 0.0
+    state, spread, likelihood, counted = np.array([0.003, 0.0]), np.diag([1e-8, 1e-6]), 0.0, 0.0
     half = 0.5 * dt * density * np.outer(push, push)
     for k in range(count):
         variance = spread[0, 0] + sensor**2
@@ -508,10 +514,15 @@ def test_kalman_filter_agrees_with_one_for_linear_systems() -> None:
         gain = spread[:, 0] / variance
         assert float(found.innovations[k, 0, 0]) == pytest.approx(error / np.sqrt(variance), abs=1e-5)
         np.testing.assert_allclose(np.asarray(found.gain[k, :2, 0, 0]), gain, rtol=1e-5)
+        assert float(some.innovations[k, 0, 0]) == pytest.approx(counts[k] * error / np.sqrt(variance), abs=1e-5)
+        np.testing.assert_allclose(np.asarray(some.gain[k, :2, 0, 0]), gain, rtol=1e-5)
         likelihood -= 0.5 * (error**2 / variance + np.log(variance))
+        counted -= 0.5 * counts[k] * (error**2 / variance + np.log(variance))
         state = f @ (state + gain * error) + g * force[k]
         spread = f @ (spread - np.outer(gain, spread[0]) + half) @ f.T + half
     assert float(found.log_likelihood[0]) == pytest.approx(likelihood, rel=1e-6)
+    assert float(some.log_likelihood[0]) == pytest.approx(counted, rel=1e-6)
+    assert not np.any(np.asarray(some.whitener)[counts == 0])
 
 
 def test_the_compressed_residual_keeps_squares_and_gradients(noisy: rtac.Recording) -> None:

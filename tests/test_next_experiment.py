@@ -69,9 +69,6 @@ def delayed() -> Case:
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(
-    strict=True, reason="the diagnosis of all records together says unknown: not understood yet, issue 4"
-)
 def test_lag_or_delay_is_settled_by_the_recommended_experiment(delayed: Case) -> None:
     assert delayed.found.verdict == "ambiguous"
     assert {c.id for c in delayed.found.effects} == {"input_delay", "current_lag"} == set(delayed.next.effects)

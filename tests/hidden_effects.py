@@ -1,0 +1,27 @@
+"""Recordings of one shape with hidden effects, on rigs drawn around the paper's, and their diagnosis."""
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any
+
+import estimators as est
+import rtac_jax as rtac
+from rtac_jax import virtual_rig
+
+
+def recorded(hidden: Mapping[str, dict[str, Any]], first: int) -> dict[str, rtac.Recording]:
+    """One recording for each set of hidden values; `first` numbers the rigs and what is played on them."""
+    jobs = []
+    for number, values in enumerate(hidden.values(), first):
+        rig = virtual_rig.Rig().drawn(100 + number)
+        plans = virtual_rig.standard_plans(
+            seed=200 + number, sample_time=0.005, duration=6.0, free=2, forced=4, rest=1, repeats=1
+        )
+        jobs.append((dataclasses.replace(rig, **values), plans, 300 + number))
+    return dict(zip(hidden, virtual_rig.record_many(jobs), strict=True))
+
+
+def diagnosed(recording: rtac.Recording) -> est.Diagnosis:
+    """With the paper's model as the base."""
+    model = rtac.RTAC.from_rig(recording)
+    return est.diagnose(est.output_error(model, recording, progress=False), recording, progress=False)

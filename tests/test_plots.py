@@ -1,6 +1,7 @@
 """Every picture, and the JSON beside it, on small records made by hand: units, a title that states a finding, nothing empty."""
 
 import dataclasses
+import itertools
 import json
 import re
 import warnings
@@ -213,7 +214,7 @@ def drawn():
     before = dict(matplotlib.rcParams)
     found = {name: draw() for name, draw in PICTURES.items()}
     for figure in found.values():
-        figure.canvas.draw()
+        figure.draw_without_rendering()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # reading some rcParams warns
         assert dict(matplotlib.rcParams) == before
@@ -235,13 +236,17 @@ def test_every_picture_is_labelled_and_states_a_finding(drawn, name):
 
 
 @pytest.mark.parametrize("name", PICTURES)
-def test_nothing_sticks_out_of_a_picture(drawn, name):
+def test_titles_neither_stick_out_of_a_picture_nor_overlap(drawn, name):
     figure = drawn[name]
     width = figure.bbox.width
-    for text in [figure._suptitle, *(one.title for one in figure.get_axes())]:
-        box = text.get_window_extent()
+    every = [figure._suptitle, *(text for one in figure.get_axes() for text in (one.title, one._left_title))]
+    titles = [text for text in every if text.get_text()]
+    boxes = [text.get_window_extent().padded(-2.0) for text in titles]  # lines of text are higher than their letters
+    for text, box in zip(titles, boxes, strict=True):
         assert box.x0 >= 0, text.get_text()
         assert box.x1 <= width, text.get_text()
+    for i, j in itertools.combinations(range(len(titles)), 2):
+        assert not boxes[i].overlaps(boxes[j]), (titles[i].get_text(), titles[j].get_text())
 
 
 def test_titles_carry_the_numbers(drawn):

@@ -62,7 +62,7 @@ def draw_pair(top: Any, below: Any, traces: list[Trace], labels: list[str]) -> N
     for trace, name, style in zip(traces, labels, MODELS, strict=False):
         top.plot(trace.time[near], scale.factor * trace.simulated[near], label=name, **style)
     ratios = " → ".join(times(t.rms / t.noise) for t in traces)
-    top.set_title(f"{first.experiment}: rms {ratios} times the noise", fontsize=9, loc="left")
+    top.set_title(f"{first.experiment}: rms {ratios} × noise", fontsize=9, loc="left")
     top.set_ylabel(label(first.channel, scale.unit), fontsize=SMALL)
     low, high = top.get_ylim()
     top.set_ylim(low, high + 0.22 * (high - low))  # room for the legend

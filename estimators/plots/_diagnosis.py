@@ -132,7 +132,7 @@ def _bars(axes: Any, diagnosis: Diagnosis, *, wide: bool) -> None:
     marked = "★ and dark: accepted" if accepted else "none accepted"
     if any(_alarms(c) and c.id not in accepted for c in shown):
         marked += "; hatched: alarm"
-    axes.set_title(f"{more}; {marked}", fontsize=9, loc="left")
+    axes.set_title(f"{more};\n{marked}", fontsize=9, loc="left")
     tidy(axes)
     axes.grid(False, axis="y")
 

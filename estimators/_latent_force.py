@@ -28,6 +28,7 @@ _MEMORIES = (
 # Standard deviations of the force that are tried, as shares of the rms spring force or motor torque.
 _SHARES = (1e-4, 1e-3, 3e-3, 1e-2, 3e-2, 1e-1, 3e-1)
 _STILL = 1e-7  # share of the force that stands for none
+_RINGING = (1.0, 3.0, 10.0)  # correlation times that are tried of a force that swings, in its periods
 
 
 @dataclasses.dataclass(frozen=True)
@@ -90,6 +91,8 @@ def latent_forces(
 ) -> tuple[LatentForce, ...]:
     """Smooth an Ornstein-Uhlenbeck force on the cart and one on the arm, of the sizes that the data make most likely.
 
+    If a force that swings at the frequency at which the smoothed one is strongest makes the data likelier, it is that one.
+
     Args:
         physical: parameters and starts of the predictor with this gain.
         force, torque: sizes that scale the forces [N, N m].
@@ -98,34 +101,46 @@ def latent_forces(
     Returns:
         The larger gain in likelihood first; ports that nothing shows are left out.
 
-    Source: Rogers and Friis, Mechanical Systems and Signal Processing 166 (2022); smoother of Rauch, Tung and Striebel.
+    Source: Rogers and Friis, Mechanical Systems and Signal Processing 166 (2022); smoother of Rauch, Tung and Striebel; the
+    force that swings: Solin and Sarkka, Explicit link between periodic covariance functions and state space models (2014).
     """
     scale = np.array([force, torque])
     still = _STILL * scale
     variance = jnp.broadcast_to(jnp.asarray(sensor_variance)[:, None], (len(sensor_variance), data.experiments))
     linear = _linearised(model, data, space, physical, gain, variance, jnp.asarray(substeps))
 
-    def likelihood(shares: np.ndarray, memory: float) -> tuple[float, np.ndarray]:
+    def likelihood(shares: np.ndarray, memory: float, swing: float = 0.0) -> tuple[float, np.ndarray]:
         """Without a force, and with one at each port of each size (a row of shares for each port)."""
         trials = np.broadcast_to(still, (1 + shares.size, 2)).copy()
         for port in range(2):
             trials[1 + port * shares.shape[1] :, port][: shares.shape[1]] = shares[port] * scale[port]
-        values = np.asarray(_likelihoods(linear, data, gain, jnp.asarray(trials), jnp.asarray(memory)))
+        values = np.asarray(
+            _likelihoods(linear, data, gain, jnp.asarray(trials), jnp.asarray(memory), jnp.asarray(swing))
+        )
         return float(values[0]), values[1:].reshape(2, -1)
 
-    coarse = np.broadcast_to(_SHARES, (2, len(_SHARES)))
-    memories = np.array(_MEMORIES) * 2 * np.pi / frequency
-    memory = float(max(memories, key=lambda m: likelihood(coarse, m)[1].max()))
-    middle = coarse[0, likelihood(coarse, memory)[1].argmax(axis=1)]
-    fine = middle[:, None] * np.geomspace(0.25, 4.0, len(_SHARES))
-    none, by_port = likelihood(fine, memory)
-    chosen = np.take_along_axis(fine, by_port.argmax(axis=1)[:, None], axis=1)[:, 0] * scale
-    chosen = np.where(by_port.max(axis=1) > none, chosen, still)
-    smoothed, spread = (np.asarray(x) for x in _smoothed(linear, data, gain, jnp.asarray(chosen), jnp.asarray(memory)))
+    def likeliest(memories: np.ndarray, swing: float) -> tuple[Any, ...]:
+        """Gain of each port, and what is smoothed."""
+        coarse = np.broadcast_to(_SHARES, (2, len(_SHARES)))
+        memory = float(max(memories, key=lambda m: likelihood(coarse, m, swing)[1].max()))
+        middle = coarse[0, likelihood(coarse, memory, swing)[1].argmax(axis=1)]
+        fine = middle[:, None] * np.geomspace(0.25, 4.0, len(_SHARES))
+        none, by_port = likelihood(fine, memory, swing)
+        gained = by_port.max(axis=1) - none
+        chosen = np.take_along_axis(fine, by_port.argmax(axis=1)[:, None], axis=1)[:, 0] * scale
+        chosen = jnp.asarray(np.where(gained > 0, chosen, still))
+        found = _smoothed(linear, data, gain, chosen, jnp.asarray(memory), jnp.asarray(swing))
+        return gained, memory, *(np.asarray(x) for x in found)
+
+    gained, memory, smoothed, spread = likeliest(np.array(_MEMORIES) * 2 * np.pi / frequency, 0.0)
+    strongest = _strongest(smoothed[:, int(np.argmax(gained))], experiments)
+    swinging = likeliest(np.array(_RINGING) * 2 * np.pi / strongest, strongest)
+    if swinging[0].max() > gained.max():
+        gained, memory, smoothed, spread = swinging
     lengths = [e.samples for e in experiments]
     found = []
     for port, name in enumerate(_PORTS):
-        better = float(by_port[port].max() - none)
+        better = float(gained[port])
         if better <= 0:
             continue
         at, std = smoothed[:, port].copy(), np.sqrt(np.maximum(spread[:, port], 0.0))
@@ -222,16 +237,24 @@ def _linearised(
     return _Linear(transition, push, shown, error, wander, excitation.sample_time)
 
 
-def _filter(linear: _Linear, data: Data, gain: Array, size: Array, memory: Any) -> Any:
-    """Kalman filter of what the prediction missed, with the two forces as further states, and what the smoother needs."""
+def _filter(linear: _Linear, data: Data, gain: Array, size: Array, memory: Any, swing: Any) -> Any:
+    """Kalman filter of what the prediction missed, with the two forces as further states, and what the smoother needs.
+
+    A force is the real part of a phasor that turns at `swing` [rad/s] and forgets within `memory` [s].
+    """
     count, experiments = linear.transition.shape[1], linear.error.shape[2]
     keep = jnp.exp(-linear.interval / memory)
-    whole, own, variance = count + 2, jnp.arange(count), linear.wander.white
-    fresh = jnp.zeros((whole, whole, experiments)).at[own, own].set(linear.wander.fresh)
-    fresh = fresh.at[count, count].set((1 - keep**2) * size[0] ** 2)
-    fresh = fresh.at[count + 1, count + 1].set((1 - keep**2) * size[1] ** 2)
-    spread = jnp.zeros((whole, whole, experiments)).at[own, own].set(linear.wander.stationary)
-    spread = spread.at[count, count].set(size[0] ** 2).at[count + 1, count + 1].set(size[1] ** 2)
+    turn = keep * jnp.array([[jnp.cos(swing * linear.interval), -jnp.sin(swing * linear.interval)],
+                             [jnp.sin(swing * linear.interval), jnp.cos(swing * linear.interval)]])  # fmt: skip
+    unmoved, still = jnp.zeros((2, count, experiments)), jnp.zeros((2, 2, experiments))
+    onward = jnp.concatenate(
+        [jnp.concatenate([unmoved, turn, still], axis=1), jnp.concatenate([unmoved, still, turn], axis=1)]
+    )
+    whole, variance = count + 4, linear.wander.white
+    power = jnp.broadcast_to(jnp.stack([size[0], size[0], size[1], size[1]])[:, None] ** 2, (4, experiments))
+    unit = jnp.eye(whole)[:, :, None]
+    fresh = unit * jnp.concatenate([linear.wander.fresh, (1 - keep**2) * power])
+    spread = unit * jnp.concatenate([linear.wander.stationary, power])
 
     def one(carry: Any, row: Any) -> Any:
         mean, spread = carry
@@ -239,7 +262,7 @@ def _filter(linear: _Linear, data: Data, gain: Array, size: Array, memory: Any) 
         before = (mean, spread)
         likelihood = jnp.zeros(experiments)
         for j in range(len(variance)):
-            h = jnp.concatenate([shown[j], jnp.zeros((2, experiments))])
+            h = jnp.concatenate([shown[j], jnp.zeros((4, experiments))])
             ph = jnp.sum(spread * h[None], axis=1)
             s = jnp.sum(h * ph, axis=0) + variance[j]
             off = error[j] - jnp.sum(h * mean, axis=0)
@@ -247,9 +270,9 @@ def _filter(linear: _Linear, data: Data, gain: Array, size: Array, memory: Any) 
             mean, spread = mean + k * off, spread - k[:, None] * ph[None]
             likelihood = likelihood - 0.5 * present[j] * (off**2 / s + jnp.log(s))
         moved = jnp.sum(correction * error[None], axis=1)
-        forward = jnp.zeros((whole, whole, experiments)).at[:count, :count].set(transition)
-        forward = forward.at[:count, count:].set(push)
-        forward = forward.at[count, count].set(keep).at[count + 1, count + 1].set(keep)
+        nothing = jnp.zeros((count, experiments))
+        pushes = jnp.stack([push[:, 0], nothing, push[:, 1], nothing], axis=1)
+        forward = jnp.concatenate([jnp.concatenate([transition, pushes], axis=1), onward])
         known = mean.at[:count].add(-moved)
         after = jnp.sum(forward * known[None], axis=1)
         half = jnp.einsum("abe,bce->ace", forward, spread)
@@ -264,14 +287,14 @@ def _filter(linear: _Linear, data: Data, gain: Array, size: Array, memory: Any) 
 
 
 @eqx.filter_jit
-def _likelihoods(linear: _Linear, data: Data, gain: Array, sizes: Array, memory: Any) -> Array:
-    return jax.lax.map(lambda size: _filter(linear, data, gain, size, memory)[1][3].sum(), sizes)
+def _likelihoods(linear: _Linear, data: Data, gain: Array, sizes: Array, memory: Any, swing: Any) -> Array:
+    return jax.lax.map(lambda size: _filter(linear, data, gain, size, memory, swing)[1][3].sum(), sizes)
 
 
 @eqx.filter_jit
-def _smoothed(linear: _Linear, data: Data, gain: Array, size: Array, memory: Any) -> tuple[Array, Array]:
+def _smoothed(linear: _Linear, data: Data, gain: Array, size: Array, memory: Any, swing: Any) -> tuple[Array, Array]:
     """Mean and variance of the two forces, [sample port experiment]."""
-    last, (before, filtered, back, _) = _filter(linear, data, gain, size, memory)
+    last, (before, filtered, back, _) = _filter(linear, data, gain, size, memory, swing)
 
     def one(carry: Any, row: Any) -> Any:
         ahead, ahead_spread = carry  # smoothed at the next sample
@@ -286,8 +309,8 @@ def _smoothed(linear: _Linear, data: Data, gain: Array, size: Array, memory: Any
         mean = mean + jnp.sum(j * (ahead - predicted)[None], axis=1)
         change = jnp.einsum("abe,bce->ace", j, ahead_spread - predicted_spread)
         spread = spread + jnp.einsum("abe,cbe->ace", change, j)
-        return (mean, spread), (mean[-2:], jnp.stack([spread[-2, -2], spread[-1, -1]]))
+        return (mean, spread), (mean, jnp.diagonal(spread).T)
 
     ahead_predictions = jax.tree.map(lambda x, end: jnp.concatenate([x[1:], end[None]]), before, last)
     _, (mean, spread) = jax.lax.scan(one, last, (filtered, back, ahead_predictions), reverse=True)
-    return mean, spread
+    return mean[:, -4::2], spread[:, -4::2]

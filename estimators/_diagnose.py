@@ -21,7 +21,7 @@ from estimators._refit import Refit, Tested
 from estimators._screen import correlations
 from estimators._search import Search
 from estimators._stepwise import Tried, by_size, improvements, second_looks
-from estimators._verdict import Verdict, floor, judge, not_named, surer, without_named_rivals, words
+from estimators._verdict import Verdict, floor, judge, not_named, shaken, surer, without_named_rivals, words
 from estimators._where import Place
 from rtac_jax import RTAC, require_configured
 from rtac_jax._parameter import declarations
@@ -211,6 +211,9 @@ def _explanation(told: Diagnosis, steps: Sequence[Step], found: _Found, further:
         text += f" {steps[0].id} raised no alarm by itself: it was tried because what did explains less, or nothing."
     if told.verdict == "unknown" and not found.thorough:
         text += " This was a quick diagnosis: a thorough one also tries what raised no alarm."
+    if told.verdict != "unknown":
+        final = (steps[-1].refit if steps else found.base).predictor
+        text += shaken(final.random_force, final.random_torque)
     if search.assumed:
         text += f" Coloured noise of {', '.join(search.assumed)} was assumed: the data are far more likely with it."
     return text + surer(told.verdict, search.recording)

@@ -15,6 +15,7 @@ from rtac_jax.measurement import Recording
 
 Verdict = Literal["adequate", "missing", "ambiguous", "unknown"]
 
+_SHAKEN = 1e-2  # share of the rms forces from which random forces in one sample are worth a word
 _FOUND = 0.9  # share of the misfit that the named effects must remove
 _STATIC = 0.5  # share of the misfit that a force curve must explain to be called the missing force
 
@@ -131,6 +132,21 @@ def surer(verdict: Verdict, recording: Recording) -> str:
         return ""
     surer = "A missing effect would show more surely" if verdict == "adequate" else "It would be surer"
     return f" {surer} with {', and '.join(lacking)}."
+
+
+def shaken(random_force: float, random_torque: float) -> str:
+    """What random forces mean for the fit that follows; nothing where they are small.
+
+    Args:
+        random_force, random_torque: in one sample, as shares of the rms spring force and motor torque.
+    """
+    if max(random_force, random_torque) < _SHAKEN:
+        return ""
+    return (
+        f" Random forces shake the rig even so ({100 * random_force:.1f} % of the rms spring force in one sample,"
+        f" {100 * random_torque:.1f} % of the rms torque). A simulation cannot follow them: est.prediction_error_nonlinear"
+        " estimates parameters of such a rig, est.output_error may not."
+    )
 
 
 def _unknown(

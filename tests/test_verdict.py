@@ -10,7 +10,7 @@ from estimators._candidate import Step
 from estimators._latent_force import LatentForce
 from estimators._line_classes import LineClass
 from estimators._refit import Refit
-from estimators._verdict import judge, share_removed, words
+from estimators._verdict import judge, shaken, share_removed, words
 
 SAMPLES = 10_000
 
@@ -102,3 +102,9 @@ def test_unknown_says_which_lines_of_a_periodic_input_show_it() -> None:
 
 def unknown(latent: list[LatentForce], lines: list[LineClass]) -> str:
     return words("unknown", [], [], [], (found(600.0),), (), 0.0, [], latent, [], lines)
+
+
+def test_random_forces_are_told_of_where_they_matter():
+    assert shaken(1e-4, 2e-3) == ""
+    assert "5.8 % of the rms spring force" in shaken(0.058, 1e-5)
+    assert "est.prediction_error_nonlinear" in shaken(1e-5, 0.02)

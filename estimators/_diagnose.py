@@ -211,9 +211,9 @@ def _explanation(told: Diagnosis, steps: Sequence[Step], found: _Found, further:
         text += f" {steps[0].id} raised no alarm by itself: it was tried because what did explains less, or nothing."
     if told.verdict == "unknown" and not found.thorough:
         text += " This was a quick diagnosis: a thorough one also tries what raised no alarm."
-    if told.verdict != "unknown":
+    if not any(test.rejects for test in told.left):  # or else random forces may stand for what is still missing
         final = (steps[-1].refit if steps else found.base).predictor
-        text += shaken(final.random_force, final.random_torque)
+        text += shaken(final.random_force, final.random_torque, search.left_out)
     if search.assumed:
         text += f" Coloured noise of {', '.join(search.assumed)} was assumed: the data are far more likely with it."
     return text + surer(told.verdict, search.recording)

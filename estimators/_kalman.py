@@ -22,7 +22,7 @@ class Filtered(NamedTuple):
     Attributes:
         gain: correction of the state by the prediction error at each sample.
         whitener: lower triangular; times the prediction error it is white with unit variance. Zero where samples are not
-            trusted.
+            trusted, and so are the innovations and their share of the likelihood.
         innovations: prediction errors in units of their standard deviation.
         log_likelihood: of each experiment, less the constant.
         shaken: 1 where random forces may shake loose what dry friction holds, so that neither the model's rest nor its

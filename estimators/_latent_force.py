@@ -1,4 +1,4 @@
-"""The missing force and torque in time: smoothed from the innovations as forces that change slowly."""
+"""The missing force and torque in time: smoothed from the innovations as forces that change slowly, or that swing."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -91,7 +91,8 @@ def latent_forces(
 ) -> tuple[LatentForce, ...]:
     """Smooth an Ornstein-Uhlenbeck force on the cart and one on the arm, of the sizes that the data make most likely.
 
-    If a force that swings at the frequency at which the smoothed one is strongest makes the data likelier, it is that one.
+    A port has one that swings instead, at the frequency at which the smoothed one is strongest, if that is likelier by more than
+    the price of a parameter.
 
     Args:
         physical: parameters and starts of the predictor with this gain.
@@ -132,14 +133,14 @@ def latent_forces(
         found = _smoothed(linear, data, gain, chosen, jnp.asarray(memory), jnp.asarray(swing))
         return gained, memory, *(np.asarray(x) for x in found)
 
-    gained, memory, smoothed, spread = likeliest(np.array(_MEMORIES) * 2 * np.pi / frequency, 0.0)
-    strongest = _strongest(smoothed[:, int(np.argmax(gained))], experiments)
+    slow = likeliest(np.array(_MEMORIES) * 2 * np.pi / frequency, 0.0)
+    strongest = _strongest(slow[2][:, int(np.argmax(slow[0]))], experiments)
     swinging = likeliest(np.array(_RINGING) * 2 * np.pi / strongest, strongest)
-    if swinging[0].max() > gained.max():
-        gained, memory, smoothed, spread = swinging
+    price = 0.5 * float(np.log(np.sum(np.asarray(data.present))))  # of the frequency
     lengths = [e.samples for e in experiments]
     found = []
     for port, name in enumerate(_PORTS):
+        gained, memory, smoothed, spread = swinging if swinging[0][port] > slow[0][port] + price else slow
         better = float(gained[port])
         if better <= 0:
             continue
@@ -147,12 +148,11 @@ def latent_forces(
         for column, length in enumerate(lengths):
             at[length:, column] = np.nan
             std[length:, column] = np.nan
-        # The mean square of an estimate counts its uncertainty once less than that of the force itself.
-        rms = float(np.sqrt(np.nanmean(at**2 + std**2)))
+        # Between what the data show and what they leave room for: of the latter the assumed spectrum decides.
+        seen, possible = np.sqrt(np.nanmean(at**2)), np.sqrt(np.nanmean(at**2 + std**2))
+        rms = float(0.5 * (seen + possible))
         independent = np.sum(np.isfinite(at)) * np.median([e.sample_time for e in experiments]) / memory
-        doubt = float(
-            np.sqrt(np.nanmean(std**2)) / np.sqrt(max(independent, 1.0)) + rms / np.sqrt(2 * max(independent, 1.0))
-        )
+        doubt = float(0.5 * (possible - seen) + rms / np.sqrt(2 * max(independent, 1.0)))
         found.append(
             LatentForce(
                 name,
@@ -258,7 +258,7 @@ def _filter(linear: _Linear, data: Data, gain: Array, size: Array, memory: Any, 
 
     def one(carry: Any, row: Any) -> Any:
         mean, spread = carry
-        transition, push, shown, error, present, correction = row
+        transition, push, shown, error, present, trusted, correction = row
         before = (mean, spread)
         likelihood = jnp.zeros(experiments)
         for j in range(len(variance)):
@@ -279,9 +279,9 @@ def _filter(linear: _Linear, data: Data, gain: Array, size: Array, memory: Any, 
         grown = jnp.einsum("abe,cbe->ace", half, forward) + fresh
         # gain of the smoother: P F' (F P F' + Q)^-1
         back = jnp.einsum("abe,cbe->ace", spread, forward)
-        return (after, 0.5 * (grown + jnp.swapaxes(grown, 0, 1))), (before, (mean, spread), back, likelihood)
+        return (after, 0.5 * (grown + jnp.swapaxes(grown, 0, 1))), (before, (mean, spread), back, trusted * likelihood)
 
-    rows = (linear.transition, linear.push, linear.shown, linear.error, data.present, gain)
+    rows = (linear.transition, linear.push, linear.shown, linear.error, data.present, data.trusted, gain)
     start = jnp.zeros((whole, experiments))
     return jax.lax.scan(one, (start, spread), rows)
 

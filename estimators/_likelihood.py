@@ -85,7 +85,7 @@ class Predictor:
         physical: all parameters and starts.
         noise: logarithms of the process variances (shares of force and torque) and of the sensors' variance ratios.
         filtered: gains, whiteners and innovations.
-        log_likelihood: of all data.
+        log_likelihood: of all data that count.
     """
 
     unknowns: Unknowns
@@ -245,6 +245,11 @@ def without_shaken(data: Data, filtered: Filtered) -> Data:
     the friction than with the rest of the physics: counted, such samples make the level too low.
     """
     return dataclasses.replace(data, trusted=data.trusted * (1.0 - filtered.shaken))
+
+
+def all_trusted(data: Data) -> Data:
+    """The data, of which every sample counts."""
+    return dataclasses.replace(data, trusted=jnp.ones_like(data.trusted))
 
 
 def fit_trusted(

@@ -267,7 +267,8 @@ def _whiteness(found: Predictor, data: Data, experiments: list[Experiment]) -> t
             error = innovations[: experiment.samples, row, column]
             own = autocovariance(error, _LAGS)
             auto = own[1:] / own[0]
-            left = count - np.arange(1, _LAGS + 1)
+            here = counts[: experiment.samples, row, column]
+            left = np.array([max(here[lag:] @ here[:-lag], 1.0) for lag in range(1, _LAGS + 1)])  # pairs that count
             p_value = float(scipy.stats.chi2.sf(count * (count + 2) * np.sum(auto**2 / left), _LAGS))
             band = float(scipy.stats.norm.isf(_LEVEL / 2) / np.sqrt(count))
             rms = float(np.sqrt(np.sum(error**2) / count))

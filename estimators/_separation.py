@@ -125,4 +125,5 @@ def _innovations(contest: Contest, experiments: Sequence[Experiment], start: Map
     rows = {name: passed.gain[:, place] for place, name in enumerate(contest.base.states)}
     nothing = jnp.zeros_like(passed.gain[:, 0])
     gain = jnp.stack([rows.get(name, nothing) for name in model.states], axis=1)
-    return Innovations(model, data, wide, passed.whitener, gain, substeps)
+    sure = 1.0 - passed.shaken[:, None, None]  # as in the diagnosis that is to tell them apart
+    return Innovations(model, data, wide, passed.whitener * sure, gain, substeps)

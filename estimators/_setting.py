@@ -99,6 +99,11 @@ class Setting:
         """Number of measured values that count."""
         return int(np.sum(np.asarray(self.data.present) * np.asarray(self.data.trusted)[:, None]))
 
+    @property
+    def left_out(self) -> float:
+        """Share of the measured values that do not count."""
+        return 1.0 - self.samples / float(np.sum(np.asarray(self.data.present)))
+
     def stretches(self) -> np.ndarray:
         """For every sample and experiment the number of the second that it belongs to."""
         return stretches(self.data)

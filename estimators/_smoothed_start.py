@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from estimators._likelihood import run_filter
+from estimators._likelihood import all_trusted, run_filter
 from estimators._nonlinear_prediction_error import PredictorFit
 
 _STEPS = 12
@@ -28,6 +28,7 @@ def smoothed_start(fit: PredictorFit) -> Float[np.ndarray, "start experiment"]:
     Source: maximum a posteriori smoothing; Bell, SIAM J. Optim. 4 (1994), as a Gauss-Newton method.
     """
     a = fit.problem.arguments
+    data = all_trusted(a.data)  # a body that rests in the first samples tells where it begins
     shared, each, first = (np.asarray(part) for part in a.space.physical(fit.problem.unknowns))
     deviation = np.sqrt(np.asarray(fit.prior.start_variance))
     sure = dataclasses.replace(fit.prior, start_variance=jnp.zeros_like(fit.prior.start_variance))
@@ -35,7 +36,7 @@ def smoothed_start(fit: PredictorFit) -> Float[np.ndarray, "start experiment"]:
     def looked_at(moved: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Log of the probability, and the innovations, after moves in standard deviations beforehand."""
         physical: Any = (jnp.asarray(shared), jnp.asarray(each), jnp.asarray(first + deviation * moved))
-        passed = run_filter(a.model, a.data, a.space, physical, sure, fit.noise_exponents, a.substeps).filtered
+        passed = run_filter(a.model, data, a.space, physical, sure, fit.noise_exponents, a.substeps).filtered
         likelihood = np.asarray(passed.log_likelihood) - 0.5 * np.sum(moved**2, axis=0)
         return np.where(np.isfinite(likelihood), likelihood, -np.inf), np.nan_to_num(
             np.asarray(passed.innovations), posinf=0.0, neginf=0.0

@@ -15,6 +15,7 @@ from rtac_jax.measurement import Recording
 
 Verdict = Literal["adequate", "missing", "ambiguous", "unknown"]
 
+_LEFT_OUT = 0.02  # share of the samples from which it is worth a word that they do not count
 _SHAKEN = 1e-2  # share of the rms forces from which random forces in one sample are worth a word
 _FOUND = 0.9  # share of the misfit that the named effects must remove
 _STATIC = 0.5  # share of the misfit that a force curve must explain to be called the missing force
@@ -134,15 +135,22 @@ def surer(verdict: Verdict, recording: Recording) -> str:
     return f" {surer} with {', and '.join(lacking)}."
 
 
-def shaken(random_force: float, random_torque: float) -> str:
-    """What random forces mean for the fit that follows; nothing where they are small.
+def shaken(random_force: float, random_torque: float, left_out: float) -> str:
+    """What random forces mean for the verdict and for the fit that follows; nothing where they are small.
 
     Args:
         random_force, random_torque: in one sample, as shares of the rms spring force and motor torque.
+        left_out: share of the samples at which they may shake loose what dry friction holds.
     """
+    said = ""
+    if left_out > _LEFT_OUT:
+        said = (
+            f" {100 * left_out:.0f} % of the samples do not count: there the cart or the arm all but rests, and random forces may"
+            " shake loose what dry friction holds."
+        )
     if max(random_force, random_torque) < _SHAKEN:
-        return ""
-    return (
+        return said
+    return said + (
         f" Random forces shake the rig even so ({100 * random_force:.1f} % of the rms spring force in one sample,"
         f" {100 * random_torque:.1f} % of the rms torque). A simulation cannot follow them: est.prediction_error_nonlinear"
         " estimates parameters of such a rig, est.output_error may not."

@@ -11,7 +11,7 @@ from estimators._at_fit import Problem, at_fit, rows_at, with_outputs
 from estimators._conditions import conditions, stacked
 from estimators._least_squares import ClosedForm, closed_form
 from estimators._levenberg_marquardt import plain_residual
-from estimators._likelihood import run_filter
+from estimators._likelihood import all_trusted, run_filter
 from estimators._linear_predictor import rows
 from estimators._linear_structure import Scale
 from estimators._noise import noise_levels
@@ -130,8 +130,11 @@ def _predicted(fit: PredictorFit, here: Vector) -> Callable[[Outputs], Vector]:
 
     def again(values: Outputs) -> np.ndarray:
         a = with_outputs(problem, jnp.asarray(np.nan_to_num(values)))
+        a = dataclasses.replace(a, data=all_trusted(a.data))
         passed = run_filter(a.model, a.data, space, physical, fit.prior, fit.noise_exponents, a.substeps).filtered
-        a = dataclasses.replace(a, whitener=passed.whitener, gain=passed.gain)
+        # Dry friction is shaken loose at other samples than in the recording.
+        whitener = passed.whitener * (1.0 - passed.shaken)[:, None, None]
+        a = dataclasses.replace(a, whitener=whitener, gain=passed.gain)
         rows = rows_at(problem._replace(arguments=a))
         flat = rows.jacobian.reshape(-1, len(here))
         return here - np.linalg.solve(flat.T @ flat, flat.T @ rows.residual.ravel())

@@ -25,8 +25,8 @@ class Filtered(NamedTuple):
             trusted, and so are the innovations and their share of the likelihood.
         innovations: prediction errors in units of their standard deviation.
         log_likelihood: of each experiment, less the constant.
-        shaken: 1 where random forces may shake loose what dry friction holds, so that neither the model's rest nor its
-            motion is to be believed, and at the sample after; else 0.
+        shaken: 1 at the sample after one where random forces may shake loose what dry friction holds, so that neither the
+            model's rest nor its motion is to be believed; else 0.
     """
 
     gain: Float[Array, "sample state output experiment"]
@@ -138,7 +138,8 @@ def kalman(
     }  # fmt: skip
     found = jax.lax.scan(one_sample, (state, spread), rows, length=data.samples)[1]
     gain, whitener, innovations, likelihood, shaken = found
-    after = jnp.concatenate([shaken[:1], jnp.maximum(shaken[1:], shaken[:-1])])
+    # Not the sample itself: to leave out samples for what they show would bias what is left.
+    after = jnp.concatenate([jnp.zeros_like(shaken[:1]), shaken[:-1]])
     return Filtered(gain, whitener, innovations, likelihood.sum(axis=0), after)
 
 

@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -120,8 +120,7 @@ def latent_forces(
         )
         return float(values[0]), values[1:].reshape(2, -1)
 
-    def likeliest(memories: np.ndarray, swing: float) -> tuple[Any, ...]:
-        """Gain of each port, and what is smoothed."""
+    def likeliest(memories: np.ndarray, swing: float) -> _Likeliest:
         coarse = np.broadcast_to(_SHARES, (2, len(_SHARES)))
         memory = float(max(memories, key=lambda m: likelihood(coarse, m, swing)[1].max()))
         middle = coarse[0, likelihood(coarse, memory, swing)[1].argmax(axis=1)]
@@ -130,28 +129,27 @@ def latent_forces(
         gained = by_port.max(axis=1) - none
         chosen = np.take_along_axis(fine, by_port.argmax(axis=1)[:, None], axis=1)[:, 0] * scale
         chosen = jnp.asarray(np.where(gained > 0, chosen, still))
-        found = _smoothed(linear, data, gain, chosen, jnp.asarray(memory), jnp.asarray(swing))
-        return gained, memory, *(np.asarray(x) for x in found)
+        mean, variance = _smoothed(linear, data, gain, chosen, jnp.asarray(memory), jnp.asarray(swing))
+        return _Likeliest(gained, memory, np.asarray(mean), np.asarray(variance))
 
     slow = likeliest(np.array(_MEMORIES) * 2 * np.pi / frequency, 0.0)
-    strongest = _strongest(slow[2][:, int(np.argmax(slow[0]))], experiments)
+    strongest = _strongest(slow.mean[:, int(np.argmax(slow.gained))], experiments)
     swinging = likeliest(np.array(_RINGING) * 2 * np.pi / strongest, strongest)
     price = 0.5 * float(np.log(np.sum(np.asarray(data.present))))  # of the frequency
     lengths = [e.samples for e in experiments]
     found = []
     for port, name in enumerate(_PORTS):
-        gained, memory, smoothed, spread = swinging if swinging[0][port] > slow[0][port] + price else slow
-        better = float(gained[port])
-        if better <= 0:
+        best = swinging if swinging.gained[port] > slow.gained[port] + price else slow
+        if best.gained[port] <= 0:
             continue
-        at, std = smoothed[:, port].copy(), np.sqrt(np.maximum(spread[:, port], 0.0))
+        at, std = best.mean[:, port].copy(), np.sqrt(np.maximum(best.variance[:, port], 0.0))
         for column, length in enumerate(lengths):
             at[length:, column] = np.nan
             std[length:, column] = np.nan
         # Between what the data show and what they leave room for: of the latter the assumed spectrum decides.
         seen, possible = np.sqrt(np.nanmean(at**2)), np.sqrt(np.nanmean(at**2 + std**2))
         rms = float(0.5 * (seen + possible))
-        independent = np.sum(np.isfinite(at)) * np.median([e.sample_time for e in experiments]) / memory
+        independent = np.sum(np.isfinite(at)) * np.median([e.sample_time for e in experiments]) / best.memory
         doubt = float(0.5 * (possible - seen) + rms / np.sqrt(2 * max(independent, 1.0)))
         found.append(
             LatentForce(
@@ -162,10 +160,25 @@ def latent_forces(
                 (rms, doubt),
                 {e.name: float(np.sqrt(np.nanmean(at[:, i] ** 2))) for i, e in enumerate(experiments)},
                 _strongest(at, experiments),
-                better,
+                float(best.gained[port]),
             )
         )
     return tuple(sorted(found, key=lambda one: -one.gain))
+
+
+class _Likeliest(NamedTuple):
+    """Forces of one kind of spectrum.
+
+    Attributes:
+        gained: log-likelihood by a force at each port.
+        memory: correlation time [s].
+        mean, variance: of the forces given all measurements.
+    """
+
+    gained: Float[np.ndarray, " port"]
+    memory: float
+    mean: Float[np.ndarray, "sample port experiment"]
+    variance: Float[np.ndarray, "sample port experiment"]
 
 
 def _strongest(force: np.ndarray, experiments: Sequence[Experiment]) -> float:

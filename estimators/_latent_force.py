@@ -110,7 +110,7 @@ def latent_forces(
     variance = jnp.broadcast_to(jnp.asarray(sensor_variance)[:, None], (len(sensor_variance), data.experiments))
     linear = _linearised(model, data, space, physical, gain, variance, jnp.asarray(substeps))
 
-    def likelihood(shares: np.ndarray, memory: float, swing: float = 0.0) -> tuple[float, np.ndarray]:
+    def likelihood(shares: np.ndarray, memory: float, swing: float) -> tuple[float, np.ndarray]:
         """Without a force, and with one at each port of each size (a row of shares for each port)."""
         trials = np.broadcast_to(still, (1 + shares.size, 2)).copy()
         for port in range(2):

@@ -216,7 +216,7 @@ def prediction_error_nonlinear(
         experiments=tuple(e.name for e in experiments),
         statistics={
             "substeps": substeps,
-            "samples": float(jnp.sum(data.present * data.trusted[:, None])),
+            "samples": float(jnp.sum(data.counted)),
             "seconds": time.perf_counter() - began,
         },
         problem=Problem(arguments, found.unknowns, tuple(experiments), known.names),
@@ -257,7 +257,7 @@ def _each_slopes(space: Space, found: Predictor) -> Float[np.ndarray, "each expe
 
 def _whiteness(found: Predictor, data: Data, experiments: list[Experiment]) -> tuple[Whiteness, ...]:
     innovations = np.asarray(found.filtered.innovations)
-    counts = np.asarray(data.present) * np.asarray(data.trusted)[:, None]
+    counts = np.asarray(data.counted)
     result = []
     for column, experiment in enumerate(experiments):
         for row, channel in enumerate(CHANNELS):

@@ -50,6 +50,11 @@ class Data(eqx.Module):
         )
 
     @property
+    def counted(self) -> Outputs3:
+        """1 where an output was measured and counts, else 0."""
+        return self.present * self.trusted[:, None]
+
+    @property
     def samples(self) -> int:
         """Length of the longest experiment."""
         return self.values.shape[0]

@@ -97,7 +97,7 @@ class Setting:
     @property
     def samples(self) -> int:
         """Number of measured values that count."""
-        return int(np.sum(np.asarray(self.data.present) * np.asarray(self.data.trusted)[:, None]))
+        return int(np.sum(np.asarray(self.data.counted)))
 
     @property
     def left_out(self) -> float:

@@ -145,8 +145,8 @@ def shaken(random_force: float, random_torque: float, left_out: float) -> str:
     said = ""
     if left_out > _LEFT_OUT:
         said = (
-            f" {100 * left_out:.0f} % of the samples do not count: there the cart or the arm all but rests, and random forces may"
-            " shake loose what dry friction holds."
+            f" {100 * left_out:.0f} % of the samples do not count: there the cart or the arm all but rests, and what the base"
+            " model takes for random forces may shake loose what dry friction holds."
         )
     if max(random_force, random_torque) < _SHAKEN:
         return said

@@ -31,7 +31,7 @@ def solve_bounded(
             at, dataclasses.replace(arguments, space=space), tolerance=tolerance, most=most, progress=progress
         )
         unknowns = solved.unknowns
-        full = np.asarray(factor(unknowns, dataclasses.replace(arguments, space=whole)))
+        full = np.asarray(factor(unknowns, dataclasses.replace(arguments, space=whole))) if held else solved.factor
         before = dict(held)
         held = _on_bounds(whole, unknowns, full, held)
         if held == before or turn == _TURNS:

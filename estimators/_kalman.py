@@ -119,7 +119,8 @@ def kalman(
         there, jacobian = jax.lax.stop_gradient(_with_slopes(forward, here, unit))
         shaken = jnp.zeros(shape)
         if rubs:
-            jacobian = jax.lax.stop_gradient(_spanning(forward, here, spread, jacobian))
+            # Stopped on the way in: what is stopped on the way out of a loop is computed all the same.
+            jacobian = _spanning(forward, here, jax.lax.stop_gradient(spread), jacobian)
             shaken = _shaken(placed, here, spread, process, pushes, excitation.sample_time)
         away = jnp.stack(state) - jnp.stack(here)
         state = tuple(there + jnp.sum(jacobian * away[None], axis=1))

@@ -134,9 +134,12 @@ def solve(
             "The model diverges at the start values; give start values nearer to the rig, or check the units."
         )
     state = _init(solver, unknowns, trial)
-    cost, quiet, converged, step = np.inf, 0, False, 0
+    cost, quiet, converged, step, best = np.inf, 0, False, 0, trial
     for step in range(1, most + 1):
+        before = unknowns
         unknowns, state, value = _step(solver, unknowns, state, trial)
+        if step == 1 or not _same(unknowns, before):  # the trial was taken
+            best = trial
         now = float(value)
         if progress is not None:
             progress(f"step {step}, cost {now:.6g}")
@@ -147,4 +150,8 @@ def solve(
             converged = True
             break
         trial = factor(state.y_eval, arguments)
-    return Solved(unknowns, np.asarray(factor(unknowns, arguments)), cost, step, converged)
+    return Solved(unknowns, np.asarray(best), cost, step, converged)
+
+
+def _same(one: Unknowns, other: Unknowns) -> bool:
+    return all(np.array_equal(a, b) for a, b in zip(one, other, strict=True))

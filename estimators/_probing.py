@@ -16,15 +16,15 @@ from estimators._line_classes import LineClass, line_classes
 from estimators._problem import CHANNELS
 from estimators._refit import Refit, Tested
 from estimators._repeats import repeat_test
-from estimators._screen import Screened, screen
+from estimators._screen import Group, Screened, screen
 from estimators._setting import Setting, begun, by_name, shared
 from estimators._spectral_line import spectral_line
 from estimators._start import scales_of
 from estimators._where import Place, where
 from rtac_jax import RTAC
-from rtac_jax._parameter import declarations
-from rtac_jax.effects import Effect
 
+_GROUPS = 4  # of candidates, each simulated with a model of its own
+_MANY = 50_000  # samples of all experiments, from which on that is faster than one model for all
 _SLOW = 1e-2  # share of the rms speed below which a learned friction fades
 QUIET = np.log(1e-3**2)  # variance of random forces, in shares of the rms forces, where they should not hide an effect
 
@@ -32,15 +32,33 @@ QUIET = np.log(1e-3**2)  # variance of random forces, in shares of the rms force
 class Probing(Setting):
     """Tests of the innovations of models with some of the candidates."""
 
-    def compile_tests(self) -> None:
-        """Compile what tests of innovations will run, so that another thread can do so while the base model is fitted."""
-        self._unfitted(self.with_effects(list(self.absent.values())), shared(self.model)).compile()
-        self._compile_probes(self.with_effects([]), shared(self.model))
+    def compile_tests(self, added: Sequence[str] = (), free: Sequence[str] | None = None) -> None:
+        """Compile what tests of innovations will run, so that another thread can do so while the model is fitted.
 
-    def _compile_probes(self, model: RTAC, free: Sequence[str]) -> None:
-        innovations = self._unfitted(model, free)
+        Args:
+            added: effects that the model has beside those of the base model.
+            free: its free parameters, by default those of the base model.
+        """
+        free = shared(self.model) if free is None else free
+        for group in self._grouped(added):
+            self._unfitted(self._with(added, group), free).compile()
+        innovations = self._unfitted(self._with(added, ()), free)
         innovations.compile_derivatives()
         compile_force_curves(innovations)
+
+    def _grouped(self, added: Sequence[str]) -> list[list[str]]:
+        """Candidates that were not added, as they are simulated together.
+
+        A model with all of them costs one compilation, and every probe the effort of all effects; where there are many
+        samples, a few smaller models are faster.
+        """
+        left = [i for i in self.absent if i not in added]
+        count = _GROUPS if self.data.samples * self.data.experiments > _MANY else 1
+        return [group for first in range(count) if (group := left[first::count])]
+
+    def _with(self, added: Sequence[str], others: Sequence[str]) -> RTAC:
+        """The base model with effects at null: what was added, then others."""
+        return self.with_effects([self.absent[i] for i in self.absent if i in added or i in others])
 
     def _unfitted(self, model: RTAC, free: Sequence[str]) -> Innovations:
         """Innovations for compiling only: the shapes are right, gains and whiteners are nothing."""
@@ -54,8 +72,8 @@ class Probing(Setting):
         """Everything that the innovations of a model are asked."""
         probed = self._innovations(refit, [], refit.free)
         basis = orthonormal(probed.jacobian())
-        screened, raw = self._screened(refit, basis)
-        error = raw - basis @ (basis.T @ raw)
+        error = self._error(refit, probed, basis)
+        screened = screen(self._groups(refit), error, basis)
         scales = scales_of(self.model, self.experiments)
         slow = (_SLOW * scales.velocity, _SLOW * scales.arm_velocity)
         curves = force_curves(probed, error, basis, self._ranges(), slow)
@@ -79,25 +97,9 @@ class Probing(Setting):
         prior = self.prior.starting(refit.space)
         passed = run_filter(refit.model, self.data, refit.space, found.physical, prior, noise, self.substeps).filtered
         quiet = dataclasses.replace(refit, predictor=dataclasses.replace(found, noise=noise, filtered=passed))
-        basis = orthonormal(self._innovations(quiet, [], quiet.free).jacobian())
-        return self._screened(quiet, basis)[0]
-
-    def _screened(self, refit: Refit, basis: Rows) -> tuple[list[Screened], np.ndarray]:
-        """Candidates that were not added against the innovations, and these."""
-        left = {i: effect for i, effect in self.absent.items() if i not in refit.added}
-        innovations = self._innovations(refit, list(left.values()), refit.free)
-        placed = innovations.space
-        raw = innovations.at(np.asarray(placed.values)[None])[:, 0]
-
-        def place(instance: Effect, amplitude: str) -> np.ndarray:
-            values = np.asarray(placed.values).copy()
-            for name, declared in declarations(instance).items():
-                full = f"{instance.id}.{name}"
-                if declared.null is None or name == amplitude:
-                    values[placed.names.index(full)] = float(np.asarray(getattr(instance, name)))
-            return values
-
-        return screen(innovations, raw, basis, [i for i in self.instances if i.id in left], place), raw
+        probed = self._innovations(quiet, [], quiet.free)
+        basis = orthonormal(probed.jacobian())
+        return screen(self._groups(quiet), self._error(quiet, probed, basis), basis)
 
     def places(self, refit: Refit) -> tuple[Place, ...]:
         """Where the innovations are too large."""
@@ -121,10 +123,21 @@ class Probing(Setting):
             force=scales.force, torque=scales.torque, frequency=scales.frequency,
         )  # fmt: skip
 
-    def _innovations(self, refit: Refit, absent: Sequence[Effect], free: Sequence[str]) -> Innovations:
-        """Innovations of a fitted model with some of the candidates beside what was added, and no others."""
-        added = [effect for i, effect in self.absent.items() if i in refit.added]
-        model = self.with_effects([*added, *absent])
+    def _groups(self, refit: Refit) -> list[Group]:
+        """Candidates that were not added to a fitted model."""
+        return [
+            Group(self._innovations(refit, group, refit.free), [i for i in self.instances if i.id in group])
+            for group in self._grouped(refit.added)
+        ]
+
+    def _error(self, refit: Refit, probed: Innovations, basis: Rows) -> np.ndarray:
+        """Innovations of a fitted model, without their share in the basis."""
+        raw = probed.rows(self._told(refit)[0][None])[:, 0]
+        return raw - basis @ (basis.T @ raw)
+
+    def _innovations(self, refit: Refit, others: Sequence[str], free: Sequence[str]) -> Innovations:
+        """Innovations of a fitted model with some of the candidates at null."""
+        model = self._with(refit.added, others)
         space = self.padded(model, free)
         predictor = refit.predictor
         space = begun(space, model, refit.start)

@@ -2,15 +2,39 @@
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 from scipy.stats import f as fisher
 
-from estimators._innovations import AT_ONCE, Innovations, Rows, orthonormal
+from estimators._innovations import Innovations, Rows, orthonormal
 from estimators._score_test import score_test
 from rtac_jax._parameter import declarations
+from rtac_jax.effects import Effect
+
+
+class Group(NamedTuple):
+    """Candidates that are simulated together: a model that has all of them at null, and their instances."""
+
+    innovations: Innovations
+    instances: Sequence[Effect]
+
+    def columns(self, instances: Sequence[Effect], amplitudes: Sequence[str]) -> Rows:
+        """What innovations change by where of each instance one amplitude is switched on; one column each."""
+        null = np.asarray(self.innovations.space.values)
+        points = [null, *map(self._placed, instances, amplitudes)]
+        found = self.innovations.at(np.array(points))
+        return found[:, 1:] - found[:, :1]
+
+    def _placed(self, instance: Effect, amplitude: str) -> np.ndarray:
+        """Shared values with this amplitude switched on and no other."""
+        space = self.innovations.space
+        values = np.asarray(space.values).copy()
+        for name, declared in declarations(instance).items():
+            if declared.null is None or name == amplitude:
+                values[space.names.index(f"{instance.id}.{name}")] = float(np.asarray(getattr(instance, name)))
+        return values
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,47 +69,37 @@ _THRESHOLD = 0.1  # of what proportion would ask of the smallest size, below whi
 _TRIED = 3  # candidates whose size is looked for so
 
 
-def screen(
-    innovations: Innovations,
-    raw: np.ndarray,
-    basis: Rows,
-    instances: Sequence[Any],
-    place: Any,
-) -> list[Screened]:
-    """Hold instances of candidates against the innovations.
+def screen(groups: Sequence[Group], error: np.ndarray, basis: Rows) -> list[Screened]:
+    """Hold candidates against the innovations.
 
     Args:
-        raw: innovations with all candidates at null.
+        error: innovations of the base model, without their share in the basis.
         basis: orthonormal columns that the base model's parameters explain already.
-        place: gives for an effect, a parameter of it and the instance's other parameters the vector of shared values
-            with only this amplitude switched on.
     """
-    points, owners = [], []
-    for number, instance in enumerate(instances):
-        for amplitude in type(instance).amplitudes():
-            points.append(place(instance, amplitude))
-            owners.append((number, amplitude))
-    error = raw - basis @ (basis.T @ raw)
-    blocks = innovations.blocks()
-    found = []
-    by_instance: dict[int, list[tuple[str, np.ndarray]]] = {}
-    for first in range(0, len(points), AT_ONCE):
-        columns = innovations.at(np.array(points[first : first + AT_ONCE])) - raw[:, None]
-        sound = np.isfinite(columns).all(axis=0)  # a candidate at its plausible size may make the model diverge
-        columns[:, sound] -= basis @ (basis.T @ columns[:, sound])
-        for (number, amplitude), column in zip(owners[first : first + AT_ONCE], columns.T, strict=True):
-            size = float(np.asarray(getattr(instances[number], amplitude)))
-            by_instance.setdefault(number, []).append((amplitude, column / size))
-    for number, parts in by_instance.items():
-        names = tuple(name for name, _ in parts)
-        templates = np.stack([column for _, column in parts], axis=1)
-        found.append(_screened(instances[number], names, templates, error, basis, blocks, len(by_instance)))
+    tried = sum(len(group.instances) for group in groups)
+    found = [s for group in groups for s in _one_by_one(group, error, basis, tried)]
     clear = [s for s in found if s.statistic >= ALARM and len(s.amplitudes) == 1 and s.begin[0] != 0]
     largest = sorted(clear, key=lambda s: -s.statistic)[:_TRIED]
-    return [_sized(innovations, error, basis, place, s) if any(s is one for one in largest) else s for s in found]
+    owner = {instance.id: group for group in groups for instance in group.instances}
+    return [_sized(owner[s.id], error, basis, s) if any(s is one for one in largest) else s for s in found]
 
 
-def _sized(innovations: Innovations, error: np.ndarray, basis: Rows, place: Any, s: Screened) -> Screened:
+def _one_by_one(group: Group, error: np.ndarray, basis: Rows, tried: int) -> list[Screened]:
+    """Each instance of a group by itself."""
+    owners = [(i, amplitude) for i in group.instances for amplitude in type(i).amplitudes()]
+    columns = group.columns(*zip(*owners, strict=True))
+    columns /= [float(np.asarray(getattr(instance, amplitude))) for instance, amplitude in owners]
+    sound = np.isfinite(columns).all(axis=0)  # a candidate at its plausible size may make the model diverge
+    columns[:, sound] -= basis @ (basis.T @ columns[:, sound])
+    blocks = group.innovations.blocks()
+    edges = np.cumsum([0, *(len(type(i).amplitudes()) for i in group.instances)])
+    return [
+        _screened(i, tuple(type(i).amplitudes()), columns[:, first:last], error, basis, blocks, tried)
+        for i, first, last in zip(group.instances, edges[:-1], edges[1:], strict=True)
+    ]
+
+
+def _sized(group: Group, error: np.ndarray, basis: Rows, s: Screened) -> Screened:
     """For what has a threshold: begin at the size that leaves least, beyond what the base parameters explain.
 
     A drive that saturates changes nothing up to a size and is far from linear beyond. What changes in proportion at small
@@ -95,9 +109,10 @@ def _sized(innovations: Innovations, error: np.ndarray, basis: Rows, place: Any,
     plausible = abs(float(np.asarray(getattr(s.instance, name))))
     linear = float(s.begin[0])
     sizes = np.array([linear, *(np.sign(linear) * plausible * share for share in _SIZES)])
-    points = [place(dataclasses.replace(s.instance, **{name: float(size)}), name) for size in sizes]
-    left = innovations.at(np.array(points))
-    left = left - basis @ (basis.T @ left)
+    left = group.columns(
+        [dataclasses.replace(s.instance, **{name: float(size)}) for size in sizes], [name] * len(sizes)
+    )
+    left = left - basis @ (basis.T @ left) + error[:, None]
     least, whole = (np.linalg.norm(left[:, 1 + _SIZES.index(size)] - error) for size in (_SIZES[0], 1.0))
     if not least < _THRESHOLD * _SIZES[0] * whole:
         return s

@@ -133,7 +133,7 @@ class Search(Probing):
                 model, free, _ = self._extended(before, s)
                 ready[s.id] = other.submit(self._compile_fit, model, free)
                 if s is several[0]:
-                    other.submit(self._compile_probes, model, free)
+                    other.submit(self.compile_tests, (*before.added, s.id), free)
 
             def refitted(s: Screened) -> Refit | None:
                 self.bar.set_description(f"diagnose: refit with {s.id}")

@@ -11,7 +11,15 @@ from estimators import _probing
 from estimators._search import Search
 from rtac_jax.effects import CATALOGUE
 
-CANDIDATES = ("cubic_spring", "cart_stribeck", "hysteretic_spring", "current_lag", "lvdt_lag", "saturation", "input_hold")
+CANDIDATES = (
+    "cubic_spring",
+    "cart_stribeck",
+    "hysteretic_spring",
+    "current_lag",
+    "lvdt_lag",
+    "saturation",
+    "input_hold",
+)
 
 
 def test_smaller_models_give_the_same_scores_as_one_for_all(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -24,7 +32,8 @@ def test_smaller_models_give_the_same_scores_as_one_for_all(monkeypatch: pytest.
         monkeypatch.setattr(_probing, "_MANY", many)
         found.append({(s.id, str(s.instance)): s for s in search.tested(base).screened})
     one, several = found
-    assert one.keys() == several.keys() and {name for name, _ in one} == set(CANDIDATES)
+    assert one.keys() == several.keys()
+    assert {name for name, _ in one} == set(CANDIDATES)
     assert max(s.statistic for s in one.values()) > 100  # something is there to be told apart
     for key, s in one.items():
         np.testing.assert_allclose(several[key].statistic, s.statistic, rtol=1e-6, atol=1e-6, err_msg=str(key))

@@ -26,6 +26,7 @@ class Improvement:
         verdict: "adequate" if nothing was missing, "missing" if what was added makes the model adequate or all that can be
             named, else what the last diagnosis says.
         train, validation: every model against the experiments that it was fitted to, and against those held out.
+        held: ids of added effects that are held at the estimate of the diagnosis, because a free simulation cannot tell it.
         stopped: why the loop ended.
         seconds: how long it took.
     """
@@ -36,6 +37,7 @@ class Improvement:
     verdict: Verdict
     train: Comparison
     validation: Comparison
+    held: tuple[str, ...]
     stopped: str
     seconds: float
 
@@ -49,11 +51,21 @@ class Improvement:
         """The fit with all effects added."""
         return self.fits[-1]
 
+    @property
+    def ending(self) -> str:
+        """What was held, if anything, and why the loop ended."""
+        if not self.held:
+            return self.stopped
+        return (
+            f"Held at the estimate of the diagnosis, because a fit by simulation fails or serves held-out experiments worse: "
+            f"{', '.join(self.held)}. {self.stopped}"
+        )
+
     def __str__(self) -> str:
         lines = []
         for diagnosis in self.diagnoses:
             lines.append(diagnosis.explanation)
-        lines.append(self.stopped)
+        lines.append(self.ending)
         for title, comparison in (("train", self.train), ("validation", self.validation)):
             for model in comparison.models:
                 errors = ", ".join(
@@ -81,7 +93,9 @@ def improve(
 ) -> Improvement:
     """Fit, diagnose, add what is missing, fit again, and validate on experiments that no fit has seen.
 
-    An effect is kept if the error of the held-out experiments falls in the channels together.
+    An effect is kept if the error of the held-out experiments falls in the channels together. Where it does not, or where the
+    effect cannot be fitted by simulation, as on a rig that random forces shake, the effect is held at the estimate of the
+    diagnosis, which foresees one sample at a time, and kept if the error falls so.
 
     Args:
         validation: names of the experiments to hold out; by default every fourth of each kind.
@@ -101,6 +115,7 @@ def improve(
         tested = [compare(fits[0], held_out, labels=["base"]).models[0]]
     diagnoses: list[Diagnosis] = []
     added: list[Candidate] = []
+    held: list[str] = []
     stopped = ""
     while not stopped:
         found = diagnose(fits[-1], train, candidates=candidates, progress=progress)
@@ -114,15 +129,22 @@ def improve(
                 stopped = f"Stopped: {most} effects were added; more seem to be missing."
                 break
             label = "+ " + ", ".join([*(c.id for c in added), effect.id])
-            try:
-                better = output_error(fits[-1].model + effect, train, from_model=True, progress=progress)
-                test = compare(better, held_out, labels=[label]).models[0]
-            except (NotIdentifiableError, DivergedError, FloatingPointError) as error:
-                stopped = f"Stopped: with {effect.id} the model could not be fitted: {error}"
+            reasons = []
+            for model in (fits[-1].model + effect, held_at(fits[-1].model, [effect])):
+                try:
+                    better = output_error(model, train, from_model=True, progress=progress)
+                    test = compare(better, held_out, labels=[label]).models[0]
+                except (NotIdentifiableError, DivergedError, FloatingPointError) as error:
+                    reasons.append(f"Stopped: with {effect.id} the model could not be fitted: {error}")
+                    continue
+                if _misfit(test) <= _misfit(tested[-1]):
+                    break
+                reasons.append(f"Stopped: with {effect.id} the held-out error would not fall.")
+            else:
+                stopped = reasons[0]
                 break
-            if _misfit(test) > _misfit(tested[-1]):
-                stopped = f"Stopped: with {effect.id} the held-out error would not fall."
-                break
+            if reasons:
+                held.append(effect.id)
             fits.append(better)
             tested.append(test)
             added.append(known[effect.id])
@@ -140,9 +162,18 @@ def improve(
         verdict=verdict,
         train=compare(fits, train, labels=labels),
         validation=Comparison(tuple(tested)),
+        held=tuple(held),
         stopped=stopped,
         seconds=time.perf_counter() - began,
     )
+
+
+def held_at(model: RTAC, effects: Sequence[Effect]) -> RTAC:
+    """The model with these effects, of which nothing is fitted."""
+    for effect in effects:
+        model = model + effect
+    ids = {effect.id for effect in effects}
+    return model.fix(*(name for name in model.parameters if name.split(".")[0] in ids))
 
 
 def _misfit(compared: Any) -> float:

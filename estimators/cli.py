@@ -4,6 +4,7 @@ Exit status 0: done; 1: the data do not allow it; 2: wrong use or unreadable fil
 """
 
 import time
+from functools import reduce
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -156,20 +157,25 @@ def diagnose(
     with job(file, validation, out, json) as work:
         import estimators as est
         from estimators import _report
+        from estimators._improve import held_at
+        from rtac_jax import RTAC
 
         base = work.fitted(work.model())
         found = est.diagnose(base, work.train, thorough=not quick, progress=progress())
         fits, labels = [base], ["base"]
         if found.additions:
             names = ", ".join(effect.id for effect in found.additions)
-            model = base.model
-            for effect in found.additions:
-                model = model + effect
-            try:
-                fits.append(est.output_error(model, work.train, from_model=True, progress=progress()))
-                labels.append(f"+ {names}")
-            except (est.NotIdentifiableError, est.DivergedError, FloatingPointError) as error:
-                work.remark = f"{work.remark} The model with {names} could not be fitted: {error}".strip()
+            label = f"+ {names}"
+            for model in (reduce(RTAC.__add__, found.additions, base.model), held_at(base.model, found.additions)):
+                try:
+                    fits.append(est.output_error(model, work.train, from_model=True, progress=progress()))
+                    labels.append(label)
+                    break
+                except (est.NotIdentifiableError, est.DivergedError, FloatingPointError) as error:
+                    work.remark = (
+                        f"{work.remark} The model with {names} could not be fitted by simulation: {error}".strip()
+                    )
+                    names = label = f"{label}, held at the estimate of the diagnosis"
         trained, tested = work.compared(fits, labels)
         candidates, errors = _report.candidate_table(found), _report.error_table(trained, tested)
         planned = _planned(work, base, found)
@@ -236,7 +242,7 @@ def _improve(work: Job) -> None:
         planned = _planned(work, base, open_question)
     say(
         *said,
-        found.stopped,
+        found.ending,
         work.remark,
         _report.candidate_table(found.diagnoses[0]),
         errors,
@@ -279,7 +285,7 @@ def _improve(work: Job) -> None:
         tables += [f"Diagnosis {number}: {diagnosis.verdict}.", _report.candidate_table(diagnosis)]
         tables += [_report.evidence_table(diagnosis), _report.place_table(diagnosis)]
     sections = [
-        (f"Verdict: {found.verdict}", [f"{finding(found)}.", *told, found.stopped, work.remark]),
+        (f"Verdict: {found.verdict}", [f"{finding(found)}.", *told, found.ending, work.remark]),
         ("Error before and after", [errors]),
         ("Figures", _shown(figures, **captions)),
         ("Parameters", [parameters]),

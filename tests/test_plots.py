@@ -150,7 +150,7 @@ def improvement(steps=2, verdict=None):
     found = diagnosis(verdict or ("missing" if steps > 1 else "adequate"))
     return Improvement(
         (), (found,), found.effects[: min(steps - 1, 1)] + OTHERS[1 : steps - 1], found.verdict,
-        Comparison(models), Comparison(models), "Stopped.", 1.0,
+        Comparison(models), Comparison(models), (), "Stopped.", 1.0,
     )  # fmt: skip
 
 

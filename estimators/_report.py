@@ -135,8 +135,8 @@ def comparison_rows(comparison: Comparison) -> list[dict[str, Any]]:
 
 def _effect(candidate: Candidate, final: Fit | None) -> dict[str, Any]:
     parameters = dict(candidate.parameters)
-    if final is not None:  # the last fit knows them best
-        known = final.parameters
+    if final is not None:  # the last fit knows them best, but for those that are held in it
+        known = {name: p for name, p in final.parameters.items() if name in final.information.names}
         parameters = {name: known.get(f"{candidate.id}.{name}", found) for name, found in parameters.items()}
     return {
         "id": candidate.id,

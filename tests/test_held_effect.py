@@ -12,7 +12,10 @@ import estimators as est
 import rtac_jax as rtac
 from estimators import _improve
 from estimators._compare import Compared
+from estimators._covariance import information_of
 from estimators._improve import held_at
+from estimators._output_error import Parameter
+from estimators._report import _effect
 from rtac_jax import virtual_rig
 from rtac_jax.effects import ArmStribeck, CubicSpring
 from rtac_jax.measurement import Experiment
@@ -97,6 +100,17 @@ def test_what_is_kept(
     assert found.held == (("cubic_spring",) if held else ())
     assert found.verdict == ("missing" if kept else "unknown")
     assert said in found.ending
+
+
+def test_a_report_gives_the_deviation_of_the_diagnosis_for_what_is_held() -> None:
+    told = {"stiffness": Parameter(5e4, 300.0, "N/m^3")}
+    candidate = est.Candidate(
+        id="cubic_spring", score=100.0, p_value=1e-9, detection_limit=1.0, unit="N/m^3", testable=True, parameters=told
+    )
+    known = information_of(np.eye(2), ("total_mass", "cubic_spring.stiffness"), np.ones(2))
+    free = made(est.Fit, model=rtac.RTAC.paper() + CubicSpring(stiffness=6e4), information=known)
+    held = made(est.Fit, model=free.model, information=information_of(np.eye(1), ("total_mass",), np.ones(1)))
+    assert [_effect(candidate, fit)["parameters"]["stiffness"]["std"] for fit in (free, held)] == [1.0, 300.0]
 
 
 @pytest.mark.slow

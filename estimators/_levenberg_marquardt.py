@@ -138,7 +138,7 @@ def solve(
     for step in range(1, most + 1):
         before = unknowns
         unknowns, state, value = _step(solver, unknowns, state, trial)
-        if step == 1 or not _same(unknowns, before):  # the trial was taken
+        if not _same(unknowns, before):  # the trial was taken
             best = trial
         now = float(value)
         if progress is not None:

@@ -46,10 +46,11 @@ def report_dict(
         fit = fit or found.final
         train, validation = train or found.train, validation or found.validation
         first = found.diagnoses[0]
-        effects = [_effect(candidate, found.final) for candidate in found.added]
+        named = found.added
+        known = _with_held(found.final, named)
     else:
-        first = found
-        effects = [_effect(candidate, None) for candidate in found.effects]
+        first, named, known = found, found.effects, {}
+    effects = [_effect(candidate, known) for candidate in named]
     accepted = {effect["id"] for effect in effects}
     return cleaned(
         {
@@ -58,7 +59,7 @@ def report_dict(
             "verdict": found.verdict,
             "effects": effects,
             "candidates": [_candidate(c, c.id in accepted) for c in first.candidates],
-            "parameters": _parameters(_every(fit)) if fit is not None else {},
+            "parameters": _parameters(_with_held(fit, named)) if fit is not None else {},
             "error": {"train": _before_after(train), "validation": _before_after(validation)},
             "next_experiment": planned.as_dict() if planned is not None else None,
             "seconds": found.seconds if seconds is None else seconds,
@@ -133,11 +134,9 @@ def comparison_rows(comparison: Comparison) -> list[dict[str, Any]]:
     )
 
 
-def _effect(candidate: Candidate, final: Fit | None) -> dict[str, Any]:
-    parameters = dict(candidate.parameters)
-    if final is not None:  # the last fit knows them best, but for those that are held in it
-        known = {name: p for name, p in final.parameters.items() if name in final.information.names}
-        parameters = {name: known.get(f"{candidate.id}.{name}", found) for name, found in parameters.items()}
+def _effect(candidate: Candidate, known: Mapping[str, Parameter]) -> dict[str, Any]:
+    """An effect at the parameters of the last fit where there is one, else at those of the diagnosis."""
+    parameters = {n: known.get(f"{candidate.id}.{n}", found) for n, found in candidate.parameters.items()}
     return {
         "id": candidate.id,
         "score": candidate.score,
@@ -165,6 +164,13 @@ def _candidate(c: Candidate, accepted: bool) -> dict[str, Any]:
 
 def _parameters(parameters: Mapping[str, Parameter]) -> dict[str, Any]:
     return {name: {"value": p.value, "std": p.std, "unit": p.unit} for name, p in parameters.items()}
+
+
+def _with_held(fit: Fit, candidates: Sequence[Candidate]) -> dict[str, Parameter]:
+    """All parameters of a fit; of effects that are held in it as the diagnosis estimated them."""
+    found = _every(fit)
+    told = {f"{c.id}.{name}": p for c in candidates for name, p in c.parameters.items()}
+    return found | {name: p for name, p in told.items() if name in found and name not in fit.information.names}
 
 
 def _every(fit: Fit) -> dict[str, Parameter]:

@@ -20,10 +20,13 @@ class Group(NamedTuple):
     innovations: Innovations
     instances: Sequence[Effect]
 
-    def columns(self, instances: Sequence[Effect], amplitudes: Sequence[str]) -> Rows:
-        """What innovations change by where of each instance one amplitude is switched on; one column each."""
-        null = np.asarray(self.innovations.space.values)
-        points = [null, *map(self._placed, instances, amplitudes)]
+    def switched_on(self, instances: Sequence[Effect], amplitudes: Sequence[str]) -> Rows:
+        """Innovations where of each instance one amplitude is switched on; one column each."""
+        return self.innovations.at(np.array([*map(self._placed, instances, amplitudes)]))
+
+    def changes(self, instances: Sequence[Effect], amplitudes: Sequence[str]) -> Rows:
+        """What that changes."""
+        points = [np.asarray(self.innovations.space.values), *map(self._placed, instances, amplitudes)]
         found = self.innovations.at(np.array(points))
         return found[:, 1:] - found[:, :1]
 
@@ -87,14 +90,14 @@ def screen(groups: Sequence[Group], error: np.ndarray, basis: Rows) -> list[Scre
 def _one_by_one(group: Group, error: np.ndarray, basis: Rows, tried: int) -> list[Screened]:
     """Each instance of a group by itself."""
     owners = [(i, amplitude) for i in group.instances for amplitude in type(i).amplitudes()]
-    columns = group.columns(*zip(*owners, strict=True))
+    columns = group.changes(*zip(*owners, strict=True))
     columns /= [float(np.asarray(getattr(instance, amplitude))) for instance, amplitude in owners]
     sound = np.isfinite(columns).all(axis=0)  # a candidate at its plausible size may make the model diverge
     columns[:, sound] -= basis @ (basis.T @ columns[:, sound])
     blocks = group.innovations.blocks()
     edges = np.cumsum([0, *(len(type(i).amplitudes()) for i in group.instances)])
     return [
-        _screened(i, tuple(type(i).amplitudes()), columns[:, first:last], error, basis, blocks, tried)
+        _screened(i, tuple(type(i).amplitudes()), columns[:, first:last].copy(), error, basis, blocks, tried)
         for i, first, last in zip(group.instances, edges[:-1], edges[1:], strict=True)
     ]
 
@@ -109,10 +112,10 @@ def _sized(group: Group, error: np.ndarray, basis: Rows, s: Screened) -> Screene
     plausible = abs(float(np.asarray(getattr(s.instance, name))))
     linear = float(s.begin[0])
     sizes = np.array([linear, *(np.sign(linear) * plausible * share for share in _SIZES)])
-    left = group.columns(
+    left = group.switched_on(
         [dataclasses.replace(s.instance, **{name: float(size)}) for size in sizes], [name] * len(sizes)
     )
-    left = left - basis @ (basis.T @ left) + error[:, None]
+    left = left - basis @ (basis.T @ left)
     least, whole = (np.linalg.norm(left[:, 1 + _SIZES.index(size)] - error) for size in (_SIZES[0], 1.0))
     if not least < _THRESHOLD * _SIZES[0] * whole:
         return s

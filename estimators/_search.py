@@ -121,18 +121,19 @@ class Search(Probing):
 
     @contextlib.contextmanager
     def refitting(
-        self, before: Refit, several: Sequence[Screened], way: Way | None = None
+        self, before: Refit, several: Sequence[Screened], way: Way | None = None, *, ahead: bool = False
     ) -> Iterator[Callable[[Screened], Refit | None]]:
         """Refits with several candidates; while one is fitted, the code of the next is compiled.
 
-        The way is `with_effect` by default; None for a candidate with which the model diverges.
+        The way is `with_effect` by default; `ahead` compiles the tests of the first one too. None for a candidate with which the
+        model diverges.
         """
         with ThreadPoolExecutor(1) as other:
             ready = {}
             for s in several:
                 model, free, _ = self._extended(before, s)
                 ready[s.id] = other.submit(self._compile_fit, model, free)
-                if s is several[0]:
+                if ahead and s is several[0]:
                     other.submit(self.compile_tests, (*before.added, s.id), free)
 
             def refitted(s: Screened) -> Refit | None:

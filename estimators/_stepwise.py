@@ -116,7 +116,7 @@ def improvements(search: Search, base: Refit, tested: Tested, look: _Look | None
             above = by_size(overshadowing(seen.screened), price)[:_REFITS]
         if not ranked:
             break
-        with search.refitting(now, [ranked[0], *near], way) as refitted:
+        with search.refitting(now, [ranked[0], *near], way, ahead=True) as refitted:
             first = refitted(ranked[0])
             ahead = None if first is None else search.tested(first)
             several = {ranked[0].id: first} | {s.id: refitted(s) for s in near}

@@ -165,17 +165,21 @@ def diagnose(
         fits, labels = [base], ["base"]
         if found.additions:
             names = ", ".join(effect.id for effect in found.additions)
-            label = f"+ {names}"
-            for model in (reduce(RTAC.__add__, found.additions, base.model), held_at(base.model, found.additions)):
+            free = reduce(RTAC.__add__, found.additions, base.model)
+            for model, held in (
+                (free, ""),
+                (held_at(base.model, found.additions), ", held at the estimate of the diagnosis"),
+            ):
                 try:
                     fits.append(est.output_error(model, work.train, from_model=True, progress=progress()))
-                    labels.append(label)
-                    break
                 except (est.NotIdentifiableError, est.DivergedError, FloatingPointError) as error:
-                    work.remark = (
-                        f"{work.remark} The model with {names} could not be fitted by simulation: {error}".strip()
-                    )
-                    names = label = f"{label}, held at the estimate of the diagnosis"
+                    failed = f"The model with {names}{held} could not be fitted by simulation: {error}"
+                    work.remark = f"{work.remark} {failed}".strip()
+                else:
+                    labels.append(f"+ {names}{held}")
+                    if held:
+                        work.remark += f" The errors after are those with {names}{held}."
+                    break
         trained, tested = work.compared(fits, labels)
         candidates, errors = _report.candidate_table(found), _report.error_table(trained, tested)
         planned = _planned(work, base, found)

@@ -70,7 +70,7 @@ class Known(Search):
         return SimpleNamespace(tests=())
 
     @contextlib.contextmanager
-    def refitting(self, before: Refit, several: Sequence[Screened], way: Any = None) -> Iterator[Any]:
+    def refitting(self, before: Refit, several: Sequence[Screened], way: Any = None, **_: Any) -> Iterator[Any]:
         yield lambda s: (way or self.with_effect)(before, s)
 
 

@@ -28,6 +28,7 @@ FIGURES = {
     },
 }  # fmt: skip
 TRIED = ("flexible_mode", "cubic_spring")
+HELD = "diagnose, where a simulation cannot fit what is missing"
 
 
 def call(*arguments):
@@ -88,6 +89,19 @@ def ran(file, tmp_path_factory):
             result = call(command, file, "--out", out / "new", "--json", out / "result.json")
             content = json.loads((out / "result.json").read_text(), parse_constant=pytest.fail)
             found[command] = (result, out / "new", content)
+
+        remembered = estimators.output_error
+
+        def refusing(model, *arguments, **options):
+            if "flexible_mode" not in model:
+                return remembered(model, *arguments, **options)
+            if "flexible_mode.frequency" in model.free:
+                raise estimators.NotIdentifiableError("The data leave it free.")
+            return estimators._output_error.output_error(model, *arguments, **options)
+
+        refused = tmp_path_factory.mktemp("refused") / "result.json"
+        patch.setattr(estimators, "output_error", refusing)
+        found[HELD] = call("diagnose", file, "--json", refused), None, json.loads(refused.read_text())
     return found
 
 
@@ -134,6 +148,19 @@ def test_a_command_writes_what_it_promises(ran, command):
     images = {name.removesuffix(".png") for name in names if name.endswith(".png")}
     assert images == FIGURES[command]
     assert images == {name.removesuffix(".svg") for name in names if name.endswith(".svg")}
+
+
+def test_what_cannot_be_fitted_by_simulation_is_held_and_the_reader_told(ran):
+    result, _, content = ran[HELD]
+    said = " ".join(result.stdout.split())
+    assert "with flexible_mode could not be fitted by simulation: The data leave it free." in said
+    assert "The errors after are those with flexible_mode, held at the estimate of the diagnosis." in said
+    (effect,) = content["effects"]
+    for name, told in effect["parameters"].items():
+        assert content["parameters"][f"flexible_mode.{name}"] == told
+    assert effect["parameters"]["frequency"]["std"] > 0
+    before, after = (content["error"]["validation"][moment]["cart_position"]["rms"] for moment in ("before", "after"))
+    assert after < 0.5 * before
 
 
 @pytest.mark.parametrize("command", COMMANDS)

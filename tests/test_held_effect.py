@@ -15,7 +15,8 @@ from estimators._compare import Compared
 from estimators._covariance import information_of
 from estimators._improve import held_at
 from estimators._output_error import Parameter
-from estimators._report import _effect
+from estimators._report import _with_held
+from estimators._results import RESULTS
 from rtac_jax import virtual_rig
 from rtac_jax.effects import ArmStribeck, CubicSpring
 from rtac_jax.measurement import Experiment
@@ -31,6 +32,12 @@ def made(cls: type[Kind], **parts: Any) -> Kind:
     for name, part in parts.items():
         object.__setattr__(found, name, part)
     return found
+
+
+def fit_of(model: rtac.RTAC, names: tuple[str, ...], **statistics: Any) -> est.Fit:
+    """A fit of which deviations of one are known for these parameters."""
+    known = information_of(np.eye(len(names)), names, np.ones(len(names)))
+    return est.Fit(model, RESULTS.successful, known, {}, {}, {}, (), statistics)
 
 
 class Known(Compared):
@@ -60,6 +67,8 @@ def test_nothing_of_an_effect_that_is_held_is_fitted() -> None:
         ({FREE: 5.0, HELD: 2.0}, True, True, "Held at the estimate of the diagnosis"),
         ({FREE: None, HELD: 2.0}, True, True, "cubic_spring. Stopped"),
         ({FREE: 5.0, HELD: 6.0}, False, False, "would not fall"),
+        ({FREE: 5.0, HELD: 3.9}, False, False, "would not help clearly either"),
+        ({FREE: 3.9, HELD: 2.0}, True, False, "nothing more"),
         ({FREE: None, HELD: 6.0}, False, False, "could not be fitted: leaves it free"),
         ({FREE: None, HELD: None}, False, False, "could not be fitted: leaves it free"),
     ],
@@ -77,7 +86,7 @@ def test_what_is_kept(
         error = BEFORE if kind == "base" else errors[kind]
         if error is None:
             raise est.NotIdentifiableError("leaves it free")
-        return made(est.Fit, model=model, statistics={"error": error})
+        return fit_of(model, ("total_mass",), error=error)
 
     def compared(fits: Any, *_: Any, labels: list[str]) -> est.Comparison:
         several = fits if isinstance(fits, list) else [fits]
@@ -86,6 +95,7 @@ def test_what_is_kept(
 
     def diagnosed(fit: est.Fit, *_: Any, **__: Any) -> est.Diagnosis:
         if "cubic_spring" in fit.model:
+            assert "cubic_spring.stiffness" in fit.model.free  # also where a simulation held it
             return made(est.Diagnosis, verdict="adequate", effects=(), additions=())
         return made(est.Diagnosis, verdict="missing", effects=(candidate,), additions=(spring,))
 
@@ -107,10 +117,10 @@ def test_a_report_gives_the_deviation_of_the_diagnosis_for_what_is_held() -> Non
     candidate = est.Candidate(
         id="cubic_spring", score=100.0, p_value=1e-9, detection_limit=1.0, unit="N/m^3", testable=True, parameters=told
     )
-    known = information_of(np.eye(2), ("total_mass", "cubic_spring.stiffness"), np.ones(2))
-    free = made(est.Fit, model=rtac.RTAC.paper() + CubicSpring(stiffness=6e4), information=known)
-    held = made(est.Fit, model=free.model, information=information_of(np.eye(1), ("total_mass",), np.ones(1)))
-    assert [_effect(candidate, fit)["parameters"]["stiffness"]["std"] for fit in (free, held)] == [1.0, 300.0]
+    model = rtac.RTAC.paper() + CubicSpring(stiffness=6e4)
+    free, held = fit_of(model, ("total_mass", "cubic_spring.stiffness")), fit_of(model, ("total_mass",))
+    found = [_with_held(fit, [candidate])["cubic_spring.stiffness"] for fit in (free, held)]
+    assert [(p.value, p.std) for p in found] == [(6e4, 1.0), (5e4, 300.0)]
 
 
 @pytest.mark.slow
@@ -129,5 +139,6 @@ def test_on_a_shaken_rig_the_loop_goes_on() -> None:
     found = est.improve(rtac.RTAC.from_rig(recording), recording, validation=names, progress=False)
     assert [c.id for c in found.added] == ["arm_stribeck"], found
     assert found.held == ("arm_stribeck",)
+    assert found.diagnoses[-1].verdict == "adequate", found
     before, after = (m.errors for m in (found.validation.models[0], found.validation.models[-1]))
     assert sum(e.rms_over_noise for e in after.values()) < 0.95 * sum(e.rms_over_noise for e in before.values())

@@ -28,8 +28,9 @@ def test_smaller_models_give_the_same_scores_as_one_for_all(monkeypatch: pytest.
     search = Search.of(fit, recording, [CATALOGUE[i] for i in CANDIDATES], tqdm(disable=True))
     base = search.base()
     found = []
-    for many in (np.inf, 0):
+    for many, groups in ((np.inf, 1), (0, 4)):
         monkeypatch.setattr(_probing, "_MANY", many)
+        assert len(search._grouped(())) == groups
         found.append({(s.id, str(s.instance)): s for s in search.tested(base).screened})
     one, several = found
     assert one.keys() == several.keys()

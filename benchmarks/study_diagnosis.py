@@ -31,7 +31,7 @@ import numpy as np
 
 import estimators as est
 import rtac_jax as rtac
-from estimators._improve import held_at
+from estimators._improve import holding
 from estimators._output_error import moving
 from estimators._start import scales_of
 from rtac_jax import virtual_rig
@@ -172,7 +172,8 @@ def one(name: str, draw: int, case: Case) -> dict[str, object]:
     seconds = time.perf_counter() - began
     models: dict[str, est.Fit | None] = {"base": fit}
     if found.additions:
-        free, held = _with(fit.model, found.additions), held_at(fit.model, found.additions)
+        free = _with(fit.model, found.additions)
+        held = holding(free, [effect.id for effect in found.additions])
         models["improved"] = _fitted(free, recording) or _fitted(held, recording)
     if name in OUTSIDE and found.curves:
         models["learned"] = _fitted(fit.model + found.curves[0].effect(), recording)

@@ -123,8 +123,8 @@ def improve(
     stopped = ""
     while not stopped:
         # What is held was estimated too: a diagnosis may move it.
-        free = fits[-1].model.release(*(name for name in fits[-1].model.parameters if name.split(".")[0] in held))
-        found = diagnose(dataclasses.replace(fits[-1], model=free), train, candidates=candidates, progress=progress)
+        released = fits[-1].model.release(*_parameters(fits[-1].model, held))
+        found = diagnose(dataclasses.replace(fits[-1], model=released), train, candidates=candidates, progress=progress)
         diagnoses.append(found)
         if not found.additions:
             enough = found.verdict == "adequate"
@@ -136,9 +136,10 @@ def improve(
                 break
             label = "+ " + ", ".join([*(c.id for c in added), effect.id])
             reasons = []
-            for model in (fits[-1].model + effect, held_at(fits[-1].model, [effect])):
+            extended = fits[-1].model + effect
+            for tried in (extended, holding(extended, [effect.id])):
                 try:
-                    better = output_error(model, train, from_model=True, progress=progress)
+                    better = output_error(tried, train, from_model=True, progress=progress)
                     test = compare(better, held_out, labels=[label]).models[0]
                 except (NotIdentifiableError, DivergedError, FloatingPointError) as error:
                     reasons.append(f"Stopped: with {effect.id} the model could not be fitted: {error}")
@@ -174,12 +175,13 @@ def improve(
     )
 
 
-def held_at(model: RTAC, effects: Sequence[Effect]) -> RTAC:
-    """The model with these effects, of which nothing is fitted."""
-    for effect in effects:
-        model = model + effect
-    ids = {effect.id for effect in effects}
-    return model.fix(*(name for name in model.parameters if name.split(".")[0] in ids))
+def holding(model: RTAC, effects: Sequence[str]) -> RTAC:
+    """The model with all parameters of these effects, by id, held at their values."""
+    return model.fix(*_parameters(model, effects))
+
+
+def _parameters(model: RTAC, effects: Sequence[str]) -> list[str]:
+    return [name for name in model.parameters if name.split(".")[0] in effects]
 
 
 def _misfit(compared: Any) -> float:

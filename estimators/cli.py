@@ -157,7 +157,7 @@ def diagnose(
     with job(file, validation, out, json) as work:
         import estimators as est
         from estimators import _report
-        from estimators._improve import held_at
+        from estimators._improve import holding
         from rtac_jax import RTAC
 
         base = work.fitted(work.model())
@@ -168,7 +168,7 @@ def diagnose(
             free = reduce(RTAC.__add__, found.additions, base.model)
             for model, held in (
                 (free, ""),
-                (held_at(base.model, found.additions), ", held at the estimate of the diagnosis"),
+                (holding(free, [effect.id for effect in found.additions]), ", held at the estimate of the diagnosis"),
             ):
                 try:
                     fits.append(est.output_error(model, work.train, from_model=True, progress=progress()))

@@ -13,7 +13,7 @@ import rtac_jax as rtac
 from estimators import _improve
 from estimators._compare import Compared
 from estimators._covariance import information_of
-from estimators._improve import held_at
+from estimators._improve import holding
 from estimators._output_error import Parameter
 from estimators._report import _with_held
 from estimators._results import RESULTS
@@ -53,7 +53,7 @@ class Known(Compared):
 def test_nothing_of_an_effect_that_is_held_is_fitted() -> None:
     base = rtac.RTAC.paper()
     stribeck = ArmStribeck(level=4e-4, velocity=0.8)
-    model = held_at(base, [stribeck, CubicSpring(stiffness=5e4)])
+    model = holding(base + stribeck + CubicSpring(stiffness=5e4), ["arm_stribeck", "cubic_spring"])
     assert model.free == base.free
     assert float(model["arm_stribeck.level"]) == 4e-4
     assert float(model["cubic_spring.stiffness"]) == 5e4

@@ -1,4 +1,4 @@
-"""An effect that a simulation cannot fit is held at the estimate of the diagnosis, and kept if the held-out error falls."""
+"""An effect that a simulation cannot fit is held at the estimate of the diagnosis; held-out experiments say whether it is kept."""
 
 import dataclasses
 import zlib
@@ -14,6 +14,7 @@ from estimators import _improve
 from estimators._compare import Compared
 from estimators._covariance import information_of
 from estimators._improve import holding
+from estimators._one_step_ahead import OneStepAhead
 from estimators._output_error import Parameter
 from estimators._report import _with_held
 from estimators._results import RESULTS
@@ -23,6 +24,7 @@ from rtac_jax.measurement import Experiment
 
 FREE, HELD = "free", "held"
 BEFORE = 4.0  # held-out error of the base model
+SAMPLES = 1000
 Kind = TypeVar("Kind")
 
 
@@ -38,6 +40,11 @@ def fit_of(model: rtac.RTAC, names: tuple[str, ...], **statistics: Any) -> est.F
     """A fit of which deviations of one are known for these parameters."""
     known = information_of(np.eye(len(names)), names, np.ones(len(names)))
     return est.Fit(model, RESULTS.successful, known, {}, {}, {}, (), statistics)
+
+
+def kind_of(model: rtac.RTAC) -> str:
+    """Which of the loop's models this is."""
+    return "base" if "cubic_spring" not in model else FREE if "cubic_spring.stiffness" in model.free else HELD
 
 
 class Known(Compared):
@@ -76,22 +83,70 @@ def test_nothing_of_an_effect_that_is_held_is_fitted() -> None:
 def test_what_is_kept(
     monkeypatch: pytest.MonkeyPatch, errors: dict[str, float | None], kept: bool, held: bool, said: str
 ) -> None:
+    found = looped(monkeypatch, errors, {})
+    assert [c.id for c in found.added] == (["cubic_spring"] if kept else [])
+    assert found.held == (("cubic_spring",) if held else ())
+    assert found.foreseen == ()
+    assert found.verdict == ("missing" if kept else "unknown")
+    assert said in found.ending
+
+
+@pytest.mark.parametrize(
+    ("errors", "likelier", "kept", "held"),
+    [
+        ({FREE: 5.0, HELD: 6.0}, {FREE: 1.0, HELD: 0.5}, True, False),
+        ({FREE: 5.0, HELD: 6.0}, {FREE: 0.5, HELD: 1.0}, True, True),
+        ({FREE: None, HELD: 6.0}, {HELD: 1.0}, True, True),
+        ({FREE: 5.0, HELD: 6.0}, {FREE: 0.001, HELD: 0.001}, False, False),  # as chance may do
+        ({FREE: 5.0, HELD: 6.0}, {FREE: -1.0, HELD: -1.0}, False, False),
+        ({FREE: None, HELD: None}, {}, False, False),
+    ],
+)
+def test_what_predictions_keep(
+    monkeypatch: pytest.MonkeyPatch,
+    errors: dict[str, float | None],
+    likelier: dict[str, float],
+    kept: bool,
+    held: bool,
+) -> None:
+    found = looped(monkeypatch, errors, likelier)
+    assert [c.id for c in found.added] == (["cubic_spring"] if kept else [])
+    assert found.held == (("cubic_spring",) if held else ())
+    assert found.verdict == ("missing" if kept else "unknown")
+    assert [one.id for one in found.foreseen] == (["cubic_spring"] if kept else [])
+    if kept:
+        assert found.foreseen[0].gain == pytest.approx(max(likelier.values()) * SAMPLES)
+        assert "2.00 to 1.00 times the noise" in found.ending
+        assert found.final.statistics["error"] == errors[HELD if held else FREE]
+
+
+def looped(
+    monkeypatch: pytest.MonkeyPatch, errors: dict[str, float | None], likelier: dict[str, float]
+) -> est.Improvement:
+    """The loop on made-up errors of simulation, and made-up gains of each sample's log-likelihood; None where a fit fails."""
     spring = CubicSpring(stiffness=5e4)
     candidate = est.Candidate(
         id="cubic_spring", score=100.0, p_value=1e-9, detection_limit=1.0, unit="N/m^3", testable=True, correlation={}
     )
 
     def fitted(model: rtac.RTAC, *_: Any, **__: Any) -> est.Fit:
-        kind = "base" if "cubic_spring" not in model else FREE if "cubic_spring.stiffness" in model.free else HELD
+        kind = kind_of(model)
         error = BEFORE if kind == "base" else errors[kind]
         if error is None:
             raise est.NotIdentifiableError("leaves it free")
         return fit_of(model, ("total_mass",), error=error)
 
+    def foreseen(fit: est.Fit, *_: Any) -> OneStepAhead:
+        gain, error = likelier.get(kind_of(fit.model), 0.0), 2.0 if kind_of(fit.model) == "base" else 1.0
+        chance = (np.arange(SAMPLES) // 10 % 2 - 0.5)[:, None] * (error - 1.0)
+        seconds = np.arange(SAMPLES)[:, None] // 10
+        return OneStepAhead(gain + chance, seconds, {"cart_position": error})
+
     def compared(fits: Any, *_: Any, labels: list[str]) -> est.Comparison:
         several = fits if isinstance(fits, list) else [fits]
         error = [{"cart_position": SimpleNamespace(rms_over_noise=f.statistics["error"])} for f in several]
-        return est.Comparison(tuple(made(Known, label=x, known=e) for x, e in zip(labels, error, strict=True)))
+        pairs = zip(labels, error, strict=True)
+        return est.Comparison(tuple(made(Known, label=x, known=e, start={}) for x, e in pairs))
 
     def diagnosed(fit: est.Fit, *_: Any, **__: Any) -> est.Diagnosis:
         if "cubic_spring" in fit.model:
@@ -99,17 +154,18 @@ def test_what_is_kept(
             return made(est.Diagnosis, verdict="adequate", effects=(), additions=())
         return made(est.Diagnosis, verdict="missing", effects=(candidate,), additions=(spring,))
 
-    for name, stub in {"output_error": fitted, "compare": compared, "diagnose": diagnosed}.items():
+    for name, stub in {
+        "output_error": fitted,
+        "compare": compared,
+        "diagnose": diagnosed,
+        "one_step_ahead": foreseen,
+    }.items():
         monkeypatch.setattr(_improve, name, stub)
     monkeypatch.setattr(_improve, "compile_diagnosis", lambda *_: None)
     two = [
         Experiment.of(f"free_{n}", kind="free", sample_time=0.01, cart_position=np.cos(np.arange(99))) for n in (1, 2)
     ]
-    found = _improve.improve(rtac.RTAC.paper(), rtac.Recording(two), progress=False)
-    assert [c.id for c in found.added] == (["cubic_spring"] if kept else [])
-    assert found.held == (("cubic_spring",) if held else ())
-    assert found.verdict == ("missing" if kept else "unknown")
-    assert said in found.ending
+    return _improve.improve(rtac.RTAC.paper(), rtac.Recording(two), progress=False)
 
 
 def test_a_report_gives_the_deviation_of_the_diagnosis_for_what_is_held() -> None:
@@ -123,12 +179,10 @@ def test_a_report_gives_the_deviation_of_the_diagnosis_for_what_is_held() -> Non
     assert [(p.value, p.std) for p in found] == [(6e4, 1.0), (5e4, 300.0)]
 
 
-@pytest.mark.slow
-def test_on_a_shaken_rig_the_loop_goes_on() -> None:
-    """The first rig on which a simulation left free what the diagnosis had told."""
-    seed = 10 * zlib.crc32(b"13 arm_stribeck")
-    hidden = {"arm_stribeck": 4e-4, "arm_stribeck_velocity": 1.0, "force_noise": 1e-3, "torque_noise": 3e-5}
-    rig = dataclasses.replace(virtual_rig.Rig().drawn(seed), **hidden)
+def improved(name: str, hidden: dict[str, Any]) -> est.Improvement:
+    """The loop on a shaken rig, with experiments of other plans held out."""
+    seed = 10 * zlib.crc32(name.encode())
+    rig = dataclasses.replace(virtual_rig.Rig().drawn(seed), **hidden, force_noise=1e-3, torque_noise=3e-5)
     ahead = {"sample_time": 0.002, "duration": 5.0}
     plans = virtual_rig.standard_plans(seed=seed + 1, free=2, forced=4, rest=1, repeats=1, **ahead)
     checks = virtual_rig.standard_plans(seed=seed + 3, free=1, forced=2, rest=0, **ahead)
@@ -136,9 +190,31 @@ def test_on_a_shaken_rig_the_loop_goes_on() -> None:
     others = [dataclasses.replace(e, name=f"check_{e.name}") for e in held_out.experiments]
     recording = rtac.Recording((*trained.experiments, *others), rig=trained.rig)
     names = [e.name for e in others]
-    found = est.improve(rtac.RTAC.from_rig(recording), recording, validation=names, progress=False)
+    return est.improve(rtac.RTAC.from_rig(recording), recording, validation=names, progress=False)
+
+
+@pytest.mark.slow
+def test_on_a_shaken_rig_the_loop_goes_on() -> None:
+    """The first rig on which a simulation left free what the diagnosis had told."""
+    found = improved("13 arm_stribeck", {"arm_stribeck": 4e-4, "arm_stribeck_velocity": 1.0})
     assert [c.id for c in found.added] == ["arm_stribeck"], found
     assert found.held == ("arm_stribeck",)
     assert found.diagnoses[-1].verdict == "adequate", found
     before, after = (m.errors for m in (found.validation.models[0], found.validation.models[-1]))
     assert sum(e.rms_over_noise for e in after.values()) < 0.95 * sum(e.rms_over_noise for e in before.values())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("effect", "hidden"),
+    [
+        ("encoder_gain", {"encoder_gain": 1.01, "encoder": True}),
+        ("encoder_lag", {"encoder_lag": 0.005, "encoder": True}),
+        ("cogging", {"cogging_torque": 4e-4, "cogging_order": 7.0, "cogging_phase": 0.7}),
+    ],
+)
+def test_what_is_named_on_a_shaken_rig_is_added(effect: str, hidden: dict[str, Any]) -> None:
+    """Effects whose help no simulation showed on earlier shaken rigs; these rigs are others."""
+    found = improved(f"a shaken rig with {effect}", hidden)
+    assert found.verdict == "missing", found
+    assert [c.id for c in found.added] == [effect], found

@@ -41,6 +41,10 @@ def finding(improvement: Improvement) -> str:
             f"No effect could be added: the held-out error of {NAMES[channel]} stays at {times(before)} times the noise"
         )
     names = ", ".join(c.id for c in improvement.added)
+    if improvement.foreseen and after >= before:
+        last = improvement.foreseen[-1]
+        fall = f"from {times(last.before[last.channel])} to {times(last.after[last.channel])} times the noise"
+        return f"With {names} the held-out {NAMES[last.channel]} is foreseen one sample ahead better, {fall}"
     fall = f"from {times(before)} to {times(after)} times the noise"
     return f"Adding {names} lowers the held-out error of {NAMES[channel]} {fall}"
 

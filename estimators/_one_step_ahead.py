@@ -1,0 +1,99 @@
+"""Held-out experiments foreseen one sample at a time: what tells of a model where no simulation can follow the rig."""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+
+import jax.numpy as jnp
+import numpy as np
+import scipy.stats
+from jaxtyping import Array, Float, Int
+
+from estimators._innovations import stretches
+from estimators._kalman import Filtered
+from estimators._likelihood import NoiseModel, fit_noise, run_filter
+from estimators._noise import noise_levels
+from estimators._output_error import Fit, moving, pieces
+from estimators._problem import CHANNELS, Data, Space
+from estimators._selection import by_sample, vuong
+from estimators._start import scales_of, space_of
+from rtac_jax import RTAC
+from rtac_jax.measurement import Experiment, Recording
+
+_CHANCE = 0.05  # probability of calling a model better that is not
+
+
+@dataclasses.dataclass(frozen=True)
+class OneStepAhead:
+    """Experiments as a model foresees them, each sample from all before it.
+
+    Attributes:
+        by_sample: log-likelihood of each sample, less a constant.
+        stretches: number of the second that each sample belongs to.
+        errors: rms of what was foreseen wrongly over the sensor's noise, by channel.
+    """
+
+    by_sample: Float[np.ndarray, "sample experiment"]
+    stretches: Int[np.ndarray, "sample experiment"]
+    errors: Mapping[str, float]
+
+    @property
+    def log_likelihood(self) -> float:
+        """Of all samples, less a constant."""
+        return float(np.sum(self.by_sample))
+
+    def surpasses(self, other: "OneStepAhead") -> bool:
+        """Whether this makes the same samples likelier, by more than chance does in one of twenty cases."""
+        statistic = vuong(self.by_sample, other.by_sample, self.stretches, 0.0)
+        return bool(statistic > scipy.stats.norm.isf(_CHANCE))
+
+
+def one_step_ahead(
+    fit: Fit, fitted: Recording, recording: Recording, starts: Mapping[str, Float[np.ndarray, " state"]]
+) -> OneStepAhead:
+    """Foresee a recording with a model that was fitted to another one.
+
+    A Kalman filter mends the state at each sample, as far as a random force and a random torque make it doubtful. How large
+    these are is estimated where the model was fitted; nothing is fitted to what is foreseen.
+
+    Args:
+        fitted: the recording of the fit.
+        recording: another one of the same rig.
+        starts: states at the start, by experiment, for those in which nobody measured where the arm was.
+
+    Source: Ljung, System Identification (1999), section 16.6, on cross-validation by predictions.
+    """
+    model = fit.model.with_values({name: jnp.mean(fit.model[name]) for name in fit.model.per_experiment})
+    substeps = jnp.asarray(int(fit.statistics["substeps"]))
+    levels = noise_levels(fitted.experiments)
+    trained = pieces(moving(fitted))
+    space, data = _space(model, trained, fit.start), Data.of(trained)
+    prior = NoiseModel.of(levels, fitted.experiments, scales_of(model, trained), space)
+    noise = fit_noise(model, data, space, _values(space), prior, None, substeps).exponents
+    others = pieces(moving(recording))
+    space, data = _space(model, others, starts), Data.of(others)
+    passed = run_filter(model, data, space, _values(space), prior.starting(space), noise, substeps).filtered
+    return OneStepAhead(by_sample(passed), stretches(data), _errors(passed, levels))
+
+
+def _space(model: RTAC, experiments: Sequence[Experiment], starts: Mapping[str, np.ndarray]) -> Space:
+    # The first samples tell the start better than a simulation of a model that may be wrong, but for an unmeasured angle.
+    blind = [e.name for e in experiments if e.initial_arm_angle is None and "arm_angle" not in e.outputs]
+    return space_of(model, experiments, free=[], start={name: starts[name] for name in blind if name in starts})
+
+
+def _values(space: Space) -> tuple[Array, Array, Array]:
+    return space.physical(space.unconstrained(start=False))
+
+
+def _errors(passed: Filtered, levels: Mapping[str, float]) -> dict[str, float]:
+    whitener = np.moveaxis(np.asarray(passed.whitener), 3, 1)  # [sample experiment row output]
+    there = np.diagonal(whitener, axis1=2, axis2=3) > 0
+    # A row of zeros stands for a sample that was not measured.
+    square = whitener + np.eye(len(CHANNELS)) * ~there[..., None, :]
+    white = np.swapaxes(np.asarray(passed.innovations), 1, 2)[..., None]
+    error = np.linalg.solve(square, white)[..., 0]
+    return {
+        channel: float(np.sqrt(np.mean(error[..., row][there[..., row]] ** 2)) / levels[channel])
+        for row, channel in enumerate(CHANNELS)
+        if there[..., row].any()
+    }

@@ -1,0 +1,80 @@
+"""Held-out experiments foreseen one sample ahead tell models apart where random forces carry every simulation away."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import estimators as est
+import rtac_jax as rtac
+from estimators._improve import holding
+from estimators._one_step_ahead import OneStepAhead, one_step_ahead
+from rtac_jax import virtual_rig
+from rtac_jax.effects import CubicSpring, EncoderGain
+
+SHAKEN = {"force_noise": 1e-3, "torque_noise": 3e-5}
+GAIN = 1.01
+
+
+def recorded(**hidden: float) -> tuple[rtac.Recording, rtac.Recording]:
+    """Two recordings of one shaken rig that also measures the arm's angle."""
+    rig = dataclasses.replace(virtual_rig.Rig().drawn(4711), encoder=True, **SHAKEN, **hidden)
+    plans = [
+        virtual_rig.standard_plans(seed=seed, free=1, forced=2, rest=1, sample_time=0.002, duration=3.0)
+        for seed in (4712, 4713)
+    ]
+    train, held_out = virtual_rig.record_many([(rig, plans[0], 4714), (rig, plans[1], 4715)])
+    return train, held_out
+
+
+def foreseen(model: rtac.RTAC, train: rtac.Recording, held_out: rtac.Recording) -> OneStepAhead:
+    """By a model fitted to the first recording."""
+    return one_step_ahead(est.output_error(model, train, progress=False), train, held_out, {})
+
+
+@pytest.fixture(scope="module")
+def by_model() -> dict[str, OneStepAhead]:
+    """Of a rig whose encoder shows too much: by the base model, the right one, and one with an effect that is not there."""
+    train, held_out = recorded(encoder_gain=GAIN)
+    base = rtac.RTAC.from_rig(train)
+    models = {
+        "base": base,
+        "right": holding(base + EncoderGain(error=GAIN - 1.0), ["encoder_gain"]),
+        "wrong": base + CubicSpring(stiffness=1e3),
+    }
+    return {name: foreseen(model, train, held_out) for name, model in models.items()}
+
+
+def test_the_right_effect_is_foreseen_better(by_model: dict[str, OneStepAhead]) -> None:
+    base, right = by_model["base"], by_model["right"]
+    assert right.surpasses(base)
+    assert not base.surpasses(right)
+    assert right.log_likelihood > base.log_likelihood + 100.0
+    # An encoder that shows too much contradicts the tachometer.
+    assert right.errors["arm_velocity"] < 0.9 * base.errors["arm_velocity"]
+
+
+def test_an_effect_that_is_not_there_is_not(by_model: dict[str, OneStepAhead]) -> None:
+    assert not by_model["wrong"].surpasses(by_model["base"])
+
+
+def test_errors_are_those_of_the_predictions(by_model: dict[str, OneStepAhead]) -> None:
+    # Little more than its noise can be foreseen wrongly of a sensor where the state is known.
+    right = by_model["right"]
+    assert set(right.errors) == {"cart_position", "arm_velocity", "arm_angle"}
+    assert all(0.9 < error < 1.5 for error in right.errors.values()), right.errors
+
+
+def test_surpassing_takes_more_than_chance() -> None:
+    random = np.random.default_rng(1)
+    seconds = np.repeat(np.arange(60), 100).reshape(-1, 6, order="F")
+    nothing = np.zeros(seconds.shape)
+
+    def against_nothing(gain: float, number: int) -> bool:
+        noise = np.random.default_rng(number).normal(size=seconds.shape)
+        return OneStepAhead(gain + noise, seconds, {}).surpasses(OneStepAhead(nothing, seconds, {}))
+
+    seeds = random.integers(0, 2**31, 400)
+    by_chance = np.mean([against_nothing(0.0, int(seed)) for seed in seeds])
+    assert 0.02 < by_chance < 0.08
+    assert np.mean([against_nothing(0.1, int(seed)) for seed in seeds]) > 0.99

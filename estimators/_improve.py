@@ -15,7 +15,8 @@ from rtac_jax import RTAC
 from rtac_jax.effects import CATALOGUE, Effect
 from rtac_jax.measurement import Recording
 
-_CLEAR = 0.05  # share by which the held-out error has to fall where an effect gets a second chance
+_CLEAR = 0.05  # share by which the held-out error has to fall, but near the noise, for a simulation to tell
+_NEAR = 1.5  # error of simulation in units of the noise below which every fall counts
 
 
 @dataclasses.dataclass(frozen=True)
@@ -41,9 +42,9 @@ class Foreseen:
     def __str__(self) -> str:
         where = self.channel
         return (
-            f"{self.id} is kept for what it foresees: random forces or an arm that tumbles carry any simulation of the held-out "
-            f"experiments away, but one sample ahead they are foreseen better with it (log-likelihood {self.gain:+.0f}, "
-            f"error of {where} {self.before[where]:.2f} to {self.after[where]:.2f} times the noise)."
+            f"{self.id} is kept for what it foresees: a simulation of the held-out experiments does not tell, as where random "
+            f"forces or an arm that tumbles carry it away, but one sample ahead they are foreseen better with it (log-likelihood "
+            f"{self.gain:+.0f}, error of {where} {self.before[where]:.2f} to {self.after[where]:.2f} times the noise)."
         )
 
 
@@ -60,7 +61,8 @@ class Improvement:
         train, validation: every model against the experiments that it was fitted to, and against those held out.
         held: ids of added effects that are held at the estimate of the diagnosis, because a fit by simulation fails, or serves
             held-out experiments worse; deviations of the other parameters are for that value of theirs.
-        foreseen: added effects that do not lower the held-out error of simulation, but that of predictions one sample ahead.
+        foreseen: added effects that do not clearly lower the held-out error of simulation, but make the held-out experiments
+            likelier one sample ahead.
         stopped: why the loop ended.
         seconds: how long it took.
     """
@@ -130,12 +132,13 @@ def improve(
 ) -> Improvement:
     """Fit, diagnose, add what is missing, fit again, and validate on experiments that no fit has seen.
 
-    An effect is kept if the error of the held-out experiments falls in the channels together. Where it does not, or where the
-    effect cannot be fitted by simulation, as on a rig that random forces shake, the effect is held at the estimate of the
-    diagnosis, which foresees one sample at a time, and kept if the error falls so by a twentieth. Where it does not either,
-    the model is kept that foresees the held-out experiments better one sample at a time than the model before, if one does:
-    where random forces shake the rig, or the arm tumbles, no simulation can follow it, however right the model is. The
-    held-out experiments choose the models by that, so their last error is a little too good.
+    An effect is kept if the error of the held-out experiments falls clearly in the channels together: by a twentieth, or to near
+    the noise. Where it does not, or where the effect cannot be fitted by simulation, as on a rig that random forces shake, the
+    effect is held at the estimate of the diagnosis, which foresees one sample at a time, and asked again. Where that does not
+    tell either, the model is kept that foresees the held-out experiments better one sample at a time than the model before, if
+    one does: where random forces shake the rig, or the arm tumbles, no simulation can follow it, however right the model is.
+    Last, an error that falls a little is enough. The held-out experiments choose the models by that, so their last error is
+    a little too good.
 
     Args:
         validation: names of the experiments to hold out; by default every fourth of each kind.
@@ -229,7 +232,7 @@ def _extended(
             reasons.append(f"Stopped: with {effect.id} the model could not be fitted: {error}")
             continue
         steps.append(_Step(fit, test, held=tried is not extended))
-        if _misfit(test) <= (1 - _CLEAR * bool(reasons)) * _misfit(tested):
+        if _falls_clearly(tested, test):
             return steps[-1]
         reasons.append(f"Stopped: with {effect.id} the held-out error would not fall.")
     if steps:
@@ -239,6 +242,8 @@ def _extended(
         if best.surpasses(known):
             gain = best.log_likelihood - known.log_likelihood
             return dataclasses.replace(step, foreseen=Foreseen(effect.id, gain, known.errors, best.errors))
+        if not steps[0].held and _misfit(steps[0].tested) <= _misfit(tested):
+            return steps[0]
     return (
         f"{reasons[0]} Held at the estimate of the diagnosis, it would not help clearly either, and predictions one sample ahead "
         "are no better with it."
@@ -252,6 +257,11 @@ def holding(model: RTAC, effects: Sequence[str]) -> RTAC:
 
 def _parameters(model: RTAC, effects: Sequence[str]) -> list[str]:
     return [name for name in model.parameters if name.split(".")[0] in effects]
+
+
+def _falls_clearly(before: Compared, after: Compared) -> bool:
+    error, first = _misfit(after), _misfit(before)
+    return error <= (1 - _CLEAR) * first or (error <= first and error < _NEAR)
 
 
 def _misfit(compared: Any) -> float:

@@ -75,7 +75,8 @@ def test_nothing_of_an_effect_that_is_held_is_fitted() -> None:
         ({FREE: None, HELD: 2.0}, True, True, "cubic_spring. Stopped"),
         ({FREE: 5.0, HELD: 6.0}, False, False, "would not fall"),
         ({FREE: 5.0, HELD: 3.9}, False, False, "would not help clearly either"),
-        ({FREE: 3.9, HELD: 2.0}, True, False, "nothing more"),
+        ({FREE: 3.9, HELD: 2.0}, True, True, "Held at the estimate of the diagnosis"),
+        ({FREE: 3.9, HELD: 3.9}, True, False, "nothing more"),
         ({FREE: None, HELD: 6.0}, False, False, "could not be fitted: leaves it free"),
         ({FREE: None, HELD: None}, False, False, "could not be fitted: leaves it free"),
     ],
@@ -97,6 +98,7 @@ def test_what_is_kept(
         ({FREE: 5.0, HELD: 6.0}, {FREE: 1.0, HELD: 0.5}, True, False),
         ({FREE: 5.0, HELD: 6.0}, {FREE: 0.5, HELD: 1.0}, True, True),
         ({FREE: None, HELD: 6.0}, {HELD: 1.0}, True, True),
+        ({FREE: 3.9, HELD: 3.9}, {FREE: 0.5, HELD: 1.0}, True, True),
         ({FREE: 5.0, HELD: 6.0}, {FREE: 0.001, HELD: 0.001}, False, False),  # as chance may do
         ({FREE: 5.0, HELD: 6.0}, {FREE: -1.0, HELD: -1.0}, False, False),
         ({FREE: None, HELD: None}, {}, False, False),

@@ -41,7 +41,7 @@ def finding(improvement: Improvement) -> str:
             f"No effect could be added: the held-out error of {NAMES[channel]} stays at {times(before)} times the noise"
         )
     names = ", ".join(c.id for c in improvement.added)
-    if improvement.foreseen and after >= before:
+    if improvement.foreseen and after > 0.95 * before:
         last = improvement.foreseen[-1]
         fall = f"from {times(last.before[last.channel])} to {times(last.after[last.channel])} times the noise"
         return f"With {names} the held-out {NAMES[last.channel]} is foreseen one sample ahead better, {fall}"

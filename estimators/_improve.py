@@ -4,13 +4,16 @@ import dataclasses
 import time
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
+from typing import Any, Literal
+
+import numpy as np
 
 from estimators._compare import Compared, Comparison, compare
 from estimators._diagnose import Candidate, Diagnosis, Verdict, compile_diagnosis, diagnose
+from estimators._nonlinear_prediction_error import prediction_error_nonlinear
 from estimators._one_step_ahead import one_step_ahead
-from estimators._output_error import Fit, output_error
-from estimators._results import DivergedError, NotIdentifiableError
+from estimators._output_error import Fit, mark_of, output_error
+from estimators._results import RESULTS, DivergedError, NotIdentifiableError
 from rtac_jax import RTAC
 from rtac_jax.effects import CATALOGUE, Effect
 from rtac_jax.measurement import Recording
@@ -61,6 +64,8 @@ class Improvement:
         train, validation: every model against the experiments that it was fitted to, and against those held out.
         held: ids of added effects that are held at the estimate of the diagnosis, because a fit by simulation fails, or serves
             held-out experiments worse; deviations of the other parameters are for that value of theirs.
+        predicted: the last model has all its parameters from predictions one sample ahead, because random forces or an arm that
+            tumbles carry a simulation away from the data that it was fitted to.
         foreseen: added effects that do not clearly lower the held-out error of simulation, but make the held-out experiments
             likelier one sample ahead.
         stopped: why the loop ended.
@@ -74,6 +79,7 @@ class Improvement:
     train: Comparison
     validation: Comparison
     held: tuple[str, ...]
+    predicted: bool
     foreseen: tuple[Foreseen, ...]
     stopped: str
     seconds: float
@@ -92,6 +98,11 @@ class Improvement:
     def ending(self) -> str:
         """What was held, or kept for its predictions, if anything, and why the loop ended."""
         said = [str(one) for one in self.foreseen]
+        if self.predicted:
+            said.append(
+                "All parameters of the last model are those with which the data are foreseen best one sample ahead, as of "
+                "est.prediction_error_nonlinear: a fit by simulation serves held-out experiments worse."
+            )
         if self.held:
             said.insert(
                 0,
@@ -134,11 +145,11 @@ def improve(
 
     An effect is kept if the error of the held-out experiments falls clearly in the channels together: by a twentieth, or to near
     the noise. Where it does not, or where the effect cannot be fitted by simulation, as on a rig that random forces shake, the
-    effect is held at the estimate of the diagnosis, which foresees one sample at a time, and asked again. Where that does not
-    tell either, the model is kept that foresees the held-out experiments better one sample at a time than the model before, if
-    one does: where random forces shake the rig, or the arm tumbles, no simulation can follow it, however right the model is.
-    Last, an error that falls a little is enough. The held-out experiments choose the models by that, so their last error is
-    a little too good.
+    effect is held at the estimate of the diagnosis, which foresees one sample at a time, and asked again; then the whole model
+    is fitted by such predictions (`prediction_error_nonlinear`). Where none of the three tells, the one is kept that foresees the
+    held-out experiments best one sample at a time, if better than the model before: where random forces shake the rig, or the
+    arm tumbles, no simulation can follow it, however right the model is. Last, an error that falls a little is enough. The
+    held-out experiments choose the models by that, so their last error is a little too good.
 
     Args:
         validation: names of the experiments to hold out; by default every fourth of each kind.
@@ -160,6 +171,7 @@ def improve(
     added: list[Candidate] = []
     held: list[str] = []
     foreseen: list[Foreseen] = []
+    predicted = False
     stopped = ""
     while not stopped:
         # What is held was estimated too: a diagnosis may move it.
@@ -179,8 +191,9 @@ def improve(
             if isinstance(step, str):
                 stopped = step
                 break
-            if step.held:
+            if step.way == "held":
                 held.append(effect.id)
+            predicted = step.way == "predicted"
             if step.foreseen is not None:
                 foreseen.append(step.foreseen)
             fits.append(step.fit)
@@ -201,6 +214,7 @@ def improve(
         train=compare(fits, train, labels=labels),
         validation=Comparison(tuple(tested)),
         held=tuple(held),
+        predicted=predicted,
         foreseen=tuple(foreseen),
         stopped=stopped,
         seconds=time.perf_counter() - began,
@@ -213,7 +227,7 @@ class _Step:
 
     fit: Fit
     tested: Compared
-    held: bool
+    way: Literal["simulated", "held", "predicted"]
     foreseen: Foreseen | None = None
 
 
@@ -224,14 +238,18 @@ def _extended(
     extended = before.model + effect
     steps: list[_Step] = []
     reasons = []
-    for tried in (extended, holding(extended, [effect.id])):
+    for way in ("simulated", "held", "predicted"):
         try:
-            fit = output_error(tried, train, from_model=True, progress=progress)
+            if way == "predicted":
+                fit = _predicted(extended, before, train, progress=progress)
+            else:
+                tried = extended if way == "simulated" else holding(extended, [effect.id])
+                fit = output_error(tried, train, from_model=True, progress=progress)
             test = compare(fit, held_out, labels=[label]).models[0]
         except (NotIdentifiableError, DivergedError, FloatingPointError) as error:
             reasons.append(f"Stopped: with {effect.id} the model could not be fitted: {error}")
             continue
-        steps.append(_Step(fit, test, held=tried is not extended))
+        steps.append(_Step(fit, test, way))
         if _falls_clearly(tested, test):
             return steps[-1]
         reasons.append(f"Stopped: with {effect.id} the held-out error would not fall.")
@@ -242,11 +260,40 @@ def _extended(
         if best.surpasses(known):
             gain = best.log_likelihood - known.log_likelihood
             return dataclasses.replace(step, foreseen=Foreseen(effect.id, gain, known.errors, best.errors))
-        if not steps[0].held and _misfit(steps[0].tested) <= _misfit(tested):
+        if steps[0].way == "simulated" and _misfit(steps[0].tested) <= _misfit(tested):
             return steps[0]
     return (
-        f"{reasons[0]} Held at the estimate of the diagnosis, it would not help clearly either, and predictions one sample ahead "
-        "are no better with it."
+        f"{reasons[0]} Held at the estimate of the diagnosis, or fitted by predictions one sample ahead, it would not help "
+        "clearly either, and predictions are no better with it."
+    )
+
+
+def _predicted(model: RTAC, before: Fit, train: Recording, *, progress: bool) -> Fit:
+    """A model fitted by its predictions one sample ahead, with the starts from which its simulation follows best."""
+    found = prediction_error_nonlinear(model, train, from_model=True, progress=progress)
+    experiments, space = found.problem.experiments, found.problem.arguments.space
+    states = np.asarray(space.physical(found.problem.unknowns)[2])
+    compared = compare(found.model, train).models[0]
+    start = {e.name: compared.start.get(e.name, states[:, i]) for i, e in enumerate(experiments)}
+    return dataclasses.replace(
+        before,
+        model=found.model,
+        result=RESULTS.successful,
+        information=found.information,
+        residual_std={channel: error.rms for channel, error in compared.errors.items()},
+        start=start,
+        experiments=found.experiments,
+        statistics={
+            "cost": -found.log_likelihood,
+            "steps": 0,
+            "starts": 1,
+            "agreed": 1,
+            "winner": "predictions one sample ahead",
+            "failures": (),
+            "substeps": found.statistics["substeps"],
+            "seconds": found.statistics["seconds"],
+        },
+        marks={e.name: mark_of(e) for e in experiments},
     )
 
 

@@ -22,7 +22,7 @@ from rtac_jax import virtual_rig
 from rtac_jax.effects import ArmStribeck, CubicSpring
 from rtac_jax.measurement import Experiment
 
-FREE, HELD = "free", "held"
+FREE, HELD, PREDICTED = "free", "held", "predicted"
 BEFORE = 4.0  # held-out error of the base model
 SAMPLES = 1000
 Kind = TypeVar("Kind")
@@ -43,8 +43,8 @@ def fit_of(model: rtac.RTAC, names: tuple[str, ...], **statistics: Any) -> est.F
 
 
 def kind_of(model: rtac.RTAC) -> str:
-    """Which of the loop's models this is."""
-    return "base" if "cubic_spring" not in model else FREE if "cubic_spring.stiffness" in model.free else HELD
+    """Which of the loop's models with the spring this is."""
+    return FREE if "cubic_spring.stiffness" in model.free else HELD
 
 
 class Known(Compared):
@@ -75,6 +75,7 @@ def test_nothing_of_an_effect_that_is_held_is_fitted() -> None:
         ({FREE: None, HELD: 2.0}, True, True, "cubic_spring. Stopped"),
         ({FREE: 5.0, HELD: 6.0}, False, False, "would not fall"),
         ({FREE: 5.0, HELD: 3.9}, False, False, "would not help clearly either"),
+        ({FREE: 5.0, HELD: 3.9, PREDICTED: 2.0}, True, False, "est.prediction_error_nonlinear"),
         ({FREE: 3.9, HELD: 2.0}, True, True, "Held at the estimate of the diagnosis"),
         ({FREE: 3.9, HELD: 3.9}, True, False, "nothing more"),
         ({FREE: None, HELD: 6.0}, False, False, "could not be fitted: leaves it free"),
@@ -93,33 +94,36 @@ def test_what_is_kept(
 
 
 @pytest.mark.parametrize(
-    ("errors", "likelier", "kept", "held"),
+    ("errors", "likelier", "kept"),
     [
-        ({FREE: 5.0, HELD: 6.0}, {FREE: 1.0, HELD: 0.5}, True, False),
-        ({FREE: 5.0, HELD: 6.0}, {FREE: 0.5, HELD: 1.0}, True, True),
-        ({FREE: None, HELD: 6.0}, {HELD: 1.0}, True, True),
-        ({FREE: 3.9, HELD: 3.9}, {FREE: 0.5, HELD: 1.0}, True, True),
-        ({FREE: 5.0, HELD: 6.0}, {FREE: 0.001, HELD: 0.001}, False, False),  # as chance may do
-        ({FREE: 5.0, HELD: 6.0}, {FREE: -1.0, HELD: -1.0}, False, False),
-        ({FREE: None, HELD: None}, {}, False, False),
+        ({FREE: 5.0, HELD: 6.0}, {FREE: 1.0, HELD: 0.5}, FREE),
+        ({FREE: 5.0, HELD: 6.0}, {FREE: 0.5, HELD: 1.0}, HELD),
+        ({FREE: None, HELD: 6.0}, {HELD: 1.0}, HELD),
+        ({FREE: 3.9, HELD: 3.9}, {FREE: 0.5, HELD: 1.0}, HELD),
+        ({FREE: 5.0, HELD: 6.0, PREDICTED: 7.0}, {FREE: 0.5, HELD: 1.0, PREDICTED: 2.0}, PREDICTED),
+        ({PREDICTED: 7.0}, {PREDICTED: 2.0}, PREDICTED),
+        ({FREE: 5.0, HELD: 6.0}, {FREE: 0.001, HELD: 0.001}, None),  # as chance may do
+        ({FREE: 5.0, HELD: 6.0}, {FREE: -1.0, HELD: -1.0}, None),
+        ({}, {}, None),
     ],
 )
 def test_what_predictions_keep(
     monkeypatch: pytest.MonkeyPatch,
     errors: dict[str, float | None],
     likelier: dict[str, float],
-    kept: bool,
-    held: bool,
+    kept: str | None,
 ) -> None:
     found = looped(monkeypatch, errors, likelier)
     assert [c.id for c in found.added] == (["cubic_spring"] if kept else [])
-    assert found.held == (("cubic_spring",) if held else ())
+    assert found.held == (("cubic_spring",) if kept == HELD else ())
+    assert found.predicted == (kept == PREDICTED)
+    assert ("est.prediction_error_nonlinear" in found.ending) == (kept == PREDICTED)
     assert found.verdict == ("missing" if kept else "unknown")
     assert [one.id for one in found.foreseen] == (["cubic_spring"] if kept else [])
-    if kept:
+    if kept is not None:
         assert found.foreseen[0].gain == pytest.approx(max(likelier.values()) * SAMPLES)
         assert "2.00 to 1.00 times the noise" in found.ending
-        assert found.final.statistics["error"] == errors[HELD if held else FREE]
+        assert found.final.statistics["kind"] == kept
 
 
 def looped(
@@ -132,14 +136,20 @@ def looped(
     )
 
     def fitted(model: rtac.RTAC, *_: Any, **__: Any) -> est.Fit:
-        kind = kind_of(model)
-        error = BEFORE if kind == "base" else errors[kind]
+        return made_up(model, "base" if "cubic_spring" not in model else kind_of(model))
+
+    def predicted(model: rtac.RTAC, *_: Any, **__: Any) -> est.Fit:
+        return made_up(model, PREDICTED)
+
+    def made_up(model: rtac.RTAC, kind: str) -> est.Fit:
+        error = BEFORE if kind == "base" else errors.get(kind)
         if error is None:
             raise est.NotIdentifiableError("leaves it free")
-        return fit_of(model, ("total_mass",), error=error)
+        return fit_of(model, ("total_mass",), error=error, kind=kind)
 
     def foreseen(fit: est.Fit, *_: Any) -> OneStepAhead:
-        gain, error = likelier.get(kind_of(fit.model), 0.0), 2.0 if kind_of(fit.model) == "base" else 1.0
+        kind = fit.statistics["kind"]
+        gain, error = likelier.get(kind, 0.0), 2.0 if kind == "base" else 1.0
         chance = (np.arange(SAMPLES) // 10 % 2 - 0.5)[:, None] * (error - 1.0)
         seconds = np.arange(SAMPLES)[:, None] // 10
         return OneStepAhead(gain + chance, seconds, {"cart_position": error})
@@ -161,6 +171,7 @@ def looped(
         "compare": compared,
         "diagnose": diagnosed,
         "one_step_ahead": foreseen,
+        "_predicted": predicted,
     }.items():
         monkeypatch.setattr(_improve, name, stub)
     monkeypatch.setattr(_improve, "compile_diagnosis", lambda *_: None)

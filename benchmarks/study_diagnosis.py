@@ -31,7 +31,7 @@ import numpy as np
 
 import estimators as est
 import rtac_jax as rtac
-from estimators._improve import holding
+from estimators._add_effect import holding
 from estimators._output_error import moving
 from estimators._start import scales_of
 from rtac_jax import virtual_rig

@@ -2,53 +2,17 @@
 
 import dataclasses
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, Literal
+from typing import Any
 
-import numpy as np
-
-from estimators._compare import Compared, Comparison, compare
+from estimators._add_effect import Foreseen, add_effect, parameters_of
+from estimators._compare import Comparison, compare
 from estimators._diagnose import Candidate, Diagnosis, Verdict, compile_diagnosis, diagnose
-from estimators._nonlinear_prediction_error import prediction_error_nonlinear
-from estimators._one_step_ahead import one_step_ahead
-from estimators._output_error import Fit, mark_of, output_error
-from estimators._results import RESULTS, DivergedError, NotIdentifiableError
+from estimators._output_error import Fit, output_error
 from rtac_jax import RTAC
 from rtac_jax.effects import CATALOGUE, Effect
 from rtac_jax.measurement import Recording
-
-_CLEAR = 0.05  # share by which the held-out error has to fall, but near the noise, for a simulation to tell
-_NEAR = 1.5  # error of simulation in units of the noise below which every fall counts
-
-
-@dataclasses.dataclass(frozen=True)
-class Foreseen:
-    """An effect that no simulation of the held-out experiments shows, and that predictions one sample ahead do.
-
-    Attributes:
-        id: of the effect.
-        gain: in the log-likelihood of the held-out experiments.
-        before, after: rms of the predictions' errors over the sensor's noise, by channel.
-    """
-
-    id: str
-    gain: float
-    before: Mapping[str, float]
-    after: Mapping[str, float]
-
-    @property
-    def channel(self) -> str:
-        """Where the predictions gain most."""
-        return max(self.before, key=lambda c: self.before[c] / self.after[c])
-
-    def __str__(self) -> str:
-        where = self.channel
-        return (
-            f"{self.id} is kept for what it foresees: a simulation of the held-out experiments does not tell, as where random "
-            f"forces or an arm that tumbles carry it away, but one sample ahead they are foreseen better with it (log-likelihood "
-            f"{self.gain:+.0f}, error of {where} {self.before[where]:.2f} to {self.after[where]:.2f} times the noise)."
-        )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -175,7 +139,7 @@ def improve(
     stopped = ""
     while not stopped:
         # What is held was estimated too: a diagnosis may move it.
-        released = fits[-1].model.release(*_parameters(fits[-1].model, held))
+        released = fits[-1].model.release(*parameters_of(fits[-1].model, held))
         found = diagnose(dataclasses.replace(fits[-1], model=released), train, candidates=candidates, progress=progress)
         diagnoses.append(found)
         if not found.additions:
@@ -187,7 +151,7 @@ def improve(
                 stopped = f"Stopped: {most} effects were added; more seem to be missing."
                 break
             label = "+ " + ", ".join([*(c.id for c in added), effect.id])
-            step = _extended(fits[-1], tested[-1], effect, label, train, held_out, progress=progress)
+            step = add_effect(fits[-1], tested[-1], effect, label, train, held_out, progress=progress)
             if isinstance(step, str):
                 stopped = step
                 break
@@ -219,99 +183,3 @@ def improve(
         stopped=stopped,
         seconds=time.perf_counter() - began,
     )
-
-
-@dataclasses.dataclass(frozen=True)
-class _Step:
-    """A model with one effect more."""
-
-    fit: Fit
-    tested: Compared
-    way: Literal["simulated", "held", "predicted"]
-    foreseen: Foreseen | None = None
-
-
-def _extended(
-    before: Fit, tested: Compared, effect: Effect, label: str, train: Recording, held_out: Recording, *, progress: bool
-) -> _Step | str:
-    """The model with an effect more that serves the held-out experiments better, or why there is none."""
-    extended = before.model + effect
-    steps: list[_Step] = []
-    reasons = []
-    for way in ("simulated", "held", "predicted"):
-        try:
-            if way == "predicted":
-                fit = _predicted(extended, before, train, progress=progress)
-            else:
-                tried = extended if way == "simulated" else holding(extended, [effect.id])
-                fit = output_error(tried, train, from_model=True, progress=progress)
-            test = compare(fit, held_out, labels=[label]).models[0]
-        except (NotIdentifiableError, DivergedError, FloatingPointError) as error:
-            reasons.append(f"Stopped: with {effect.id} the model could not be fitted: {error}")
-            continue
-        steps.append(_Step(fit, test, way))
-        if _falls_clearly(tested, test):
-            return steps[-1]
-        reasons.append(f"Stopped: with {effect.id} the held-out error would not fall.")
-    if steps:
-        known = one_step_ahead(before, train, held_out, tested.start)
-        ahead = [one_step_ahead(step.fit, train, held_out, step.tested.start) for step in steps]
-        step, best = max(zip(steps, ahead, strict=True), key=lambda pair: pair[1].log_likelihood)
-        if best.surpasses(known):
-            gain = best.log_likelihood - known.log_likelihood
-            return dataclasses.replace(step, foreseen=Foreseen(effect.id, gain, known.errors, best.errors))
-        if steps[0].way == "simulated" and _misfit(steps[0].tested) <= _misfit(tested):
-            return steps[0]
-    return (
-        f"{reasons[0]} Held at the estimate of the diagnosis, or fitted by predictions one sample ahead, it would not help "
-        "clearly either, and predictions are no better with it."
-    )
-
-
-def _predicted(model: RTAC, before: Fit, train: Recording, *, progress: bool) -> Fit:
-    """A model fitted by its predictions one sample ahead, with the starts from which its simulation follows best."""
-    found = prediction_error_nonlinear(model, train, from_model=True, progress=progress)
-    experiments, space = found.problem.experiments, found.problem.arguments.space
-    states = np.asarray(space.physical(found.problem.unknowns)[2])
-    compared = compare(found.model, train).models[0]
-    start = {e.name: compared.start.get(e.name, states[:, i]) for i, e in enumerate(experiments)}
-    return dataclasses.replace(
-        before,
-        model=found.model,
-        result=RESULTS.successful,
-        information=found.information,
-        residual_std={channel: error.rms for channel, error in compared.errors.items()},
-        start=start,
-        experiments=found.experiments,
-        statistics={
-            "cost": -found.log_likelihood,
-            "steps": 0,
-            "starts": 1,
-            "agreed": 1,
-            "winner": "predictions one sample ahead",
-            "failures": (),
-            "substeps": found.statistics["substeps"],
-            "seconds": found.statistics["seconds"],
-        },
-        marks={e.name: mark_of(e) for e in experiments},
-    )
-
-
-def holding(model: RTAC, effects: Sequence[str]) -> RTAC:
-    """The model with all parameters of these effects, by id, held at their values."""
-    return model.fix(*_parameters(model, effects))
-
-
-def _parameters(model: RTAC, effects: Sequence[str]) -> list[str]:
-    return [name for name in model.parameters if name.split(".")[0] in effects]
-
-
-def _falls_clearly(before: Compared, after: Compared) -> bool:
-    error, first = _misfit(after), _misfit(before)
-    return error <= (1 - _CLEAR) * first or (error <= first and error < _NEAR)
-
-
-def _misfit(compared: Any) -> float:
-    """Mean over the channels of the error in units of the noise, where no channel can hide another."""
-    errors = [e.rms_over_noise for e in compared.errors.values()]
-    return sum(errors) / len(errors)

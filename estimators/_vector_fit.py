@@ -76,10 +76,11 @@ def vector_fit(
         size = np.maximum(np.abs(moved), 1e-3 * s.imag[0])
         moved = np.minimum(moved.real, -_DAMPED * size) + 1j * moved.imag
         fresh = _half(moved)
-        if np.allclose(np.sort_complex(fresh), np.sort_complex(poles), rtol=1e-6):
-            poles = fresh
-            break
+        # A pair that becomes two real poles changes how many these are.
+        settled = len(fresh) == len(poles) and np.allclose(np.sort_complex(fresh), np.sort_complex(poles), rtol=1e-6)
         poles = fresh
+        if settled:
+            break
     pairs, single = _factors(poles, order)
     shape = Rational(np.ones(1), pairs, single, scale)
     denominator = 1.0 / shape(omega)

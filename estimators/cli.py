@@ -157,7 +157,7 @@ def diagnose(
     with job(file, validation, out, json) as work:
         import estimators as est
         from estimators import _report
-        from estimators._improve import holding
+        from estimators._add_effect import holding
         from rtac_jax import RTAC
 
         base = work.fitted(work.model())

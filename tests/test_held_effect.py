@@ -11,9 +11,9 @@ import pytest
 import estimators as est
 import rtac_jax as rtac
 from estimators import _improve
+from estimators._add_effect import holding
 from estimators._compare import Compared
 from estimators._covariance import information_of
-from estimators._improve import holding
 from estimators._one_step_ahead import OneStepAhead
 from estimators._output_error import Parameter
 from estimators._report import _with_held
@@ -166,14 +166,12 @@ def looped(
             return made(est.Diagnosis, verdict="adequate", effects=(), additions=())
         return made(est.Diagnosis, verdict="missing", effects=(candidate,), additions=(spring,))
 
-    for name, stub in {
-        "output_error": fitted,
-        "compare": compared,
-        "diagnose": diagnosed,
-        "one_step_ahead": foreseen,
-        "_predicted": predicted,
+    for module, stubs in {
+        _improve: {"output_error": fitted, "compare": compared, "diagnose": diagnosed},
+        _add_effect: {"output_error": fitted, "compare": compared, "one_step_ahead": foreseen, "_predicted": predicted},
     }.items():
-        monkeypatch.setattr(_improve, name, stub)
+        for name, stub in stubs.items():
+            monkeypatch.setattr(module, name, stub)
     monkeypatch.setattr(_improve, "compile_diagnosis", lambda *_: None)
     two = [
         Experiment.of(f"free_{n}", kind="free", sample_time=0.01, cart_position=np.cos(np.arange(99))) for n in (1, 2)

@@ -7,7 +7,7 @@ import pytest
 
 import estimators as est
 import rtac_jax as rtac
-from estimators._improve import holding
+from estimators._add_effect import holding
 from estimators._one_step_ahead import OneStepAhead, one_step_ahead
 from rtac_jax import virtual_rig
 from rtac_jax.effects import CubicSpring, EncoderGain

@@ -1,5 +1,6 @@
 """`rtac envelope` and `rtac control`: from many operating conditions to a controller."""
 
+import itertools
 import os
 import secrets
 from collections.abc import Sequence
@@ -13,6 +14,7 @@ from estimators._job import WRONG_USE, Job, job, progress, say, stop
 from estimators._options import File, Json, Out, Validation
 
 _ORDERS = (2, 4)  # of nominal models that `control` tries: one mode, and the paper's two
+_IMPORTANCE = (0.5, 1.0)  # powers of the responses' size by which P0 for `control` keeps closest where they are large
 WeightOrder = Annotated[int, typer.Option(min=0, max=8, help="Poles and zeros of the uncertainty weight.")]
 Band = Annotated[
     str | None,
@@ -105,7 +107,7 @@ def control(
             min=1,
             max=12,
             show_default=False,
-            help="Poles of the nominal model; by default 2 and 4 are tried, and the better controller is kept.",
+            help="Poles of the nominal model; by default 2 and 4 are tried, and the best controller is kept.",
         ),
     ] = None,
     weight_order: WeightOrder = 2,
@@ -182,11 +184,11 @@ def _enveloped(
     modes: int | None = None,
     for_control: bool = False,
 ) -> tuple[Any, list[Any]]:
-    """Responses, and an envelope for each order; one that cannot be is left out as long as another can.
+    """Responses, and envelopes of each order; one that cannot be is left out as long as another can.
 
     For control the nominal model keeps closest to the responses where they are large, as limited torque does nothing
-    elsewhere; and unless they were named, none is held out: a held-out condition raises the weight at all frequencies alike,
-    which costs more than what could then be said of new ones.
+    elsewhere, a little or much; and unless they were named, none is held out: a held-out condition raises the weight at all
+    frequencies alike, which costs more than what could then be said of new ones.
     """
     import numpy as np
 
@@ -199,9 +201,9 @@ def _enveloped(
     if work.names is None and (for_control or len(used.responses) - len(held) < 2):
         held = []  # of few conditions none can be spared
     size = np.exp(np.mean(np.log(np.abs(used.responses.response)), axis=0))
-    importance = np.sqrt(size / np.max(size)) if for_control else None
+    importances = [(size / np.max(size)) ** power for power in _IMPORTANCE] if for_control else [None]
     found, refusals = [], []
-    for order in orders:
+    for order, importance in itertools.product(orders, importances):
         try:
             one = est.envelope(
                 used.responses, kind=kind, order_nominal=order, order_weight=weight_order, held_out=held,

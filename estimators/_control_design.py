@@ -48,7 +48,8 @@ class ControlDesign:
     Attributes:
         covered: the envelope with the electric spring in the loop, from the controller's current [A] to the cart [m].
         units, actuation: of the controller, and how its output becomes torque.
-        weights, synthesis, reduction, margins: of the mixed sensitivity problem, in the controller's units.
+        weights, synthesis, reduction: of the mixed sensitivity problem, in the controller's units.
+        margins: of the sampled loop.
         controller: of lower order, continuous, from cart position [m] to torque before the division by cos(theta) [N m].
         sampled: the same for the recording's sample time; u = -C y for both.
         displacement: at the start [m].
@@ -56,7 +57,8 @@ class ControlDesign:
         free, closed: the fitted model without and with the controller, and with the noise of the recording's sensors.
         off, drawn: batches of 2,000 plants, with every parameter up to 15 % off, and drawn from the covariance of the fit.
         inside: a batch of plants of the envelope, as `plants_inside` draws them; None where it holds none that the model can be.
-        off_free: the plants of the first batch without a controller.
+        doubt: the largest standard deviation of any parameter of the fit, as a share of it [1].
+        off_free, inside_free: the plants of these batches without a controller.
         printed_bound: the least gamma that the weights printed in the paper allow, and where [rad/s].
     """
 
@@ -76,7 +78,9 @@ class ControlDesign:
     off: ClosedLoop
     drawn: ClosedLoop
     inside: ClosedLoop | None
+    doubt: float
     off_free: ClosedLoop
+    inside_free: ClosedLoop | None
     printed_bound: tuple[float, float]
 
     @property
@@ -84,6 +88,11 @@ class ControlDesign:
         """Share of the plants of each batch that settle within `within` and keep the arm in its half of the circle [1]."""
         batches = {"parameters_off": self.off, "parameter_covariance": self.drawn, "envelope": self.inside}
         return {name: float(np.mean(one.holds(within=self.within))) for name, one in batches.items() if one is not None}
+
+    @property
+    def helps(self) -> bool:
+        """Whether the fitted model settles sooner with the controller than without."""
+        return bool(self.closed.settling_time()[0] < self.free.settling_time()[0])
 
     def __str__(self) -> str:
         from estimators._control_report import honesty, outcome
@@ -189,11 +198,12 @@ def control(
     printed = mixed_sensitivity(paper_nominal(), paper_weights())
     return ControlDesign(
         covered=best.covered, units=units, actuation=actuation, weights=best.weights, synthesis=best.synthesis,
-        reduction=best.reduction, margins=margins(best.synthesis.nominal, best.reduction.controller, best.weights),
+        reduction=best.reduction, margins=margins(best.synthesis.nominal, best.recursion, best.weights),
         controller=_in_si(best.reduction.controller, units), sampled=_in_si(best.recursion, units),
         displacement=displacement, within=SOONER * (alone if np.isfinite(alone) else duration), free=free,
         closed=best.closed, off=loop(plants, best.recursion), off_free=loop(plants, None),
         drawn=loop(_drawn(fit), best.recursion), inside=None if inside is None else loop(inside, best.recursion),
+        doubt=_doubt(fit), inside_free=None if inside is None else loop(inside, None),
         printed_bound=(printed.bound, printed.bound_frequency),
     )  # fmt: skip
 
@@ -254,6 +264,11 @@ def _off(model: RTAC, seed: int = 0) -> RTAC:
     return model.with_values(
         {name: float(model[name]) * (1 + OFF * random.uniform(-1, 1, PLANTS)) for name in model.parameters}
     )
+
+
+def _doubt(fit: Fit) -> float:
+    values = np.array([float(fit.model[name]) for name in fit.information.names])
+    return float(np.max(np.sqrt(np.diagonal(fit.information.covariance)) / np.maximum(np.abs(values), 1e-300)))
 
 
 def _drawn(fit: Fit, seed: int = 0) -> RTAC:

@@ -9,6 +9,7 @@ import numpy as np
 
 from estimators._attribution import SOURCES
 from estimators._control_design import OFF, ControlDesign
+from estimators._coverage import Coverage
 from estimators._envelope import Envelope
 from estimators._prediction_error import LinearModels
 from estimators._report import FORMAT, VERSION
@@ -25,6 +26,12 @@ _WORDS = {
     "amplitude": "amplitude of the input",
     "scatter": "scatter between conditions",
     "estimation": "noise of the estimates",
+}
+_NARROWER = {
+    "unmodelled": "an order of the nominal model or a band that suit the conditions better (--order, --band)",
+    "amplitude": "conditions whose amplitudes differ less, as dry friction damps small motions more than large ones",
+    "scatter": "conditions that differ less, such as arms that start and stay closer to where they push most",
+    "estimation": "longer records, or currents that are larger around the resonance",
 }
 
 
@@ -49,7 +56,6 @@ def envelope_dict(found: Envelope, used: UsableConditions, *, seconds: float) ->
         }
         for i, one in enumerate(used.responses)
     ]
-    coverage = found.coverage
     return {
         "format": FORMAT,
         "version": VERSION,
@@ -62,19 +68,24 @@ def envelope_dict(found: Envelope, used: UsableConditions, *, seconds: float) ->
         "profile": found.profile.tolist(),
         "weight_magnitude": found.weight_magnitude().tolist(),
         "excess_db": found.excess_db,
-        "coverage": {
-            "probability": coverage.probability,
-            "confidence": coverage.confidence,
-            "conditions": coverage.conditions,
-            "method": coverage.method,
-            "in_words": str(coverage),
-        },
+        "coverage": coverage_dict(found.coverage),
         "attribution": {name: found.attribution.shares[i].tolist() for i, name in enumerate(SOURCES)},
         "conditions": conditions,
         "left_out": dict(used.left_out),
         "method": "local" if used.models is None else "prediction-error",
         "linear_models": None if used.models is None else models_said(used.models),
         "seconds": seconds,
+    }
+
+
+def coverage_dict(coverage: Coverage) -> dict[str, Any]:
+    """What may be said of a new condition."""
+    return {
+        "probability": coverage.probability,
+        "confidence": coverage.confidence,
+        "conditions": coverage.conditions,
+        "method": coverage.method,
+        "in_words": str(coverage),
     }
 
 
@@ -191,6 +202,7 @@ def design_dict(found: ControlDesign, fit_parameters: Mapping[str, Any], *, seco
     return {
         "format": FORMAT,
         "version": VERSION,
+        "coverage": coverage_dict(found.covered.coverage),
         "gamma": found.reduction.gamma,
         "gamma_full_order": synthesis.gamma,
         "gamma_bound": synthesis.bound,
@@ -218,11 +230,17 @@ def design_dict(found: ControlDesign, fit_parameters: Mapping[str, Any], *, seco
         "open_loop": _loop(found.free),
         "closed_loop": _loop(found.closed),
         "batches": {
-            name: {"plants": len(batch.peak_torque), "share_that_holds": found.shares[name]}
-            for name, batch in (
-                ("parameters_off", found.off),
-                ("parameter_covariance", found.drawn),
-                ("envelope", found.inside),
+            name: {
+                "plants": len(batch.peak_torque),
+                "share_that_holds": found.shares[name],
+                "share_that_holds_without": None if free is None else float(np.mean(free.holds(within=found.within))),
+                "never_settle": int(np.sum(~np.isfinite(batch.settling_time()))),
+                "wound_up": int(np.sum(batch.wound_up)),
+            }
+            for name, batch, free in (
+                ("parameters_off", found.off, found.off_free),
+                ("parameter_covariance", found.drawn, None),
+                ("envelope", found.inside, found.inside_free),
             )
             if batch is not None
         },
@@ -258,22 +276,33 @@ def outcome(found: ControlDesign) -> list[str]:
         f"Of {len(times)} plants whose parameters are each up to {100 * OFF:.0f} % off, {_percent(times < before)} settle "
         f"sooner than without it, in the median after {_seconds(float(np.median(times)))} instead of "
         f"{_seconds(float(np.median(before)))}; {_percent(shares['parameters_off'])} settle within {found.within:.2f} s, two "
-        f"thirds of what the fitted model takes alone, and keep the arm in its half of the circle. Of "
-        f"{len(found.drawn.peak_torque)} plants drawn from the covariance of the fit {_percent(shares['parameter_covariance'])} do"
+        f"thirds of what the fitted model takes alone, and keep the arm in its half of the circle "
+        f"({_without(found.off_free, found.within)}{_astray(found.off)})."
     )
-    second += (
-        ". No plant with parameters near the fitted ones was found in the envelope."
-        if found.inside is None
-        else f", and of {len(found.inside.peak_torque)} of the envelope, parameters up to {100 * OFF:.0f} % off and damped as much "
-        f"as the envelope asks, {_percent(shares['envelope'])}."
+    third = (
+        f"Of {len(found.drawn.peak_torque)} plants drawn from the covariance of the fit, which leaves no parameter more than "
+        f"{100 * found.doubt:.2g} % in doubt, {_percent(shares['parameter_covariance'])} do{_astray(found.drawn)}."
     )
-    said = [first, second]
+    if found.inside is None:
+        fourth = "No plant with parameters near the fitted ones was found in the envelope."
+    else:
+        fourth = (
+            f"Of {len(found.inside.peak_torque)} plants of the envelope, parameters up to {100 * OFF:.0f} % off and damped as much "
+            f"as the envelope asks, {_percent(shares['envelope'])} do "
+            f"({_without(found.inside_free, found.within)}{_astray(found.inside)})."
+        )
+    said = [first, f"{second} {third} {fourth}"]
     if not now < _USEFUL * alone:
-        width = float(np.max(np.abs(found.covered.weight(1j * _resonance(found)))))
+        resonance = _resonance(found)
+        width = float(np.max(np.abs(found.covered.weight(1j * resonance))))
+        there = int(np.argmin(np.abs(found.covered.frequency - resonance)))
+        source = SOURCES[int(np.argmax(found.covered.attribution.shares[:, there]))]
+        if not found.helps:
+            said.insert(0, "Do not use this controller: the fitted model settles no sooner with it than without.")
         said.append(
-            f"That is little: at the resonance the weight is {width:.2f}, and the wider the envelope is there, the less "
-            "damping can be promised for all of it. What narrows it: larger currents around the resonance, longer "
-            "records, or a band or an order of the nominal model that suits them better (--band, --order)."
+            f"{'That is little' if found.helps else 'The reason'}: at the resonance the weight is {width:.2f}; the wider the "
+            f"envelope is there, the less damping can be promised for all of it. Most of it is {_WORDS[source]}; what narrows it: "
+            f"{_NARROWER[source]}."
         )
     return said
 
@@ -289,17 +318,19 @@ def honesty(found: ControlDesign) -> list[str]:
     )
     return [
         f"This controller: gamma {found.reduction.gamma:.3f} at order {found.reduction.controller.nstates}; with this "
-        f"envelope and these weights no controller has less than {found.synthesis.bound:.3f}. Robust stability {kept} "
+        f"envelope and these weights no controller has less than {found.synthesis.bound:.3f}. Sampled every "
+        f"{1e3 * float(found.sampled.dt or 0.0):g} ms, robust stability {kept} "
         f"(max |W T| = {stable:.2f}); robust performance reaches {performance:.2f} at {where:.3g} rad/s and is "
         + ("guaranteed." if performance < 1 else "not guaranteed, which needs less than 1."),
         "That is a theorem for linear plants. Of the nonlinear rig it says nothing: what is said of that comes from "
         "simulating the fitted model, and holds as far as that model does.",
-        f"The gamma of 0.29 that section 5.4 of the paper reports cannot follow from the weights as they are printed: since "
-        f"S + T = 1, no controller has a gamma below {bound:.3f}, at {at:.1f} rad/s.",
+        f"With the nominal model and the weights printed in section 5.4 of the paper, since S + T = 1, no controller has a gamma "
+        f"below {bound:.3f}, at {at:.1f} rad/s.",
         f"The actuation has rules of its own that are not in the paper: the controller may use {1e3 * act.controller_limit:.1f} "
         f"of the motor's {1e3 * act.motor_limit:.0f} mN m, which limits the swing of the arm, and an electric spring of "
         f"{1e3 * act.arm_stiffness:.2f} mN m/rad brings the arm back to theta = 0, which nothing else on a level rig does. "
         f"The division by cos(theta), and no torque where |cos(theta)| is at most {act.dead_band:g}, are the paper's.",
+        f"Coverage: {found.covered.coverage}.",
         f"The weight covers what was recorded, {found.covered.frequency[0]:.3g} to {found.covered.frequency[-1]:.3g} rad/s: beyond "
         "that band it is only continued, and nothing is said there of plants that differ by more.",
         f"P0 has order {len(found.covered.nominal.poles()) - 2} and the spring's two poles.",
@@ -368,6 +399,18 @@ def _resonance(found: ControlDesign) -> float:
     """Of the nominal model, where its response is largest [rad/s]."""
     omega = found.covered.frequency
     return float(omega[np.argmax(np.abs(found.covered.nominal_response()))])
+
+
+def _without(free: ClosedLoop | None, within: float) -> str:
+    """What the comparison is worth: how many plants hold anyway."""
+    return "" if free is None else f"without a controller {_percent(free.holds(within=within))} do"
+
+
+def _astray(batch: ClosedLoop) -> str:
+    """Plants that end badly, if any do."""
+    never, wound = int(np.sum(~np.isfinite(batch.settling_time()))), int(np.sum(batch.wound_up))
+    said = [f"{never} never settle" if never else "", f"{wound} wind up the arm" if wound else ""]
+    return "".join(f"; {one}" for one in said if one)
 
 
 def _percent(which: Any) -> str:

@@ -13,6 +13,8 @@ from rtac_jax import RTAC
 from rtac_jax.measurement import INPUTS, OUTPUTS, Experiment, Recording
 
 _EXCITED = 1e-3  # of the largest line, from which a line counts as excited when no band is given
+_PLAYED = 1e-6  # of the largest line, below which what was played about a line is leakage
+_SHOWN = (0.1, 0.5)  # so many of the lines have to be as certain, standard deviation over magnitude
 _PERIODIC = 1e-6  # of its root mean square, by which a periodic input may differ from period to period
 _HALF_WIDTH = 12
 
@@ -64,7 +66,8 @@ def frequency_responses(
 
     Raises:
         ValueError: a channel that no or not every experiment has or that is constant, an input that does not repeat where
-            periods are needed, a record with fewer than two periods, or an excitation that vanishes on a line asked for.
+            periods are needed, a record with fewer than two periods, an excitation that vanishes on a line asked for, or a
+            response that drowns in noise.
     """
     for option, name, known in (("input", input, INPUTS), ("output", output, OUTPUTS)):
         if name not in known:
@@ -86,6 +89,7 @@ def frequency_responses(
                 lines = _periodic(experiment, x, out, period, into, degree, band)
             else:
                 lines = _local(experiment, x, out, into, band, frequency, half_width, degree, poles)
+            _check_shown(lines, name, output)
             each.append(_continuous(lines, experiment, input))
         start = recording[names[0]].initial_arm_angle
         angle = None if turned.get(names[0]) is None else float(np.mean(turned[names[0]][discard:]))
@@ -177,16 +181,35 @@ def _local(
     try:
         fit = local_response(spectrum, out, lines, half_width=half_width, degree=degree, poles=poles)
     except VanishingError as error:
-        raise ValueError(
-            f"/experiments/{experiment.name}: the excitation vanishes at {error.line * step:.4g} rad/s; excite that line, narrow "
-            "the band or widen half_width."
-        ) from None
+        raise _vanishing(experiment, error.line * step) from None
     near = np.clip(
         np.rint(lines).astype(np.int64)[:, None] + np.arange(-half_width, half_width + 1), 1, len(spectrum) - 1
     )
+    # cos(theta) spreads the current over all lines, so that what vanishes shows in the current itself.
+    current = np.abs(np.fft.rfft(played))
+    silent = np.max(current[near], axis=1) < _PLAYED * np.max(current[1:])
+    if silent.any():
+        raise _vanishing(experiment, float(lines[np.argmax(silent)]) * step)
     power = np.mean(np.abs(spectrum[near]) ** 2, axis=1) * np.abs(fit.response) ** 2
     coherence = power / (power + fit.noise**2)
     return Lines(lines * step, fit.response, fit.std, fit.std, None, None, coherence, fit.freedom)
+
+
+def _vanishing(experiment: Experiment, frequency: float) -> ValueError:
+    return ValueError(
+        f"/experiments/{experiment.name}: the excitation vanishes at {frequency:.4g} rad/s; excite that line, narrow the band or "
+        "widen half_width."
+    )
+
+
+def _check_shown(lines: Lines, name: str, output: str) -> None:
+    """Refuse what is noise: of that no standard deviation is much smaller than the response itself."""
+    share, most = _SHOWN
+    if np.quantile(lines.std / np.maximum(np.abs(lines.response), 1e-300), share) > most:
+        raise ValueError(
+            f"/experiments/{name}: the excitation hardly moves {output}: at nine lines of ten the standard deviation is more than "
+            "half of the response, as in noise; play a larger input, or record for longer."
+        )
 
 
 def _continuous(lines: Lines, experiment: Experiment, channel: str) -> Lines:

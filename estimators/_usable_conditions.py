@@ -57,10 +57,6 @@ def usable_conditions(
         raise ValueError(_too_few([e.name for e in kept], left_out))
     grid = _grid(kept, band)
     rests = [e.name for e in recording if e.kind == "rest"]  # they tell the tachometer's bias
-    if modes is not None:
-        chosen = recording.select([*(e.name for e in kept), *rests])
-        models = prediction_error(chosen, modes=modes, progress=progress)
-        return UsableConditions(models.responses(grid), left_out, models)
     found = []
     for e in kept:
         half = int(np.clip(round(_WINDOW * e.duration), _LEAST, _MOST))
@@ -71,6 +67,10 @@ def usable_conditions(
             left_out[e.name] = str(error)
     if len(found) < 2:
         raise ValueError(_too_few([one.name for one in found], left_out))
+    if modes is not None:
+        chosen = recording.select([*(one.name for one in found), *rests])
+        models = prediction_error(chosen, modes=modes, progress=progress)
+        return UsableConditions(models.responses(grid), left_out, models)
     return UsableConditions(FrequencyResponses(tuple(found)), left_out)
 
 
@@ -86,7 +86,12 @@ def _unfit(experiment: Experiment) -> str:
 
 
 def _too_few(names: list[str], left_out: dict[str, str]) -> str:
-    reasons = "".join(f" {name}: {why.rstrip('.')};" for name, why in left_out.items())
+    # Where one reason holds for all it is told once.
+    said = {why.replace(name, "EXPERIMENT").rstrip(".") for name, why in left_out.items()}
+    if len(left_out) > 1 and len(said) == 1:
+        reasons = f" {', '.join(left_out)}: {said.pop().replace('/experiments/EXPERIMENT: ', '')};"
+    else:
+        reasons = "".join(f" {name}: {why.rstrip('.')};" for name, why in left_out.items())
     what = f"only {names[0]} shows" if names else "no experiment shows"
     return (
         f"{what} a frequency response from current to cart position, and an envelope needs two conditions;{reasons} record "

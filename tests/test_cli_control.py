@@ -284,14 +284,21 @@ def test_the_controller_from_recordings_keeps_what_the_issue_asks(ran):
     for name in ("parameter_covariance", "envelope"):
         assert content["batches"][name]["plants"] == 2000
         assert content["batches"][name]["share_that_holds"] >= 0.99
+    # Without a controller few would: the share is worth something.
+    off = content["batches"]["parameters_off"]
+    assert off["share_that_holds"] >= 0.95
+    assert off["share_that_holds_without"] < 0.05
+    assert off["never_settle"] == 0
+    assert off["wound_up"] <= 20
 
 
 def test_what_is_guaranteed_is_told_apart_from_what_is_not(ran):
     result, folder, content = ran["control"]
     page = (folder / "report.html").read_text()
     for text in (result.stdout, page):
-        assert "The gamma of 0.29" in text
-        assert "no controller has a gamma below 0.598, at 12.9 rad/s" in text
+        assert "printed in section 5.4 of the paper" in text
+        assert "Coverage: " in text
+        assert "since S + T = 1, no controller has a gamma below 0.598, at 12.9 rad/s" in text
         assert "electric spring" in text
         assert "theorem for linear plants" in text
         assert re.search(r"what was recorded, 6\.28 to 3\d(\.\d)? rad/s: beyond that band it is only continued", text)

@@ -232,6 +232,30 @@ def test_margins(design):
     assert f"{result.worst_stability[0]:.3f}" in str(result)
 
 
+def test_margins_of_a_sampled_loop_are_those_of_its_difference_equations(design):
+    """T by the amplitude that a sinusoidal reference leaves in the held plant, stepped sample by sample."""
+    _, _, plant, weights, found = design
+    step = 0.05
+    law = discretise(reduce_controller(found).controller, plant, step)
+    result = margins(plant, law, weights)
+    worst, place = result.worst_stability
+    held = ct.ss(ct.sample_system(plant, step, method="zoh"))
+    x, own = np.zeros(held.nstates, dtype=complex), np.zeros(law.nstates, dtype=complex)
+    z = np.exp(1j * place * step)
+    for n in range(4000):
+        y = (held.C @ x)[0]
+        error = z**n - y
+        u = (law.C @ own)[0] + law.D[0, 0] * error
+        x, own = held.A @ x + held.B[:, 0] * u, law.A @ own + law.B[:, 0] * error
+    weight = abs(complex(weights.uncertainty(1j * place)))
+    assert worst == pytest.approx(weight * abs((held.C @ x)[0]), rel=1e-3)
+    assert result.frequency[-1] < np.pi / step
+    continuous = margins(plant, reduce_controller(found).controller, weights).worst_stability[0]
+    assert worst > 1.01 * continuous  # the hold costs phase
+    fast = margins(plant, discretise(reduce_controller(found).controller, plant, 1e-3), weights).worst_stability[0]
+    assert fast == pytest.approx(continuous, rel=0.02)
+
+
 def test_margin_is_where_stability_ends(design):
     """All-pass perturbations below the margin keep the loop stable, and one just above it does not."""
     _, _, plant, weights, found = design
@@ -569,6 +593,7 @@ def weighed(**changed: ct.TransferFunction) -> Weights:
         (lambda: margins(ct.tf([1.0], [1.0, -1.0]), 0.1 * ONE, weighed()), "closed loop is not stable"),
         (lambda: discretise(ONE, LAG, 0.0), "sample_time is 0"),
         (lambda: discretise(-30 * ONE, ct.tf([-5.0], [1.0, 4.0, 100.0]), 0.2), "not stable .* sample faster than every"),
+        (lambda: discretise(0.1 * ONE, ct.tf([5.0], [1.0, 1.0, 100.0]), 0.2), "fewer than 4 samples in a period of the res"),
         (lambda: closed_loop(SMOOTH, ONE, duration=np.inf), "duration is inf"),
         (lambda: closed_loop(SMOOTH, ONE, position_noise=-1.0), "position_noise is -1"),
         (lambda: closed_loop(SMOOTH, ONE, displacement=np.nan), "must be finite"),

@@ -233,6 +233,17 @@ def test_scenario_statement_holds_and_is_honest_about_few_conditions():
     assert "probability of at least" in str(many)
 
 
+def test_a_pair_of_poles_may_become_two_real_ones():
+    """Two real poles under noise, of which the sweeps of the fit make a pair and real ones in turn."""
+    omega, random = np.geomspace(1, 100, 40), np.random.default_rng(19)
+    s = 1j * omega
+    plants = np.array([(1 + 0.2 * random.normal()) / ((s / 20 + 1) * (s / 50 + 1)) for _ in range(3)])
+    noise = random.normal(size=(3, 40)) + 1j * random.normal(size=(3, 40))
+    found = cover(plants * (1 + 0.1 * noise), omega=omega)
+    assert np.all(found.gaps <= found.weight_magnitude() * (1 + 1e-9))
+    assert np.all(found.nominal.poles().real < 0)
+
+
 def test_bounds_are_those_of_their_formulas():
     assert held_out_coverage(59).probability == pytest.approx(0.95, abs=1e-3)  # the classic 59 samples for 95 %/95 %
     # One support of two scenarios: (0.05 / (2 * 2)) to the power 1.

@@ -328,6 +328,7 @@ REPEATED = multisine(samples=1200, period=400, sample_time=DT, rms=1.0, band=(0.
         (lambda: _plain(method="periodic", period=100), "does not repeat every 100 samples"),
         (lambda: _plain(current=_gap(), band=(1.0, 5.0)), r"the excitation vanishes at 1\d\.\d+ rad/s"),
         (lambda: _plain(current=REPEATED, period=400, band=(6.0, 8.0)), "vanishes on every harmonic"),
+        (lambda: _plain(out=np.random.default_rng(1).normal(size=400)), "hardly moves cart_position"),
         (lambda: _plain(current=np.ones(400)), "current is constant at 1"),
         (lambda: _plain(out=np.where(np.arange(400) == 7, np.nan, np.arange(400.0))), "has missing samples"),
         (lambda: _plain(half_width=3), "half_width: 3 lines to each side give 7 equations for 8"),
@@ -341,6 +342,16 @@ def test_refusals(call, message):
     with pytest.raises(ValueError, match=message) as caught:
         call()
     assert "\n" not in str(caught.value)
+
+
+def test_what_only_compensation_puts_into_a_band_is_no_excitation():
+    current = multisine(samples=2000, sample_time=DT, rms=1.0, band=(0.5, 2.0), seed=1)
+    out = respond(current[None])[0]
+    turning = {"run": 2.0 * np.sin(0.9 * DT * np.arange(2000))}  # spreads current * cos(theta) over all lines
+    run = Experiment.of("run", kind="forced", sample_time=DT, current=current, cart_position=out)
+    with pytest.raises(ValueError, match="the excitation vanishes at"):
+        est.frequency_responses(Recording((run,)), band=(3.0, 6.0), angles=turning)
+    assert len(est.frequency_responses(Recording((run,)), band=(0.5, 2.0), angles=turning)) == 1
 
 
 def test_local_response_finds_an_exact_local_model():

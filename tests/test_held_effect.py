@@ -10,7 +10,7 @@ import pytest
 
 import estimators as est
 import rtac_jax as rtac
-from estimators import _improve
+from estimators import _add_effect, _improve
 from estimators._add_effect import holding
 from estimators._compare import Compared
 from estimators._covariance import information_of

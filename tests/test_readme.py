@@ -10,8 +10,6 @@ import pytest
 
 import estimators
 import rtac_jax as rtac
-from rtac_jax.measurement import from_rest, multisine
-from rtac_jax.virtual_rig import Plan, Rig, record
 
 BLOCKS = re.findall(r"```python\n(.*?)```", Path(__file__).parents[1].joinpath("README.md").read_text(), re.DOTALL)
 
@@ -28,23 +26,15 @@ def test_the_fifteen_line_example_finds_what_it_says(capsys: pytest.CaptureFixtu
     assert before > 2 * after
 
 
+CONDITIONS = next(block for block in BLOCKS if "conditions.h5" in block)
 CONTROL = next(block for block in BLOCKS if "est.control" in block)
 
 
 def test_three_calls_lead_from_conditions_to_a_controller(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    rig = Rig(encoder=True, position_noise=2e-6)
-    plans = [
-        Plan(
-            f"condition_{n + 1}", "forced", 15.0, 0.01,
-            from_rest(multisine(samples=1500, sample_time=0.01, rms=0.1, band=(1.0, 5.0), seed=n)),
-            initial_angle=0.3 * n - 0.5 + (np.pi if n % 2 else 0.0),
-        )
-        for n in range(4)
-    ]  # fmt: skip
-    record(rig, plans, seed=1, step=1e-3).save(tmp_path / "conditions.h5")
     monkeypatch.chdir(tmp_path)
+    exec(CONDITIONS, {})
     # The fit has tests of its own and takes one start here.
     monkeypatch.setattr(estimators, "output_error", functools.partial(estimators.output_error, from_model=True))
     names: dict[str, Any] = {}
@@ -62,6 +52,6 @@ def test_three_calls_lead_from_conditions_to_a_controller(
 def test_the_other_examples_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     for block in BLOCKS[1:]:
-        if block is not CONTROL:
+        if block not in (CONDITIONS, CONTROL):
             exec(block, {})
     assert rtac.Recording.load("rig.h5").rig["total_mass"] == 1.23

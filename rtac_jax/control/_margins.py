@@ -2,10 +2,11 @@
 
 import dataclasses
 
+import control as ct
 import numpy as np
 from jaxtyping import Float
 
-from rtac_jax.control._checks import Linear, closed, finite_response, is_stable, plant_of
+from rtac_jax.control._checks import Linear, closed, finite_response, is_stable, plant_of, poles_of, state_space
 from rtac_jax.control._synthesis import frequencies, loop_functions
 from rtac_jax.control._weights import Weights
 
@@ -51,16 +52,32 @@ class Margins:
 def margins(nominal: Linear, controller: Linear, weights: Weights) -> Margins:
     """Robust stability and performance of the loop u = -C y with multiplicative uncertainty.
 
+    Args:
+        nominal: continuous.
+        controller: continuous, or a recursion: then the plant's input is held between samples, and the curves go up to half of
+            the sampling rate. What a plant of the envelope does beyond is taken to be small, as it folds down.
+        weights: continuous.
+
     Source: Doyle, Francis and Tannenbaum, Feedback Control Theory (1992), sections 4.2 and 4.3.
 
     Raises:
         ValueError: the nominal loop is not stable, so that it has no margins, or a system is not finite or not one-to-one.
     """
     plant = plant_of(nominal)
-    if not is_stable(closed(plant, plant_of(controller))):
-        raise ValueError("the nominal closed loop is not stable; its margins mean nothing.")
     frequency = frequencies(plant, weights)
-    s, t, _ = loop_functions(plant, controller, frequency)
+    interval = float(controller.dt or 0.0)
+    if interval:
+        law, held = state_space(controller), state_space(ct.sample_system(plant, interval, method="zoh"))
+        stable = np.all(np.abs(poles_of(closed(held, law))) < 1)
+        frequency = frequency[frequency < np.pi / interval]
+        z = np.exp(1j * frequency * interval)
+        loop = np.asarray(law(z)) * np.asarray(held(z))
+        s, t = 1 / (1 + loop), loop / (1 + loop)
+    else:
+        stable = is_stable(closed(plant, plant_of(controller)))
+        s, t, _ = loop_functions(plant, controller, frequency)
+    if not stable:
+        raise ValueError("the nominal closed loop is not stable; its margins mean nothing.")
     robust = np.abs(finite_response(weights.uncertainty, frequency, "the uncertainty weight") * t)
     fast = np.abs(finite_response(weights.performance, frequency, "the performance weight") * s)
     return Margins(frequency, robust, robust + fast, 1 / np.abs(s))

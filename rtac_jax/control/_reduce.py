@@ -9,6 +9,7 @@ import numpy as np
 from rtac_jax.control._checks import InfeasibleError, Linear, closed, is_stable, plant_of, poles_of, state_space
 from rtac_jax.control._synthesis import Synthesis, closed_gamma
 
+_FEWEST = 4.0  # samples in a period of the resonance
 _RATE = 6.0  # samples in the shortest period that the loop must follow
 
 
@@ -86,7 +87,7 @@ def discretise(
 
     Raises:
         ValueError: the sample time or the method is wrong.
-        InfeasibleError: the sampled loop is not stable.
+        InfeasibleError: the sampled loop is not stable, or has fewer than four samples in a period of the plant's resonance.
     """
     if not (np.isfinite(sample_time) and sample_time > 0):
         raise ValueError(f"sample_time is {sample_time}, but must be positive and finite, in seconds.")
@@ -101,7 +102,20 @@ def discretise(
             f"the loop sampled every {sample_time:g} s is not stable (largest pole {radius:.4f}); sample faster than "
             f"every {np.pi / _RATE / _crossing(plant, continuous):.2g} s."
         )
+    resonance = _resonance(plant)
+    if sample_time * resonance > 2 * np.pi / _FEWEST:
+        raise InfeasibleError(
+            f"sampled every {sample_time:g} s the controller has fewer than {_FEWEST:g} samples in a period of the resonance at "
+            f"{resonance:.3g} rad/s, and what lies between them it does not see; sample faster than every "
+            f"{2 * np.pi / _FEWEST / resonance:.2g} s."
+        )
     return ct.StateSpace(found.A, found.B, found.C, found.D, sample_time, name="controller")
+
+
+def _resonance(plant: ct.StateSpace) -> float:
+    """Of the plant's resonances the one with the largest response [rad/s]; 0 where it has none."""
+    places = np.array([p.imag for p in poles_of(plant) if p.imag > abs(p.real)])
+    return float(places[np.argmax(np.abs(plant(1j * places)))]) if places.size else 0.0
 
 
 def _crossing(plant: ct.StateSpace, controller: ct.StateSpace) -> float:

@@ -10,7 +10,7 @@ from estimators._attribution import SOURCES
 from estimators._effect_cost import EffectCost
 from estimators._envelope import Envelope
 from estimators._nominal import log_measure
-from estimators._response_record import FrequencyResponses
+from estimators._response_record import FrequencyResponse, FrequencyResponses
 from estimators.plots._style import HATCHES, SMALL, UNITS, Picture, picture, tidy, title
 
 _PLANT: dict[str, Any] = {"color": "0.6", "linewidth": 0.7}
@@ -50,10 +50,7 @@ def plot_responses(responses: FrequencyResponses) -> Picture:
                 omega, _decibel(np.maximum(values, 1e-3 * size.max())), color="black", linewidth=1.1, linestyle=style,
                 label=f"{level.split('_')[0]} distortion of {responses[0].name}",
             )  # fmt: skip
-    first = responses[0]
-    ratio = f"{UNITS[first.output]} / {UNITS[first.input]}"
-    name = first.input.replace("_", " ") + (" × cos θ" if first.compensated else "")
-    top.set_ylabel(f"|{first.output.replace('_', ' ')} / ({name})|\n[dB above 1 {ratio}]", fontsize=SMALL)
+    top.set_ylabel(gain_label(responses[0]), fontsize=SMALL)
     below.set_ylabel("Phase [deg]", fontsize=SMALL)
     below.set_yticks(np.arange(-360, 361, 90))
     below.set_ylim(-200, 200)
@@ -133,6 +130,13 @@ def finding(envelope: Envelope) -> str:
     return f"{text}; {where}, |W| < 1 on {100 * useful:.0f}\u00a0% of the band"
 
 
+def gain_label(response: FrequencyResponse) -> str:
+    """Of an axis that shows the magnitude of a response."""
+    ratio = f"{UNITS[response.output]} / {UNITS[response.input]}"
+    name = response.input.replace("_", " ") + (" × cos θ" if response.compensated else "")
+    return f"|{response.output.replace('_', ' ')} / ({name})|\n[dB above 1 {ratio}]"
+
+
 def draw_responses(axes: Any, envelope: Envelope) -> None:
     """Magnitudes of the conditions and of the nominal model, as in Figs. 5 and 6(a)."""
     named: set[bool] = set()
@@ -141,7 +145,7 @@ def draw_responses(axes: Any, envelope: Envelope) -> None:
         axes.semilogx(envelope.frequency, _decibel(np.abs(plant)), **(_HELD if held else _PLANT), label=text)
         named.add(held)
     axes.semilogx(envelope.frequency, _decibel(np.abs(envelope.nominal_response())), **_NOMINAL, label="nominal P₀")
-    axes.set_ylabel("Magnitude [dB]", fontsize=SMALL)
+    axes.set_ylabel("Magnitude\n[dB above 1 output/input]", fontsize=SMALL)
     axes.legend(fontsize=SMALL, loc="lower left", framealpha=0.9)
     _frequencies(axes)
 

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.ticker import MaxNLocator
 
-from estimators.plots._envelope import _decibel, _degrees, _frequencies
+from estimators.plots._envelope import _decibel, _degrees, _frequencies, gain_label
 from estimators.plots._style import MARKERS, NOISE, SMALL, Picture, picture, tidy, title
 
 if TYPE_CHECKING:
@@ -41,8 +41,7 @@ def plot_prediction_error(found: "LinearModels", omega: Float[np.ndarray, " freq
     for one in every:
         top.semilogx(grid, _decibel(np.abs(one.response)), **_LINE)
         below.semilogx(grid, _degrees(one.response), **_LINE)
-    name = "input × cos θ" if responses[0].compensated else "input"
-    top.set_ylabel(f"|{responses[0].output.replace('_', ' ')} / {name}| [dB]", fontsize=SMALL)
+    top.set_ylabel(gain_label(responses[0]), fontsize=SMALL)
     top.legend(fontsize=SMALL, loc="best")
     below.set_ylabel("Phase [deg]", fontsize=SMALL)
     below.set_yticks(np.arange(-180, 181, 90))
@@ -53,9 +52,10 @@ def plot_prediction_error(found: "LinearModels", omega: Float[np.ndarray, " freq
     _correlations(parts[2, 0], parts[2, 1], found)
     sound = sum(one.residuals.white and one.residuals.independent for one in found)
     kind = found.structure.kind.replace("_", " ")
+    modes = "1 mode" if found.structure.modes == 1 else f"{found.structure.modes} modes"
     title(
         figure,
-        f"{len(found)} conditions, {kind} with {found.structure.modes} mode(s): the residuals of {sound} are mere chance",
+        f"{kind} with {modes}: the residuals of {sound} of {len(found)} conditions are white and independent of the input",
     )
     return figure
 

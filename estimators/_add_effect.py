@@ -8,15 +8,15 @@ import numpy as np
 
 from estimators._compare import Compared, compare
 from estimators._nonlinear_prediction_error import prediction_error_nonlinear
-from estimators._one_step_ahead import one_step_ahead
+from estimators._one_step_ahead import OneStepAhead, one_step_ahead
 from estimators._output_error import Fit, mark_of, output_error
 from estimators._results import RESULTS, DivergedError, NotIdentifiableError
 from rtac_jax import RTAC
 from rtac_jax.effects import Effect
 from rtac_jax.measurement import Recording
 
-_CLEAR = 0.05  # share by which the held-out error has to fall, but near the noise, for a simulation to tell
-_NEAR = 1.5  # error of simulation in units of the noise below which every fall counts
+_CLEAR = 0.05  # share by which the held-out error has to fall for a simulation to tell
+_NEAR = 1.5  # error of simulation in units of the noise below which any fall will do where the effect is simply fitted
 
 
 @dataclasses.dataclass(frozen=True)
@@ -78,11 +78,15 @@ def add_effect(
         label: for the comparison.
     """
     extended = before.model + effect
+    bases = [Added(before, tested, "simulated")]
     steps: list[Added] = []
     reasons = []
     for way in ("simulated", "held", "predicted"):
         try:
             if way == "predicted":
+                # The model without the effect is fitted so too, or the effect would be credited with what the way of fitting does.
+                base = _predicted(before.model, before, train, progress=progress)
+                bases.append(Added(base, compare(base, held_out).models[0], way))
                 fit = _predicted(extended, before, train, progress=progress)
             else:
                 tried = extended if way == "simulated" else holding(extended, [effect.id])
@@ -92,22 +96,41 @@ def add_effect(
             reasons.append(f"Stopped: with {effect.id} the model could not be fitted: {error}")
             continue
         steps.append(Added(fit, test, way))
-        if _falls_clearly(tested, test):
+        if _falls_clearly(min((one.tested for one in bases), key=_misfit), test, way):
             return steps[-1]
         reasons.append(f"Stopped: with {effect.id} the held-out error would not fall.")
-    if steps:
-        known = one_step_ahead(before, train, held_out, tested.start)
-        ahead = [one_step_ahead(step.fit, train, held_out, step.tested.start) for step in steps]
-        step, best = max(zip(steps, ahead, strict=True), key=lambda pair: pair[1].log_likelihood)
-        if best.surpasses(known):
-            gain = best.log_likelihood - known.log_likelihood
-            return dataclasses.replace(step, foreseen=Foreseen(effect.id, gain, known.errors, best.errors))
-        if steps[0].way == "simulated" and _misfit(steps[0].tested) <= _misfit(tested):
-            return steps[0]
-    return (
+    if not steps:
+        return reasons[0]
+    return _foreseen(effect, bases, steps, train, held_out) or (
         f"{reasons[0]} Held at the estimate of the diagnosis, or fitted by predictions one sample ahead, it would not help "
         "clearly either, and predictions are no better with it."
     )
+
+
+def _foreseen(
+    effect: Effect, bases: Sequence[Added], steps: Sequence[Added], train: Recording, held_out: Recording
+) -> Added | None:
+    """Of models whose simulation does not tell, the one that foresees the held-out experiments best; None if none is better."""
+    tested = bases[0].tested
+    first = one_step_ahead(bases[0].fit, train, held_out, tested.start)
+
+    def ahead(one: Added) -> OneStepAhead:
+        return one_step_ahead(one.fit, train, held_out, tested.start, like=first)
+
+    known = max((ahead(one) for one in bases), key=_likelihood)
+    several = [(one, ahead(one)) for one in steps]
+    step, best = max(several, key=lambda pair: _likelihood(pair[1]))
+    if best.surpasses(known, of=len(several)):
+        gain = best.log_likelihood - known.log_likelihood
+        return dataclasses.replace(step, foreseen=Foreseen(effect.id, gain, known.errors, best.errors))
+    freely, its = several[0]
+    if freely.way == "simulated" and _misfit(freely.tested) <= _misfit(tested) and not known.surpasses(its):
+        return freely
+    return None
+
+
+def _likelihood(one: OneStepAhead) -> float:
+    return one.log_likelihood if np.isfinite(one.log_likelihood) else -np.inf
 
 
 def _predicted(model: RTAC, before: Fit, train: Recording, *, progress: bool) -> Fit:
@@ -149,9 +172,10 @@ def parameters_of(model: RTAC, effects: Sequence[str]) -> list[str]:
     return [name for name in model.parameters if name.split(".")[0] in effects]
 
 
-def _falls_clearly(before: Compared, after: Compared) -> bool:
+def _falls_clearly(before: Compared, after: Compared, way: str) -> bool:
+    """By a twentieth; near the noise, where the effect is simply fitted, any fall will do."""
     error, first = _misfit(after), _misfit(before)
-    return error <= (1 - _CLEAR) * first or (error <= first and error < _NEAR)
+    return error <= (1 - _CLEAR) * first or (way == "simulated" and error <= first and error < _NEAR)
 
 
 def _misfit(compared: Any) -> float:

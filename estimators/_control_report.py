@@ -280,8 +280,8 @@ def outcome(found: ControlDesign) -> list[str]:
         f"({_without(found.off_free, found.within)}{_astray(found.off)})."
     )
     third = (
-        f"Of {len(found.drawn.peak_torque)} plants drawn from the covariance of the fit, which leaves no parameter more than "
-        f"{100 * found.doubt:.2g} % in doubt, {_percent(shares['parameter_covariance'])} do{_astray(found.drawn)}."
+        f"Of {len(found.drawn.peak_torque)} plants drawn from the covariance of the fit, in which no free parameter has a standard "
+        f"deviation above {100 * found.doubt:.2g} %, {_percent(shares['parameter_covariance'])} do{_astray(found.drawn)}."
     )
     if found.inside is None:
         fourth = "No plant with parameters near the fitted ones was found in the envelope."
@@ -301,8 +301,8 @@ def outcome(found: ControlDesign) -> list[str]:
             said.insert(0, "Do not use this controller: the fitted model settles no sooner with it than without.")
         said.append(
             f"{'That is little' if found.helps else 'The reason'}: at the resonance the weight is {width:.2f}; the wider the "
-            f"envelope is there, the less damping can be promised for all of it. Most of it is {_WORDS[source]}; what narrows it: "
-            f"{_NARROWER[source]}."
+            "envelope is there, the less damping can be promised for all of it. The largest part of the gaps there is "
+            f"{_WORDS[source]}; what narrows it: {_NARROWER[source]}."
         )
     return said
 
@@ -322,15 +322,15 @@ def honesty(found: ControlDesign) -> list[str]:
         f"{1e3 * float(found.sampled.dt or 0.0):g} ms, robust stability {kept} "
         f"(max |W T| = {stable:.2f}); robust performance reaches {performance:.2f} at {where:.3g} rad/s and is "
         + ("guaranteed." if performance < 1 else "not guaranteed, which needs less than 1."),
-        "That is a theorem for linear plants. Of the nonlinear rig it says nothing: what is said of that comes from "
-        "simulating the fitted model, and holds as far as that model does.",
+        "That is a theorem for linear plants that do little beyond half of the sampling rate. Of the nonlinear rig it says "
+        "nothing: what is said of that comes from simulating the fitted model, and holds as far as that model does.",
         f"With the nominal model and the weights printed in section 5.4 of the paper, since S + T = 1, no controller has a gamma "
         f"below {bound:.3f}, at {at:.1f} rad/s.",
         f"The actuation has rules of its own that are not in the paper: the controller may use {1e3 * act.controller_limit:.1f} "
         f"of the motor's {1e3 * act.motor_limit:.0f} mN m, which limits the swing of the arm, and an electric spring of "
         f"{1e3 * act.arm_stiffness:.2f} mN m/rad brings the arm back to theta = 0, which nothing else on a level rig does. "
         f"The division by cos(theta), and no torque where |cos(theta)| is at most {act.dead_band:g}, are the paper's.",
-        f"Coverage: {found.covered.coverage}.",
+        f"Coverage: {found.covered.coverage}. That the best of several envelopes was chosen is not counted.",
         f"The weight covers what was recorded, {found.covered.frequency[0]:.3g} to {found.covered.frequency[-1]:.3g} rad/s: beyond "
         "that band it is only continued, and nothing is said there of plants that differ by more.",
         f"P0 has order {len(found.covered.nominal.poles()) - 2} and the spring's two poles.",
@@ -409,7 +409,7 @@ def _without(free: ClosedLoop | None, within: float) -> str:
 def _astray(batch: ClosedLoop) -> str:
     """Plants that end badly, if any do."""
     never, wound = int(np.sum(~np.isfinite(batch.settling_time()))), int(np.sum(batch.wound_up))
-    said = [f"{never} never settle" if never else "", f"{wound} wind up the arm" if wound else ""]
+    said = [f"{never} do not settle while simulated" if never else "", f"{wound} wind up the arm" if wound else ""]
     return "".join(f"; {one}" for one in said if one)
 
 

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Float64
+from scipy.signal.windows import hann
 
 from estimators._arm_angle import arm_angles
 from estimators._local_polynomial import VanishingError, local_response
@@ -13,8 +14,7 @@ from rtac_jax import RTAC
 from rtac_jax.measurement import INPUTS, OUTPUTS, Experiment, Recording
 
 _EXCITED = 1e-3  # of the largest line, from which a line counts as excited when no band is given
-_PLAYED = 1e-6  # of the largest line, below which what was played about a line is leakage
-_SHOWN = (0.1, 0.5)  # so many of the lines have to be as certain, standard deviation over magnitude
+_SHOWN = (3, 0.3)  # so many lines have to be as certain, standard deviation over magnitude
 _PERIODIC = 1e-6  # of its root mean square, by which a periodic input may differ from period to period
 _HALF_WIDTH = 12
 
@@ -89,12 +89,13 @@ def frequency_responses(
                 lines = _periodic(experiment, x, out, period, into, degree, band)
             else:
                 lines = _local(experiment, x, out, into, band, frequency, half_width, degree, poles)
-            _check_shown(lines, name, output)
             each.append(_continuous(lines, experiment, input))
         start = recording[names[0]].initial_arm_angle
         angle = None if turned.get(names[0]) is None else float(np.mean(turned[names[0]][discard:]))
         rms = float(np.sqrt(np.mean([np.mean(recording[n].inputs[input].values[discard:] ** 2) for n in names])))
-        found.append(_condition(condition, each, rms, start if angle is None else angle, compensate, (input, output)))
+        one = _condition(condition, each, rms, start if angle is None else angle, compensate, (input, output))
+        _check_shown(one)
+        found.append(one)
     return FrequencyResponses(tuple(found))
 
 
@@ -185,9 +186,10 @@ def _local(
     near = np.clip(
         np.rint(lines).astype(np.int64)[:, None] + np.arange(-half_width, half_width + 1), 1, len(spectrum) - 1
     )
-    # cos(theta) spreads the current over all lines, so that what vanishes shows in the current itself.
-    current = np.abs(np.fft.rfft(played))
-    silent = np.max(current[near], axis=1) < _PLAYED * np.max(current[1:])
+    # cos(theta) spreads the current over all lines, so that what vanishes shows in the current itself, under a window from which
+    # little leaks where a period is cut.
+    current = np.abs(np.fft.rfft(played * hann(len(played), sym=False)))
+    silent = np.max(current[near], axis=1) < _EXCITED * np.max(current[1:])
     if silent.any():
         raise _vanishing(experiment, float(lines[np.argmax(silent)]) * step)
     power = np.mean(np.abs(spectrum[near]) ** 2, axis=1) * np.abs(fit.response) ** 2
@@ -202,13 +204,18 @@ def _vanishing(experiment: Experiment, frequency: float) -> ValueError:
     )
 
 
-def _check_shown(lines: Lines, name: str, output: str) -> None:
-    """Refuse what is noise: of that no standard deviation is much smaller than the response itself."""
-    share, most = _SHOWN
-    if np.quantile(lines.std / np.maximum(np.abs(lines.response), 1e-300), share) > most:
-        raise ValueError(
-            f"/experiments/{name}: the excitation hardly moves {output}: at nine lines of ten the standard deviation is more than "
-            "half of the response, as in noise; play a larger input, or record for longer."
+class DrownedError(ValueError):
+    """A response that is noise."""
+
+
+def _check_shown(one: FrequencyResponse) -> None:
+    """Refuse what is noise: of that hardly a line has a standard deviation that is much smaller than the response."""
+    count, most = _SHOWN
+    surest = np.sort(one.std / np.maximum(np.abs(one.response), 1e-300))[:count]
+    if surest[-1] > most:
+        raise DrownedError(
+            f"/experiments/{one.name}: the excitation hardly moves {one.output}: next to no line is known to within "
+            f"{100 * most:.0f} %, as in noise; play a larger input, or record for longer."
         )
 
 

@@ -65,7 +65,7 @@ class Improvement:
         if self.predicted:
             said.append(
                 "All parameters of the last model are those with which the data are foreseen best one sample ahead, as of "
-                "est.prediction_error_nonlinear: a fit by simulation serves held-out experiments worse."
+                "est.prediction_error_nonlinear: with a fit by simulation the held-out experiments do not tell."
             )
         if self.held:
             said.insert(
@@ -107,13 +107,14 @@ def improve(
 ) -> Improvement:
     """Fit, diagnose, add what is missing, fit again, and validate on experiments that no fit has seen.
 
-    An effect is kept if the error of the held-out experiments falls clearly in the channels together: by a twentieth, or to near
-    the noise. Where it does not, or where the effect cannot be fitted by simulation, as on a rig that random forces shake, the
-    effect is held at the estimate of the diagnosis, which foresees one sample at a time, and asked again; then the whole model
-    is fitted by such predictions (`prediction_error_nonlinear`). Where none of the three tells, the one is kept that foresees the
-    held-out experiments best one sample at a time, if better than the model before: where random forces shake the rig, or the
-    arm tumbles, no simulation can follow it, however right the model is. Last, an error that falls a little is enough. The
-    held-out experiments choose the models by that, so their last error is a little too good.
+    An effect is kept if the error of the held-out experiments falls clearly in the channels together: by a twentieth, or,
+    near the noise, at all. Where it does not, or where the effect cannot be fitted by simulation, as on a rig that random
+    forces shake, the effect is held at the estimate of the diagnosis, which foresees one sample at a time, and asked again;
+    then the whole model is fitted by such predictions (`prediction_error_nonlinear`), with the effect and without. Where
+    none of the three tells, the one is kept that foresees the held-out experiments best one sample at a time, if better than
+    any model without the effect: where random forces shake the rig, or the arm tumbles, no simulation can follow it, however
+    right the model is. Last, an error that falls a little is enough, if predictions do not speak against it. The held-out
+    experiments choose the models by that, so their last error is a little too good.
 
     Args:
         validation: names of the experiments to hold out; by default every fourth of each kind.

@@ -8,6 +8,7 @@ import numpy as np
 import scipy.stats
 from jaxtyping import Array, Float, Int
 
+from estimators._coloured_noise import ColouredNoise, colours_at_rest
 from estimators._innovations import stretches
 from estimators._kalman import Filtered
 from estimators._likelihood import NoiseModel, fit_noise, run_filter
@@ -20,6 +21,7 @@ from rtac_jax import RTAC
 from rtac_jax.measurement import Experiment, Recording
 
 _CHANCE = 0.05  # probability of calling a model better that is not
+_FEWEST = 5  # seconds of data, below which their scatter says nothing
 
 
 @dataclasses.dataclass(frozen=True)
@@ -27,52 +29,84 @@ class OneStepAhead:
     """Experiments as a model foresees them, each sample from all before it.
 
     Attributes:
-        by_sample: log-likelihood of each sample, less a constant.
+        by_sample: log-likelihood of each sample that counts, less a constant.
         stretches: number of the second that each sample belongs to.
         errors: rms of what was foreseen wrongly over the sensor's noise, by channel.
+        shaken: 1 at samples at which random forces may shake loose what dry friction holds, of the recording that was fitted and
+            of this one.
     """
 
     by_sample: Float[np.ndarray, "sample experiment"]
     stretches: Int[np.ndarray, "sample experiment"]
     errors: Mapping[str, float]
+    shaken: tuple[Float[np.ndarray, "fitted_sample fitted"], Float[np.ndarray, "sample experiment"]]
 
     @property
     def log_likelihood(self) -> float:
         """Of all samples, less a constant."""
         return float(np.sum(self.by_sample))
 
-    def surpasses(self, other: "OneStepAhead") -> bool:
-        """Whether this makes the same samples likelier, by more than chance does in one of twenty cases."""
+    def surpasses(self, other: "OneStepAhead", *, of: int = 1) -> bool:
+        """Whether this makes the same samples likelier, by more than chance does in one of twenty cases.
+
+        Args:
+            of: number of models of which this is the likeliest.
+
+        Source: Vuong, Econometrica 57 (1989), on sums over seconds, with Student's t for few of them.
+        """
+        seconds = len(np.unique(self.stretches))
+        if seconds < _FEWEST:
+            return False
         statistic = vuong(self.by_sample, other.by_sample, self.stretches, 0.0)
-        return bool(statistic > scipy.stats.norm.isf(_CHANCE))
+        return bool(statistic > scipy.stats.t.isf(_CHANCE / of, seconds - 1))
 
 
 def one_step_ahead(
-    fit: Fit, fitted: Recording, recording: Recording, starts: Mapping[str, Float[np.ndarray, " state"]]
+    fit: Fit,
+    fitted: Recording,
+    recording: Recording,
+    starts: Mapping[str, Float[np.ndarray, " state"]],
+    *,
+    like: OneStepAhead | None = None,
 ) -> OneStepAhead:
     """Foresee a recording with a model that was fitted to another one.
 
     A Kalman filter mends the state at each sample, as far as a random force and a random torque make it doubtful. How large
-    these are is estimated where the model was fitted; nothing is fitted to what is foreseen.
+    these are is estimated where the model was fitted.
 
     Args:
         fitted: the recording of the fit.
         recording: another one of the same rig.
-        starts: states at the start, by experiment, for those in which nobody measured where the arm was.
+        starts: states at the start, by experiment, for those in which nobody measured where the arm was; the same for all
+            models that are compared.
+        like: of another model: what is shaken there does not count here either, as likelihoods compare only where they count
+            the same samples, and those at which friction is shaken loose tell more of its level than of the rest.
 
     Source: Ljung, System Identification (1999), section 16.6, on cross-validation by predictions.
     """
     model = fit.model.with_values({name: jnp.mean(fit.model[name]) for name in fit.model.per_experiment})
+    colours = colours_at_rest(fitted.experiments)
+    if colours:
+        model = model + ColouredNoise.of(colours)
     substeps = jnp.asarray(int(fit.statistics["substeps"]))
-    levels = noise_levels(fitted.experiments)
+    levels = noise_levels(recording.experiments) | noise_levels(fitted.experiments)
     trained = pieces(moving(fitted))
     space, data = _space(model, trained, fit.start), Data.of(trained)
     prior = NoiseModel.of(levels, fitted.experiments, scales_of(model, trained), space)
-    noise = fit_noise(model, data, space, _values(space), prior, None, substeps).exponents
+    if like is not None:
+        data = _counting(data, like.shaken[0])
+    noise = fit_noise(model, data, space, _values(space), prior, None, substeps)
     others = pieces(moving(recording))
     space, data = _space(model, others, starts), Data.of(others)
-    passed = run_filter(model, data, space, _values(space), prior.starting(space), noise, substeps).filtered
-    return OneStepAhead(by_sample(passed), stretches(data), _errors(passed, levels))
+    if like is not None:
+        data = _counting(data, like.shaken[1])
+    passed = run_filter(model, data, space, _values(space), prior.starting(space), noise.exponents, substeps).filtered
+    shaken = (np.asarray(noise.filtered.shaken), np.asarray(passed.shaken))
+    return OneStepAhead(by_sample(passed), stretches(data), _errors(passed, levels), shaken)
+
+
+def _counting(data: Data, shaken: np.ndarray) -> Data:
+    return dataclasses.replace(data, trusted=data.trusted * (1.0 - shaken))
 
 
 def _space(model: RTAC, experiments: Sequence[Experiment], starts: Mapping[str, np.ndarray]) -> Space:

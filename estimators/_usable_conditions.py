@@ -1,10 +1,11 @@
 """The frequency responses of those experiments of a recording that show one, on one grid."""
 
+import re
 from dataclasses import dataclass
 
 import numpy as np
 
-from estimators._frequency_response import frequency_responses
+from estimators._frequency_response import DrownedError, frequency_responses
 from estimators._prediction_error import LinearModels, prediction_error
 from estimators._response_record import FrequencyResponses
 from rtac_jax.measurement import Experiment, Recording
@@ -57,18 +58,24 @@ def usable_conditions(
         raise ValueError(_too_few([e.name for e in kept], left_out))
     grid = _grid(kept, band)
     rests = [e.name for e in recording if e.kind == "rest"]  # they tell the tachometer's bias
-    found = []
+    found, shown = [], []
     for e in kept:
         half = int(np.clip(round(_WINDOW * e.duration), _LEAST, _MOST))
         try:
             only = recording.select([e.name, *rests])
             found += frequency_responses(only, method="local", frequency=grid, half_width=half)
-        except ValueError as error:
+            shown.append(e.name)
+        except DrownedError as error:
             left_out[e.name] = str(error)
-    if len(found) < 2:
-        raise ValueError(_too_few([one.name for one in found], left_out))
+        except ValueError as error:
+            if modes is None:
+                left_out[e.name] = str(error)
+            else:  # what a local fit lacks, a model may not
+                shown.append(e.name)
+    if len(shown) < 2:
+        raise ValueError(_too_few(shown, left_out))
     if modes is not None:
-        chosen = recording.select([*(one.name for one in found), *rests])
+        chosen = recording.select([*shown, *rests])
         models = prediction_error(chosen, modes=modes, progress=progress)
         return UsableConditions(models.responses(grid), left_out, models)
     return UsableConditions(FrequencyResponses(tuple(found)), left_out)
@@ -87,9 +94,9 @@ def _unfit(experiment: Experiment) -> str:
 
 def _too_few(names: list[str], left_out: dict[str, str]) -> str:
     # Where one reason holds for all it is told once.
-    said = {why.replace(name, "EXPERIMENT").rstrip(".") for name, why in left_out.items()}
+    said = {re.sub(f"/experiments/{re.escape(name)}(/\\S+)?: ", "", why).rstrip(".") for name, why in left_out.items()}
     if len(left_out) > 1 and len(said) == 1:
-        reasons = f" {', '.join(left_out)}: {said.pop().replace('/experiments/EXPERIMENT: ', '')};"
+        reasons = f" {', '.join(left_out)}: {said.pop()};"
     else:
         reasons = "".join(f" {name}: {why.rstrip('.')};" for name, why in left_out.items())
     what = f"only {names[0]} shows" if names else "no experiment shows"

@@ -346,12 +346,23 @@ def test_refusals(call, message):
 
 def test_what_only_compensation_puts_into_a_band_is_no_excitation():
     current = multisine(samples=2000, sample_time=DT, rms=1.0, band=(0.5, 2.0), seed=1)
-    out = respond(current[None])[0]
     turning = {"run": 2.0 * np.sin(0.9 * DT * np.arange(2000))}  # spreads current * cos(theta) over all lines
+    out = respond((current * np.cos(turning["run"]))[None])[0]
     run = Experiment.of("run", kind="forced", sample_time=DT, current=current, cart_position=out)
     with pytest.raises(ValueError, match="the excitation vanishes at"):
         est.frequency_responses(Recording((run,)), band=(3.0, 6.0), angles=turning)
+    with pytest.raises(ValueError, match="the excitation vanishes at"):  # nor where the period is cut
+        est.frequency_responses(Recording((run,)), band=(3.0, 6.0), angles=turning, discard=1)
     assert len(est.frequency_responses(Recording((run,)), band=(0.5, 2.0), angles=turning)) == 1
+
+
+def test_a_resonance_far_below_a_wide_band_is_shown():
+    random = np.random.default_rng(8)
+    current = random.standard_normal(4000)
+    out = respond(current[None])[0]
+    slow = scipy.signal.sosfilt(scipy.signal.butter(8, 0.15, output="sos"), out)  # nothing above 3.75 Hz of 25
+    found = _plain(current=current, out=slow + 0.05 * np.std(out) * random.standard_normal(4000))
+    assert np.mean(found[0].std > 0.5 * np.abs(found[0].response)) > 0.5  # most of the band drowns
 
 
 def test_local_response_finds_an_exact_local_model():

@@ -27,11 +27,6 @@ def recorded(**hidden: float) -> tuple[rtac.Recording, rtac.Recording]:
     return train, held_out
 
 
-def foreseen(model: rtac.RTAC, train: rtac.Recording, held_out: rtac.Recording) -> OneStepAhead:
-    """By a model fitted to the first recording."""
-    return one_step_ahead(est.output_error(model, train, progress=False), train, held_out, {})
-
-
 @pytest.fixture(scope="module")
 def by_model() -> dict[str, OneStepAhead]:
     """Of a rig whose encoder shows too much: by the base model, the right one, and one with an effect that is not there."""
@@ -42,7 +37,9 @@ def by_model() -> dict[str, OneStepAhead]:
         "right": holding(base + EncoderGain(error=GAIN - 1.0), ["encoder_gain"]),
         "wrong": base + CubicSpring(stiffness=1e3),
     }
-    return {name: foreseen(model, train, held_out) for name, model in models.items()}
+    fits = {name: est.output_error(model, train, progress=False) for name, model in models.items()}
+    first = one_step_ahead(fits["base"], train, held_out, {})
+    return {name: one_step_ahead(fit, train, held_out, {}, like=first) for name, fit in fits.items()} | {"first": first}
 
 
 def test_the_right_effect_is_foreseen_better(by_model: dict[str, OneStepAhead]) -> None:
@@ -65,16 +62,33 @@ def test_errors_are_those_of_the_predictions(by_model: dict[str, OneStepAhead]) 
     assert all(0.9 < error < 1.5 for error in right.errors.values()), right.errors
 
 
-def test_surpassing_takes_more_than_chance() -> None:
-    random = np.random.default_rng(1)
-    seconds = np.repeat(np.arange(60), 100).reshape(-1, 6, order="F")
-    nothing = np.zeros(seconds.shape)
+@pytest.mark.parametrize("seconds", [6, 60])
+def test_surpassing_takes_more_than_chance(seconds: int) -> None:
+    of_sample = np.repeat(np.arange(seconds), 100)[:, None]
 
-    def against_nothing(gain: float, number: int) -> bool:
-        noise = np.random.default_rng(number).normal(size=seconds.shape)
-        return OneStepAhead(gain + noise, seconds, {}).surpasses(OneStepAhead(nothing, seconds, {}))
+    def ahead(by_sample: np.ndarray, of_sample: np.ndarray = of_sample) -> OneStepAhead:
+        return OneStepAhead(by_sample, of_sample, {}, (by_sample, by_sample))
 
-    seeds = random.integers(0, 2**31, 400)
-    by_chance = np.mean([against_nothing(0.0, int(seed)) for seed in seeds])
-    assert 0.02 < by_chance < 0.08
-    assert np.mean([against_nothing(0.1, int(seed)) for seed in seeds]) > 0.99
+    def share(gain: float, several: int) -> float:
+        """In which the likeliest of several models surpasses one that is as likely as each but for the gain."""
+        random, found = np.random.default_rng(1), 0
+        for _ in range(1000):
+            models = [ahead(gain + random.normal(size=of_sample.shape)) for _ in range(several)]
+            best = max(models, key=lambda one: one.log_likelihood)
+            found += best.surpasses(ahead(np.zeros(of_sample.shape)), of=several)
+        return found / 1000
+
+    assert 0.03 < share(0.0, 1) < 0.07
+    assert share(0.0, 3) < 0.07
+    assert share(1.0, 1) > 0.99
+    few = of_sample[:400]
+    assert not ahead(np.ones(few.shape), few).surpasses(ahead(np.zeros(few.shape), few))  # four seconds tell nothing
+
+
+def test_what_one_model_finds_shaken_counts_for_none(by_model: dict[str, OneStepAhead]) -> None:
+    first = by_model["first"]
+    shaken = first.shaken[1] > 0
+    assert shaken.any()
+    assert np.all(first.by_sample != 0)
+    for name in ("base", "right", "wrong"):
+        assert np.all((by_model[name].by_sample == 0) == shaken)

@@ -59,6 +59,18 @@ def plant_of(system: Linear) -> ct.StateSpace:
     return state_space(system)
 
 
+def recursion_of(system: Linear) -> tuple[ct.StateSpace, float]:
+    """A sampled controller as state space, and its sample time [s].
+
+    Raises:
+        ValueError: it is not a one-to-one, proper and finite linear system with a sample time.
+    """
+    if system.dt is True or system.dt is None:
+        raise ValueError("the controller is discrete without a sample time; give its dt in seconds.")
+    _examine(system, "the controller", sampled=True)
+    return state_space(system), float(system.dt)
+
+
 def weight_of(system: Linear, name: str) -> ct.TransferFunction:
     """A weight as a transfer function.
 
@@ -87,12 +99,12 @@ def finite_response(system: Linear, frequency: Float[np.ndarray, " w"], name: st
     return found
 
 
-def _examine(system: Linear, name: str) -> None:
+def _examine(system: Linear, name: str, *, sampled: bool = False) -> None:
     if not isinstance(system, (ct.StateSpace, ct.TransferFunction)):
         raise ValueError(f"{name} is a {type(system).__name__}; give a python-control StateSpace or TransferFunction.")
     if (system.ninputs, system.noutputs) != (1, 1):
         raise ValueError(f"{name} has {system.ninputs} inputs and {system.noutputs} outputs; give one of each.")
-    if system.dt:
+    if system.dt and not sampled:
         raise ValueError(f"{name} is discrete; give it in continuous time.")
     if isinstance(system, ct.StateSpace):
         parts = [system.A, system.B, system.C, system.D]

@@ -6,7 +6,16 @@ import control as ct
 import numpy as np
 from jaxtyping import Float
 
-from rtac_jax.control._checks import Linear, closed, finite_response, is_stable, plant_of, poles_of, state_space
+from rtac_jax.control._checks import (
+    Linear,
+    closed,
+    finite_response,
+    is_stable,
+    plant_of,
+    poles_of,
+    recursion_of,
+    state_space,
+)
 from rtac_jax.control._synthesis import frequencies, loop_functions
 from rtac_jax.control._weights import Weights
 
@@ -61,13 +70,14 @@ def margins(nominal: Linear, controller: Linear, weights: Weights) -> Margins:
     Source: Doyle, Francis and Tannenbaum, Feedback Control Theory (1992), sections 4.2 and 4.3.
 
     Raises:
-        ValueError: the nominal loop is not stable, so that it has no margins, or a system is not finite or not one-to-one.
+        ValueError: the nominal loop is not stable, so that it has no margins, or a system is not finite or not one-to-one, or
+            discrete without a sample time.
     """
     plant = plant_of(nominal)
     frequency = frequencies(plant, weights)
-    interval = float(controller.dt or 0.0)
-    if interval:
-        law, held = state_space(controller), state_space(ct.sample_system(plant, interval, method="zoh"))
+    if controller.dt:
+        law, interval = recursion_of(controller)
+        held = state_space(ct.sample_system(plant, interval, method="zoh"))
         stable = np.all(np.abs(poles_of(closed(held, law))) < 1)
         frequency = frequency[frequency < np.pi / interval]
         z = np.exp(1j * frequency * interval)

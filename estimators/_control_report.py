@@ -20,6 +20,7 @@ from rtac_jax.control import ClosedLoop
 
 WEIGHTED = "P0 keeps closest to the responses where they are large, as limited torque does nothing elsewhere."
 _BANDS = 4
+_ANYWAY = 0.9  # share of plants that hold without a controller, above which a batch says little of it
 _USEFUL = 0.8  # share of the settling time, above which a controller is of little use
 _WORDS = {
     "unmodelled": "left by the nominal model",
@@ -403,7 +404,10 @@ def _resonance(found: ControlDesign) -> float:
 
 def _without(free: ClosedLoop | None, within: float) -> str:
     """What the comparison is worth: how many plants hold anyway."""
-    return "" if free is None else f"without a controller {_percent(free.holds(within=within))} do"
+    if free is None:
+        return ""
+    share = float(np.mean(free.holds(within=within)))
+    return f"without a controller {_percent(share)} do" + (", so this says little of it" if share > _ANYWAY else "")
 
 
 def _astray(batch: ClosedLoop) -> str:

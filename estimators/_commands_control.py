@@ -59,7 +59,7 @@ def envelope(
     """One linear model and an uncertainty weight that cover all operating conditions."""
     between = _band(band)
     with job(file, validation, out, json) as work:
-        from estimators import _control_report as texts
+        from estimators import _envelope_report as texts
 
         modes = (order + 1) // 2 if method is Method.PREDICTION_ERROR else None
         used, (found,) = _enveloped(work, between, [order], weight_order, kind.value, modes=modes)
@@ -128,7 +128,7 @@ def control(
     with job(file, validation, out, json) as work:
         import estimators as est
         from estimators import _control_report as texts
-        from estimators import _report
+        from estimators import _envelope_report, _report
 
         orders = _ORDERS if order is None else (order,)
         used, found = _enveloped(work, between, orders, weight_order, "multiplicative_output", for_control=True)
@@ -168,7 +168,10 @@ def control(
             ("What is guaranteed and what is not", honest),
             ("Open and closed loop", [loops, *_shown(figures, captions)]),
             ("The controller", [texts.controller_table(made)]),
-            ("The envelope", [*texts.remarks(made.covered, used), texts.models_table(made.covered)]),
+            (
+                "The envelope",
+                [*_envelope_report.remarks(made.covered, used), _envelope_report.models_table(made.covered)],
+            ),
             ("The nonlinear model", ["It was fitted to the same recording.", errors, parameters]),
         ]
         work.write_report(f"Controller for {work.file}", figures, sections, split=_sides(made.covered))

@@ -2,7 +2,7 @@
 
     python benchmarks/bench_weight.py
 
-dkpy makes the largest excess small, the envelope the mean over log frequency; both lie above the profile.
+dkpy makes the largest excess small, the envelope that or the mean over log frequency; all lie above the profile.
 """
 
 import time
@@ -32,8 +32,10 @@ def plants(seed: int, count: int = 20) -> np.ndarray:
 def main() -> None:
     """Print a table."""
     measure = log_measure(OMEGA)
-    print("| plants | order of W | mean excess [dB] | dkpy | largest excess [dB] | dkpy | time [s] | dkpy |")
-    print("|---|---|---|---|---|---|---|---|")
+    print(
+        "| plants | order of W | mean | dkpy | largest | largest, where that is minimised | dkpy | time [s] | dkpy [s] |"
+    )
+    print("|---|---|---|---|---|---|---|---|---|")
     for seed in range(3):
         responses = plants(seed)
         for order in (1, 2, 3):
@@ -41,13 +43,19 @@ def main() -> None:
             made = est.envelope(
                 responses, omega=OMEGA, order_nominal=4, order_weight=order, within_db=60.0, progress=False
             )
-            ours = 20 * np.log10(made.weight_magnitude() / made.profile)
             middle = time.perf_counter()
+            at_most = est.envelope(
+                responses, omega=OMEGA, nominal=made.nominal, order_weight=order, minimise="largest", within_db=60.0,
+                progress=False,
+            )  # fmt: skip
+            ours, least = (20 * np.log10(e.weight_magnitude() / e.profile) for e in (made, at_most))
+            dkpy_began = time.perf_counter()
             profile = made.profile[:, None, None].astype(complex)
             weight = dkpy.fit_uncertainty_weight(profile, OMEGA, order, weight=np.ones((len(OMEGA), 1)))
             theirs = 20 * np.log10(np.abs(np.squeeze(weight(1j * OMEGA))) / made.profile)
             ended = time.perf_counter()
-            numbers = (measure @ ours, measure @ theirs, ours.max(), theirs.max(), middle - began, ended - middle)
+            excess = (measure @ ours, measure @ theirs, ours.max(), least.max(), theirs.max())
+            numbers = (*excess, middle - began, ended - dkpy_began)
             print(f"| {seed} | {order} | " + " | ".join(f"{n:.2f}" for n in numbers) + " |", flush=True)
 
 

@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float64
 
 from estimators._gap import Kind, errors
 from estimators._plants import PlantSet, evaluate
-from estimators._weight import Shape, fit_weight, lift
+from estimators._weight import Minimise, Shape, fit_weight, lift
 
 Curve = Float64[np.ndarray, " frequency"]
 
@@ -23,7 +23,7 @@ _EQUAL = 1e-9  # of the plant, below which gaps are rounding
 
 def cover(
     found: PlantSet, held: Bool[np.ndarray, " condition"], model: ct.TransferFunction, kind: Kind, order: int,
-    done: Callable[[], object],
+    minimise: Minimise, done: Callable[[], object],
 ) -> tuple[Shape, float, Curve]:  # fmt: skip
     """The weight, by how much those held out raised it, and the profile on the grid without zeros."""
     between = max(_DENSE, -(-2 * _FEWEST // (len(found.omega) - 1)))
@@ -36,7 +36,8 @@ def cover(
         raise ValueError("responses: all conditions equal the nominal model, so there is nothing to cover.")
     floor = _FLOOR * float(target.max())
     target = np.maximum(target, floor)
-    shape = fit_weight(fitting, np.interp(np.log(fitting), np.log(dense), target), order=order, done=done)
+    wanted = np.interp(np.log(fitting), np.log(dense), target)
+    shape = fit_weight(fitting, wanted, order=order, minimise=minimise, done=done)
     shape = lift(shape, max(0.0, _shortfall(found, within, model, kind, shape, dense, floor)))
     up = max(0.0, _shortfall(found, held, model, kind, shape, dense, floor)) if held.any() else 0.0
     shape = lift(shape, up)

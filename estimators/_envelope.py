@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from os import PathLike
-from typing import Any, cast
+from typing import Any, cast, get_args
 
 import control as ct
 import numpy as np
@@ -17,7 +17,7 @@ from estimators._coverage import Coverage, held_out_coverage, scenario_coverage
 from estimators._gap import KINDS, Kind, corners, errors, packed
 from estimators._nominal import NOMINAL_STEPS, log_measure, nominal_fit
 from estimators._plants import PlantSet, Responses, evaluate, gather, require_stable
-from estimators._weight import WEIGHT_STEPS
+from estimators._weight import WEIGHT_STEPS, Minimise
 
 Curve = Float64[np.ndarray, " frequency"]
 
@@ -136,6 +136,7 @@ def envelope(
     order_nominal: int = 4,
     zeros: int | None = None,
     order_weight: int = 2,
+    minimise: Minimise = "mean",
     nominal: ct.TransferFunction | ct.StateSpace | None = None,
     held_out: Sequence[int] = (),
     importance: Float64[np.ndarray, " factor"] | None = None,
@@ -153,7 +154,7 @@ def envelope(
     P_0 makes the largest gap over conditions and frequencies as small as possible; its zeros may lie in the right half
     plane. W lies above the largest gap at every frequency, also between the points of the grid, where parametric plants
     are evaluated and others interpolated on logarithmic scales; its distance above, in decibels over log frequency, is
-    as small as possible. Both searches are local, from several starts.
+    as small as possible, on the mean or at most. Both searches are local, from several starts.
 
     Args:
         responses: frequency responses of the conditions, python-control systems, or numbers [condition, frequency]; of
@@ -162,6 +163,8 @@ def envelope(
         order_nominal: poles of P_0.
         zeros: of P_0; by default as many as poles.
         order_weight: poles and zeros of W.
+        minimise: the "mean" distance of W above the profile, which gives a controller most room, or the "largest", so that no
+            frequency is treated worse than it must be.
         nominal: given instead of fitted.
         held_out: numbers of conditions that take no part in the fit. W is raised where they ask for it, and the statement
             of coverage rests on them alone; without any it rests on the fitted ones, which says little for few.
@@ -184,6 +187,8 @@ def envelope(
     free = order_nominal if zeros is None else zeros
     if not 0 <= free <= order_nominal:
         raise ValueError(f"zeros: is {zeros}; a proper model of order {order_nominal} has from 0 to {order_nominal}.")
+    if minimise not in get_args(Minimise):
+        raise ValueError(f"minimise: is {minimise!r}; use 'mean' or 'largest'.")
     if not 0 < confidence < 1:
         raise ValueError(f"confidence: is {confidence}; give a probability between 0 and 1.")
     found = _representable(responses, omega, chosen)
@@ -220,7 +225,7 @@ def envelope(
         else:
             model = _given(nominal)
             bar.update(NOMINAL_STEPS)
-        shape, raised, profile = cover(found, held, model, chosen, order_weight, bar.update)
+        shape, raised, profile = cover(found, held, model, chosen, order_weight, minimise, bar.update)
     measure = log_measure(found.omega)
     excess = _DECIBEL * float(measure @ (shape.log_magnitude(found.omega) - np.log(profile)))
     if excess > within_db:

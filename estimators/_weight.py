@@ -1,18 +1,20 @@
 """A stable minimum-phase weight that lies above a profile at every frequency and as close to it as its order allows."""
 
-from collections.abc import Callable
-from typing import NamedTuple
+from collections.abc import Callable, Iterator
+from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float64
 from scipy.optimize import linprog
 
+from estimators._magnitude_bound import Roots, magnitude_bound
 from estimators._nominal import log_measure
 
 Curve = Float64[np.ndarray, " frequency"]
+Minimise = Literal["mean", "largest"]
 
 _ROUNDS = 60
-_ENOUGH = 1e-4  # gain of a round in the mean logarithm, below which it is the last
+_ENOUGH = 1e-4  # gain of a round in the logarithm, below which it is the last
 WEIGHT_STEPS = 6
 """How many searches `fit_weight` makes, each from another start."""
 _REACH = (0.5, 1e-4)  # of the trust region in logarithms: at the start, and where it gives up
@@ -61,28 +63,30 @@ class Shape(NamedTuple):
         return top, low
 
 
-def fit_weight(omega: Curve, profile: Curve, *, order: int, done: Callable[[], object], seed: int = 0) -> Shape:
-    """The weight above the profile whose excess in decibels, averaged over log frequency, is smallest.
+def fit_weight(
+    omega: Curve, profile: Curve, *, order: int, minimise: Minimise, done: Callable[[], object], seed: int = 0
+) -> Shape:
+    """The weight above the profile whose excess in decibels, on the mean over log frequency or at most, is smallest.
 
     The gain always lifts the weight onto the profile, so only its shape is searched: by linear programmes in the
     logarithms of its coefficients, which make it stable and minimum-phase whatever their values, within a trust region
-    and from several starts. Damping ratios are at least 0.05 and corners within two decades of the band.
+    and from several starts, among them the magnitude of least largest excess. Damping ratios are at least 0.05 and
+    corners within two decades of the band.
 
     Args:
         omega: [rad/s].
         profile: positive.
         order: zero or more.
+        minimise: the mean or the largest excess.
         done: called after each search.
     """
     target = np.log(profile)
-    measure = log_measure(omega)
+    measure = log_measure(omega) if minimise == "mean" else None
     best, smallest = _lifted(Shape(0.0, np.zeros((0, 4)), np.zeros((0, 2))), omega, target), np.inf
     if order == 0:
         return best
-    random = np.random.default_rng(seed)
-    for number in range(WEIGHT_STEPS):
-        shape = _lifted(_start(omega, order, None if number == 0 else random), omega, target)
-        shape, value = _descend(shape, omega, target, measure)
+    for start in _starts(omega, profile, order, seed):
+        shape, value = _descend(_lifted(start, omega, target), omega, target, measure)
         done()
         if value < smallest:
             best, smallest = shape, value
@@ -96,6 +100,27 @@ def lift(shape: Shape, by: float) -> Shape:
 
 def _lifted(shape: Shape, omega: Curve, target: Curve) -> Shape:
     return shape._replace(gain=float(np.max(target - shape._parts(omega)[0])) + _ABOVE)
+
+
+def _starts(omega: Curve, profile: Curve, order: int, seed: int) -> Iterator[Shape]:
+    """As many as `WEIGHT_STEPS`."""
+    random = np.random.default_rng(seed)
+    yield _start(omega, order, None)
+    bound = magnitude_bound(omega, profile, order)
+    yield _start(omega, order, random) if bound is None else _from_roots(*bound, omega)
+    for _ in range(WEIGHT_STEPS - 2):
+        yield _start(omega, order, random)
+
+
+def _from_roots(zeros: Roots, poles: Roots, omega: Curve) -> Shape:
+    """Within the limits of damping and corners."""
+    lowest, highest = _limits(omega, len(poles.pairs), len(poles.single))
+    pairs = np.log(np.concatenate([zeros.pairs, poles.pairs], axis=1))
+    single = np.log(np.stack([zeros.single, poles.single], axis=1))
+    kept = np.clip(np.concatenate([pairs.ravel(), single.ravel()]), lowest, highest)
+    pairs, single = kept[: pairs.size].reshape(-1, 4), kept[pairs.size :].reshape(-1, 2)
+    pairs[:, ::2] = np.maximum(pairs[:, ::2], 0.5 * pairs[:, 1::2] + np.log(2 * _DAMPING))
+    return Shape(0.0, pairs, single)
 
 
 def _start(omega: Curve, order: int, random: np.random.Generator | None) -> Shape:
@@ -114,8 +139,14 @@ def _start(omega: Curve, order: int, random: np.random.Generator | None) -> Shap
     return Shape(0.0, pairs, single)
 
 
-def _descend(shape: Shape, omega: Curve, target: Curve, measure: Curve) -> tuple[Shape, float]:
-    value = float(measure @ (shape.log_magnitude(omega) - target))
+def _excess(shape: Shape, omega: Curve, target: Curve, measure: Curve | None) -> float:
+    excess = shape.log_magnitude(omega) - target
+    return float(np.max(excess) if measure is None else measure @ excess)
+
+
+def _descend(shape: Shape, omega: Curve, target: Curve, measure: Curve | None) -> tuple[Shape, float]:
+    """Of the mean with this measure, or without one of the largest excess."""
+    value = _excess(shape, omega, target, measure)
     reach = _REACH[0]
     limits = _limits(omega, len(shape.pairs), len(shape.single))
     for _ in range(_ROUNDS):
@@ -127,7 +158,7 @@ def _descend(shape: Shape, omega: Curve, target: Curve, measure: Curve) -> tuple
             pairs=shape.pairs + step[:count].reshape(-1, 4), single=shape.single + step[count:].reshape(-1, 2)
         )
         moved = _lifted(moved, omega, target)
-        found = float(measure @ (moved.log_magnitude(omega) - target))
+        found = _excess(moved, omega, target, measure)
         if found < value - 1e-12:
             gained = value - found
             shape, value, reach = moved, found, min(2 * reach, 2.0)
@@ -149,25 +180,32 @@ def _limits(omega: Curve, pairs: int, single: int) -> tuple[np.ndarray, np.ndarr
 
 
 def _programme(
-    shape: Shape, omega: Curve, target: Curve, measure: Curve, reach: float, limits: tuple[np.ndarray, np.ndarray]
-) -> np.ndarray | None:
-    """The step that lowers the mean of the tangent of log |W| most while it stays above the profile."""
+    shape: Shape, omega: Curve, target: Curve, measure: Curve | None, reach: float,
+    limits: tuple[np.ndarray, np.ndarray],
+) -> np.ndarray | None:  # fmt: skip
+    """The step that lowers the mean or largest excess of the tangent of log |W| most while it stays above the profile."""
     value, slope = shape._parts(omega)
     now = np.concatenate([shape.pairs.ravel(), shape.single.ravel()])
-    above = np.concatenate([-slope.T, -np.ones((len(omega), 1))], axis=1)
+    # Unknown are the step, the change of the gain, and the largest excess where that is made small.
+    one, room = np.ones((len(omega), 1)), np.zeros((len(omega), 1 if measure is None else 0))
+    rows, bounds = [np.hstack([-slope.T, -one, room])], [value - target]
+    if measure is None:
+        rows.append(np.hstack([slope.T, one, -one]))
+        bounds.append(target - value)
     # log(linear coefficient) - log(constant) / 2 >= log(2 damping), for each pair above and below.
     count = 2 * len(shape.pairs)
-    damping = np.zeros((count, len(now) + 1))
+    damping = np.zeros((count, rows[0].shape[1]))
     damping[np.arange(count), 2 * np.arange(count)] = -1.0
     damping[np.arange(count), 2 * np.arange(count) + 1] = 0.5
     spare = now[0 : 2 * count : 2] - 0.5 * now[1 : 2 * count : 2] - np.log(2 * _DAMPING)
     low = np.minimum(np.maximum(-reach, limits[0] - now), 0.0)
     high = np.maximum(np.minimum(reach, limits[1] - now), 0.0)
+    cost = np.append(np.zeros(len(now) + 1), 1.0) if measure is None else np.append(slope @ measure, 1.0)
     found = linprog(
-        np.append(slope @ measure, 1.0),
-        A_ub=np.concatenate([above, damping]),
-        b_ub=np.concatenate([value - target, np.maximum(spare, 0.0)]),
-        bounds=[*zip(low, high, strict=True), (None, None)],
+        cost,
+        A_ub=np.concatenate([*rows, damping]),
+        b_ub=np.concatenate([*bounds, np.maximum(spare, 0.0)]),
+        bounds=[*zip(low, high, strict=True), *[(None, None)] * (len(cost) - len(now))],
         method="highs",
     )
-    return found.x[:-1] if found.status == 0 else None
+    return found.x[: len(now)] if found.status == 0 else None

@@ -1,0 +1,181 @@
+"""Filters, differences and excitations, and what `describe` says of a recording."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_experiments import DECAY, DT, T, forced, free, noise, rest, spoilt
+
+from rtac_jax.measurement import (
+    Recording,
+    central_difference,
+    chirp,
+    concerns,
+    describe,
+    multisine,
+    prbs,
+    square_wave,
+    zero_phase_lowpass,
+)
+
+
+def test_lowpass_keeps_the_pass_band_in_phase_and_stops_the_rest():
+    time = np.arange(4000) * 1e-3
+    middle = slice(1000, 3000)
+    low, high = np.sin(2 * np.pi * 5 * time + 0.3), np.sin(2 * np.pi * 60 * time)
+    result = zero_phase_lowpass(low + high, sample_time=1e-3, cutoff=20.0)
+    # Twice the ripple of 0.05 dB is 1.2 %; a delay of one sample alone would leave 3 %.
+    assert np.abs(result - low)[middle].max() < 0.012
+    assert np.abs(zero_phase_lowpass(high, sample_time=1e-3, cutoff=20.0))[middle].max() < 1e-4
+    quadrature = np.cos(2 * np.pi * 5 * time + 0.3)
+    assert abs(np.mean(result[middle] * quadrature[middle])) < 1e-6
+
+
+def test_lowpass_is_symmetric_in_time_and_exact_on_constants():
+    values = DECAY + noise(1)
+    forward = zero_phase_lowpass(values, sample_time=DT, cutoff=20.0)
+    backward = zero_phase_lowpass(values[::-1], sample_time=DT, cutoff=20.0)[::-1]
+    inside = slice(300, -300)
+    np.testing.assert_allclose(forward[inside], backward[inside], atol=2e-6)
+    np.testing.assert_allclose(zero_phase_lowpass(0 * T + 3, sample_time=DT, cutoff=20.0), 3.0, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("values", "cutoff", "message"),
+    [
+        (T, 250.0, "cutoff: is 250 Hz, .*half the sampling rate, 250 Hz"),
+        (T, -1.0, "cutoff: is -1 Hz"),
+        (T[:30], 20.0, "values: has 30 samples, but this filter needs more than 30"),
+        (spoilt(T, 4, np.nan), 20.0, "values, sample 4: is nan"),
+        (T[:, None], 20.0, r"values: the shape is \(2000, 1\)"),
+    ],
+)
+def test_lowpass_refuses(values, cutoff, message):
+    with pytest.raises(ValueError, match=message):
+        zero_phase_lowpass(values, sample_time=DT, cutoff=cutoff)
+
+
+def test_central_difference_is_exact_on_parabolas():
+    result = central_difference(3 * T**2 - 2 * T + 1, sample_time=DT)
+    assert result.shape == (len(T) - 2,)
+    np.testing.assert_allclose(result, (6 * T - 2)[1:-1], atol=1e-9)
+    with pytest.raises(ValueError, match="values: has 2 samples"):
+        central_difference(T[:2], sample_time=DT)
+
+
+@pytest.mark.parametrize("seed", [None, 3])
+def test_multisine_has_the_asked_spectrum(seed):
+    wave = multisine(samples=1500, sample_time=DT, rms=0.3, band=(2.0, 10.0), period=500, seed=seed)
+    assert wave.shape == (1500,)
+    np.testing.assert_allclose(wave[:500], wave[1000:])
+    size = np.abs(np.fft.rfft(wave[:500]))
+    assert np.flatnonzero(size > 1e-9 * size.max()).tolist() == list(range(2, 11))
+    np.testing.assert_allclose(size[2:11], size[2])
+    assert np.sqrt(np.mean(wave**2)) == pytest.approx(0.3)
+    again = multisine(samples=1500, sample_time=DT, rms=0.3, band=(2.0, 10.0), period=500, seed=seed)
+    np.testing.assert_array_equal(wave, again)
+
+
+def test_other_currents():
+    square = square_wave(samples=1000, sample_time=DT, amplitude=0.5, frequency=5.0)
+    np.testing.assert_array_equal(square, np.tile(np.repeat([0.5, -0.5], 50), 10))
+    sweep = chirp(samples=1000, sample_time=DT, amplitude=0.5, band=(1.0, 10.0))
+    assert np.abs(sweep).max() <= 0.5
+    assert abs(sweep[0]) < 1e-12
+    binary = prbs(samples=1000, hold=8, amplitude=0.5, seed=1)
+    assert binary.shape == (1000,)
+    assert set(binary) == {-0.5, 0.5}
+    assert set(np.flatnonzero(np.diff(binary)) % 8) == {7}
+    assert abs(binary.mean()) < 0.1
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: multisine(samples=100, sample_time=DT, rms=1.0), "harmonics, band: give one"),
+        (
+            lambda: multisine(samples=100, sample_time=DT, rms=1.0, harmonics=[50]),
+            r"harmonics: \[50\] .*1 to 49",
+        ),
+        (lambda: multisine(samples=100, sample_time=DT, rms=0.0, harmonics=[1]), "rms: is 0"),
+        (lambda: multisine(samples=100, sample_time=DT, rms=1.0, band=(1, 300)), "band: 300 Hz"),
+        (
+            lambda: square_wave(samples=100, sample_time=DT, amplitude=1.0, frequency=250.0),
+            "frequency: 250 Hz",
+        ),
+        (lambda: chirp(samples=0, sample_time=DT, amplitude=1.0, band=(1, 2)), "samples: is 0"),
+        (lambda: prbs(samples=10, hold=0, amplitude=1.0, seed=0), "hold: is 0"),
+    ],
+)
+def test_excitation_refuses(call, message):
+    with pytest.raises(ValueError, match=message):
+        call()
+
+
+def good():
+    position = DECAY + noise(2)
+    angle = forced(cart_position=position, arm_angle=T + noise(3), arm_velocity=np.sin(8 * T) + noise(4))
+    return Recording((angle, rest("still")), {"total_mass": 1.2})
+
+
+def test_describe():
+    words = describe(replace(good(), rig_name="lab", comment="after oiling"))
+    assert "rig: lab; known beforehand: total_mass = 1.2 kg" in words
+    assert "comment: after oiling" in words
+    assert "experiments: 2 (1 forced, 1 rest), 4000 samples, 8 s" in words
+    assert "forced: forced; 2000 samples of 0.002 s, 4 s" in words
+    assert any(line.split() == ["current", "A", "0.702", "0", "zoh"] for line in words.splitlines())
+
+
+def test_a_good_recording_has_one_small_fault():
+    assert concerns(good()) == [
+        "still: arm_velocity is exactly constant, so it says nothing about the noise; check that the sensor "
+        "was connected."
+    ]
+
+
+@pytest.mark.parametrize(
+    ("experiment", "message"),
+    [
+        (free(), "There is no experiment at rest"),
+        (free(), "The scale is not fixed"),
+        (rest(), "All experiments are at rest"),
+        (free(), "free: arm_angle was not measured"),
+        (free(), "free: initial_arm_angle is not given"),
+        (free(current=np.sin(T)), "an experiment of kind free has an input"),
+        (free(arm="locked", cart="clamped"), "arm and cart are both held"),
+        (forced(arm="locked"), "the current cannot move a locked arm"),
+        (forced(cart="clamped", arm_velocity=None), "only what is held was measured"),
+        (free().cut(0, 50), "fewer than 100 samples"),
+        (free().cut(0, 50), "cart_position covers fewer than 3 periods"),
+        (
+            free(cart_position=np.sin(300 * T)),
+            "cart_position is sampled fewer than 20 times in a period of its",
+        ),
+        (free(cart_position=np.clip(DECAY, -0.01, 0.01)), "cart_position stays repeatedly at exactly"),
+        (
+            free(cart_position=np.round(DECAY / 2e-4) * 2e-4),
+            "cart_position is quantised in steps of 0.0002 m",
+        ),
+        (
+            free(cart_position=spoilt(DECAY, slice(20), np.nan)),
+            "cart_position has 1 % of its samples missing",
+        ),
+        (
+            free(cart_position=spoilt(spoilt(DECAY + noise(5), 900, 5e-3), slice(20), np.nan)),
+            "cart_position has 1 suspicious outliers, the first at sample 900",
+        ),
+    ],
+)
+def test_concerns(experiment, message):
+    assert any(message in sentence for sentence in concerns(Recording((experiment,))))
+
+
+def test_concerns_do_not_cry_wolf():
+    stopped = np.where(T > 3, DECAY[1500], DECAY)
+    kinked = np.cumsum(np.sign(np.sin(5 * T))) * DT + noise(6)
+    for values in (DECAY, DECAY + noise(7), stopped, kinked):
+        words = " ".join(concerns(Recording((free(cart_position=values),))))
+        assert "clipped" not in words
+        assert "outliers" not in words
+        assert "quantised" not in words

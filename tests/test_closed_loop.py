@@ -16,6 +16,7 @@ from rtac_jax import RTAC
 from rtac_jax.control import (
     Actuation,
     ClosedLoop,
+    Units,
     closed_loop,
     discretise,
     margins,
@@ -290,3 +291,31 @@ def test_pictures_state_what_they_show(design):
         assert words in figure.get_suptitle()
         assert all(axis.get_xlabel() or axis.get_ylabel() for axis in figure.axes)
     assert stability < 1
+
+
+ONE = ct.tf([1.0], [1.0])
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: closed_loop(SMOOTH, ONE, duration=np.inf), "duration is inf"),
+        (lambda: closed_loop(SMOOTH, ONE, position_noise=-1.0), "position_noise is -1"),
+        (lambda: closed_loop(SMOOTH, ONE, displacement=np.nan), "must be finite"),
+        (lambda: closed_loop(SMOOTH, ONE, force=np.array([0.0, np.inf])), "must be finite"),
+        (lambda: closed_loop(SMOOTH, ct.ss([[np.nan]], [[1.0]], [[1.0]], [[0.0]])), "not finite"),
+        (lambda: closed_loop(SMOOTH, ct.ss([[0.5]], [[1.0]], [[1.0]], [[0.0]], 0.1)), "sample time of 0.1 s"),
+        (lambda: closed_loop(SMOOTH, ct.ss(np.eye(2), np.eye(2), np.eye(2), 0)), "one input"),
+        (
+            lambda: closed_loop(SMOOTH.with_values({"total_mass": np.full(3, M)}), ONE, units=Units.si(), displacement=np.ones(2)),
+            "one value of each parameter",
+        ),
+        (lambda: closed_loop(SMOOTH.with_values({"total_mass": np.full(3, M)}), ONE), "give the units"),
+        (lambda: Actuation(controller_limit=0.0), "controller_limit is 0.0, but must be positive"),
+        (lambda: Actuation(arm_stiffness=-1.0), "arm_stiffness is -1.0"),
+        (lambda: Actuation.proposed(SMOOTH, arm_swing=2.0), "between 0 and pi/2"),
+    ],
+)  # fmt: skip
+def test_bad_input(call, message):
+    with pytest.raises(ValueError, match=message):
+        call()

@@ -5,12 +5,11 @@ import dataclasses
 import control as ct
 import numpy as np
 import pytest
-from own_controller import OMEGA, SMOOTH, M, own_design, response
+from own_controller import OMEGA, SMOOTH, own_design, response
 
 import estimators as est
 from rtac_jax import RTAC
 from rtac_jax.control import (
-    Actuation,
     InfeasibleError,
     Units,
     Weights,
@@ -292,24 +291,10 @@ def weighed(**changed: ct.TransferFunction) -> Weights:
         ),
         (lambda: propose_weights(LAG, 50 * ONE, 1.0, displacement=1.0), "so wide that no damping can be added"),
         (lambda: margins(ct.tf([1.0], [1.0, -1.0]), 0.1 * ONE, weighed()), "closed loop is not stable"),
+        (lambda: margins(LAG, ct.ss([[0.5]], [[0.1]], [[0.1]], [[0.0]], True), weighed()), "give its dt in seconds"),
         (lambda: discretise(ONE, LAG, 0.0), "sample_time is 0"),
         (lambda: discretise(-30 * ONE, ct.tf([-5.0], [1.0, 4.0, 100.0]), 0.2), "not stable .* sample faster than every"),
         (lambda: discretise(0.1 * ONE, ct.tf([5.0], [1.0, 1.0, 100.0]), 0.2), "fewer than 4 samples in a period of the res"),
-        (lambda: closed_loop(SMOOTH, ONE, duration=np.inf), "duration is inf"),
-        (lambda: closed_loop(SMOOTH, ONE, position_noise=-1.0), "position_noise is -1"),
-        (lambda: closed_loop(SMOOTH, ONE, displacement=np.nan), "must be finite"),
-        (lambda: closed_loop(SMOOTH, ONE, force=np.array([0.0, np.inf])), "must be finite"),
-        (lambda: closed_loop(SMOOTH, ct.ss([[np.nan]], [[1.0]], [[1.0]], [[0.0]])), "not finite"),
-        (lambda: closed_loop(SMOOTH, ct.ss([[0.5]], [[1.0]], [[1.0]], [[0.0]], 0.1)), "sample time of 0.1 s"),
-        (lambda: closed_loop(SMOOTH, ct.ss(np.eye(2), np.eye(2), np.eye(2), 0)), "one input"),
-        (
-            lambda: closed_loop(SMOOTH.with_values({"total_mass": np.full(3, M)}), ONE, units=Units.si(), displacement=np.ones(2)),
-            "one value of each parameter",
-        ),
-        (lambda: closed_loop(SMOOTH.with_values({"total_mass": np.full(3, M)}), ONE), "give the units"),
-        (lambda: Actuation(controller_limit=0.0), "controller_limit is 0.0, but must be positive"),
-        (lambda: Actuation(arm_stiffness=-1.0), "arm_stiffness is -1.0"),
-        (lambda: Actuation.proposed(SMOOTH, arm_swing=2.0), "between 0 and pi/2"),
     ],
 )  # fmt: skip
 def test_bad_input(call, message):

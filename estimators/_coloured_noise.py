@@ -1,14 +1,20 @@
 """Sensor noise with a memory: how much of it, and how long, as rest records show it, and what the filter makes of it.
 
 Noise that wanders looks like a random force to a filter that expects it to be white, and then almost every effect of the
-catalogue seems to help.
+catalogue seems to help. So does noise whose colour is a little wrong: the colour of rest records comes from the likelihood of
+their periodograms (P. Whittle, Arkiv foer Matematik 2, 1953), and the records of motion make it more exact (`Search.recoloured`).
 """
 
-from collections.abc import Sequence
+import dataclasses
+import itertools
+from collections.abc import Callable, Sequence
 from typing import Any, ClassVar
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float64
+from scipy.optimize import minimize
+from scipy.special import expit, logit
 from scipy.stats import chi2
 
 from estimators._problem import CHANNELS
@@ -16,7 +22,15 @@ from rtac_jax._parameter import Scalar, parameter
 from rtac_jax.effects import Motion, Outputs, Sensor, States
 from rtac_jax.measurement import Experiment
 
-_LAGS = 40
+Colours = dict[str, tuple[float, float]]
+"""Share of coloured noise and its correlation time [s], by channel."""
+
+_LAGS = 5  # of the correlations that have to be more than chance
+_SHORTEST = 160  # samples of a rest record that tells anything
+_MEMORIES = (1.5, 5.0, 20.0)  # correlation times from which the likeliest is looked for, in samples
+_RANGE = ((-6.0, 6.0), (-1.0, 6.0))  # of the logarithms of share over rest, and of the correlation time in samples
+_REACH = (1.0, 0.3)  # first steps in the logarithms of share over rest, and of correlation time
+_LITTLE = 0.05  # share of coloured noise that is not worth a state
 _DOUBT = 1e-4  # p-value below which the noise of a rest record is not white
 _MOST = 0.98  # the rest is white: quantisation at least
 
@@ -54,6 +68,12 @@ class ColouredNoise(Sensor):
         return cls(**values)
 
     @property
+    def colours(self) -> dict[str, tuple[float, float]]:
+        """Share and correlation time [s] of the channels that are not white."""
+        found = {c: (float(getattr(self, f"{c}_share")), float(getattr(self, f"{c}_memory"))) for c in self.states}
+        return {channel: colour for channel, colour in found.items() if colour[0] > 0}
+
+    @property
     def share(self) -> Any:
         """Share of the variance of each output's noise, in the order of `CHANNELS`."""
         return jnp.stack([getattr(self, f"{channel}_share") for channel in CHANNELS])
@@ -79,32 +99,95 @@ class ColouredNoise(Sensor):
         )
 
 
-def colours_at_rest(experiments: Sequence[Experiment]) -> dict[str, tuple[float, float]]:
-    """Share of coloured noise and its correlation time [s], for channels whose rest records are not white."""
-    found = {}
-    for channel in CHANNELS:
-        records = [e for e in experiments if e.kind == "rest" and channel in e.outputs]
-        products, count, interval = np.zeros(_LAGS + 1), 0, 0.0
-        for e in records:
+@dataclasses.dataclass(frozen=True)
+class RestSpectrum:
+    """Periodograms of the rest records of a channel, which tell the colour of its noise.
+
+    Attributes:
+        angle: of each line, 2 pi frequency times sample time [rad].
+        power: of each line, in any unit.
+        interval: sample time [s].
+    """
+
+    angle: Float64[np.ndarray, " line"]
+    power: Float64[np.ndarray, " line"]
+    interval: float
+
+    @classmethod
+    def of(cls, experiments: Sequence[Experiment], channel: str) -> "RestSpectrum | None":
+        """Of records that are long enough and show a noise that is not white; else nothing."""
+        angle, power, products, count, interval = [], [], np.zeros(_LAGS + 1), 0, 0.0
+        for e in experiments:
+            if e.kind != "rest" or channel not in e.outputs or (interval and e.sample_time != interval):
+                continue
             values = e.outputs[channel].values
             values = values - np.nanmean(values)
             values = np.where(np.isfinite(values), values, 0.0)
-            if len(values) < 4 * _LAGS or not np.any(values):
+            samples = len(values)
+            if samples < _SHORTEST or not np.any(values):
                 continue
-            products += [values[: len(values) - k] @ values[k:] for k in range(_LAGS + 1)]
-            count, interval = count + len(values), e.sample_time
-        if not count:
-            continue
-        correlation = products[1:] / products[0]
-        if chi2.sf(count * np.sum(correlation[:5] ** 2), 5) > _DOUBT:
-            continue
-        lags = np.arange(1, _LAGS + 1)
-        best = (np.inf, 0.0, 0.0)
-        for keep in 1.0 - np.geomspace(0.01, 0.9, 60):
-            shape = keep**lags
-            share = float(np.clip(shape @ correlation / (shape @ shape), 0.0, 1.0))
-            best = min(best, (float(np.sum((correlation - share * shape) ** 2)), share, float(keep)))
-        _, share, keep = best
-        if share > 0.05:
-            found[channel] = (share, -interval / np.log(keep))
-    return found
+            lines = np.arange(1, (samples - 1) // 2 + 1)
+            angle.append(2 * np.pi * lines / samples)
+            power.append(np.abs(np.fft.rfft(values)[lines]) ** 2 / samples)
+            products += [values[: samples - k] @ values[k:] for k in range(_LAGS + 1)]
+            count, interval = count + samples, e.sample_time
+        if not count or chi2.sf(count * np.sum((products[1:] / products[0]) ** 2), _LAGS) > _DOUBT:
+            return None
+        return cls(np.concatenate(angle), np.concatenate(power), interval)
+
+    def log_likelihood(self, share: float, memory: float) -> float:
+        """Of a share of coloured noise with this correlation time [s], at the level that fits best."""
+        keep = np.exp(-self.interval / memory)
+        shape = share * (1 - keep**2) / (1 - 2 * keep * np.cos(self.angle) + keep**2) + 1 - share
+        return -float(len(shape) * np.log(np.mean(self.power / shape)) + np.sum(np.log(shape)))
+
+    def colour(self) -> tuple[float, float]:
+        """The likeliest share and correlation time [s]."""
+
+        def cost(at: np.ndarray) -> float:
+            return -self.log_likelihood(float(expit(at[0])), self.interval * float(np.exp(at[1])))
+
+        begins = itertools.product((0.0, 3.0), np.log(_MEMORIES))
+        found = min(
+            (minimize(cost, begin, method="L-BFGS-B", bounds=_RANGE) for begin in begins), key=lambda one: one.fun
+        )
+        return float(expit(found.x[0])), self.interval * float(np.exp(found.x[1]))
+
+
+def rest_spectra(experiments: Sequence[Experiment]) -> dict[str, RestSpectrum]:
+    """Of the channels whose rest records are not white."""
+    found = {channel: RestSpectrum.of(experiments, channel) for channel in CHANNELS}
+    return {channel: one for channel, one in found.items() if one is not None}
+
+
+def colours_at_rest(experiments: Sequence[Experiment]) -> Colours:
+    """Share of coloured noise and its correlation time [s], for channels whose rest records are not white."""
+    found = {channel: one.colour() for channel, one in rest_spectra(experiments).items()}
+    return {channel: (share, memory) for channel, (share, memory) in found.items() if share > _LITTLE}
+
+
+def likeliest_colours(first: Colours, likelihood: Callable[[Colours], float]) -> tuple[Colours, float]:
+    """By parabolas through three points along each share and correlation time in turn, and what the log-likelihood gains."""
+    best, value = dict(first), likelihood(first)
+    began = value
+    for scale, channel, which in itertools.product((1.0, 0.5), first, (1, 0)):
+        reach = scale * _REACH[which]
+        several = {by: _moved(best, channel, which, by) for by in (-reach, reach)}
+        values = {by: likelihood(colours) for by, colours in several.items()}
+        low, high = values[-reach], values[reach]
+        bend = low - 2 * value + high
+        if np.isfinite(bend) and bend < 0:
+            top = float(np.clip(0.5 * reach * (low - high) / bend, -2 * reach, 2 * reach))
+            several[top] = _moved(best, channel, which, top)
+            values[top] = likelihood(several[top])
+        by = max(values, key=lambda one: values[one])
+        if values[by] > value:
+            best, value = several[by], values[by]
+    return best, value - began
+
+
+def _moved(colours: Colours, channel: str, which: int, by: float) -> Colours:
+    """With the logarithm of share over rest (0) or of the correlation time (1) of a channel moved."""
+    share, memory = colours[channel]
+    moved = (share, memory * float(np.exp(by))) if which else (float(expit(logit(min(share, _MOST)) + by)), memory)
+    return {**colours, channel: moved}

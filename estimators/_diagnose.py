@@ -146,7 +146,8 @@ def _searched(search: Search, thorough: bool) -> _Found:
     search.bar.set_description("diagnose: predictor of the base model")
     with ThreadPoolExecutor(1) as other:
         other.submit(search.compile_tests)
-        search, base = search.trusting(search.base())
+        search, base = search.recoloured(search.base())
+        search, base = search.trusting(base)
     search.bar.set_description("diagnose: candidates")
     tested = search.tested(base)
     steps, refits = improvements(search, base, tested)
@@ -155,7 +156,7 @@ def _searched(search: Search, thorough: bool) -> _Found:
         search.bar.set_description("diagnose: colour of the noise")
         other = search.coloured(base)
         if other is not None:
-            coloured = other.base()
+            other, coloured = other.recoloured(other.base())
             final = steps[-1].refit if steps else base
             if coloured.predictor.log_likelihood > final.predictor.log_likelihood:
                 search, base, tested = other, coloured, other.tested(coloured)

@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.linalg
 import scipy.signal
 import scipy.stats
 from jaxtyping import Float
@@ -14,6 +13,7 @@ Colour = tuple[Float[np.ndarray, " order"], float]
 """The autoregression that whitens errors, leading one included, and the variance that it leaves."""
 
 _LEVEL = 0.01
+_DETERMINED = 1e-7  # singular value of the scaled Jacobian, below which a combination of parameters was not fitted
 _LONGEST = 20  # order of the autoregression that stands for the colour of the errors
 
 
@@ -65,6 +65,7 @@ def residual_test(
     error: Float[np.ndarray, " sample"],
     signal: Float[np.ndarray, " sample"],
     present: Float[np.ndarray, " sample"],
+    jacobian: Float[np.ndarray, "sample parameter"],
     colour: Colour,
     *,
     noise_parameters: int,
@@ -72,11 +73,12 @@ def residual_test(
 ) -> ResidualTest:
     """Ljung and Box's test of whiteness, and a quadratic form in the cross-correlations.
 
-    The parameters of G were fitted, which makes cross-correlations slightly smaller than the test expects; it is
-    conservative by that.
+    What the fit took out of the errors, which were e before it, is J (J'J)^-1 J'e: the cross-correlations count what is left
+    of the shifted inputs when their share in J is taken out likewise. With coloured errors and output error, that matters.
 
     Args:
         error: zero where the output is not present.
+        jacobian: J, of the errors by what was fitted.
         colour: of the error, by `whitened`.
         noise_parameters: of H, which cost degrees of freedom.
 
@@ -90,11 +92,17 @@ def residual_test(
     statistic = count * (count + 2) * float(np.sum(auto**2 / np.maximum(pairs, 1.0)))
     white_p = float(scipy.stats.chi2.sf(statistic, max(lags - noise_parameters, 1)))
 
+    shifted = np.stack([np.append(np.zeros(k), signal[: len(signal) - k]) for k in range(lags + 1)], axis=1)
+    shifted = shifted * present[:, None]
+    cross = shifted.T @ error
+    span, strength, _ = np.linalg.svd(
+        jacobian / np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300), full_matrices=False
+    )
+    span = span[:, strength > _DETERMINED]
     # The variance of sum e(t) u(t - k) is that of white noise against u filtered backwards by the errors' colour.
     whitening, innovation = colour
-    coloured = backward_coloured(signal, whitening)
-    variance = innovation * count * scipy.linalg.toeplitz(autocovariance(coloured, lags))
-    cross = np.array([error[k:] @ signal[: len(signal) - k] for k in range(lags + 1)])
+    coloured = backward_coloured(shifted - span @ (span.T @ shifted), whitening)
+    variance = innovation * coloured.T @ coloured
     size = np.sqrt(np.sum(error**2) * np.sum(signal**2))
     values, vectors = np.linalg.eigh(variance)
     kept = values > 1e-6 * values[-1]

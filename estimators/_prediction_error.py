@@ -262,7 +262,9 @@ def _models(
                 innovation_std=float(scales.error[i] * np.sqrt(np.sum(error[i] ** 2) / kept)),
                 undetermined=free, converged=bool(stage.converged[i]),
                 fpe=float(fpe[i]), aic=float(aic[i]), bic=float(bic[i]),
-                residuals=residual_test(error[i, :count], raw.input, here, colour, noise_parameters=structure.noise),
+                residuals=residual_test(
+                    error[i, :count], raw.input, here, jacobian[i, :count], colour, noise_parameters=structure.noise
+                ),
                 output=np.where(mask, raw.output, np.nan), simulated=np.asarray(shown.simulated)[i, :count],
                 noise_states=np.asarray(shown.noise)[i, :count], signal=raw.input, sample_time=raw.interval,
                 arm_angle=angle, compensated=compensated, channels=channels, unknowns=at,

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from estimators._coloured_noise import ColouredNoise
+from estimators._coloured_noise import ColouredNoise, Colours, likeliest_colours, rest_spectra
 from estimators._covariance import information
 from estimators._levenberg_marquardt import Arguments, factor
 from estimators._likelihood import compile_predictor, fit_noise, fit_predictor, without_shaken
@@ -29,6 +29,8 @@ from rtac_jax.measurement import Recording
 _MEMORIES = (1.5, 4.0, 10.0, 25.0)  # correlation times of sensor noise that are tried, in samples
 _QUIETER = 6.0  # by how much in the logarithm of their variance random forces are lowered for that
 _WORTH = 10.0  # gain in log-likelihood for which coloured noise is taken instead of white
+_SPOKEN = 4.5  # loss of the rest records' log-likelihood that is no chance: three standard deviations
+_WORTH_MENDING = 0.5  # gain in log-likelihood for which a colour is changed
 
 
 Way = Callable[[Refit, Screened], Refit]
@@ -53,6 +55,40 @@ class Search(Probing):
     def base(self) -> Refit:
         """The base model."""
         return self._fitted((), self.with_effects([]), tuple(shared(self.model)), None, {})
+
+    def recoloured(self, base: Refit) -> "tuple[Search, Refit]":
+        """The same search with the colour of the noise that rest and motion make likeliest, and the base model fitted again.
+
+        A rest record of a second or two leaves the correlation time open by a tenth or more, and motion shows that. What the
+        model leaves out must not be taken for colour, so the colour stays where the rest records do not speak against it.
+        """
+        if self.colour is None:
+            return self, base
+        spectra = rest_spectra(self.recording.experiments)
+        kept = {name: v for name, v in base.values.items() if name.split(".")[0] != ColouredNoise.id}
+        noise = base.predictor.noise
+
+        def likelihood(colours: Colours) -> float:
+            rest = 0.0
+            for channel, colour in colours.items():
+                if channel in spectra:
+                    lost = spectra[channel].log_likelihood(*first[channel]) - spectra[channel].log_likelihood(*colour)
+                    if lost > _SPOKEN:
+                        return -np.inf
+                    rest -= lost
+            trial = dataclasses.replace(self, colour=ColouredNoise.of(colours))
+            model = trial.with_effects([]).with_values(kept)
+            space = begun(trial.space(model, base.free), model, base.start)
+            physical, prior = space.physical(space.unconstrained(start=False)), self.prior.starting(space)
+            return rest + fit_noise(model, self.data, space, physical, prior, noise, self.substeps).log_likelihood
+
+        first = self.colour.colours
+        best, gained = likeliest_colours(first, likelihood)
+        if gained < _WORTH_MENDING:
+            return self, base
+        search = dataclasses.replace(self, colour=ColouredNoise.of(best))
+        model = search.with_effects([]).with_values(kept)
+        return search, search._fitted((), model, base.free, noise, base.start)
 
     def trusting(self, base: Refit) -> "tuple[Search, Refit]":
         """The same search, and the base model fitted again, where no sample counts at which dry friction is shaken loose.

@@ -16,6 +16,7 @@ from rtac_jax.control import ClosedLoop
 WEIGHTED = "P0 keeps closest to the responses where they are large, as limited torque does nothing elsewhere."
 _ANYWAY = 0.9  # share of plants that hold without a controller, above which a batch says little of it
 _USEFUL = 0.8  # share of the settling time, above which a controller is of little use
+_ROOM = 0.3  # of the largest |W T|, below which it is not the envelope that holds a controller back
 _NARROWER = {
     "unmodelled": "an order of the nominal model or a band that suit the conditions better (--order, --band)",
     "amplitude": "conditions whose amplitudes differ less, as dry friction damps small motions more than large ones",
@@ -127,8 +128,17 @@ def outcome(found: ControlDesign) -> list[str]:
         source = SOURCES[int(np.argmax(found.covered.attribution.shares[:, there]))]
         if not found.helps:
             said.insert(0, "Do not use this controller: the fitted model settles no sooner with it than without.")
+        why, limit = "That is little" if found.helps else "The reason", 1e3 * found.actuation.controller_limit
+        robust, _ = found.margins.worst_stability
+        if robust < _ROOM:
+            said.append(
+                f"{why}: the torque of {limit:.1f} mN m that the controller may use is small beside what "
+                f"{1e3 * found.displacement:g} mm ask for, and not the envelope, of which max |W T| = {robust:.2f} leaves room; "
+                "start from a smaller displacement."
+            )
+            return said
         said.append(
-            f"{'That is little' if found.helps else 'The reason'}: at the resonance the weight is {width:.2f}; the wider the "
+            f"{why}: at the resonance the weight is {width:.2f}; the wider the "
             "envelope is there, the less damping can be promised for all of it. The largest part of the gaps there is "
             f"{SOURCE_WORDS[source]}; what narrows it: {_NARROWER[source]}."
         )

@@ -136,9 +136,9 @@ def envelope(
     order_nominal: int = 4,
     zeros: int | None = None,
     order_weight: int = 2,
-    minimise: Minimise = "mean",
+    minimise: str = "mean",
     nominal: ct.TransferFunction | ct.StateSpace | None = None,
-    held_out: Sequence[int] = (),
+    held_out: Sequence[int | str] = (),
     importance: Float64[np.ndarray, " factor"] | None = None,
     std: Float64[np.ndarray, "condition frequency"] | None = None,
     amplitude: Float64[np.ndarray, " condition"] | None = None,
@@ -166,7 +166,7 @@ def envelope(
         minimise: the "mean" distance of W above the profile, which gives a controller most room, or the "largest", so that no
             frequency is treated worse than it must be.
         nominal: given instead of fitted.
-        held_out: numbers of conditions that take no part in the fit. W is raised where they ask for it, and the statement
+        held_out: numbers or names of conditions that take no part in the fit. W is raised where they ask for it, and the statement
             of coverage rests on them alone; without any it rests on the fitted ones, which says little for few.
         importance: factor on the gap at each frequency that P_0 minimises, for instance below 1 where control does nothing.
         std: of the responses; by default theirs.
@@ -194,9 +194,10 @@ def envelope(
     found = _representable(responses, omega, chosen)
     count = len(found.plants)
     held = np.zeros(count, dtype=bool)
-    for number in held_out:
-        if not -count <= number < count:
-            raise ValueError(f"held_out: there is no condition number {number}; there are {count}.")
+    for one in held_out:
+        number = found.names.index(one) if isinstance(one, str) and one in found.names else one
+        if isinstance(number, str) or not -count <= number < count:
+            raise ValueError(f"held_out: there is no condition {one!r}; there are {count}: {', '.join(found.names)}.")
         held[number] = True
     if np.sum(~held) < 2:
         raise ValueError(
@@ -225,7 +226,7 @@ def envelope(
         else:
             model = _given(nominal)
             bar.update(NOMINAL_STEPS)
-        shape, raised, profile = cover(found, held, model, chosen, order_weight, minimise, bar.update)
+        shape, raised, profile = cover(found, held, model, chosen, order_weight, cast(Minimise, minimise), bar.update)
     measure = log_measure(found.omega)
     excess = _DECIBEL * float(measure @ (shape.log_magnitude(found.omega) - np.log(profile)))
     if excess > within_db:

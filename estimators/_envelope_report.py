@@ -163,6 +163,11 @@ def remarks(found: Envelope, used: UsableConditions) -> list[str]:
             "method; what a model lacks is in no standard deviation."
         )
     )
+    if used.integrated:
+        said.append(
+            f"The arm's angle of {', '.join(used.integrated)} was integrated from its velocity, as none was measured; it drifts, "
+            "and with it cos(theta)."
+        )
     said += [f"Left out: {name}: {why.rstrip('.')}." for name, why in used.left_out.items()]
     return said
 

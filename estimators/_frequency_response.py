@@ -16,6 +16,7 @@ from rtac_jax.measurement import INPUTS, OUTPUTS, Experiment, Recording
 _EXCITED = 1e-3  # of the largest line, from which a line counts as excited when no band is given
 _SHOWN = (3, 0.3)  # so many lines have to be as certain, standard deviation over magnitude
 _PERIODIC = 1e-6  # of its root mean square, by which a periodic input may differ from period to period
+_SILENT = 0.2  # share of its samples that may be zero where it is not in another period
 _HALF_WIDTH = 12
 
 
@@ -84,7 +85,7 @@ def frequency_responses(
             into, out = _signals(experiment, input, output, discard)
             theta = turned.get(name)
             x = into if theta is None else into * _between(np.cos(theta))[discard:]
-            repeats = period is not None and _repeats(x, period)
+            repeats = period is not None and _repeated(x, period) is not None
             if method == "periodic" or (method is None and repeats):
                 lines = _periodic(experiment, x, out, period, into, degree, band)
             else:
@@ -94,7 +95,7 @@ def frequency_responses(
         angle = None if turned.get(names[0]) is None else float(np.mean(turned[names[0]][discard:]))
         rms = float(np.sqrt(np.mean([np.mean(recording[n].inputs[input].values[discard:] ** 2) for n in names])))
         one = _condition(condition, each, rms, start if angle is None else angle, compensate, (input, output))
-        _check_shown(one)
+        check_shown(one)
         found.append(one)
     return FrequencyResponses(tuple(found))
 
@@ -134,10 +135,22 @@ def _between(cosine: np.ndarray) -> np.ndarray:
     return 0.5 * (cosine + np.append(cosine[1:], cosine[-1]))
 
 
-def _repeats(values: np.ndarray, period: int) -> bool:
+def _repeated(values: np.ndarray, period: int) -> np.ndarray | None:
+    """What repeats with this period; None where nothing does.
+
+    Samples that are zero may be left out of some periods, as the current is where the arm has no grip.
+    """
     if not 1 < period <= len(values) // 2:
-        return False
-    return bool(np.max(np.abs(values[period:] - values[:-period])) <= _PERIODIC * np.sqrt(np.mean(values**2)))
+        return None
+    rows = np.resize(values, (-(-len(values) // period), period))  # the last row ends in the first samples once more
+    known = np.arange(rows.size).reshape(rows.shape) < len(values)
+    largest = np.argmax(np.abs(rows) * known, axis=0)
+    once = rows[largest, np.arange(period)]
+    off = np.abs(rows - once) > _PERIODIC * np.sqrt(np.mean(values**2))
+    silent = (rows == 0) & off & known
+    if np.any(off & known & ~silent) or np.sum(silent) > _SILENT * len(values):
+        return None
+    return np.resize(once, len(values))
 
 
 def _periodic(
@@ -150,12 +163,13 @@ def _periodic(
             f"{place}: the periodic method needs a period with at least two of them in {len(x)} samples; give period, or use "
             "method='local'."
         )
-    if not _repeats(raw, period):
+    repeated = _repeated(raw, period)
+    if repeated is None:
         raise ValueError(
             f"{place}: the input does not repeat every {period} samples; correct period, or use method='local'."
         )
     return periodic_response(
-        place, x, y, raw, period=period, sample_time=experiment.sample_time, degree=degree, band=band
+        place, x, y, repeated, period=period, sample_time=experiment.sample_time, degree=degree, band=band
     )
 
 
@@ -199,8 +213,8 @@ def _local(
 
 def _vanishing(experiment: Experiment, frequency: float) -> ValueError:
     return ValueError(
-        f"/experiments/{experiment.name}: the excitation vanishes at {frequency:.4g} rad/s; excite that line, narrow the band or "
-        "widen half_width."
+        f"/experiments/{experiment.name}: the excitation vanishes at {frequency:.4g} rad/s ({frequency / (2 * np.pi):.3g} Hz); "
+        "excite that line, or narrow the band."
     )
 
 
@@ -208,14 +222,15 @@ class DrownedError(ValueError):
     """A response that is noise."""
 
 
-def _check_shown(one: FrequencyResponse) -> None:
+def check_shown(one: FrequencyResponse) -> None:
     """Refuse what is noise: of that hardly a line has a standard deviation that is much smaller than the response."""
     count, most = _SHOWN
     surest = np.sort(one.std / np.maximum(np.abs(one.response), 1e-300))[:count]
     if surest[-1] > most:
         raise DrownedError(
             f"/experiments/{one.name}: the excitation hardly moves {one.output}: next to no line is known to within "
-            f"{100 * most:.0f} %, as in noise; play a larger input, or record for longer."
+            f"{100 * most:.0f} %, as in noise; play a larger input or record for longer, or where the arm has wound up one that "
+            "leaves it where it started."
         )
 
 

@@ -145,8 +145,8 @@ def equality_of(models: Sequence[LinearModel], level: float) -> Equality:
     models = [m for m in everyone if not m.undetermined and _known(m)]
     if len(models) < 3:
         raise ValueError(
-            f"equality: {len(models)} of {len(everyone)} condition(s) determine their modes, which shows no drift; give at least "
-            "three, or fit fewer modes."
+            f"equality: {len(models)} of {len(everyone)} condition(s) determine their modes, too few to tell a drift; give at "
+            "least three, or fit fewer modes."
         )
     values = np.stack([m.values for m in models])
     std = np.stack([m.std for m in models])

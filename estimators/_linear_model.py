@@ -17,6 +17,8 @@ from estimators._response_record import FrequencyResponse
 
 Curve = Float[np.ndarray, " frequency"]
 
+_UNDAMPED = 1e-6  # damping ratio of a mode that only the bound on stability keeps
+
 
 @dataclass(frozen=True, eq=False)
 class LinearModel:
@@ -171,6 +173,9 @@ class LinearModel:
             said += f"; the data leave {self.undetermined} combination(s) of unknowns free: fewer modes or noise_order would do"
         elif not self.converged:
             said += "; the fit did not come to rest, so compare it with another start"
+        poles: Any = self.poles
+        if np.min(np.abs(poles.real) / np.abs(poles)) < _UNDAMPED:
+            said += "; a mode has no damping to speak of and stands for noise rather than for the plant: fewer modes would do"
         return said
 
 

@@ -219,6 +219,8 @@ def _candidates(start: RTAC | ct.TransferFunction | ct.StateSpace | None) -> lis
         poles = np.asarray(linearise(start).poles()).astype(np.complex128)
         # The arm that turns freely is no part of the response to the cart: its poles lie at zero or near it on the axis.
         return pole_pairs(poles[poles.imag != 0])
+    if not isinstance(start, ct.TransferFunction | ct.StateSpace):
+        raise ValueError(f"start: is {start!r}; give a model of the rig or a linear system of python-control.")
     return pole_pairs(np.asarray(start.poles()).astype(np.complex128))
 
 

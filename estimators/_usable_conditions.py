@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimators._frequency_response import DrownedError, frequency_responses
+from estimators._frequency_response import DrownedError, check_shown, frequency_responses
 from estimators._prediction_error import LinearModels, prediction_error
 from estimators._response_record import FrequencyResponses
 from rtac_jax.measurement import Experiment, Recording
@@ -24,12 +24,14 @@ class UsableConditions:
     Attributes:
         responses: of the conditions that could be used.
         left_out: why each other forced experiment could not.
+        integrated: those of them whose angle was not measured but integrated from the arm's velocity.
         models: that the responses are of, by the prediction error method; None where they are by local polynomials.
     """
 
     responses: FrequencyResponses
     left_out: dict[str, str]
     models: LinearModels | None = None
+    integrated: tuple[str, ...] = ()
 
 
 def usable_conditions(
@@ -74,11 +76,20 @@ def usable_conditions(
                 shown.append(e.name)
     if len(shown) < 2:
         raise ValueError(_too_few(shown, left_out))
-    if modes is not None:
-        chosen = recording.select([*shown, *rests])
-        models = prediction_error(chosen, modes=modes, progress=progress)
-        return UsableConditions(models.responses(grid), left_out, models)
-    return UsableConditions(FrequencyResponses(tuple(found)), left_out)
+    integrated = tuple(name for name in shown if "arm_angle" not in recording[name].outputs)
+    if modes is None:
+        return UsableConditions(FrequencyResponses(tuple(found)), left_out, None, integrated)
+    models = prediction_error(recording.select([*shown, *rests]), modes=modes, progress=progress)
+    known = []
+    for one in models.responses(grid):
+        try:
+            check_shown(one)
+            known.append(one)
+        except DrownedError as error:
+            left_out[one.name] = str(error)
+    if len(known) < 2:
+        raise ValueError(_too_few([one.name for one in known], left_out))
+    return UsableConditions(FrequencyResponses(tuple(known)), left_out, models, integrated)
 
 
 def _unfit(experiment: Experiment) -> str:
@@ -120,7 +131,7 @@ def _grid(experiments: list[Experiment], band: tuple[float, float] | None) -> np
     if len(numbers) < 10:
         raise ValueError(
             f"between {low:.3g} and {high:.3g} Hz the conditions have {len(numbers)} lines in common, and ten are needed; "
-            "give --band, or record for longer or with currents that have one band."
+            "give a --band that has them, or record for longer or with currents that have one band."
         )
     if len(numbers) > _MOST_LINES:
         wanted = np.geomspace(numbers[0], numbers[-1], _MOST_LINES)

@@ -41,7 +41,9 @@ def design_excitation(
     Args:
         model: its `torque_constant` K_m makes the torque K_m i of a current i.
         current: before scaling [A], held between samples; one for all experiments, or a row for each. Its size is that of
-            the largest amplitude asked for.
+            the largest amplitude asked for. For an output that is equally rich at all frequencies, make it with
+            `multisine(..., amplitudes=)` one over the magnitude of the model, `rtac_jax.linearise(model)` from current to
+            cart_position, at the harmonics.
         sample_time: [s].
         initial_angles: of the arm at the start [rad], one for each experiment; the cart starts at rest in the middle.
         amplitudes: fraction of the largest safe current [1], for each experiment or in turn.
@@ -58,6 +60,7 @@ def design_excitation(
             is left without grip for most of the time, or a current
             that breaks the travel even when it is small.
     """
+    current = np.asarray(current, dtype=np.float64)
     for label, value in (("travel", travel), ("torque_limit", torque_limit), ("sample_time", sample_time)):
         if not (np.isfinite(value) and value > 0):
             raise ValueError(f"{label}: is {value}; give a positive number.")

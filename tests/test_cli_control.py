@@ -10,8 +10,9 @@ import pytest
 import scipy.io
 from typer.testing import CliRunner
 
-import estimators
+import estimators as est
 from estimators import cli
+from estimators._envelope_report import remarks
 from estimators._usable_conditions import usable_conditions
 from rtac_jax.measurement import Experiment, Recording, from_rest, harmonic_grid, multisine
 from rtac_jax.virtual_rig import Plan, Rig, record
@@ -64,7 +65,7 @@ def ran(file, tmp_path_factory):
     """Each command once: exit status, output, folder and JSON. The fit has tests of its own and takes one start here."""
     found = {}
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(estimators, "output_error", functools.partial(estimators.output_error, from_model=True))
+        patch.setattr(est, "output_error", functools.partial(est.output_error, from_model=True))
         for command in COMMANDS:
             out = tmp_path_factory.mktemp(command)
             result = call(command, file, "--out", out / "new", "--json", out / "result.json")
@@ -389,7 +390,11 @@ def test_what_shows_no_response_is_left_out_and_named(recording):
     silent = replace(
         fourth, name="nowhere", outputs={"cart_position": fourth.outputs["cart_position"]}, initial_arm_angle=None
     )
-    found = usable_conditions(Recording((first, second, again, blind, pushed, silent)))
+    turning = replace(second, outputs={c: s for c, s in second.outputs.items() if c != "arm_angle"})
+    found = usable_conditions(Recording((first, turning, again, blind, pushed, silent)))
+    assert found.integrated == ("condition_2",)
+    text = " ".join(remarks(est.envelope(found.responses, within_db=60.0, progress=False), found))
+    assert "angle of condition_2 was integrated" in text
     assert [one.name for one in found.responses] == ["condition_1", "condition_2"]
     assert set(found.left_out) == {"again", "blind", "pushed", "nowhere"}
     assert "repeats condition_1" in found.left_out["again"]

@@ -290,7 +290,9 @@ def test_attribution_finds_sizes_that_were_put_in():
 
 def test_export_text_and_picture(tmp_path):
     systems = draw(12, seed=11)
-    found = est.envelope([ct.frd(at(s), OMEGA) for s in systems], held_out=[-1])
+    found = est.envelope(
+        [ct.frd(at(s), OMEGA, name=f"plant_{i}") for i, s in enumerate(systems)], held_out=["plant_11"]
+    )
     found.save_mat(tmp_path / "envelope.mat")
     kept = scipy.io.loadmat(tmp_path / "envelope.mat", squeeze_me=True)
     for name, system in (("P0", found.nominal), ("W", found.weight)):
@@ -331,7 +333,9 @@ SYSTEMS = draw(3, seed=13)
     [
         (lambda: cover(PLANTS[:1]), "1 condition is left to fit"),
         (lambda: cover(held_out=range(5)), "1 condition is left to fit"),
-        (lambda: cover(held_out=[6]), "held_out: there is no condition number 6"),
+        (lambda: cover(held_out=[6]), "held_out: there is no condition 6; there are 6: condition_1, "),
+        (lambda: cover(held_out=["seven"]), "held_out: there is no condition 'seven'"),
+        (lambda: cover(minimise="most"), "minimise: is 'most'"),
         (lambda: cover(nominal=UNSTABLE), r"nominal: has a pole at 0.25"),
         (lambda: cover(order_weight=0, within_db=3.0), "order_weight: a weight of order 0 covers the profile only"),
         (lambda: cover(kind="feedback"), "kind: is 'feedback'"),

@@ -169,6 +169,7 @@ def test_each_experiment_may_have_a_current_of_its_own():
         (lambda: multisine(samples=9, sample_time=DT, rms=1, harmonics=[1, 2], amplitudes=[1.0]), "amplitudes: give 2"),
         (lambda: multisine(samples=9, sample_time=DT, rms=1, harmonics=[1], crest_iterations=-1), "crest_iterations"),
         (lambda: steps(samples=9, hold=1, levels=[]), "levels: give"),
+        (lambda: crest_factor(np.zeros(9)), "zero throughout"),
         (lambda: _design(current=np.zeros(20)), "current: must be finite and not zero"),
         (lambda: _design(travel=-1.0), "travel: is -1"),
         (lambda: _design(torque_limit=0.0), "torque_limit: is 0"),

@@ -344,6 +344,26 @@ def test_refusals(call, message):
     assert "\n" not in str(caught.value)
 
 
+def test_a_current_that_is_silent_where_the_arm_has_no_grip_still_has_its_period():
+    """As a design plays it: some samples of some periods are zero, and so little of the response is lost."""
+    silent = REPEATED.copy()
+    silent[[3, 407, 408, 411, 1190]] = 0.0
+    out = respond(silent[None])[0]
+    known = est.frequency_responses(
+        Recording((_run(REPEATED, respond(REPEATED[None])[0]),)), compensate=False, period=400
+    )
+    found = est.frequency_responses(Recording((_run(silent, out),)), compensate=False, method="periodic", period=400)
+    np.testing.assert_array_equal(found.frequency, known.frequency)
+    np.testing.assert_allclose(found[0].response, truth(found.frequency), rtol=0.05)
+    for wrong in (np.where(np.arange(1200) % 3, REPEATED, 0.0), np.append(REPEATED[:800], 2 * REPEATED[800:])):
+        with pytest.raises(ValueError, match="does not repeat every 400 samples"):
+            _plain(current=wrong, out=out, method="periodic", period=400)
+
+
+def _run(current, out):
+    return Experiment.of("run", kind="forced", sample_time=DT, current=current, cart_position=out)
+
+
 def test_what_only_compensation_puts_into_a_band_is_no_excitation():
     current = multisine(samples=2000, sample_time=DT, rms=1.0, band=(0.5, 2.0), seed=1)
     turning = {"run": 2.0 * np.sin(0.9 * DT * np.arange(2000))}  # spreads current * cos(theta) over all lines

@@ -330,7 +330,7 @@ def test_equal_conditions_are_called_equal_as_often_as_said():
     assert np.min(p_values) > 1e-3
     assert 0.2 < np.mean(p_values) < 0.8
     few = drifting(0.0)
-    with pytest.raises(ValueError, match="at least three"):
+    with pytest.raises(ValueError, match=r"2 of 2 condition.s. determine their modes, too few .* at least three"):
         dataclasses.replace(few, models=few.models[:2]).equality()
 
 
@@ -349,6 +349,12 @@ def refused(current, out, **options):
     assert "\n" not in message
     assert message.rstrip().endswith(".")
     return message
+
+
+def test_a_mode_that_only_the_bound_on_stability_keeps_is_called_so():
+    one = drifting(0.02)[0]
+    assert "damping" not in one.verdict
+    assert "stands for noise" in dataclasses.replace(one, poles=one.poles.imag * 1j - 1e-12).verdict
 
 
 def test_what_cannot_be_fitted_is_refused_in_one_sentence():

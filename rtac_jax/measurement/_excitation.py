@@ -95,7 +95,13 @@ def _wave(harmonics: np.ndarray, sizes: np.ndarray, phases: np.ndarray, period: 
 
 
 def crest_factor(wave: Float64[np.ndarray, " sample"]) -> float:
-    """The peak over the root mean square [1]: 1 for a square wave, 1.414 for a sine."""
+    """The peak over the root mean square [1]: 1 for a square wave, 1.414 for a sine.
+
+    Raises:
+        ValueError: the wave is zero throughout.
+    """
+    if not np.any(wave):
+        raise ValueError("wave: is zero throughout, so it has no crest factor.")
     return float(np.max(np.abs(wave)) / np.sqrt(np.mean(np.square(wave))))
 
 

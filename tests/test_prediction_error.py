@@ -124,7 +124,7 @@ def different():
     return Recording(tuple(experiments))
 
 
-@pytest.mark.parametrize("structure", ["output_error", "armax"])
+@pytest.mark.parametrize("structure", ["output_error", "box_jenkins"])
 def test_all_conditions_at_once_give_what_each_gives_alone(different, structure):
     together = est.prediction_error(different, structure=structure, compensate=False)
     for name in different.names:

@@ -241,7 +241,7 @@ def _with_spring(model: RTAC, actuation: Actuation, found: Envelope, responses: 
     order = len(np.asarray(found.weight.poles()))
     return envelope(
         FrequencyResponses(tuple(changed)), nominal=_series(found.nominal, spring), order_weight=order,
-        held_out=[int(i) for i in np.flatnonzero(found.held_out)], progress=False,
+        minimise=found.minimise, held_out=[int(i) for i in np.flatnonzero(found.held_out)], progress=False,
     )  # fmt: skip
 
 

@@ -16,6 +16,7 @@ from rtac_jax.control import ClosedLoop
 WEIGHTED = "P0 keeps closest to the responses where they are large, as limited torque does nothing elsewhere."
 _ANYWAY = 0.9  # share of plants that hold without a controller, above which a batch says little of it
 _USEFUL = 0.8  # share of the settling time, above which a controller is of little use
+_USED = 0.8  # of the torque that it may use, above which a controller uses it
 _ROOM = 0.3  # of the largest |W T|, below which it is not the envelope that holds a controller back
 _NARROWER = {
     "unmodelled": "an order of the nominal model or a band that suit the conditions better (--order, --band)",
@@ -130,7 +131,9 @@ def outcome(found: ControlDesign) -> list[str]:
             said.insert(0, "Do not use this controller: the fitted model settles no sooner with it than without.")
         why, limit = "That is little" if found.helps else "The reason", 1e3 * found.actuation.controller_limit
         robust, _ = found.margins.worst_stability
-        if robust < _ROOM:
+        asked = found.closed.torque[:, 0] + found.actuation.arm_stiffness * found.closed.arm_angle[:, 0]
+        used = float(np.max(np.abs(asked))) / found.actuation.controller_limit
+        if robust < _ROOM and used > _USED:
             said.append(
                 f"{why}: the torque of {limit:.1f} mN m that the controller may use is small beside what "
                 f"{1e3 * found.displacement:g} mm ask for, and not the envelope, of which max |W T| = {robust:.2f} leaves room; "

@@ -41,6 +41,7 @@ class Envelope:
         excess_db: how far W lies above the profile, mean over log frequency [dB].
         coverage: what may be said of a new condition.
         attribution: where the gaps come from.
+        minimise: which distance of W from the profile was made least, "mean" or "largest".
     """
 
     nominal: ct.TransferFunction
@@ -55,6 +56,7 @@ class Envelope:
     excess_db: float
     coverage: Coverage
     attribution: Attribution
+    minimise: str = "mean"
 
     def nominal_response(self, omega: Curve | None = None) -> Complex128[np.ndarray, " frequency"]:
         """P_0(j omega); on the envelope's grid by default."""
@@ -257,6 +259,7 @@ def envelope(
             found.plants, response, chosen, std=found.std if std is None else std,
             amplitude=found.amplitude if amplitude is None else amplitude,
         ),
+        minimise=minimise,
     )  # fmt: skip
 
 

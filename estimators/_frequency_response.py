@@ -16,7 +16,7 @@ from rtac_jax.measurement import INPUTS, OUTPUTS, Experiment, Recording
 _EXCITED = 1e-3  # of the largest line, from which a line counts as excited when no band is given
 _SHOWN = (3, 0.3)  # so many lines have to be as certain, standard deviation over magnitude
 _PERIODIC = 1e-6  # of its root mean square, by which a periodic input may differ from period to period
-_SILENT = 0.2  # share of its samples that may be zero where it is not in another period
+_SILENT = 0.2  # of what is not zero, which may be zero in another period
 _HALF_WIDTH = 12
 
 
@@ -148,7 +148,7 @@ def _repeated(values: np.ndarray, period: int) -> np.ndarray | None:
     once = rows[largest, np.arange(period)]
     off = np.abs(rows - once) > _PERIODIC * np.sqrt(np.mean(values**2))
     silent = (rows == 0) & off & known
-    if np.any(off & known & ~silent) or np.sum(silent) > _SILENT * len(values):
+    if np.any(off & known & ~silent) or np.sum(silent) > _SILENT * np.count_nonzero(values):
         return None
     return np.resize(once, len(values))
 

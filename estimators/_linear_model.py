@@ -175,7 +175,8 @@ class LinearModel:
             said += "; the fit did not come to rest, so compare it with another start"
         poles: Any = self.poles
         if np.min(np.abs(poles.real) / np.abs(poles)) < _UNDAMPED:
-            said += "; a mode has no damping to speak of and stands for noise rather than for the plant: fewer modes would do"
+            said += "; a mode is held by the bound on stability alone: it stands for noise, and fewer modes would do, or the plant "
+            said += "is not stable"
         return said
 
 

@@ -102,7 +102,8 @@ def residual_test(
     # The variance of sum e(t) u(t - k) is that of white noise against u filtered backwards by the errors' colour.
     whitening, innovation = colour
     coloured = backward_coloured(shifted - span @ (span.T @ shifted), whitening)
-    variance = innovation * coloured.T @ coloured
+    # The variance was taken over all samples, of which those that are missing have no error.
+    variance = innovation * len(error) / max(count - span.shape[1], 1.0) * coloured.T @ coloured
     size = np.sqrt(np.sum(error**2) * np.sum(signal**2))
     values, vectors = np.linalg.eigh(variance)
     kept = values > 1e-6 * values[-1]

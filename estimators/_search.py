@@ -84,11 +84,12 @@ class Search(Probing):
 
         first = self.colour.colours
         best, gained = likeliest_colours(first, likelihood)
-        if gained < _WORTH_MENDING:
+        if not gained >= _WORTH_MENDING:
             return self, base
         search = dataclasses.replace(self, colour=ColouredNoise.of(best))
         model = search.with_effects([]).with_values(kept)
-        return search, search._fitted((), model, base.free, noise, base.start)
+        refit = search._fitted((), model, base.free, noise, base.start)
+        return (search, refit) if refit.predictor.log_likelihood > base.predictor.log_likelihood else (self, base)
 
     def trusting(self, base: Refit) -> "tuple[Search, Refit]":
         """The same search, and the base model fitted again, where no sample counts at which dry friction is shaken loose.

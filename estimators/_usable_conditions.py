@@ -25,7 +25,8 @@ class UsableConditions:
         responses: of the conditions that could be used.
         left_out: why each other forced experiment could not.
         integrated: those of them whose angle was not measured but integrated from the arm's velocity.
-        models: that the responses are of, by the prediction error method; None where they are by local polynomials.
+        models: that the responses are of, by the prediction error method, and those left out as hardly known; None where
+            they are by local polynomials.
     """
 
     responses: FrequencyResponses
@@ -89,6 +90,7 @@ def usable_conditions(
             left_out[one.name] = str(error)
     if len(known) < 2:
         raise ValueError(_too_few([one.name for one in known], left_out))
+    integrated = tuple(one.name for one in known if one.name in integrated)
     return UsableConditions(FrequencyResponses(tuple(known)), left_out, models, integrated)
 
 

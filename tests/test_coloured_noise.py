@@ -87,6 +87,11 @@ def test_motion_makes_the_colour_more_exact(recordings):
     assert refit.predictor.log_likelihood > base.predictor.log_likelihood
     assert better.colour is not None
     assert better.colour.colours.keys() == {"cart_position", "arm_velocity"}
+    assert search.colour is not None
+    before, after = (
+        np.log([memory / MEMORY for _, memory in one.colours.values()]) for one in (search.colour, better.colour)
+    )
+    assert np.linalg.norm(after) < np.linalg.norm(before)
     for share, memory in better.colour.colours.values():
         assert memory == pytest.approx(MEMORY, rel=0.1)
         assert share > 0.9

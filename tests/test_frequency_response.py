@@ -355,7 +355,8 @@ def test_a_current_that_is_silent_where_the_arm_has_no_grip_still_has_its_period
     found = est.frequency_responses(Recording((_run(silent, out),)), compensate=False, method="periodic", period=400)
     np.testing.assert_array_equal(found.frequency, known.frequency)
     np.testing.assert_allclose(found[0].response, truth(found.frequency), rtol=0.05)
-    for wrong in (np.where(np.arange(1200) % 3, REPEATED, 0.0), np.append(REPEATED[:800], 2 * REPEATED[800:])):
+    burst = np.where(np.arange(1200) < 100, REPEATED, 0.0)
+    for wrong in (np.where(np.arange(1200) % 3, REPEATED, 0.0), np.append(REPEATED[:800], 2 * REPEATED[800:]), burst):
         with pytest.raises(ValueError, match="does not repeat every 400 samples"):
             _plain(current=wrong, out=out, method="periodic", period=400)
 

@@ -91,6 +91,15 @@ def test_coloured_errors_are_not_taken_for_a_response_to_the_input(noise):
     assert not any(one.residuals.white for one in found)
 
 
+def test_missing_samples_are_no_response_to_the_input():
+    current, out = simulated(([1.0], [1.0]), 0.1, seed=6)
+    out = np.where(np.random.default_rng(7).random(out.shape) < 0.3, np.nan, out)
+    found = est.prediction_error(recording(current, out), structure="output_error", compensate=False)
+    p_values = np.array([one.residuals.cross_p for one in found])
+    assert np.sum(p_values < 0.01) <= 6
+    assert 2 <= np.sum(p_values < 0.05) <= 20  # of 200, 10 are expected
+
+
 def test_bands_of_the_response_hold_at_every_frequency():
     current, out = simulated(*NOISES["box_jenkins"], samples=500, seed=1)
     found = est.prediction_error(recording(current, out), structure="output_error", compensate=False)
@@ -353,8 +362,8 @@ def refused(current, out, **options):
 
 def test_a_mode_that_only_the_bound_on_stability_keeps_is_called_so():
     one = drifting(0.02)[0]
-    assert "damping" not in one.verdict
-    assert "stands for noise" in dataclasses.replace(one, poles=one.poles.imag * 1j - 1e-12).verdict
+    assert "stability" not in one.verdict
+    assert "bound on stability" in dataclasses.replace(one, poles=one.poles.imag * 1j - 1e-12).verdict
 
 
 def test_what_cannot_be_fitted_is_refused_in_one_sentence():

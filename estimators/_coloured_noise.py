@@ -30,7 +30,7 @@ _SHORTEST = 160  # samples of a rest record that tells anything
 _MEMORIES = (1.5, 5.0, 20.0)  # correlation times from which the likeliest is looked for, in samples
 _RANGE = ((-6.0, 6.0), (-1.0, 6.0))  # of the logarithms of share over rest, and of the correlation time in samples
 _REACH = (1.0, 0.3)  # first steps in the logarithms of share over rest, and of correlation time
-_CLOSEST = 0.01  # step below which nothing is looked for
+_CLOSER = 0.5 ** np.arange(6)  # shares of a step, tried where it leads to what cannot be
 _LITTLE = 0.05  # share of coloured noise that is not worth a state
 _DOUBT = 1e-4  # p-value below which the noise of a rest record is not white
 _MOST = 0.98  # the rest is white: quantisation at least
@@ -172,14 +172,14 @@ def likeliest_colours(first: Colours, likelihood: Callable[[Colours], float]) ->
     best, value = dict(first), likelihood(first)
     began = value
     for scale, channel, which in itertools.product((1.0, 0.5), first, (1, 0)):
-        reach = scale * _REACH[which]
         several: dict[float, Colours] = {}
         values: dict[float, float] = {}
-        while not any(np.isfinite(one) for one in values.values()) and reach > _CLOSEST:
+        reach = 0.0
+        for reach in scale * _REACH[which] * _CLOSER:
             several = {by: _moved(best, channel, which, by) for by in (-reach, reach)}
             values = {by: likelihood(colours) for by, colours in several.items()}
-            reach *= 0.5
-        reach *= 2.0  # what the values are of
+            if any(np.isfinite(one) for one in values.values()):
+                break
         low, high = values[-reach], values[reach]
         bend = low - 2 * value + high
         if np.isfinite(bend) and bend < 0:

@@ -60,7 +60,8 @@ class Search(Probing):
         """The same search with the colour of the noise that rest and motion make likeliest, and the base model fitted again.
 
         A rest record of a second or two leaves the correlation time open by a tenth or more, and motion shows that. What the
-        model leaves out must not be taken for colour, so the colour stays where the rest records do not speak against it.
+        model leaves out must not be taken for colour, so the colour stays where the rest records do not speak against it;
+        without rest records only the reach of the search bounds it.
         """
         if self.colour is None:
             return self, base

@@ -31,6 +31,13 @@ class Kind(StrEnum):
     INVERSE_MULTIPLICATIVE = "inverse_multiplicative"
 
 
+class Least(StrEnum):
+    """Which distance of the weight from what it covers is made least."""
+
+    MEAN = "mean"
+    LARGEST = "largest"
+
+
 class Method(StrEnum):
     """How the frequency response of a condition is found."""
 
@@ -51,6 +58,9 @@ def envelope(
             help="Responses by local polynomials, or of linear models with half as many modes as P0 has poles."
         ),
     ] = Method.LOCAL,
+    minimise: Annotated[
+        Least, typer.Option(help="The distance of the weight from what it covers, in dB, that is made least.")
+    ] = Least.MEAN,
     band: Band = None,
     validation: Validation = None,
     out: Out = None,
@@ -62,7 +72,7 @@ def envelope(
         from estimators import _envelope_report as texts
 
         modes = (order + 1) // 2 if method is Method.PREDICTION_ERROR else None
-        used, (found,) = _enveloped(work, between, [order], weight_order, kind.value, modes=modes)
+        used, (found,) = _enveloped(work, between, [order], weight_order, kind.value, minimise.value, modes=modes)
         conditions, sources = texts.conditions_table(found, used.responses), texts.sources_table(found)
         models, said = texts.models_table(found), texts.remarks(found, used)
         linear = [] if used.models is None else texts.models_said(used.models)
@@ -183,6 +193,7 @@ def _enveloped(
     orders: Sequence[int],
     weight_order: int,
     kind: str,
+    minimise: str = "mean",
     *,
     modes: int | None = None,
     for_control: bool = False,
@@ -211,7 +222,7 @@ def _enveloped(
         try:
             one = est.envelope(
                 used.responses, kind=kind, order_nominal=order, order_weight=weight_order, held_out=held,
-                importance=importance, progress=progress(),
+                importance=importance, minimise=minimise, progress=progress(),
             )  # fmt: skip
             found.append(one)
         except ValueError as error:

@@ -39,6 +39,7 @@ class Envelope:
         profile: the largest gap at each frequency, over the conditions that were fitted and those held out.
         held_out: which conditions took no part in the fit.
         excess_db: how far W lies above the profile, mean over log frequency [dB].
+        largest_excess_db: likewise, where it is farthest.
         coverage: what may be said of a new condition.
         attribution: where the gaps come from.
         minimise: which distance of W from the profile was made least, "mean" or "largest".
@@ -54,6 +55,7 @@ class Envelope:
     profile: Curve
     held_out: Bool[np.ndarray, " condition"]
     excess_db: float
+    largest_excess_db: float
     coverage: Coverage
     attribution: Attribution
     minimise: str = "mean"
@@ -114,7 +116,7 @@ class Envelope:
             f"W poles:  {roots(self.weight.poles())}",
             f"W zeros:  {roots(self.weight.zeros())}",
             f"largest gap {self.profile[at]:.3g} at {self.frequency[at]:.3g} rad/s",
-            f"W lies {self.excess_db:.1f} dB above the profile on average",
+            f"W lies {self.excess_db:.1f} dB above the profile on average, {self.largest_excess_db:.1f} dB at most",
             useful if self.kind != "additive" else "",
             "|W| >= 1 everywhere: no controller can hold all of these; their phases or signs differ, or P0 needs a higher order"
             if self.kind != "additive" and not len(below)
@@ -230,7 +232,8 @@ def envelope(
             bar.update(NOMINAL_STEPS)
         shape, raised, profile = cover(found, held, model, chosen, order_weight, cast(Minimise, minimise), bar.update)
     measure = log_measure(found.omega)
-    excess = _DECIBEL * float(measure @ (shape.log_magnitude(found.omega) - np.log(profile)))
+    above = _DECIBEL * (shape.log_magnitude(found.omega) - np.log(profile))
+    excess = float(measure @ above)
     if excess > within_db:
         raise ValueError(
             f"order_weight: a weight of order {order_weight} covers the profile only {excess:.1f} dB above it on average, more "
@@ -254,6 +257,7 @@ def envelope(
         profile=gaps.max(axis=0),
         held_out=held,
         excess_db=excess,
+        largest_excess_db=float(np.max(above)),
         coverage=coverage,
         attribution=attribute(
             found.plants, response, chosen, std=found.std if std is None else std,

@@ -54,6 +54,8 @@ def envelope_dict(found: Envelope, used: UsableConditions, *, seconds: float) ->
         "profile": found.profile.tolist(),
         "weight_magnitude": found.weight_magnitude().tolist(),
         "excess_db": found.excess_db,
+        "largest_excess_db": found.largest_excess_db,
+        "minimise": found.minimise,
         "coverage": coverage_dict(found.coverage),
         "attribution": {name: found.attribution.shares[i].tolist() for i, name in enumerate(SOURCES)},
         "conditions": conditions,

@@ -13,6 +13,7 @@ from typer.testing import CliRunner
 import estimators as est
 from estimators import cli
 from estimators._envelope_report import remarks
+from estimators._frequency_response import DrownedError
 from estimators._usable_conditions import usable_conditions
 from rtac_jax.measurement import Experiment, Recording, from_rest, harmonic_grid, multisine
 from rtac_jax.virtual_rig import Plan, Rig, record
@@ -168,9 +169,25 @@ def test_orders_kind_and_band_are_obeyed(file, tmp_path):
     )
 
 
-def test_responses_may_be_those_of_linear_models(tmp_path):
-    """Against equations (1) and (2) at small motions, in plain NumPy, on a rig without dry friction."""
-    rig = replace(RIG, cart_coulomb=0.0)
+def test_the_largest_distance_of_the_weight_is_made_least_if_asked(recording, tmp_path):
+    """Of two conditions, of which none is held out: one that is raises the weight everywhere."""
+    recording.select(["condition_1", "condition_3", "rest_1"]).save(tmp_path / "two.h5")
+    largest, mean = {}, {}
+    for way in ("mean", "largest"):
+        target = tmp_path / f"{way}.json"
+        assert call("envelope", tmp_path / "two.h5", "--minimise", way, "--json", target).exit_code == 0
+        content = json.loads(target.read_text())
+        assert content["minimise"] == way
+        above = 20 * np.log10(np.array(content["weight_magnitude"]) / content["profile"])
+        assert content["largest_excess_db"] == pytest.approx(np.max(above), abs=1e-6)
+        largest[way], mean[way] = np.max(above), content["excess_db"]
+    assert largest["largest"] < largest["mean"]
+    assert mean["mean"] < mean["largest"]
+
+
+@pytest.fixture(scope="module")
+def smooth():
+    """Small motions of a rig without dry friction."""
     lines = [int(h) for h in harmonic_grid("all", period=1000, sample_time=0.02, band=(1.0, 6.0))]
     plans = [
         Plan(
@@ -179,7 +196,13 @@ def test_responses_may_be_those_of_linear_models(tmp_path):
         )
         for n in range(4)
     ]  # fmt: skip
-    record(rig, plans, seed=1, step=1e-3).save(tmp_path / "smooth.h5")
+    return record(replace(RIG, cart_coulomb=0.0), plans, seed=1, step=1e-3)
+
+
+def test_responses_may_be_those_of_linear_models(smooth, tmp_path):
+    """Against equations (1) and (2) at small motions, in plain NumPy."""
+    rig = RIG
+    smooth.save(tmp_path / "smooth.h5")
     target = tmp_path / "x.json"
     result = call(
         "envelope", tmp_path / "smooth.h5", "--method", "prediction-error", "--order", 2, "--validation", "condition_4",
@@ -293,6 +316,22 @@ def test_the_controller_from_recordings_keeps_what_the_issue_asks(ran):
     assert off["wound_up"] <= 20
 
 
+@pytest.mark.slow
+def test_a_torque_that_is_too_small_is_told_as_the_reason(file, monkeypatch, tmp_path):
+    """The envelope leaves room: it is that of the other tests, with which the same plant is damped."""
+    monkeypatch.setattr(est, "output_error", functools.partial(est.output_error, from_model=True))
+    target = tmp_path / "x.json"
+    result = call("control", file, "--order", 2, "--displacement", 150, "--json", target)
+    assert result.exit_code == 0, result.output
+    content = json.loads(target.read_text())
+    limit = content["actuation"]["controller_limit"]
+    assert content["robust_stability"] < 0.5
+    assert (
+        f"the torque of {1e3 * limit:.1f} mN m that the controller may use is small beside what 150 mm" in result.stdout
+    )
+    assert "the wider the envelope is there" not in result.stdout
+
+
 def test_what_is_guaranteed_is_told_apart_from_what_is_not(ran):
     result, folder, content = ran["control"]
     page = (folder / "report.html").read_text()
@@ -377,6 +416,23 @@ def test_options_out_of_range_are_wrong_use(file):
 def test_all_held_out_but_one_does_not_allow_it(file):
     held = ",".join(f"condition_{n}" for n in range(2, CONDITIONS + 1))
     refused(call("envelope", file, "--validation", held), 1, "at least two")
+
+
+def test_models_whose_response_is_known_nowhere_are_left_out_and_named(smooth, monkeypatch):
+    def shown(one):
+        if one.name in hidden:
+            raise DrownedError(f"/experiments/{one.name}: the excitation hardly moves it")
+
+    monkeypatch.setattr("estimators._usable_conditions.check_shown", shown)
+    hidden = {"condition_2"}
+    found = usable_conditions(smooth, modes=1)
+    assert [one.name for one in found.responses] == ["condition_1", "condition_3", "condition_4"]
+    assert list(found.left_out) == ["condition_2"]
+    assert found.models is not None
+    assert len(found.models.models) == 4  # it was fitted like the others
+    hidden = {"condition_2", "condition_3", "condition_4"}
+    with pytest.raises(ValueError, match=r"only condition_1 shows .* two conditions; .*condition_3.*hardly moves"):
+        usable_conditions(smooth, modes=1)
 
 
 def test_what_shows_no_response_is_left_out_and_named(recording):

@@ -1,5 +1,7 @@
 """The colour of sensor noise, from rest records and, more exact, from motion beside them; what is missing is no colour."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from hidden_effects import recorded
@@ -8,7 +10,7 @@ from tqdm import tqdm
 
 import estimators as est
 import rtac_jax as rtac
-from estimators._coloured_noise import RestSpectrum, colours_at_rest, likeliest_colours
+from estimators._coloured_noise import RestSpectrum, colours_at_rest, likeliest_colours, rest_spectra
 from estimators._search import Search
 from rtac_jax.measurement import Experiment
 
@@ -95,6 +97,38 @@ def test_motion_makes_the_colour_more_exact(recordings):
     for share, memory in better.colour.colours.values():
         assert memory == pytest.approx(MEMORY, rel=0.1)
         assert share > 0.9
+
+
+def test_the_colour_stays_where_the_rest_record_does_not_speak_against_it(recordings):
+    """A rest record of noise as large as that of the motion, but with less memory."""
+    keep, random = 0.5, np.random.default_rng(3)
+    experiments = []
+    for e in recordings["nothing"]:
+        if e.kind == "rest":
+            white = random.standard_normal((3, e.samples + 300))
+            slow = np.sqrt(1 - keep**2) * lfilter([1.0], [1.0, -keep], white)[:, 300:]
+            outputs = {
+                channel: dataclasses.replace(signal, values=np.std(signal.values) * noise)
+                for (channel, signal), noise in zip(e.outputs.items(), slow, strict=False)
+            }
+            experiments.append(dataclasses.replace(e, outputs=outputs))
+        else:
+            experiments.append(e)
+    recording = rtac.Recording(tuple(experiments), rig=recordings["nothing"].rig)
+    fit = est.output_error(rtac.RTAC.from_rig(recording), recording, progress=False)
+    search = Search.of(fit, recording, [rtac.effects.Cogging], tqdm(disable=True))
+    better, _ = search.recoloured(search.base())
+    assert search.colour is not None
+    assert better.colour is not None
+    spectra = rest_spectra(recording.experiments)
+    lost = {}
+    for channel, (share, memory) in search.colour.colours.items():
+        now_share, now = better.colour.colours[channel]
+        assert memory < now < MEMORY, "the motion asks for more memory, and the rest record allows a little"
+        least = spectra[channel].log_likelihood(share, memory)
+        lost[channel] = least - spectra[channel].log_likelihood(now_share, now)
+        assert least - spectra[channel].log_likelihood(share, MEMORY) > 20, "all of it would be spoken against"
+    assert all(0 < one <= 4.5 for one in lost.values())
 
 
 @pytest.mark.slow

@@ -16,6 +16,7 @@ class Candidate:
     Attributes:
         id: of the effect.
         score: chi-square gained on the innovations of the base model, less the price of its amplitudes.
+        chi_square: the same without that price; 20 and more, if not by the scatter of a few seconds, raise the alarm.
         p_value: probability of so large a score by chance among all that were tried.
         detection_limit: amplitude that would be found, in the unit of its first amplitude parameter.
         unit: of it.
@@ -31,6 +32,7 @@ class Candidate:
 
     id: str
     score: float
+    chi_square: float
     p_value: float
     detection_limit: float
     unit: str

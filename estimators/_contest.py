@@ -69,13 +69,17 @@ def contest_of(
         ValueError: nothing is to be told apart, or an effect is unknown.
     """
     effects = _chosen(found, between)
+    # What was named without doubt is told from its rivals, not these from each other.
+    sure = effects[0] if between is None and found.verdict == "missing" else None
     classes = {c.id: c for c in candidates} if candidates is not None else CATALOGUE
     known = {c.id: c for c in found.candidates}
     experiments = pieces(moving(recording))
     scales = scales_of(fit.model, experiments)
     instances: dict[str, tuple[Effect, ...]] = {}
     for name in effects:
-        if name not in known or name not in classes:
+        if name in known and name not in classes:
+            raise ValueError(f"candidates: {name} is not among them; give the candidates that the diagnosis was given.")
+        if name not in known:
             raise ValueError(
                 f"between: {name!r} is no candidate of the diagnosis; choose among {', '.join(c for c in known if c in classes)}."
             )
@@ -114,7 +118,8 @@ def contest_of(
     present = [name for name in effects if name in truth]
     return Contest(
         effects=effects,
-        pairs=tuple((i, j) for i in effects for j in effects if i != j) or ((effects[0], MODEL),),
+        pairs=tuple((i, j) for i in effects for j in effects if i != j and sure in (None, i, j))
+        or ((effects[0], MODEL),),
         instances=instances,
         truth=truth,
         base=truth.without(*present),
@@ -130,12 +135,16 @@ def _hidden(instance: Effect, known: Candidate) -> Effect:
     names = type(instance).amplitudes()
     values = {n: float(np.asarray(getattr(instance, n))) for n in declarations(instance)}
     largest = known.detection_limit * np.sqrt(max(known.score / ALARM, 1.0))
-    share = min(1.0, largest / max(abs(values[n]) for n in names))
+    declared = declarations(instance)
+    alike = [n for n in names if declared[n].unit == known.unit]
+    share = min(1.0, largest / max(abs(values[n]) for n in alike))
     return type(instance)(**{n: value * (share if n in names else 1.0) for n, value in values.items()})
 
 
 def _chosen(found: Diagnosis, between: Sequence[str] | None) -> tuple[str, ...]:
     if between is not None:
+        if isinstance(between, str):
+            raise ValueError(f"between: is the text {between!r}; give a list of names.")
         if not between:
             raise ValueError("between: is empty; name the effects to tell apart.")
         return tuple(dict.fromkeys(between))

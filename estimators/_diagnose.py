@@ -13,9 +13,11 @@ from estimators._adequacy import Evidence, alarming, excess_of, p_by_chance
 from estimators._candidate import Candidate, Step
 from estimators._choice import bic_gain, gain
 from estimators._compile import make_room
+from estimators._detection_limit import TESTABLE, main_amplitude
 from estimators._force_curve import ForceCurve
 from estimators._latent_force import LatentForce
 from estimators._line_classes import LineClass
+from estimators._offered import offered
 from estimators._output_error import Fit
 from estimators._refit import Refit, Tested
 from estimators._screen import correlations
@@ -25,7 +27,7 @@ from estimators._verdict import Verdict, floor, judge, not_named, shaken, surer,
 from estimators._where import Place
 from rtac_jax import RTAC, require_configured
 from rtac_jax._parameter import declarations
-from rtac_jax.effects import CATALOGUE, Effect
+from rtac_jax.effects import Effect
 from rtac_jax.measurement import Recording
 
 
@@ -111,7 +113,7 @@ def diagnose(
         progress: show a bar.
 
     Raises:
-        ValueError: nothing moves in the recording, or no candidate is left.
+        ValueError: nothing moves in the recording, no candidate is left, or one is declared so that it cannot be looked for.
         RuntimeError: JAX was not configured for double precision.
 
     Source: the steps of Kristensen, Madsen and Jorgensen (2004) for the predictor; score tests as in Basseville and
@@ -120,13 +122,18 @@ def diagnose(
     require_configured()
     make_room()
     began = time.perf_counter()
-    classes = _offered(fit.model, candidates)
+    classes = offered(fit.model, candidates)
     if not classes:
         raise ValueError("no candidate is left: the model has every effect that was offered.")
     with tqdm(total=None, disable=not progress, desc="diagnose", unit=" steps", leave=False) as bar:
-        found = _searched(Search.of(fit, recording, classes, bar), thorough)
+        search = Search.of(fit, recording, classes, bar)
+        if not search.absent:
+            raise ValueError(
+                f"no candidate is left: nothing in the recording could show {', '.join(c.id for c in classes)}."
+            )
+        found = _searched(search, thorough)
         bar.set_description("diagnose: verdict")
-        told = _told(found)
+        told = _told(found, [c for c in classes if c.id not in search.absent])
     return dataclasses.replace(told, seconds=time.perf_counter() - began)
 
 
@@ -166,11 +173,12 @@ def _searched(search: Search, thorough: bool) -> _Found:
     return _Found(search, base, tested, steps, refits, thorough)
 
 
-def _told(found: _Found) -> Diagnosis:
-    """The verdict and its reasons."""
+def _told(found: _Found, unshown: Sequence[type[Effect]]) -> Diagnosis:
+    """The verdict and its reasons; of candidates that nothing in the recording could show, that."""
     search, base, tests = found.search, found.base, found.tested.tests
     verdict, count, removed = judge(found.steps, tests, search.samples)
     candidates = _candidates(search, base, found.tested, found.steps, count, found.refits)
+    candidates += [_not_testable(c) for c in unshown]
     steps = without_named_rivals(found.steps[:count])
     final, left = (steps[-1].refit, steps[-1].left) if steps else (base, tests)
     groups = [(step.id, *step.rivals) for step in steps]
@@ -222,11 +230,14 @@ def _explanation(told: Diagnosis, steps: Sequence[Step], found: _Found, further:
 
 def compile_diagnosis(model: RTAC, recording: Recording, candidates: Sequence[type[Effect]] | None) -> None:
     """Compile what `diagnose` will run first; for a thread beside the one that fits the model."""
-    Search.compile_for(model, recording, _offered(model, candidates))
+    Search.compile_for(model, recording, offered(model, candidates))
 
 
-def _offered(model: RTAC, candidates: Sequence[type[Effect]] | None) -> list[type[Effect]]:
-    return [c for c in (CATALOGUE.values() if candidates is None else candidates) if c.id not in model]
+def _not_testable(c: type[Effect]) -> Candidate:
+    unit = declarations(c)[c.amplitudes()[0]].unit
+    return Candidate(
+        id=c.id, score=0.0, chi_square=0.0, p_value=1.0, detection_limit=float("inf"), unit=unit, testable=False
+    )
 
 
 def _candidates(
@@ -241,19 +252,21 @@ def _candidates(
     price = float(np.log(search.samples))
     best = {s.id: s for s in by_size(tested.screened, price)}
     alike = correlations(best)
+    limits = search.limits(base, best)
     most = _most(base, steps, refits, tested.tests, search.samples)
     within = {step.id for step in steps[:named]}
     found = []
     for s in best.values():
-        first = s.amplitudes[int(np.argmin(s.limit))]
-        limit, plausible = float(np.min(s.limit)), abs(float(np.asarray(getattr(s.instance, first))))
+        first, limit = main_amplitude(s), limits[s.id]
+        plausible = abs(float(np.asarray(getattr(s.instance, first))))
         c = Candidate(
             id=s.id,
             score=s.statistic - len(s.amplitudes) * price,
+            chi_square=s.statistic,
             p_value=p_by_chance(s, len(tested.screened)),
             detection_limit=limit,
             unit=declarations(s.instance)[first].unit,
-            testable=bool(np.isfinite(limit) and limit < 30 * plausible),
+            testable=bool(np.isfinite(limit) and limit < TESTABLE * plausible),
             correlation=alike[s.id],
         )
         if s.id in refits:

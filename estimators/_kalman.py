@@ -62,7 +62,7 @@ def kalman(
     shape = excitation.sample_time.shape
     state = tuple(jnp.broadcast_to(x, shape) for x in states_at_start(placed, start, excitation))
     count = len(state)
-    places = _start_places(model)
+    places = start_places(model)
     spread = jnp.zeros((count, count, *shape))
     if len(start_variance) != len(places):
         raise ValueError(f"{len(start_variance)} variances for {len(places)} states at the start.")
@@ -176,7 +176,8 @@ def wandering(
     return Wander(variance - slow, nothing.at[places].set(slow), nothing.at[places].set((1 - keep**2) * slow))
 
 
-def _start_places(model: RTAC) -> tuple[int, ...]:
+def start_places(model: RTAC) -> tuple[int, ...]:
+    """Which states of a model have a start of their own that an experiment may leave open."""
     places, place = [0, 1, 2, 3], 4
     for effect in model.effects:
         for _ in effect.states:

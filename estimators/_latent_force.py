@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from scipy.signal import periodogram
 
-from estimators._kalman import Wander, wandering
+from estimators._kalman import Wander, start_places, wandering
 from estimators._problem import Data, Space, states_at_start
 from rtac_jax import RTAC
 from rtac_jax._simulate import Steps, advance, trajectories
@@ -85,6 +85,7 @@ def latent_forces(
     experiments: Sequence[Experiment],
     *,
     sensor_variance: Float[np.ndarray, " output"],
+    start_variance: Float[Array, "start experiment"],
     force: float,
     torque: float,
     frequency: float,
@@ -96,6 +97,7 @@ def latent_forces(
 
     Args:
         physical: parameters and starts of the predictor with this gain.
+        start_variance: of the states at the start; what they are off by is no force.
         force, torque: sizes that scale the forces [N, N m].
         frequency: of the motion [rad/s].
 
@@ -108,7 +110,7 @@ def latent_forces(
     scale = np.array([force, torque])
     still = _STILL * scale
     variance = jnp.broadcast_to(jnp.asarray(sensor_variance)[:, None], (len(sensor_variance), data.experiments))
-    linear = _linearised(model, data, space, physical, gain, variance, jnp.asarray(substeps))
+    linear = _linearised(model, data, space, physical, gain, variance, start_variance, jnp.asarray(substeps))
 
     def likelihood(shares: np.ndarray, memory: float, swing: float) -> tuple[float, np.ndarray]:
         """Without a force, and with one at each port of each size (a row of shares for each port)."""
@@ -198,6 +200,7 @@ class _Linear(eqx.Module):
     shown: Float[Array, "sample output state experiment"]
     error: Float[Array, "sample output experiment"]
     wander: Wander
+    begin: Float[Array, "state experiment"]
     interval: Float[Array, " experiment"]
 
 
@@ -209,6 +212,7 @@ def _linearised(
     physical: tuple[Array, Array, Array],
     gain: Array,
     variance: Array,
+    start_variance: Array,
     substeps: Steps,
 ) -> _Linear:
     shared, each, start = physical
@@ -247,7 +251,8 @@ def _linearised(
     push = jnp.transpose(jnp.stack(columns, axis=1), (2, 0, 1, 3))
     push = 0.5 * excitation.sample_time * (push + jnp.einsum("sabe,sbpe->sape", transition, push))
     wander = wandering(placed, variance, excitation.sample_time)
-    return _Linear(transition, push, shown, error, wander, excitation.sample_time)
+    begin = wander.stationary.at[jnp.asarray(start_places(model))].add(start_variance)
+    return _Linear(transition, push, shown, error, wander, begin, excitation.sample_time)
 
 
 def _filter(linear: _Linear, data: Data, gain: Array, size: Array, memory: Any, swing: Any) -> Any:
@@ -267,7 +272,7 @@ def _filter(linear: _Linear, data: Data, gain: Array, size: Array, memory: Any, 
     power = jnp.broadcast_to(jnp.stack([size[0], size[0], size[1], size[1]])[:, None] ** 2, (4, experiments))
     unit = jnp.eye(whole)[:, :, None]
     fresh = unit * jnp.concatenate([linear.wander.fresh, (1 - keep**2) * power])
-    spread = unit * jnp.concatenate([linear.wander.stationary, power])
+    spread = unit * jnp.concatenate([linear.begin, power])
 
     def one(carry: Any, row: Any) -> Any:
         mean, spread = carry

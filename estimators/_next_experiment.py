@@ -230,6 +230,13 @@ def next_experiment(
 
 
 def _require_names(plans: Sequence[Plan], taken: Sequence[str]) -> None:
+    for plan in plans:
+        if not isinstance(plan, Plan):
+            raise ValueError(f"menu: {plan!r} is no plan; give virtual_rig.Plan(...).")
+        if plan.arm == "locked" and plan.cart == "clamped":
+            raise ValueError(
+                f"menu: in {plan.name} the arm is locked and the cart clamped, so nothing moves; free one of them."
+            )
     names = [plan.name for plan in plans]
     if not names:
         raise ValueError("menu: is empty; give at least one plan.")

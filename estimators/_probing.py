@@ -1,22 +1,23 @@
 """What the innovations of a fitted predictor are asked: which candidates they speak for, and whether anything is left."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import jax.numpy as jnp
 import numpy as np
 
 from estimators._adequacy import evidence
 from estimators._delayed_force import delayed_forces
+from estimators._detection_limit import detection_limits
 from estimators._force_curve import compile_force_curves, force_curves
 from estimators._innovations import Innovations, Rows, orthonormal
 from estimators._latent_force import LatentForce, latent_forces
-from estimators._likelihood import run_filter
+from estimators._likelihood import run_filter, start_variance
 from estimators._line_classes import LineClass, line_classes
 from estimators._problem import CHANNELS
 from estimators._refit import Refit, Tested
 from estimators._repeats import repeat_test
-from estimators._screen import Group, Screened, screen
+from estimators._screen import Group, NotNothingError, Screened, same, screen
 from estimators._setting import Setting, begun, by_name, shared
 from estimators._spectral_line import spectral_line
 from estimators._start import scales_of
@@ -73,7 +74,7 @@ class Probing(Setting):
         probed = self._innovations(refit, [], refit.free)
         basis = orthonormal(probed.jacobian())
         error = self._error(refit, probed, basis)
-        screened = screen(self._groups(refit), error, basis)
+        screened = self._screened(refit, probed, error, basis)
         scales = scales_of(self.model, self.experiments)
         slow = (_SLOW * scales.velocity, _SLOW * scales.arm_velocity)
         curves = force_curves(probed, error, basis, self._ranges(), slow)
@@ -99,7 +100,7 @@ class Probing(Setting):
         quiet = dataclasses.replace(refit, predictor=dataclasses.replace(found, noise=noise, filtered=passed))
         probed = self._innovations(quiet, [], quiet.free)
         basis = orthonormal(probed.jacobian())
-        return screen(self._groups(quiet), self._error(quiet, probed, basis), basis)
+        return self._screened(quiet, probed, self._error(quiet, probed, basis), basis)
 
     def places(self, refit: Refit) -> tuple[Place, ...]:
         """Where the innovations are too large."""
@@ -120,19 +121,51 @@ class Probing(Setting):
             probed.model, self.data, probed.space, physical, probed.gain,
             self.substeps, self.experiments,
             sensor_variance=np.exp(refit.predictor.noise[2:]) * self.prior.sensor**2,
+            start_variance=start_variance(probed.space),
             force=scales.force, torque=scales.torque, frequency=scales.frequency,
         )  # fmt: skip
 
-    def _groups(self, refit: Refit) -> list[Group]:
-        """Candidates that were not added to a fitted model."""
+    def _screened(self, refit: Refit, probed: Innovations, error: np.ndarray, basis: Rows) -> list[Screened]:
+        """Candidates that were not added to a fitted model, against its innovations.
+
+        Raises:
+            ValueError: a candidate that is not nothing where its parameters are at null.
+        """
+        raw = self._raw(refit, probed)
+        try:
+            return screen(self._groups(refit, raw), error, basis)
+        except NotNothingError as found:
+            for i in found.ids:
+                alone = self._innovations(refit, [i], refit.free)
+                if not same(alone.at(np.asarray(alone.space.values)[None])[:, 0], raw):
+                    raise ValueError(
+                        f"candidates: {i} changes what the model predicts although its parameters are at null, or makes it "
+                        "NaN; correct null, or make what it adds finite and zero there."
+                    ) from None
+            raise ValueError(f"candidates: together {', '.join(found.ids)} make the model diverge at null.") from None
+
+    def _groups(self, refit: Refit, raw: np.ndarray) -> list[Group]:
         return [
-            Group(self._innovations(refit, group, refit.free), [i for i in self.instances if i.id in group])
+            Group(self._innovations(refit, group, refit.free), [i for i in self.instances if i.id in group], raw)
             for group in self._grouped(refit.added)
         ]
 
+    def limits(self, refit: Refit, best: Mapping[str, Screened]) -> dict[str, float]:
+        """From which size on each candidate would be found beside a fitted model."""
+        probed = self._innovations(refit, [], refit.free)
+        basis = orthonormal(probed.jacobian())
+        found: dict[str, float] = {}
+        for group in self._groups(refit, self._raw(refit, probed)):
+            ids = {instance.id for instance in group.instances}
+            found |= detection_limits(group, [s for s in best.values() if s.id in ids], basis)
+        return found
+
+    def _raw(self, refit: Refit, probed: Innovations) -> np.ndarray:
+        return probed.rows(self._told(refit)[0][None])[:, 0]
+
     def _error(self, refit: Refit, probed: Innovations, basis: Rows) -> np.ndarray:
         """Innovations of a fitted model, without their share in the basis."""
-        raw = probed.rows(self._told(refit)[0][None])[:, 0]
+        raw = self._raw(refit, probed)
         return raw - basis @ (basis.T @ raw)
 
     def _innovations(self, refit: Refit, others: Sequence[str], free: Sequence[str]) -> Innovations:

@@ -14,20 +14,41 @@ from rtac_jax._parameter import declarations
 from rtac_jax.effects import Effect
 
 
+class NotNothingError(ValueError):
+    """Some of these candidates change what the model predicts although they are at null, or make it diverge."""
+
+    def __init__(self, ids: Sequence[str]) -> None:
+        super().__init__(ids)
+        self.ids = tuple(dict.fromkeys(ids))
+
+
+def same(innovations: np.ndarray, others: np.ndarray) -> bool:
+    """Whether innovations are the same but for rounding."""
+    return bool(np.linalg.norm(innovations - others) <= _ROUNDING * np.linalg.norm(others))
+
+
 class Group(NamedTuple):
-    """Candidates that are simulated together: a model that has all of them at null, and their instances."""
+    """Candidates that are simulated together: a model that has all of them at null, their instances, and the innovations
+    without them."""
 
     innovations: Innovations
     instances: Sequence[Effect]
+    base: np.ndarray
 
     def switched_on(self, instances: Sequence[Effect], amplitudes: Sequence[str]) -> Rows:
         """Innovations where of each instance one amplitude is switched on; one column each."""
         return self.innovations.at(np.array([*map(self._placed, instances, amplitudes)]))
 
     def changes(self, instances: Sequence[Effect], amplitudes: Sequence[str]) -> Rows:
-        """What that changes."""
+        """What that changes.
+
+        Raises:
+            NotNothingError: the candidates change something although all of them are at null.
+        """
         points = [np.asarray(self.innovations.space.values), *map(self._placed, instances, amplitudes)]
         found = self.innovations.at(np.array(points))
+        if not same(found[:, 0], self.base):
+            raise NotNothingError([instance.id for instance in self.instances])
         return found[:, 1:] - found[:, :1]
 
     def _placed(self, instance: Effect, amplitude: str) -> np.ndarray:
@@ -65,6 +86,7 @@ class Screened:
     templates: Rows
 
 
+_ROUNDING = 1e-2  # what the filter's own pass and a simulation with its gains differ by is far less
 ALARM = 20.0
 CHANCE = 2e-3  # of an alarm by any of the candidates that are tried, if nothing is missing
 _SIZES = (0.1, 0.2, 0.35, 0.5, 0.7, 1.0, 1.5)  # of the plausible amplitude, that are tried

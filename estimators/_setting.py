@@ -13,6 +13,7 @@ from estimators._coloured_noise import ColouredNoise, colours_at_rest
 from estimators._innovations import stretches
 from estimators._likelihood import NoiseModel
 from estimators._noise import noise_levels
+from estimators._offered import plausible
 from estimators._output_error import moving, pieces
 from estimators._problem import CHANNELS, Data, Space, start_rows
 from estimators._refit import Refit
@@ -68,7 +69,7 @@ class Setting:
         instances: list[Effect] = []
         absent: dict[str, Effect] = {}
         for c in classes:
-            found = c.candidates(scales)
+            found = plausible(c, scales)
             if found and can_show(c, experiments):
                 possible[c.id] = c
                 instances += list(found)

@@ -76,14 +76,16 @@ def words(
     """A paragraph: what is missing, how big, where it shows, how sure, and what would make it surer."""
     if verdict == "adequate":
         limits = sorted((c for c in candidates if c.testable), key=lambda c: c.id)
-        text = ", ".join(f"{c.id} {c.detection_limit:.2g} {c.unit}" for c in limits)
+        text = ", ".join(f"{c.id} {c.detection_limit:.2g} {c.unit}".removesuffix(" 1") for c in limits)
         blind = [c.id for c in candidates if not c.testable]
         unseen = f" These data could not show {', '.join(blind)} at any plausible size." if blind else ""
         return f"Adequate: at the noise floor nothing is missing. An effect would have been found from: {text}.{unseen}"
     worst = next((p for p in places if p.by == "experiment"), None)
     part = next((p for p in places if p.by != "experiment" and p.excess > 1), None)
     shown = ""
-    if worst is not None:
+    if worst is not None and worst.excess <= 1:
+        shown = " In no experiment is the error of a channel larger than chance allows: it shows by what it goes with."
+    elif worst is not None:
         shown = f" It shows most in {worst.channel} of {worst.label} ({worst.value:.2f} times the expected squares)"
         shown += f" and at {part.label}." if part is not None else "."
     if verdict == "unknown":
@@ -103,8 +105,14 @@ def words(
         )
     text = "; ".join(sentences)
     rest = [test.test for test in left if test.rejects]
-    after = f"; still, {', '.join(rest)} rejects" if rest else ", and nothing rejects any more"
-    share = f" It removes {100 * removed:.0f} % of the misfit{after}."
+    after = (
+        f"; still, {', '.join(rest)} {'rejects' if len(rest) == 1 else 'reject'}"
+        if rest
+        else ", and nothing rejects any more"
+    )
+    share = (
+        f" {'It removes' if len(steps) == 1 else 'Together they remove'} {100 * removed:.0f} % of the misfit{after}."
+    )
     if verdict == "missing":
         return f"Missing: {text}.{share}{shown} The intervals do not count that the effect was selected."
     groups = "; ".join(f"{step.id} or {', '.join(step.rivals)}" for step in steps if step.rivals)
@@ -112,6 +120,15 @@ def words(
         f"Ambiguous: the data cannot tell {groups} apart. The best fit: {text}.{share}{shown} An experiment that separates "
         "them would decide (est.next_experiment)."
     )
+
+
+def static_force(curves: Sequence[ForceCurve], tests: Sequence[Evidence]) -> tuple[ForceCurve | None, bool]:
+    """The curve that explains most of what is missing, if one does; and whether any explains more than chance."""
+    rejected = any(test.test == "static force" and test.rejects for test in tests)
+    best = max(curves, key=lambda c: c.score, default=None)
+    if best is None or not rejected or not best.excess > _STATIC * excess_of(tests):
+        return None, rejected
+    return best, rejected
 
 
 def not_named(further: Sequence[Step], left: Sequence[Evidence], samples: int) -> str:
@@ -172,10 +189,11 @@ def _unknown(
     if removed and near and removed > near.error_reduction + 0.01:
         nearest += f" Several effects of the catalogue together remove {100 * removed:.0f} %."
     force = f" The missing force is {latent[0]}." if latent else ""
-    most = excess_of(tests)
-    curve = next((c for c in curves if c.score > 0), None)
-    if curve is not None and most > 0 and curve.excess > _STATIC * most:
+    curve, rejected = static_force(curves, tests)
+    if curve is not None:
         static = f" It depends most on {curve.variable} ({curve.port})."
+    elif rejected:
+        static = " No static function of position, velocity, angle or current explains most of it."
     else:
         static = " It is no static function of position, velocity, angle or current."
     telling = min(lines, key=lambda line: line.p_value, default=None)

@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 
 from estimators._add_effect import Foreseen
+from estimators._adequacy import Evidence
 from estimators._candidate import Candidate
 from estimators._compare import Compared, Comparison, Trace
 from estimators._diagnose import Diagnosis
@@ -40,14 +41,16 @@ def compared(label, error, *, channels=("cart_position", "arm_velocity"), names=
 
 
 def candidate(name, score, **more):
-    return Candidate(name, score, float(np.exp(-max(score, 0.0) / 2)), 0.0123, "kg", True, **more)
+    return Candidate(
+        name, score, max(score + 9.0, 0.0), float(np.exp(-max(score, 0.0) / 2)), 0.0123, "kg", True, **more
+    )
 
 
 def curve(port, variable, reach, score=80.0):
     at = np.linspace(-reach, reach, 12)
     return ForceCurve(
-        port, variable, score, at, 0.05 * (at / reach) ** 3, np.full(12, 0.004), score + 90.0, score + 78.0, 1e-9,
-        np.eye(12)[:3], np.ones(3),
+        port, variable, score, at, 0.05 * (at / reach) ** 3, np.full(12, 0.004), score + 90.0, score + 78.0,
+        1e-9 if score > 20 else 0.5, np.eye(12)[:3], np.ones(3),
     )  # fmt: skip
 
 
@@ -89,12 +92,16 @@ def diagnosis(verdict="missing", *, curves=CURVES, others=OTHERS, additions=(), 
         first = dataclasses.replace(first, confusable_with=(second.id,))
         second = dataclasses.replace(second, confusable_with=(first.id,))
     effects = {"missing": (first,), "ambiguous": (first, second)}.get(verdict, ())
+    best = max(curves, key=lambda c: c.score, default=None)
+    tests = (
+        () if best is None else (Evidence("static force", 12 * best.p_value, best.excess, 0.002, "of the best curve"),)
+    )
     return Diagnosis(
         verdict,
         effects,
         additions,
         (*effects, *others),
-        (),
+        tests,
         (),
         1.0,
         curves,

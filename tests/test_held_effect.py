@@ -144,7 +144,14 @@ def looped(
     """The loop on made-up errors of simulation, and made-up gains of each sample's log-likelihood; None where a fit fails."""
     spring = CubicSpring(stiffness=5e4)
     candidate = est.Candidate(
-        id="cubic_spring", score=100.0, p_value=1e-9, detection_limit=1.0, unit="N/m^3", testable=True, correlation={}
+        id="cubic_spring",
+        score=100.0,
+        chi_square=109.0,
+        p_value=1e-9,
+        detection_limit=1.0,
+        unit="N/m^3",
+        testable=True,
+        correlation={},
     )
 
     def fitted(model: rtac.RTAC, *_: Any, **__: Any) -> est.Fit:
@@ -195,7 +202,14 @@ def looped(
 def test_a_report_gives_the_deviation_of_the_diagnosis_for_what_is_held() -> None:
     told = {"stiffness": Parameter(5e4, 300.0, "N/m^3")}
     candidate = est.Candidate(
-        id="cubic_spring", score=100.0, p_value=1e-9, detection_limit=1.0, unit="N/m^3", testable=True, parameters=told
+        id="cubic_spring",
+        score=100.0,
+        chi_square=109.0,
+        p_value=1e-9,
+        detection_limit=1.0,
+        unit="N/m^3",
+        testable=True,
+        parameters=told,
     )
     model = rtac.RTAC.paper() + CubicSpring(stiffness=6e4)
     free, held = fit_of(model, ("total_mass", "cubic_spring.stiffness")), fit_of(model, ("total_mass",))

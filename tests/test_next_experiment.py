@@ -163,6 +163,13 @@ def test_what_cannot_be_planned_is_refused(delayed: Case) -> None:
         est.next_experiment(*given, travel=0.0, progress=False)
     with pytest.raises(ValueError, match="is empty"):
         est.next_experiment(*given, menu=[], progress=False)
+    with pytest.raises(ValueError, match="give a list of names"):
+        est.next_experiment(*given, between="input_delay", progress=False)
+    with pytest.raises(ValueError, match="candidates: input_delay is not among them"):
+        est.next_experiment(*given, candidates=[CATALOGUE["current_lag"]], between=["input_delay"], progress=False)
+    still = virtual_rig.Plan("still", "forced", 4.0, 0.01, np.ones(400), arm="locked", cart="clamped")
+    with pytest.raises(ValueError, match="in still the arm is locked and the cart clamped"):
+        est.next_experiment(*given, menu=[still], progress=False)
     taken = virtual_rig.Plan("forced_1", "free", 4.0, 0.01, initial_position=0.01)
     with pytest.raises(ValueError, match="has forced_1 already"):
         est.next_experiment(*given, menu=[taken], progress=False)

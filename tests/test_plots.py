@@ -41,7 +41,15 @@ from estimators.plots._diagnosis import finding
 from estimators.plots._effect_curve import effect_curve
 from estimators.plots._style import image_bytes, picture, prefixed, quantity, thin, title, worst_stretch
 from rtac_jax import RTAC
-from rtac_jax.effects import CartStribeck, Cogging, CubicSpring, Effect, FlexibleMode, GravityTilt
+from rtac_jax.effects import (
+    CartStribeck,
+    Cogging,
+    CubicSpring,
+    Effect,
+    FlexibleMode,
+    GravityTilt,
+    QuadraticSpring,
+)
 from rtac_jax.measurement import Experiment, Recording
 
 
@@ -284,7 +292,7 @@ def test_the_missing_force_is_drawn_against_position_velocity_and_angle(drawn, n
 
 def test_a_force_that_depends_on_nothing_is_drawn_where_it_acts():
     """The best of the curves says nothing then; the force in time, or the effect that was named, says the port."""
-    nothing = tuple(dataclasses.replace(c, score=-1.0 - n) for n, c in enumerate((*CURVES, *ARM_CURVES)))
+    nothing = tuple(dataclasses.replace(c, score=-1.0 - n, p_value=0.5) for n, c in enumerate((*CURVES, *ARM_CURVES)))
     unknown = diagnosis("unknown", curves=nothing, missing=latent("arm"))
     assert "missing on the arm is no function of position, velocity or angle" in finding(unknown)
     named = diagnosis(curves=nothing, additions=(Cogging(1e-3, 0.0, 3.0),))
@@ -329,6 +337,38 @@ def test_a_title_does_not_end_in_a_line_of_one_word():
     lines = figure.get_suptitle().split("\n")
     assert len(lines) == 2
     assert len(lines[1]) > 0.6 * len(lines[0])
+
+
+def test_all_that_was_named_stands_in_the_title():
+    two = diagnosis(others=())
+    second = candidate("cubic_spring", 300.0, refitted=True, bic_gain=295.0, error_reduction=0.2)
+    both = dataclasses.replace(two, effects=(*two.effects, second), candidates=(*two.effects, second), removed=0.98)
+    assert finding(both) == "flexible_mode and cubic_spring together explain 98 % of the misfit"
+    third = dataclasses.replace(second, id="input_delay", confusable_with=("current_lag",))
+    rival = dataclasses.replace(second, id="current_lag", confusable_with=("input_delay",))
+    open_pair = dataclasses.replace(both, verdict="ambiguous", effects=(*two.effects, third, rival))
+    assert finding(open_pair).startswith("flexible_mode and (current_lag or input_delay) together explain 98 %")
+
+
+def test_a_narrow_curve_is_no_less_a_static_force():
+    """Of which the price of all its points is more than it explains, though chance never explains so much."""
+    best = dataclasses.replace(CURVES[0], score=-5.0)
+    unknown = diagnosis("unknown", curves=(best, *CURVES[2:]))
+    assert finding(unknown).endswith("what is missing on the cart depends most on cart position")
+    told = [axes.get_title(loc="left") for axes in plot_diagnosis(unknown).get_axes()]
+    assert any(title.startswith("against cart position:\nexplains") for title in told)
+    assert any(title.startswith("against arm angle:\nnothing beyond chance") for title in told)
+    small = dataclasses.replace(unknown, tests=(*unknown.tests, dataclasses.replace(unknown.tests[0], excess=900.0)))
+    assert "is for the most part no function of position" in finding(small)
+
+
+def test_every_effect_that_was_added_is_drawn_over_the_missing_force():
+    figure = plot_diagnosis(diagnosis(additions=(CubicSpring(5e4), QuadraticSpring(600.0))))
+    panel = next(a for a in figure.get_axes() if a.get_title(loc="left").startswith("against cart position"))
+    assert [line.get_label() for line in panel.lines if "fitted" in str(line.get_label())] == [
+        "cubic_spring, fitted",
+        "quadratic_spring, fitted",
+    ]
 
 
 def test_a_rival_is_named():
@@ -388,5 +428,5 @@ def test_a_bar_beyond_the_line_that_is_no_alarm_says_so():
     texts = [t.get_text() for axes in figure.axes for t in axes.texts]
     assert "no alarm: by its scatter p = 0.1" in texts
     bars = {b.get_width(): b.get_hatch() for b in figure.axes[0].patches}
-    assert not bars[60.0]
-    assert bars[90.0] == "///"
+    assert not bars[scattered.chi_square]
+    assert bars[candidate("tacho_gain", 90.0).chi_square] == "///"

@@ -1,5 +1,6 @@
 """The rule that names effects, on made-up gains: nearly everything that was wrong before an effect must go with it."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -7,10 +8,12 @@ import pytest
 
 from estimators._adequacy import Evidence, removed_by_repeats
 from estimators._candidate import Step
+from estimators._force_curve import ForceCurve
 from estimators._latent_force import LatentForce
 from estimators._line_classes import LineClass
 from estimators._refit import Refit
 from estimators._verdict import judge, shaken, share_removed, words
+from estimators._where import Place
 
 SAMPLES = 10_000
 
@@ -98,6 +101,31 @@ def test_unknown_says_which_lines_of_a_periodic_input_show_it() -> None:
     assert "periodic input" not in unknown(
         [], [quiet, LineClass("odd", "cart_position", 1.5, 0.006)]
     )  # one of two by chance
+
+
+def test_where_it_shows_is_said_only_beyond_chance() -> None:
+    within, beyond = (Place("experiment", "free_1", "arm_velocity", value, 1.1) for value in (1.08, 1.2))
+    said = [words("unknown", [], [], [], (found(600.0),), (), 0.0, [], [], [place], []) for place in (within, beyond)]
+    assert "In no experiment is the error of a channel larger than chance allows" in said[0]
+    assert "shows most in" not in said[0]
+    assert "It shows most in arm_velocity of free_1 (1.20 times the expected squares)" in said[1]
+
+
+@pytest.mark.parametrize(
+    ("excess", "said"),
+    [
+        (500.0, "It depends most on cart_position (cart)."),
+        (200.0, "No static function of position, velocity, angle or current explains most of it."),
+    ],
+)
+def test_a_static_force_is_judged_by_its_test(excess: float, said: str) -> None:
+    """Not by the price of its points, which a force in a narrow range seldom pays."""
+    at = np.linspace(-1.0, 1.0, 12)
+    curve = ForceCurve("cart", "cart_position", -5.0, at, at, at, 90.0, excess, 1e-15, np.eye(12)[:3], np.ones(3))
+    tests = (found(600.0), Evidence("delayed force", 0.0, 600.0, 0.002, ""))
+    assert said in words("unknown", [], [], [], tests, (), 0.0, [curve], [], [], [])
+    passing = (dataclasses.replace(tests[0], p_value=0.5), tests[1])
+    assert "It is no static function" in words("unknown", [], [], [], passing, (), 0.0, [curve], [], [], [])
 
 
 def unknown(latent: list[LatentForce], lines: list[LineClass]) -> str:

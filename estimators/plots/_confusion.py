@@ -59,14 +59,18 @@ def _finding(shown: list[Candidate], values: np.ndarray, accepted: set[str]) -> 
     if len(shown) < 2:
         return "There are no two candidates that these data could confuse"
     others = values - 2 * np.eye(len(shown))
-    first = next((i for i, c in enumerate(shown) if c.id in accepted), None)
+    # Of the accepted ones that which is hardest to tell from another.
+    first = max(
+        (i for i, c in enumerate(shown) if c.id in accepted), key=lambda i: float(np.max(others[i])), default=None
+    )
     row, column = (
         (first, int(np.argmax(others[first]))) if first is not None else divmod(int(np.argmax(others)), len(shown))
     )
     pair, alike = f"{shown[row].id} and {shown[column].id}", f"(correlation {values[row, column]:.2f})"
     if first is not None:
         if values[row, column] < _ALIKE:
-            return f"Nothing looks like {shown[row].id} in these data; the nearest is {shown[column].id} {alike}"
+            named = " or ".join(c.id for c in shown if c.id in accepted)
+            return f"Nothing looks like {named} in these data; the nearest are {pair} {alike}"
         return f"{shown[column].id} looks much like {shown[row].id} in these data {alike}"
     if values[row, column] < _ALIKE:
         return f"No two of these candidates look alike in these data; the nearest are {pair} {alike}"

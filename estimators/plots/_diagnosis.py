@@ -10,6 +10,7 @@ from estimators._force_curve import ForceCurve
 from estimators._latent_force import LatentForce
 from estimators._ranking import ranked
 from estimators._screen import ALARM, CHANCE
+from estimators._verdict import static_force
 from estimators.plots._effect_curve import effect_curve
 from estimators.plots._style import (
     MODELS,
@@ -25,13 +26,11 @@ from estimators.plots._style import (
     title,
     worst_stretch,
 )
-from rtac_jax.effects import Effect
 from rtac_jax.measurement import Recording
 
 _MOST_BARS = 14
 _NEAR = 0.05  # share of the misfit that makes a rival worth naming
 _FORCE = {"cart": ("force", "N"), "arm": ("torque", "N m")}
-_FITTED: dict[str, Any] = {**MODELS[0], "linewidth": 1.6}
 _ALWAYS = ("cart_position", "cart_velocity", "arm_angle")
 
 
@@ -47,7 +46,6 @@ def plot_diagnosis(diagnosis: Diagnosis, *, recording: Recording | None = None) 
     """
     latent = diagnosis.latent[0] if diagnosis.verdict == "unknown" and diagnosis.latent else None
     always, other = _chosen(diagnosis)
-    fitted = diagnosis.additions[0] if diagnosis.additions else None
     beside = (latent is not None) + (other is not None)
     tall = beside > 1
     figure = picture(9.6, (8.4 if tall else 7.2) if always else 6.2)
@@ -59,11 +57,11 @@ def plot_diagnosis(diagnosis: Diagnosis, *, recording: Recording | None = None) 
     if latent is not None:
         _in_time(figure.add_subplot(top[0, 1]), latent, recording)
     if other is not None:
-        _curve(figure.add_subplot(top[-1, 1]), other, fitted, reach, narrow=False, keyed=not always)
+        _curve(figure.add_subplot(top[-1, 1]), other, diagnosis, reach, narrow=False, keyed=not always)
     if always:
         below = rows[1].subgridspec(1, len(always))
         for column, curve in enumerate(always):
-            _curve(figure.add_subplot(below[column]), curve, fitted, reach, narrow=True, keyed=column == 0)
+            _curve(figure.add_subplot(below[column]), curve, diagnosis, reach, narrow=True, keyed=column == 0)
     title(figure, finding(diagnosis))
     return figure
 
@@ -78,12 +76,21 @@ def finding(diagnosis: Diagnosis) -> str:
         failed = "The model fails, and no effect of the catalogue explains it"
         if not diagnosis.curves:
             return failed
-        best = diagnosis.curves[0]
-        if best.score <= ALARM:
-            return f"{failed}; what is missing on the {_deficient(diagnosis)} is no function of position, velocity or angle"
+        best, rejected = static_force(diagnosis.curves, diagnosis.tests)
+        if best is None:
+            what = "is for the most part no function" if rejected else "is no function"
+            return f"{failed}; what is missing on the {_deficient(diagnosis)} {what} of position, velocity or angle"
         return f"{failed}; what is missing on the {best.port} depends most on {NAMES[best.variable]}"
     best = accepted[0]
     share = f"{100 * best.error_reduction:.0f} % of the misfit"
+    groups: list[list[str]] = []
+    for c in accepted:
+        if (group := sorted({c.id, *c.confusable_with})) not in groups:
+            groups.append(group)
+    if len(groups) > 1:
+        named = " and ".join(f"({' or '.join(group)})" if len(group) > 1 else group[0] for group in groups)
+        unclear = ", but the data leave open which of a group" if diagnosis.verdict == "ambiguous" else ""
+        return f"{named} together explain {100 * diagnosis.removed:.0f} % of the misfit{unclear}"
     if diagnosis.verdict == "ambiguous":
         others = ", ".join(c.id for c in accepted[1:])
         return f"{best.id} explains {share}, but the data cannot tell it from {others}"
@@ -97,17 +104,17 @@ def finding(diagnosis: Diagnosis) -> str:
 
 def _alarms(c: Candidate) -> bool:
     """Whether a candidate is large, and not by the scatter of a few seconds."""
-    return c.score >= ALARM and c.p_value < CHANCE
+    return c.chi_square >= ALARM and c.p_value < CHANCE
 
 
 def _bars(axes: Any, diagnosis: Diagnosis, *, wide: bool) -> None:
     accepted = {c.id for c in diagnosis.effects}
     shown = ranked(diagnosis)[:_MOST_BARS]
     left = len(diagnosis.candidates) - len(shown)
-    top = max([c.score for c in shown] + [2 * ALARM])
+    top = max([c.chi_square for c in shown] + [2 * ALARM])
     for row, c in enumerate(shown):
         axes.barh(
-            row, max(c.score, 0.0), height=0.62, edgecolor="black", linewidth=0.6,
+            row, c.chi_square, height=0.62, edgecolor="black", linewidth=0.6,
             color="#08306b" if c.id in accepted else "0.8" if _alarms(c) else "0.95",
             hatch="///" if _alarms(c) and c.id not in accepted else "",
         )  # fmt: skip
@@ -127,7 +134,7 @@ def _bars(axes: Any, diagnosis: Diagnosis, *, wide: bool) -> None:
     axes.set_yticks(range(len(shown)), names)
     axes.set_ylim(len(shown) - 0.4, -1.1)
     axes.text(ALARM, -0.62, " alarm: chi-square 20", fontsize=7.5, ha="left", va="center")
-    axes.set_xlabel("Score: chi-square gained less the price of the parameters [1]", fontsize=SMALL)
+    axes.set_xlabel("Chi-square gained by the candidate alone [1]", fontsize=SMALL)
     more = f"best {len(shown)} candidates, {left} more score lower" if left else f"all {len(shown)} candidates"
     marked = "★ and dark: accepted" if accepted else "none accepted"
     if any(_alarms(c) and c.id not in accepted for c in shown):
@@ -152,7 +159,7 @@ def _remark(c: Candidate, accepted: bool) -> str:
         return f"removes {100 * c.error_reduction:.0f} % of the misfit"
     if not np.isfinite(c.detection_limit) or not c.testable:
         return "not testable here"
-    if c.score >= ALARM and not _alarms(c):
+    if c.chi_square >= ALARM and not _alarms(c):
         return f"no alarm: by its scatter p = {c.p_value:.1g}"
     return f"would show from {quantity(c.detection_limit, c.unit)}"
 
@@ -170,10 +177,16 @@ def _chosen(diagnosis: Diagnosis) -> tuple[list[ForceCurve], ForceCurve | None]:
 def _deficient(diagnosis: Diagnosis) -> str:
     """The port where most is missing: by the curves or, where what is missing is no function of them, by what was found."""
     best = diagnosis.curves[0]
-    if best.score > ALARM:
+    if _beyond_chance(best, diagnosis):
         return best.port
     found = [force.port for force in diagnosis.latent] + [effect.port for effect in diagnosis.additions]
     return next((port for port in found if port in _FORCE), best.port)
+
+
+def _beyond_chance(curve: ForceCurve, diagnosis: Diagnosis) -> bool:
+    """Whether a curve explains more than the best of all curves does by chance."""
+    level = min((test.level for test in diagnosis.tests if test.test == "static force"), default=0.0)
+    return curve.p_value * len(diagnosis.curves) < level
 
 
 def _in_time(axes: Any, latent: LatentForce, recording: Recording | None) -> None:
@@ -214,7 +227,7 @@ def _reach(curve: ForceCurve) -> float:
     return float(np.max(np.abs(curve.force[sound]) + 2 * curve.std[sound], initial=0.0)) or 1.0
 
 
-def _curve(axes: Any, curve: ForceCurve, fitted: Effect | None, reach: float, *, narrow: bool, keyed: bool) -> None:
+def _curve(axes: Any, curve: ForceCurve, diagnosis: Diagnosis, reach: float, *, narrow: bool, keyed: bool) -> None:
     what, unit = _FORCE[curve.port]
     across = prefixed(float(np.max(np.abs(curve.at))), UNITS[curve.variable])
     up = prefixed(reach, unit)
@@ -222,18 +235,20 @@ def _curve(axes: Any, curve: ForceCurve, fitted: Effect | None, reach: float, *,
     low, high = (up.factor * (curve.force + sign * 2 * curve.std) for sign in (-1, 1))
     axes.fill_between(x, low, high, color="0.82", linewidth=0, label="±2 std")
     axes.plot(x, up.factor * curve.force, color="#08306b", marker="o", markersize=3, linewidth=1.2, label="missing")
-    shape = None if fitted is None else effect_curve(fitted, curve)
-    if fitted is not None and shape is not None:
-        axes.plot(shape[0] * across.factor, shape[1] * up.factor, label=f"{fitted.id}, fitted", **_FITTED)
+    drawn = 0
+    for effect in diagnosis.additions:
+        if (shape := effect_curve(effect, curve)) is not None:
+            style = {**(MODELS[0], *MODELS[2:])[drawn], "linewidth": 1.6}
+            axes.plot(shape[0] * across.factor, shape[1] * up.factor, label=f"{effect.id}, fitted", **style)
+            drawn += 1
     axes.axhline(0, color="black", linewidth=0.6)
     axes.set_ylim(-1.2 * up.factor * reach, 1.2 * up.factor * reach)
     name = NAMES[curve.variable]
     axes.set_xlabel(f"{name[0].upper()}{name[1:]} [{across.unit}]", fontsize=SMALL)
     axes.set_ylabel(f"{what.capitalize()} on the {curve.port} [{up.unit}]", fontsize=SMALL)
-    explains = (
-        f"explains chi-square {times(max(curve.explains, 0.0))}" if curve.score > ALARM else "nothing beyond chance"
-    )
+    told = _beyond_chance(curve, diagnosis)
+    explains = f"explains chi-square {times(max(curve.explains, 0.0))}" if told else "nothing beyond chance"
     axes.set_title(f"against {name}:{chr(10) if narrow else ' '}{explains}", fontsize=9, loc="left")
     tidy(axes)
-    if keyed or shape is not None:
+    if keyed or drawn:
         axes.legend(fontsize=7, loc="best")

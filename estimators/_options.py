@@ -14,6 +14,14 @@ Validation = Annotated[
         show_default=False,
     ),
 ]
+Effects = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE.py",
+        help="Effects of your own: every class of effects in this file is looked for beside the catalogue.",
+        show_default=False,
+    ),
+]
 Out = Annotated[
     Path | None, typer.Option(metavar="DIR", help="Folder for report.html and the figures.", show_default=False)
 ]

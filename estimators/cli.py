@@ -11,8 +11,20 @@ from typing import Annotated, Any
 import typer
 
 from estimators._commands_control import control, envelope
-from estimators._job import NOT_POSSIBLE, Job, answering, job, load, prepare, progress, say, stop, writable_folder
-from estimators._options import File, Json, Out, Validation
+from estimators._job import (
+    NOT_POSSIBLE,
+    WRONG_USE,
+    Job,
+    answering,
+    job,
+    load,
+    prepare,
+    progress,
+    say,
+    stop,
+    writable_folder,
+)
+from estimators._options import Effects, File, Json, Out, Validation
 
 app = typer.Typer(
     help="Find the physics that a model of a rotational/translational actuator leaves out.",
@@ -150,6 +162,7 @@ def diagnose(
     quick: Annotated[
         bool, typer.Option("--quick", help="Do not look again, for minutes, where the verdict would be unknown.")
     ] = False,
+    effects: Effects = None,
     out: Out = None,
     json: Json = None,
 ) -> None:
@@ -160,8 +173,9 @@ def diagnose(
         from estimators._add_effect import holding
         from rtac_jax import RTAC
 
+        candidates = _candidates(effects)
         base = work.fitted(work.model())
-        found = est.diagnose(base, work.train, thorough=not quick, progress=progress())
+        found = est.diagnose(base, work.train, candidates=candidates, thorough=not quick, progress=progress())
         fits, labels = [base], ["base"]
         if found.additions:
             names = ", ".join(effect.id for effect in found.additions)
@@ -181,9 +195,9 @@ def diagnose(
                         work.remark += f" The errors after are those with {names}{held}."
                     break
         trained, tested = work.compared(fits, labels)
-        candidates, errors = _report.candidate_table(found), _report.error_table(trained, tested)
-        planned = _planned(work, base, found)
-        say(found.explanation, work.remark, candidates, _report.evidence_table(found), errors, planned or "")
+        table, errors = _report.candidate_table(found), _report.error_table(trained, tested)
+        planned = _planned(work, base, found, candidates)
+        say(found.explanation, work.remark, table, _report.evidence_table(found), errors, planned or "")
         work.write_json(
             _report.report_dict(
                 found, fit=fits[-1], train=trained, validation=tested, planned=planned, seconds=work.seconds
@@ -211,7 +225,7 @@ def diagnose(
                 (f"Verdict: {found.verdict}", [_without_limits(found.explanation), work.remark]),
                 ("Error before and after", [errors]),
                 ("Figures", _shown(figures, **captions)),
-                ("Candidates", [candidates]),
+                ("Candidates", [table]),
                 ("Is anything missing?", [_report.evidence_table(found), _report.place_table(found)]),
                 ("Parameters", [_report.parameter_table(fits[-1], base=base if len(fits) > 1 else None)]),
             ]
@@ -219,21 +233,36 @@ def diagnose(
 
 
 @app.command()
-def improve(file: File, validation: Validation = None, out: Out = None, json: Json = None) -> None:
+def improve(
+    file: File, validation: Validation = None, effects: Effects = None, out: Out = None, json: Json = None
+) -> None:
     """Add what is missing, fit again, and check on experiments held out, until nothing more is missing."""
     with job(file, validation, out, json) as work:
-        _improve(work)
+        _improve(work, effects)
 
 
-def _improve(work: Job) -> None:
+def _candidates(effects: Path | None) -> Any:
+    """The catalogue with the user's own effects; None for the catalogue alone."""
+    from estimators._own_effects import with_own
+
+    try:
+        return with_own(effects)
+    except ValueError as error:
+        stop(WRONG_USE, f"--effects: {error}")
+
+
+def _improve(work: Job, effects: Path | None = None) -> None:
     import estimators as est
     from estimators import _report
 
     if work.held_out is None:
         stop(NOT_POSSIBLE, work.not_split)
+    candidates = _candidates(effects)
     model = work.model()
     with work.explaining():
-        found = est.improve(model, work.recording, validation=work.held_out.names, progress=progress())
+        found = est.improve(
+            model, work.recording, validation=work.held_out.names, candidates=candidates, progress=progress()
+        )
     errors = _report.error_table(found.train, found.validation)
     parameters = _report.parameter_table(found.final, base=found.base if found.added else None)
     said = [diagnosis.explanation for diagnosis in found.diagnoses]
@@ -243,7 +272,7 @@ def _improve(work: Job) -> None:
     if open_question is not None:
         before = found.diagnoses[: found.diagnoses.index(open_question)]
         base = found.fits[sum(len(diagnosis.additions) for diagnosis in before)]
-        planned = _planned(work, base, open_question)
+        planned = _planned(work, base, open_question, candidates)
     say(
         *said,
         found.ending,
@@ -298,14 +327,14 @@ def _improve(work: Job) -> None:
     work.write_report(f"Improvement of the model with {work.file}", figures, sections)
 
 
-def _planned(work: Job, base: Any, found: Any) -> Any:
+def _planned(work: Job, base: Any, found: Any, candidates: Any) -> Any:
     """The experiment that would tell the effects of an ambiguous diagnosis apart; None where none is needed or feasible."""
     if found.verdict != "ambiguous":
         return None
     import estimators as est
 
     try:
-        return est.next_experiment(base, work.train, found, progress=progress())
+        return est.next_experiment(base, work.train, found, candidates=candidates, progress=progress())
     except (ValueError, FloatingPointError) as error:
         work.remark = f"{work.remark} No next experiment could be planned: {error}".strip()
         return None

@@ -24,7 +24,7 @@ import json
 import subprocess
 import time
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -125,22 +125,33 @@ PAIRS: dict[str, Case] = {
         ("saturation", "cubic_spring"), ("lvdt_lag", "arm_coulomb"),
     )
 }  # fmt: skip
-# The rig's name of what the detection limit is about, and its value without the effect; effects with one size and no shape.
-LIMITS: dict[str, tuple[str, float]] = {
-    "cubic_spring": ("cubic_spring", 0.0),
-    "quadratic_spring": ("quadratic_spring", 0.0),
-    "cart_quadratic_drag": ("cart_quadratic_drag", 0.0),
-    "arm_coulomb": ("arm_coulomb", 0.0),
-    "arm_quadratic_drag": ("arm_quadratic_drag", 0.0),
-    "current_lag": ("current_lag", 0.0),
-    "input_delay": ("input_delay", 0.0),
-    "current_offset": ("current_offset", 0.0),
-    "torque_droop": ("torque_droop", 0.0),
-    "tacho_bias": ("tacho_bias", 0.0),
-    "tacho_gain": ("tacho_gain", 1.0),
-    "tacho_lag": ("tacho_lag", 0.0),
-    "lvdt_nonlinearity": ("lvdt_cubic", 0.0),
-    "lvdt_lag": ("lvdt_lag", 0.0),
+
+
+def _itself(size: float) -> float:
+    return size
+
+
+# The rig's name of what the detection limit is about, and its value for a size of the effect; effects with one size and no shape.
+LIMITS: dict[str, tuple[str, Callable[[float], float]]] = {
+    "cubic_spring": ("cubic_spring", _itself),
+    "quadratic_spring": ("quadratic_spring", _itself),
+    "cart_quadratic_drag": ("cart_quadratic_drag", _itself),
+    "arm_coulomb": ("arm_coulomb", _itself),
+    "arm_quadratic_drag": ("arm_quadratic_drag", _itself),
+    "current_lag": ("current_lag", _itself),
+    "input_delay": ("input_delay", _itself),
+    "current_offset": ("current_offset", _itself),
+    "torque_droop": ("torque_droop", _itself),
+    "tacho_bias": ("tacho_bias", _itself),
+    "tacho_gain": ("tacho_gain", lambda size: 1.0 + size),
+    "tacho_lag": ("tacho_lag", _itself),
+    "lvdt_nonlinearity": ("lvdt_cubic", _itself),
+    "lvdt_lag": ("lvdt_lag", _itself),
+    # What these change is not in proportion to their size.
+    "saturation": ("saturation", lambda size: 1.0 / size),
+    "backlash": ("backlash", _itself),
+    "cable_spring": ("cable_stiffness", _itself),
+    "dead_zone": ("dead_zone", _itself),
 }
 MULTIPLES = {"twice the limit of": 2.0, "a third of the limit of": 1 / 3}
 
@@ -153,8 +164,8 @@ def cases(draws: range, done: dict[tuple[str, int], dict]) -> Iterator[tuple[str
         limits = done.get((_NULL, draw), {}).get("limits", {})
         for (words, multiple), effect in itertools.product(MULTIPLES.items(), LIMITS):
             if effect in limits:
-                field, null = LIMITS[effect]
-                yield f"{words} {effect}", draw, Case({field: null + multiple * limits[effect]})
+                field, of_size = LIMITS[effect]
+                yield f"{words} {effect}", draw, Case({field: of_size(multiple * limits[effect])})
 
 
 def one(name: str, draw: int, case: Case) -> dict[str, object]:

@@ -131,7 +131,7 @@ def _itself(size: float) -> float:
     return size
 
 
-# The rig's name of what the detection limit is about, and its value for a size of the effect; effects with one size and no shape.
+# The rig's name of what the detection limit is about, and its value for a size of the effect's main amplitude.
 LIMITS: dict[str, tuple[str, Callable[[float], float]]] = {
     "cubic_spring": ("cubic_spring", _itself),
     "quadratic_spring": ("quadratic_spring", _itself),

@@ -32,7 +32,8 @@ class Contest:
 
     Attributes:
         effects: ids.
-        pairs: every effect against every other, or a single one against `MODEL`.
+        pairs: every effect against every other, one that was named without doubt against each of its rivals, or a single one
+            against `MODEL`.
         instances: of each effect: the one at its estimate, or all shapes, as large as the recording could hide,
             where it was not fitted.
         truth: the model with the best of the effects, fitted to the recording.
@@ -85,6 +86,8 @@ def contest_of(
             )
         estimate = {n: p.value for n, p in known[name].parameters.items()}
         possible = (_hidden(instance, known[name]) for instance in classes[name].candidates(scales))
+        if not known[name].testable:
+            raise ValueError(f"between: nothing in the recording could show {name} at a plausible size; leave it out.")
         instances[name] = (classes[name](**estimate),) if estimate else tuple(possible)
     others = [effect for effect in found.additions if effect.id not in effects]
     best = next((e.id for e in found.additions if e.id in effects), None)
@@ -157,7 +160,7 @@ def _chosen(found: Diagnosis, between: Sequence[str] | None) -> tuple[str, ...]:
         )
     accepted = {c.id for c in found.effects}
     rivals: list[Candidate] = sorted(
-        (c for c in found.candidates if c.id not in accepted),
+        (c for c in found.candidates if c.id not in accepted and c.testable),
         key=lambda c: (c.refitted, c.bic_gain, c.score),
         reverse=True,
     )

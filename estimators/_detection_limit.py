@@ -30,7 +30,7 @@ def detection_limits(group: Group, several: Sequence[Screened], basis: Rows) -> 
     template explains more or less of their change, the size is looked for. Infinite where no size up to `TESTABLE` times the
     plausible one is enough.
     """
-    found = {s.id: _by_proportion(s) for s in several}
+    found = {s.id: limit if (limit := _by_proportion(s)) < _most(s) else np.inf for s in several}
     sound = [s for s in several if np.isfinite(found[s.id])]
     shown = _scores(group, basis, sound, [found[s.id] for s in sound])
     for s, there in zip(sound, shown, strict=True):
@@ -42,6 +42,12 @@ def detection_limits(group: Group, several: Sequence[Screened], basis: Rows) -> 
 
 def _by_proportion(s: Screened) -> float:
     return float(s.limit[s.amplitudes.index(main_amplitude(s))])
+
+
+def _most(s: Screened) -> float:
+    """The largest size that is looked at: beyond its bounds no estimate may go."""
+    low, high = declarations(s.instance)[main_amplitude(s)].bounds
+    return min(TESTABLE * abs(_plausible(s)), high if _plausible(s) > 0 else -low)
 
 
 def _alarm(s: Screened) -> float:
@@ -69,7 +75,9 @@ def _scores(group: Group, basis: Rows, several: Sequence[Screened], sizes: Any) 
 
 
 def _explained(s: Screened, change: np.ndarray) -> float:
-    """Nothing if the estimate has the wrong sign."""
+    """Nothing if the estimate has the wrong sign; a change that makes the model diverge is seen."""
+    if not np.all(np.isfinite(change)):
+        return np.inf
     along = float(s.templates[:, s.amplitudes.index(main_amplitude(s))] @ change) * _plausible(s)
     return float(np.sum((orthonormal(s.templates).T @ change) ** 2)) if along > 0 else 0.0
 
@@ -77,7 +85,7 @@ def _explained(s: Screened, change: np.ndarray) -> float:
 def _looked_for(group: Group, basis: Rows, s: Screened, *, more: bool) -> float:
     """The smallest size on finer and finer grids that raises the alarm, larger or smaller than by proportion."""
     linear, alarm = _by_proportion(s), _alarm(s)
-    low, high = (linear, TESTABLE * abs(_plausible(s))) if more else (_LEAST * linear, linear)
+    low, high = (linear, _most(s)) if more else (_LEAST * linear, linear)
     if not low < high:
         return np.inf
     for _ in range(_ROUNDS):

@@ -127,7 +127,7 @@ def diagnose(
         raise ValueError("no candidate is left: the model has every effect that was offered.")
     with tqdm(total=None, disable=not progress, desc="diagnose", unit=" steps", leave=False) as bar:
         search = Search.of(fit, recording, classes, bar)
-        if not search.absent:
+        if not search.absent and not any(c in fit.model for c in _ids(candidates)):
             raise ValueError(
                 f"no candidate is left: nothing in the recording could show {', '.join(c.id for c in classes)}."
             )
@@ -178,7 +178,7 @@ def _told(found: _Found, unshown: Sequence[type[Effect]]) -> Diagnosis:
     search, base, tests = found.search, found.base, found.tested.tests
     verdict, count, removed = judge(found.steps, tests, search.samples)
     candidates = _candidates(search, base, found.tested, found.steps, count, found.refits)
-    candidates += [_not_testable(c) for c in unshown]
+    candidates += [_not_testable(c, float(np.log(search.samples))) for c in unshown]
     steps = without_named_rivals(found.steps[:count])
     final, left = (steps[-1].refit, steps[-1].left) if steps else (base, tests)
     groups = [(step.id, *step.rivals) for step in steps]
@@ -228,16 +228,22 @@ def _explanation(told: Diagnosis, steps: Sequence[Step], found: _Found, further:
     return text + surer(told.verdict, search.recording)
 
 
+def _ids(candidates: Sequence[type[Effect]] | None) -> list[str]:
+    return [] if candidates is None else [c.id for c in candidates]
+
+
 def compile_diagnosis(model: RTAC, recording: Recording, candidates: Sequence[type[Effect]] | None) -> None:
     """Compile what `diagnose` will run first; for a thread beside the one that fits the model."""
     Search.compile_for(model, recording, offered(model, candidates))
 
 
-def _not_testable(c: type[Effect]) -> Candidate:
-    unit = declarations(c)[c.amplitudes()[0]].unit
+def _not_testable(c: type[Effect], price: float) -> Candidate:
+    """A candidate that gains nothing, whatever its size."""
+    names = c.amplitudes()
     return Candidate(
-        id=c.id, score=0.0, chi_square=0.0, p_value=1.0, detection_limit=float("inf"), unit=unit, testable=False
-    )
+        id=c.id, score=-len(names) * price, chi_square=0.0, p_value=1.0, detection_limit=float("inf"),
+        unit=declarations(c)[names[0]].unit, testable=False,
+    )  # fmt: skip
 
 
 def _candidates(

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from estimators._compile import compile_only
-from estimators._problem import Data, Space, Unknowns, residual
+from estimators._problem import Data, Space, predict, whitened
 from rtac_jax import RTAC, Excitation
 from rtac_jax._simulate import Steps
 
@@ -95,14 +95,8 @@ def error_at(
     model: RTAC, data: Data, space: Space, whitener: Array, gain: Array, values: Array, substeps: Steps
 ) -> Array:
     """Whitened innovations at values of all shared parameters."""
-    fixed = dataclasses.replace(space, values=values, active=jnp.zeros((0,), dtype=int))
-    unknowns = Unknowns(jnp.zeros(0), _each(space), jnp.zeros((0, data.experiments)))
-    return residual(model, data, fixed, unknowns, whitener, substeps=substeps, gain=gain)[0]
-
-
-def _each(space: Space) -> Array:
-    """Unconstrained values of the parameters of each experiment; empty for most models."""
-    return jnp.asarray(space.unconstrained(start=False).each) if len(space.each) else jnp.zeros_like(space.each_values)
+    predicted = predict(model, data, space, (values, space.each_values, space.start), substeps=substeps, gain=gain)
+    return whitened(whitener, (data.values - predicted) * data.present)
 
 
 @eqx.filter_jit

@@ -78,6 +78,15 @@ class NextExperiment:
         return self.ranked[0]
 
     @property
+    def told_apart(self) -> str:
+        """The effects in words: one from its rivals, or all from each other."""
+        pairs = list(self.already)
+        sure = next((i for i in self.effects if len(self.effects) > 2 and all(i in pair for pair in pairs)), None)
+        if sure is None:
+            return " and ".join(self.effects)
+        return f"{sure} from {' and '.join(i for i in self.effects if i != sure)}"
+
+    @property
     def plan(self) -> Plan:
         """What to do: the plan of the recommended experiment."""
         return self.best.plan
@@ -121,14 +130,12 @@ class NextExperiment:
         lines = [
             f"Next experiment: {plan.name}, {plan.duration:g} s, the cart released at {1e3 * plan.initial_position:.3g} mm, the "
             f"arm at {plan.initial_angle:.3g} rad.",
-            f"It raises the smallest separation of {' and '.join(self.effects)} from {min(self.already.values()):.3g} to "
+            f"It raises the smallest separation of {self.told_apart} from {min(self.already.values()):.3g} to "
             f"{best.smallest:.3g} ({worst[0]} against {worst[1]}); below {CONFUSABLE:g} effects are not told apart.",
             f"Predicted: travel {1e3 * best.travel:.2g} mm, torque {best.torque:.2g} N m, arm {best.speed:.3g} rad/s.",
         ]
         if best.smallest < CONFUSABLE:
-            lines.append(
-                "No experiment of the menu tells all of them apart; record it several times, or widen the limits."
-            )
+            lines.append("No experiment of the menu tells these apart; record it several times, or widen the limits.")
         lines += ["", f"{'experiment':44s} {'separation':>11s} {'travel':>9s} {'torque':>11s} {'arm speed':>11s}"]
         lines += [
             f"{one.plan.name:44s} {one.smallest:11.3g} {1e3 * one.travel:6.2f} mm {1e3 * one.torque:6.2f} mN m "
@@ -201,7 +208,7 @@ def next_experiment(
         plans = [dataclasses.replace(p, name=f"{p.name}, once more") if p.name in taken else p for p in plans]
     else:
         plans = list(menu)
-    _require_names(plans, [e.name for e in experiments])
+    _require_plans(plans, [e.name for e in experiments])
     possible = feasible(contest.truth, plans, limits, lower=menu is None)
     if not possible.plans:
         raise ValueError("menu: no experiment keeps to the limits: " + "; ".join(possible.refused[:3]) + ".")
@@ -229,7 +236,7 @@ def next_experiment(
     return NextExperiment(contest.effects, already, tuple(ranked), possible.refused, playable)
 
 
-def _require_names(plans: Sequence[Plan], taken: Sequence[str]) -> None:
+def _require_plans(plans: Sequence[Plan], taken: Sequence[str]) -> None:
     for plan in plans:
         if not isinstance(plan, Plan):
             raise ValueError(f"menu: {plan!r} is no plan; give virtual_rig.Plan(...).")

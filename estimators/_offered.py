@@ -1,6 +1,6 @@
 """Which effects a diagnosis tries, and whether each is declared so that it can."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -15,14 +15,20 @@ def offered(model: RTAC, candidates: Sequence[type[Effect]] | None) -> list[type
     Raises:
         ValueError: what is no class of effects, or one that is not declared well enough to be looked for.
     """
-    classes = list(CATALOGUE.values() if candidates is None else candidates)
-    for c in classes:
+    classes = require_distinct(CATALOGUE.values() if candidates is None else candidates)
+    return [c for c in classes if c.id not in model]
+
+
+def require_distinct(classes: Iterable[type[Effect]]) -> list[type[Effect]]:
+    """The same classes; raises `ValueError` if one cannot be looked for, or two have one id."""
+    found = list(classes)
+    for c in found:
         require_declared(c)
-    ids = [c.id for c in classes]
+    ids = [c.id for c in found]
     twice = sorted({i for i in ids if ids.count(i) > 1})
     if twice:
         raise ValueError(f"candidates: {', '.join(twice)} occurs twice; give each effect an id of its own.")
-    return [c for c in classes if c.id not in model]
+    return found
 
 
 def require_declared(c: object) -> None:
@@ -33,7 +39,9 @@ def require_declared(c: object) -> None:
         if not isinstance(getattr(c, name, None), str):
             raise ValueError(f"candidates: {c.__name__} has no {name}; write {name}: ClassVar[str] = ... in the class.")
     if not c.id.isidentifier():
-        raise ValueError(f"candidates: {c.__name__} has the id {c.id!r}; use letters, digits and underscores.")
+        raise ValueError(
+            f"candidates: {c.__name__} has the id {c.id!r}; use letters, digits and underscores, a letter first."
+        )
     if not c.amplitudes():
         raise ValueError(
             f"candidates: no parameter of {c.id} has a null value, so it can never be absent; declare null=0.0 for its size."

@@ -2,8 +2,10 @@
 
 import importlib.util
 import inspect
+import sys
 from pathlib import Path
 
+from estimators._offered import require_distinct
 from rtac_jax.effects import CATALOGUE, Effect
 
 
@@ -11,7 +13,7 @@ def with_own(file: Path | None) -> list[type[Effect]] | None:
     """The catalogue and every class of effects that a Python file defines; None where there is no file.
 
     Raises:
-        ValueError: the file cannot be run, or defines none.
+        ValueError: the file cannot be run, defines none, or one that cannot be looked for.
     """
     if file is None:
         return None
@@ -19,15 +21,16 @@ def with_own(file: Path | None) -> list[type[Effect]] | None:
     if spec is None or spec.loader is None:
         raise ValueError(f"{file}: is no Python file; give one that ends in .py.")
     module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # where dataclasses look annotations up
     try:
         spec.loader.exec_module(module)
     except Exception as error:  # whatever the user's own code may raise
+        del sys.modules[spec.name]
         raise ValueError(f"{file}: cannot be run: {type(error).__name__}: {error}") from error
-    own = [
-        c
-        for _, c in inspect.getmembers(module, inspect.isclass)
-        if issubclass(c, Effect) and c.__module__ == module.__name__ and not inspect.isabstract(c)
-    ]
+    defined = dict.fromkeys(c for c in vars(module).values() if inspect.isclass(c) and c.__module__ == module.__name__)
+    effects = [c for c in defined if issubclass(c, Effect) and not inspect.isabstract(c)]
+    # What others build on and has no name of its own is no effect.
+    own = [c for c in effects if hasattr(c, "id") or not any(issubclass(o, c) for o in effects if o is not c)]
     if not own:
         raise ValueError(f"{file}: defines no effect; write a class on rtac_jax.effects.Force or one of its kind.")
-    return [*CATALOGUE.values(), *own]
+    return require_distinct([*CATALOGUE.values(), *own])

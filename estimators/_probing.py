@@ -174,7 +174,8 @@ class Probing(Setting):
         space = self.padded(model, free)
         predictor = refit.predictor
         space = begun(space, model, refit.start)
-        space = dataclasses.replace(space, values=by_name(space, refit.space, predictor.physical[0]))
+        values = by_name(space, refit.space, predictor.physical[0])
+        space = dataclasses.replace(space, values=values, each_values=predictor.physical[1])
         # A state that the filter does not know is not corrected.
         gain = np.asarray(predictor.filtered.gain)
         rows = {name: gain[:, i] for i, name in enumerate(refit.model.states)}

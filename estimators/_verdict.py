@@ -125,7 +125,7 @@ def words(
 def static_force(curves: Sequence[ForceCurve], tests: Sequence[Evidence]) -> tuple[ForceCurve | None, bool]:
     """The curve that explains most of what is missing, if one does; and whether any explains more than chance."""
     rejected = any(test.test == "static force" and test.rejects for test in tests)
-    best = max(curves, key=lambda c: c.score, default=None)
+    best = max(curves, key=lambda c: c.excess, default=None)
     if best is None or not rejected or not best.excess > _STATIC * excess_of(tests):
         return None, rejected
     return best, rejected

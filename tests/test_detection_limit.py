@@ -31,10 +31,35 @@ def test_a_drive_that_never_saturates_is_said_to_show_only_from_where_it_does(
     # Nobody measured the angle: what its sensor does is not passed over in silence.
     assert not known["encoder_gain"].testable
     assert "could not show encoder_gain, encoder_lag" in found.explanation
-    # A cube is in proportion to its size, and its limit is that of its template.
-    assert 0 < known["cubic_spring"].detection_limit < 1e4
     with pytest.raises(ValueError, match="no candidate is left: nothing in the recording could show encoder_gain"):
         est.diagnose(fit, recording, candidates=offered[2:3], progress=False)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["saturation", "cubic_spring"])
+def test_an_effect_is_found_at_twice_its_limit_and_not_at_a_third(
+    nothing: tuple[est.Fit, rtac.Recording], name: str
+) -> None:
+    """On the rig of which the limit was stated, with other noise; a drive saturates at one over its size."""
+    offered = [CATALOGUE[name], CATALOGUE["current_lag"]]
+    stated = est.diagnose(*nothing, candidates=offered, thorough=False, progress=False)
+    (limit,) = (c.detection_limit for c in stated.candidates if c.id == name)
+    sizes = {share: limit * share for share in (2.0, 1 / 3)}
+    hidden = {f"{share:g}": {name: 1 / size if name == "saturation" else size} for share, size in sizes.items()}
+    for number, (share, values) in enumerate(hidden.items()):
+        recording = recorded({"same rig": values}, first=40)["same rig"]
+        fit = est.output_error(rtac.RTAC.from_rig(recording), recording, progress=False)
+        found = est.diagnose(fit, recording, candidates=offered, thorough=False, progress=False)
+        assert [c.id for c in found.effects] == ([name] if number == 0 else []), (share, found)
+
+
+def test_a_parameter_of_each_experiment_does_not_blame_a_candidate(nothing: tuple[est.Fit, rtac.Recording]) -> None:
+    """The innovations that candidates are held against are those of the predictor's own values."""
+    _, recording = nothing
+    model = rtac.RTAC.from_rig(recording).each_experiment("cart_coulomb.level")
+    fit = est.output_error(model, recording, from_model=True, progress=False)
+    found = est.diagnose(fit, recording, candidates=[CubicSpring], thorough=False, progress=False)
+    assert found.verdict == "adequate", found
 
 
 class Root(Force):

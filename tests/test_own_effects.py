@@ -48,6 +48,7 @@ def test_what_a_file_defines_is_offered_beside_the_catalogue(mine: Path) -> None
         ("import gremlins", "cannot be run: ModuleNotFoundError"),
         ("def (", "SyntaxError"),
         ("x = 1", "defines no effect"),
+        (OWN.replace('"magnet"', '"cogging"'), "cogging occurs twice"),
     ],
 )
 def test_a_file_without_effects_is_wrong_use(tmp_path: Path, text: str, said: str) -> None:

@@ -122,8 +122,9 @@ def test_a_static_force_is_judged_by_its_test(excess: float, said: str) -> None:
     """Not by the price of its points, which a force in a narrow range seldom pays."""
     at = np.linspace(-1.0, 1.0, 12)
     curve = ForceCurve("cart", "cart_position", -5.0, at, at, at, 90.0, excess, 1e-15, np.eye(12)[:3], np.ones(3))
+    other = dataclasses.replace(curve, variable="current", score=-2.0, excess=10.0)
     tests = (found(600.0), Evidence("delayed force", 0.0, 600.0, 0.002, ""))
-    assert said in words("unknown", [], [], [], tests, (), 0.0, [curve], [], [], [])
+    assert said in words("unknown", [], [], [], tests, (), 0.0, [other, curve], [], [], [])
     passing = (dataclasses.replace(tests[0], p_value=0.5), tests[1])
     assert "It is no static function" in words("unknown", [], [], [], passing, (), 0.0, [curve], [], [], [])
 

@@ -6,8 +6,8 @@
     python benchmarks/study_diagnosis.py table results.jsonl
 
 Rigs are drawn within 15 % around the paper's, sampled at 500 Hz with 12 bits; every rig of an odd draw is shaken by random
-forces and torques. Draws 0 to 8 and 10 to 19 have been looked at in development, so draws begin at 20, and of draws up to 34 the
-recordings with nothing hidden have been. A line of the result file is one recording: what was
+forces and torques. Draws 0 to 8 and 10 to 19 have been looked at in development, so draws begin at 20; of draws up to 34 the
+recordings with nothing hidden have been, and of draw 20 the detection limits. A line of the result file is one recording: what was
 hidden, what was named, what the tests said, the commit, and the error on a validation recording of the base model, of the
 improved model, of a learned force where the catalogue lacks the effect, and of the best fit with the structure that the rig
 has; a model that cannot be fitted has an infinite error. What random forces do to a shaken rig no model can know: "still" is

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 import estimators
 import estimators as est
-import estimators._diagnose
+import estimators._offered
 from estimators import Improvement, _job, cli
 from estimators._report_file import Table, write_json, write_report
 from rtac_jax import RTAC
@@ -72,7 +72,7 @@ def ran(file, tmp_path_factory):
 
         return remembered
 
-    def loop(model, recording, *, validation, progress):
+    def loop(model, recording, *, validation, candidates, progress):
         train, held_out = recording.split(validation)
         fits = tuple(fit for (name, _), fit in kept.items() if name == "output_error")
         (diagnosis,) = (record for (name, _), record in kept.items() if name == "diagnose")
@@ -80,7 +80,7 @@ def ran(file, tmp_path_factory):
         return Improvement(fits, (diagnosis,), diagnosis.effects, "missing", *sides, (), False, (), "Stopped.", 1.0)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(estimators._diagnose, "CATALOGUE", {name: CATALOGUE[name] for name in TRIED})
+        patch.setattr(estimators._offered, "CATALOGUE", {name: CATALOGUE[name] for name in TRIED})
         patch.setattr(estimators, "output_error", once("output_error"))
         patch.setattr(estimators, "diagnose", once("diagnose"))
         patch.setattr(estimators, "improve", loop)

@@ -86,7 +86,7 @@ def contest_of(
             )
         estimate = {n: p.value for n, p in known[name].parameters.items()}
         possible = (_hidden(instance, known[name]) for instance in classes[name].candidates(scales))
-        if not known[name].testable:
+        if not estimate and not known[name].testable:
             raise ValueError(f"between: nothing in the recording could show {name} at a plausible size; leave it out.")
         instances[name] = (classes[name](**estimate),) if estimate else tuple(possible)
     others = [effect for effect in found.additions if effect.id not in effects]
@@ -160,7 +160,7 @@ def _chosen(found: Diagnosis, between: Sequence[str] | None) -> tuple[str, ...]:
         )
     accepted = {c.id for c in found.effects}
     rivals: list[Candidate] = sorted(
-        (c for c in found.candidates if c.id not in accepted and c.testable),
+        (c for c in found.candidates if c.id not in accepted and (c.refitted or c.testable)),
         key=lambda c: (c.refitted, c.bic_gain, c.score),
         reverse=True,
     )

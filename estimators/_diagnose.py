@@ -127,7 +127,8 @@ def diagnose(
         raise ValueError("no candidate is left: the model has every effect that was offered.")
     with tqdm(total=None, disable=not progress, desc="diagnose", unit=" steps", leave=False) as bar:
         search = Search.of(fit, recording, classes, bar)
-        if not search.absent and not any(c in fit.model for c in _ids(candidates)):
+        # Where some are in the model already, as in the loop, its other tests are still worth asking.
+        if not search.absent and not any(c.id in fit.model for c in candidates or ()):
             raise ValueError(
                 f"no candidate is left: nothing in the recording could show {', '.join(c.id for c in classes)}."
             )
@@ -226,10 +227,6 @@ def _explanation(told: Diagnosis, steps: Sequence[Step], found: _Found, further:
     if search.assumed:
         text += f" Coloured noise of {', '.join(search.assumed)} was assumed: the data are far more likely with it."
     return text + surer(told.verdict, search.recording)
-
-
-def _ids(candidates: Sequence[type[Effect]] | None) -> list[str]:
-    return [] if candidates is None else [c.id for c in candidates]
 
 
 def compile_diagnosis(model: RTAC, recording: Recording, candidates: Sequence[type[Effect]] | None) -> None:

@@ -26,6 +26,9 @@ FREE, HELD, PREDICTED = "free", "held", "predicted"
 BASE_PREDICTED = "base, predicted"
 BEFORE = 4.0  # held-out error of the base model
 SAMPLES = 1000
+CANDIDATE = est.Candidate(
+    id="cubic_spring", score=100.0, chi_square=109.0, p_value=1e-9, detection_limit=1.0, unit="N/m^3", testable=True
+)
 Kind = TypeVar("Kind")
 
 
@@ -143,16 +146,6 @@ def looped(
 ) -> est.Improvement:
     """The loop on made-up errors of simulation, and made-up gains of each sample's log-likelihood; None where a fit fails."""
     spring = CubicSpring(stiffness=5e4)
-    candidate = est.Candidate(
-        id="cubic_spring",
-        score=100.0,
-        chi_square=109.0,
-        p_value=1e-9,
-        detection_limit=1.0,
-        unit="N/m^3",
-        testable=True,
-        correlation={},
-    )
 
     def fitted(model: rtac.RTAC, *_: Any, **__: Any) -> est.Fit:
         return made_up(model, "base" if "cubic_spring" not in model else kind_of(model))
@@ -184,7 +177,7 @@ def looped(
         if "cubic_spring" in fit.model:
             assert "cubic_spring.stiffness" in fit.model.free  # also where a simulation held it
             return made(est.Diagnosis, verdict="adequate", effects=(), additions=())
-        return made(est.Diagnosis, verdict="missing", effects=(candidate,), additions=(spring,))
+        return made(est.Diagnosis, verdict="missing", effects=(CANDIDATE,), additions=(spring,))
 
     for module, stubs in {
         _improve: {"output_error": fitted, "compare": compared, "diagnose": diagnosed},
@@ -201,16 +194,7 @@ def looped(
 
 def test_a_report_gives_the_deviation_of_the_diagnosis_for_what_is_held() -> None:
     told = {"stiffness": Parameter(5e4, 300.0, "N/m^3")}
-    candidate = est.Candidate(
-        id="cubic_spring",
-        score=100.0,
-        chi_square=109.0,
-        p_value=1e-9,
-        detection_limit=1.0,
-        unit="N/m^3",
-        testable=True,
-        parameters=told,
-    )
+    candidate = dataclasses.replace(CANDIDATE, parameters=told)
     model = rtac.RTAC.paper() + CubicSpring(stiffness=6e4)
     free, held = fit_of(model, ("total_mass", "cubic_spring.stiffness")), fit_of(model, ("total_mass",))
     found = [_with_held(fit, [candidate])["cubic_spring.stiffness"] for fit in (free, held)]

@@ -167,6 +167,12 @@ def test_what_cannot_be_planned_is_refused(delayed: Case) -> None:
         est.next_experiment(*given, between="input_delay", progress=False)
     with pytest.raises(ValueError, match="candidates: input_delay is not among them"):
         est.next_experiment(*given, candidates=[CATALOGUE["current_lag"]], between=["input_delay"], progress=False)
+    unshown = next(c.id for c in delayed.found.candidates if not c.refitted)
+    blind = dataclasses.replace(
+        delayed.found, candidates=tuple(dataclasses.replace(c, testable=False) for c in delayed.found.candidates)
+    )
+    with pytest.raises(ValueError, match=f"nothing in the recording could show {unshown}"):
+        est.next_experiment(*given[:2], blind, between=["input_delay", unshown], progress=False)
     still = virtual_rig.Plan("still", "forced", 4.0, 0.01, np.ones(400), arm="locked", cart="clamped")
     with pytest.raises(ValueError, match="in still the arm is locked and the cart clamped"):
         est.next_experiment(*given, menu=[still], progress=False)

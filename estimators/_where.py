@@ -22,6 +22,7 @@ class Place:
         channel: whose innovations.
         value: their mean square.
         high: bound that chance exceeds in one of a hundred.
+        part: number of the part among those of its kind.
     """
 
     by: str
@@ -29,6 +30,7 @@ class Place:
     channel: str
     value: float
     high: float
+    part: int = 0
 
     @property
     def excess(self) -> float:
@@ -46,22 +48,22 @@ def where(innovations: np.ndarray, present: np.ndarray, experiments: Sequence[Ex
     found = []
     squares = np.where(present > 0, innovations**2, 0.0)
 
-    def add(by: str, label: str, channel: str, total: float, measured: float | np.integer) -> None:
+    def add(by: str, part: int, label: str, channel: str, total: float, measured: float | np.integer) -> None:
         count = float(measured)
         if count > 8:
-            found.append(Place(by, label, channel, float(total) / count, float(chi2.ppf(0.99, count)) / count))
+            found.append(Place(by, label, channel, float(total) / count, float(chi2.ppf(0.99, count)) / count, part))
 
     for row, channel in enumerate(CHANNELS):
         own, there = squares[:, row], present[:, row]
         if not there.any():
             continue
         for column, e in enumerate(experiments):
-            add("experiment", e.name, channel, own[:, column].sum(), there[:, column].sum())
+            add("experiment", column, e.name, channel, own[:, column].sum(), there[:, column].sum())
         lengths = there.sum(axis=0)
         order = np.cumsum(there, axis=0) / np.maximum(lengths, 1)
         for part in range(_PARTS):
             inside = (order > part / _PARTS) & (order <= (part + 1) / _PARTS) & (there > 0)
-            add("time", f"quarter {part + 1} of each experiment", channel, own[inside].sum(), inside.sum())
+            add("time", part, f"quarter {part + 1} of each experiment", channel, own[inside].sum(), inside.sum())
         found += _by_frequency(innovations[:, row] * (there > 0), there, experiments, channel)
         for other in CHANNELS:
             sizes = np.full(own.shape, np.nan)
@@ -75,7 +77,7 @@ def where(innovations: np.ndarray, present: np.ndarray, experiments: Sequence[Ex
             for part in range(_PARTS):
                 inside = seen & (sizes >= edges[part]) & (sizes < edges[part + 1])
                 label = f"|{other}| {edges[part]:.2g} to {edges[part + 1]:.2g}"
-                add(other, label, channel, own[inside].sum(), inside.sum())
+                add(other, part, label, channel, own[inside].sum(), inside.sum())
     return sorted(found, key=lambda place: -place.excess)
 
 
@@ -97,7 +99,7 @@ def _by_frequency(
     return [
         Place(
             "frequency", f"{edges[i]:.3g} to {edges[i + 1]:.3g} rad/s", channel, float(totals[i] / counts[i]),
-            float(chi2.ppf(0.99, counts[i])) / counts[i],
+            float(chi2.ppf(0.99, counts[i])) / counts[i], i,
         )
         for i in range(_PARTS) if counts[i] > 8
     ]  # fmt: skip

@@ -204,10 +204,18 @@ def diagnose(
             )
         )
         if work.folder is not None:
-            from estimators.plots import plot_bands, plot_comparison, plot_confusion, plot_diagnosis, plot_residuals
+            from estimators.plots import (
+                plot_bands,
+                plot_comparison,
+                plot_confusion,
+                plot_diagnosis,
+                plot_residuals,
+                plot_where,
+            )
 
             figures = {
                 "diagnosis": plot_diagnosis(found, recording=work.train),
+                "where": plot_where(found),
                 "confusion": plot_confusion(found),
                 "bands": plot_bands(tested or trained),
                 "comparison": plot_comparison(tested or trained),
@@ -215,6 +223,7 @@ def diagnose(
             }
             captions = {
                 "diagnosis": _DIAGNOSIS,
+                "where": _WHERE,
                 "confusion": _CONFUSION,
                 "bands": f"{_BANDS} {work.held}",
                 "comparison": work.held,
@@ -293,6 +302,7 @@ def _improve(work: Job, effects: Path | None = None) -> None:
         plot_improvement,
         plot_recording,
         plot_residuals,
+        plot_where,
     )
     from estimators.plots._improvement import finding
 
@@ -302,6 +312,7 @@ def _improve(work: Job, effects: Path | None = None) -> None:
     for number, diagnosis in enumerate(found.diagnoses, 1):
         figures[f"diagnosis_{number}"] = plot_diagnosis(diagnosis, recording=work.train)
         captions[f"diagnosis_{number}"] = f"Diagnosis {number}. {_DIAGNOSIS}"
+    figures["where"], captions["where"] = plot_where(found.diagnoses[0]), f"{_WHERE} First diagnosis."
     figures["confusion"] = plot_confusion(found.diagnoses[0])
     captions["confusion"] = f"{_CONFUSION} First diagnosis."
     figures["bands"], captions["bands"] = plot_bands(found.validation), f"{_BANDS} Held-out experiments."
@@ -360,6 +371,10 @@ _DIAGNOSIS = (
 _CONFUSION = (
     "How much alike the changes are that two effects would make in these data: from 0.9 on it takes another kind of "
     "experiment to tell them apart."
+)
+_WHERE = (
+    "Mean squared innovations of the base model in each part of the data, 1 where there is only noise. The darker, the further "
+    "beyond what chance exceeds in one of a hundred; these are bold."
 )
 _BANDS = "Error of free simulation by frequency, in units of the sensor's noise in the same band."
 _LADDER = "Left: error of free simulation in units of the sensor noise. Right: the worst of the experiments held out."

@@ -28,9 +28,11 @@ from rtac_jax.effects import (
     Outputs,
     Sensor,
 )
+from rtac_jax.effects._interface import in_parts
 from rtac_jax.measurement import Recording
 
 _PLACES = {name: place for place, name in enumerate(CATALOGUE)}
+_PORTS = ("on the cart", "on the arm")
 RIGID_STATES = {"cart_position": "m", "cart_velocity": "m/s", "arm_angle": "rad", "arm_velocity": "rad/s"}
 
 _PAPER = {
@@ -261,7 +263,7 @@ class RTAC(eqx.Module):
         def act(effect: Effect) -> tuple[Any, ...]:
             """Rates of an effect; its states are brought to this instant."""
             if not effect.closed or since is None:
-                return effect.rate(motion, own[effect.id])
+                return in_parts(effect.rate(motion, own[effect.id]), effect, "rate", tuple(effect.states))
             if not isinstance(effect, Sensor):
                 own[effect.id] = effect.during(motion, own[effect.id])
             return (0.0 * position,) * len(effect.states)
@@ -278,10 +280,10 @@ class RTAC(eqx.Module):
             if not isinstance(effect, (Actuator, Sensor)):
                 rates[effect.id] = act(effect)
             if isinstance(effect, Force):
-                on_cart, on_arm = effect.force(motion, own[effect.id])
+                on_cart, on_arm = in_parts(effect.force(motion, own[effect.id]), effect, "force", _PORTS)
                 cart, arm = cart + on_cart, arm + on_arm
             elif isinstance(effect, DryFriction):
-                on_cart, on_arm = effect.levels(motion, own[effect.id])
+                on_cart, on_arm = in_parts(effect.levels(motion, own[effect.id]), effect, "levels", _PORTS)
                 cart, arm = cart - way[0] * on_cart, arm - way[1] * on_arm
 
         cart_cart, cart_arm, arm_arm = self._mobility(cosine, arm_free, cart_free)
@@ -290,7 +292,7 @@ class RTAC(eqx.Module):
         for effect in self.effects:
             if isinstance(effect, Sensor):
                 rates[effect.id] = act(effect)
-            result += tuple(rates[effect.id])
+            result += rates[effect.id]
         return result
 
     def driven(self, excitation: Excitation) -> Excitation:

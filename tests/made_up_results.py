@@ -13,6 +13,7 @@ from estimators._force_curve import ForceCurve
 from estimators._improve import Improvement
 from estimators._latent_force import LatentForce
 from estimators._output_error import Parameter
+from estimators._where import Place
 from rtac_jax import RTAC
 
 NOISE = {"cart_position": 2e-5, "arm_velocity": 0.05, "arm_angle": 1e-3}
@@ -82,7 +83,25 @@ def latent(port="cart"):
     return LatentForce(port, tuple(rms), force, np.full((900, 2), 0.004), (0.02, 0.001), rms, 10.4, 900.0)
 
 
-def diagnosis(verdict="missing", *, curves=CURVES, others=OTHERS, additions=(), missing=None):
+def places(worst=9.0, experiments=2):
+    """Innovations that are largest at low frequency, in the second of three channels."""
+    kinds = {
+        "experiment": [f"forced_{n + 1}" for n in range(experiments)],
+        "time": [f"quarter {n + 1} of each experiment" for n in range(4)],
+        "frequency": ["0 to 23.3 rad/s", "23.3 to 69.8 rad/s", "69.8 to 209 rad/s", "209 to 628 rad/s"],
+        "cart_position": [f"|cart_position| {0.002 * n:.2g} to {0.002 * (n + 1):.2g}" for n in range(4)],
+        "arm_velocity": [f"|arm_velocity| {8.0 * n:.2g} to {8.0 * (n + 1):.2g}" for n in range(4)],
+    }
+    found = [
+        Place(kind, label, channel, worst if (kind, channel, part) == ("frequency", "arm_velocity", 0) else 1.0, 1.2, part)
+        for kind, labels in kinds.items()
+        for part, label in enumerate(labels)
+        for channel in NOISE
+    ]  # fmt: skip
+    return tuple(sorted(found, key=lambda place: -place.excess))
+
+
+def diagnosis(verdict="missing", *, curves=CURVES, others=OTHERS, additions=(), missing=None, where=None):
     parameters = {"mass": Parameter(0.09, 0.001, "kg")}
     first = candidate(
         "flexible_mode", 1200.0, refitted=True, bic_gain=900.0, error_reduction=1.0, parameters=parameters
@@ -106,7 +125,7 @@ def diagnosis(verdict="missing", *, curves=CURVES, others=OTHERS, additions=(), 
         1.0,
         curves,
         (missing or latent(),) if verdict == "unknown" else (),
-        (),
+        places() if where is None else where,
         (),
         0.1,
         0.1,

@@ -6,12 +6,12 @@ import re
 from dataclasses import replace
 
 import pytest
-from typer.testing import CliRunner
+from command_line import call, check_report, refused, reported
 
 import estimators
 import estimators as est
 import estimators._offered
-from estimators import Improvement, _job, cli
+from estimators import Improvement, _job
 from estimators._report_file import Table, write_json, write_report
 from rtac_jax import RTAC
 from rtac_jax.effects import CATALOGUE
@@ -22,21 +22,14 @@ COMMANDS = ("fit", "compare", "diagnose", "improve")
 FIGURES = {
     "fit": {"agreement", "comparison", "recording"},
     "compare": {"comparison", "residuals"},
-    "diagnose": {"diagnosis", "confusion", "bands", "comparison", "residuals"},
+    "diagnose": {"diagnosis", "where", "confusion", "bands", "comparison", "residuals"},
     "improve": {
-        "improvement", "diagnosis_1", "confusion", "bands", "comparison", "residuals_before", "residuals_after", "recording",
+        "improvement", "diagnosis_1", "where", "confusion", "bands", "comparison", "residuals_before", "residuals_after",
+        "recording",
     },
 }  # fmt: skip
 TRIED = ("flexible_mode", "cubic_spring")
 HELD = "diagnose, where a simulation cannot fit what is missing"
-
-
-def call(*arguments):
-    """Runs `rtac` in this process, so that compiled code is shared; nothing but an exit may leave it."""
-    result = CliRunner().invoke(cli.app, [str(a) for a in arguments])
-    if result.exception is not None and not isinstance(result.exception, SystemExit):
-        raise result.exception
-    return result
 
 
 @pytest.fixture(scope="module")
@@ -85,10 +78,7 @@ def ran(file, tmp_path_factory):
         patch.setattr(estimators, "diagnose", once("diagnose"))
         patch.setattr(estimators, "improve", loop)
         for command in COMMANDS:
-            out = tmp_path_factory.mktemp(command)
-            result = call(command, file, "--out", out / "new", "--json", out / "result.json")
-            content = json.loads((out / "result.json").read_text(), parse_constant=pytest.fail)
-            found[command] = (result, out / "new", content)
+            found[command] = reported(command, file, tmp_path_factory.mktemp(command))
 
         remembered = estimators.output_error
 
@@ -99,9 +89,9 @@ def ran(file, tmp_path_factory):
                 raise estimators.NotIdentifiableError("The data leave it free.")
             return estimators._output_error.output_error(model, *arguments, **options)
 
-        refused = tmp_path_factory.mktemp("refused") / "result.json"
+        target = tmp_path_factory.mktemp("refused") / "result.json"
         patch.setattr(estimators, "output_error", refusing)
-        found[HELD] = call("diagnose", file, "--json", refused), None, json.loads(refused.read_text())
+        found[HELD] = call("diagnose", file, "--json", target), None, json.loads(target.read_text())
     return found
 
 
@@ -127,10 +117,8 @@ def check_errors(error):
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_a_command_writes_what_it_promises(ran, command):
-    result, folder, content = ran[command]
-    assert result.exit_code == 0
-    assert result.stdout
-    assert (content["format"], content["version"]) == ("rtac-report", 1)
+    result, _, content = ran[command]
+    assert check_report(*ran[command]) == FIGURES[command]
     check_parameters(content["parameters"])
     if command == "fit":
         check_parameters(content["prediction_error"]["parameters"])
@@ -141,13 +129,6 @@ def test_a_command_writes_what_it_promises(ran, command):
         assert "prediction error" in result.stdout
     check_errors(content["error"])
     assert content["parameters"]["total_mass"]["unit"] == "kg"
-    assert content["seconds"] > 0
-    names = {path.name for path in folder.iterdir()}
-    assert "report.html" in names
-    assert not any("part" in name for name in names)
-    images = {name.removesuffix(".png") for name in names if name.endswith(".png")}
-    assert images == FIGURES[command]
-    assert images == {name.removesuffix(".svg") for name in names if name.endswith(".svg")}
 
 
 def test_what_cannot_be_fitted_by_simulation_is_held_and_the_reader_told(ran):
@@ -249,15 +230,6 @@ def test_help_names_every_command():
 
 
 # -- refusals --------------------------------------------------------------------------------------------------------
-
-
-def refused(result, status, *words):
-    assert result.exit_code == status, result.output
-    assert result.stdout == ""
-    assert "Traceback" not in result.output
-    assert len(result.stderr.strip().splitlines()) == 1
-    for word in words:
-        assert word in result.stderr
 
 
 @pytest.fixture

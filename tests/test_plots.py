@@ -20,12 +20,11 @@ from made_up_results import (
     diagnosis,
     improvement,
     latent,
+    places,
 )
 from matplotlib.figure import Figure
-from scipy.signal import lfilter
 
 from estimators._compare import Compared, Comparison, Trace
-from estimators._force_curve import ForceCurve
 from estimators.plots import (
     plot_bands,
     plot_comparison,
@@ -34,20 +33,15 @@ from estimators.plots import (
     plot_improvement,
     plot_recording,
     plot_residuals,
+    plot_where,
 )
 from estimators.plots._bands import band_errors
 from estimators.plots._confusion import confusable
 from estimators.plots._diagnosis import finding
-from estimators.plots._effect_curve import effect_curve
-from estimators.plots._style import image_bytes, picture, prefixed, quantity, thin, title, worst_stretch
 from rtac_jax import RTAC
 from rtac_jax.effects import (
-    CartStribeck,
     Cogging,
     CubicSpring,
-    Effect,
-    FlexibleMode,
-    GravityTilt,
     QuadraticSpring,
 )
 from rtac_jax.measurement import Experiment, Recording
@@ -105,6 +99,8 @@ PICTURES = {
     "improvement of predictions": lambda: plot_improvement(improvement(errors=(3.0, 3.1), foreseen=(FORESEEN,))),
     "improvement of nothing": lambda: plot_improvement(improvement(1)),
     "recording": lambda: plot_recording(recording()),
+    "where": lambda: plot_where(diagnosis()),
+    "where of thirty": lambda: plot_where(diagnosis(where=places(0.9, experiments=30))),
 }
 
 
@@ -191,86 +187,6 @@ def test_the_error_in_a_band_is_counted_in_noise():
     np.testing.assert_allclose(found[1], [1.0, np.sqrt(51.0), 1.0], rtol=0.1)
 
 
-def coloured(kind, samples, seed):
-    """Noise with the colour of a drifting sensor, or of a lightly damped mode at 37.4 rad/s."""
-    white = np.random.default_rng(seed).standard_normal(samples + 2000)
-    radius = np.exp(-0.03 * 37.4 * 0.005)
-    poles = {"drift": [1, -0.95], "mode": [1, -2 * radius * np.cos(37.4 * 0.005), radius**2]}[kind]
-    return lfilter([1.0], poles, white)[2000:]
-
-
-def correlated(residual, current):
-    at = 0.005 * np.arange(len(residual))
-    one = Trace("a", "cart_position", at, residual, 0 * at, current, at >= 0, 1.0)
-    return one.cross_correlation(50)
-
-
-@pytest.mark.parametrize(("residual", "current"), [("drift", "drift"), ("mode", "drift"), ("drift", "mode")])
-def test_one_in_a_hundred_correlations_with_an_independent_input_is_outside_its_band(residual, current):
-    """Coloured on both sides, where a band for white noise leaves tens of percent outside."""
-    outside, outside_white = [], []
-    for seed in range(150):
-        found, band = correlated(coloured(residual, 4000, (seed, 0)), coloured(current, 4000, (seed, 1)))
-        outside.append(np.mean(np.abs(found) > band))
-        outside_white.append(np.mean(np.abs(found) > 2.58 / np.sqrt(4000)))
-    assert 0.002 < np.mean(outside) < 0.03
-    assert np.mean(outside_white) > 0.1
-
-
-def test_an_input_that_acts_late_shows_at_its_lag():
-    current = np.random.default_rng(0).standard_normal(4000)
-    late = np.concatenate([np.zeros(7), current[:-7]])
-    found, band = correlated(coloured("drift", 4000, 1) + late, current)
-    assert np.argmax(found) == 7
-    assert found[7] > 2 * band
-    assert np.sum(np.abs(found) > band) < 6
-    # Half of the residual missing: what is left still shows it.
-    gaps = np.where(np.arange(4000) % 400 < 200, coloured("drift", 4000, 1) + late, np.nan)
-    found, band = correlated(gaps, current)
-    assert np.argmax(found) == 7
-    assert found[7] > band
-
-
-def test_an_input_that_stands_still_correlates_with_nothing():
-    found, band = correlated(coloured("drift", 400, 0), np.ones(400))
-    assert not np.any(found)
-    assert band == pytest.approx(2.576 / 20, rel=1e-3)
-
-
-def test_a_fitted_static_force_lies_on_the_curve_that_it_made():
-    """The curve of a cubic spring without the slope that the linear spring takes up, however much that is."""
-    at = np.linspace(-0.012, 0.012, 12)
-    for slope in (0.0, 3.0):
-        shown = dataclasses.replace(CURVES[0], at=at, force=-29_000.0 * at**3 + slope * at, std=np.full(12, 1e-3))
-        found = effect_curve(CubicSpring(29_000.0), shown)
-        assert found is not None
-        np.testing.assert_allclose(np.interp(at, *found), shown.force, atol=2e-4)
-
-
-def test_dry_friction_has_a_sign():
-    speeds = np.linspace(-0.1, 0.1, 12)
-    level = 0.05 * np.exp(-((speeds / 0.02) ** 2))
-    shown = dataclasses.replace(CURVES[1], at=speeds, force=-level * np.sign(speeds), std=np.full(12, 1e-3))
-    found = effect_curve(CartStribeck(0.05, 0.02), shown)
-    assert found is not None
-    np.testing.assert_allclose(found[1][found[0] > 0.05], 0.0, atol=2e-3)
-    assert found[1][found[0] < 0].max() > 0.02 > -0.02 > found[1][found[0] > 0].min()
-
-
-@pytest.mark.parametrize(
-    ("effect", "curve"),
-    [
-        (Cogging(1e-3, 0.0, 3.0), CURVES[0]),  # depends on the arm's angle, not on this variable
-        (CubicSpring(1e4), CURVES[1]),
-        (CubicSpring(1e4), CURVES[3]),  # on the other port
-        (FlexibleMode(0.1, 37.4, 0.03), CURVES[0]),  # has states of its own
-        (GravityTilt(0.01, 0.01), CURVES[0]),  # needs the mass of the body
-    ],
-)
-def test_only_a_static_force_in_the_variable_is_drawn(effect: Effect, curve: ForceCurve):
-    assert effect_curve(effect, curve) is None
-
-
 @pytest.mark.parametrize(
     ("name", "port", "variables"),
     [
@@ -312,6 +228,21 @@ def test_the_latent_force_is_drawn_for_the_experiment_that_carries_most(drawn):
     assert any("Sample" in a.get_xlabel() for a in drawn["unknown without a recording"].get_axes())
 
 
+def test_where_the_model_fails_is_named_and_every_part_stands_in_its_order(drawn):
+    assert "fails most in arm velocity at 0 to 23.3 rad/s" in drawn["where"].get_suptitle().replace("\n", " ")
+    panel = next(a for a in drawn["where"].get_axes() if a.get_xlabel() == "Frequency [rad/s]")
+    assert [t.get_text().split("\n")[0] for t in panel.get_xticklabels()] == ["0", "23.3", "69.8", "209"]
+    bold = [t.get_text() for a in drawn["where"].get_axes() for t in a.texts if t.get_fontweight() == "bold"]
+    assert bold == ["9.00"]
+    assert "as large as the noise in every part" in drawn["where of thirty"].get_suptitle()
+    top = drawn["where of thirty"].get_axes()[0]
+    assert len(top.get_xticks()) == 12
+    assert "worst 12 of 30" in top.get_xlabel()
+    assert "No part of the data" in plot_where(diagnosis("adequate")).get_suptitle()
+    with pytest.raises(ValueError, match="holds no innovations"):
+        plot_where(diagnosis(where=()))
+
+
 def test_what_looks_alike_is_named(drawn):
     assert "effect_1 looks much like flexible_mode" in drawn["confusion"].get_suptitle().replace("\n", " ")
     assert len(drawn["confusion"].get_axes()[0].get_xticks()) == 12
@@ -319,24 +250,6 @@ def test_what_looks_alike_is_named(drawn):
     assert [c.id for c in confusable(diagnosis(others=(untestable, *alike(3, 0.2))))] == [
         "flexible_mode", "effect_0", "effect_1", "effect_2",
     ]  # fmt: skip
-
-
-def test_a_figure_is_the_same_in_both_formats_and_twice():
-    figure = plot_bands(Comparison((compared("model", 12.0),)))
-    first = image_bytes(figure, "png")
-    assert image_bytes(figure, "svg").startswith(b"<?xml")
-    assert image_bytes(figure, "png") == first
-
-
-def test_a_title_does_not_end_in_a_line_of_one_word():
-    figure = picture(9.6, 3.0)
-    title(
-        figure,
-        "The model with flexible_mode leaves nothing but noise: the worst, arm velocity in forced_2, is 1.04 times it",
-    )
-    lines = figure.get_suptitle().split("\n")
-    assert len(lines) == 2
-    assert len(lines[1]) > 0.6 * len(lines[0])
 
 
 def test_all_that_was_named_stands_in_the_title():
@@ -378,46 +291,6 @@ def test_a_rival_is_named():
 
 def test_a_notebook_can_show_a_figure(drawn):
     assert drawn["recording"]._repr_png_().startswith(b"\x89PNG")
-
-
-@pytest.mark.parametrize(
-    ("value", "unit", "text"),
-    [
-        (0.0123, "kg", "12 g"),
-        (57_000.0, "N/m^3", "57 kN/m³"),
-        (1.3e-4, "rad", "130 µrad"),
-        (0.05, "1", "0.05"),
-        (0.0025, "1/A", "0.0025 1/A"),
-        (0.0, "m", "0 m"),
-    ],
-)
-def test_quantities_read_well(value, unit, text):
-    assert quantity(value, unit) == text
-
-
-def test_prefixes_bring_numbers_near_one():
-    assert prefixed(0.015, "m") == (1e3, "mm")
-    assert prefixed(45.0, "rad/s") == (1.0, "rad/s")
-    assert prefixed(float("nan"), "m") == (1.0, "m")
-
-
-def test_thinning_keeps_every_peak():
-    time = np.arange(100_000.0)
-    values = np.zeros(100_000)
-    values[[777, 50_001]] = 5.0, -7.0
-    values[30_000:40_000] = np.nan
-    shorter, kept = thin(time, values)
-    assert len(kept) < 4000
-    assert np.all(np.diff(shorter) >= 0)
-    assert (np.nanmax(kept), np.nanmin(kept)) == (5.0, -7.0)
-
-
-def test_the_worst_stretch_holds_the_largest_residual():
-    residual = np.zeros(20_000)
-    residual[12_345] = 1.0
-    near = worst_stretch(residual)
-    assert near.start <= 12_345 < near.stop
-    assert worst_stretch(residual[:100]) == slice(0, 100)
 
 
 def test_a_bar_beyond_the_line_that_is_no_alarm_says_so():

@@ -14,6 +14,7 @@ from estimators.plots._profile import plot_profile
 from estimators.plots._recording import plot_recording
 from estimators.plots._residuals import plot_residuals
 from estimators.plots._table1 import plot_table_1
+from estimators.plots._where import plot_where
 
 __all__ = [
     "plot_agreement",
@@ -37,4 +38,5 @@ __all__ = [
     "plot_responses",
     "plot_synthesis",
     "plot_table_1",
+    "plot_where",
 ]

@@ -6,6 +6,7 @@ parameters, and it declares how large it may plausibly be on a rig of given scal
 
 import itertools
 from abc import abstractmethod
+from collections.abc import Sequence
 from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
@@ -149,6 +150,20 @@ class Effect(eqx.Module):
             axes.append(tuple(guess) if isinstance(guess, tuple) else (guess,))
         names = tuple(declarations(cls))
         return tuple(cls(**dict(zip(names, point, strict=True))) for point in itertools.product(*axes))
+
+
+def in_parts(told: Any, effect: Effect, method: str, parts: Sequence[str]) -> tuple[Any, ...]:
+    """What a method of an effect returns, which may be a user's own, one value for each part.
+
+    Raises:
+        ValueError: it returns something else; one array with as many rows as there are parts would be taken apart unseen.
+    """
+    if not isinstance(told, (tuple, list)) or len(told) != len(parts):
+        given = f"{len(told)} value(s)" if isinstance(told, (tuple, list)) else f"one {type(told).__name__}"
+        raise ValueError(
+            f"effect {effect.id}: {method} returns {given}; return a tuple of {len(parts)}: {', '.join(parts) or 'nothing'}."
+        )
+    return tuple(told)
 
 
 def _default(cls: type[Effect], name: str) -> Any:

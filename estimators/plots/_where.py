@@ -34,7 +34,7 @@ def plot_where(diagnosis: Diagnosis) -> Picture:
     _map(top, own, channels, "experiment", named=True)
     shown = len({place.label for place in own})
     which = f"worst {shown} of {every}; " if shown < every else ""
-    top.set_xlabel(f"Experiment   ({which}numbers: mean squared innovation over that of the noise)", fontsize=SMALL)
+    top.set_xlabel(f"Experiment   ({which}numbers: mean squared innovation over that of the noise [1])", fontsize=SMALL)
     columns = rows[1].subgridspec(1, len(below))
     for column, kind in enumerate(below):
         own = [place for place in diagnosis.places if place.by == kind]

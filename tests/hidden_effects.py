@@ -1,12 +1,22 @@
 """Recordings of one shape with hidden effects, on rigs drawn around the paper's, and their diagnosis."""
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import estimators as est
 import rtac_jax as rtac
 from rtac_jax import virtual_rig
+from rtac_jax.effects import CATALOGUE, Effect
+
+# Springs, friction, lags and what looks like them: where a test is not about the whole catalogue, which takes four times as long.
+SHORT = tuple(
+    CATALOGUE[name]
+    for name in (
+        "cubic_spring", "quadratic_spring", "hysteretic_spring", "cart_stribeck", "cart_quadratic_drag", "flexible_mode",
+        "arm_coulomb", "current_lag", "input_delay", "tacho_lag", "lvdt_nonlinearity",
+    )
+)  # fmt: skip
 
 
 def recorded(hidden: Mapping[str, dict[str, Any]], first: int) -> dict[str, rtac.Recording]:
@@ -21,7 +31,8 @@ def recorded(hidden: Mapping[str, dict[str, Any]], first: int) -> dict[str, rtac
     return dict(zip(hidden, virtual_rig.record_many(jobs), strict=True))
 
 
-def diagnosed(recording: rtac.Recording) -> est.Diagnosis:
-    """With the paper's model as the base."""
+def diagnosed(recording: rtac.Recording, candidates: Sequence[type[Effect]] | None = None) -> est.Diagnosis:
+    """With the paper's model as the base, and all of the catalogue or these candidates."""
     model = rtac.RTAC.from_rig(recording)
-    return est.diagnose(est.output_error(model, recording, progress=False), recording, progress=False)
+    fit = est.output_error(model, recording, progress=False)
+    return est.diagnose(fit, recording, candidates=candidates, progress=False)

@@ -1,5 +1,6 @@
 """The command line: what it writes, what it says, and how it refuses."""
 
+import functools
 import json
 import math
 import re
@@ -77,6 +78,7 @@ def ran(file, tmp_path_factory):
         patch.setattr(estimators, "output_error", once("output_error"))
         patch.setattr(estimators, "diagnose", once("diagnose"))
         patch.setattr(estimators, "improve", loop)
+        patch.setattr(estimators, "agreement", functools.partial(estimators.agreement, draws=40))
         for command in COMMANDS:
             found[command] = reported(command, file, tmp_path_factory.mktemp(command))
 

@@ -4,11 +4,12 @@ import dataclasses
 
 import numpy as np
 import pytest
-from hidden_effects import diagnosed, recorded
+from hidden_effects import SHORT, diagnosed, recorded
 
 import estimators as est
 import rtac_jax as rtac
 from rtac_jax import virtual_rig
+from rtac_jax.effects import CATALOGUE, Effect
 
 # What the rig hides, and which parameter of the model's effect should come out at which value.
 HIDDEN = {
@@ -114,8 +115,11 @@ def test_nothing_hidden_is_adequate(recordings: dict[str, rtac.Recording]) -> No
     assert all(np.isfinite(c.detection_limit) for c in found.candidates if c.testable)
 
 
-def test_two_effects_are_named(recordings: dict[str, rtac.Recording]) -> None:
-    found = diagnosed(recordings["two effects"])
+@pytest.mark.parametrize("candidates", [SHORT, pytest.param(None, marks=pytest.mark.slow)], ids=["short", "whole"])
+def test_two_effects_are_named(
+    recordings: dict[str, rtac.Recording], candidates: tuple[type[Effect], ...] | None
+) -> None:
+    found = diagnosed(recordings["two effects"], candidates)
     assert found.verdict == "missing", found
     assert sorted(c.id for c in found.effects) == ["cubic_spring", "current_lag"], found
     assert not any(test.rejects for test in found.left), found
@@ -139,14 +143,17 @@ def test_coloured_noise_without_a_rest_record_is_no_effect(draw: int) -> None:
     assert found.verdict == "adequate", found
 
 
+@pytest.mark.parametrize("whole", [False, pytest.param(True, marks=pytest.mark.slow)], ids=["short", "whole"])
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=[] if name == "cart_coulomb" else [pytest.mark.slow]) for name in PAPERS_OWN]
 )
 def test_an_effect_of_the_paper_is_named_where_the_model_lacks_it(
-    recordings: dict[str, rtac.Recording], name: str
+    recordings: dict[str, rtac.Recording], name: str, whole: bool
 ) -> None:
     recording = recordings["nothing"]
     model = rtac.RTAC.from_rig(recording).without(name)
-    found = est.diagnose(est.output_error(model, recording, progress=False), recording, progress=False)
+    offered = None if whole else [*SHORT, *(CATALOGUE[one] for one in PAPERS_OWN)]
+    fit = est.output_error(model, recording, progress=False)
+    found = est.diagnose(fit, recording, candidates=offered, progress=False)
     assert found.verdict == "missing", found
     assert [c.id for c in found.effects] == [name], found

@@ -210,6 +210,7 @@ def test_systems_are_evaluated_as_python_control_does():
 GRID = np.geomspace(2.0, 60.0, 25)
 
 
+@pytest.mark.slow
 def test_held_out_statement_is_kept():
     """40 envelopes from 10 + 20 conditions: in at most about one of twenty fewer new ones lie inside than was said."""
     fresh = responses(draw(1000, seed=100), GRID)

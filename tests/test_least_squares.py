@@ -305,6 +305,7 @@ def predicted(recording: rtac.Recording) -> tuple[est.PredictorFit, dict[str, fl
     return fit, {n: (fit.parameters[n].value - t) / fit.parameters[n].std for n, t in truth.items()}
 
 
+@pytest.mark.slow  # notebook 02 asserts the same on one recording in every run
 def test_what_biases_the_means_at_the_papers_scatter_is_removed(papers_scatter: rtac.Recording) -> None:
     model = rtac.RTAC.from_rig(papers_scatter)
     plain, better = (

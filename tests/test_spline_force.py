@@ -147,7 +147,9 @@ def beyond_noise(model: est.Comparison, number: int) -> dict[str, float]:
     return {channel: float(np.sqrt(max(e.rms_over_noise**2 - 1.0, 0.0))) for channel, e in errors.items()}
 
 
-@pytest.mark.parametrize("name", OUTSIDE)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow if "along" in name else []) for name in OUTSIDE]
+)
 def test_the_error_of_held_out_experiments_falls_by_half(recordings: dict[str, rtac.Recording], name: str) -> None:
     train, held_out = recordings[name].split(None)
     fit = est.output_error(rtac.RTAC.from_rig(recordings[name]), train, progress=False)

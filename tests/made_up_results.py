@@ -83,8 +83,8 @@ def latent(port="cart"):
     return LatentForce(port, tuple(rms), force, np.full((900, 2), 0.004), (0.02, 0.001), rms, 10.4, 900.0)
 
 
-def places(worst=9.0, experiments=2):
-    """Innovations that are largest at low frequency, in the second of three channels."""
+def places(worst=9.0, experiments=2, at=("frequency", "arm_velocity", 0)):
+    """Innovations that are largest in one part; without a choice at low frequency, in the second of three channels."""
     kinds = {
         "experiment": [f"forced_{n + 1}" for n in range(experiments)],
         "time": [f"quarter {n + 1} of each experiment" for n in range(4)],
@@ -93,7 +93,7 @@ def places(worst=9.0, experiments=2):
         "arm_velocity": [f"|arm_velocity| {8.0 * n:.2g} to {8.0 * (n + 1):.2g}" for n in range(4)],
     }
     found = [
-        Place(kind, label, channel, worst if (kind, channel, part) == ("frequency", "arm_velocity", 0) else 1.0, 1.2, part)
+        Place(kind, label, channel, worst if (kind, channel, part) == at else 1.0, 1.2, part)
         for kind, labels in kinds.items()
         for part, label in enumerate(labels)
         for channel in NOISE

@@ -238,6 +238,10 @@ def test_where_the_model_fails_is_named_and_every_part_stands_in_its_order(drawn
     top = drawn["where of thirty"].get_axes()[0]
     assert len(top.get_xticks()) == 12
     assert "worst 12 of 30" in top.get_xlabel()
+    motion = plot_where(diagnosis(where=places(at=("cart_position", "arm_velocity", 2))))
+    assert "where the cart position is 4 mm to 6 mm in size" in motion.get_suptitle().replace("\n", " ")
+    panel = next(a for a in motion.get_axes() if a.get_xlabel() == "Size of the cart position [mm]")
+    assert [t.get_text() for t in panel.get_xticklabels()] == ["0\nto 2", "2\nto 4", "4\nto 6", "6\nto 8"]
     assert "No part of the data" in plot_where(diagnosis("adequate")).get_suptitle()
     with pytest.raises(ValueError, match="holds no innovations"):
         plot_where(diagnosis(where=()))

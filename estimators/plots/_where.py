@@ -8,7 +8,7 @@ from matplotlib.colors import LogNorm
 
 from estimators._diagnose import Diagnosis
 from estimators._where import Place
-from estimators.plots._style import NAMES, SMALL, UNITS, Picture, picture, times, title
+from estimators.plots._style import NAMES, SMALL, UNITS, Picture, picture, prefixed, quantity, times, title
 
 _MOST_EXPERIMENTS = 12
 _DARK = 10.0  # times the bound of chance that are drawn black
@@ -67,25 +67,34 @@ def _map(axes: Any, places: Sequence[Place], channels: list[str], kind: str, *, 
             fontsize=7.5, fontweight="bold" if place.excess > 1 else "normal",
             color="white" if place.excess > np.sqrt(_DARK) else "black",
         )  # fmt: skip
-    axes.set_xticks(range(len(labels)), [_short(label) for label in labels], fontsize=7)
+    sizes = [_sizes(label) for label in labels] if kind in UNITS else []
+    scale = prefixed(max((high for _, high in sizes), default=1.0), UNITS.get(kind, "1"))
+    shown = [_between(*(scale.factor * size for size in pair)) for pair in sizes] or [_short(label) for label in labels]
+    axes.set_xticks(range(len(labels)), shown, fontsize=7)
     if kind == "experiment":
         axes.tick_params(axis="x", rotation=0 if len(labels) < 7 else 20)
     axes.set_yticks(range(len(channels)), [NAMES[c] for c in channels] if named else [], fontsize=SMALL)
     axes.tick_params(length=0)
-    axes.set_xlabel(_what(kind), fontsize=SMALL)
+    axes.grid(False)
+    what = {"experiment": "", "time": "Quarter of each experiment [1]", "frequency": "Frequency [rad/s]"}
+    axes.set_xlabel(what[kind] if kind in what else f"Size of the {NAMES[kind]} [{scale.unit}]", fontsize=SMALL)
 
 
-def _what(kind: str) -> str:
-    if kind in UNITS:
-        return f"Size of the {NAMES[kind]} [{UNITS[kind]}]"
-    return {"experiment": "", "time": "Quarter of each experiment [1]", "frequency": "Frequency [rad/s]"}[kind]
+def _sizes(label: str) -> tuple[float, float]:
+    """Between which sizes of a motion a part lies, from its label."""
+    low, high = label.split("| ")[-1].split(" to ")
+    return float(low), float(high)
+
+
+def _between(low: float, high: float) -> str:
+    return f"{low:.3g}\nto {high:.3g}"
 
 
 def _short(label: str) -> str:
     """A part by what tells it from the others of its kind, which the axis names."""
     if label.startswith("quarter"):
         return label.split()[1]
-    return label.split("| ")[-1].removesuffix(" rad/s").replace(" to ", "\nto ")
+    return label.removesuffix(" rad/s").replace(" to ", "\nto ")
 
 
 def _finding(diagnosis: Diagnosis) -> str:
@@ -101,7 +110,10 @@ def _finding(diagnosis: Diagnosis) -> str:
         "experiment": f"in {worst.label}",
         "time": f"in the {worst.label}",
         "frequency": f"at {worst.label}",
-    }.get(worst.by) or f"where the {NAMES[worst.by]} is {worst.label.split('| ')[-1]} {UNITS[worst.by]}"
+    }.get(worst.by)
+    if part is None:
+        low, high = (quantity(size, UNITS[worst.by]) for size in _sizes(worst.label))
+        part = f"where the {NAMES[worst.by]} is {low} to {high} in size"
     return (
         f"The model fails most in {NAMES[worst.channel]} {part}: "
         f"the mean squared innovation is {times(worst.value)} times that of the noise"

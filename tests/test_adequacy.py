@@ -157,7 +157,17 @@ def test_bounds_of_the_places_hold() -> None:
     assert 0.001 < np.mean(above) < 0.02
     error = noise(random, 0.0)
     error[:, :, 2] *= 1.5
-    worst = where(error, PRESENT, experiments())[0]
+    found = where(error, PRESENT, experiments())
+    worst = found[0]
+    for kind, first in (("time", "quarter {} of each experiment"), ("frequency", None), ("cart_position", None)):
+        parts = sorted({(p.part, p.label) for p in found if p.by == kind})
+        assert [part for part, _ in parts] == [0, 1, 2, 3], "one label for each part"
+        # The upper edge of a part is the lower one of the next.
+        words = [label.removesuffix(" rad/s").split("| ")[-1].split(" to ") for _, label in parts]
+        if first is None:
+            assert [high for _, high in words[:-1]] == [low for low, _ in words[1:]]
+        else:
+            assert [label for _, label in parts] == [first.format(n) for n in range(1, 5)]
     assert worst.label == "forced_2"
     assert worst.value == pytest.approx(2.25, rel=0.2)
 

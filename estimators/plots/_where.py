@@ -87,7 +87,7 @@ def _sizes(label: str) -> tuple[float, float]:
 
 
 def _between(low: float, high: float) -> str:
-    return f"{low:.3g}\nto {high:.3g}"
+    return f"{low if low > 0.01 * high else 0.0:.3g}\nto {high:.3g}"
 
 
 def _short(label: str) -> str:

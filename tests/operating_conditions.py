@@ -2,8 +2,10 @@
 
 import functools
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
+from command_line import call, refused
 
 from rtac_jax.measurement import Recording, from_rest, harmonic_grid, multisine
 from rtac_jax.virtual_rig import Plan, Rig, record
@@ -36,6 +38,11 @@ def recorded() -> Recording:
     return record(RIG, plans(), seed=1, step=1e-3)
 
 
+def saved(folder: Path) -> Path:
+    recorded().save(folder / "rig.h5")
+    return folder / "rig.h5"
+
+
 @functools.cache
 def smooth() -> Recording:
     """Small motions of a rig without dry friction."""
@@ -48,3 +55,12 @@ def smooth() -> Recording:
         for n in range(4)
     ]  # fmt: skip
     return record(replace(RIG, cart_coulomb=0.0), plans, seed=1, step=1e-3)
+
+
+def check_refusals(command: str, folder: Path) -> None:
+    """Too few conditions do not allow either command, and a file that cannot be read is wrong use."""
+    recorded().select(["condition_1", "rest_1"]).save(folder / "one.h5")
+    refused(call(command, folder / "one.h5"), 1, "only condition_1", "two conditions")
+    recorded().select(["free_1", "rest_1"]).save(folder / "none.h5")
+    refused(call(command, folder / "none.h5"), 1, "no experiment shows")
+    refused(call(command, folder / "missing.h5"), 2, "missing.h5")

@@ -8,16 +8,14 @@ import numpy as np
 import pytest
 import scipy.io
 from command_line import call, check_report, refused, reported
-from operating_conditions import RIG, SAMPLE_TIME, recorded
+from operating_conditions import RIG, SAMPLE_TIME, check_refusals, saved
 
 import estimators as est
 
 
 @pytest.fixture(scope="module")
 def file(tmp_path_factory):
-    path = tmp_path_factory.mktemp("recording") / "rig.h5"
-    recorded().save(path)
-    return path
+    return saved(tmp_path_factory.mktemp("recording"))
 
 
 @pytest.fixture(scope="module")
@@ -177,15 +175,8 @@ def test_the_controller_is_the_same_sampled_and_continuous(ran):
 # -- refusals --------------------------------------------------------------------------------------------------------
 
 
-def test_too_few_conditions_do_not_allow_it(tmp_path):
-    recorded().select(["condition_1", "rest_1"]).save(tmp_path / "one.h5")
-    refused(call("control", tmp_path / "one.h5"), 1, "only condition_1", "two conditions")
-    recorded().select(["free_1", "rest_1"]).save(tmp_path / "none.h5")
-    refused(call("control", tmp_path / "none.h5"), 1, "no experiment shows")
-
-
-def test_a_file_that_cannot_be_read_is_wrong_use(tmp_path):
-    refused(call("control", tmp_path / "missing.h5"), 2, "missing.h5")
+def test_recordings_that_do_not_allow_it_are_refused(tmp_path):
+    check_refusals("control", tmp_path)
 
 
 def test_options_out_of_range_are_wrong_use(file):

@@ -1,6 +1,5 @@
 """`rtac envelope`: what it writes, against the rig itself, and how it refuses."""
 
-import functools
 import json
 import re
 
@@ -8,24 +7,18 @@ import numpy as np
 import pytest
 import scipy.io
 from command_line import call, check_report, refused, reported
-from operating_conditions import CONDITIONS, RIG, recorded, smooth
-
-import estimators as est
+from operating_conditions import CONDITIONS, RIG, check_refusals, recorded, saved, smooth
 
 
 @pytest.fixture(scope="module")
 def file(tmp_path_factory):
-    path = tmp_path_factory.mktemp("recording") / "rig.h5"
-    recorded().save(path)
-    return path
+    return saved(tmp_path_factory.mktemp("recording"))
 
 
 @pytest.fixture(scope="module")
 def ran(file, tmp_path_factory):
-    """The command once. The fit has tests of its own and takes one start here."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(est, "output_error", functools.partial(est.output_error, from_model=True))
-        return reported("envelope", file, tmp_path_factory.mktemp("report"))
+    """The command once."""
+    return reported("envelope", file, tmp_path_factory.mktemp("report"))
 
 
 def test_the_report_is_whole(ran):
@@ -153,15 +146,8 @@ def test_responses_may_be_those_of_linear_models(tmp_path):
 # -- refusals --------------------------------------------------------------------------------------------------------
 
 
-def test_too_few_conditions_do_not_allow_it(tmp_path):
-    recorded().select(["condition_1", "rest_1"]).save(tmp_path / "one.h5")
-    refused(call("envelope", tmp_path / "one.h5"), 1, "only condition_1", "two conditions")
-    recorded().select(["free_1", "rest_1"]).save(tmp_path / "none.h5")
-    refused(call("envelope", tmp_path / "none.h5"), 1, "no experiment shows")
-
-
-def test_a_file_that_cannot_be_read_is_wrong_use(tmp_path):
-    refused(call("envelope", tmp_path / "missing.h5"), 2, "missing.h5")
+def test_recordings_that_do_not_allow_it_are_refused(tmp_path):
+    check_refusals("envelope", tmp_path)
 
 
 @pytest.mark.parametrize("band", ["5", "5,1", "a,b", "0,3"])

@@ -294,45 +294,6 @@ def test_user_adds_an_effect():
     np.testing.assert_allclose(soft_run.cart_position, stiff_run.cart_position, atol=1e-12)
 
 
-class Stack(Magnet):
-    """Its force is one array of two rows, which Python would take apart without a word."""
-
-    def force(self, motion, own):
-        return jnp.stack([-self.strength * motion.cart_position, 0.0 * motion.arm_angle])
-
-
-class Alone(Magnet):
-    """Its force is on the cart alone."""
-
-    def force(self, motion, own):
-        return (-self.strength * motion.cart_position,)
-
-
-class Forgetful(Magnet):
-    """It has a state and no rate for it."""
-
-    states: ClassVar[dict[str, str]] = {"stretch": "m"}
-
-    def start(self, motion):
-        return (motion.cart_position,)
-
-    def rate(self, motion, own):
-        return ()
-
-
-@pytest.mark.parametrize(
-    ("effect", "said"),
-    [
-        (Stack(0.2), "magnet: force returns one .*; return a tuple of 2: on the cart, on the arm"),
-        (Alone(0.2), "magnet: force returns 1 value\\(s\\); return a tuple of 2: on the cart, on the arm"),
-        (Forgetful(0.2), "magnet: rate returns 0 value\\(s\\); return a tuple of 1: stretch"),
-    ],
-)
-def test_an_effect_that_returns_too_little_is_named(effect, said):
-    with pytest.raises(ValueError, match=said):
-        change(effect)
-
-
 def replace_stiffness(value: float) -> RigidBody:
     return eqx.tree_at(lambda body: body.spring_stiffness, RTAC.paper().body, jnp.asarray(value))
 

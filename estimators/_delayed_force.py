@@ -78,7 +78,7 @@ def _lagged(
     experiments: Sequence[Experiment], group: str, channel: str, lags: Sequence[float], innovations: Innovations
 ) -> np.ndarray:
     """The signal behind first-order lags, [lag sample experiment]; zero where it was not recorded."""
-    found = np.zeros((len(lags), innovations.data.samples, len(experiments)))
+    found = np.zeros((len(lags), innovations.data.room, len(experiments)))
     for column, e in enumerate(experiments):
         signals = getattr(e, group)
         if channel not in signals:

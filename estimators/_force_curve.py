@@ -1,8 +1,8 @@
 """The missing force at a port of the rig as a function of one variable, with its standard deviation."""
 
 import dataclasses
-from collections.abc import Mapping
-from typing import Any, ClassVar
+from collections.abc import Iterator, Mapping
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from estimators._beside import beside
 from estimators._compile import compile_only
 from estimators._innovations import Innovations, Rows, error_at
 from estimators._problem import Data, Space
@@ -123,8 +124,35 @@ def force_curves(
         ranges: between which values each variable moves.
         slow: speeds of cart and arm below which friction fades.
     """
-    found = []
     count, blocks = int(np.sum(innovations.weight > 0)), innovations.blocks()
+
+    def curve(p: _Probed) -> ForceCurve | None:
+        test = score_test(innovations.rows(p.slopes), error, basis, blocks)
+        if test.freedom == 0:
+            return None
+        # Directions that the base parameters explain, such as a slope, are not the data's to give.
+        return ForceCurve(
+            p.port, p.variable, test.explained - test.freedom * np.log(count), p.at, test.coefficients, test.std,
+            test.explained, test.excess, test.p_value, test.directions, test.amounts, p.slow,
+        )  # fmt: skip
+
+    found = [one for one in beside(curve, _probed(innovations, ranges, slow)) if one is not None]
+    return sorted(found, key=lambda one: -one.score)
+
+
+class _Probed(NamedTuple):
+    """Derivatives of the innovations by a force at one port over one variable."""
+
+    port: str
+    variable: str
+    at: Float[np.ndarray, " knot"]
+    slow: float
+    slopes: np.ndarray
+
+
+def _probed(
+    innovations: Innovations, ranges: Mapping[str, tuple[float, float]], slow: tuple[float, float]
+) -> Iterator[_Probed]:
     for place, port in enumerate(PORTS):
         for index, variable in enumerate(VARIABLES):
             low, high = ranges[variable.split(",")[0]]
@@ -133,19 +161,7 @@ def force_curves(
                 continue
             spacing = (high - low) / (KNOTS - 1)
             slopes = _derivatives(*_arguments(innovations, place, index, low, spacing, slow[place]))
-            columns = innovations.rows(np.asarray(slopes))
-            test = score_test(columns, error, basis, blocks)
-            if test.freedom == 0:
-                continue
-            # Directions that the base parameters explain, such as a slope, are not the data's to give.
-            found.append(
-                ForceCurve(
-                    port, variable, test.explained - test.freedom * np.log(count), low + spacing * np.arange(KNOTS),
-                    test.coefficients, test.std, test.explained, test.excess, test.p_value, test.directions,
-                    test.amounts, slow[place],
-                )
-            )  # fmt: skip
-    return sorted(found, key=lambda curve: -curve.score)
+            yield _Probed(port, variable, low + spacing * np.arange(KNOTS), slow[place], np.asarray(slopes))
 
 
 def compile_force_curves(innovations: Innovations) -> None:

@@ -25,7 +25,7 @@ class Innovations:
         self.model, self.data, self.space = model, data, space
         self.whitener, self.gain, self.substeps = whitener, gain, substeps
         self.used = np.asarray(data.present).any(axis=(0, 2))
-        self.weight = np.asarray(data.present)[:, self.used]
+        self.weight = np.asarray(data.present)[: data.samples, self.used]
 
     def at(self, values: Float[np.ndarray, "point parameter"]) -> Rows:
         """Innovations for several sets of shared parameter values, one column each."""
@@ -60,7 +60,7 @@ class Innovations:
     def compile_derivatives(self) -> None:
         """Likewise `jacobian` and `pushed`."""
         compile_only(_jacobian, *self._arguments(self._directions()))
-        nothing = np.zeros((AT_ONCE, self.data.samples, self.data.experiments))
+        nothing = np.zeros((AT_ONCE, self.data.room, self.data.experiments))
         compile_only(_pushed, *self._arguments(nothing, nothing))
 
     def _arguments(self, *several: np.ndarray) -> tuple[Any, ...]:
@@ -77,17 +77,22 @@ class Innovations:
 
         Rows of an experiment, and within it of a stretch of time, are neighbours.
         """
-        return np.moveaxis(found[:, :, self.used], 3, 1).reshape(len(found), -1).T
+        there = found[:, : self.data.samples, self.used]
+        return np.moveaxis(there, 3, 1).reshape(len(found), -1).T
 
     def blocks(self) -> np.ndarray:
         """For every row the number of the stretch of time that it belongs to; it never falls."""
-        return np.repeat(stretches(self.data).T.reshape(-1), int(self.used.sum()))
+        return np.repeat(stretches(self.data)[: self.data.samples].T.reshape(-1), int(self.used.sum()))
 
 
 def stretches(data: Data, seconds: float = 1.0) -> np.ndarray:
-    """For every sample and experiment the number of the stretch of time that it belongs to, within its experiment."""
+    """For every sample and experiment the number of the stretch of time that it belongs to, within its experiment.
+
+    What is beyond the longest experiment belongs to the last stretch.
+    """
     interval = np.asarray(data.excitation.sample_time)
-    found = np.floor(np.arange(data.samples)[:, None] * interval / seconds).astype(int)
+    sample = np.minimum(np.arange(data.room), data.samples - 1)
+    found = np.floor(sample[:, None] * interval / seconds).astype(int)
     return found + (found.max() + 1) * np.arange(data.experiments)
 
 
@@ -120,7 +125,7 @@ def _jacobian(
 def _pushed(
     model: RTAC, data: Data, space: Space, whitener: Array, gain: Array, current: Array, force: Array, substeps: Steps
 ) -> Array:
-    nothing = jnp.zeros((data.samples, 1, data.experiments))
+    nothing = jnp.zeros((data.room, 1, data.experiments))
 
     def function(added: tuple[Array, Array]) -> Array:
         excitation = data.excitation
@@ -132,7 +137,7 @@ def _pushed(
         changed = dataclasses.replace(data, excitation=pushed)
         return error_at(model, changed, space, whitener, gain, space.values, substeps)
 
-    zero = jnp.zeros((data.samples, data.experiments))
+    zero = jnp.zeros((data.room, data.experiments))
     return jax.vmap(lambda *t: jax.jvp(function, ((zero, zero),), (t,))[1])(current, force)
 
 

@@ -11,6 +11,7 @@ from estimators._coloured_noise import ColouredNoise
 from estimators._problem import CHANNELS, Data, Space, states_at_start
 from rtac_jax import RTAC
 from rtac_jax._simulate import Steps, advance, unit_pushes
+from rtac_jax._time_loop import time_loop
 
 OUTPUTS = len(CHANNELS)
 _SMALL = 1e-9  # velocities [m/s, rad/s] below which a difference is lost in rounding
@@ -137,7 +138,7 @@ def kalman(
         "current": excitation.current, "force": excitation.force, "values": data.values, "present": data.present,
         "trusted": data.trusted,
     }  # fmt: skip
-    found = jax.lax.scan(one_sample, (state, spread), rows, length=data.samples)[1]
+    found = time_loop(one_sample, (state, spread), rows, room=data.room, samples=data.length)[1]
     gain, whitener, innovations, likelihood, shaken = found
     # Not the sample itself: to leave out samples for what they show would bias what is left.
     after = jnp.concatenate([jnp.zeros_like(shaken[:1]), shaken[:-1]])

@@ -219,7 +219,8 @@ def _linearised(
     placed = model.with_values(dict(zip(space.names, shared, strict=True)) | dict(zip(space.each, each, strict=True)))
     excitation = placed.driven(data.excitation)
     predicted = trajectories(
-        placed, states_at_start(placed, start, data.excitation), data.excitation, samples=data.samples, substeps=substeps,
+        placed, states_at_start(placed, start, data.excitation), data.excitation, room=data.room, samples=data.length,
+        substeps=substeps,
         measured=(data.values, data.present), gain=gain, states=True,
     )  # fmt: skip
     count, shape = predicted.shape[1], predicted[:, 0].shape

@@ -1,7 +1,7 @@
 """Prediction one sample ahead: sensor and process noise by maximum likelihood, physics by least squares on innovations."""
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -27,6 +27,9 @@ _MOST = (np.log(1.0**2), np.log(10.0**2))
 _FAR = 3.0  # the longest step in the logarithm of a variance
 _LITTLE = 0.1  # gain in log-likelihood that is not worth another pass of the filter
 _PASSES = 25
+_PART = 8  # the first of so many parts of all experiments tell the noise where it is far off
+_FEWEST = 200  # samples of that part
+_MUCH = 100.0  # gain in log-likelihood that a step must promise to be called far off
 _LESS = (0.0, 4.0)  # by how much in the logarithm of the variance
 _ENOUGH = 1.0  # gain in log-likelihood that is worth another round
 
@@ -171,7 +174,7 @@ def compile_predictor(model: RTAC, data: Data, space: Space, prior: NoiseModel, 
     physical = (space.values, space.each_values, space.start)  # of the shapes that space.physical computes
     compile_only(_pass, *_arguments(model, data, space, physical, prior, _begin(), substeps))
     whitener, gain = (
-        jnp.asarray(np.zeros((data.samples, count, len(CHANNELS), data.experiments)))
+        jnp.asarray(np.zeros((data.room, count, len(CHANNELS), data.experiments)))
         for count in (len(CHANNELS), len(model.states))
     )
     compile_only(factor, unknowns, Arguments(model, data, space, whitener, gain, substeps))
@@ -200,42 +203,78 @@ def fit_noise(
 ) -> Noise:
     """Noise by maximum likelihood: Newton's steps with the expected curvature, damped where they lead uphill.
 
-    A pass of the filter costs far more than a step, and gives the expected curvature with the slope; so few passes do.
+    A pass of the filter costs far more than a step, and gives the expected curvature with the slope; so few passes do. Where
+    the noise is far off, most of these are over the beginning of all experiments only.
 
     Source: Gupta and Mehra, IEEE Transactions on Automatic Control 19 (1974), scoring.
     """
-    at = _begin() if first is None else first
-    low = np.array([_LEAST] * 2 + [-6.0] * 3)
-    high = np.array([*_MOST, 6.0, 6.0, 6.0])
     tight = np.concatenate([np.zeros(2), 1.0 / prior.doubt**2])
 
-    def evaluated(at: np.ndarray) -> tuple[float, np.ndarray, np.ndarray, Passed]:
+    def scored(at: np.ndarray, data: Data = data) -> _Scored:
         passed = run_filter(model, data, space, physical, prior, at, substeps)
         total = float(passed.value) + 0.5 * float(tight @ at**2)
-        return total, np.asarray(passed.slope) + tight * at, np.asarray(passed.information) + np.diag(tight), passed
+        curvature = np.asarray(passed.information) + np.diag(tight)
+        return _Scored(at, total, np.asarray(passed.slope) + tight * at, curvature, passed)
 
-    value, slope, curvature, passed = evaluated(at)
+    part = dataclasses.replace(data, length=jnp.asarray(data.samples // _PART))
+    long = part.samples >= _FEWEST
+    if first is None:
+        at = _climbed(lambda at: scored(at, part), scored(_begin(), part)).at if long else _begin()
+        found = scored(at)
+    else:
+        found = scored(first)
+        if long and np.isfinite(found.value) and found.promised(_moved(found, 0.0)) > _MUCH:
+            nearer = scored(_climbed(lambda at: scored(at, part), scored(first, part)).at)
+            found = nearer if nearer.value < found.value else found
+    found = _climbed(scored, found)
+    passed = found.passed
+    return Noise(found.at, -float(passed.value) if np.isfinite(found.value) else -np.inf, passed.filtered)
+
+
+class _Scored(NamedTuple):
+    """Noise, and what the filter and what was known beforehand say of it: negative log-likelihood, slope and curvature."""
+
+    at: Float[np.ndarray, " noise"]
+    value: float
+    slope: Float[np.ndarray, " noise"]
+    curvature: Float[np.ndarray, "noise noise"]
+    passed: Passed
+
+    def promised(self, trial: np.ndarray) -> float:
+        """Gain in log-likelihood that the slope promises there."""
+        return -float(self.slope @ (trial - self.at))
+
+
+def _moved(here: _Scored, damping: float) -> Float[np.ndarray, " noise"]:
+    """A Newton step within the bounds."""
+    low = np.array([_LEAST] * 2 + [-6.0] * 3)
+    high = np.array([*_MOST, 6.0, 6.0, 6.0])
+    at, slope = here.at, here.slope
+    free = np.flatnonzero(~((at <= low) & (slope > 0) | (at >= high) & (slope < 0)))
+    inner = here.curvature[free][:, free]
+    damped = inner + damping * np.diag(np.diagonal(inner)) + 1e-9 * np.trace(here.curvature) * np.eye(len(free))
+    move = np.zeros_like(at)
+    move[free] = np.clip(-np.linalg.solve(damped, slope[free]), -_FAR, _FAR)
+    return np.clip(at + move, low, high)
+
+
+def _climbed(scored: Callable[[np.ndarray], _Scored], here: _Scored) -> _Scored:
+    """Where Newton's steps lead."""
     damping = 0.0
-    for _ in range(_PASSES if np.isfinite(value) else 0):
-        free = np.flatnonzero(~((at <= low) & (slope > 0) | (at >= high) & (slope < 0)))
-        inner = curvature[free][:, free]
-        damped = inner + damping * np.diag(np.diagonal(inner)) + 1e-9 * np.trace(curvature) * np.eye(len(free))
-        move = np.zeros_like(at)
-        move[free] = np.clip(-np.linalg.solve(damped, slope[free]), -_FAR, _FAR)
-        trial = np.clip(at + move, low, high)
-        move = trial - at
-        if -(slope @ move) < _LITTLE:
+    for _ in range(_PASSES if np.isfinite(here.value) else 0):
+        trial = _moved(here, damping)
+        if here.promised(trial) < _LITTLE:
             break
-        there = evaluated(trial)
-        gained = value - there[0]
+        there = scored(trial)
+        gained = here.value - there.value
         if not gained > 0:
             damping = max(10.0 * damping, 1.0)
             continue
-        at, (value, slope, curvature, passed) = trial, there
+        here = there
         damping *= 0.1
         if gained < _LITTLE:
             break
-    return Noise(at, -float(passed.value) if np.isfinite(value) else -np.inf, passed.filtered)
+    return here
 
 
 def without_shaken(data: Data, filtered: Filtered) -> Data:

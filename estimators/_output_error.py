@@ -329,7 +329,9 @@ class _Run:
         physical = space.physical(unknowns)
         result = run_filter(model, self.data, space, physical, known, size, jnp.asarray(substeps)).filtered
         # One whitener for all samples: enough for a start, and the same compiled function as for the simulation.
-        middle = np.median(np.asarray(result.whitener)[self.data.samples // 4 :], axis=0, keepdims=True)
+        middle = np.median(
+            np.asarray(result.whitener)[self.data.samples // 4 : self.data.samples], axis=0, keepdims=True
+        )
         return result.gain, jnp.asarray(middle)
 
     def _deviation(self, model: RTAC, space: Space, unknowns: Unknowns, substeps: int, noise: np.ndarray) -> np.ndarray:
@@ -364,7 +366,7 @@ def accurate_substeps(model: RTAC, data: Data, space: Space, unknowns: Unknowns,
 
 def no_gain(model: RTAC, data: Data) -> Array:
     """The gain of a predictor that does not correct: a free simulation."""
-    return jnp.asarray(np.zeros((data.samples, len(model.states), len(CHANNELS), data.experiments)))
+    return jnp.asarray(np.zeros((data.room, len(model.states), len(CHANNELS), data.experiments)))
 
 
 def diagonal_whitener(deviation: np.ndarray, data: Data) -> Array:

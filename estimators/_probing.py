@@ -64,7 +64,7 @@ class Probing(Setting):
     def _unfitted(self, model: RTAC, free: Sequence[str]) -> Innovations:
         """Innovations for compiling only: the shapes are right, gains and whiteners are nothing."""
         gain, whitener = (
-            jnp.asarray(np.zeros((self.data.samples, count, len(CHANNELS), self.data.experiments)))
+            jnp.asarray(np.zeros((self.data.room, count, len(CHANNELS), self.data.experiments)))
             for count in (len(model.states), len(CHANNELS))
         )
         return Innovations(model, self.data, self.padded(model, free), whitener, gain, self.substeps)

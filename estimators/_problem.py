@@ -12,6 +12,7 @@ from jaxtyping import Array, Float, Int
 from estimators._transform import to_physical, to_unconstrained
 from rtac_jax import RTAC, Excitation
 from rtac_jax._simulate import Steps, trajectories
+from rtac_jax._time_loop import room_for
 from rtac_jax.measurement import OUTPUTS, Experiment
 
 CHANNELS = tuple(OUTPUTS)
@@ -19,34 +20,38 @@ Outputs3 = Float[Array, "sample output experiment"]
 
 
 class Data(eqx.Module):
-    """Experiments as arrays of one shape.
+    """Experiments as arrays of one shape, with room for more samples than the longest has.
 
     Attributes:
         excitation: the inputs.
         values: outputs in the order of `CHANNELS`; zero where there is none.
         present: 1 where an output was measured, else 0.
         trusted: 0 where a filter follows the outputs but its likelihood and its innovations do not count, else 1.
+        length: samples of the longest experiment, or of the part of all experiments that is run through.
     """
 
     excitation: Excitation
     values: Outputs3
     present: Outputs3
     trusted: Float[Array, "sample experiment"]
+    length: Int[Array, ""]
 
     @classmethod
     def of(cls, experiments: Sequence[Experiment]) -> "Data":
         """Stack experiments of any lengths and channels."""
-        values = np.full((max(e.samples for e in experiments), len(CHANNELS), len(experiments)), np.nan)
+        samples = max(e.samples for e in experiments)
+        values = np.full((room_for(samples), len(CHANNELS), len(experiments)), np.nan)
         for column, experiment in enumerate(experiments):
             for row, channel in enumerate(CHANNELS):
                 if channel in experiment.outputs:
                     values[: experiment.samples, row, column] = experiment.outputs[channel].values
         present = np.isfinite(values)
         return cls(
-            Excitation.of(experiments),
+            Excitation.of(experiments, room=len(values)),
             jnp.asarray(np.where(present, values, 0.0)),
             jnp.asarray(present.astype(float)),
             jnp.ones((values.shape[0], values.shape[2])),
+            jnp.asarray(samples),
         )
 
     @property
@@ -55,9 +60,14 @@ class Data(eqx.Module):
         return self.present * self.trusted[:, None]
 
     @property
-    def samples(self) -> int:
-        """Length of the longest experiment."""
+    def room(self) -> int:
+        """Length of the arrays."""
         return self.values.shape[0]
+
+    @property
+    def samples(self) -> int:
+        """Length of the longest experiment; not within compiled code."""
+        return int(self.length)
 
     @property
     def experiments(self) -> int:
@@ -181,7 +191,8 @@ def predict(
         placed,
         states_at_start(placed, start, data.excitation),
         data.excitation,
-        samples=data.samples,
+        room=data.room,
+        samples=data.length,
         substeps=substeps,
         measured=None if gain is None else (data.values, data.present),
         gain=gain,

@@ -124,10 +124,11 @@ class Shaken:
     def draw(self, random: np.random.Generator) -> Outputs:
         """Simulated with white impulses and white sensor noise."""
         data = self.problem.arguments.data
-        struck = random.normal(size=(data.samples, 2, *self.impulse.shape)) * self.impulse
+        struck = np.zeros((data.room, 2, *self.impulse.shape))
+        struck[: data.samples] = random.normal(size=struck[: data.samples].shape) * self.impulse
         at = self.problem
-        shown = np.asarray(_struck(at.unknowns, at.arguments, jnp.asarray(self.start), jnp.asarray(struck)))
-        noisy = shown + random.normal(size=shown.shape) * self.sensor[:, None]
+        noisy = np.array(_struck(at.unknowns, at.arguments, jnp.asarray(self.start), jnp.asarray(struck)))
+        noisy[: data.samples] += random.normal(size=noisy[: data.samples].shape) * self.sensor[:, None]
         return np.where(np.asarray(data.present) > 0, noisy, np.nan)
 
 

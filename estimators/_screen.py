@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.stats import f as fisher
 
+from estimators._beside import beside
 from estimators._innovations import Innovations, Rows, orthonormal
 from estimators._score_test import score_test
 from rtac_jax._parameter import declarations
@@ -103,18 +104,23 @@ def screen(groups: Sequence[Group], error: np.ndarray, basis: Rows) -> list[Scre
         basis: orthonormal columns that the base model's parameters explain already.
     """
     tried = sum(len(group.instances) for group in groups)
-    found = [s for group in groups for s in _one_by_one(group, error, basis, tried)]
+    parts = beside(lambda part: _one_by_one(*part, error, basis, tried), ((group, _each(group)) for group in groups))
+    found = [s for part in parts for s in part]
     clear = [s for s in found if s.statistic >= ALARM and len(s.amplitudes) == 1 and s.begin[0] != 0]
     largest = sorted(clear, key=lambda s: -s.statistic)[:_TRIED]
     owner = {instance.id: group for group in groups for instance in group.instances}
     return [_sized(owner[s.id], error, basis, s) if any(s is one for one in largest) else s for s in found]
 
 
-def _one_by_one(group: Group, error: np.ndarray, basis: Rows, tried: int) -> list[Screened]:
-    """Each instance of a group by itself."""
+def _each(group: Group) -> Rows:
+    """What each amplitude of each instance of a group changes by itself, per unit."""
     owners = [(i, amplitude) for i in group.instances for amplitude in type(i).amplitudes()]
     columns = group.changes(*zip(*owners, strict=True))
-    columns /= [float(np.asarray(getattr(instance, amplitude))) for instance, amplitude in owners]
+    return columns / [float(np.asarray(getattr(instance, amplitude))) for instance, amplitude in owners]
+
+
+def _one_by_one(group: Group, columns: Rows, error: np.ndarray, basis: Rows, tried: int) -> list[Screened]:
+    """Each instance of a group by itself."""
     sound = np.isfinite(columns).all(axis=0)  # a candidate at its plausible size may make the model diverge
     columns[:, sound] -= basis @ (basis.T @ columns[:, sound])
     blocks = group.innovations.blocks()

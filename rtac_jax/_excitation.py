@@ -28,11 +28,16 @@ class Excitation(eqx.Module):
     cart_free: Float[Array, " experiment"]
 
     @classmethod
-    def of(cls, experiments: Sequence[Experiment]) -> "Excitation":
-        """From experiments of any lengths, sample times and channels; the shorter ones end with zero input."""
+    def of(cls, experiments: Sequence[Experiment], *, room: int | None = None) -> "Excitation":
+        """From experiments of any lengths, sample times and channels; the shorter ones end with zero input.
+
+        Args:
+            room: length of the arrays, by default that of the longest experiment.
+        """
+        room = room or max(e.samples for e in experiments)
         return cls(
-            current=_stack(experiments, "current"),
-            force=_stack(experiments, "disturbance_force"),
+            current=_stack(experiments, "current", room),
+            force=_stack(experiments, "disturbance_force", room),
             sample_time=jnp.asarray([e.sample_time for e in experiments]),
             arm_free=jnp.asarray([float(e.arm == "free") for e in experiments]),
             cart_free=jnp.asarray([float(e.cart == "free") for e in experiments]),
@@ -53,13 +58,13 @@ class Excitation(eqx.Module):
         return self.current[0, 0]
 
 
-def _stack(experiments: Sequence[Experiment], channel: str) -> Array | None:
+def _stack(experiments: Sequence[Experiment], channel: str, room: int) -> Array | None:
     signals = [e.inputs.get(channel) for e in experiments]
     if not any(signal is not None and np.any(signal.values) for signal in signals):
         return None
     parts = [None if signal is None else coefficients(signal) for signal in signals]
     powers = max(part.shape[1] for part in parts if part is not None)
-    stacked = np.zeros((max(e.samples for e in experiments), powers, len(experiments)))
+    stacked = np.zeros((room, powers, len(experiments)))
     for column, part in enumerate(parts):
         if part is not None:
             stacked[: len(part), : part.shape[1], column] = part

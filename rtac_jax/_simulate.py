@@ -13,6 +13,7 @@ from jaxtyping import Array, Float, Int
 from rtac_jax._excitation import Excitation
 from rtac_jax._rtac import RTAC
 from rtac_jax._since import Since
+from rtac_jax._time_loop import room_for, time_loop
 from rtac_jax.measurement import Experiment
 
 State = tuple[Any, ...]
@@ -103,8 +104,9 @@ def trajectories(
     start: State,
     excitation: Excitation,
     *,
-    samples: int,
+    samples: Steps,
     substeps: Steps,
+    room: int | None = None,
     measured: tuple[Float[Array, "sample output experiment"], Float[Array, "sample output experiment"]] | None = None,
     gain: Float[Array, "sample state output experiment"] | None = None,
     states: bool = False,
@@ -112,6 +114,8 @@ def trajectories(
 ) -> Float[Array, "sample row experiment"]:
     """Outputs of all experiments, one column each: cart position [m], arm velocity [rad/s], arm angle [rad].
 
+    Of arrays that are longer than `samples` the first so many are run through; `room` is their length, and where it is given
+    another number of samples compiles nothing. What is beyond is zero.
     With `measured` (values, and 1 where there is one) and `gain` the state is corrected by gain times the error at each
     sample before it moves on, and the outputs are predictions one sample ahead; without, they are a simulation.
     With `states` the rows are the states themselves instead of the outputs.
@@ -144,7 +148,7 @@ def trajectories(
         state = advance(model, state, current, force, excitation, substeps=substeps)
         return tuple(_without_denormals(x) for x in state), shown
 
-    return jax.lax.scan(one_sample, start, rows, length=samples)[1]
+    return time_loop(one_sample, start, rows, room=room or int(samples), samples=samples)[1]
 
 
 def unit_pushes(
@@ -229,7 +233,9 @@ def simulate(
     chosen = list(experiments)
     if not chosen:
         raise ValueError("simulate needs at least one experiment.")
-    excitation = Excitation.of(chosen)
+    samples = max(e.samples for e in chosen)
+    room = room_for(samples)
+    excitation = Excitation.of(chosen, room=room)
     rigid = np.zeros((4, len(chosen)))
     whole: dict[int, np.ndarray] = {}
     for column, experiment in enumerate(chosen):
@@ -248,9 +254,8 @@ def simulate(
     table = np.stack([np.broadcast_to(np.asarray(x), (len(chosen),)) for x in state]).copy()
     for column, values in whole.items():
         table[:, column] = values
-    samples = max(e.samples for e in chosen)
     steps = substeps if substeps is not None else substeps_for(model, excitation, stability=0.5)
-    found = np.asarray(_states(model, jnp.asarray(table), excitation, samples, jnp.asarray(steps)))
+    found = np.asarray(_states(model, jnp.asarray(table), excitation, room, jnp.asarray(samples), jnp.asarray(steps)))
     shown = [np.broadcast_to(np.asarray(y), found[:, 0].shape) for y in model.outputs(tuple(np.moveaxis(found, 1, 0)))]
     result = {}
     for column, e in enumerate(chosen):
@@ -262,5 +267,5 @@ def simulate(
 
 
 @eqx.filter_jit
-def _states(model: RTAC, start: Array, excitation: Excitation, samples: int, substeps: Steps) -> Array:
-    return trajectories(model, tuple(start), excitation, samples=samples, substeps=substeps, states=True)
+def _states(model: RTAC, start: Array, excitation: Excitation, room: int, samples: Steps, substeps: Steps) -> Array:
+    return trajectories(model, tuple(start), excitation, room=room, samples=samples, substeps=substeps, states=True)

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from estimators._by_noise import ByNoise
 from estimators._coloured_noise import ColouredNoise
 from estimators._problem import CHANNELS, Data, Space, states_at_start
 from rtac_jax import RTAC
@@ -14,6 +15,7 @@ from rtac_jax._simulate import Steps, advance, unit_pushes
 from rtac_jax._time_loop import time_loop
 
 OUTPUTS = len(CHANNELS)
+_VELOCITIES = (1, 3)  # places of the velocities of cart and arm in the state
 _SMALL = 1e-9  # velocities [m/s, rad/s] below which a difference is lost in rounding
 
 
@@ -48,7 +50,23 @@ def kalman(
     start_variance: Float[Array, "start experiment"],
     substeps: Steps,
 ) -> Filtered:
-    """Run the filter.
+    """Run the filter; see `kalman_by_noise`."""
+    options = {"sensor_variance": sensor_variance, "process": process, "start_variance": start_variance}
+    return _run(model, data, space, physical, **options, substeps=substeps, by_noise=False)[0]
+
+
+def kalman_by_noise(
+    model: RTAC,
+    data: Data,
+    space: Space,
+    physical: tuple[Array, Array, Array],
+    *,
+    sensor_variance: Float[Array, "output experiment"],
+    process: tuple[Any, Any],
+    start_variance: Float[Array, "start experiment"],
+    substeps: Steps,
+) -> tuple[Filtered, ByNoise]:
+    """Run the filter, and beside it the derivatives by the logarithm of each noise.
 
     Args:
         sensor_variance: of each output's noise, SI units squared.
@@ -57,6 +75,24 @@ def kalman(
 
     Source: Jazwinski, Stochastic Processes and Filtering Theory (1970), chapter 8.
     """
+    options = {"sensor_variance": sensor_variance, "process": process, "start_variance": start_variance}
+    found, slopes = _run(model, data, space, physical, **options, substeps=substeps, by_noise=True)
+    assert slopes is not None
+    return found, slopes
+
+
+def _run(
+    model: RTAC,
+    data: Data,
+    space: Space,
+    physical: tuple[Array, Array, Array],
+    *,
+    sensor_variance: Float[Array, "output experiment"],
+    process: tuple[Any, Any],
+    start_variance: Float[Array, "start experiment"],
+    substeps: Steps,
+    by_noise: bool,
+) -> tuple[Filtered, ByNoise | None]:
     shared, each, start = physical
     placed = model.with_values(dict(zip(space.names, shared, strict=True)) | dict(zip(space.each, each, strict=True)))
     excitation = placed.driven(data.excitation)
@@ -74,15 +110,15 @@ def kalman(
     spread = spread + jnp.eye(count)[:, :, None] * wander.stationary[:, None]
     unit = tuple(jnp.broadcast_to(row[:, None], (count, *shape)) for row in jnp.eye(count))
     rubs = bool(placed.friction_levels(state))
+    slopes = ByNoise.at_start(wander.by_noise(wander.stationary)) if by_noise else None
 
-    def one_sample(carry: tuple[Any, Array], row: dict[str, Any]) -> tuple[tuple[Any, Array], Any]:
-        state, spread = carry
+    def one_sample(carry: tuple[Any, Array, ByNoise | None], row: dict[str, Any]) -> tuple[Any, Any]:
+        state, spread, slopes = carry
 
         def shown(at: Any) -> tuple[Any, ...]:
             return tuple(jnp.broadcast_to(y, shape) for y in placed.outputs(at))
 
-        outputs, slopes = _with_slopes(shown, state, unit)
-        slopes = jax.lax.stop_gradient(slopes)
+        outputs, seen = _with_slopes(shown, state, unit)
         error = (row["values"] - outputs) * row["present"]
         whitener, innovations = [], []
         likelihood = jnp.zeros(shape)
@@ -90,17 +126,16 @@ def kalman(
         # whitener and the joint gain follow by substitution.
         gain = jnp.zeros((count, OUTPUTS, *shape))
         for j in range(OUTPUTS):
-            there, h = row["present"][j], slopes[j]
+            there, h = row["present"][j], seen[j]
             ph = jnp.sum(spread * h[None], axis=1)
             variance = jnp.sum(h * ph, axis=0) + sensor_variance[j]
             deviation = jnp.sqrt(variance)
             # innovation_j = e_j - h . gain e, linear in the errors e_0 .. e_j
             weights = (jnp.eye(OUTPUTS)[j][:, None] - jnp.sum(h[:, None] * gain, axis=0)) * row["present"]
             innovation = there * jnp.sum(weights * error, axis=0)
-            counts = there * row["trusted"]
-            innovations.append(counts * innovation / deviation)
-            whitener.append(counts * weights / deviation)
-            likelihood = likelihood - 0.5 * counts * (innovation**2 / variance + jnp.log(variance))
+            innovations.append(innovation / deviation)
+            whitener.append(there * weights / deviation)
+            likelihood = likelihood - 0.5 * there * (innovation**2 / variance + jnp.log(variance))
             k = there * ph / variance
             gain = gain + k[:, None] * weights[None]
             spread = spread - k[:, None] * ph[None, :]
@@ -113,36 +148,36 @@ def kalman(
         def forward(at: Any) -> Any:
             return advance(placed, at, current, force, excitation, substeps=substeps)
 
-        pushes = jax.lax.stop_gradient(unit_pushes(placed, state, excitation))
-        # Derivatives by the noise go through the linearised step that the filter has anyway; those of the linearisation
-        # itself would cost far more and matter far less.
-        here = jax.lax.stop_gradient(state)
-        there, jacobian = jax.lax.stop_gradient(_with_slopes(forward, here, unit))
+        pushes = unit_pushes(placed, state, excitation)
+        moved, jacobian = _linearised(forward, state, spread if rubs else None)
         shaken = jnp.zeros(shape)
         if rubs:
-            # Stopped on the way in: what is stopped on the way out of a loop is computed all the same.
-            jacobian = _spanning(forward, here, jax.lax.stop_gradient(spread), jacobian)
-            shaken = _shaken(placed, here, spread, process, pushes, excitation.sample_time)
-        away = jnp.stack(state) - jnp.stack(here)
-        state = tuple(there + jnp.sum(jacobian * away[None], axis=1))
-        half = (
-            0.5
-            * excitation.sample_time
-            * sum(density * push[:, None] * push[None, :] for density, push in zip(process, pushes, strict=True))
+            shaken = _shaken(placed, state, spread, process, pushes, excitation.sample_time)
+        # Half of what strikes in the interval at its start, half at its end.
+        halves = jnp.stack(
+            [jnp.sqrt(0.5 * excitation.sample_time * d) * p for d, p in zip(process, pushes, strict=True)]
         )
-        spread = _product(_product(jacobian, spread + half), jnp.swapaxes(jacobian, 0, 1)) + half
+        later = jnp.sum(jacobian[None] * halves[:, None], axis=2)
+        pushed = halves[:, :, None] * halves[:, None] + later[:, :, None] * later[:, None]
+        spread = _product(_product(jacobian, spread), jnp.swapaxes(jacobian, 0, 1)) + pushed[0] + pushed[1]
         spread = spread + jnp.eye(count)[:, :, None] * wander.fresh[:, None]
-        return (state, spread), (gain, jnp.stack(whitener), jnp.stack(innovations), likelihood, shaken)
+        white, weigh, counts = jnp.stack(innovations), jnp.stack(whitener), row["trusted"]
+        if slopes is not None:
+            slopes = slopes.onward(
+                seen * row["present"][:, None], weigh, white, gain, sensor_variance, counts, jacobian, pushed,
+                wander.by_noise(wander.fresh),
+            )  # fmt: skip
+        return (tuple(moved), spread, slopes), (gain, counts * weigh, counts * white, counts * likelihood, shaken)
 
     rows = {
         "current": excitation.current, "force": excitation.force, "values": data.values, "present": data.present,
         "trusted": data.trusted,
     }  # fmt: skip
-    found = time_loop(one_sample, (state, spread), rows, room=data.room, samples=data.length)[1]
+    (_, _, slopes), found = time_loop(one_sample, (state, spread, slopes), rows, room=data.room, samples=data.length)
     gain, whitener, innovations, likelihood, shaken = found
     # Not the sample itself: to leave out samples for what they show would bias what is left.
     after = jnp.concatenate([jnp.zeros_like(shaken[:1]), shaken[:-1]])
-    return Filtered(gain, whitener, innovations, likelihood.sum(axis=0), after)
+    return Filtered(gain, whitener, innovations, likelihood.sum(axis=0), after), slopes
 
 
 filtered = eqx.filter_jit(kalman)
@@ -155,11 +190,20 @@ class Wander(NamedTuple):
         white: variance of what is white.
         stationary: variance of the states that carry what is coloured; zero for all others.
         fresh: of that, what every sample brings anew.
+        places: of these states, one for each sensor.
     """
 
     white: Float[Array, "output experiment"]
     stationary: Float[Array, "state experiment"]
     fresh: Float[Array, "state experiment"]
+    places: tuple[int, ...]
+
+    def by_noise(self, own: Float[Array, "state experiment"]) -> Float[Array, "noise state experiment"]:
+        """Of what states have of their own, what is in proportion to each noise: to none but that of their sensor."""
+        found = jnp.zeros((2 + len(CHANNELS), *own.shape))
+        for sensor, place in enumerate(self.places):
+            found = found.at[2 + sensor, place].set(own[place])
+        return found
 
 
 def wandering(
@@ -170,11 +214,11 @@ def wandering(
     nothing = jnp.zeros((len(names), len(sample_time)))
     colour = next((effect for effect in model.effects if isinstance(effect, ColouredNoise)), None)
     if colour is None:
-        return Wander(variance, nothing, nothing)
+        return Wander(variance, nothing, nothing, ())
     share, keep = colour.share[:, None], jnp.exp(-sample_time / colour.memory[:, None])
-    places = jnp.asarray([names.index(f"{colour.id}.{channel}") for channel in CHANNELS])
-    slow = share * variance
-    return Wander(variance - slow, nothing.at[places].set(slow), nothing.at[places].set((1 - keep**2) * slow))
+    places = tuple(names.index(f"{colour.id}.{channel}") for channel in CHANNELS)
+    at, slow = jnp.asarray(places), share * variance
+    return Wander(variance - slow, nothing.at[at].set(slow), nothing.at[at].set((1 - keep**2) * slow), places)
 
 
 def start_places(model: RTAC) -> tuple[int, ...]:
@@ -200,40 +244,48 @@ def _shaken(
     """1 where the cart or the arm may rest, and three standard deviations of the random force exceed its dry friction."""
     levels = model.friction_levels(state)
     found = jnp.zeros_like(state[0])
-    for body, place in enumerate((1, 3)):
+    for body, place in enumerate(_VELOCITIES):
         level = sum((pair[body] for pair in levels), start=0.0)
         push = pushes[body][place]
         kicked = process[body] * interval * push**2  # variance of the velocity after one sample
         strong = (9 * kicked > (interval * level * push) ** 2) & (level > 0)
         slow = state[place] ** 2 < 9 * (spread[place, place] + kicked)
         found = jnp.where(strong & slow, 1.0, found)
-    return jax.lax.stop_gradient(found)
+    return found
 
 
-def _spanning(
-    function: Any,
-    state: Any,
-    spread: Float[Array, "state state experiment"],
-    slopes: Float[Array, "row state experiment"],
-) -> Array:
-    """The slopes, those by the velocities taken over one standard deviation to either side.
+def _linearised(
+    function: Any, state: Any, spread: Float[Array, "state state experiment"] | None
+) -> tuple[Float[Array, "row experiment"], Float[Array, "row state experiment"]]:
+    """The next state and its derivatives, with a spread those by the velocities over one standard deviation to either side.
 
     Where dry friction holds a body at rest the derivative by its velocity is zero, and a filter that believes it would never
     doubt again that the body rests, while random forces shake it loose.
 
+    Every derivative has its own copy of the state: arrays of one shape become few loops, and these cost more than their work.
+
     Source: statistical linearisation; Gelb, Applied Optimal Estimation (1974), section 6.2.
     """
-    places = (1, 3)
-    reach = jnp.stack([jnp.sqrt(spread[place, place]) for place in places])
     at = jnp.stack(state)
-    several = jnp.stack(
-        [at.at[place].add(sign * r) for place, r in zip(places, reach, strict=True) for sign in (1.0, -1.0)]
-    )
-    ends = jax.vmap(lambda one: jnp.stack(function(tuple(one))))(several)
-    wide = (ends[0::2] - ends[1::2]) / (2 * jnp.where(reach > _SMALL, reach, 1.0))[:, None]
-    for place, r, slope in zip(places, reach, wide, strict=True):
-        slopes = slopes.at[:, place].set(jnp.where(r > _SMALL, slope, slopes[:, place]))
-    return slopes
+    count = len(state)
+    points, along = [at] * count, [jnp.broadcast_to(row[:, None], at.shape) for row in jnp.eye(count)]
+    reach = None
+    if spread is not None:
+        reach = jnp.stack([jnp.sqrt(spread[place, place]) for place in _VELOCITIES])
+        points += [at.at[p].add(sign * r) for p, r in zip(_VELOCITIES, reach, strict=True) for sign in (1.0, -1.0)]
+        along += [jnp.zeros_like(at)] * (len(points) - count)
+
+    def one(point: Array, direction: Array) -> tuple[Array, Array]:
+        return jax.jvp(lambda x: jnp.stack(function(tuple(x))), (point,), (direction,))
+
+    ends, slopes = jax.vmap(one)(jnp.stack(points), jnp.stack(along))
+    jacobian = jnp.moveaxis(slopes[:count], 0, 1)
+    if reach is not None:
+        ahead, behind = ends[count::2], ends[count + 1 :: 2]
+        wide = (ahead - behind) / (2 * jnp.where(reach > _SMALL, reach, 1.0))[:, None]
+        for place, r, slope in zip(_VELOCITIES, reach, wide, strict=True):
+            jacobian = jacobian.at[:, place].set(jnp.where(r > _SMALL, slope, jacobian[:, place]))
+    return ends[0], jacobian
 
 
 def _product(a: Array, b: Array) -> Array:

@@ -5,14 +5,13 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from estimators._bounds import solve_bounded
 from estimators._compile import compile_only
-from estimators._kalman import Filtered, kalman
+from estimators._kalman import Filtered, kalman_by_noise
 from estimators._levenberg_marquardt import Arguments, factor
 from estimators._problem import CHANNELS, Data, Space, Unknowns
 from rtac_jax import RTAC, Scales
@@ -131,26 +130,13 @@ def _pass(
 ) -> Passed:  # fmt: skip
     """One compiled function for the pass and its derivatives."""
 
-    def innovations(at: Array) -> tuple[tuple[Array, Array, Array], Filtered]:
-        density = jnp.exp(at[:2]) * scale
-        variance = jnp.broadcast_to((jnp.exp(at[2:]) * sensor**2)[:, None], (len(CHANNELS), data.experiments))
-        found = kalman(
-            model, data, space, physical, sensor_variance=variance, process=(density[0], density[1]),
-            start_variance=start, substeps=substeps,
-        )  # fmt: skip
-        precision = jnp.moveaxis(
-            jnp.diagonal(found.whitener, axis1=1, axis2=2), 2, 1
-        )  # one over the standard deviation
-        deviation = -jnp.log(jnp.where(precision > 0, precision, 1.0))
-        return (-found.log_likelihood.sum(), found.innovations, deviation), found
-
-    (value, white, _), (slope, change, wider), found = jax.vmap(
-        lambda t: jax.jvp(innovations, (noise,), (t,), has_aux=True), out_axes=(None, 0, None)
-    )(jnp.eye(len(noise)))
-    # Of an innovation e in units of its standard deviation s: the change of the innovation itself is de + e dlog s.
-    change = change + white * wider
-    information = jnp.einsum("isof,jsof->ij", change, change) + 2 * jnp.einsum("isof,jsof->ij", wider, wider)
-    return Passed(value, slope, information, found)
+    density = jnp.exp(noise[:2]) * scale
+    variance = jnp.broadcast_to((jnp.exp(noise[2:]) * sensor**2)[:, None], (len(CHANNELS), data.experiments))
+    found, slopes = kalman_by_noise(
+        model, data, space, physical, sensor_variance=variance, process=(density[0], density[1]),
+        start_variance=start, substeps=substeps,
+    )  # fmt: skip
+    return Passed(-found.log_likelihood.sum(), slopes.slope.sum(-1), slopes.information.sum(-1), found)
 
 
 def run_filter(

@@ -18,7 +18,7 @@ from estimators._score_test import score_test
 from rtac_jax import RTAC
 from rtac_jax._simulate import Steps
 from rtac_jax.effects import Force, Motion, States
-from rtac_jax.effects.spline_force import PORTS, SHAPES, VARIABLES, SplineForce, curve_value
+from rtac_jax.effects.spline_force import PORTS, SHAPES, VARIABLES, SplineForce, on_curve
 
 KNOTS = 12
 
@@ -40,7 +40,10 @@ class Probe(Force):
     slow: Array
 
     def force(self, motion: Motion, own: States) -> tuple[Any, Any]:
-        total = curve_value(self.heights, motion, self.variable, self.first, self.spacing, self.slow)
+        # At zero heights it does not matter how the hats change with the motion, and stopping that saves half the time.
+        at, rubs = jax.lax.stop_gradient(on_curve(motion, self.variable, self.first, self.spacing, self.slow))
+        at = jnp.clip(at, 0.0, KNOTS - 1.0)
+        total = sum(self.heights[k] * (jnp.maximum(0.0, 1.0 - jnp.abs(at - k)) * rubs) for k in range(KNOTS))
         return self.on[0] * total, self.on[1] * total
 
 

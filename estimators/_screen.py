@@ -119,7 +119,9 @@ def _each(group: Group) -> Rows:
     return columns / [float(np.asarray(getattr(instance, amplitude))) for instance, amplitude in owners]
 
 
-def _one_by_one(group: Group, columns: Rows, error: np.ndarray, basis: Rows, tried: int) -> list[Screened]:
+def _one_by_one(
+    group: Group, columns: Rows, error: np.ndarray, basis: Float[np.ndarray, "row explained"], tried: int
+) -> list[Screened]:
     """Each instance of a group by itself."""
     sound = np.isfinite(columns).all(axis=0)  # a candidate at its plausible size may make the model diverge
     columns[:, sound] -= basis @ (basis.T @ columns[:, sound])

@@ -24,7 +24,7 @@ from rtac_jax._simulate import Steps
 from rtac_jax.effects import Effect
 from rtac_jax.measurement import Experiment, Recording
 
-_ROOM = 16  # unknowns are padded to a multiple of this
+_ROOM = 8  # unknowns are padded to a multiple of this
 
 
 Kind = TypeVar("Kind", bound="Setting")
@@ -125,7 +125,7 @@ class Setting:
     def padded(self, model: RTAC, free: Sequence[str]) -> Space:
         """With places past the end, so that a model with a few parameters more needs no new compilation."""
         space = self.space(model, free)
-        active = np.full(-(-(len(free) + _ROOM) // _ROOM) * _ROOM, len(space.names))
+        active = np.full(max(-(-len(free) // _ROOM), 1) * _ROOM, len(space.names))
         active[: len(space.active)] = np.asarray(space.active)
         return dataclasses.replace(space, active=jnp.asarray(active))
 

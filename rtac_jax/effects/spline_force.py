@@ -32,12 +32,25 @@ def curve_value(
 ) -> Any:
     """Piecewise linear curve through heights at equally spaced knots, at the present value of a variable.
 
+    See `on_curve` for the arguments.
+
+    Source: de Boor, A Practical Guide to Splines (1978), chapter 3.
+    """
+    at, rubs = on_curve(motion, variable, first, spacing, slow)
+    knots = jnp.arange(len(heights)).reshape(-1, *[1] * jnp.ndim(at))
+    hats = jnp.maximum(0.0, 1.0 - jnp.abs(jnp.clip(at, 0.0, len(heights) - 1.0) - knots))
+    return jnp.tensordot(heights, hats, 1) * rubs
+
+
+def on_curve(
+    motion: Motion, variable: Float[Array, " variable"], first: Any, spacing: Any, slow: Any
+) -> tuple[Any, Any]:
+    """Where the present value of a variable lies, in knots from the first, and what the curve there is multiplied by.
+
     Args:
         variable: one at the place of the variable in `VARIABLES`, else zero.
         first, spacing: of the knots.
         slow: speed below which friction fades [m/s or rad/s].
-
-    Source: de Boor, A Practical Guide to Splines (1978), chapter 3.
     """
     turns = motion.arm_angle / (2 * jnp.pi)
     within = 2 * jnp.pi * (turns - jnp.floor(turns + 0.5))
@@ -46,12 +59,9 @@ def curve_value(
         motion.cart_position, within,
     )  # fmt: skip
     at = (sum(w * x for w, x in zip(variable, options, strict=True)) - first) / spacing
-    knots = jnp.arange(len(heights)).reshape(-1, *[1] * jnp.ndim(at))
-    hats = jnp.maximum(0.0, 1.0 - jnp.abs(jnp.clip(at, 0.0, len(heights) - 1.0) - knots))
-    total = jnp.tensordot(heights, hats, 1)
     against = [-v / jnp.sqrt(v * v + slow * slow) for v in (motion.cart_velocity, motion.arm_velocity)]
     rubs = variable[5] * against[0] + variable[6] * against[1] + jnp.sum(variable[:5])
-    return total * rubs
+    return at, rubs
 
 
 def _amount(number: int) -> Any:

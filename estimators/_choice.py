@@ -78,7 +78,7 @@ def reconsidered(search: Search, base: Refit, steps: list[Step]) -> list[Step]:
         before = search.without(now, effect)
         tried = {effect: (step.asked[effect], now)}
         if others:
-            with search.refitting(before, others, step.way) as refitted:
+            with search.refitting(before, others, step.way) as (refitted, _):
                 tried |= {s.id: (s, refit) for s in others if (refit := refitted(s)) is not None}
         winner = chosen(search, before, tried)
         if winner is not None and winner.id == effect:

@@ -1,5 +1,7 @@
 """Compiling ahead of time, and room for compiled code."""
 
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor, wait
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +17,18 @@ def compile_only(function: Any, *arguments: Any) -> None:
     compiling in one while another computes cannot.
     """
     function.lower(*arguments).compile()
+
+
+class Ahead:
+    """Code that another thread compiles piece by piece, in the order in which it will run."""
+
+    def __init__(self, other: Executor, pieces: Sequence[Callable[[], None]]) -> None:
+        self._left = [other.submit(piece) for piece in pieces]
+
+    def next(self) -> None:
+        """Wait for the next piece; what could not be compiled there is compiled where it runs."""
+        if self._left:
+            wait([self._left.pop(0)])
 
 
 def make_room(

@@ -12,7 +12,7 @@ from tqdm import tqdm
 from estimators._adequacy import Evidence, alarming, excess_of, p_by_chance
 from estimators._candidate import Candidate, Step
 from estimators._choice import bic_gain, gain
-from estimators._compile import make_room
+from estimators._compile import Ahead, make_room
 from estimators._detection_limit import TESTABLE, main_amplitude
 from estimators._force_curve import ForceCurve
 from estimators._latent_force import LatentForce
@@ -153,11 +153,12 @@ class _Found:
 def _searched(search: Search, thorough: bool) -> _Found:
     search.bar.set_description("diagnose: predictor of the base model")
     with ThreadPoolExecutor(1) as other:
-        other.submit(search.compile_tests)
+        other.submit(search.compile_base)
+        ahead = Ahead(other, search.pieces_of_tests())
         search, base = search.recoloured(search.base())
         search, base = search.trusting(base)
-    search.bar.set_description("diagnose: candidates")
-    tested = search.tested(base)
+        search.bar.set_description("diagnose: candidates")
+        tested = search.tested(base, ahead)
     steps, refits = improvements(search, base, tested)
     if any(test.rejects for test in tested.tests) and not any(e.kind == "rest" for e in search.recording.experiments):
         # Noise that wanders makes almost every effect look useful; without rest records the likelihood must say.

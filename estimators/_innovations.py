@@ -57,9 +57,12 @@ class Innovations:
         several = np.repeat(np.asarray(self.space.values)[None], AT_ONCE, axis=0)
         compile_only(_innovations, *self._arguments(several))
 
-    def compile_derivatives(self) -> None:
-        """Likewise `jacobian` and `pushed`."""
+    def compile_jacobian(self) -> None:
+        """Likewise `jacobian`."""
         compile_only(_jacobian, *self._arguments(self._directions()))
+
+    def compile_pushed(self) -> None:
+        """Likewise `pushed`."""
         nothing = np.zeros((AT_ONCE, self.data.room, self.data.experiments))
         compile_only(_pushed, *self._arguments(nothing, nothing))
 

@@ -154,11 +154,14 @@ def _arguments(
     return model, data, space, physical, jnp.asarray(noise), scale, sensor, prior.start_variance, substeps
 
 
-def compile_predictor(model: RTAC, data: Data, space: Space, prior: NoiseModel, substeps: Steps) -> None:
-    """Compile what `fit_predictor` will run, and run nothing."""
+def compile_predictor(
+    model: RTAC, data: Data, space: Space, prior: NoiseModel, substeps: Steps, *, noise: bool = True
+) -> None:
+    """Compile what `fit_predictor` will run, with or without what it runs first, the filter; and run nothing."""
     unknowns = space.unconstrained(start=False)
-    physical = (space.values, space.each_values, space.start)  # of the shapes that space.physical computes
-    compile_only(_pass, *_arguments(model, data, space, physical, prior, _begin(), substeps))
+    if noise:
+        physical = (space.values, space.each_values, space.start)  # of the shapes that space.physical computes
+        compile_only(_pass, *_arguments(model, data, space, physical, prior, _begin(), substeps))
     whitener, gain = (
         jnp.asarray(np.zeros((data.room, count, len(CHANNELS), data.experiments)))
         for count in (len(CHANNELS), len(model.states))

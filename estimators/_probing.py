@@ -1,12 +1,14 @@
 """What the innovations of a fitted predictor are asked: which candidates they speak for, and whether anything is left."""
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 
 import jax.numpy as jnp
 import numpy as np
 
 from estimators._adequacy import evidence
+from estimators._compile import Ahead
 from estimators._delayed_force import delayed_forces
 from estimators._detection_limit import detection_limits
 from estimators._force_curve import compile_force_curves, force_curves
@@ -33,19 +35,22 @@ QUIET = np.log(1e-3**2)  # variance of random forces, in shares of the rms force
 class Probing(Setting):
     """Tests of the innovations of models with some of the candidates."""
 
-    def compile_tests(self, added: Sequence[str] = (), free: Sequence[str] | None = None) -> None:
-        """Compile what tests of innovations will run, so that another thread can do so while the model is fitted.
+    def pieces_of_tests(self, added: Sequence[str] = (), free: Sequence[str] | None = None) -> list[Callable[[], None]]:
+        """What compiles the code of `tested`, in the order in which that runs it, so that another thread can go before it.
 
         Args:
             added: effects that the model has beside those of the base model.
             free: its free parameters, by default those of the base model.
         """
         free = shared(self.model) if free is None else free
-        for group in self._grouped(added):
-            self._unfitted(self._with(added, group), free).compile()
-        innovations = self._unfitted(self._with(added, ()), free)
-        innovations.compile_derivatives()
-        compile_force_curves(innovations)
+        alone = partial(self._unfitted, self._with(added, ()), free)
+        groups = [partial(self._unfitted, self._with(added, group), free) for group in self._grouped(added)]
+        return [
+            lambda: alone().compile_jacobian(),
+            *(partial(_compile, group) for group in groups),
+            lambda: compile_force_curves(alone()),
+            lambda: alone().compile_pushed(),
+        ]
 
     def _grouped(self, added: Sequence[str]) -> list[list[str]]:
         """Candidates that were not added, as they are simulated together.
@@ -69,16 +74,20 @@ class Probing(Setting):
         )
         return Innovations(model, self.data, self.padded(model, free), whitener, gain, self.substeps)
 
-    def tested(self, refit: Refit) -> Tested:
-        """Everything that the innovations of a model are asked."""
+    def tested(self, refit: Refit, ahead: Ahead | None = None) -> Tested:
+        """Everything that the innovations of a model are asked; `ahead` compiles `pieces_of_tests`."""
+        ready = _nothing if ahead is None else ahead.next
         probed = self._innovations(refit, [], refit.free)
+        ready()
         basis = orthonormal(probed.jacobian())
         error = self._error(refit, probed, basis)
-        screened = self._screened(refit, probed, error, basis)
+        screened = self._screened(refit, probed, error, basis, ready)
         scales = scales_of(self.model, self.experiments)
         slow = (_SLOW * scales.velocity, _SLOW * scales.arm_velocity)
+        ready()
         curves = force_curves(probed, error, basis, self._ranges(), slow)
         stiffness = float(np.asarray(self.model.body.spring_stiffness))
+        ready()
         delayed = delayed_forces(
             probed, error, basis, self.experiments, frequency=scales.frequency, stiffness=stiffness
         )  # fmt: skip
@@ -125,7 +134,14 @@ class Probing(Setting):
             force=scales.force, torque=scales.torque, frequency=scales.frequency,
         )  # fmt: skip
 
-    def _screened(self, refit: Refit, probed: Innovations, error: np.ndarray, basis: Rows) -> list[Screened]:
+    def _screened(
+        self,
+        refit: Refit,
+        probed: Innovations,
+        error: np.ndarray,
+        basis: Rows,
+        ready: Callable[[], None] | None = None,
+    ) -> list[Screened]:
         """Candidates that were not added to a fitted model, against its innovations.
 
         Raises:
@@ -133,7 +149,7 @@ class Probing(Setting):
         """
         raw = self._raw(refit, probed)
         try:
-            return screen(self._groups(refit, raw), error, basis)
+            return screen(self._groups(refit, raw), error, basis, ready or _nothing)
         except NotNothingError as found:
             for i in found.ids:
                 alone = self._innovations(refit, [i], refit.free)
@@ -215,3 +231,11 @@ class Probing(Setting):
             "arm_velocity": between(outputs("arm_velocity")) if arm else (0.0, 0.0),
             "current": between([e.inputs["current"].values for e in self.experiments if "current" in e.inputs]),
         }
+
+
+def _compile(innovations: Callable[[], Innovations]) -> None:
+    innovations().compile()
+
+
+def _nothing() -> None:
+    """Where no code is compiled ahead, there is nothing to wait for."""

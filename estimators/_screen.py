@@ -1,7 +1,7 @@
 """Named candidates held against innovations: what each would have changed, beyond what the base parameters explain."""
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -96,15 +96,22 @@ _THRESHOLD = 0.1  # of what proportion would ask of the smallest size, below whi
 _TRIED = 3  # candidates whose size is looked for so
 
 
-def screen(groups: Sequence[Group], error: np.ndarray, basis: Rows) -> list[Screened]:
+def screen(groups: Sequence[Group], error: np.ndarray, basis: Rows, ready: Callable[[], None]) -> list[Screened]:
     """Hold candidates against the innovations.
 
     Args:
         error: innovations of the base model, without their share in the basis.
         basis: orthonormal columns that the base model's parameters explain already.
+        ready: called before each group is simulated.
     """
+
+    def changes() -> Iterator[tuple[Group, Rows]]:
+        for group in groups:
+            ready()
+            yield group, _each(group)
+
     tried = sum(len(group.instances) for group in groups)
-    parts = beside(lambda part: _one_by_one(*part, error, basis, tried), ((group, _each(group)) for group in groups))
+    parts = beside(lambda part: _one_by_one(*part, error, basis, tried), changes())
     found = [s for part in parts for s in part]
     clear = [s for s in found if s.statistic >= ALARM and len(s.amplitudes) == 1 and s.begin[0] != 0]
     largest = sorted(clear, key=lambda s: -s.statistic)[:_TRIED]

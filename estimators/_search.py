@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from estimators._coloured_noise import ColouredNoise, Colours, likeliest_colours, rest_spectra
+from estimators._compile import Ahead
 from estimators._covariance import information
 from estimators._levenberg_marquardt import Arguments, factor
 from estimators._likelihood import compile_predictor, fit_noise, fit_predictor, without_shaken
@@ -49,8 +50,13 @@ class Search(Probing):
     def compile_for(cls, model: RTAC, recording: Recording, classes: Sequence[type[Effect]]) -> None:
         """Compile what the diagnosis of a model will run first, so that this can be done while the model is fitted."""
         search = cls.set_up(model, recording, classes, {}, 1, None)
-        search.compile_tests()  # first: a fit begins with the filter too, and compiles it
+        for piece in search.pieces_of_tests():  # first: a fit begins with the filter too, and compiles it
+            piece()
         search._compile_fit(search.with_effects([]), tuple(shared(model)))
+
+    def compile_base(self) -> None:
+        """Compile what `base` will run after the filter, which it begins with and compiles itself."""
+        self._compile_fit(self.with_effects([]), tuple(shared(self.model)), noise=False)
 
     def base(self) -> Refit:
         """The base model."""
@@ -160,19 +166,19 @@ class Search(Probing):
     @contextlib.contextmanager
     def refitting(
         self, before: Refit, several: Sequence[Screened], way: Way | None = None, *, ahead: bool = False
-    ) -> Iterator[Callable[[Screened], Refit | None]]:
+    ) -> Iterator[tuple[Callable[[Screened], Refit | None], Ahead | None]]:
         """Refits with several candidates; while one is fitted, the code of the next is compiled.
 
         The way is `with_effect` by default; `ahead` compiles the tests of the first one too. None for a candidate with which the
         model diverges.
         """
         with ThreadPoolExecutor(1) as other:
-            ready = {}
+            ready, tests = {}, None
             for s in several:
                 model, free, _ = self._extended(before, s)
                 ready[s.id] = other.submit(self._compile_fit, model, free)
                 if ahead and s is several[0]:
-                    other.submit(self.compile_tests, (*before.added, s.id), free)
+                    tests = Ahead(other, self.pieces_of_tests((*before.added, s.id), free))
 
             def refitted(s: Screened) -> Refit | None:
                 self.bar.set_description(f"diagnose: refit with {s.id}")
@@ -181,7 +187,7 @@ class Search(Probing):
                     return (way or self.with_effect)(before, s)
                 return None
 
-            yield refitted
+            yield refitted, tests
 
     def coloured(self, base: Refit) -> "Search | None":
         """The same with coloured sensor noise, if that makes the data of the base model more likely; None otherwise.
@@ -238,9 +244,9 @@ class Search(Probing):
         known = information(refit.triangles, refit.space, refit.predictor.unknowns)
         return any(f"{effect}." in said for said in known.undetermined())
 
-    def _compile_fit(self, model: RTAC, free: Sequence[str]) -> None:
+    def _compile_fit(self, model: RTAC, free: Sequence[str], *, noise: bool = True) -> None:
         space = self.space(model, free)
-        compile_predictor(model, self.data, space, self.prior.starting(space), self.substeps)
+        compile_predictor(model, self.data, space, self.prior.starting(space), self.substeps, noise=noise)
 
     def _beginning(self, before: Refit, s: Screened) -> tuple[RTAC, tuple[str, ...], tuple[str, ...]]:
         """A model with one candidate more where its refit begins, its free parameters, and what was added to the base model."""

@@ -49,50 +49,18 @@ def kalman(
     process: tuple[Any, Any],
     start_variance: Float[Array, "start experiment"],
     substeps: Steps,
-) -> Filtered:
-    """Run the filter; see `kalman_by_noise`."""
-    options = {"sensor_variance": sensor_variance, "process": process, "start_variance": start_variance}
-    return _run(model, data, space, physical, **options, substeps=substeps, by_noise=False)[0]
-
-
-def kalman_by_noise(
-    model: RTAC,
-    data: Data,
-    space: Space,
-    physical: tuple[Array, Array, Array],
-    *,
-    sensor_variance: Float[Array, "output experiment"],
-    process: tuple[Any, Any],
-    start_variance: Float[Array, "start experiment"],
-    substeps: Steps,
-) -> tuple[Filtered, ByNoise]:
-    """Run the filter, and beside it the derivatives by the logarithm of each noise.
+    by_noise: bool = False,
+) -> tuple[Filtered, ByNoise | None]:
+    """Run the filter.
 
     Args:
         sensor_variance: of each output's noise, SI units squared.
         process: spectral densities of a random force on the cart [N^2 s] and of a random torque on the arm [(N m)^2 s].
         start_variance: of the states at the start.
+        by_noise: carry the derivatives by the logarithm of each noise beside it.
 
     Source: Jazwinski, Stochastic Processes and Filtering Theory (1970), chapter 8.
     """
-    options = {"sensor_variance": sensor_variance, "process": process, "start_variance": start_variance}
-    found, slopes = _run(model, data, space, physical, **options, substeps=substeps, by_noise=True)
-    assert slopes is not None
-    return found, slopes
-
-
-def _run(
-    model: RTAC,
-    data: Data,
-    space: Space,
-    physical: tuple[Array, Array, Array],
-    *,
-    sensor_variance: Float[Array, "output experiment"],
-    process: tuple[Any, Any],
-    start_variance: Float[Array, "start experiment"],
-    substeps: Steps,
-    by_noise: bool,
-) -> tuple[Filtered, ByNoise | None]:
     shared, each, start = physical
     placed = model.with_values(dict(zip(space.names, shared, strict=True)) | dict(zip(space.each, each, strict=True)))
     excitation = placed.driven(data.excitation)
@@ -180,7 +148,10 @@ def _run(
     return Filtered(gain, whitener, innovations, likelihood.sum(axis=0), after), slopes
 
 
-filtered = eqx.filter_jit(kalman)
+@eqx.filter_jit
+def filtered(*arguments: Any, **known: Any) -> Filtered:
+    """The filter alone, compiled; see `kalman`."""
+    return kalman(*arguments, **known)[0]
 
 
 class Wander(NamedTuple):

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from estimators._bounds import solve_bounded
 from estimators._compile import compile_only
-from estimators._kalman import Filtered, kalman_by_noise
+from estimators._kalman import Filtered, kalman
 from estimators._levenberg_marquardt import Arguments, factor
 from estimators._problem import CHANNELS, Data, Space, Unknowns
 from rtac_jax import RTAC, Scales
@@ -132,10 +132,11 @@ def _pass(
 
     density = jnp.exp(noise[:2]) * scale
     variance = jnp.broadcast_to((jnp.exp(noise[2:]) * sensor**2)[:, None], (len(CHANNELS), data.experiments))
-    found, slopes = kalman_by_noise(
+    found, slopes = kalman(
         model, data, space, physical, sensor_variance=variance, process=(density[0], density[1]),
-        start_variance=start, substeps=substeps,
+        start_variance=start, substeps=substeps, by_noise=True,
     )  # fmt: skip
+    assert slopes is not None  # since they were asked for
     return Passed(-found.log_likelihood.sum(), slopes.slope.sum(-1), slopes.information.sum(-1), found)
 
 

@@ -11,6 +11,7 @@ from jaxtyping import Array, Float, Int
 
 from estimators._transform import to_physical, to_unconstrained
 from rtac_jax import RTAC, Excitation
+from rtac_jax._excitation import BEYOND
 from rtac_jax._simulate import Steps, trajectories
 from rtac_jax._time_loop import room_for
 from rtac_jax.measurement import OUTPUTS, Experiment
@@ -40,7 +41,7 @@ class Data(eqx.Module):
     def of(cls, experiments: Sequence[Experiment]) -> "Data":
         """Stack experiments of any lengths and channels."""
         samples = max(e.samples for e in experiments)
-        values = np.full((room_for(samples), len(CHANNELS), len(experiments)), np.nan)
+        values = np.full((room_for(samples + BEYOND), len(CHANNELS), len(experiments)), np.nan)
         for column, experiment in enumerate(experiments):
             for row, channel in enumerate(CHANNELS):
                 if channel in experiment.outputs:

@@ -10,6 +10,8 @@ from scipy.interpolate import CubicSpline
 
 from rtac_jax.measurement import Experiment, Signal
 
+BEYOND = 12  # samples by which an input goes on after its last, for effects that look ahead
+
 
 class Excitation(eqx.Module):
     """Inputs of several experiments between their samples, as polynomials in the fraction of the interval.
@@ -29,7 +31,9 @@ class Excitation(eqx.Module):
 
     @classmethod
     def of(cls, experiments: Sequence[Experiment], *, room: int | None = None) -> "Excitation":
-        """From experiments of any lengths, sample times and channels; the shorter ones end with zero input.
+        """From experiments of any lengths, sample times and channels.
+
+        Beyond its end an input goes on for a few samples as its mirror image, evenly in value and slope, and is zero then.
 
         Args:
             room: length of the arrays, by default that of the longest experiment.
@@ -68,6 +72,8 @@ def _stack(experiments: Sequence[Experiment], channel: str, room: int) -> Array 
     for column, part in enumerate(parts):
         if part is not None:
             stacked[: len(part), : part.shape[1], column] = part
+            on = np.pad(part[:, 0], (0, BEYOND), mode="reflect", reflect_type="odd")[len(part) : room]
+            stacked[len(part) : len(part) + len(on), 0, column] = on
     return jnp.asarray(stacked)
 
 

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from rtac_jax._excitation import Excitation
+from rtac_jax._excitation import BEYOND, Excitation
 from rtac_jax._rtac import RTAC
 from rtac_jax._since import Since
 from rtac_jax._time_loop import room_for, time_loop
@@ -234,7 +234,7 @@ def simulate(
     if not chosen:
         raise ValueError("simulate needs at least one experiment.")
     samples = max(e.samples for e in chosen)
-    room = room_for(samples)
+    room = room_for(samples + BEYOND)
     excitation = Excitation.of(chosen, room=room)
     rigid = np.zeros((4, len(chosen)))
     whole: dict[int, np.ndarray] = {}

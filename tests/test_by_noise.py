@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from estimators._coloured_noise import ColouredNoise
-from estimators._kalman import kalman, kalman_by_noise
+from estimators._kalman import filtered, kalman
 from estimators._likelihood import start_variance
 from estimators._problem import Data
 from estimators._start import space_of
@@ -40,13 +40,12 @@ def test_slopes_are_those_of_the_likelihood(colour):
         process = (jnp.exp(at[0]) * 1e-4, jnp.exp(at[1]) * 1e-8)
         return {"sensor_variance": variance, "process": process, "start_variance": start_variance(space)}
 
-    @eqx.filter_jit
     def value(at):
-        return -kalman(model, data, space, physical, **noise(at), substeps=1).log_likelihood.sum()
+        return -filtered(model, data, space, physical, **noise(at), substeps=1).log_likelihood.sum()
 
     @eqx.filter_jit
     def sloped(at):
-        found, slopes = kalman_by_noise(model, data, space, physical, **noise(at), substeps=1)
+        found, slopes = kalman(model, data, space, physical, **noise(at), substeps=1, by_noise=True)
         return -found.log_likelihood.sum(), slopes
 
     at = jnp.asarray([0.3, -0.2, 0.5, 0.1, 0.0])

@@ -185,6 +185,22 @@ def test_input_hold_is_the_other_declaration(declared, other):
         np.testing.assert_allclose(found, values, rtol=0, atol=2e-5 * np.abs(values).max())
 
 
+def test_input_hold_of_a_short_experiment_beside_a_long_one():
+    kinds = {"kind": "forced", "sample_time": SAMPLE_TIME, "intersample": "zoh"}
+    long = Experiment.of("long", cart_position=TIME, current=CURRENT, disturbance_force=FORCE, **kinds)
+    short = long.cut(0, len(TIME) // 3, "short")
+    start = {"short": START, "long": START}
+    model = BARE + effects.InputHold(1.0, 3.0)
+    beside = simulate(model, [short, long], start=start, substeps=4)
+    for one in (short, long):
+        alone = simulate(model, [one], start=start, substeps=4)[one.name]
+        for name in CHANNELS:
+            values = getattr(alone, name)
+            np.testing.assert_allclose(
+                getattr(beside[one.name], name), values, rtol=0, atol=1e-9 * np.abs(values).max()
+            )
+
+
 @pytest.mark.parametrize("delay", [0.0013, 0.005, 0.0075, 0.0214])
 def test_delay_of_any_length(delay):
     truth = extrapolated([({"input_delay": delay}, PLAN)])[0]

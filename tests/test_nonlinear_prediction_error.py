@@ -5,6 +5,7 @@ import pytest
 
 import estimators as est
 import rtac_jax as rtac
+from estimators import _likelihood
 from estimators._likelihood import run_filter
 from rtac_jax.virtual_rig import Rig, record, standard_plans
 
@@ -66,6 +67,31 @@ def test_the_curvature_of_the_noise_is_that_of_its_likelihood(shaken):
     # Where the noise is likeliest, less than a tenth is to be gained by a step.
     slope = np.asarray(passed(at).slope) + np.concatenate([np.zeros(2), at[2:] / found.prior.doubt**2])
     assert slope @ np.linalg.solve(expected, slope) < 0.2
+
+
+def test_noise_that_a_part_tells_first_is_that_of_all_samples(shaken, monkeypatch):
+    data, model, _, _ = shaken
+    found = est.prediction_error_nonlinear(model, data, progress=False, rounds=2)
+    a = found.problem.arguments
+    physical = a.space.physical(found.problem.unknowns)
+    lengths: list[int] = []
+
+    def counted(model, data, *others):
+        lengths.append(data.samples)
+        return run_filter(model, data, *others)
+
+    monkeypatch.setattr(_likelihood, "run_filter", counted)
+    noise = {}
+    for fewest in (50, 10**9):
+        monkeypatch.setattr(_likelihood, "_FEWEST", fewest)
+        noise[fewest] = _likelihood.fit_noise(a.model, a.data, a.space, physical, found.prior, None, a.substeps)
+    part = a.data.samples // _likelihood._PART
+    assert part in lengths
+    assert set(lengths) == {part, a.data.samples}
+    assert noise[50].log_likelihood == pytest.approx(noise[10**9].log_likelihood, abs=0.2)
+    # Far from a bound, where the likelihood tells them.
+    told = noise[50].exponents > -15
+    np.testing.assert_allclose(noise[50].exponents[told], noise[10**9].exponents[told], atol=0.05)
 
 
 def test_a_parameter_of_each_condition_beside_shared_ones(shaken):

@@ -8,11 +8,12 @@ from typing import Any, ClassVar
 import jax.numpy as jnp
 import numpy as np
 
+from rtac_jax._excitation import BEYOND
 from rtac_jax._parameter import Scalar, parameter
 from rtac_jax.effects._interface import Input, Pieces
 
 _POLE = np.sqrt(3.0) - 2.0  # of the cubic spline through equidistant points: 1 / (z + 4 + 1/z)
-_REACH = 12  # intervals after which it is below 1e-6
+_REACH = BEYOND  # intervals, after which it is below 1e-6
 _WEIGHTS = 0.5 * np.sqrt(3.0) * (1.0 - _POLE**2) * _POLE ** np.arange(_REACH)
 
 

@@ -66,12 +66,12 @@ class Known(Search):
     def without(self, refit: Refit, effect: str) -> Refit:
         return self.refit(*(e for e in refit.added if e != effect))
 
-    def tested(self, refit: Refit) -> Any:
+    def tested(self, refit: Refit, ahead: None = None) -> Any:
         return SimpleNamespace(tests=())
 
     @contextlib.contextmanager
     def refitting(self, before: Refit, several: Sequence[Screened], way: Any = None, **_: Any) -> Iterator[Any]:
-        yield lambda s: (way or self.with_effect)(before, s)
+        yield (lambda s: (way or self.with_effect)(before, s)), None
 
 
 def screened(effect: str) -> Screened:
@@ -162,7 +162,7 @@ class Late(Known):
     line = 0.0
     quiet: tuple[tuple[str, float, float], ...] = (("cubic_spring", 900.0, 1.0),)
 
-    def tested(self, refit: Refit) -> Any:
+    def tested(self, refit: Refit, ahead: None = None) -> Any:
         return Answers((), (), (Evidence("spectral line", 1e-9 if self.line else 1.0, self.line, 0.002, ""),))
 
     def quietly(self, refit: Refit) -> list[Screened]:

@@ -47,14 +47,6 @@ class Excitation(eqx.Module):
             cart_free=jnp.asarray([float(e.cart == "free") for e in experiments]),
         )
 
-    @property
-    def samples(self) -> int:
-        """Length of the longest experiment, or of the excitation where there is no input."""
-        for inputs in (self.current, self.force):
-            if inputs is not None:
-                return inputs.shape[0]
-        return 0
-
     def first_current(self) -> Float[Array, " experiment"]:
         """Current at the first sample [A]."""
         if self.current is None:

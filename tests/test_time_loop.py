@@ -10,6 +10,7 @@ import pytest
 from estimators._innovations import stretches
 from estimators._problem import Data
 from rtac_jax import RTAC, Experiment, simulate
+from rtac_jax._excitation import BEYOND
 from rtac_jax._simulate import _states
 from rtac_jax._time_loop import room_for, time_loop
 
@@ -56,12 +57,13 @@ def recorded(samples: int) -> Experiment:
 
 def test_recordings_of_several_lengths_share_code():
     start = {"a": (0.01, 0.0, 0.3, 1.0)}
-    long = simulate(RTAC.paper(), [recorded(180)], start=start, substeps=2)["a"]
+    assert room_for(200 + BEYOND) == room_for(230 + BEYOND)
+    long = simulate(RTAC.paper(), [recorded(230)], start=start, substeps=2)["a"]
     before = _states._cached._cache_size()
-    short = simulate(RTAC.paper(), [recorded(150)], start=start, substeps=2)["a"]
+    short = simulate(RTAC.paper(), [recorded(200)], start=start, substeps=2)["a"]
     assert _states._cached._cache_size() == before
-    assert len(short.cart_position) == 150
-    np.testing.assert_array_equal(short.arm_angle, long.arm_angle[:150])
+    assert len(short.cart_position) == 200
+    np.testing.assert_array_equal(short.arm_angle, long.arm_angle[:200])
 
 
 def test_what_is_beyond_the_samples_makes_no_stretch_of_time():

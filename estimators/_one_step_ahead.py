@@ -95,18 +95,20 @@ def one_step_ahead(
     prior = NoiseModel.of(levels, fitted.experiments, scales_of(model, trained), space)
     if like is not None:
         data = _counting(data, like.shaken[0])
+    fitted_length = data.samples  # arrays have room for more
     noise = fit_noise(model, data, space, _values(space), prior, None, substeps)
     others = pieces(moving(recording))
     space, data = _space(model, others, starts), Data.of(others)
     if like is not None:
         data = _counting(data, like.shaken[1])
     passed = run_filter(model, data, space, _values(space), prior.starting(space), noise.exponents, substeps).filtered
-    shaken = (np.asarray(noise.filtered.shaken), np.asarray(passed.shaken))
-    return OneStepAhead(by_sample(passed), stretches(data), _errors(passed, levels), shaken)
+    there = slice(data.samples)
+    shaken = (np.asarray(noise.filtered.shaken)[:fitted_length], np.asarray(passed.shaken)[there])
+    return OneStepAhead(by_sample(passed)[there], stretches(data)[there], _errors(passed, levels), shaken)
 
 
 def _counting(data: Data, shaken: np.ndarray) -> Data:
-    return dataclasses.replace(data, trusted=data.trusted * (1.0 - shaken))
+    return dataclasses.replace(data, trusted=data.trusted.at[: data.samples].multiply(1.0 - shaken))
 
 
 def _space(model: RTAC, experiments: Sequence[Experiment], starts: Mapping[str, np.ndarray]) -> Space:

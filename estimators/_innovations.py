@@ -21,7 +21,7 @@ Rows = Float[np.ndarray, "row column"]
 class Innovations:
     """Innovations of a predictor with frozen gains, as a function of parameter values; rows are whitened samples."""
 
-    def __init__(self, model: RTAC, data: Data, space: Space, whitener: Array, gain: Array, substeps: Steps):
+    def __init__(self, model: RTAC, data: Data, space: Space, whitener: Array, gain: Array, substeps: Steps) -> None:
         self.model, self.data, self.space = model, data, space
         self.whitener, self.gain, self.substeps = whitener, gain, substeps
         self.used = np.asarray(data.present).any(axis=(0, 2))

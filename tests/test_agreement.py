@@ -122,6 +122,7 @@ def test_deviations_are_those_of_repeated_recordings() -> None:
         assert 0.7 < np.exp(np.mean(np.log(ratio))) < 1.4, (way, ratio)
 
 
+@pytest.mark.slow
 def test_false_alarms_are_rare_in_a_few_runs() -> None:
     """Of eight uniform numbers the least lies above 0.001, the third above 0.01 and the mean inside the band in 98 of 100 tests."""
     found = np.sort(p_values(RIG, range(20, 28), draws=24))

@@ -99,6 +99,7 @@ def test_motion_makes_the_colour_more_exact(recordings):
         assert share > 0.9
 
 
+@pytest.mark.slow
 def test_the_colour_stays_where_the_rest_record_does_not_speak_against_it(recordings):
     """A rest record of noise as large as that of the motion, but with less memory."""
     keep, random = 0.5, np.random.default_rng(3)

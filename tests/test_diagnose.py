@@ -28,7 +28,7 @@ HIDDEN = {
     "current_offset": (dict(current_offset=0.005), {"offset": 0.005}),
     "tacho_bias": (dict(tacho_bias=0.2), {"bias": 0.2}),
 }
-# On cart and sensor one is named in every run of the tests, one of the actuator among two effects, and one of the arm in a
+# On cart and sensor one is named in every run of the tests, and one of the arm in a
 # notebook; the others take half a minute each.
 QUICK = ("cubic_spring", "tacho_bias")
 CASES = [pytest.param(name, marks=() if name in QUICK else pytest.mark.slow) for name in HIDDEN]
@@ -115,7 +115,8 @@ def test_nothing_hidden_is_adequate(recordings: dict[str, rtac.Recording]) -> No
     assert all(np.isfinite(c.detection_limit) for c in found.candidates if c.testable)
 
 
-@pytest.mark.parametrize("candidates", [SHORT, pytest.param(None, marks=pytest.mark.slow)], ids=["short", "whole"])
+@pytest.mark.slow
+@pytest.mark.parametrize("candidates", [SHORT, None], ids=["short", "whole"])
 def test_two_effects_are_named(
     recordings: dict[str, rtac.Recording], candidates: tuple[type[Effect], ...] | None
 ) -> None:
@@ -143,10 +144,9 @@ def test_coloured_noise_without_a_rest_record_is_no_effect(draw: int) -> None:
     assert found.verdict == "adequate", found
 
 
-@pytest.mark.parametrize("whole", [False, pytest.param(True, marks=pytest.mark.slow)], ids=["short", "whole"])
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[] if name == "cart_coulomb" else [pytest.mark.slow]) for name in PAPERS_OWN]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("whole", [False, True], ids=["short", "whole"])
+@pytest.mark.parametrize("name", PAPERS_OWN)
 def test_an_effect_of_the_paper_is_named_where_the_model_lacks_it(
     recordings: dict[str, rtac.Recording], name: str, whole: bool
 ) -> None:

@@ -133,7 +133,7 @@ def different():
     return Recording(tuple(experiments))
 
 
-@pytest.mark.parametrize("structure", ["output_error", "box_jenkins"])
+@pytest.mark.parametrize("structure", ["output_error", pytest.param("box_jenkins", marks=pytest.mark.slow)])
 def test_all_conditions_at_once_give_what_each_gives_alone(different, structure):
     together = est.prediction_error(different, structure=structure, compensate=False)
     for name in different.names:

@@ -22,6 +22,7 @@ CANDIDATES = (
 )
 
 
+@pytest.mark.slow
 def test_smaller_models_give_the_same_scores_as_one_for_all(monkeypatch: pytest.MonkeyPatch) -> None:
     recording = recorded({"cubic": {"cubic_spring": 5e4}}, first=40)["cubic"]
     fit = est.output_error(rtac.RTAC.from_rig(recording), recording, progress=False)

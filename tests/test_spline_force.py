@@ -148,7 +148,7 @@ def beyond_noise(model: est.Comparison, number: int) -> dict[str, float]:
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.slow if "along" in name else []) for name in OUTSIDE]
+    "name", [pytest.param(name, marks=[] if "brake" in name else pytest.mark.slow) for name in OUTSIDE]
 )
 def test_the_error_of_held_out_experiments_falls_by_half(recordings: dict[str, rtac.Recording], name: str) -> None:
     train, held_out = recordings[name].split(None)

@@ -212,7 +212,7 @@ def _group(member: Any, children_allowed: tuple[str, ...] | None = None) -> h5py
 class Budget:
     """What a file may make us allocate: bounded by its size, and over all datasets together."""
 
-    def __init__(self, file_bytes: int):
+    def __init__(self, file_bytes: int) -> None:
         self.largest = MOST_EXPANSION * file_bytes + SLACK_BYTES
         self.elements = MOST_ELEMENTS
 

@@ -16,7 +16,7 @@ Act = Callable[[], None]
 class Batch:
     """What effects read and write; B is the number of trajectories, row 0 the cart, row 1 the arm."""
 
-    def __init__(self, rigs: Sequence[Rig], start: np.ndarray, speed: np.ndarray, step: float):
+    def __init__(self, rigs: Sequence[Rig], start: np.ndarray, speed: np.ndarray, step: float) -> None:
         self.rigs = rigs
         self.step = step
         self.position = start

@@ -131,7 +131,7 @@ class _Friction:
     place.
     """
 
-    def __init__(self, batch: Batch, own: np.ndarray, cross: np.ndarray):
+    def __init__(self, batch: Batch, own: np.ndarray, cross: np.ndarray) -> None:
         bounds = (("cart_coulomb", "cart_stribeck"), ("arm_coulomb", "arm_stribeck"))
         self.bodies = [i for i, names in enumerate(bounds) if any(batch.rows(name) is not None for name in names)]
         self.limit, self.own, self.cross = batch.limit, own, cross

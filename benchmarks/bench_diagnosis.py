@@ -23,7 +23,7 @@ def main() -> None:
     parser.add_argument("--experiments", type=int, default=18)
     parser.add_argument("--samples", type=int, default=5000)
     arguments = parser.parse_args()
-    rtac.configure()
+    rtac.configure(cache=None)  # or what an earlier run compiled would not be counted
     free = arguments.experiments // 3
     print(f"{arguments.experiments} experiments x {arguments.samples} samples, {len(rtac.effects.CATALOGUE)} effects")
     print(f"{'hidden':14s} {'call':>6s} {'fit [s]':>8s} {'diagnosis [s]':>14s}  verdict")

@@ -77,9 +77,8 @@ def reconsidered(search: Search, base: Refit, steps: list[Step]) -> list[Step]:
         search.bar.set_description(f"diagnose: {effect} once more")
         before = search.without(now, effect)
         tried = {effect: (step.asked[effect], now)}
-        if others:
-            with search.refitting(before, others, step.way) as (refitted, _):
-                tried |= {s.id: (s, refit) for s in others if (refit := refitted(s)) is not None}
+        refits = search.refits(before, others, step.way)
+        tried |= {s.id: (s, refits[s.id]) for s in others if s.id in refits}
         winner = chosen(search, before, tried)
         if winner is not None and winner.id == effect:
             steps = [*steps[:place], dataclasses.replace(step, rivals=winner.rivals), *steps[place + 1 :]]

@@ -1,5 +1,6 @@
 """Compiling ahead of time, and room for compiled code."""
 
+import contextlib
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, wait
 from pathlib import Path
@@ -13,8 +14,7 @@ _SHARE = 0.5
 def compile_only(function: Any, *arguments: Any) -> None:
     """Compile a jitted function for arguments of these shapes, and run nothing.
 
-    For a thread beside the one that computes: two threads that compute at the same time can lock up XLA on a CPU,
-    compiling in one while another computes cannot.
+    For a thread beside the one that computes.
     """
     function.lower(*arguments).compile()
 
@@ -27,7 +27,7 @@ class Ahead:
 
     def next(self) -> None:
         """Wait for the next piece; what could not be compiled there is compiled where it runs."""
-        if self._left:
+        with contextlib.suppress(IndexError):  # several threads may ask
             wait([self._left.pop(0)])
 
 

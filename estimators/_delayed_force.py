@@ -9,6 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.signal import lfilter
 
+from estimators._at_once import at_once
 from estimators._innovations import Innovations, Rows
 from estimators._noise import filled
 from estimators._score_test import score_test
@@ -61,16 +62,19 @@ def delayed_forces(
     nothing = np.zeros_like(position)
     typical = float(np.std(current)) or 1.0
     velocity = velocity * typical / (float(np.std(velocity)) or 1.0)
-    found = []
-    for port, follows, along in (
+    blocks = innovations.blocks()
+
+    def delayed(one: tuple[str, str, tuple[np.ndarray, np.ndarray]]) -> DelayedForce:
+        port, follows, along = one
+        test = score_test(innovations.pushed(*along), error, basis, blocks)
+        return DelayedForce(port, follows, test.explained, test.excess, test.p_value)
+
+    several = [
         ("cart", "cart_position", (nothing, stiffness * position)),
         ("arm", "arm_velocity", (velocity, nothing)),
         ("arm", "current", (current, nothing)),
-    ):
-        if not np.any(along[0]) and not np.any(along[1]):
-            continue
-        test = score_test(innovations.pushed(*along), error, basis, innovations.blocks())
-        found.append(DelayedForce(port, follows, test.explained, test.excess, test.p_value))
+    ]
+    found = at_once(delayed, [one for one in several if np.any(one[2])])
     return sorted(found, key=lambda one: -one.excess)
 
 

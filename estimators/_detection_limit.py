@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from estimators._at_once import at_once
 from estimators._innovations import AT_ONCE, Rows, orthonormal
 from estimators._screen import Group, Screened
 from rtac_jax._parameter import declarations
@@ -33,11 +34,14 @@ def detection_limits(group: Group, several: Sequence[Screened], basis: Rows) -> 
     found = {s.id: limit if (limit := _by_proportion(s)) < _most(s) else np.inf for s in several}
     sound = [s for s in several if np.isfinite(found[s.id])]
     shown = _scores(group, basis, sound, [found[s.id] for s in sound])
-    for s, there in zip(sound, shown, strict=True):
-        alarm = _alarm(s)
-        if not alarm / _NEAR < there < alarm * _NEAR:
-            found[s.id] = _looked_for(group, basis, s, more=not there >= alarm)
-    return found
+    off = [(s, not there >= _alarm(s)) for s, there in zip(sound, shown, strict=True) if not _as_foreseen(s, there)]
+    looked_for = at_once(lambda one: _looked_for(group, basis, one[0], more=one[1]), off)
+    return found | {s.id: limit for (s, _), limit in zip(off, looked_for, strict=True)}
+
+
+def _as_foreseen(s: Screened, there: float) -> bool:
+    """Whether what the limit by proportion would show is about the alarm."""
+    return bool(_alarm(s) / _NEAR < there < _alarm(s) * _NEAR)
 
 
 def _by_proportion(s: Screened) -> float:

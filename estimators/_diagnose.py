@@ -2,6 +2,7 @@
 
 import dataclasses
 import time
+import warnings
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
@@ -132,7 +133,8 @@ def diagnose(
             raise ValueError(
                 f"no candidate is left: nothing in the recording could show {', '.join(c.id for c in classes)}."
             )
-        found = _searched(search, thorough)
+        with warnings.catch_warnings():  # what threads do to the filters at the same time ends here
+            found = _searched(search, thorough)
         bar.set_description("diagnose: verdict")
         told = _told(found, [c for c in classes if c.id not in search.absent])
     return dataclasses.replace(told, seconds=time.perf_counter() - began)

@@ -1,8 +1,8 @@
 """The missing force at a port of the rig as a function of one variable, with its standard deviation."""
 
 import dataclasses
-from collections.abc import Iterator, Mapping
-from typing import Any, ClassVar, NamedTuple
+from collections.abc import Mapping
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from estimators._beside import beside
+from estimators._at_once import at_once
 from estimators._compile import compile_only
 from estimators._innovations import Innovations, Rows, error_at
 from estimators._problem import Data, Space
@@ -129,42 +129,35 @@ def force_curves(
     """
     count, blocks = int(np.sum(innovations.weight > 0)), innovations.blocks()
 
-    def curve(p: _Probed) -> ForceCurve | None:
-        test = score_test(innovations.rows(p.slopes), error, basis, blocks)
+    def curve(place: tuple[int, int]) -> ForceCurve | None:
+        port, variable = place
+        low, high = ranges[VARIABLES[variable].split(",")[0]]
+        spacing = (high - low) / (KNOTS - 1)
+        slopes = np.asarray(_derivatives(*_arguments(innovations, port, variable, low, spacing, slow[port])))
+        test = score_test(innovations.rows(slopes), error, basis, blocks)
         if test.freedom == 0:
             return None
         # Directions that the base parameters explain, such as a slope, are not the data's to give.
         return ForceCurve(
-            p.port, p.variable, test.explained - test.freedom * np.log(count), p.at, test.coefficients, test.std,
-            test.explained, test.excess, test.p_value, test.directions, test.amounts, p.slow,
+            PORTS[port], VARIABLES[variable], test.explained - test.freedom * np.log(count),
+            low + spacing * np.arange(KNOTS), test.coefficients, test.std,
+            test.explained, test.excess, test.p_value, test.directions, test.amounts, slow[port],
         )  # fmt: skip
 
-    found = [one for one in beside(curve, _probed(innovations, ranges, slow)) if one is not None]
+    found = [one for one in at_once(curve, _places(ranges)) if one is not None]
     return sorted(found, key=lambda one: -one.score)
 
 
-class _Probed(NamedTuple):
-    """Derivatives of the innovations by a force at one port over one variable."""
-
-    port: str
-    variable: str
-    at: Float[np.ndarray, " knot"]
-    slow: float
-    slopes: np.ndarray
-
-
-def _probed(
-    innovations: Innovations, ranges: Mapping[str, tuple[float, float]], slow: tuple[float, float]
-) -> Iterator[_Probed]:
+def _places(ranges: Mapping[str, tuple[float, float]]) -> list[tuple[int, int]]:
+    """Numbers of port and variable between which a force is looked for."""
+    found = []
     for place, port in enumerate(PORTS):
         for index, variable in enumerate(VARIABLES):
             low, high = ranges[variable.split(",")[0]]
             rubbed = {"cart_position": "cart", "arm_angle": "arm"}
-            if not high > low or ("," in variable and rubbed[variable.split(",")[0]] != port):
-                continue
-            spacing = (high - low) / (KNOTS - 1)
-            slopes = _derivatives(*_arguments(innovations, place, index, low, spacing, slow[place]))
-            yield _Probed(port, variable, low + spacing * np.arange(KNOTS), slow[place], np.asarray(slopes))
+            if high > low and ("," not in variable or rubbed[variable.split(",")[0]] == port):
+                found.append((place, index))
+    return found
 
 
 def compile_force_curves(innovations: Innovations) -> None:

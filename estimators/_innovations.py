@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from estimators._at_once import at_once
 from estimators._compile import compile_only
 from estimators._problem import Data, Space, predict, whitened
 from rtac_jax import RTAC, Excitation
@@ -29,13 +30,13 @@ class Innovations:
 
     def at(self, values: Float[np.ndarray, "point parameter"]) -> Rows:
         """Innovations for several sets of shared parameter values, one column each."""
-        columns = []
-        for first in range(0, len(values), AT_ONCE):
+
+        def some(first: int) -> Rows:
             part = values[first : first + AT_ONCE]
             padded = np.concatenate([part, np.repeat(part[-1:], AT_ONCE - len(part), axis=0)])
-            found = _innovations(*self._arguments(padded))
-            columns.append(self.rows(np.asarray(found)[: len(part)]))
-        return np.concatenate(columns, axis=1)
+            return self.rows(np.asarray(_innovations(*self._arguments(padded)))[: len(part)])
+
+        return np.concatenate(at_once(some, range(0, len(values), AT_ONCE)), axis=1)
 
     def jacobian(self) -> Rows:
         """Derivatives by the free shared parameters, scaled."""

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from estimators._adequacy import evidence
+from estimators._at_once import at_once
 from estimators._compile import Ahead
 from estimators._delayed_force import delayed_forces
 from estimators._detection_limit import detection_limits
@@ -56,11 +57,11 @@ class Probing(Setting):
         """Candidates that were not added, as they are simulated together.
 
         A model with all of them costs one compilation, and every probe the effort of all effects; where there are many
-        samples, a few smaller models are faster.
+        samples, a few smaller models are faster. The group of an effect that was added stays a model that is compiled.
         """
-        left = [i for i in self.absent if i not in added]
         count = _GROUPS if self.data.samples * self.data.experiments > _MANY else 1
-        return [group for first in range(count) if (group := left[first::count])]
+        groups = [[i for i in list(self.absent)[first::count] if i not in added] for first in range(count)]
+        return [group for group in groups if group]
 
     def _with(self, added: Sequence[str], others: Sequence[str]) -> RTAC:
         """The base model with effects at null: what was added, then others."""
@@ -170,11 +171,13 @@ class Probing(Setting):
         """From which size on each candidate would be found beside a fitted model."""
         probed = self._innovations(refit, [], refit.free)
         basis = orthonormal(probed.jacobian())
-        found: dict[str, float] = {}
-        for group in self._groups(refit, self._raw(refit, probed)):
+
+        def of(group: Group) -> dict[str, float]:
             ids = {instance.id for instance in group.instances}
-            found |= detection_limits(group, [s for s in best.values() if s.id in ids], basis)
-        return found
+            return detection_limits(group, [s for s in best.values() if s.id in ids], basis)
+
+        parts = at_once(of, self._groups(refit, self._raw(refit, probed)))
+        return {i: limit for part in parts for i, limit in part.items()}
 
     def _raw(self, refit: Refit, probed: Innovations) -> np.ndarray:
         return probed.rows(self._told(refit)[0][None])[:, 0]

@@ -274,6 +274,14 @@ def _triangular(rows: Float[Array, "experiment row column"]) -> Float[Array, "ex
     while rows.shape[1] > 2 * height:
         parts = -(-rows.shape[1] // height)
         rows = jnp.pad(rows, ((0, 0), (0, parts * height - rows.shape[1]), (0, 0)))
-        rows = jnp.linalg.qr(rows.reshape(count * parts, height, width), mode="r").reshape(count, parts * width, width)
+        rows = _each_r(rows.reshape(count * parts, height, width)).reshape(count, parts * width, width)
     rows = jnp.pad(rows, ((0, 0), (0, max(0, width - rows.shape[1])), (0, 0)))
-    return jnp.linalg.qr(rows, mode="r")
+    return _each_r(rows)
+
+
+def _each_r(rows: Float[Array, "block row column"]) -> Float[Array, "block column column"]:
+    """The triangular factors of blocks, one after the other: a batch waits within XLA's threads for others of these.
+
+    Two threads that factor batches at the same time would wait for each other for ever.
+    """
+    return jax.lax.map(lambda block: jnp.linalg.qr(block, mode="r"), rows)

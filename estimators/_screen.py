@@ -1,14 +1,14 @@
 """Named candidates held against innovations: what each would have changed, beyond what the base parameters explain."""
 
 import dataclasses
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 from scipy.stats import f as fisher
 
-from estimators._beside import beside
+from estimators._at_once import at_once
 from estimators._innovations import Innovations, Rows, orthonormal
 from estimators._score_test import score_test
 from rtac_jax._parameter import declarations
@@ -105,18 +105,19 @@ def screen(groups: Sequence[Group], error: np.ndarray, basis: Rows, ready: Calla
         ready: called before each group is simulated.
     """
 
-    def changes() -> Iterator[tuple[Group, Rows]]:
-        for group in groups:
-            ready()
-            yield group, _each(group)
-
     tried = sum(len(group.instances) for group in groups)
-    parts = beside(lambda part: _one_by_one(*part, error, basis, tried), changes())
-    found = [s for part in parts for s in part]
+
+    def held(group: Group) -> list[Screened]:
+        ready()
+        return _one_by_one(group, _each(group), error, basis, tried)
+
+    found = [s for part in at_once(held, groups) for s in part]
     clear = [s for s in found if s.statistic >= ALARM and len(s.amplitudes) == 1 and s.begin[0] != 0]
     largest = sorted(clear, key=lambda s: -s.statistic)[:_TRIED]
     owner = {instance.id: group for group in groups for instance in group.instances}
-    return [_sized(owner[s.id], error, basis, s) if any(s is one for one in largest) else s for s in found]
+    sized = at_once(lambda s: _sized(owner[s.id], error, basis, s), largest)
+    instead = {id(s): other for s, other in zip(largest, sized, strict=True)}
+    return [instead.get(id(s), s) for s in found]
 
 
 def _each(group: Group) -> Rows:
@@ -134,10 +135,12 @@ def _one_by_one(
     columns[:, sound] -= basis @ (basis.T @ columns[:, sound])
     blocks = group.innovations.blocks()
     edges = np.cumsum([0, *(len(type(i).amplitudes()) for i in group.instances)])
-    return [
-        _screened(i, tuple(type(i).amplitudes()), columns[:, first:last].copy(), error, basis, blocks, tried)
-        for i, first, last in zip(group.instances, edges[:-1], edges[1:], strict=True)
-    ]
+
+    def one(place: int) -> Screened:
+        instance, templates = group.instances[place], columns[:, edges[place] : edges[place + 1]].copy()
+        return _screened(instance, tuple(type(instance).amplitudes()), templates, error, basis, blocks, tried)
+
+    return at_once(one, range(len(group.instances)))
 
 
 def _sized(group: Group, error: np.ndarray, basis: Rows, s: Screened) -> Screened:

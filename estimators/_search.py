@@ -2,13 +2,14 @@
 
 import contextlib
 import dataclasses
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor, wait
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from functools import reduce
 from typing import Any
 
 import numpy as np
 
+from estimators._at_once import at_once, threads
 from estimators._coloured_noise import ColouredNoise, Colours, likeliest_colours, rest_spectra
 from estimators._compile import Ahead
 from estimators._covariance import information
@@ -17,7 +18,7 @@ from estimators._likelihood import compile_predictor, fit_noise, fit_predictor, 
 from estimators._output_error import Fit, Parameter, output_error
 from estimators._probing import QUIET, Probing
 from estimators._problem import CHANNELS, start_rows
-from estimators._refit import Refit
+from estimators._refit import Refit, Tested
 from estimators._results import NotIdentifiableError
 from estimators._screen import Screened
 from estimators._selection import by_sample, held_out
@@ -163,31 +164,41 @@ class Search(Probing):
         free = tuple(name for name in refit.free if name.split(".")[0] != effect)
         return self._fitted(added, model, free, refit.predictor.noise, refit.start)
 
-    @contextlib.contextmanager
-    def refitting(
-        self, before: Refit, several: Sequence[Screened], way: Way | None = None, *, ahead: bool = False
-    ) -> Iterator[tuple[Callable[[Screened], Refit | None], Ahead | None]]:
-        """Refits with several candidates; while one is fitted, the code of the next is compiled.
+    def refitted(self, before: Refit, s: Screened, way: Way | None = None) -> Refit | None:
+        """A model with one candidate more, by default `with_effect`; None if the model diverges with it."""
+        self.bar.set_description(f"diagnose: refit with {s.id}")
+        with contextlib.suppress(ArithmeticError, NotIdentifiableError):
+            return (way or self.with_effect)(before, s)
+        return None
 
-        The way is `with_effect` by default; `ahead` compiles the tests of the first one too. None for a candidate with which the
-        model diverges.
+    def refits(self, before: Refit, several: Sequence[Screened], way: Way | None = None) -> dict[str, Refit]:
+        """With each of several candidates, but for those with which the model diverges."""
+        return _refits(several, at_once(lambda s: self.refitted(before, s, way), several))
+
+    def first_refits(
+        self, before: Refit, first: Screened, near: Sequence[Screened], way: Way | None = None
+    ) -> tuple[dict[str, Refit], Tested | None]:
+        """Likewise with the first candidate and those near it, and what is asked of the first.
+
+        Its tests are compiled while it is fitted, the others fitted while it is tested.
         """
-        with ThreadPoolExecutor(1) as other:
-            ready, tests = {}, None
-            for s in several:
-                model, free, _ = self._extended(before, s)
-                ready[s.id] = other.submit(self._compile_fit, model, free)
-                if ahead and s is several[0]:
-                    tests = Ahead(other, self.pieces_of_tests((*before.added, s.id), free))
-
-            def refitted(s: Screened) -> Refit | None:
-                self.bar.set_description(f"diagnose: refit with {s.id}")
-                wait([ready[s.id]])  # what could not be compiled there is compiled here
-                with contextlib.suppress(ArithmeticError, NotIdentifiableError):
-                    return (way or self.with_effect)(before, s)
-                return None
-
-            yield refitted, tests
+        _, free, added = self._extended(before, first)
+        with ThreadPoolExecutor(threads() - 1) as pool:
+            code = Ahead(pool, self.pieces_of_tests(added, free))
+            begun = [pool.submit(self.refitted, before, s, way) for s in near]
+            try:
+                refit = self.refitted(before, first, way)
+                tested = None if refit is None else self.tested(refit, code)
+                # What no other thread has begun is done here, the last first, so that the two meet.
+                here = {
+                    s.id: self.refitted(before, s, way)
+                    for s, one in reversed(list(zip(near, begun, strict=True)))
+                    if one.cancel()
+                }
+                found = [here[s.id] if s.id in here else one.result() for s, one in zip(near, begun, strict=True)]
+            finally:
+                pool.shutdown(wait=False, cancel_futures=True)
+        return _refits([first, *near], [refit, *found]), tested
 
     def coloured(self, base: Refit) -> "Search | None":
         """The same with coloured sensor noise, if that makes the data of the base model more likely; None otherwise.
@@ -198,23 +209,27 @@ class Search(Probing):
         interval = float(np.min(np.asarray(self.data.excitation.sample_time)))
         best, likelihood = {}, base.predictor.log_likelihood
         for channel in np.array(CHANNELS)[count > 0]:
-            for memory in interval * np.array(_MEMORIES):
-                trial = dataclasses.replace(self, colour=ColouredNoise.of({**best, str(channel): (1.0, float(memory))}))
-                model = trial.with_effects([])
-                space = trial.space(model, base.free)
-                space = dataclasses.replace(space, values=by_name(space, base.space, base.predictor.physical[0]))
-                physical = space.physical(space.unconstrained(start=False))
-                prior = self.prior.starting(space)
-                # Random forces may stand for what is colour: so from without them, too.
-                quiet = np.concatenate([base.predictor.noise[:2] - _QUIETER, base.predictor.noise[2:]])
-                value = max(
-                    fit_noise(model, self.data, space, physical, prior, noise, self.substeps).log_likelihood
-                    for noise in (base.predictor.noise, quiet)
-                )
+            trials = [{**best, str(channel): (1.0, float(memory))} for memory in interval * np.array(_MEMORIES)]
+            values = at_once(lambda colours: self._likelihood_with(colours, base), trials)
+            for trial, value in zip(trials, values, strict=True):
                 if value > likelihood + _WORTH:
-                    likelihood, chosen = value, (1.0, float(memory))
-                    best = {**best, str(channel): chosen}
+                    likelihood, best = value, trial
         return dataclasses.replace(self, colour=ColouredNoise.of(best)) if best else None
+
+    def _likelihood_with(self, colours: Colours, base: Refit) -> float:
+        """Log-likelihood of the base model with coloured noise."""
+        trial = dataclasses.replace(self, colour=ColouredNoise.of(colours))
+        model = trial.with_effects([])
+        space = trial.space(model, base.free)
+        space = dataclasses.replace(space, values=by_name(space, base.space, base.predictor.physical[0]))
+        physical = space.physical(space.unconstrained(start=False))
+        prior = self.prior.starting(space)
+        # Random forces may stand for what is colour: so from without them, too.
+        quiet = np.concatenate([base.predictor.noise[:2] - _QUIETER, base.predictor.noise[2:]])
+        return max(
+            fit_noise(model, self.data, space, physical, prior, noise, self.substeps).log_likelihood
+            for noise in (base.predictor.noise, quiet)
+        )
 
     def held_out_gain(self, before: Refit, after: Refit) -> float:
         """Gain in the log-likelihood of experiments that did not take part in estimating the effect; NaN if none can tell."""
@@ -289,3 +304,7 @@ class Search(Probing):
         arguments = Arguments(model, self.data, space, found.filtered.whitener, found.filtered.gain, self.substeps)
         triangles = np.asarray(factor(found.unknowns, arguments))
         return Refit(added, model, found, space, by_sample(found.filtered), free, triangles)
+
+
+def _refits(several: Sequence[Screened], found: Sequence[Refit | None]) -> dict[str, Refit]:
+    return {s.id: refit for s, refit in zip(several, found, strict=True) if refit is not None}

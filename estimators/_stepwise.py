@@ -116,18 +116,15 @@ def improvements(search: Search, base: Refit, tested: Tested, look: _Look | None
             above = by_size(overshadowing(seen.screened), price)[:_REFITS]
         if not ranked:
             break
-        with search.refitting(now, [ranked[0], *near], way, ahead=True) as (refitted, code):
-            first = refitted(ranked[0])
-            ahead = None if first is None else search.tested(first, code)
-            several = {ranked[0].id: first} | {s.id: refitted(s) for s in near}
+        several, ahead = search.first_refits(now, ranked[0], near, way)
+        begun = {s.id for s in (ranked[0], *near)}
         # Where the best leaves nothing to explain, those far behind it need not be asked.
         settled = ahead is not None and not any(test.rejects for test in ahead.tests)
         most = len(ranked) if way else _REFITS
-        far = [] if settled else [*(s for s in ranked[1:most] if s.id not in several), *above]
-        with search.refitting(now, far, way) as (refitted, _):
-            several |= {s.id: refitted(s) for s in far}
+        far = [] if settled else [*(s for s in ranked[1:most] if s.id not in begun), *above]
+        several |= search.refits(now, far, way)
         asked = {s.id: s for s in (*ranked, *above)}
-        tried = {i: (asked[i], refit) for i, refit in several.items() if refit is not None}
+        tried = {i: (asked[i], refit) for i, refit in several.items()}
         for i, (_, refit) in tried.items():
             refits.setdefault(i, (now, refit))
         search.bar.set_description("diagnose: what is left")

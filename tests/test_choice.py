@@ -1,7 +1,7 @@
 """Which refit is chosen, what becomes of it when a later one explains the same, and what is found late; on made-up gains."""
 
-import contextlib
-from collections.abc import Iterator, Sequence
+import threading
+from collections.abc import Sequence
 from types import SimpleNamespace
 from typing import Any
 
@@ -12,6 +12,7 @@ from estimators import _search
 from estimators._adequacy import Evidence
 from estimators._candidate import Step
 from estimators._choice import chosen, reconsidered
+from estimators._compile import Ahead
 from estimators._refit import Refit
 from estimators._refit import Tested as Answers
 from estimators._results import DivergedError
@@ -66,12 +67,14 @@ class Known(Search):
     def without(self, refit: Refit, effect: str) -> Refit:
         return self.refit(*(e for e in refit.added if e != effect))
 
-    def tested(self, refit: Refit, ahead: None = None) -> Any:
-        return SimpleNamespace(tests=())
+    def tested(self, refit: Refit, ahead: Ahead | None = None) -> Any:
+        return Answers((), (), ())
 
-    @contextlib.contextmanager
-    def refitting(self, before: Refit, several: Sequence[Screened], way: Any = None, **_: Any) -> Iterator[Any]:
-        yield (lambda s: (way or self.with_effect)(before, s)), None
+    def pieces_of_tests(self, added: Sequence[str] = (), free: Sequence[str] | None = None) -> list[Any]:
+        return []
+
+    def _extended(self, before: Refit, s: Screened) -> Any:
+        return None, (), (*before.added, s.id)
 
 
 def screened(effect: str) -> Screened:
@@ -162,7 +165,7 @@ class Late(Known):
     line = 0.0
     quiet: tuple[tuple[str, float, float], ...] = (("cubic_spring", 900.0, 1.0),)
 
-    def tested(self, refit: Refit, ahead: None = None) -> Any:
+    def tested(self, refit: Refit, ahead: Ahead | None = None) -> Any:
         return Answers((), (), (Evidence("spectral line", 1e-9 if self.line else 1.0, self.line, 0.002, ""),))
 
     def quietly(self, refit: Refit) -> list[Screened]:
@@ -286,3 +289,45 @@ def test_a_thorough_refit_needs_the_filter_or_a_simulation(monkeypatch: pytest.M
         search.thoroughly(search.refit(), screened("cubic_spring"))
     simulations(monkeypatch, {1.0: 5.0})
     assert search.thoroughly(search.refit(), screened("cubic_spring")).values["cubic_spring.stiffness"] == 10.0
+
+
+class Refused(Known):
+    """One in which the model diverges with some candidates, and the first is tested only when another refit has begun."""
+
+    diverging: tuple[str, ...] = ()
+
+    def __init__(self, likelihood: dict[frozenset[str], float]) -> None:
+        super().__init__(likelihood)
+        self.asked: list[str] = []
+        self.other = threading.Event()
+
+    def with_effect(self, before: Refit, s: Screened) -> Refit:
+        self.asked.append(s.id)
+        if s.id != "cubic_spring":
+            self.other.set()
+        if s.id in self.diverging:
+            raise DivergedError("it diverges.")
+        return super().with_effect(before, s)
+
+    def tested(self, refit: Refit, ahead: Ahead | None = None) -> Any:
+        assert self.other.wait(timeout=60)
+        return super().tested(refit, ahead)
+
+
+@pytest.mark.parametrize(
+    ("diverging", "left"),
+    [
+        ((), ["cubic_spring", "lvdt_lag", "arm_coulomb", "arm_stribeck"]),
+        (("arm_coulomb",), ["cubic_spring", "lvdt_lag", "arm_stribeck"]),
+        (("cubic_spring",), ["lvdt_lag", "arm_coulomb", "arm_stribeck"]),
+    ],
+)
+def test_first_refits_are_those_that_do_not_diverge_in_the_order_asked(diverging: Any, left: list[str]) -> None:
+    search = Refused(known(base=0.0, cubic_spring=4.0, lvdt_lag=3.0, arm_coulomb=2.0, arm_stribeck=1.0))
+    search.diverging = diverging
+    near = [screened(effect) for effect in ("lvdt_lag", "arm_coulomb", "arm_stribeck")]
+    found, tested = search.first_refits(search.refit(), screened("cubic_spring"), near)
+    assert [(effect, refit.added) for effect, refit in found.items()] == [(effect, (effect,)) for effect in left]
+    assert sorted(search.asked) == sorted(s.id for s in (screened("cubic_spring"), *near))
+    assert (tested is None) == ("cubic_spring" in diverging)
+    assert list(search.refits(search.refit(), near)) == [effect for effect in left if effect != "cubic_spring"]

@@ -1,0 +1,41 @@
+"""Independent work on several cores: compiled code hardly uses more than one of them, a step of time being so small."""
+
+import os
+import threading
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import TypeVar
+
+One = TypeVar("One")
+Result = TypeVar("Result")
+
+_MOST = 4  # every one of them holds results of its own in memory
+_here = threading.local()
+
+
+def threads() -> int:
+    """How many threads compute at the same time: at least two, so that one may wait for what another compiles."""
+    return max(2, min(_MOST, os.cpu_count() or 1))
+
+
+def at_once(work: Callable[[One], Result], several: Sequence[One]) -> list[Result]:
+    """`[work(one) for one in several]`, on a few threads; where one raises, those that have not begun are left out.
+
+    Work that itself asks for more at once is done one after the other.
+
+    Compiled code that is run so must not factor large batches of matrices by LAPACK: jaxlib lets the threads that XLA has, as
+    many as there are cores, wait within such a batch for others of them, so that two batches can wait for each other for ever.
+    One matrix after the other, as by `jax.lax.map`, does not, nor does a batch of less than 2e5 operations.
+    """
+    if len(several) < 2 or getattr(_here, "at_work", False):
+        return [work(one) for one in several]
+    with ThreadPoolExecutor(threads(), initializer=_begin) as pool:
+        begun = [pool.submit(work, one) for one in several]
+        try:
+            return [one.result() for one in begun]
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
+
+
+def _begin() -> None:
+    _here.at_work = True

@@ -4,6 +4,8 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 import estimators as est
 import rtac_jax as rtac
 from rtac_jax import virtual_rig
@@ -19,15 +21,18 @@ SHORT = tuple(
 )  # fmt: skip
 
 
-def recorded(hidden: Mapping[str, dict[str, Any]], first: int) -> dict[str, rtac.Recording]:
-    """One recording for each set of hidden values; `first` numbers the rigs and what is played on them."""
+def recorded(hidden: Mapping[str, dict[str, Any]], first: int, *, again: int = 0) -> dict[str, rtac.Recording]:
+    """One recording for each set of hidden values; `first` numbers the rigs and what is played on them.
+
+    Another recording of the same rigs has another number `again`.
+    """
     jobs = []
     for number, values in enumerate(hidden.values(), first):
         rig = virtual_rig.Rig().drawn(100 + number)
         plans = virtual_rig.standard_plans(
-            seed=200 + number, sample_time=0.005, duration=6.0, free=2, forced=4, rest=1, repeats=1
+            seed=200 + number + 1000 * again, sample_time=0.005, duration=6.0, free=2, forced=4, rest=1, repeats=1
         )
-        jobs.append((dataclasses.replace(rig, **values), plans, 300 + number))
+        jobs.append((dataclasses.replace(rig, **values), plans, 300 + number + 1000 * again))
     return dict(zip(hidden, virtual_rig.record_many(jobs), strict=True))
 
 
@@ -36,3 +41,9 @@ def diagnosed(recording: rtac.Recording, candidates: Sequence[type[Effect]] | No
     model = rtac.RTAC.from_rig(recording)
     fit = est.output_error(model, recording, progress=False)
     return est.diagnose(fit, recording, candidates=candidates, progress=False)
+
+
+def beyond_noise(compared: est.Comparison, number: int) -> dict[str, float]:
+    """Errors of one model's simulations in units of the noise, less what noise explains."""
+    errors = compared.models[number].errors
+    return {channel: float(np.sqrt(max(e.rms_over_noise**2 - 1.0, 0.0))) for channel, e in errors.items()}

@@ -5,13 +5,13 @@ from typing import Any, ClassVar
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hidden_effects import SHORT, diagnosed, recorded
+from hidden_effects import SHORT, beyond_noise, diagnosed, recorded
 
 import estimators as est
 import rtac_jax as rtac
 from estimators._report import report_dict
 from rtac_jax import parameter
-from rtac_jax.effects import CATALOGUE, Effect, Force
+from rtac_jax.effects import CATALOGUE, Force
 
 # What no effect of the catalogue is, and on which port it acts.
 OUTSIDE = {
@@ -28,18 +28,48 @@ def recordings() -> dict[str, rtac.Recording]:
     return recorded({IN_PART: dict(cubic_spring=3e5, maxwell_stiffness=0.5)}, 12) | recorded(OUTSIDE, 14)
 
 
-# Every look is taken at all that is offered before a verdict is "unknown".
-@pytest.mark.parametrize(
-    ("name", "candidates"),
-    [("magnetic detent", SHORT[:4]), *(pytest.param(name, None, marks=pytest.mark.slow) for name in OUTSIDE)],
-)
-def test_what_the_catalogue_does_not_know_is_not_named(
-    recordings: dict[str, rtac.Recording], name: str, candidates: tuple[type[Effect], ...] | None
-) -> None:
-    found = diagnosed(recordings[name], candidates)
+@pytest.fixture(scope="module")
+def fitted(recordings: dict[str, rtac.Recording]) -> est.Fit:
+    recording = recordings["magnetic detent"]
+    return est.output_error(rtac.RTAC.from_rig(recording), recording, progress=False)
+
+
+@pytest.fixture(scope="module")
+def unknown(recordings: dict[str, rtac.Recording], fitted: est.Fit) -> est.Diagnosis:
+    """Every look is taken at all that is offered before a verdict is "unknown", so here that is little."""
+    return est.diagnose(fitted, recordings["magnetic detent"], candidates=SHORT[:4], progress=False)
+
+
+def check_unknown(found: est.Diagnosis) -> None:
     assert found.verdict == "unknown", found
     assert found.effects == found.additions == ()
     assert found.latent[0].port == "cart"
+
+
+def test_what_was_not_offered_is_not_named(unknown: est.Diagnosis) -> None:
+    check_unknown(unknown)
+    assert unknown.curves[0].variable == "cart_position"
+
+
+def test_with_the_learned_force_the_error_of_another_recording_falls_by_half(
+    recordings: dict[str, rtac.Recording], fitted: est.Fit, unknown: est.Diagnosis
+) -> None:
+    name = "magnetic detent"
+    first = 14 + list(OUTSIDE).index(name)
+    held_out = recorded({name: OUTSIDE[name]}, first, again=1)[name]
+    learned = fitted.model + unknown.curves[0].effect()
+    better = est.output_error(learned, recordings[name], from_model=True, progress=False)
+    compared = est.compare([fitted, better], held_out, labels=["base", "learned"])
+    before, after = beyond_noise(compared, 0), beyond_noise(compared, 1)
+    assert max(before.values()) > 0.5
+    assert sum(after.values()) < 0.5 * sum(before.values()), (before, after)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", OUTSIDE)
+def test_what_the_catalogue_does_not_know_is_not_named(recordings: dict[str, rtac.Recording], name: str) -> None:
+    found = diagnosed(recordings[name])
+    check_unknown(found)
     if name == "floor vibration":
         assert found.latent[0].frequency == pytest.approx(2 * np.pi * 7.0, rel=0.05)
         rms, doubt = found.latent[0].rms
@@ -71,15 +101,16 @@ class Detent(Force):
         return -self.strength * away * jnp.exp(0.5 * (1 - away**2)), 0.0
 
 
-def test_an_effect_of_the_users_own_is_named_fitted_and_reported(recordings: dict[str, rtac.Recording]) -> None:
+def test_an_effect_of_the_users_own_is_named_fitted_and_reported(
+    recordings: dict[str, rtac.Recording], fitted: est.Fit
+) -> None:
     recording = recordings["magnetic detent"]
-    fit = est.output_error(rtac.RTAC.from_rig(recording), recording, progress=False)
     others = [CATALOGUE[name] for name in ("quadratic_spring", "cubic_spring", "cart_stribeck")]
-    found = est.diagnose(fit, recording, candidates=[*others, Detent], progress=False)
+    found = est.diagnose(fitted, recording, candidates=[*others, Detent], progress=False)
     assert found.verdict == "missing", found
     assert [c.id for c in found.effects] == ["detent"], found
     assert found.best is not None
-    better = est.output_error(fit.model + found.best, recording, from_model=True, progress=False)
+    better = est.output_error(fitted.model + found.best, recording, from_model=True, progress=False)
     reported = report_dict(found, fit=better)
     assert [effect["id"] for effect in reported["effects"]] == ["detent"]
     for name, truth in (("strength", 0.05), ("centre", 3e-3)):

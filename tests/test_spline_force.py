@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from hidden_effects import beyond_noise
 
 import estimators as est
 import rtac_jax as rtac
@@ -141,15 +142,8 @@ def recordings() -> dict[str, rtac.Recording]:
     return dict(zip(OUTSIDE, virtual_rig.record_many(jobs), strict=True))
 
 
-def beyond_noise(model: est.Comparison, number: int) -> dict[str, float]:
-    """Error of held-out experiments in units of the noise, less what noise explains."""
-    errors = model.models[number].errors
-    return {channel: float(np.sqrt(max(e.rms_over_noise**2 - 1.0, 0.0))) for channel, e in errors.items()}
-
-
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[] if "brake" in name else pytest.mark.slow) for name in OUTSIDE]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", OUTSIDE)
 def test_the_error_of_held_out_experiments_falls_by_half(recordings: dict[str, rtac.Recording], name: str) -> None:
     train, held_out = recordings[name].split(None)
     fit = est.output_error(rtac.RTAC.from_rig(recordings[name]), train, progress=False)

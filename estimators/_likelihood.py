@@ -31,6 +31,7 @@ _FEWEST = 200  # samples of that part
 _MUCH = 100.0  # gain in log-likelihood that a step must promise to be called far off
 _LESS = (0.0, 4.0)  # by how much in the logarithm of the variance
 _ENOUGH = 1.0  # gain in log-likelihood that is worth another round
+_SHOWN = 10.0  # how much wider the cart's position at the start is taken to lie than its scale
 
 
 @dataclasses.dataclass(frozen=True)
@@ -74,8 +75,14 @@ class NoiseModel:
 
 
 def start_variance(space: Space) -> Float[Array, "start experiment"]:
-    """Variance of the states at the start; none where they are held."""
-    return jnp.asarray((np.asarray(space.start_scale) * (1 - np.asarray(space.start_held))) ** 2)
+    """Variance of the states at the start; none where they are held.
+
+    The cart's position, the first of them, is taken from the first samples of a sensor whose gain or offset may be unknown. If
+    that held the position, where an experiment begins would make up for a wrong gain, and half of it would be estimated.
+    """
+    deviation = np.asarray(space.start_scale) * (1 - np.asarray(space.start_held))
+    deviation[0] *= _SHOWN
+    return jnp.asarray(deviation**2)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Sequence
+from typing import TypeVar
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from estimators._screen import ALARM, CHANCE, Screened
 from estimators._spectral_line import SpectralLine
 
 LEVEL = 0.01  # of all tests together
+Force = TypeVar("Force", ForceCurve, DelayedForce)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -85,6 +87,8 @@ def evidence(
     repeats: RepeatTest | None,
 ) -> tuple[Evidence, ...]:
     """All tests, in the order in which a reader asks; those without data are left out."""
+    asked = [repeats is not None, bool(screened), bool(curves), bool(delayed), line is not None]
+    level = LEVEL / max(sum(asked), 1)
     found: list[tuple[str, float, float, str]] = []
     if repeats is not None:
         found.append(
@@ -107,21 +111,21 @@ def evidence(
             )
         )
     if curves:
-        curve = min(curves, key=lambda c: (c.p_value, -c.excess))
+        p_value, curve = _strongest(curves, level)
         found.append(
             (
                 "static force",
-                min(1.0, curve.p_value * len(curves)),
+                p_value,
                 curve.excess,
                 f"a force on the {curve.port} that depends on {curve.variable} would explain {curve.excess:.0f}",
             )
         )
     if delayed:
-        one = min(delayed, key=lambda d: (d.p_value, -d.excess))
+        p_value, one = _strongest(delayed, level)
         found.append(
             (
                 "delayed force",
-                min(1.0, one.p_value * len(delayed)),
+                p_value,
                 one.excess,
                 f"a force on the {one.port} that follows {one.follows} with a lag would explain {one.excess:.0f}",
             )
@@ -138,9 +142,20 @@ def evidence(
         )
     ratios = {"repeats": repeats.ratio} if repeats is not None else {}
     return tuple(
-        Evidence(name, p, excess, LEVEL / len(found), words, ratios.get(name, float("nan")))
-        for name, p, excess, words in found
+        Evidence(name, p, excess, level, words, ratios.get(name, float("nan"))) for name, p, excess, words in found
     )
+
+
+def significant(several: Sequence[Force], level: float) -> list[Force]:
+    """Those of several forces that explain more than chance does, all of them counted."""
+    return [one for one in several if one.p_value * len(several) < level]
+
+
+def _strongest(several: Sequence[Force], level: float) -> tuple[float, Force]:
+    """The p-value of several forces together, and of those that explain more than chance the one that explains most."""
+    surest = min(several, key=lambda one: (one.p_value, -one.excess))
+    strongest = max(significant(several, level), key=lambda one: one.excess, default=surest)
+    return min(1.0, surest.p_value * len(several)), strongest
 
 
 def excess_of(tests: Sequence[Evidence]) -> float:

@@ -7,7 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from estimators._at_once import at_once
 from estimators._compile import compile_only
@@ -89,15 +89,25 @@ class Innovations:
         return np.repeat(stretches(self.data)[: self.data.samples].T.reshape(-1), int(self.used.sum()))
 
 
-def stretches(data: Data, seconds: float = 1.0) -> np.ndarray:
-    """For every sample and experiment the number of the stretch of time that it belongs to, within its experiment.
+def stretches(data: Data, seconds: float = 1.0) -> Int[np.ndarray, "sample experiment"]:
+    """For every sample and experiment the number of the stretch of time that it belongs to.
 
-    What is beyond the longest experiment belongs to the last stretch.
+    Those of an experiment are equally long, and as near to so many seconds as they can be. Where nothing counts, as beyond the
+    end of a short experiment or in a gap, no stretch begins: it would be one that never scatters.
     """
-    interval = np.asarray(data.excitation.sample_time)
-    sample = np.minimum(np.arange(data.room), data.samples - 1)
-    found = np.floor(sample[:, None] * interval / seconds).astype(int)
-    return found + (found.max() + 1) * np.arange(data.experiments)
+    counts = np.any(np.asarray(data.counted) > 0, axis=1)
+    sample_time = np.broadcast_to(np.asarray(data.excitation.sample_time), counts.shape[1:])
+    found = np.zeros(counts.shape, dtype=int)
+    last = -1
+    for column in range(counts.shape[1]):
+        there = counts[:, column]
+        samples = 1 + np.max(np.flatnonzero(there), initial=0)
+        several = max(round(samples * float(sample_time[column]) / seconds), 1)
+        within = np.minimum(np.arange(len(there)) * several // samples, several - 1)
+        begins = np.bincount(within[there], minlength=several) > 0
+        found[:, column] = np.maximum(last + np.cumsum(begins), 0)[within]
+        last += int(np.sum(begins))
+    return found
 
 
 def error_at(

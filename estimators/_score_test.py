@@ -10,6 +10,7 @@ from scipy.stats import f as fisher
 from estimators._innovations import Rows
 
 _SMALLEST = 1e-3  # singular values below this share of the largest belong to directions that the data do not show
+_FEWEST = 2  # stretches that scatter
 
 
 @dataclasses.dataclass(frozen=True)
@@ -76,15 +77,27 @@ def score_test(
     slopes = np.stack([d.T @ one for d, one in parts])
     by_block = np.linalg.pinv(others, rcond=1e-6, hermitian=True) @ slopes[:, :, None]
     scatter = np.einsum("bi,bj->ij", by_block[:, :, 0], by_block[:, :, 0])
-    count = len(parts)
-    p_value = float(chi2.sf(explained, freedom))
-    if count > freedom + 1:
-        hotelling = float(score @ np.linalg.lstsq(scatter, score, rcond=1e-10)[0])
-        ratio = hotelling * (count - freedom) / (count * freedom)
-        p_value = max(p_value, float(fisher.sf(ratio, freedom, count - freedom)))
+    p_value = max(float(chi2.sf(explained, freedom)), _p_by_scatter(score, scatter, len(parts)))
     inverse = vt[keep].T / s[keep]
     telling = np.argsort(-(score**2))
     return ScoreTest(
         explained, freedom, p_value, -inverse @ score, np.sqrt(np.sum(inverse**2, axis=1)), vt[keep][telling],
         (-score / s[keep])[telling],
     )  # fmt: skip
+
+
+def _p_by_scatter(
+    score: Float[np.ndarray, " direction"], scatter: Float[np.ndarray, "direction direction"], count: int
+) -> float:
+    """Of so large a score by what it scatters over so many stretches; one stretch does not scatter, and rejects nothing more.
+
+    Where these are too few to tell how all directions scatter together, of the largest of them one by one.
+    """
+    freedom = len(score)
+    if count > freedom + 1:
+        hotelling = float(score @ np.linalg.lstsq(scatter, score, rcond=1e-10)[0])
+        return float(fisher.sf(hotelling * (count - freedom) / (count * freedom), freedom, count - freedom))
+    if count < _FEWEST:
+        return 0.0
+    one_by_one = score**2 / np.maximum(np.diagonal(scatter), 1e-300)
+    return min(1.0, freedom * float(fisher.sf(np.max(one_by_one) * (count - 1) / count, 1, count - 1)))

@@ -5,7 +5,7 @@ import math
 from collections.abc import Sequence
 from typing import Literal
 
-from estimators._adequacy import LEVEL, Evidence, excess_of, removed_by_repeats
+from estimators._adequacy import LEVEL, Evidence, excess_of, removed_by_repeats, significant
 from estimators._candidate import Candidate, Step
 from estimators._force_curve import ForceCurve
 from estimators._latent_force import LatentForce
@@ -98,7 +98,7 @@ def words(
         sentences.append(
             f"{step.id} ({size}) gains {step.bic_gain:.0f} in BIC"
             + (
-                f" and {step.held_out_gain:.0f} in the log-likelihood of experiments that did not help to estimate it"
+                f" and {step.held_out_gain:.0f} in the log-likelihood of data that did not help to estimate it"
                 if math.isfinite(step.held_out_gain)
                 else ", in one experiment only, so that no other confirms it"
             )
@@ -124,11 +124,13 @@ def words(
 
 def static_force(curves: Sequence[ForceCurve], tests: Sequence[Evidence]) -> tuple[ForceCurve | None, bool]:
     """The curve that explains most of what is missing, if one does; and whether any explains more than chance."""
-    rejected = any(test.test == "static force" and test.rejects for test in tests)
-    best = max(curves, key=lambda c: c.excess, default=None)
-    if best is None or not rejected or not best.excess > _STATIC * excess_of(tests):
-        return None, rejected
-    return best, rejected
+    rejecting = next((test for test in tests if test.test == "static force" and test.rejects), None)
+    if rejecting is None:
+        return None, False
+    best = max(significant(curves, rejecting.level), key=lambda c: c.excess, default=None)
+    if best is None or not best.excess > _STATIC * excess_of(tests):
+        return None, True
+    return best, True
 
 
 def not_named(further: Sequence[Step], left: Sequence[Evidence], samples: int) -> str:

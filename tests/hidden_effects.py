@@ -21,10 +21,12 @@ SHORT = tuple(
 )  # fmt: skip
 
 
-def recorded(hidden: Mapping[str, dict[str, Any]], first: int, *, again: int = 0) -> dict[str, rtac.Recording]:
+def recorded(
+    hidden: Mapping[str, dict[str, Any]], first: int, *, again: int = 0, noise: int = 0
+) -> dict[str, rtac.Recording]:
     """One recording for each set of hidden values; `first` numbers the rigs and what is played on them.
 
-    Another recording of the same rigs has another number `again`.
+    Another recording of the same rigs has another number `again`; the same experiments once more have another `noise`.
     """
     jobs = []
     for number, values in enumerate(hidden.values(), first):
@@ -32,7 +34,7 @@ def recorded(hidden: Mapping[str, dict[str, Any]], first: int, *, again: int = 0
         plans = virtual_rig.standard_plans(
             seed=200 + number + 1000 * again, sample_time=0.005, duration=6.0, free=2, forced=4, rest=1, repeats=1
         )
-        jobs.append((dataclasses.replace(rig, **values), plans, 300 + number + 1000 * again))
+        jobs.append((dataclasses.replace(rig, **values), plans, 300 + number + 1000 * again + 10_000 * noise))
     return dict(zip(hidden, virtual_rig.record_many(jobs), strict=True))
 
 

@@ -1,11 +1,16 @@
 """The tests behind a diagnosis on data made by plain NumPy: how often they cry wolf, and whether they see what is there."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from estimators._adequacy import Evidence, line_left, overshadowing, suspects
+from estimators._adequacy import Evidence, evidence, line_left, overshadowing, suspects
+from estimators._force_curve import ForceCurve
+from estimators._innovations import stretches
 from estimators._line_classes import line_classes, period
+from estimators._problem import Data
 from estimators._repeats import repeat_test
 from estimators._score_test import score_test
 from estimators._screen import Screened
@@ -83,6 +88,69 @@ def test_score_test_keeps_its_level(colour: float) -> None:
     assert np.mean(np.array(p) < 0.01) < 0.03
     if colour == 0.0:
         assert np.mean(np.array(p) < 0.2) > 0.08  # it does reject
+
+
+def of_lengths(*seconds: float) -> Data:
+    """What counts of experiments of these lengths at 50 Hz, one output measured."""
+    parts = [np.cos(0.1 * np.arange(round(50 * s))) for s in seconds]
+    return Data.of(
+        [
+            Experiment.of(f"forced_{n}", kind="forced", sample_time=0.02, current=x, cart_position=x)
+            for n, x in enumerate(parts)
+        ]
+    )
+
+
+def test_stretches_are_of_what_counts() -> None:
+    data = of_lengths(2.0, 5.3, 0.4)
+    gap = dataclasses.replace(data, trusted=data.trusted.at[106:159, 1].set(0.0))
+    for one, expected in ((data, 2 + 5 + 1), (gap, 2 + 4 + 1)):
+        counts = np.asarray(one.counted).any(axis=1)
+        numbers = stretches(one)
+        assert np.array_equal(np.unique(numbers), np.arange(expected))
+        assert np.array_equal(np.unique(numbers[counts]), np.arange(expected))
+        assert np.all(np.diff(numbers.T.ravel()) >= 0)
+    lengths = np.bincount(stretches(data)[np.asarray(data.counted).any(axis=1)])
+    assert np.array_equal(lengths, [50, 50, 53, 53, 53, 53, 53, 20])
+
+
+@pytest.mark.parametrize(
+    "seconds",
+    [(2.0,) * 5 + (20.0,), (2.0,) * 6],
+    ids=["beside one that is much longer", "fewer stretches than columns"],
+)
+def test_score_test_keeps_its_level_in_short_experiments(seconds: tuple[float, ...]) -> None:
+    """What is beyond the end of a short experiment is no time in which noise was quiet."""
+    random = np.random.default_rng(8)
+    data = of_lengths(*seconds)
+    there = np.asarray(data.counted).any(axis=1).T.ravel()
+    blocks = stretches(data).T.ravel()
+    time = np.arange(there.size)
+    columns = np.stack([np.sin(0.05 * k * time + 0.3 * k) for k in range(1, 13)], axis=1) * there[:, None]
+    basis = np.linalg.qr(np.stack([there, time * there], axis=1).astype(float))[0]
+    p = []
+    for _ in range(250):
+        error = lfilter([np.sqrt(1 - 0.9**2)], [1.0, -0.9], random.normal(size=there.size + 200))[200:] * there
+        p.append(score_test(columns, error - basis @ (basis.T @ error), basis, blocks).p_value)
+    assert np.mean(np.array(p) < 0.01) < 0.03
+    force = 2.0 * columns[:, 2]
+    assert score_test(columns, error + force - basis @ (basis.T @ (error + force)), basis, blocks).p_value < 1e-3
+
+
+def test_of_the_forces_that_explain_more_than_chance_the_largest_says_how_much() -> None:
+    """Not the surest: what is named must remove nine tenths of it."""
+
+    def force(p_value: float, excess: float) -> ForceCurve:
+        at = np.linspace(-1.0, 1.0, 12)
+        return ForceCurve(
+            "cart", "cart_position", 0.0, at, 0 * at, 1 + 0 * at, excess + 12, excess, p_value, np.eye(12), 0 * at
+        )
+
+    (found,) = evidence([], [force(1e-14, 60.0), force(1e-9, 400.0), force(0.3, 900.0)], [], None, None)
+    assert found.rejects
+    assert found.excess == 400.0
+    (chance,) = evidence([], [force(0.2, 60.0), force(0.3, 900.0)], [], None, None)
+    assert not chance.rejects
 
 
 def test_score_test_estimates_what_is_there() -> None:

@@ -1,7 +1,7 @@
 """Which refit is chosen, what becomes of it when a later one explains the same, and what is found late; on made-up gains."""
 
 import threading
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from types import SimpleNamespace
 from typing import Any
 
@@ -29,8 +29,13 @@ SIZES = {"arm_stribeck": 2, "arm_coulomb": 1, "lvdt_lag": 1, "cubic_spring": 1}
 class Known(Search):
     """A search in which the log-likelihood with every set of effects is known beforehand."""
 
-    def __init__(self, likelihood: dict[frozenset[str], float], loose: Sequence[str] = ()) -> None:
-        self.likelihood, self.runaways = likelihood, loose
+    def __init__(
+        self,
+        likelihood: dict[frozenset[str], float],
+        loose: Sequence[str] = (),
+        held_out: Mapping[str, float] | None = None,
+    ) -> None:
+        self.likelihood, self.runaways, self.held_out = likelihood, loose, held_out or {}
         self.classes = dict(CATALOGUE)
         self.bar = SimpleNamespace(set_description=lambda text: None)
 
@@ -56,7 +61,8 @@ class Known(Search):
         return np.array([[0], [1]])
 
     def held_out_gain(self, before: Refit, after: Refit) -> float:
-        return 1.0
+        (effect,) = set(after.added) - set(before.added)
+        return self.held_out.get(effect, 1.0)
 
     def loose(self, effect: str, refit: Refit) -> bool:
         return effect in self.runaways
@@ -124,6 +130,21 @@ def test_a_shape_that_ran_away_is_chosen_only_where_nothing_else_helps() -> None
         assert found is not None
         assert found.id == expected
     assert step(Known(likelihood), (), ["cubic_spring"]) is None
+
+
+def test_what_does_not_help_where_it_was_not_estimated_is_not_chosen() -> None:
+    likelihood = known(base=0.0, arm_coulomb=900.0, lvdt_lag=1000.0, cubic_spring=300.0)
+    search = Known(likelihood, held_out={"lvdt_lag": -1.0, "arm_coulomb": 0.0})
+    found = step(search, (), ["lvdt_lag", "arm_coulomb", "cubic_spring"])
+    assert found is not None
+    assert (found.id, found.rivals) == ("cubic_spring", ())
+    assert step(search, (), ["lvdt_lag", "arm_coulomb"]) is None
+
+
+def test_where_one_experiment_only_shows_an_effect_no_other_can_refuse_it() -> None:
+    found = step(Known(known(base=0.0, lvdt_lag=1000.0), held_out={"lvdt_lag": np.nan}), (), ["lvdt_lag"])
+    assert found is not None
+    assert found.id == "lvdt_lag"
 
 
 def test_an_effect_gives_way_to_the_one_that_it_stood_for() -> None:

@@ -47,7 +47,7 @@ def test_an_effect_is_found_at_twice_its_limit_and_not_at_a_third(
     sizes = {share: limit * share for share in (2.0, 1 / 3)}
     hidden = {f"{share:g}": {name: 1 / size if name == "saturation" else size} for share, size in sizes.items()}
     for number, (share, values) in enumerate(hidden.items()):
-        recording = recorded({"same rig": values}, first=40)["same rig"]
+        recording = recorded({"same rig": values}, first=40, noise=1 + number)["same rig"]
         fit = est.output_error(rtac.RTAC.from_rig(recording), recording, progress=False)
         found = est.diagnose(fit, recording, candidates=offered, thorough=False, progress=False)
         assert [c.id for c in found.effects] == ([name] if number == 0 else []), (share, found)

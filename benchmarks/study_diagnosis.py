@@ -1,12 +1,12 @@
 """False alarms, power and confusion of the diagnosis on virtual rigs that its development never saw.
 
     python benchmarks/study_diagnosis.py run results.jsonl --draws 5                    # goes on where it was killed
-    python benchmarks/study_diagnosis.py run results.jsonl --draws 34 --only nothing    # more of one kind
+    python benchmarks/study_diagnosis.py run results.jsonl --first 60 --draws 25 --only nothing    # more of one kind
     python benchmarks/study_diagnosis.py run results.jsonl --part 0/2                   # one of two processes side by side
     python benchmarks/study_diagnosis.py table results.jsonl
 
 Rigs are drawn within 15 % around the paper's, sampled at 500 Hz with 12 bits; every rig of an odd draw is shaken by random
-forces and torques. Draws 0 to 8 and 10 to 20 have been looked at in development, so draws begin at 21; of draws up to 34
+forces and torques. Draws 0 to 8 and 10 to 21 have been looked at in development, so draws begin at 22; of draws up to LASTNULL
 the recordings with nothing hidden have been. A line of the result file is one recording: what was hidden, what was named,
 what the tests said, the commit, and the error on a validation recording of the base model, of the improved model, of a
 learned force where the catalogue lacks the effect, and of the best fit with the structure that the rig has; a model that
@@ -321,31 +321,45 @@ def table(path: Path) -> str:
     kinds |= {f"**{words} an effect**": {f"{words} {effect}" for effect in LIMITS} for words in MULTIPLES}
     counts: dict[str, collections.Counter] = collections.defaultdict(collections.Counter)
     wrong: dict[str, set[str]] = collections.defaultdict(set)
-    ratios: dict[str, list[float]] = collections.defaultdict(list)
+    errors: dict[str, list[dict[str, float]]] = collections.defaultdict(list)
     for result in read(path):
         for row in (result["case"], *(kind for kind, members in kinds.items() if result["case"] in members)):
             counts[row][outcome(result)] += 1
             if outcome(result) in ("wrong", "right and more", "a part"):
                 wrong[row].add(" + ".join(result["effects"]))
-            errors = result["validation"]
-            if np.isfinite(errors.get("structure", np.inf)):
-                ratios[row].append(errors.get("improved", errors["base"]) / errors["structure"])
-            if "learned" in errors:
-                ratios[row].append(errors["learned"] / errors["base"])
+            errors[row].append(result["validation"])
     columns = ("right", "right and more", "in the group", "a part", "unknown", "adequate", "wrong", "failed")
     lines = [
-        f"| hidden | {' | '.join(columns)} | error ratio: median, largest, within 10 % | named instead |",
+        f"| hidden | {' | '.join(columns)} | error on the second recording | named instead |",
         "|---" * (len(columns) + 3) + "|",
     ]
     for name in sorted(counts, key=lambda n: n.startswith("**")):
         cells = " | ".join(str(counts[name][c]) if counts[name][c] else "" for c in columns)
-        ratio = ""
-        if ratios[name]:
-            close = np.mean(np.array(ratios[name]) < 1.1)
-            ratio = f"{np.median(ratios[name]):.2f}, {max(ratios[name]):.2f}, {100 * close:.0f} %"
+        ratio = _ratios(errors[name])
         shown = "" if name.startswith("**") else "; ".join(sorted(wrong[name]))
         lines.append(f"| {name} | {cells} | {ratio} | {shown} |")
     return "\n".join(lines)
+
+
+def _ratios(several: Sequence[dict[str, float]]) -> str:
+    """Errors on the second recording: beside the right structure's, or of a learned force beside the base model's.
+
+    Where random forces carry a rig away the base model may follow as well as the right structure does: "that tell" are the
+    recordings on which it is a fifth worse, and only these say anything of what was added.
+    """
+    said = []
+    if known := [one for one in several if np.isfinite(one.get("structure", np.inf))]:
+        reached = np.array([one.get("improved", one["base"]) / one["structure"] for one in known])
+        tell = np.array([one["base"] / one["structure"] > 1.2 for one in known])
+        said.append(f"{np.median(reached):.2f}, at most {np.max(reached):.2f} of the right structure's")
+        said.append(
+            f"within 10 % in {np.sum(reached < 1.1)} of {len(known)}, {np.sum(reached[tell] < 1.1)} of {tell.sum()} that tell"
+        )
+    if lost := sum(np.isinf(one.get("structure", 0.0)) for one in several):
+        said.append(f"the right structure could not be fitted in {lost}")
+    if learned := [one["learned"] / one["base"] for one in several if "learned" in one]:
+        said.append(f"halved by a learned force in {np.sum(np.array(learned) < 0.5)} of {len(learned)}")
+    return "; ".join(said)
 
 
 def main() -> None:
@@ -353,7 +367,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("action", choices=["run", "table"])
     parser.add_argument("file", type=Path)
-    parser.add_argument("--first", type=int, default=21)
+    parser.add_argument("--first", type=int, default=22)
     parser.add_argument("--draws", type=int, default=5)
     parser.add_argument("--only", default="", help="cases whose name contains this")
     parser.add_argument("--part", default="0/1", help="I/N: the Ith of N processes that share the work")

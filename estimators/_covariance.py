@@ -78,7 +78,8 @@ class Information:
         if said := self.undetermined():
             raise NotIdentifiableError(
                 f"The data leave {len(said)} combination(s) of parameters free: {'; '.join(said)}. Give a known constant "
-                "in /rig (total_mass or arm_inertia fixes the scale), fix a parameter, or add an experiment that excites it."
+                "in /rig (total_mass or arm_inertia fixes the scale), fix a parameter (model.fix), or add an experiment that "
+                "excites it."
             )
 
 

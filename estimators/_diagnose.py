@@ -24,7 +24,18 @@ from estimators._refit import Refit, Tested
 from estimators._screen import correlations
 from estimators._search import Search
 from estimators._stepwise import Tried, by_size, improvements, second_looks
-from estimators._verdict import Verdict, floor, judge, not_named, shaken, surer, without_named_rivals, words
+from estimators._verdict import (
+    SHAKEN,
+    Verdict,
+    floor,
+    judge,
+    not_named,
+    shaken,
+    strayed,
+    surer,
+    without_named_rivals,
+    words,
+)
 from estimators._where import Place
 from rtac_jax import RTAC, require_configured
 from rtac_jax._parameter import declarations
@@ -83,6 +94,7 @@ class Diagnosis:
             removes = f"{100 * c.error_reduction:7.0f}%" if c.refitted else " " * 8
             limit = f"{c.detection_limit:.2g} {c.unit}" if c.testable else "not testable"
             lines.append(f"{c.id:22s} {c.score:10.1f} {c.p_value:9.2g} {gain} {removes}  {limit}")
+        lines.append("score: chi-square of predictions one sample ahead, less the price of the parameters")
         lines.append("")
         for title, tests in (("base model", self.tests), ("with what was added", self.left if self.additions else ())):
             for test in tests:
@@ -137,6 +149,10 @@ def diagnose(
             found = _searched(search, thorough)
         bar.set_description("diagnose: verdict")
         told = _told(found, [c for c in classes if c.id not in search.absent])
+    if (
+        told.verdict == "adequate" and max(told.random_force, told.random_torque) < SHAKEN
+    ):  # or else they are the reason
+        told = dataclasses.replace(told, explanation=told.explanation + strayed(fit.residual_std, fit.noise))
     return dataclasses.replace(told, seconds=time.perf_counter() - began)
 
 

@@ -78,7 +78,7 @@ class ForceCurve:
         score: how much of the innovations it explains beyond chance and its price; negative for nothing.
         at: values of the variable.
         force: the missing force there.
-        std: its standard deviation.
+        std: its standard deviation; infinite where the variable never was.
         explains: twice the gain in log-likelihood.
         excess: that, less what chance explains.
         p_value: of the score test, for this curve alone.
@@ -99,6 +99,10 @@ class ForceCurve:
     shapes: Float[np.ndarray, "shape knot"]
     amounts: Float[np.ndarray, " shape"]
     slow: float = 1e-4
+
+    def __repr__(self) -> str:
+        told = f"explains {self.explains:.1f}, p = {self.p_value:.2g}, largest {np.max(np.abs(self.force)):.3g}"
+        return f"ForceCurve(on the {self.port} against {self.variable}: {told})"
 
     def effect(self) -> SplineForce:
         """The missing force as an effect that can be added to the model: it makes the error fall, whatever it is."""

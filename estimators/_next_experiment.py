@@ -98,7 +98,7 @@ class NextExperiment:
         return np.zeros(plan.samples) if plan.current is None else plan.current
 
     def save(self, path: str | PathLike[str]) -> None:
-        """Write the recommended experiment for the rig, in the format that the ending names; see `Recording.save`."""
+        """Write the recommended experiment for the rig, ".csv" or ".h5"; see `Recording.save`."""
         self.recording.save(path)
 
     def as_dict(self, most: int = 5) -> dict[str, Any]:

@@ -17,6 +17,8 @@ def with_own(file: Path | None) -> list[type[Effect]] | None:
     """
     if file is None:
         return None
+    if not file.is_file():
+        raise ValueError(f"{file}: there is no such file; give a Python file with a class on rtac_jax.effects.Force.")
     spec = importlib.util.spec_from_file_location(f"own_effects_{file.stem}", file)
     if spec is None or spec.loader is None:
         raise ValueError(f"{file}: is no Python file; give one that ends in .py.")

@@ -23,7 +23,7 @@ class ScoreTest:
         p_value: the larger of two: by the model's variance, and by the scatter over stretches of time, which holds when the
             noise is coloured or heavier than the model thinks.
         coefficients: of the columns.
-        std: their standard deviations.
+        std: their standard deviations; infinite where the data show nothing of a column.
         directions: combinations of the columns that the data show, most telling first.
         amounts: of each in `coefficients`.
     """
@@ -80,9 +80,9 @@ def score_test(
     p_value = max(float(chi2.sf(explained, freedom)), _p_by_scatter(score, scatter, len(parts)))
     inverse = vt[keep].T / s[keep]
     telling = np.argsort(-(score**2))
+    std = np.where(size > _SMALLEST * np.max(size), np.sqrt(np.sum(inverse**2, axis=1)), np.inf)
     return ScoreTest(
-        explained, freedom, p_value, -inverse @ score, np.sqrt(np.sum(inverse**2, axis=1)), vt[keep][telling],
-        (-score / s[keep])[telling],
+        explained, freedom, p_value, -inverse @ score, std, vt[keep][telling], (-score / s[keep])[telling],
     )  # fmt: skip
 
 

@@ -2,7 +2,7 @@
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Literal
 
 from estimators._adequacy import LEVEL, Evidence, excess_of, removed_by_repeats, significant
@@ -16,8 +16,9 @@ from rtac_jax.measurement import Recording
 Verdict = Literal["adequate", "missing", "ambiguous", "unknown"]
 
 _LEFT_OUT = 0.02  # share of the samples from which it is worth a word that they do not count
-_SHAKEN = 1e-2  # share of the rms forces from which random forces in one sample are worth a word
+SHAKEN = 1e-2  # share of the rms forces from which random forces in one sample are worth a word
 _FOUND = 0.9  # share of the misfit that the named effects must remove
+_STRAYED = 3.0  # rms of what a simulation leaves over the noise, from which it is worth a word
 _STATIC = 0.5  # share of the misfit that a force curve must explain to be called the missing force
 
 
@@ -84,7 +85,10 @@ def words(
     part = next((p for p in places if p.by != "experiment" and p.excess > 1), None)
     shown = ""
     if worst is not None and worst.excess <= 1:
-        shown = " In no experiment is the error of a channel larger than chance allows: it shows by what it goes with."
+        shown = (
+            " Predicted one sample ahead, no channel of any experiment is farther off than chance allows: what is missing shows in"
+            " what these errors go along with, not in their size."
+        )
     elif worst is not None:
         shown = f" It shows most in {worst.channel} of {worst.label} ({worst.value:.2f} times the expected squares)"
         shown += f" and at {part.label}." if part is not None else "."
@@ -167,12 +171,25 @@ def shaken(random_force: float, random_torque: float, left_out: float) -> str:
             f" {100 * left_out:.0f} % of the samples do not count: there the cart or the arm all but rests, and what the base"
             " model takes for random forces may shake loose what dry friction holds."
         )
-    if max(random_force, random_torque) < _SHAKEN:
+    if max(random_force, random_torque) < SHAKEN:
         return said
     return said + (
         f" Random forces shake the rig even so ({100 * random_force:.1f} % of the rms spring force in one sample,"
         f" {100 * random_torque:.1f} % of the rms torque). A simulation cannot follow them: est.prediction_error_nonlinear"
         " estimates parameters of such a rig, est.output_error may not."
+    )
+
+
+def strayed(residual_std: Mapping[str, float], noise: Mapping[str, float]) -> str:
+    """What it means that a simulation leaves the recording although no prediction shows why; nothing where it stays."""
+    channel = max(noise, key=lambda c: residual_std.get(c, 0.0) / noise[c])
+    far = residual_std.get(channel, 0.0) / noise[channel]
+    if far < _STRAYED:
+        return ""
+    return (
+        f" Even so, the simulation of the fit is {far:.0f} times the noise away from the recording ({channel}): the fit ended at"
+        " values that are not the best, or no simulation can follow this motion, as where an arm tumbles. Its parameters and"
+        " their standard deviations are not to be trusted then; est.prediction_error_nonlinear estimates them by predictions."
     )
 
 

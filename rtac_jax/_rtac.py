@@ -201,6 +201,9 @@ class RTAC(eqx.Module):
         """The model with a value of its own for each experiment in these parameters."""
         return type(self)(self.body, self.effects, self.fixed, self.per_experiment | set(names))
 
+    def __str__(self) -> str:
+        return self.table()
+
     def table(self) -> str:
         """Parameters with symbol, value, unit and meaning, one a line."""
         rows = []

@@ -207,6 +207,9 @@ class Simulation:
     arm_angle: Float[np.ndarray, " sample"]
     states: Mapping[str, Float[np.ndarray, " sample"]]
 
+    def __repr__(self) -> str:
+        return f"Simulation({len(self.time)} samples, {self.time[-1]:.6g} s, states {', '.join(self.states)})"
+
 
 def simulate(
     model: RTAC,

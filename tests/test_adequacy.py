@@ -137,6 +137,14 @@ def test_score_test_keeps_its_level_in_short_experiments(seconds: tuple[float, .
     assert score_test(columns, error + force - basis @ (basis.T @ (error + force)), basis, blocks).p_value < 1e-3
 
 
+def test_a_column_that_the_data_do_not_show_has_no_standard_deviation() -> None:
+    random = np.random.default_rng(9)
+    columns = random.normal(size=(SAMPLES, 3)) * [1.0, 1e-5, 0.0]
+    found = score_test(columns, random.normal(size=SAMPLES), np.zeros((SAMPLES, 0)), np.arange(SAMPLES) // 50)
+    assert found.freedom == 1
+    assert np.array_equal(np.isfinite(found.std), [True, False, False])
+
+
 def test_of_the_forces_that_explain_more_than_chance_the_largest_says_how_much() -> None:
     """Not the surest: what is named must remove nine tenths of it."""
 

@@ -42,6 +42,11 @@ def test_what_a_file_defines_is_offered_beside_the_catalogue(mine: Path) -> None
     assert with_own(None) is None
 
 
+def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"none\.py: there is no such file; give a Python file"):
+        with_own(tmp_path / "none.py")
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [

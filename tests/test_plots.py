@@ -279,6 +279,15 @@ def test_a_narrow_curve_is_no_less_a_static_force():
     assert "is for the most part no function of position" in finding(small)
 
 
+def test_where_a_variable_never_was_no_force_is_drawn():
+    std = np.where(np.arange(12) < 3, np.inf, CURVES[0].std)
+    figure = plot_diagnosis(diagnosis(curves=(dataclasses.replace(CURVES[0], std=std), *CURVES[1:])))
+    panel = next(a for a in figure.get_axes() if a.get_title(loc="left").startswith("against cart position"))
+    line = next(line for line in panel.lines if line.get_label() == "missing")
+    assert np.array_equal(np.isnan(line.get_ydata()), np.arange(12) < 3)
+    assert np.all(np.isfinite(panel.get_ylim()))
+
+
 def test_every_effect_that_was_added_is_drawn_over_the_missing_force():
     figure = plot_diagnosis(diagnosis(additions=(CubicSpring(5e4), QuadraticSpring(600.0))))
     panel = next(a for a in figure.get_axes() if a.get_title(loc="left").startswith("against cart position"))

@@ -90,6 +90,36 @@ def test_saving_replaces_the_file_whole(path, monkeypatch):
     assert [entry.name for entry in path.parent.iterdir()] == [path.name]
 
 
+def test_one_experiment_as_text_is_what_was_saved(tmp_path):
+    path, first = tmp_path / "rig.csv", recording()[NAMES[0]]
+    Recording((first,)).save(path)
+    columns = {
+        "current": "current [A]", "disturbance_force": "disturbance_force [N]", "cart_position": "cart_position [m]",
+        "arm_angle": "arm_angle [rad]",
+    }  # fmt: skip
+    again = Recording.from_csv(path, channels=columns, kind="forced", time="time [s]")["rig"]
+    for channel in columns:
+        side = "inputs" if channel in first.inputs else "outputs"
+        np.testing.assert_array_equal(getattr(again, side)[channel].values, getattr(first, side)[channel].values)
+    assert again.sample_time == pytest.approx(first.sample_time)
+
+
+def test_what_a_file_cannot_hold_is_refused_before_it_is_written(tmp_path):
+    with pytest.raises(RecordingError, match="a CSV file holds one experiment, and this recording has 4"):
+        recording().save(tmp_path / "rig.csv")
+    with pytest.raises(RecordingError, match=r"rig\.mat: cannot be written; let the name end in \.h5, \.hdf5, \.csv\."):
+        recording().save(tmp_path / "rig.mat")
+    with pytest.raises(FileNotFoundError, match="there is no such folder"):
+        Recording((recording()[NAMES[0]],)).save(tmp_path / "none" / "rig.csv")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_recording_prints_what_is_in_it_and_no_samples():
+    assert "experiments: 4 (3 forced, 1 rest)" in str(recording())
+    assert "500 samples, m)" in repr(recording())
+    assert len(repr(recording())) < 3000
+
+
 def test_a_file_written_by_hand_is_read(tmp_path):
     path = tmp_path / "hand.h5"
     with h5py.File(path, "w") as file:

@@ -154,7 +154,7 @@ def test_unknown_parameter_is_refused_with_the_list(name):
 
 def test_table_shows_every_parameter():
     model = (RTAC.paper() + TachoBias(0.0)).fix("total_mass")
-    lines = model.with_values({"tacho_bias.bias": np.zeros(3)}).table().splitlines()
+    lines = str(model.with_values({"tacho_bias.bias": np.zeros(3)})).splitlines()
     assert len(lines) == len(model.parameters)
     for line, (name, declared) in zip(lines, model.parameters.items(), strict=True):
         assert line.startswith(f"{name} ")

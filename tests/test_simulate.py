@@ -297,6 +297,12 @@ def test_any_sample_is_a_start():
     assert_close(np.stack(list(again.values()), axis=1), table[120:], 1e-12)
 
 
+def test_a_simulation_prints_no_samples():
+    (one,) = simulate(RTAC.paper(), [experiment(samples=300, sample_time=0.005)], start={"a": START}).values()
+    assert repr(one).startswith("Simulation(300 samples, 1.495 s, states cart_position")
+    assert len(repr(one)) < 200
+
+
 def test_experiments_together_equal_experiments_alone():
     push = {"disturbance_force": inputs(120)["disturbance_force"]}
     given = [

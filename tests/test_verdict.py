@@ -12,7 +12,7 @@ from estimators._force_curve import ForceCurve
 from estimators._latent_force import LatentForce
 from estimators._line_classes import LineClass
 from estimators._refit import Refit
-from estimators._verdict import judge, shaken, share_removed, words
+from estimators._verdict import judge, shaken, share_removed, strayed, words
 from estimators._where import Place
 
 SAMPLES = 10_000
@@ -29,6 +29,14 @@ def repeats(ratio: float, *, rejects: bool) -> Evidence:
 def step(name: str, gain: float, left: float, rivals: tuple[str, ...] = ()) -> Step:
     blank = Refit.__new__(Refit)  # the rule asks nothing of the fit itself
     return Step(name, rivals, gain, gain, gain, blank, (found(left),))
+
+
+def test_an_adequate_model_whose_simulation_strays_says_so() -> None:
+    noise = {"cart_position": 1e-5, "arm_velocity": 0.05}
+    assert strayed({"cart_position": 2e-5, "arm_velocity": 0.1}, noise) == ""
+    assert "32 times the noise away from the recording (cart_position)" in strayed(
+        {"cart_position": 3.2e-4, "arm_velocity": 1.0}, noise
+    )
 
 
 @pytest.mark.parametrize(
@@ -106,7 +114,7 @@ def test_unknown_says_which_lines_of_a_periodic_input_show_it() -> None:
 def test_where_it_shows_is_said_only_beyond_chance() -> None:
     within, beyond = (Place("experiment", "free_1", "arm_velocity", value, 1.1) for value in (1.08, 1.2))
     said = [words("unknown", [], [], [], (found(600.0),), (), 0.0, [], [], [place], []) for place in (within, beyond)]
-    assert "In no experiment is the error of a channel larger than chance allows" in said[0]
+    assert "no channel of any experiment is farther off than chance allows" in said[0]
     assert "shows most in" not in said[0]
     assert "It shows most in arm_velocity of free_1 (1.20 times the expected squares)" in said[1]
 

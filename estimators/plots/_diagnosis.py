@@ -223,7 +223,7 @@ def _in_time(axes: Any, latent: LatentForce, recording: Recording | None) -> Non
 
 def _reach(curve: ForceCurve) -> float:
     """The largest force with its band, but at the ends of its range a variable is seldom, and a band is too wide to show."""
-    sound = curve.std <= 6 * np.median(curve.std)
+    sound = curve.std <= 6 * np.median(curve.std[np.isfinite(curve.std)])
     return float(np.max(np.abs(curve.force[sound]) + 2 * curve.std[sound], initial=0.0)) or 1.0
 
 
@@ -232,9 +232,10 @@ def _curve(axes: Any, curve: ForceCurve, diagnosis: Diagnosis, reach: float, *, 
     across = prefixed(float(np.max(np.abs(curve.at))), UNITS[curve.variable])
     up = prefixed(reach, unit)
     x = across.factor * curve.at
-    low, high = (up.factor * (curve.force + sign * 2 * curve.std) for sign in (-1, 1))
+    force = np.where(np.isfinite(curve.std), curve.force, np.nan)
+    low, high = (up.factor * (force + sign * 2 * curve.std) for sign in (-1, 1))
     axes.fill_between(x, low, high, color="0.82", linewidth=0, label="±2 std")
-    axes.plot(x, up.factor * curve.force, color="#08306b", marker="o", markersize=3, linewidth=1.2, label="missing")
+    axes.plot(x, up.factor * force, color="#08306b", marker="o", markersize=3, linewidth=1.2, label="missing")
     drawn = 0
     for effect in diagnosis.additions:
         if (shape := effect_curve(effect, curve)) is not None:

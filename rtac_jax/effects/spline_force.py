@@ -115,7 +115,8 @@ class SplineForce(Force):
             between: lowest and highest value, SI units.
             port: "cart" [N] or "arm" [N m].
             shapes: up to six curves, a row each, as heights at equally spaced knots; by default one hat for each of six
-                knots, which overlap with the stiffness, friction and torque constant of the model: fix those.
+                knots, which overlap with the stiffness, friction and torque constant of the model: fix those (`model.fix`). The
+                curves of a diagnosis, `found.curves[0].effect()`, hold only what these leave over, and need nothing fixed.
             amounts: of the shapes at the start; zero by default.
             slow: speed below which friction fades [m/s or rad/s].
 
@@ -124,7 +125,9 @@ class SplineForce(Force):
                 not positive.
         """
         if variable not in VARIABLES:
-            raise ValueError(f"spline_force: {variable!r} is no variable; choose among {', '.join(VARIABLES)}.")
+            raise ValueError(
+                f"spline_force: {variable!r} is no variable; choose among {', '.join(map(repr, VARIABLES))}."
+            )
         if port not in PORTS:
             raise ValueError(f"spline_force: port {port!r} must be 'cart' or 'arm'.")
         if not between[0] < between[1]:

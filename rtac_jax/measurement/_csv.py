@@ -1,4 +1,4 @@
-"""Import from text files with a header row, with an explicit channel mapping."""
+"""Text files with a header row: import with an explicit channel mapping, and what a rig can play."""
 
 import csv
 import math
@@ -12,6 +12,7 @@ from jaxtyping import Float64
 
 from ._columns import assemble, check_options
 from ._errors import RecordingError
+from ._replace import replacing
 
 if TYPE_CHECKING:
     from ._recording import Recording
@@ -75,6 +76,23 @@ def from_csv(
     except RecordingError as error:
         raise RecordingError(f"{os.fspath(path)}: {error}") from error.__cause__
     return Recording((experiment,), rig or {})
+
+
+def write(path: str | os.PathLike[str], recording: "Recording") -> None:
+    """Writes the one experiment of `recording` as CSV; see `Recording.save`."""
+    if len(recording) != 1:
+        raise RecordingError(
+            f"{os.fspath(path)}: a CSV file holds one experiment, and this recording has {len(recording)}; save it as .h5."
+        )
+    (experiment,) = recording
+    channels = {**experiment.inputs, **experiment.outputs}
+    columns = {"time [s]": experiment.sample_time * np.arange(experiment.samples)}
+    columns |= {f"{name} [{signal.unit}]": signal.values for name, signal in channels.items()}
+    with replacing(path) as temporary, open(temporary, "x", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(columns)
+        for row in zip(*columns.values(), strict=True):
+            writer.writerow("" if math.isnan(value) else repr(float(value)) for value in row)
 
 
 def _read_columns(

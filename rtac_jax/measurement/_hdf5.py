@@ -1,10 +1,8 @@
 """Recordings in HDF5, layout "rtac-measurement", version 1. Nothing is guessed, and no file is trusted."""
 
 import os
-import secrets
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import h5py
@@ -13,6 +11,7 @@ from jaxtyping import Float64
 
 from ._errors import RecordingError
 from ._experiment import Experiment, check_name
+from ._replace import replacing
 from ._signal import INPUTS, OUTPUTS, Signal
 
 if TYPE_CHECKING:
@@ -28,17 +27,8 @@ SLACK_BYTES = 1 << 20
 
 def write(path: str | os.PathLike[str], recording: "Recording") -> None:
     """Writes `recording` to `path`; an interrupted write leaves an earlier file as it was."""
-    path = Path(path).resolve()
-    if not path.parent.is_dir():
-        raise FileNotFoundError(f"{path.parent}: there is no such folder to save in; create it first.")
-    # In the same folder, since a rename is atomic only within one file system.
-    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.part")
-    try:
-        with h5py.File(temporary, "x", track_order=True) as file:
-            _fill(file, recording)
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    with replacing(path) as temporary, h5py.File(temporary, "x", track_order=True) as file:
+        _fill(file, recording)
 
 
 def _fill(file: h5py.File, recording: "Recording") -> None:

@@ -2,7 +2,8 @@
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from os import PathLike
+from os import PathLike, fspath
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
@@ -13,6 +14,7 @@ from ._signal import finite, positive, rebuild
 
 POSITIVE = ("total_mass", "arm_inertia", "spring_stiffness", "torque_constant", "eccentric_moment")
 HOLD_OUT_EVERY = 4
+_WRITERS = {".h5": _hdf5.write, ".hdf5": _hdf5.write, ".csv": _csv.write}
 
 
 @dataclass(frozen=True)
@@ -69,8 +71,24 @@ class Recording:
         return _hdf5.read(path)
 
     def save(self, path: str | PathLike[str]) -> None:
-        """Writes an HDF5 file; a file that was there is replaced only when the new one is complete."""
-        _hdf5.write(path, self)
+        """Writes an HDF5 file, which loses nothing; or what a rig plays and a spreadsheet opens, a CSV file.
+
+        The ending says which: ".h5" and ".hdf5", or ".csv" for a single experiment, with its times and channels in
+        columns that the first row names and gives units. A file that was there is replaced only when the new one is
+        complete.
+
+        Raises `RecordingError` for another ending, or for several experiments in a CSV file; `FileNotFoundError`
+        when there is no such folder.
+        """
+        ending = Path(path).suffix.lower()
+        if ending not in _WRITERS:
+            raise RecordingError(f"{fspath(path)}: cannot be written; let the name end in {', '.join(_WRITERS)}.")
+        _WRITERS[ending](path, self)
+
+    def __str__(self) -> str:
+        from ._info import describe
+
+        return describe(self)
 
     # The importers themselves, so that their options are written down once.
     from_mat = staticmethod(_mat.from_mat)

@@ -94,6 +94,10 @@ class Signal:
     def __reduce__(self) -> tuple[Any, ...]:
         return rebuild(self)
 
+    def __repr__(self) -> str:
+        held = f", {self.intersample}" if self.intersample is not None else ""
+        return f"Signal({len(self.values)} samples, {self.unit}{held})"
+
 
 def _check_unit(place: str, signal: Signal, unit: str) -> None:
     if signal.unit != unit:

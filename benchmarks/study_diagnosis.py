@@ -113,6 +113,12 @@ NULLS: dict[str, Case] = {
     "nothing, doubled noise, half of it stated, no rest": Case({"noise_factor": 2.0}, rest=0, write_noise=True),
     "nothing, coloured noise, no rest, no repeats": Case({"noise_correlation": 0.9}, rest=0, repeats=0),
 }
+_LITTLE = ", coloured noise, no rest, no repeats"
+# What keeps noise from being taken for an effect must not take an effect for noise.
+LITTLE: dict[str, Case] = {
+    effect + _LITTLE: dataclasses.replace(case, hidden=case.hidden | {"noise_correlation": 0.9}, rest=0, repeats=0)
+    for effect, case in EFFECTS.items()
+}
 PAIRS: dict[str, Case] = {
     f"{one} + {other}": Case(EFFECTS[one].hidden | EFFECTS[other].hidden)
     for one, other in (
@@ -159,7 +165,7 @@ MULTIPLES = {"twice the limit of": 2.0, "a third of the limit of": 1 / 3}
 def cases(draws: range, done: dict[tuple[str, int], dict]) -> Iterator[tuple[str, int, Case]]:
     """Name, draw and what is hidden; detection limits last, as they ask what was found before."""
     for draw in draws:
-        for name, case in (EFFECTS | OUTSIDE | NULLS | PAIRS).items():
+        for name, case in (EFFECTS | OUTSIDE | NULLS | PAIRS | LITTLE).items():
             yield name, draw, case
         limits = done.get((_NULL, draw), {}).get("limits", {})
         for (words, multiple), effect in itertools.product(MULTIPLES.items(), LIMITS):
@@ -189,8 +195,8 @@ def one(name: str, draw: int, case: Case) -> dict[str, object]:
         models["improved"] = _fitted(free, recording) or _fitted(held, recording)
     if name in OUTSIDE and found.curves:
         models["learned"] = _fitted(fit.model + found.curves[0].effect(), recording)
-    if name in EFFECTS or name in PAIRS:
-        models["structure"] = _best(fit.model, name.split(" + "), found.additions, recording)
+    if name in EFFECTS or name in PAIRS or name in LITTLE:
+        models["structure"] = _best(fit.model, hidden_in(name), found.additions, recording)
     errors = {label: _error(model, validation) for label, model in models.items()}
     if draw % 2:
         still = dataclasses.replace(rig, **dict.fromkeys(_SHAKEN, 0.0))
@@ -210,6 +216,13 @@ def one(name: str, draw: int, case: Case) -> dict[str, object]:
         "seconds": seconds,
         "commit": _COMMIT,
     }
+
+
+def hidden_in(name: str) -> list[str]:
+    """The effects that a case hides; of one with nothing hidden its name, which no effect has."""
+    for words in MULTIPLES:
+        name = name.removeprefix(f"{words} ")
+    return name.removesuffix(_LITTLE).split(" + ")
 
 
 def _with(model: rtac.RTAC, effects: Sequence[Effect]) -> rtac.RTAC:
@@ -296,7 +309,7 @@ def read(path: Path) -> list[dict]:
 
 def outcome(result: dict) -> str:
     """What the verdict was worth: every effect that was hidden has to be in a group of its own."""
-    truth = result["case"].removeprefix("twice the limit of ").removeprefix("a third of the limit of ").split(" + ")
+    truth = hidden_in(result["case"])
     if result["verdict"] not in ("missing", "ambiguous"):
         return result["verdict"]
     groups = [{step, *result["groups"][step]} for step in result["steps"]]
@@ -318,6 +331,7 @@ def outcome(result: dict) -> str:
 def table(path: Path) -> str:
     """Markdown: one row for each case, and one for each kind of case."""
     kinds = {"**every effect**": EFFECTS, "**outside**": OUTSIDE, "**nothing hidden**": NULLS, "**pairs**": PAIRS}
+    kinds["**every effect, coloured noise, no rest, no repeats**"] = LITTLE
     kinds |= {f"**{words} an effect**": {f"{words} {effect}" for effect in LIMITS} for words in MULTIPLES}
     counts: dict[str, collections.Counter] = collections.defaultdict(collections.Counter)
     wrong: dict[str, set[str]] = collections.defaultdict(set)

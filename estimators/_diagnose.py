@@ -152,7 +152,7 @@ def diagnose(
     if (
         told.verdict == "adequate" and max(told.random_force, told.random_torque) < SHAKEN
     ):  # or else they are the reason
-        told = dataclasses.replace(told, explanation=told.explanation + strayed(fit.residual_std, fit.noise))
+        told = dataclasses.replace(told, explanation=told.explanation + strayed(fit.residual_std, fit.noise, recording))
     return dataclasses.replace(told, seconds=time.perf_counter() - began)
 
 

@@ -5,12 +5,16 @@ from collections.abc import Sequence
 
 import numpy as np
 from scipy.ndimage import median_filter
-from scipy.special import gammaincc, gammainccinv
+from scipy.special import gammainccinv
+from scipy.stats import f as fisher
 
 from estimators._problem import CHANNELS
 from rtac_jax.measurement import Experiment
 
 _AROUND = 31  # lines whose median tells how strong the noise is there
+# Their median scatters as a mean of so many independent powers by two, since a window ties neighbours together.
+_FREEDOM = 20
+_THERE = 0.5  # share of an experiment's samples that must count
 _BLIND = 8  # lowest lines, where transients of the start end up
 
 
@@ -52,7 +56,7 @@ def spectral_line(
     best: SpectralLine | None = None
     tried = 0
     for output, channel in enumerate(CHANNELS):
-        columns = [i for i in alike if present[:length, output, i].sum() > 0.9 * length]
+        columns = [i for i in alike if present[:length, output, i].sum() > _THERE * length]
         if not columns or length < 8 * _AROUND:
             continue
         error = (innovations * present)[:length, output, columns]
@@ -61,16 +65,23 @@ def spectral_line(
         power = np.abs(np.fft.rfft(error * window, axis=0)) ** 2 / np.sum(window**2)
         power = (power / np.median(power[_BLIND:], axis=0)).mean(axis=1)[_BLIND:-1]
         n = len(columns)
+        power = power / _trend(power)
         # The median of a mean of n exponentials lies below its mean by a known factor.
-        middle = median_filter(power, _AROUND, mode="nearest") / (gammainccinv(n, 0.5) / n)
+        middle = median_filter(power, _AROUND, mode="mirror") / (gammainccinv(n, 0.5) / n)
         ratio = power / middle
         peak = int(np.argmax(ratio))
         tried += len(ratio)
-        # The local median of 31 lines scatters; a tenth covers it.
-        p_value = float(gammaincc(n, n * ratio[peak] / 1.1))
+        p_value = float(fisher.sf(ratio[peak], 2 * n, _FREEDOM * n))
         if best is None or p_value < best.p_value:
             frequency = 2 * np.pi * (peak + _BLIND) / (length * interval)
             best = SpectralLine(channel, frequency, float(ratio[peak]), 2 * n * float(ratio[peak] - 1), p_value)
     if best is None:
         return None
     return dataclasses.replace(best, p_value=min(1.0, best.p_value * tried))
+
+
+def _trend(power: np.ndarray) -> np.ndarray:
+    """How the power of coloured noise rises or falls with frequency; at the ends of a spectrum no neighbours would tell."""
+    line = np.log(_BLIND + np.arange(len(power)))
+    level = np.log(np.maximum(power, 1e-9 * np.median(power)))
+    return np.exp(np.polynomial.Chebyshev.fit(line, level, 5)(line))

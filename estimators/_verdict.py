@@ -180,10 +180,15 @@ def shaken(random_force: float, random_torque: float, left_out: float) -> str:
     )
 
 
-def strayed(residual_std: Mapping[str, float], noise: Mapping[str, float]) -> str:
-    """What it means that a simulation leaves the recording although no prediction shows why; nothing where it stays."""
-    channel = max(noise, key=lambda c: residual_std.get(c, 0.0) / noise[c])
-    far = residual_std.get(channel, 0.0) / noise[channel]
+def strayed(residual_std: Mapping[str, float], noise: Mapping[str, float], recording: Recording) -> str:
+    """What it means that a simulation leaves the recording although no prediction shows why; nothing where it stays.
+
+    Of sensors whose noise is stated or recorded at rest: that of others is taken from fast changes, and is more where it is slow.
+    """
+    at_rest = {c for e in recording for c in e.outputs if e.kind == "rest" or e.outputs[c].noise_std is not None}
+    known = [c for c in noise if c in at_rest and c in residual_std]
+    channel = max(known, key=lambda c: residual_std[c] / noise[c], default=None)
+    far = residual_std[channel] / noise[channel] if channel is not None else 0.0
     if far < _STRAYED:
         return ""
     return (

@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from small_experiments import free, rest
 
 from estimators._adequacy import Evidence, removed_by_repeats
 from estimators._candidate import Step
@@ -14,6 +15,7 @@ from estimators._line_classes import LineClass
 from estimators._refit import Refit
 from estimators._verdict import judge, shaken, share_removed, strayed, words
 from estimators._where import Place
+from rtac_jax.measurement import Recording
 
 SAMPLES = 10_000
 
@@ -33,10 +35,13 @@ def step(name: str, gain: float, left: float, rivals: tuple[str, ...] = ()) -> S
 
 def test_an_adequate_model_whose_simulation_strays_says_so() -> None:
     noise = {"cart_position": 1e-5, "arm_velocity": 0.05}
-    assert strayed({"cart_position": 2e-5, "arm_velocity": 0.1}, noise) == ""
+    moving, still = free("free_1"), rest("rest_1")
+    assert strayed({"cart_position": 2e-5, "arm_velocity": 0.1}, noise, Recording((moving, still))) == ""
+    far = {"cart_position": 3.2e-4, "arm_velocity": 1.0}
     assert "32 times the noise away from the recording (cart_position)" in strayed(
-        {"cart_position": 3.2e-4, "arm_velocity": 1.0}, noise
+        far, noise, Recording((moving, still))
     )
+    assert strayed(far, noise, Recording((moving,))) == ""  # nobody knows that noise
 
 
 @pytest.mark.parametrize(

@@ -249,7 +249,8 @@ def _curve(axes: Any, curve: ForceCurve, diagnosis: Diagnosis, reach: float, *, 
     axes.set_ylabel(f"{what.capitalize()} on the {curve.port} [{up.unit}]", fontsize=SMALL)
     told = _beyond_chance(curve, diagnosis)
     explains = f"explains chi-square {times(max(curve.explains, 0.0))}" if told else "nothing beyond chance"
-    axes.set_title(f"against {name}:{chr(10) if narrow else ' '}{explains}", fontsize=9, loc="left")
+    apart = "\n" if narrow or "," in name else " "
+    axes.set_title(f"against {name}:{apart}{explains}", fontsize=9, loc="left")
     tidy(axes)
     if keyed or drawn:
         axes.legend(fontsize=7, loc="best")

@@ -17,8 +17,8 @@ NAMES = {
     "arm_angle": "arm angle",
     "current": "motor current",
     "disturbance_force": "disturbance force",
-    "cart_position, against the motion": "cart position, force opposing motion",
-    "arm_angle, against the motion": "arm angle, force opposing motion",
+    "cart_position, against the motion": "cart position, opposing motion",
+    "arm_angle, against the motion": "arm angle, opposing motion",
 }
 UNITS = {
     "cart_position": "m",

@@ -195,7 +195,7 @@ def one(name: str, draw: int, case: Case) -> dict[str, object]:
         models["improved"] = _fitted(free, recording) or _fitted(held, recording)
     if name in OUTSIDE and found.curves:
         models["learned"] = _fitted(fit.model + found.curves[0].effect(), recording)
-    if name in EFFECTS or name in PAIRS or name in LITTLE:
+    if name in EFFECTS | PAIRS | LITTLE:
         models["structure"] = _best(fit.model, hidden_in(name), found.additions, recording)
     errors = {label: _error(model, validation) for label, model in models.items()}
     if draw % 2:
@@ -349,9 +349,8 @@ def table(path: Path) -> str:
     ]
     for name in sorted(counts, key=lambda n: n.startswith("**")):
         cells = " | ".join(str(counts[name][c]) if counts[name][c] else "" for c in columns)
-        ratio = _ratios(errors[name])
         shown = "" if name.startswith("**") else "; ".join(sorted(wrong[name]))
-        lines.append(f"| {name} | {cells} | {ratio} | {shown} |")
+        lines.append(f"| {name} | {cells} | {_ratios(errors[name])} | {shown} |")
     return "\n".join(lines)
 
 

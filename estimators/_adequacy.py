@@ -13,7 +13,7 @@ from estimators._screen import ALARM, CHANCE, Screened
 from estimators._spectral_line import SpectralLine
 
 LEVEL = 0.01  # of all tests together
-Force = TypeVar("Force", ForceCurve, DelayedForce)
+Missing = TypeVar("Missing", ForceCurve, DelayedForce)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -87,8 +87,7 @@ def evidence(
     repeats: RepeatTest | None,
 ) -> tuple[Evidence, ...]:
     """All tests, in the order in which a reader asks; those without data are left out."""
-    asked = [repeats is not None, bool(screened), bool(curves), bool(delayed), line is not None]
-    level = LEVEL / max(sum(asked), 1)
+    level = LEVEL / max(sum(bool(known) for known in (screened, curves, delayed, line, repeats)), 1)
     found: list[tuple[str, float, float, str]] = []
     if repeats is not None:
         found.append(
@@ -146,12 +145,12 @@ def evidence(
     )
 
 
-def significant(several: Sequence[Force], level: float) -> list[Force]:
+def significant(several: Sequence[Missing], level: float) -> list[Missing]:
     """Those of several forces that explain more than chance does, all of them counted."""
     return [one for one in several if one.p_value * len(several) < level]
 
 
-def _strongest(several: Sequence[Force], level: float) -> tuple[float, Force]:
+def _strongest(several: Sequence[Missing], level: float) -> tuple[float, Missing]:
     """The p-value of several forces together, and of those that explain more than chance the one that explains most."""
     surest = min(several, key=lambda one: (one.p_value, -one.excess))
     strongest = max(significant(several, level), key=lambda one: one.excess, default=surest)

@@ -1,8 +1,6 @@
 """`rtac envelope` and `rtac control`: from many operating conditions to a controller."""
 
 import itertools
-import os
-import secrets
 from collections.abc import Sequence
 from enum import StrEnum
 from pathlib import Path
@@ -12,6 +10,7 @@ import typer
 
 from estimators._job import WRONG_USE, Job, job, progress, say, stop
 from estimators._options import File, Json, Out, Validation
+from rtac_jax.measurement._replace import replacing
 
 _ORDERS = (2, 4)  # of nominal models that `control` tries: one mode, and the paper's two
 _IMPORTANCE = (0.5, 1.0)  # powers of the responses' size by which P0 for `control` keeps closest where they are large
@@ -83,7 +82,7 @@ def envelope(
         from estimators.plots import plot_envelope, plot_responses
         from estimators.plots._envelope import finding
 
-        _write_mat(work.folder / "envelope.mat", found.save_mat)
+        found.save_mat(work.folder / "envelope.mat")
         figures = {"envelope": plot_envelope(found), "responses": plot_responses(used.responses)}
         captions = {
             "envelope": "Top: every condition and the nominal model. Below: how far each condition lies from it and the "
@@ -253,17 +252,8 @@ def _band(text: str | None) -> tuple[float, float] | None:
 def _save_mat(path: Path, content: dict[str, Any]) -> None:
     import scipy.io
 
-    _write_mat(path, lambda place: scipy.io.savemat(place, content))
-
-
-def _write_mat(path: Path, write: Any) -> None:
-    """So that whoever reads it finds the old or the new file, never a part."""
-    temporary = path.with_name(f".{secrets.token_hex(4)}.part.mat")
-    try:
-        write(temporary)
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    with replacing(path) as temporary:
+        scipy.io.savemat(temporary, content, appendmat=False)
 
 
 def _shown(figures: dict[str, Any], captions: dict[str, str]) -> list[Any]:

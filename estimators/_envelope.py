@@ -18,6 +18,7 @@ from estimators._gap import KINDS, Kind, corners, errors, packed
 from estimators._nominal import NOMINAL_STEPS, log_measure, nominal_fit
 from estimators._plants import PlantSet, Responses, evaluate, gather, require_stable
 from estimators._weight import WEIGHT_STEPS, Minimise
+from rtac_jax.measurement._replace import replacing
 
 Curve = Float64[np.ndarray, " frequency"]
 
@@ -95,7 +96,8 @@ class Envelope:
             "kind": self.kind, "omega": self.frequency, "plants": self.plants, "gaps": self.gaps, "profile": self.profile,
             "conditions": np.array(self.names, dtype=object), "held_out": self.held_out,
         }  # fmt: skip
-        scipy.io.savemat(path, contents)
+        with replacing(path) as temporary:
+            scipy.io.savemat(temporary, contents, appendmat=False)
 
     def __str__(self) -> str:
         def roots(values: np.ndarray) -> str:

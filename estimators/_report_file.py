@@ -8,13 +8,14 @@ import json
 import math
 import os
 import platform
-import secrets
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+
+from rtac_jax.measurement._replace import replacing
 
 _WORDS = ("fixed",)  # that may stand in a column of numbers
 _PACKAGES = ("rtac-jax", "jax", "optimistix", "numpy", "scipy", "matplotlib")
@@ -59,13 +60,8 @@ Section = tuple[str, Sequence[Block]]
 
 def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
     """Write a file so that whoever reads it finds the old or the new one, never a part."""
-    path = Path(path)
-    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.part")
-    try:
+    with replacing(path) as temporary:
         temporary.write_bytes(content)
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def write_json(path: str | os.PathLike[str], content: Mapping[str, Any]) -> None:

@@ -128,13 +128,14 @@ def test_score_test_keeps_its_level_in_short_experiments(seconds: tuple[float, .
     time = np.arange(there.size)
     columns = np.stack([np.sin(0.05 * k * time + 0.3 * k) for k in range(1, 13)], axis=1) * there[:, None]
     basis = np.linalg.qr(np.stack([there, time * there], axis=1).astype(float))[0]
-    p = []
-    for _ in range(250):
-        error = lfilter([np.sqrt(1 - 0.9**2)], [1.0, -0.9], random.normal(size=there.size + 200))[200:] * there
-        p.append(score_test(columns, error - basis @ (basis.T @ error), basis, blocks).p_value)
-    assert np.mean(np.array(p) < 0.01) < 0.03
-    force = 2.0 * columns[:, 2]
-    assert score_test(columns, error + force - basis @ (basis.T @ (error + force)), basis, blocks).p_value < 1e-3
+
+    def p_value(colour: float, force: float) -> float:
+        white = random.normal(size=there.size + 200)
+        error = lfilter([np.sqrt(1 - colour**2)], [1.0, -colour], white)[200:] * there + force * columns[:, 2]
+        return score_test(columns, error - basis @ (basis.T @ error), basis, blocks).p_value
+
+    assert np.mean([p_value(0.9, 0.0) < 0.01 for _ in range(250)]) < 0.03
+    assert np.mean([p_value(0.0, 0.8) < 1e-3 for _ in range(50)]) > 0.8  # a force a little below the noise is seen
 
 
 def test_a_column_that_the_data_do_not_show_has_no_standard_deviation() -> None:
@@ -180,12 +181,16 @@ def test_score_test_estimates_what_is_there() -> None:
 
 @pytest.mark.parametrize("count", [1, 2, COUNT])
 @pytest.mark.parametrize("colour", [0.0, 0.9])
-def test_noise_alone_seldom_has_a_line(colour: float, count: int) -> None:
-    """Also of one experiment, where the noise around a line is hardly known."""
+@pytest.mark.parametrize("gaps", [0, 8])
+def test_noise_alone_seldom_has_a_line(colour: float, count: int, gaps: int) -> None:
+    """Also of one experiment, where the noise around a line is hardly known, and with samples that do not count."""
     random = np.random.default_rng(5)
     p = []
     for _ in range(1000):
-        found = spectral_line(noise(random, colour, count), PRESENT[:, :, :count], experiments()[:count])
+        present = PRESENT[:, :, :count].copy()
+        for begin in random.integers(0, SAMPLES - 50, gaps):
+            present[begin : begin + 50] = 0.0
+        found = spectral_line(noise(random, colour, count), present, experiments()[:count])
         assert found is not None
         p.append(found.p_value)
     # Of 1000 at that level 20 come by chance in one of a thousand cases, and 8 of those at the level of a diagnosis.

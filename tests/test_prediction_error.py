@@ -1,7 +1,5 @@
 """Prediction error against linear systems simulated here in plain NumPy and SciPy."""
 
-import dataclasses
-
 import control as ct
 import numpy as np
 import pytest
@@ -301,56 +299,6 @@ def test_zeros_as_many_as_asked_for():
                 assert np.max(np.abs(np.sort(one.zeros.imag) - np.sort(truth.imag)) / one.zeros_std[:, 1]) < 4
 
 
-def drifting(slope, seed=6):
-    """Twelve conditions whose natural frequency falls with the amplitude, in an order that has nothing to do with it."""
-    random = np.random.default_rng(seed)
-    sizes = random.permutation(np.linspace(0.5, 2.0, 12))
-    experiments = []
-    for i, size in enumerate(sizes):
-        current = size * random.standard_normal(1500)
-        system = scipy.signal.tf2ss(NUMERATOR, [1.0, 1.6, 110.0 * (1 - slope * size) ** 2])
-        a, b, c, d, _ = scipy.signal.cont2discrete(system, DT)
-        out = scipy.signal.dlsim((a, b, c, d, DT), current[:, None])[1][:, 0] + 0.05 * random.standard_normal(1500)
-        experiments.append(
-            Experiment.of(f"run_{i + 1}", kind="forced", sample_time=DT, current=current, cart_position=out)
-        )
-    return est.prediction_error(Recording(tuple(experiments)), structure="output_error", compensate=False)
-
-
-def test_a_drift_is_found_and_named():
-    found = drifting(0.02)
-    test = found.equality()
-    assert not test.equal
-    assert test.drifting[0] == "natural frequency"
-    trend = test.best_trend("natural frequency")
-    assert trend is not None
-    assert trend.covariate == "amplitude"
-    assert trend.share > 0.8
-    # 0.02 of 10.5 rad/s over inputs from 0.5 to 2; the output's rms grows a little less evenly.
-    assert trend.slope == pytest.approx(-0.02 * 1.5 * np.sqrt(110), rel=0.2)
-    assert "drifts with the amplitude" in str(test)
-    assert "drifts" in test.plot()._suptitle.get_text()
-    assert found.plot()._suptitle.get_text()
-
-
-def test_equal_conditions_are_called_equal_as_often_as_said():
-    p_values = np.array([drifting(0.0, seed).equality().p_value for seed in range(10)])
-    # Uniform between 0 and 1.
-    assert np.min(p_values) > 1e-3
-    assert 0.2 < np.mean(p_values) < 0.8
-    few = drifting(0.0)
-    with pytest.raises(ValueError, match=r"2 of 2 condition.s. determine their modes, too few .* at least three"):
-        dataclasses.replace(few, models=few.models[:2]).equality()
-
-
-def test_an_envelope_takes_responses_and_systems():
-    found = drifting(0.02)
-    omega = np.geomspace(2.0, 50.0, 60)
-    covering = est.envelope(found.responses(omega), order_nominal=2)
-    assert np.all(covering.covers(found.responses(omega)))
-    assert np.all(covering.covers(found.transfer_functions(), omega))
-
-
 def refused(current, out, **options):
     with pytest.raises(ValueError, match=r"\w") as caught:
         est.prediction_error(recording(current, out), compensate=False, **options)
@@ -358,12 +306,6 @@ def refused(current, out, **options):
     assert "\n" not in message
     assert message.rstrip().endswith(".")
     return message
-
-
-def test_a_mode_that_only_the_bound_on_stability_keeps_is_called_so():
-    one = drifting(0.02)[0]
-    assert "stability" not in one.verdict
-    assert "bound on stability" in dataclasses.replace(one, poles=one.poles.imag * 1j - 1e-12).verdict
 
 
 def test_what_cannot_be_fitted_is_refused_in_one_sentence():

@@ -103,7 +103,7 @@ def information(factor: np.ndarray, space: Space, unknowns: Unknowns) -> Informa
     names = tuple(space.names[int(i)] for i in np.asarray(space.active)[inside])
     slope = slope_of(space, unknowns)[inside]
     blocks = [block[:, :shared][:, inside] / slope for block in rows]
-    found = information_of(np.concatenate(blocks), names, _sizes(space, unknowns)[inside])
+    found = information_of(np.concatenate(blocks), names, sizes_of(space, unknowns)[inside])
     return dataclasses.replace(
         found,
         parts=np.stack([block.T @ block for block in blocks]),
@@ -137,10 +137,20 @@ def slope_of(space: Space, unknowns: Unknowns) -> np.ndarray:
     ]
     shared[:count] = np.asarray(unknowns.shared)
     slope = np.asarray(slopes(*(jnp.asarray(x) for x in (shared, *at))))[:count]
-    return np.where(np.abs(slope) > 1e-12 * _sizes(space, unknowns), slope, 1e-12 * _sizes(space, unknowns))
+    return np.where(np.abs(slope) > 1e-12 * sizes_of(space, unknowns), slope, 1e-12 * sizes_of(space, unknowns))
 
 
-def _sizes(space: Space, unknowns: Unknowns) -> np.ndarray:
+def each_slope(space: Space, unknowns: Unknowns) -> Float[np.ndarray, "each experiment"]:
+    """Likewise of the parameters of each experiment, by central differences of the exact map."""
+    step = 1e-6
+    ahead, behind = (
+        np.asarray(space.physical(unknowns._replace(each=unknowns.each + side))[1]) for side in (step, -step)
+    )
+    return (ahead - behind) / (2 * step)
+
+
+def sizes_of(space: Space, unknowns: Unknowns) -> np.ndarray:
+    """Size of each free parameter, of which a relative deviation is a share."""
     index = np.asarray(space.active)
     inside = index < len(space.names)
     place = np.where(inside, index, 0)

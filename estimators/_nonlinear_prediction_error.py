@@ -12,11 +12,12 @@ from jaxtyping import Float
 from tqdm import tqdm
 
 from estimators._at_fit import Problem
-from estimators._covariance import Information, information
+from estimators._covariance import Information, each_slope, information
 from estimators._least_squares import least_squares
 from estimators._levenberg_marquardt import Arguments, diverged, factor
 from estimators._likelihood import NoiseModel, Predictor, fit_trusted
 from estimators._linear_start import autocovariance
+from estimators._maximum_likelihood import most_likely
 from estimators._noise import noise_levels
 from estimators._output_error import Parameter, accurate_substeps, moving, pieces
 from estimators._problem import CHANNELS, Data, Space
@@ -186,17 +187,21 @@ def prediction_error_nonlinear(
     try:
         steps = jnp.asarray(substeps)
         found, data = fit_trusted(start, data, space, prior, substeps=steps, rounds=rounds, progress=show)
+        factors = factor(found.unknowns, _arguments_at(found, start, data, space, substeps))
+        if diverged(factors):
+            raise DivergedError(
+                "The model diverges at the estimate; begin with from_model=True at values nearer to the rig."
+            )
+        frozen = np.asarray(factors)
+        known = information(frozen, space, found.unknowns)
+        known.require_determined()
+        each_std = _each_std(frozen, space, found)
+        found, triangles = most_likely(found, start, data, space, prior, known, each_std, substeps=steps, progress=show)
     except FloatingPointError as error:
         raise DivergedError(str(error)) from None
     finally:
         bar.close()
-    arguments = Arguments(start, data, space, found.filtered.whitener, found.filtered.gain, substeps)
-    factors = factor(found.unknowns, arguments)
-    triangles = np.asarray(factors)
-    if diverged(factors):
-        raise DivergedError(
-            "The model diverges at the estimate; begin with from_model=True at values nearer to the rig."
-        )
+    arguments = _arguments_at(found, start, data, space, substeps)
     known = information(triangles, space, found.unknowns)
     known.require_determined()
     shared_values, each, _ = (np.asarray(part) for part in found.physical)
@@ -207,7 +212,7 @@ def prediction_error_nonlinear(
     return PredictorFit(
         model=start.with_values(values),
         information=known,
-        each_std=_each_std(triangles, space, found),
+        each_std=dict(zip(space.each, _each_std(triangles, space, found), strict=True)),
         force_noise=float(force),
         torque_noise=float(torque),
         noise={c: float(s) for c, s in zip(CHANNELS, sensor, strict=True) if c in levels},
@@ -225,34 +230,28 @@ def prediction_error_nonlinear(
     )
 
 
-def _each_std(triangles: np.ndarray, space: Space, found: Predictor) -> dict[str, np.ndarray]:
+def _arguments_at(found: Predictor, model: RTAC, data: Data, space: Space, substeps: Any) -> Arguments:
+    return Arguments(model, data, space, found.filtered.whitener, found.filtered.gain, substeps)
+
+
+def _each_std(triangles: np.ndarray, space: Space, found: Predictor) -> Float[np.ndarray, "each experiment"]:
     """Standard deviations of what each experiment has for itself, with the doubt about the shared parameters in it."""
     shared, own = len(found.unknowns.shared), len(space.each)
     if not own:
-        return {}
+        return np.zeros((0, len(triangles)))
     parts = [block[:, :-1].T @ block[:, :-1] for block in triangles]
     between = sum(
         p[:shared, :shared] - p[:shared, shared:] @ np.linalg.solve(p[shared:, shared:], p[shared:, :shared])
         for p in parts
     )
     common = np.linalg.pinv(np.asarray(between), hermitian=True)
-    slope = np.asarray(_each_slopes(space, found))
+    slope = each_slope(space, found.unknowns)
     result = np.zeros((own, len(parts)))
     for column, p in enumerate(parts):
         inner = np.linalg.inv(p[shared:, shared:])
         through = inner @ p[shared:, :shared]
         result[:, column] = np.sqrt(np.diagonal(inner + through @ common @ through.T)[:own])
-    return dict(zip(space.each, result * np.abs(slope), strict=True))
-
-
-def _each_slopes(space: Space, found: Predictor) -> Float[np.ndarray, "each experiment"]:
-    """Derivative of the physical values by the unknowns, by central differences of the exact map."""
-    step = 1e-6
-    sides = [
-        np.asarray(space.physical(found.unknowns._replace(each=found.unknowns.each + side))[1])
-        for side in (step, -step)
-    ]
-    return (sides[0] - sides[1]) / (2 * step)
+    return result * np.abs(slope)
 
 
 def _whiteness(found: Predictor, data: Data, experiments: list[Experiment]) -> tuple[Whiteness, ...]:

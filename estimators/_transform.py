@@ -23,16 +23,18 @@ def to_physical(z: Vector, lower: Vector, upper: Vector, scale: Vector) -> Vecto
     return jnp.where(low & high, between, jnp.where(low | high, one_sided, scale * z))
 
 
-def to_unconstrained(value: np.ndarray, lower: np.ndarray, upper: np.ndarray, scale: np.ndarray) -> np.ndarray:
-    """The inverse of `to_physical`; a value on its bound is moved inside by a thousandth of the scale."""
+def to_unconstrained(
+    value: np.ndarray, lower: np.ndarray, upper: np.ndarray, scale: np.ndarray, *, inside: float = 1e-3
+) -> np.ndarray:
+    """The inverse of `to_physical`; a value on its bound is moved inside by this share of the scale."""
     value, lower, upper, scale = np.broadcast_arrays(
         *(np.asarray(x, dtype=float) for x in (value, lower, upper, scale))
     )
     low, high = np.isfinite(lower), np.isfinite(upper)
     with np.errstate(all="ignore"):
-        above = np.maximum((value - lower) / scale, 1e-3)
-        below = np.maximum((upper - value) / scale, 1e-3)
-        share = np.clip((value - lower) / (upper - lower), 1e-3, 1 - 1e-3)
+        above = np.maximum((value - lower) / scale, inside)
+        below = np.maximum((upper - value) / scale, inside)
+        share = np.clip((value - lower) / (upper - lower), inside, 1 - inside)
         return np.select(
             [low & high, low, high],
             [np.log(share / (1 - share)), above - 1 / above, 1 / below - below],

@@ -120,19 +120,6 @@ def test_nothing_to_fit_is_refused(shaken):
         est.prediction_error_nonlinear(model, resting)
 
 
-def test_where_an_experiment_begins_does_not_bend_the_gain_of_its_sensor():
-    """What shows the start has that gain too; if the start were held there, the gain would be half of the truth."""
-    rig = Rig(lvdt_gain=1.1, force_noise=1e-3, torque_noise=3e-5)
-    off = []
-    for seed in (11, 12, 13):
-        plans = standard_plans(seed=seed, sample_time=0.005, duration=5.0, free=2, forced=4, rest=1)
-        data = record(rig, plans, seed=seed)
-        model = rtac.RTAC.from_rig(data) + rtac.effects.CATALOGUE["lvdt_gain"](error=0.0)
-        found = est.prediction_error_nonlinear(model, data, progress=False)
-        off.append(away(found, {"lvdt_gain.error": 0.1})["lvdt_gain.error"])
-    assert abs(np.sum(off)) / np.sqrt(len(off)) < 3, off
-
-
 def test_random_forces_do_not_bend_dry_friction():
     """With the samples counted at which they shake it loose its level is 6 standard deviations low, and damping 4 high."""
     rig = Rig(encoder=True, force_noise=0.005, torque_noise=5e-5)

@@ -123,7 +123,8 @@ class RTAC(eqx.Module):
         places = [_PLACES.get(e.id, len(_PLACES)) for e in (*self.effects, effect)]
         at = max((i + 1 for i, place in enumerate(places[:-1]) if place <= places[-1]), default=0)
         effects = (*self.effects[:at], effect, *self.effects[at:])
-        return type(self)(self.body, effects, self.fixed, self.per_experiment)
+        idle = {f"{effect.id}.{name}" for name in effect.idle}
+        return type(self)(self.body, effects, self.fixed | idle, self.per_experiment)
 
     def without(self, *ids: str) -> "RTAC":
         """The model less the effects with these ids.

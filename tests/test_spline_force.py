@@ -70,6 +70,18 @@ def test_by_default_it_is_nothing_and_has_a_hat_for_each_of_six_knots() -> None:
     assert len([name for name in model.free if name.startswith("spline_force")]) == SHAPES
 
 
+def test_fewer_shapes_have_fewer_amounts_to_fit() -> None:
+    """A detent at 3 mm, 1 mm wide, of which only the place is known: a bump to either side."""
+    plans = virtual_rig.standard_plans(seed=3, sample_time=0.005, duration=4.0, free=1, forced=2, rest=1)
+    recording = virtual_rig.record(virtual_rig.Rig(detent_force=0.05), plans, seed=3)
+    base = rtac.RTAC.from_rig(recording)
+    bumps = 0.05 * np.array([[0.0, 1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0, 0.0]])
+    model = base + SplineForce.over("cart_position", (0.0, 0.006), port="cart", shapes=bumps)
+    assert set(model.free) - set(base.free) == {"spline_force.amount_1", "spline_force.amount_2"}
+    before, after = (est.output_error(m, recording, progress=False) for m in (base, model))
+    assert after.residual_std["cart_position"] < 0.3 * before.residual_std["cart_position"]
+
+
 def test_an_angle_counts_by_its_place_in_the_turn() -> None:
     learned = SplineForce.over("arm_angle", (-np.pi, np.pi), port="arm", shapes=HEIGHTS, amounts=np.ones(1))
     here, turns_on = (np.asarray(learned.force(motion(arm_angle=a), ())[1]) for a in (0.7, 0.7 + 6 * np.pi))

@@ -121,6 +121,11 @@ class Effect(eqx.Module):
         del own
         return outputs
 
+    @property
+    def idle(self) -> tuple[str, ...]:
+        """Parameters that do nothing in this instance, which a model does not set free; none but of a learned force."""
+        return ()
+
     @classmethod
     def amplitudes(cls) -> tuple[str, ...]:
         """The parameters whose null values together switch the effect off."""

@@ -2,6 +2,7 @@
 
 from typing import Any, ClassVar
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -96,6 +97,12 @@ class SplineForce(Force):
     amount_4: Scalar = _amount(4)
     amount_5: Scalar = _amount(5)
     amount_6: Scalar = _amount(6)
+    used: int = eqx.field(default=SHAPES, static=True)
+
+    @property
+    def idle(self) -> tuple[str, ...]:
+        """Amounts of shapes that were not given."""
+        return tuple(f"amount_{i + 1}" for i in range(self.used, SHAPES))
 
     @classmethod
     def over(
@@ -151,6 +158,7 @@ class SplineForce(Force):
             first=jnp.asarray(float(between[0])),
             spacing=jnp.asarray((between[1] - between[0]) / (table.shape[1] - 1)),
             slow=jnp.asarray(float(slow)),
+            used=len(table),
             **{f"amount_{i + 1}": value for i, value in enumerate(amounts)},
         )
 

@@ -21,6 +21,8 @@ from rtac_jax.effects import Force, Motion, States
 from rtac_jax.effects.spline_force import PORTS, SHAPES, VARIABLES, SplineForce, on_curve
 
 KNOTS = 12
+# Hats twice as wide, as heights at the knots.
+_WIDE = np.maximum(0.0, 1.0 - np.abs(np.linspace(0, SHAPES - 1, KNOTS) - np.arange(SHAPES)[:, None]))
 
 
 class Probe(Force):
@@ -82,8 +84,9 @@ class ForceCurve:
         explains: twice the gain in log-likelihood.
         excess: that, less what chance explains.
         p_value: of the score test, for this curve alone.
-        shapes: curves that the data tell from the model's own parameters, most telling first, as heights at `at`.
-        amounts: of each in `force`.
+        shapes: curves that the data tell from the model's own parameters, most telling first, as heights at `at`; of knots twice
+            as far apart if these explain more than the first six.
+        amounts: of each.
         slow: speed below which friction fades [m/s or rad/s].
     """
 
@@ -138,14 +141,19 @@ def force_curves(
         low, high = ranges[VARIABLES[variable].split(",")[0]]
         spacing = (high - low) / (KNOTS - 1)
         slopes = np.asarray(_derivatives(*_arguments(innovations, port, variable, low, spacing, slow[port])))
-        test = score_test(innovations.rows(slopes), error, basis, blocks)
+        rows = innovations.rows(slopes)
+        test = score_test(rows, error, basis, blocks)
         if test.freedom == 0:
             return None
+        wide = score_test(rows @ _WIDE.T, error, basis, blocks)
+        # What is smooth is told by fewer shapes, what is narrow by the most telling of many.
+        smooth = wide.explained > np.sum(test.by_direction[:SHAPES])
+        shapes, amounts = (wide.directions @ _WIDE, wide.amounts) if smooth else (test.directions, test.amounts)
         # Directions that the base parameters explain, such as a slope, are not the data's to give.
         return ForceCurve(
             PORTS[port], VARIABLES[variable], test.explained - test.freedom * np.log(count),
             low + spacing * np.arange(KNOTS), test.coefficients, test.std,
-            test.explained, test.excess, test.p_value, test.directions, test.amounts, slow[port],
+            test.explained, test.excess, test.p_value, shapes, amounts, slow[port],
         )  # fmt: skip
 
     found = [one for one in at_once(curve, _places(ranges)) if one is not None]

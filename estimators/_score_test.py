@@ -26,6 +26,7 @@ class ScoreTest:
         std: their standard deviations; infinite where the data show nothing of a column.
         directions: combinations of the columns that the data show, most telling first.
         amounts: of each in `coefficients`.
+        by_direction: what each of them explains.
     """
 
     explained: float
@@ -35,6 +36,7 @@ class ScoreTest:
     std: Float[np.ndarray, " column"]
     directions: Float[np.ndarray, "direction column"]
     amounts: Float[np.ndarray, " direction"]
+    by_direction: Float[np.ndarray, " direction"]
 
     @property
     def excess(self) -> float:
@@ -65,7 +67,7 @@ def score_test(
     keep = (s > _SMALLEST * max(float(np.max(s, initial=0.0)), 1e-300)) & (s > 1e-7 * np.max(size, initial=1e-300))
     nothing = np.zeros(columns.shape[1])
     if not keep.any():
-        return ScoreTest(0.0, 0, 1.0, nothing, nothing + np.inf, np.zeros((0, len(nothing))), np.zeros(0))
+        return ScoreTest(0.0, 0, 1.0, nothing, nothing + np.inf, np.zeros((0, len(nothing))), np.zeros(0), np.zeros(0))
     directions = columns @ (vt[keep].T / s[keep])
     score = directions.T @ error
     explained, freedom = float(score @ score), int(keep.sum())
@@ -83,6 +85,7 @@ def score_test(
     std = np.where(size > _SMALLEST * np.max(size), np.sqrt(np.sum(inverse**2, axis=1)), np.inf)
     return ScoreTest(
         explained, freedom, p_value, -inverse @ score, std, vt[keep][telling], (-score / s[keep])[telling],
+        score[telling] ** 2,
     )  # fmt: skip
 
 

@@ -171,6 +171,8 @@ def test_score_test_estimates_what_is_there() -> None:
         truth = random.normal(size=3)
         error = random.normal(size=SAMPLES) - columns @ truth
         found = score_test(columns, error - basis @ (basis.T @ error), basis, np.arange(SAMPLES) // 20)
+        assert np.sum(found.by_direction) == pytest.approx(found.explained)
+        assert np.all(np.diff(found.by_direction) <= 0), "most telling first"
         inside.append(np.abs(found.coefficients - truth) < 1.96 * found.std)
     assert 0.92 < np.mean(inside) < 0.98
     assert found.freedom == 3

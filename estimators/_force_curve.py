@@ -149,11 +149,13 @@ def force_curves(
         # What is smooth is told by fewer shapes, what is narrow by the most telling of many.
         smooth = wide.explained > np.sum(test.by_direction[:SHAPES])
         shapes, amounts = (wide.directions @ _WIDE, wide.amounts) if smooth else (test.directions, test.amounts)
+        # Those that explain less than chance would, but for the first, are not the data's to give.
+        told = max(1, int(np.sum((wide if smooth else test).by_direction > 1.0)))
         # Directions that the base parameters explain, such as a slope, are not the data's to give.
         return ForceCurve(
             PORTS[port], VARIABLES[variable], test.explained - test.freedom * np.log(count),
             low + spacing * np.arange(KNOTS), test.coefficients, test.std,
-            test.explained, test.excess, test.p_value, shapes, amounts, slow[port],
+            test.explained, test.excess, test.p_value, shapes[:told], amounts[:told], slow[port],
         )  # fmt: skip
 
     found = [one for one in at_once(curve, _places(ranges)) if one is not None]

@@ -21,7 +21,7 @@ from rtac_jax.effects import Force, Motion, States
 from rtac_jax.effects.spline_force import PORTS, SHAPES, VARIABLES, SplineForce, on_curve
 
 KNOTS = 12
-# Hats twice as wide, as heights at the knots.
+# As many hats as a learned force has shapes, over the whole range, as heights at the knots.
 _WIDE = np.maximum(0.0, 1.0 - np.abs(np.linspace(0, SHAPES - 1, KNOTS) - np.arange(SHAPES)[:, None]))
 
 
@@ -84,9 +84,9 @@ class ForceCurve:
         explains: twice the gain in log-likelihood.
         excess: that, less what chance explains.
         p_value: of the score test, for this curve alone.
-        shapes: curves that the data tell from the model's own parameters, most telling first, as heights at `at`; of knots twice
-            as far apart if these explain more than the first six.
-        amounts: of each.
+        shapes: curves that the data tell from the model's own parameters, most telling first, as heights at `at`; made of six
+            wide hats where these explain more than the six most telling of twelve narrow ones.
+        amounts: of each, as far as it explains more than chance.
         slow: speed below which friction fades [m/s or rad/s].
     """
 
@@ -148,14 +148,15 @@ def force_curves(
         wide = score_test(rows @ _WIDE.T, error, basis, blocks)
         # What is smooth is told by fewer shapes, what is narrow by the most telling of many.
         smooth = wide.explained > np.sum(test.by_direction[:SHAPES])
-        shapes, amounts = (wide.directions @ _WIDE, wide.amounts) if smooth else (test.directions, test.amounts)
-        # Those that explain less than chance would, but for the first, are not the data's to give.
-        told = max(1, int(np.sum((wide if smooth else test).by_direction > 1.0)))
+        chosen, hats = (wide, _WIDE) if smooth else (test, np.eye(KNOTS))
+        # An amount that explains less than chance would leaves a fit with nothing to hold it.
+        told = max(1, int(np.sum(chosen.by_direction > 1.0)))
         # Directions that the base parameters explain, such as a slope, are not the data's to give.
         return ForceCurve(
             PORTS[port], VARIABLES[variable], test.explained - test.freedom * np.log(count),
             low + spacing * np.arange(KNOTS), test.coefficients, test.std,
-            test.explained, test.excess, test.p_value, shapes[:told], amounts[:told], slow[port],
+            test.explained, test.excess, test.p_value, chosen.directions[:told] @ hats,
+            chosen.amounts[:told], slow[port],
         )  # fmt: skip
 
     found = [one for one in at_once(curve, _places(ranges)) if one is not None]

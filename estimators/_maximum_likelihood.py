@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from estimators._covariance import Information, each_slope, sizes_of, slope_of
-from estimators._likelihood import NoiseModel, Predictor, fit_noise, run_filter
+from estimators._likelihood import Noise, NoiseModel, Predictor, fit_noise, run_filter
 from estimators._problem import Data, Space, Unknowns
 from estimators._results import DivergedError
 from estimators._transform import to_unconstrained
@@ -18,9 +18,8 @@ from rtac_jax._simulate import Steps
 # The likelihood is differenced over this share of a standard deviation to either side: dry friction has steps, which a
 # derivative at a point would see, or miss. A parameter that is hardly known moves by a share of its size.
 _REACH, _SHARE = 0.25, 0.1
-_WORTH = (
-    0.02  # gain in log-likelihood that a step must promise; less moves nothing by more than a fifth of its deviation
-)
+# Gain in log-likelihood that a step must promise; less moves nothing by more than a fifth of its deviation.
+_WORTH = 0.02
 _STEPS = 8
 _SHORTER = (1.0, 0.5, 0.25, 0.1)
 _INSIDE = 1e-9  # of its scale, how near to a bound a parameter may end
@@ -89,32 +88,32 @@ def most_likely(
         return _triangles(lambda there: passed(there, noise)[1], at, reach, lower, upper, known.names)
 
     at = _Point(np.asarray(found.physical[0])[places], np.asarray(found.physical[1]))
-    noise = (found.noise, found.log_likelihood, found.filtered)
-    blocks = triangles(at, found.noise)
+    noise = Noise(found.noise, found.log_likelihood, found.filtered)
+    blocks = triangles(at, noise.exponents)
     for _ in range(_STEPS):
         move, promised = _scoring(blocks, at, lower, upper)
         if promised < _WORTH:
             break
-        here = passed(at, noise[0])[0]
+        here = passed(at, noise.exponents)[0]
         for share in _SHORTER:
             there = _Point(
                 *(np.clip(x + share * dx, *ends) for x, dx, *ends in zip(at, move, lower, upper, strict=True))
             )
-            if passed(there, noise[0])[0] > here:
+            if passed(there, noise.exponents)[0] > here:
                 break
         else:
             break
         at = there
-        noise = fit_noise(model, data, space, physical(at), prior, noise[0], substeps)
-        progress(f"log-likelihood {noise[1]:.1f}")
-        blocks = triangles(at, noise[0])
+        noise = fit_noise(model, data, space, physical(at), prior, noise.exponents, substeps)
+        progress(f"log-likelihood {noise.log_likelihood:.1f}")
+        blocks = triangles(at, noise.exponents)
     unknowns = _unknowns(found.unknowns, space, inside, at)
     slope = slope_of(space, unknowns)
     columns = np.zeros((*blocks.shape[:2], len(slope) + len(space.each) + 1))
     columns[:, :, inside] = blocks[:, :, : len(inside)] * slope[inside]
     columns[:, :, len(slope) :] = blocks[:, :, len(inside) :]
     columns[:, :, len(slope) : -1] *= each_slope(space, unknowns).T[:, None]
-    likeliest = Predictor(unknowns, space.physical(unknowns), noise[0], noise[2], noise[1])
+    likeliest = Predictor(unknowns, space.physical(unknowns), noise.exponents, noise.filtered, noise.log_likelihood)
     return likeliest, columns
 
 

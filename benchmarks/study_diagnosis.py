@@ -2,6 +2,7 @@
 
     python benchmarks/study_diagnosis.py run results.jsonl --draws 5                    # goes on where it was killed
     python benchmarks/study_diagnosis.py run results.jsonl --first 70 --draws 25 --only nothing    # more of one kind
+    python benchmarks/study_diagnosis.py run results.jsonl --kinds effects outside      # these kinds of case only
     python benchmarks/study_diagnosis.py run results.jsonl --part 0/2                   # one of two processes side by side
     python benchmarks/study_diagnosis.py table results.jsonl
 
@@ -160,13 +161,17 @@ LIMITS: dict[str, tuple[str, Callable[[float], float]]] = {
     "dead_zone": ("dead_zone", _itself),
 }
 MULTIPLES = {"twice the limit of": 2.0, "a third of the limit of": 1 / 3}
+KINDS = {"effects": EFFECTS, "outside": OUTSIDE, "nothing": NULLS, "pairs": PAIRS, "little": LITTLE}
 
 
-def cases(draws: range, done: dict[tuple[str, int], dict]) -> Iterator[tuple[str, int, Case]]:
+def cases(draws: range, done: dict[tuple[str, int], dict], kinds: Sequence[str]) -> Iterator[tuple[str, int, Case]]:
     """Name, draw and what is hidden; detection limits last, as they ask what was found before."""
     for draw in draws:
-        for name, case in (EFFECTS | OUTSIDE | NULLS | PAIRS | LITTLE).items():
-            yield name, draw, case
+        for kind in KINDS:
+            for name, case in KINDS[kind].items() if kind in kinds else ():
+                yield name, draw, case
+        if "limits" not in kinds:
+            continue
         limits = done.get((_NULL, draw), {}).get("limits", {})
         for (words, multiple), effect in itertools.product(MULTIPLES.items(), LIMITS):
             if effect in limits:
@@ -272,7 +277,7 @@ def _apart(one: rtac.Recording, other: rtac.Recording, rig: virtual_rig.Rig) -> 
     )
 
 
-def run(path: Path, draws: range, only: str, part: tuple[int, int]) -> None:
+def run(path: Path, draws: range, kinds: Sequence[str], only: str, part: tuple[int, int]) -> None:
     """Add what is missing in the result file."""
     rtac.configure()
     done = {}
@@ -280,7 +285,7 @@ def run(path: Path, draws: range, only: str, part: tuple[int, int]) -> None:
         done = {(r["case"], r["draw"]): r for r in read(path)}
         if not path.read_bytes().endswith(b"\n"):
             path.write_text("".join(json.dumps(r) + "\n" for r in done.values()))  # a kill cut the last line short
-    for name, draw, case in cases(draws, done):
+    for name, draw, case in cases(draws, done, kinds):
         # What is stated for a rig and what is hidden in it then are of one part.
         share = zlib.crc32((_NULL if "limit of" in name else name).encode()) % part[1]
         if (name, draw) in done or only not in name or share != part[0]:
@@ -382,13 +387,21 @@ def main() -> None:
     parser.add_argument("file", type=Path)
     parser.add_argument("--first", type=int, default=23)
     parser.add_argument("--draws", type=int, default=5)
+    every = [*KINDS, "limits"]
+    parser.add_argument("--kinds", nargs="+", choices=every, default=every)
     parser.add_argument("--only", default="", help="cases whose name contains this")
     parser.add_argument("--part", default="0/1", help="I/N: the Ith of N processes that share the work")
     arguments = parser.parse_args()
     if arguments.action == "run":
         part = tuple(int(n) for n in arguments.part.split("/"))
         assert len(part) == 2
-        run(arguments.file, range(arguments.first, arguments.first + arguments.draws), arguments.only, part)
+        run(
+            arguments.file,
+            range(arguments.first, arguments.first + arguments.draws),
+            arguments.kinds,
+            arguments.only,
+            part,
+        )
     else:
         print(table(arguments.file))
 

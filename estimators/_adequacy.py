@@ -27,6 +27,7 @@ class Evidence:
         level: p-value below which it rejects.
         words: what it says.
         ratio: of model error with noise to noise alone, where repeats tell; NaN for other tests.
+        shared: by them, likewise in units of twice the log-likelihood, of all data if it is as large in each; NaN for other tests.
     """
 
     test: str
@@ -35,6 +36,7 @@ class Evidence:
     level: float
     words: str
     ratio: float = float("nan")
+    shared: float = float("nan")
 
     @property
     def rejects(self) -> bool:
@@ -139,10 +141,8 @@ def evidence(
                 "around it",
             )
         )
-    ratios = {"repeats": repeats.ratio} if repeats is not None else {}
-    return tuple(
-        Evidence(name, p, excess, level, words, ratios.get(name, float("nan"))) for name, p, excess, words in found
-    )
+    told = {"repeats": (repeats.ratio, repeats.excess)} if repeats is not None else {}
+    return tuple(Evidence(name, p, excess, level, words, *told.get(name, ())) for name, p, excess, words in found)
 
 
 def significant(several: Sequence[Missing], level: float) -> list[Missing]:
@@ -162,12 +162,19 @@ def excess_of(tests: Sequence[Evidence]) -> float:
     return max((e.excess for e in tests if e.rejects), default=0.0)
 
 
-def removed_by_repeats(before: Sequence[Evidence], after: Sequence[Evidence]) -> float:
-    """Share of the model error that repeats show before and no longer after; 1 where they show none after."""
+def removed_by_repeats(before: Sequence[Evidence], after: Sequence[Evidence], gain: float) -> float:
+    """Share of the model error that repeats show before and no longer after; 1 where they show none after.
+
+    Where they show none before, what is missing need not be in the experiment that is repeated, or random forces hide it there:
+    then what they show after is held against what was removed from all data.
+
+    Args:
+        gain: in twice the log-likelihood, of what was added.
+    """
     first = next((e for e in before if e.test == "repeats" and e.rejects), None)
     last = next((e for e in after if e.test == "repeats" and e.rejects), None)
     if last is None:
         return 1.0
     if first is None:
-        return 0.0
+        return gain / (gain + last.shared)
     return 1.0 - max(last.ratio - 1.0, 0.0) / (first.ratio - 1.0)

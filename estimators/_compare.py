@@ -13,6 +13,7 @@ from scipy.signal.windows import parzen
 from scipy.stats import chi2, norm
 
 from estimators._beginning import at_rest, best_starts, may_swing, squares
+from estimators._beyond import beyond
 from estimators._bounds import solve_bounded
 from estimators._levenberg_marquardt import Arguments, plain_residual
 from estimators._noise import noise_levels
@@ -144,12 +145,15 @@ class Compared:
         model: the model.
         traces: one for every channel of every experiment.
         start: states at the start that were used, by experiment.
+        beyond: experiments in which a learned force of the model is asked beyond its range; the variable, and at which share
+            of the samples.
     """
 
     label: str
     model: RTAC
     traces: tuple[Trace, ...]
     start: Mapping[str, Float[np.ndarray, " state"]]
+    beyond: Mapping[str, tuple[str, float]]
 
     @property
     def errors(self) -> dict[str, ChannelError]:
@@ -193,6 +197,11 @@ class Comparison:
                 lines.append(
                     f"{compared.label:18s} {'all':16s} {channel:14s} {error.fit_percent:7.2f}% {error.rms:10.4g} "
                     f"{error.rms_over_noise:10.2f}"
+                )
+            for experiment, (variable, share) in compared.beyond.items():
+                lines.append(
+                    f"{compared.label}: at {100 * share:.0f} % of {experiment} {variable} lies beyond what the learned force was "
+                    "learned at; there it keeps its last value. Learn it from a recording that goes as far."
                 )
         return "\n".join(lines)
 
@@ -268,26 +277,29 @@ def _compare_one(
     groups = [[e] for e in experiments] if apart else [list(experiments)]
     traces: list[Trace] = []
     starts: dict[str, np.ndarray] = {}
+    far: dict[str, tuple[str, float]] = {}
     for group in groups:
         simulated, start, used = _simulated(model, label, group, levels, known, start_samples, _substeps(fit))
         starts |= start
         for column, e in enumerate(group):
+            shown = {c: simulated[: e.samples, row, column] for row, c in enumerate(CHANNELS) if c in e.outputs}
+            if (found := beyond(model, e, shown)) is not None:
+                far[e.name] = found
             drive = e.inputs.get("current") or e.inputs.get("disturbance_force")
-            for row, channel in enumerate(CHANNELS):
-                if channel in e.outputs:
-                    traces.append(
-                        Trace(
-                            e.name,
-                            channel,
-                            np.asarray(e.time),
-                            np.asarray(e.outputs[channel].values),
-                            simulated[: e.samples, row, column],
-                            np.zeros(e.samples) if drive is None else np.asarray(drive.values),
-                            np.arange(e.samples) >= used,
-                            levels[channel],
-                        )
+            for channel, values in shown.items():
+                traces.append(
+                    Trace(
+                        e.name,
+                        channel,
+                        np.asarray(e.time),
+                        np.asarray(e.outputs[channel].values),
+                        values,
+                        np.zeros(e.samples) if drive is None else np.asarray(drive.values),
+                        np.arange(e.samples) >= used,
+                        levels[channel],
                     )
-    return Compared(label, model, tuple(traces), starts)
+                )
+    return Compared(label, model, tuple(traces), starts, far)
 
 
 def _substeps(fit: Fit | RTAC) -> int | None:

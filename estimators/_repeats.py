@@ -21,12 +21,19 @@ class RepeatTest:
         freedom: degrees of freedom of both, as the autocorrelation of the differences leaves them.
         p_value: of so large a ratio by chance.
         repeats: number of experiments.
+        part: of all measured values, that these have.
     """
 
     ratio: float
     freedom: tuple[float, float]
     p_value: float
     repeats: int
+    part: float
+
+    @property
+    def excess(self) -> float:
+        """Model error beyond noise in units of twice the log-likelihood, of all data if it is as large in each."""
+        return (self.ratio - 1.0) * self.freedom[0] / self.part
 
 
 def repeat_test(innovations: np.ndarray, present: np.ndarray, experiments: Sequence[Experiment]) -> RepeatTest | None:
@@ -42,7 +49,7 @@ def repeat_test(innovations: np.ndarray, present: np.ndarray, experiments: Seque
     groups: dict[str, list[int]] = {}
     for column, e in enumerate(experiments):
         groups.setdefault(e.repeat_of or e.name, []).append(column)
-    shared, between, above, below, members = 0.0, 0.0, 0.0, 0.0, 0
+    shared, between, above, below, members, seen = 0.0, 0.0, 0.0, 0.0, 0, 0.0
     for columns in groups.values():
         m = len(columns)
         if m < 2:
@@ -52,6 +59,7 @@ def repeat_test(innovations: np.ndarray, present: np.ndarray, experiments: Seque
             there = present[:, output, columns].all(axis=1)
             if there.sum() < 10 * _AVERAGE:
                 continue
+            seen += float(there.sum() * m)
             error = innovations[there][:, output, columns]
             smooth = np.asarray(lfilter(np.full(_AVERAGE, 1 / _AVERAGE), [1.0], error, axis=0))[_AVERAGE:]
             mean = smooth.mean(axis=1)
@@ -65,7 +73,7 @@ def repeat_test(innovations: np.ndarray, present: np.ndarray, experiments: Seque
         return None
     ratio = shared / between
     p_value = float(fisher.sf(ratio, above, below))
-    return RepeatTest(ratio, (above, below), p_value, members)
+    return RepeatTest(ratio, (above, below), p_value, members, seen / float(present.sum()))
 
 
 def _effective(apart: np.ndarray) -> float:

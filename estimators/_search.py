@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from estimators._at_once import at_once, threads
+from estimators._by_trial import Tried, acting_on, climbed_by_trial, few_random_forces, tried
 from estimators._coloured_noise import ColouredNoise, Colours, likeliest_colours, rest_spectra
 from estimators._compile import Ahead
 from estimators._covariance import information
@@ -17,7 +18,7 @@ from estimators._levenberg_marquardt import Arguments, factor
 from estimators._likelihood import compile_predictor, fit_noise, fit_predictor, without_shaken
 from estimators._output_error import Fit, Parameter, output_error
 from estimators._probing import QUIET, Probing
-from estimators._problem import CHANNELS, start_rows
+from estimators._problem import CHANNELS, Space, start_rows
 from estimators._refit import Refit, Tested
 from estimators._results import NotIdentifiableError
 from estimators._screen import Screened
@@ -25,7 +26,7 @@ from estimators._selection import by_sample, held_out
 from estimators._setting import begun, by_name, shared
 from rtac_jax import RTAC
 from rtac_jax._parameter import declarations
-from rtac_jax.effects import Effect
+from rtac_jax.effects import Effect, Impact
 from rtac_jax.measurement import Recording
 
 _MEMORIES = (1.5, 4.0, 10.0, 25.0)  # correlation times of sensor noise that are tried, in samples
@@ -33,6 +34,9 @@ _QUIETER = 6.0  # by how much in the logarithm of their variance random forces a
 _WORTH = 10.0  # gain in log-likelihood for which coloured noise is taken instead of white
 _SPOKEN = 4.5  # loss of the rest records' log-likelihood that is no chance: three standard deviations
 _WORTH_MENDING = 0.5  # gain in log-likelihood for which a colour is changed
+_SIZES = (0.5, 1.0, 2.0, 4.0, 8.0)  # of what is plausible, from which trials may begin
+_SIDES = (0.6, 0.6, 0.2, 0.2, 0.1, 0.1, 0.05)  # of the first simplex of trials, one sweep after the other
+_WORTH_A_SWEEP = (10.0, 0.003)  # gain in log-likelihood, and share of what all have gained, for which another is made
 
 
 Way = Callable[[Refit, Screened], Refit]
@@ -116,17 +120,19 @@ class Search(Probing):
         return self._fitted(added, model, free, before.predictor.noise, before.start)
 
     def thoroughly(self, before: Refit, s: Screened) -> Refit:
-        """The likelier of `with_effect` and a refit from a free simulation.
+        """The likelier of `with_effect` and a refit from a free simulation; of what works by contact, `by_trial`.
 
-        What works by contact or play has no derivative by which a filter could follow it, and what swings fast misleads the
-        start that the first samples show. The filter takes either for a large random torque, and the fit to its innovations
-        ends there. So the refit begins again from parameters and starts with which a simulation follows the data, and from
-        little random force. Simulations are fitted from the fit that is diagnosed, and from what the filter found: of what
-        rings for long a simulation follows only what it has the frequency of, which the filter finds from farther away.
+        What swings fast misleads the start that the first samples show. The filter takes it for a large random torque, and the
+        fit to its innovations ends there. So the refit begins again from parameters and starts with which a simulation follows
+        the data, and from little random force. Simulations are fitted from the fit that is diagnosed, and from what the filter
+        found: of what rings for long a simulation follows only what it has the frequency of, which the filter finds from
+        farther away.
 
         Raises:
             ArithmeticError: the model diverges, or leaves parameters free, in the filter and in every simulation.
         """
+        if issubclass(self.classes[s.id], Impact):
+            return self.by_trial(before, s)
         model, free, added = self._beginning(before, s)
         begins = [reduce(RTAC.__add__, [effect for effect in model.effects if effect.id in added], self.model)]
         refits = []
@@ -146,6 +152,52 @@ class Search(Probing):
         if not refits:
             raise FloatingPointError(f"with {s.id} the model diverges in the filter and in a simulation.")
         return max(refits, key=lambda one: one.predictor.log_likelihood)
+
+    def by_trial(self, before: Refit, s: Screened) -> Refit:
+        """A refit of what works by contact: trials of what moves it, a fit of all else, and a fit of all, in turn.
+
+        When a contact begins and ends moves by whole samples as a parameter changes, so the likelihood has steps, and the
+        derivative of the innovations says nothing of them: a fit alone ends a few percent from the truth, with random forces
+        for what it does not follow. So trials begin with little of these, at several sizes of the effect.
+
+        Raises:
+            ArithmeticError: the model diverges, or leaves parameters free.
+        """
+        model, free, added = self._extended(before, s)
+        model = model.with_values({n: v for n, v in before.values.items() if n in model.parameters})
+        moving = acting_on(self.classes[s.id].port, model, free)
+        others = tuple(name for name in free if name not in moving)
+        plausible = {name: float(np.asarray(getattr(s.instance, name))) for name in declarations(s.instance)}
+
+        def placed(values: Mapping[str, float], each: Any) -> Space:
+            there = model.with_values(values)
+            return dataclasses.replace(begun(self.space(there, moving), there, before.start), each_values=each)
+
+        def begin(size: float) -> Tried:
+            values = {f"{s.id}.{n}": size * v if n in s.amplitudes else v for n, v in plausible.items()}
+            space = placed(values, before.predictor.physical[1])
+            few = few_random_forces(before.predictor.noise)
+            return tried(model, self.data, space, self.prior.starting(space), few, self.substeps)
+
+        now = max(at_once(begin, _SIZES), key=lambda one: one.log_likelihood)
+        now = dataclasses.replace(now, noise=few_random_forces(now.noise))
+        prior = self.prior.starting(now.space)
+        found: Refit | None = None
+        for side in _SIDES:
+            now = climbed_by_trial(model, self.data, now, prior, self.substeps, side=side)
+            values = dict(zip(now.space.names, np.asarray(now.space.values).tolist(), strict=True))
+            refit = self._fitted(added, model.with_values(values), others, now.noise, before.start)
+            refit = self._fitted(added, model.with_values(refit.values), free, refit.predictor.noise, before.start)
+            likelihood = refit.predictor.log_likelihood
+            gained = likelihood - (found or before).predictor.log_likelihood
+            if found is None or gained > 0:
+                found = refit
+            least, share = _WORTH_A_SWEEP
+            if gained < max(least, share * (likelihood - before.predictor.log_likelihood)):
+                break
+            now = Tried(placed(refit.values, refit.predictor.physical[1]), refit.predictor.noise, likelihood)
+        assert found is not None  # since there are sides
+        return found
 
     def _from_simulation(
         self, before: Refit, added: tuple[str, ...], model: RTAC, free: tuple[str, ...], found: Fit

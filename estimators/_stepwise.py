@@ -71,7 +71,9 @@ def _hidden(search: Search, base: Refit, tested: Tested) -> _Look:
     together = [*alike[:1], *_near(alike[:_HIDDEN], _consistency)]
     if 0 < line_left(tested.tests) == excess_of(tested.tests):
         together = [*(s for s in alike if _rings(search.classes[s.id]) and s.statistic > ALARM), *together]
-    ranked = list({s.id: s for s in (*together, *alike[:_HIDDEN], *large[:_HIDDEN])}.values())
+    # What works by contact shows nowhere until the filter follows it.
+    contacts = [s for s in large if issubclass(search.classes[s.id], Impact)]
+    ranked = list({s.id: s for s in (*together, *alike[:_HIDDEN], *large[:_HIDDEN], *contacts)}.values())
     names = {s.id for s in together}
     return _Look(ranked, [s for s in ranked[1:] if s.id in names], search.thoroughly)
 

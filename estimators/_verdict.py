@@ -47,8 +47,9 @@ def without_named_rivals(steps: Sequence[Step]) -> list[Step]:
 def share_removed(steps: Sequence[Step], tests: Sequence[Evidence], samples: int) -> float:
     """Share of the excess squared prediction error that steps remove, of which the tests before the first are given."""
     left = steps[-1].left
-    after = math.exp(-sum(step.gain for step in steps) / samples)
-    return min((1 - after) / (1 - floor(steps, samples)), removed_by_repeats(tests, left))
+    gain = sum(step.gain for step in steps)
+    after = math.exp(-gain / samples)
+    return min((1 - after) / (1 - floor(steps, samples)), removed_by_repeats(tests, left, gain))
 
 
 def floor(steps: Sequence[Step], samples: int) -> float:

@@ -38,7 +38,7 @@ def compared(label, error, *, channels=("cart_position", "arm_velocity"), names=
         for place, name in enumerate(names)
         for channel in channels
     ]
-    return Compared(label, RTAC.paper(), tuple(traces), {name: np.zeros(4) for name in names})
+    return Compared(label, RTAC.paper(), tuple(traces), {name: np.zeros(4) for name in names}, {})
 
 
 def candidate(name, score, **more):

@@ -70,7 +70,24 @@ def test_what_repeats_share_is_found() -> None:
     assert found.p_value < 1e-3
     assert found.ratio > 1.3
     assert found.repeats == COUNT
+    assert found.part == 1.0
     assert repeat_test(error, PRESENT, experiments()) is None
+
+
+@pytest.mark.parametrize("repeated", [2, COUNT])
+def test_what_repeats_share_is_as_large_as_the_squares_that_it_adds(repeated: int) -> None:
+    """Of all data, whatever part of them is repeated."""
+    error = noise(np.random.default_rng(2), 0.0)
+    missing = 0.6 * np.sin(0.05 * np.arange(SAMPLES))
+    error[:, 0] += missing[:, None]
+    several = [
+        dataclasses.replace(e, repeat_of=None if n >= repeated else e.repeat_of)
+        for n, e in enumerate(experiments(repeats=True))
+    ]
+    found = repeat_test(error, PRESENT, several)
+    assert found is not None
+    assert found.part == repeated / COUNT
+    assert 0.5 < found.excess / (COUNT * np.sum(missing**2)) < 2
 
 
 @pytest.mark.parametrize("colour", [0.0, 0.9])

@@ -241,6 +241,14 @@ def test_what_random_forces_hide_is_tried_in_this_order(line: float, ranked: lis
     assert [s.id for s in look.near] == near
 
 
+def test_what_works_by_contact_is_tried_however_little_it_shows() -> None:
+    search = Late(known(base=0.0))
+    search.quiet = (*(one for one in QUIET if one[0] != "backlash"), ("backlash", 1.0, 1.0))
+    look = _hidden(search, search.refit(), Answers((), (), (FORCE,)))
+    ranked = [s.id for s in look.ranked]
+    assert ranked == ["lvdt_lag", "arm_coulomb", "flexible_shaft", "end_stop", "lvdt_gain", "backlash"]
+
+
 @pytest.mark.parametrize(("line", "first"), [(30.0, "lvdt_lag"), (60.0, "arm_coulomb")])
 def test_what_overshadows_the_alarms_is_chosen_where_it_gains_most_and_leaves_no_large_line(
     line: float, first: str

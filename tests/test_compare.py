@@ -16,6 +16,7 @@ from estimators._output_error import diagonal_whitener, moving, no_gain
 from estimators._problem import Data
 from estimators._start import space_of
 from rtac_jax import virtual_rig
+from rtac_jax.effects import SplineForce
 
 STIFFNESS, DAMPING, ROTOR = 0.3, 2e-5, 0.3  # of a soft shaft; the last is what the motor has of the arm's inertia
 
@@ -67,3 +68,39 @@ def test_of_several_starts_each_experiment_takes_the_one_that_leaves_least() -> 
     assert best_starts([told, rest], arguments, worth=1e-6) is told
     lost = told._replace(start=told.start.at[0].set(np.nan))
     assert best_starts([told, lost], arguments) is told
+
+
+@pytest.fixture(scope="module")
+def swings() -> rtac.Recording:
+    plans = virtual_rig.standard_plans(seed=7, sample_time=0.01, duration=4.0, free=1, forced=1, rest=1)
+    return virtual_rig.record(virtual_rig.Rig(), plans, seed=8)
+
+
+@pytest.mark.parametrize(
+    "variable", ["cart_position", "cart_velocity", "arm_velocity", "current", "cart_position, against the motion"]
+)
+def test_it_says_where_a_learned_force_leaves_its_range(swings: rtac.Recording, variable: str) -> None:
+    """The range is half of what was recorded, and then three times that; how often it is left is read off the measurements."""
+    name = variable.split(",")[0]
+    forced = next(e for e in swings if e.kind == "forced")
+    position = np.asarray(forced.outputs["cart_position"].values)
+    recorded = {
+        "cart_position": position,
+        "cart_velocity": np.gradient(position, forced.sample_time),
+        "arm_velocity": np.asarray(forced.outputs["arm_velocity"].values),
+        "current": np.asarray(forced.inputs["current"].values),
+    }[name]
+    reach = 0.5 * float(np.max(np.abs(recorded)))
+    port = "arm" if name.startswith("arm") else "cart"
+    said = {
+        times: est.compare(
+            rtac.RTAC.paper() + SplineForce.over(variable, (-times * reach, times * reach), port=port), swings
+        )
+        for times in (1.0, 100.0)
+    }
+    told, share = said[1.0].models[0].beyond["forced_1"]
+    assert told == name
+    assert share == pytest.approx(np.mean(np.abs(recorded) > reach), abs=0.03)
+    assert f"of forced_1 {name} lies beyond what the learned force was learned at" in str(said[1.0])
+    assert not said[100.0].models[0].beyond
+    assert "beyond" not in str(said[100.0])

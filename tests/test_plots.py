@@ -181,7 +181,7 @@ def test_the_error_in_a_band_is_counted_in_noise():
     for wrong in (0 * sine, sine):
         measured = noise + wrong
         one = Trace("a", "cart_position", time, measured, 0 * time, 0 * time, time >= 0, 2e-5)
-        found.append(band_errors(Compared("model", RTAC.paper(), (one,), {}), "cart_position", edges))
+        found.append(band_errors(Compared("model", RTAC.paper(), (one,), {}, {}), "cart_position", edges))
     np.testing.assert_allclose(found[0], 1.0, atol=0.1)
     # All of the sine's power, 1 in units of the noise over 100 Hz, lies in 2 Hz, beside 1/50 of the noise.
     np.testing.assert_allclose(found[1], [1.0, np.sqrt(51.0), 1.0], rtol=0.1)

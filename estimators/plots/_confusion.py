@@ -70,7 +70,8 @@ def _finding(shown: list[Candidate], values: np.ndarray, accepted: set[str]) -> 
     if first is not None:
         if values[row, column] < _ALIKE:
             named = " or ".join(c.id for c in shown if c.id in accepted)
-            return f"Nothing looks like {named} in these data; the nearest are {pair} {alike}"
+            several = f" to {shown[row].id}" if named != shown[row].id else ""
+            return f"Nothing looks like {named} in these data; the nearest{several} is {shown[column].id} {alike}"
         return f"{shown[column].id} looks much like {shown[row].id} in these data {alike}"
     if values[row, column] < _ALIKE:
         return f"No two of these candidates look alike in these data; the nearest are {pair} {alike}"

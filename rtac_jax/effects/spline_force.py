@@ -104,6 +104,17 @@ class SplineForce(Force):
         """Amounts of shapes that were not given."""
         return tuple(f"amount_{i + 1}" for i in range(self.used, SHAPES))
 
+    @property
+    def depends_on(self) -> str:
+        """Which of `VARIABLES`."""
+        return VARIABLES[int(np.argmax([float(x) for x in self.variable]))]
+
+    @property
+    def between(self) -> tuple[float, float]:
+        """Lowest and highest value of the variable, SI units; beyond them the force keeps its last value."""
+        first, spacing = float(self.first), float(self.spacing)
+        return first, first + spacing * (len(self.shapes[0]) - 1)
+
     @classmethod
     def over(
         cls,

@@ -186,8 +186,13 @@ class Search(Probing):
         for side in _SIDES:
             now = climbed_by_trial(model, self.data, now, prior, self.substeps, side=side)
             values = dict(zip(now.space.names, np.asarray(now.space.values).tolist(), strict=True))
-            refit = self._fitted(added, model.with_values(values), others, now.noise, before.start)
-            refit = self._fitted(added, model.with_values(refit.values), free, refit.predictor.noise, before.start)
+            try:
+                refit = self._fitted(added, model.with_values(values), others, now.noise, before.start)
+                refit = self._fitted(added, model.with_values(refit.values), free, refit.predictor.noise, before.start)
+            except ArithmeticError:
+                if found is None:
+                    raise
+                break
             likelihood = refit.predictor.log_likelihood
             gained = likelihood - (found or before).predictor.log_likelihood
             if found is None or gained > 0:

@@ -27,7 +27,8 @@ class Evidence:
         level: p-value below which it rejects.
         words: what it says.
         ratio: of model error with noise to noise alone, where repeats tell; NaN for other tests.
-        shared: by them, likewise in units of twice the log-likelihood, of all data if it is as large in each; NaN for other tests.
+        shared: what they share beyond chance, in units of twice the log-likelihood, of all data if it is as large in each; zero for
+            other tests.
     """
 
     test: str
@@ -36,7 +37,7 @@ class Evidence:
     level: float
     words: str
     ratio: float = float("nan")
-    shared: float = float("nan")
+    shared: float = 0.0
 
     @property
     def rejects(self) -> bool:

@@ -200,8 +200,8 @@ class Comparison:
                 )
             for experiment, (variable, share) in compared.beyond.items():
                 lines.append(
-                    f"{compared.label}: at {100 * share:.0f} % of {experiment} {variable} lies beyond what the learned force was "
-                    "learned at; there it keeps its last value. Learn it from a recording that goes as far."
+                    f"{compared.label}: at {100 * share:.0f} % of {experiment} {variable} lies beyond the range of the learned "
+                    "force, which keeps its last value there. One that is learned from such motion may follow it further."
                 )
         return "\n".join(lines)
 

@@ -22,6 +22,7 @@ class RepeatTest:
         p_value: of so large a ratio by chance.
         repeats: number of experiments.
         part: of all measured values, that these have.
+        shared: model error beyond noise in the repeats, in units of twice the log-likelihood.
     """
 
     ratio: float
@@ -29,11 +30,12 @@ class RepeatTest:
     p_value: float
     repeats: int
     part: float
+    shared: float
 
     @property
     def excess(self) -> float:
-        """Model error beyond noise in units of twice the log-likelihood, of all data if it is as large in each."""
-        return (self.ratio - 1.0) * self.freedom[0] / self.part
+        """The same of all data, if it is as large in each; zero where chance left less than noise does."""
+        return max(self.shared, 0.0) / self.part
 
 
 def repeat_test(innovations: np.ndarray, present: np.ndarray, experiments: Sequence[Experiment]) -> RepeatTest | None:
@@ -49,7 +51,7 @@ def repeat_test(innovations: np.ndarray, present: np.ndarray, experiments: Seque
     groups: dict[str, list[int]] = {}
     for column, e in enumerate(experiments):
         groups.setdefault(e.repeat_of or e.name, []).append(column)
-    shared, between, above, below, members, seen = 0.0, 0.0, 0.0, 0.0, 0, 0.0
+    shared, between, above, below, members, seen, excess = 0.0, 0.0, 0.0, 0.0, 0, 0.0, 0.0
     for columns in groups.values():
         m = len(columns)
         if m < 2:
@@ -61,6 +63,11 @@ def repeat_test(innovations: np.ndarray, present: np.ndarray, experiments: Seque
                 continue
             seen += float(there.sum() * m)
             error = innovations[there][:, output, columns]
+            noise = error.var(axis=1, ddof=1)
+            if not noise.any():
+                continue
+            # Not smoothed: that would leave out what is fast, and count what is slow more than once.
+            excess += float(np.sum(m * error.mean(axis=1) ** 2 - noise) / np.mean(noise))
             smooth = np.asarray(lfilter(np.full(_AVERAGE, 1 / _AVERAGE), [1.0], error, axis=0))[_AVERAGE:]
             mean = smooth.mean(axis=1)
             apart = smooth - mean[:, None]
@@ -73,7 +80,7 @@ def repeat_test(innovations: np.ndarray, present: np.ndarray, experiments: Seque
         return None
     ratio = shared / between
     p_value = float(fisher.sf(ratio, above, below))
-    return RepeatTest(ratio, (above, below), p_value, members, seen / float(present.sum()))
+    return RepeatTest(ratio, (above, below), p_value, members, seen / float(present.sum()), excess)
 
 
 def _effective(apart: np.ndarray) -> float:

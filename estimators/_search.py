@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from estimators._at_once import at_once, threads
-from estimators._by_trial import Tried, acting_on, climbed_by_trial, few_random_forces, tried
+from estimators._by_trial import acting_on, begins_of, climbed_by_trial, few_random_forces, in_turn, likeliest_begin
 from estimators._coloured_noise import ColouredNoise, Colours, likeliest_colours, rest_spectra
 from estimators._compile import Ahead
 from estimators._covariance import information
@@ -34,9 +34,6 @@ _QUIETER = 6.0  # by how much in the logarithm of their variance random forces a
 _WORTH = 10.0  # gain in log-likelihood for which coloured noise is taken instead of white
 _SPOKEN = 4.5  # loss of the rest records' log-likelihood that is no chance: three standard deviations
 _WORTH_MENDING = 0.5  # gain in log-likelihood for which a colour is changed
-_SIZES = (0.5, 1.0, 2.0, 4.0, 8.0)  # of what is plausible, from which trials may begin
-_SIDES = (0.6, 0.6, 0.2, 0.2, 0.1, 0.1, 0.05)  # of the first simplex of trials, one sweep after the other
-_WORTH_A_SWEEP = (10.0, 0.003)  # gain in log-likelihood, and share of what all have gained, for which another is made
 
 
 Way = Callable[[Refit, Screened], Refit]
@@ -120,7 +117,28 @@ class Search(Probing):
         return self._fitted(added, model, free, before.predictor.noise, before.start)
 
     def thoroughly(self, before: Refit, s: Screened) -> Refit:
-        """The likelier of `with_effect` and a refit from a free simulation; of what works by contact, `by_trial`.
+        """The likelier of `with_effect` and, of what works by contact, `by_trial`; of anything else, `by_simulation`.
+
+        Raises:
+            ArithmeticError: the model diverges, or leaves parameters free, in both.
+        """
+        filtered, reason = None, ArithmeticError()
+        try:
+            filtered = self.with_effect(before, s)
+        except ArithmeticError as error:
+            reason = error
+        contact = issubclass(self.classes[s.id], Impact)
+        try:
+            other = self.by_trial(before, s) if contact else self.by_simulation(before, s, filtered)
+        except ArithmeticError as error:
+            other, reason = None, error
+        refits = [refit for refit in (filtered, other) if refit is not None]
+        if not refits:
+            raise reason
+        return max(refits, key=lambda one: one.predictor.log_likelihood)
+
+    def by_simulation(self, before: Refit, s: Screened, filtered: Refit | None) -> Refit:
+        """A refit from where a free simulation ends.
 
         What swings fast misleads the start that the first samples show. The filter takes it for a large random torque, and the
         fit to its innovations ends there. So the refit begins again from parameters and starts with which a simulation follows
@@ -128,37 +146,32 @@ class Search(Probing):
         found: of what rings for long a simulation follows only what it has the frequency of, which the filter finds from
         farther away.
 
+        Args:
+            filtered: what the filter found.
+
         Raises:
-            ArithmeticError: the model diverges, or leaves parameters free, in the filter and in every simulation.
+            ArithmeticError: the model diverges, or leaves parameters free, from every simulation.
         """
-        if issubclass(self.classes[s.id], Impact):
-            return self.by_trial(before, s)
         model, free, added = self._beginning(before, s)
         begins = [reduce(RTAC.__add__, [effect for effect in model.effects if effect.id in added], self.model)]
-        refits = []
-        with contextlib.suppress(ArithmeticError):
-            filtered = self.with_effect(before, s)
+        if filtered is not None:
             known = {name: value for name, value in filtered.values.items() if name in begins[0].parameters}
             begins.append(begins[0].with_values(known))
-            refits.append(filtered)
         simulated = []
         for begin in begins:
             with contextlib.suppress(ArithmeticError, NotIdentifiableError):
                 simulated.append(output_error(begin, self.recording, from_model=True, progress=False))
         for found in sorted(simulated, key=lambda found: found.statistics["cost"]):
             with contextlib.suppress(ArithmeticError):
-                refits.append(self._from_simulation(before, added, model, free, found))
-                break
-        if not refits:
-            raise FloatingPointError(f"with {s.id} the model diverges in the filter and in a simulation.")
-        return max(refits, key=lambda one: one.predictor.log_likelihood)
+                return self._from_simulation(before, added, model, free, found)
+        raise FloatingPointError(f"with {s.id} the model diverges in a simulation.")
 
     def by_trial(self, before: Refit, s: Screened) -> Refit:
         """A refit of what works by contact: trials of what moves it, a fit of all else, and a fit of all, in turn.
 
         When a contact begins and ends moves by whole samples as a parameter changes, so the likelihood has steps, and the
         derivative of the innovations says nothing of them: a fit alone ends a few percent from the truth, with random forces
-        for what it does not follow. So trials begin with little of these, at several sizes of the effect.
+        for what it does not follow. So trials begin with little of these, at the likeliest of many sizes and shapes.
 
         Raises:
             ArithmeticError: the model diverges, or leaves parameters free.
@@ -167,42 +180,27 @@ class Search(Probing):
         model = model.with_values({n: v for n, v in before.values.items() if n in model.parameters})
         moving = acting_on(self.classes[s.id].port, model, free)
         others = tuple(name for name in free if name not in moving)
-        plausible = {name: float(np.asarray(getattr(s.instance, name))) for name in declarations(s.instance)}
 
         def placed(values: Mapping[str, float], each: Any) -> Space:
             there = model.with_values(values)
             return dataclasses.replace(begun(self.space(there, moving), there, before.start), each_values=each)
 
-        def begin(size: float) -> Tried:
-            values = {f"{s.id}.{n}": size * v if n in s.amplitudes else v for n, v in plausible.items()}
-            space = placed(values, before.predictor.physical[1])
-            few = few_random_forces(before.predictor.noise)
-            return tried(model, self.data, space, self.prior.starting(space), few, self.substeps)
+        def climbed(space: Space, noise: np.ndarray, side: float) -> tuple[Space, np.ndarray]:
+            return climbed_by_trial(
+                model, self.data, space, self.prior.starting(space), few_random_forces(noise), self.substeps, side=side
+            )
 
-        now = max(at_once(begin, _SIZES), key=lambda one: one.log_likelihood)
-        now = dataclasses.replace(now, noise=few_random_forces(now.noise))
-        prior = self.prior.starting(now.space)
-        found: Refit | None = None
-        for side in _SIDES:
-            now = climbed_by_trial(model, self.data, now, prior, self.substeps, side=side)
-            values = dict(zip(now.space.names, np.asarray(now.space.values).tolist(), strict=True))
-            try:
-                refit = self._fitted(added, model.with_values(values), others, now.noise, before.start)
-                refit = self._fitted(added, model.with_values(refit.values), free, refit.predictor.noise, before.start)
-            except ArithmeticError:
-                if found is None:
-                    raise
-                break
-            likelihood = refit.predictor.log_likelihood
-            gained = likelihood - (found or before).predictor.log_likelihood
-            if found is None or gained > 0:
-                found = refit
-            least, share = _WORTH_A_SWEEP
-            if gained < max(least, share * (likelihood - before.predictor.log_likelihood)):
-                break
-            now = Tried(placed(refit.values, refit.predictor.physical[1]), refit.predictor.noise, likelihood)
-        assert found is not None  # since there are sides
-        return found
+        def fitted(space: Space, noise: np.ndarray) -> tuple[Refit, Space]:
+            values = dict(zip(space.names, np.asarray(space.values).tolist(), strict=True))
+            one = self._fitted(added, model.with_values(values), others, noise, before.start)
+            refit = self._fitted(added, model.with_values(one.values), free, one.predictor.noise, before.start)
+            return refit, placed(refit.values, refit.predictor.physical[1])
+
+        begins = begins_of(s.instance, s.amplitudes)
+        several = [placed({f"{s.id}.{n}": v for n, v in one.items()}, before.predictor.physical[1]) for one in begins]
+        few = few_random_forces(before.predictor.noise)
+        space = likeliest_begin(model, self.data, several, self.prior.starting(several[0]), few, self.substeps)
+        return in_turn(space, before, climbed, fitted)
 
     def _from_simulation(
         self, before: Refit, added: tuple[str, ...], model: RTAC, free: tuple[str, ...], found: Fit

@@ -75,19 +75,42 @@ def test_what_repeats_share_is_found() -> None:
 
 
 @pytest.mark.parametrize("repeated", [2, COUNT])
-def test_what_repeats_share_is_as_large_as_the_squares_that_it_adds(repeated: int) -> None:
-    """Of all data, whatever part of them is repeated."""
-    error = noise(np.random.default_rng(2), 0.0)
-    missing = 0.6 * np.sin(0.05 * np.arange(SAMPLES))
-    error[:, 0] += missing[:, None]
+@pytest.mark.parametrize("shape", ["slow", "fast", "broad"])
+def test_what_repeats_share_is_as_large_as_the_squares_that_it_adds(repeated: int, shape: str) -> None:
+    """Of all data, whatever part of them is repeated, and however fast it changes."""
+    time, random = np.arange(SAMPLES), np.random.default_rng(2)
+    missing = {
+        "slow": 0.6 * np.sin(0.05 * time),
+        "fast": 0.6 * np.sin(2.5 * time),
+        "broad": 0.5 * random.standard_normal(SAMPLES),
+    }[shape]
     several = [
         dataclasses.replace(e, repeat_of=None if n >= repeated else e.repeat_of)
         for n, e in enumerate(experiments(repeats=True))
     ]
-    found = repeat_test(error, PRESENT, several)
-    assert found is not None
-    assert found.part == repeated / COUNT
-    assert 0.5 < found.excess / (COUNT * np.sum(missing**2)) < 2
+    shares = []
+    for _ in range(20):
+        error = noise(random, 0.0)
+        error[:, 0] += missing[:, None]
+        found = repeat_test(error, PRESENT, several)
+        assert found is not None
+        assert found.part == repeated / COUNT
+        shares.append(found.excess / (COUNT * np.sum(missing**2)))
+    assert np.mean(shares) == pytest.approx(1.0, abs=0.15)
+
+
+def test_repeats_that_share_nothing_leave_no_excess_of_less_than_nothing() -> None:
+    random = np.random.default_rng(4)
+    found = [repeat_test(noise(random, 0.0), PRESENT, experiments(repeats=True)) for _ in range(20)]
+    shared = np.array([one.shared for one in found if one is not None])
+    assert len(shared) == 20
+    assert shared.min() < 0 < shared.max()
+    assert all(one is not None and one.excess == max(one.shared, 0.0) for one in found)
+
+
+def test_repeats_that_agree_to_the_last_digit_are_no_repeats() -> None:
+    once = np.random.default_rng(5).standard_normal((SAMPLES, PRESENT.shape[1], 1))
+    assert repeat_test(np.tile(once, (1, 1, COUNT)), PRESENT, experiments(repeats=True)) is None
 
 
 @pytest.mark.parametrize("colour", [0.0, 0.9])

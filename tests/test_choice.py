@@ -21,7 +21,7 @@ from estimators._search import Search
 from estimators._stepwise import _hidden, improvements, second_looks
 from estimators._verdict import judge
 from rtac_jax import RTAC
-from rtac_jax.effects import CATALOGUE, CubicSpring
+from rtac_jax.effects import CATALOGUE, Backlash, CubicSpring
 
 SIZES = {"arm_stribeck": 2, "arm_coulomb": 1, "lvdt_lag": 1, "cubic_spring": 1}
 
@@ -318,6 +318,42 @@ def test_a_thorough_refit_needs_the_filter_or_a_simulation(monkeypatch: pytest.M
         search.thoroughly(search.refit(), screened("cubic_spring"))
     simulations(monkeypatch, {1.0: 5.0})
     assert search.thoroughly(search.refit(), screened("cubic_spring")).values["cubic_spring.stiffness"] == 10.0
+
+
+class Contact(Known):
+    """One in which a candidate works by contact, and the refits along derivatives and by trial are known or diverge."""
+
+    def __init__(self, along: float | None, by_trial: float | None) -> None:
+        super().__init__(known(base=0.0))
+        self.classes = {"backlash": Backlash}
+        self.found = along, by_trial
+
+    def _refit(self, likelihood: float | None) -> Refit:
+        if likelihood is None:
+            raise DivergedError("it diverges.")
+        found = self.refit()
+        object.__setattr__(found, "predictor", SimpleNamespace(log_likelihood=likelihood))
+        return found
+
+    def with_effect(self, before: Refit, s: Screened) -> Refit:
+        return self._refit(self.found[0])
+
+    def by_trial(self, before: Refit, s: Screened) -> Refit:
+        return self._refit(self.found[1])
+
+
+@pytest.mark.parametrize(
+    ("along", "by_trial", "likeliest"), [(10.0, 20.0, 20.0), (20.0, 10.0, 20.0), (None, 5.0, 5.0), (5.0, None, 5.0)]
+)
+def test_the_likelier_refit_of_a_contact_counts(along: float | None, by_trial: float | None, likeliest: float) -> None:
+    search = Contact(along, by_trial)
+    assert search.thoroughly(search.refit(), screened("backlash")).predictor.log_likelihood == likeliest
+
+
+def test_a_contact_with_which_every_refit_diverges_is_refused() -> None:
+    search = Contact(None, None)
+    with pytest.raises(DivergedError, match="diverges"):
+        search.thoroughly(search.refit(), screened("backlash"))
 
 
 class Refused(Known):

@@ -1,5 +1,6 @@
 """Which of several refits the data prefer, and the same asked again once all effects are in the model."""
 
+import contextlib
 import dataclasses
 from collections.abc import Mapping, Sequence
 
@@ -69,22 +70,28 @@ def reconsidered(search: Search, base: Refit, steps: list[Step]) -> list[Step]:
     Source: stepwise selection with replacement, as in Miller, Subset Selection in Regression (2002), section 3.
     """
     for effect in [step.id for step in steps[:-1]]:
-        place = next(i for i, step in enumerate(steps) if step.id == effect)
-        if place == len(steps) - 1:
-            continue
-        step, now = steps[place], steps[-1].refit
-        others = [s for i, s in step.asked.items() if i not in now.added]
-        search.bar.set_description(f"diagnose: {effect} once more")
-        before = search.without(now, effect)
-        tried = {effect: (step.asked[effect], now)}
-        refits = search.refits(before, others, step.way)
-        tried |= {s.id: (s, refits[s.id]) for s in others if s.id in refits}
-        winner = chosen(search, before, tried)
-        if winner is not None and winner.id == effect:
-            steps = [*steps[:place], dataclasses.replace(step, rivals=winner.rivals), *steps[place + 1 :]]
-        else:
-            steps = _rebuilt(search, base, steps, place, before) + ([] if winner is None else [winner])
+        # What the model diverges without is needed.
+        with contextlib.suppress(ArithmeticError):
+            steps = _once_more(search, base, steps, effect)
     return steps
+
+
+def _once_more(search: Search, base: Refit, steps: list[Step], effect: str) -> list[Step]:
+    """The steps with one earlier effect held against those that were refitted beside it."""
+    place = next(i for i, step in enumerate(steps) if step.id == effect)
+    if place == len(steps) - 1:
+        return steps
+    step, now = steps[place], steps[-1].refit
+    others = [s for i, s in step.asked.items() if i not in now.added]
+    search.bar.set_description(f"diagnose: {effect} once more")
+    before = search.without(now, effect)
+    tried = {effect: (step.asked[effect], now)}
+    refits = search.refits(before, others, step.way)
+    tried |= {s.id: (s, refits[s.id]) for s in others if s.id in refits}
+    winner = chosen(search, before, tried)
+    if winner is not None and winner.id == effect:
+        return [*steps[:place], dataclasses.replace(step, rivals=winner.rivals), *steps[place + 1 :]]
+    return _rebuilt(search, base, steps, place, before) + ([] if winner is None else [winner])
 
 
 def _rebuilt(search: Search, base: Refit, steps: Sequence[Step], place: int, last: Refit) -> list[Step]:

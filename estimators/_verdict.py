@@ -10,6 +10,7 @@ from estimators._candidate import Candidate, Step
 from estimators._force_curve import ForceCurve
 from estimators._latent_force import LatentForce
 from estimators._line_classes import LineClass
+from estimators._output_error import Parameter
 from estimators._where import Place
 from rtac_jax.measurement import Recording
 
@@ -99,7 +100,7 @@ def words(
     sentences = []
     for step in steps:
         c = by_id[step.id]
-        size = ", ".join(f"{n} = {p.value:.4g} +- {p.std:.2g} {p.unit}" for n, p in c.parameters.items())
+        size = ", ".join(f"{n} = {_size(p)}" for n, p in c.parameters.items())
         sentences.append(
             f"{step.id} ({size}) gains {step.bic_gain:.0f} in BIC"
             + (
@@ -125,6 +126,11 @@ def words(
         f"Ambiguous: the data cannot tell {groups} apart. The best fit: {text}.{share}{shown} An experiment that separates "
         "them would decide (est.next_experiment)."
     )
+
+
+def _size(one: Parameter) -> str:
+    # A deviation of zero is that of a parameter that is fixed.
+    return f"{one.value:.4g} +- {one.std:.2g} {one.unit}" if one.std > 0 else f"{one.value:.4g} {one.unit}, fixed"
 
 
 def static_force(curves: Sequence[ForceCurve], tests: Sequence[Evidence]) -> tuple[ForceCurve | None, bool]:

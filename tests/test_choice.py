@@ -180,6 +180,18 @@ def test_what_is_needed_stays_and_a_rival_of_the_first_round_is_told_from_it() -
     assert after[0].rivals == ()
 
 
+def test_what_the_model_diverges_without_is_needed(monkeypatch: pytest.MonkeyPatch) -> None:
+    search = Known(known(base=0.0, arm_coulomb=100.0, lvdt_lag=898.0, arm_coulomb__lvdt_lag=900.0))
+    before = steps(search, ["arm_coulomb"], ["lvdt_lag"])
+
+    def without(refit: Refit, effect: str) -> Refit:
+        raise FloatingPointError(f"it diverges without {effect}.")
+
+    monkeypatch.setattr(search, "without", without)
+    after = reconsidered(search, search.refit(), before)
+    assert [s.id for s in after] == ["arm_coulomb", "lvdt_lag"]
+
+
 class Late(Known):
     """One in which every refit leaves a spectral line, and all candidates but some are seen by a quiet predictor only."""
 

@@ -8,10 +8,11 @@ import pytest
 from small_experiments import free, rest
 
 from estimators._adequacy import Evidence, removed_by_repeats
-from estimators._candidate import Step
+from estimators._candidate import Candidate, Step
 from estimators._force_curve import ForceCurve
 from estimators._latent_force import LatentForce
 from estimators._line_classes import LineClass
+from estimators._output_error import Parameter
 from estimators._refit import Refit
 from estimators._verdict import judge, shaken, share_removed, strayed, words
 from estimators._where import Place
@@ -145,6 +146,15 @@ def test_a_static_force_is_judged_by_its_test(excess: float, said: str) -> None:
 
 def unknown(latent: list[LatentForce], lines: list[LineClass]) -> str:
     return words("unknown", [], [], [], (found(600.0),), (), 0.0, [], latent, [], lines)
+
+
+def test_a_parameter_that_is_fixed_is_told_without_a_deviation() -> None:
+    named = Candidate.__new__(Candidate)
+    parameters = {"compliance": Parameter(3e-4, 1e-6, "s^2"), "fastest": Parameter(450.0, 0.0, "rad/s")}
+    for name, part in {"id": "a", "parameters": parameters}.items():
+        object.__setattr__(named, name, part)
+    text = words("missing", [named], [named], [step("a", 500.0, 0.0)], (found(600.0),), (), 1.0, [], [], [], [])
+    assert "a (compliance = 0.0003 +- 1e-06 s^2, fastest = 450 rad/s, fixed) gains" in text
 
 
 def test_random_forces_are_told_of_where_they_matter():

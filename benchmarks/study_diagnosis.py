@@ -12,11 +12,11 @@ the recordings with nothing hidden have been. A line of the result file is one r
 what the tests said, the commit, and the error on a validation recording of the base model, of the improved model, of a
 learned force where the catalogue lacks the effect, and of the best fit with the structure that the rig has; a model that
 cannot be fitted has an infinite error. What random forces do to a shaken rig no model can know: "still" is how far the rig
-itself moves otherwise without them, from the same start; models have their starts fitted. There base model and learned force are
-also fitted by predictions one sample ahead, which random forces do not bend, and held against the second recording without random
-forces: "base, still" and "learned, still". Cases named "twice the limit of"
-and "a third of the limit of" hide an effect at that multiple of the detection limit which the diagnosis of the same rig
-states with nothing hidden; they run once that is known.
+itself moves otherwise without them, from the same start; models have their starts fitted. There base model and learned
+force are also fitted by predictions one sample ahead, which random forces do not bend, and held against the second
+recording without random forces: "base, still" and "learned, still". Cases named "twice the limit of" and "a third of the
+limit of" hide an effect at that multiple of the detection limit which the diagnosis of the same rig states with nothing
+hidden; they run once that is known.
 """
 
 import argparse

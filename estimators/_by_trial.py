@@ -31,13 +31,13 @@ _FINE = 0.01  # of unconstrained numbers: half a percent of a size
 _DIVERGED = 1e12  # negative log-likelihood: a simplex cannot compare infinities
 _SMALL = 0.05  # of its scale, the least size of a parameter that steps are a share of
 _REACH = 3.0  # of unconstrained numbers: from a parameter at its bound, infinitely far, no step leads away
-_BODY = {"arm": ("arm_inertia", "torque_constant"), "cart": ("total_mass", "spring_stiffness")}
+_ARM = ("arm_inertia", "torque_constant")
 
 
-def acting_on(port: str, model: RTAC, free: Sequence[str]) -> tuple[str, ...]:
-    """Those of some parameters that move when a contact at a port begins and ends: of what acts there, and of the motor."""
-    effects = {effect.id for effect in model.effects if port in effect.port or effect.port == "actuator"}
-    return tuple(name for name in free if name.split(".")[0] in effects or name in _BODY.get(port, ()))
+def acting_on_arm(model: RTAC, free: Sequence[str]) -> tuple[str, ...]:
+    """Those of some parameters that move when a contact begins and ends: an `Impact` strikes the arm, which the motor drives."""
+    effects = {effect.id for effect in model.effects if "arm" in effect.port or effect.port == "actuator"}
+    return tuple(name for name in free if name in _ARM or name.split(".")[0] in effects)
 
 
 def begins_of(effect: Effect, amplitudes: Sequence[str]) -> list[dict[str, float]]:
@@ -134,15 +134,15 @@ def in_turn(
     """
     noise = before.predictor.noise
     best: tuple[Refit, Space] | None = None
-    reason, idle = ArithmeticError(), 0
+    idle = 0
     for side in _SIDES:
         space, noise = climbed(space, noise, side)
         last = before if best is None else best[0]
         gained = 0.0
         try:
             now = fitted(space, noise)
-        except ArithmeticError as error:
-            reason = error
+        except ArithmeticError:
+            pass
         else:
             gained = now[0].predictor.log_likelihood - last.predictor.log_likelihood
             if best is None or gained > 0:
@@ -155,7 +155,7 @@ def in_turn(
         if idle == _IDLE:
             break
     if best is None:
-        raise reason
+        raise FloatingPointError("the model diverges, or leaves parameters free, after all trials.")
     return best[0]
 
 

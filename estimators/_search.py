@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from estimators._at_once import at_once, threads
-from estimators._by_trial import acting_on, begins_of, climbed_by_trial, few_random_forces, in_turn, likeliest_begin
+from estimators._by_trial import acting_on_arm, begins_of, climbed_by_trial, few_random_forces, in_turn, likeliest_begin
 from estimators._coloured_noise import ColouredNoise, Colours, likeliest_colours, rest_spectra
 from estimators._compile import Ahead
 from estimators._covariance import information
@@ -122,19 +122,15 @@ class Search(Probing):
         Raises:
             ArithmeticError: the model diverges, or leaves parameters free, in both.
         """
-        filtered, reason = None, ArithmeticError()
-        try:
+        filtered = other = None
+        with contextlib.suppress(ArithmeticError):
             filtered = self.with_effect(before, s)
-        except ArithmeticError as error:
-            reason = error
         contact = issubclass(self.classes[s.id], Impact)
-        try:
+        with contextlib.suppress(ArithmeticError):
             other = self.by_trial(before, s) if contact else self.by_simulation(before, s, filtered)
-        except ArithmeticError as error:
-            other, reason = None, error
         refits = [refit for refit in (filtered, other) if refit is not None]
         if not refits:
-            raise reason
+            raise FloatingPointError(f"with {s.id} the model diverges, wherever its refit begins.")
         return max(refits, key=lambda one: one.predictor.log_likelihood)
 
     def by_simulation(self, before: Refit, s: Screened, filtered: Refit | None) -> Refit:
@@ -178,7 +174,7 @@ class Search(Probing):
         """
         model, free, added = self._extended(before, s)
         model = model.with_values({n: v for n, v in before.values.items() if n in model.parameters})
-        moving = acting_on(self.classes[s.id].port, model, free)
+        moving = acting_on_arm(model, free)
         others = tuple(name for name in free if name not in moving)
 
         def placed(values: Mapping[str, float], each: Any) -> Space:

@@ -1,6 +1,7 @@
 """Is anything missing? Every test that the innovations of a predictor must pass, each with its p-value."""
 
 import dataclasses
+import math
 from collections.abc import Sequence
 from typing import TypeVar
 
@@ -26,7 +27,7 @@ class Evidence:
         excess: what the test finds beyond chance, in units of twice the log-likelihood; repeats give a ratio instead.
         level: p-value below which it rejects.
         words: what it says.
-        ratio: of model error with noise to noise alone, where repeats tell; NaN for other tests.
+        power: mean square of what repeats share, where the model states one; NaN for other tests.
         shared: what they share beyond chance, in units of twice the log-likelihood, of all data if it is as large in each; zero for
             other tests.
     """
@@ -36,7 +37,7 @@ class Evidence:
     excess: float
     level: float
     words: str
-    ratio: float = float("nan")
+    power: float = float("nan")
     shared: float = 0.0
 
     @property
@@ -142,7 +143,7 @@ def evidence(
                 "around it",
             )
         )
-    told = {"repeats": (repeats.ratio, repeats.excess)} if repeats is not None else {}
+    told = {"repeats": (repeats.power, repeats.excess)} if repeats is not None else {}
     return tuple(Evidence(name, p, excess, level, words, *told.get(name, ())) for name, p, excess, words in found)
 
 
@@ -163,14 +164,16 @@ def excess_of(tests: Sequence[Evidence]) -> float:
     return max((e.excess for e in tests if e.rejects), default=0.0)
 
 
-def removed_by_repeats(before: Sequence[Evidence], after: Sequence[Evidence], gain: float) -> float:
-    """Share of the model error that repeats show before and no longer after; 1 where they show none after.
+def removed_by_repeats(before: Sequence[Evidence], after: Sequence[Evidence], gain: float, samples: int) -> float:
+    """Share of the squared model error that repeats show before and no longer after; 1 where they show none after.
 
-    Where they show none before, what is missing need not be in the experiment that is repeated, or random forces hide it there:
-    then what they show after is held against what was removed from all data.
+    The tests count in the unit that each model states, and what helps makes that smaller. Where repeats show none before, what is
+    missing need not be in the experiment that is repeated, or random forces hide it there: then what they show after is held
+    against what was removed from all data.
 
     Args:
         gain: in twice the log-likelihood, of what was added.
+        samples: that it is the gain of.
     """
     first = next((e for e in before if e.test == "repeats" and e.rejects), None)
     last = next((e for e in after if e.test == "repeats" and e.rejects), None)
@@ -178,4 +181,4 @@ def removed_by_repeats(before: Sequence[Evidence], after: Sequence[Evidence], ga
         return 1.0
     if first is None:
         return gain / (gain + last.shared)
-    return 1.0 - max(last.ratio - 1.0, 0.0) / (first.ratio - 1.0)
+    return 1.0 - math.exp(-gain / samples) * max(last.power, 0.0) / first.power

@@ -20,10 +20,10 @@ from rtac_jax.effects import Effect
 
 # Logarithm of the variance of random forces, in shares of the rms forces, above which they take over what they should not.
 _FEW = -4.0
+_SOME = -2.0  # likewise, once trials have come near
 _TRIALS = 150
-_SIDES = (0.6, 0.6, 0.2, 0.2, 0.1, 0.1, 0.05)  # of the first simplex of trials, one sweep after the other
+_SIDES = (0.6, 0.3, 0.2, 0.1, 0.05)  # of the first simplex of trials, one sweep after the other
 _WORTH_A_SWEEP = (10.0, 0.003)  # gain in log-likelihood, and share of what all have gained, that make a sweep worth it
-_IDLE = 2  # sweeps one after the other that were not worth it, after which no other is made
 _SIZES = tuple(2.0 ** (power / 2) for power in range(-2, 7))  # of what is plausible, from which trials may begin
 _SHAPES = (1 / 3, 2 / 3, 3 / 2, 2.0, 8 / 3)  # likewise of a parameter that only shapes the effect
 _LITTLE = 0.5  # change in log-likelihood that is not worth another trial
@@ -132,9 +132,8 @@ def in_turn(
     Raises:
         ArithmeticError: every fit did.
     """
-    noise = before.predictor.noise
+    noise = few_random_forces(before.predictor.noise)
     best: tuple[Refit, Space] | None = None
-    idle = 0
     for side in _SIDES:
         space, noise = climbed(space, noise, side)
         last = before if best is None else best[0]
@@ -149,19 +148,19 @@ def in_turn(
                 best = now
         if best is not None:
             space, noise = best[1], best[0].predictor.noise
+        noise = few_random_forces(noise, _SOME)
         least, share = _WORTH_A_SWEEP
         all_gained = last.predictor.log_likelihood + gained - before.predictor.log_likelihood
-        idle = 0 if gained > max(least, share * all_gained) else idle + 1
-        if idle == _IDLE:
+        if best is not None and not gained > max(least, share * all_gained):
             break
     if best is None:
         raise FloatingPointError("the model diverges, or leaves parameters free, after all trials.")
     return best[0]
 
 
-def few_random_forces(noise: Float[np.ndarray, " noise"]) -> Float[np.ndarray, " noise"]:
+def few_random_forces(noise: Float[np.ndarray, " noise"], most: float = _FEW) -> Float[np.ndarray, " noise"]:
     """The same with no more random force and torque than where physics that is wrong may still be mended."""
-    return np.concatenate([np.minimum(noise[:2], _FEW), noise[2:]])
+    return np.concatenate([np.minimum(noise[:2], most), noise[2:]])
 
 
 def _cost(

@@ -13,9 +13,14 @@ from estimators._problem import CHANNELS, Data, Space, states_at_start
 from rtac_jax import RTAC
 from rtac_jax._simulate import Steps, advance, unit_pushes
 from rtac_jax._time_loop import time_loop
+from rtac_jax.effects import Impact
 
 OUTPUTS = len(CHANNELS)
 _VELOCITIES = (1, 3)  # places of the velocities of cart and arm in the state
+# Of what parts move in a sample, the share by which they may be farther on or behind. Where they hit each other near the end of a
+# sample, an error of a tenth of a sample decides which of two samples shows it, and that one would count for a hundred others.
+_EARLY = 0.5
+_SURE = 1e-6  # deviation of such states below which dividing by it would magnify rounding
 _SMALL = 1e-9  # velocities [m/s, rad/s] below which a difference is lost in rounding
 
 
@@ -78,6 +83,8 @@ def kalman(
     spread = spread + jnp.eye(count)[:, :, None] * wander.stationary[:, None]
     unit = tuple(jnp.broadcast_to(row[:, None], (count, *shape)) for row in jnp.eye(count))
     rubs = bool(placed.friction_levels(state))
+    strikes = impact_places(model)
+    wide = (*(_VELOCITIES if rubs else ()), *strikes)
     slopes = ByNoise.at_start(wander.by_noise(wander.stationary)) if by_noise else None
 
     def one_sample(carry: tuple[Any, Array, ByNoise | None], row: dict[str, Any]) -> tuple[Any, Any]:
@@ -117,7 +124,7 @@ def kalman(
             return advance(placed, at, current, force, excitation, substeps=substeps)
 
         pushes = unit_pushes(placed, state, excitation)
-        moved, jacobian = _linearised(forward, state, spread if rubs else None)
+        moved, jacobian = _linearised(forward, state, spread, wide)
         shaken = jnp.zeros(shape)
         if rubs:
             shaken = _shaken(placed, state, spread, process, pushes, excitation.sample_time)
@@ -129,6 +136,8 @@ def kalman(
         pushed = halves[:, :, None] * halves[:, None] + later[:, :, None] * later[:, None]
         spread = _product(_product(jacobian, spread), jnp.swapaxes(jacobian, 0, 1)) + pushed[0] + pushed[1]
         spread = spread + jnp.eye(count)[:, :, None] * wander.fresh[:, None]
+        for place in strikes:
+            spread = spread.at[place, place].add((_EARLY * (moved[place] - state[place])) ** 2)
         white, weigh, counts = jnp.stack(innovations), jnp.stack(whitener), row["trusted"]
         if slopes is not None:
             slopes = slopes.onward(
@@ -203,6 +212,14 @@ def start_places(model: RTAC) -> tuple[int, ...]:
     return tuple(places)
 
 
+def impact_places(model: RTAC) -> tuple[int, ...]:
+    """Which states of a model say how far parts that hit each other are apart: those in units of length or angle."""
+    owners = [(effect, unit) for effect in model.effects for unit in effect.states.values()]
+    return tuple(
+        4 + row for row, (effect, unit) in enumerate(owners) if isinstance(effect, Impact) and unit in ("m", "rad")
+    )
+
+
 def _with_slopes(function: Any, state: Any, unit: Any) -> tuple[Array, Array]:
     """Value [row experiment], and its derivatives by every state [row state experiment]."""
     value, slopes = jax.vmap(lambda t: jax.jvp(function, (state,), (t,)), out_axes=(None, 0))(unit)
@@ -226,37 +243,38 @@ def _shaken(
 
 
 def _linearised(
-    function: Any, state: Any, spread: Float[Array, "state state experiment"] | None
+    function: Any, state: Any, spread: Float[Array, "state state experiment"], wide: tuple[int, ...]
 ) -> tuple[Float[Array, "row experiment"], Float[Array, "row state experiment"]]:
-    """The next state and its derivatives, with a spread those by the velocities over one standard deviation to either side.
+    """The next state and its derivatives, those by some states over one standard deviation to either side.
 
     Where dry friction holds a body at rest the derivative by its velocity is zero, and a filter that believes it would never
-    doubt again that the body rests, while random forces shake it loose.
+    doubt again that the body rests, while random forces shake it loose. Likewise of parts that are about to hit each other: a
+    filter that believes the derivative never doubts whether they have by the next sample.
 
     Every derivative has its own copy of the state: arrays of one shape become few loops, and these cost more than their work.
+
+    Args:
+        wide: places of these states.
 
     Source: statistical linearisation; Gelb, Applied Optimal Estimation (1974), section 6.2.
     """
     at = jnp.stack(state)
     count = len(state)
     points, along = [at] * count, [jnp.broadcast_to(row[:, None], at.shape) for row in jnp.eye(count)]
-    reach = None
-    if spread is not None:
-        reach = jnp.stack([jnp.sqrt(spread[place, place]) for place in _VELOCITIES])
-        points += [at.at[p].add(sign * r) for p, r in zip(_VELOCITIES, reach, strict=True) for sign in (1.0, -1.0)]
-        along += [jnp.zeros_like(at)] * (len(points) - count)
+    reaches = [jnp.sqrt(jnp.maximum(spread[place, place], 0.0)) for place in wide]
+    points += [at.at[place].add(sign * r) for place, r in zip(wide, reaches, strict=True) for sign in (1.0, -1.0)]
+    along += [jnp.zeros_like(at)] * (len(points) - count)
 
     def one(point: Array, direction: Array) -> tuple[Array, Array]:
         return jax.jvp(lambda x: jnp.stack(function(tuple(x))), (point,), (direction,))
 
     ends, slopes = jax.vmap(one)(jnp.stack(points), jnp.stack(along))
-    jacobian = jnp.moveaxis(slopes[:count], 0, 1)
-    if reach is not None:
-        ahead, behind = ends[count::2], ends[count + 1 :: 2]
-        wide = (ahead - behind) / (2 * jnp.where(reach > _SMALL, reach, 1.0))[:, None]
-        for place, r, slope in zip(_VELOCITIES, reach, wide, strict=True):
-            jacobian = jacobian.at[:, place].set(jnp.where(r > _SMALL, slope, jacobian[:, place]))
-    return ends[0], jacobian
+    columns = [slopes[place] for place in range(count)]
+    for place, r, ahead, behind in zip(wide, reaches, ends[count::2], ends[count + 1 :: 2], strict=True):
+        known = r > (_SMALL if place in _VELOCITIES else _SURE)
+        columns[place] = jnp.where(known, (ahead - behind) / (2 * jnp.where(known, r, 1.0)), columns[place])
+    # Not set within an array that is read beside it: the compiled code then mixed the two.
+    return ends[0], jnp.stack(columns, axis=1)
 
 
 def _product(a: Array, b: Array) -> Array:

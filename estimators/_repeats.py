@@ -20,6 +20,7 @@ class RepeatTest:
         ratio: mean square of what all repeats share over that of their differences; one where the model is right.
         freedom: degrees of freedom of both, as the autocorrelation of the differences leaves them.
         p_value: of so large a ratio by chance.
+        power: mean square of what all repeats share beyond noise, slower than a few samples, where the model states one.
         repeats: number of experiments.
         part: of all measured values, that these have.
         shared: model error beyond noise in the repeats, in units of twice the log-likelihood.
@@ -28,6 +29,7 @@ class RepeatTest:
     ratio: float
     freedom: tuple[float, float]
     p_value: float
+    power: float
     repeats: int
     part: float
     shared: float
@@ -80,7 +82,9 @@ def repeat_test(innovations: np.ndarray, present: np.ndarray, experiments: Seque
         return None
     ratio = shared / between
     p_value = float(fisher.sf(ratio, above, below))
-    return RepeatTest(ratio, (above, below), p_value, members, seen / float(present.sum()), excess)
+    return RepeatTest(
+        ratio, (above, below), p_value, (shared - between) / above, members, seen / float(present.sum()), excess
+    )
 
 
 def _effective(apart: np.ndarray) -> float:

@@ -183,7 +183,7 @@ class Search(Probing):
 
         def climbed(space: Space, noise: np.ndarray, side: float) -> tuple[Space, np.ndarray]:
             return climbed_by_trial(
-                model, self.data, space, self.prior.starting(space), few_random_forces(noise), self.substeps, side=side
+                model, self.data, space, self.prior.starting(space), noise, self.substeps, side=side
             )
 
         def fitted(space: Space, noise: np.ndarray) -> tuple[Refit, Space]:

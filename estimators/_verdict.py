@@ -50,7 +50,7 @@ def share_removed(steps: Sequence[Step], tests: Sequence[Evidence], samples: int
     left = steps[-1].left
     gain = sum(step.gain for step in steps)
     after = math.exp(-gain / samples)
-    return min((1 - after) / (1 - floor(steps, samples)), removed_by_repeats(tests, left, gain))
+    return min((1 - after) / (1 - floor(steps, samples)), removed_by_repeats(tests, left, gain, samples))
 
 
 def floor(steps: Sequence[Step], samples: int) -> float:

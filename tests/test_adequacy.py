@@ -69,6 +69,8 @@ def test_what_repeats_share_is_found() -> None:
     assert found is not None
     assert found.p_value < 1e-3
     assert found.ratio > 1.3
+    # A moving average of five samples takes little of it.
+    assert 0.7 < found.power / (COUNT * np.mean((0.6 * np.sin(0.05 * np.arange(SAMPLES))) ** 2)) < 1.3
     assert found.repeats == COUNT
     assert found.part == 1.0
     assert repeat_test(error, PRESENT, experiments()) is None

@@ -26,7 +26,7 @@ def found(excess: float) -> Evidence:
 
 
 def repeats(ratio: float, *, rejects: bool) -> Evidence:
-    return Evidence("repeats", 0.0 if rejects else 0.5, 0.0, 0.002, "", ratio, 100.0 * (ratio - 1.0))
+    return Evidence("repeats", 0.0 if rejects else 0.5, 0.0, 0.002, "", ratio - 1.0, 100.0 * (ratio - 1.0))
 
 
 def step(name: str, gain: float, left: float, rivals: tuple[str, ...] = ()) -> Step:
@@ -80,7 +80,11 @@ def test_the_share_is_that_of_the_excess_squared_error() -> None:
 @pytest.mark.parametrize(
     ("before", "after", "share"),
     [
-        (repeats(3.0, rejects=True), repeats(1.2, rejects=True), 0.9),
+        (
+            repeats(3.0, rejects=True),
+            repeats(1.2, rejects=True),
+            1 - 0.1 * math.exp(-0.04),
+        ),  # of a unit that is smaller then
         (repeats(3.0, rejects=True), repeats(1.01, rejects=False), 1.0),
         (repeats(1.01, rejects=False), repeats(1.01, rejects=False), 1.0),
         (repeats(1.01, rejects=False), repeats(2.0, rejects=True), 0.8),  # 400 were removed, 100 are left
@@ -88,7 +92,7 @@ def test_the_share_is_that_of_the_excess_squared_error() -> None:
     ],
 )
 def test_repeats_have_a_veto(before: Evidence, after: Evidence, share: float) -> None:
-    assert removed_by_repeats([before], [after], 400.0) == pytest.approx(share)
+    assert removed_by_repeats([before], [after], 400.0, SAMPLES) == pytest.approx(share)
 
 
 def missing_force(**rms: float) -> LatentForce:

@@ -218,7 +218,10 @@ class DryFriction(Effect):
 
 
 class Impact(Effect):
-    """An effect whose parts hit each other: it changes velocities at once, after each integration step."""
+    """An effect whose parts hit each other: it changes velocities at once, after each integration step.
+
+    States in m or rad say how far the parts are apart; a predictor counts them as known to a part of what they move in a sample.
+    """
 
     nature: ClassVar[str] = "dissipative"
 

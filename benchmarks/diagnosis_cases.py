@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Literal
 
 SHAKEN = {"force_noise": 1e-3, "torque_noise": 3e-5}
+ROTOR_SHARES = (0.15, 0.6)  # of the inertia, where rotor and arm move apart; an effect is looked for from 0.3
 
 
 @dataclasses.dataclass(frozen=True)

@@ -39,7 +39,7 @@ from estimators._verdict import (
 from estimators._where import Place
 from rtac_jax import RTAC, require_configured
 from rtac_jax._parameter import declarations
-from rtac_jax.effects import Effect
+from rtac_jax.effects import Effect, Impact
 from rtac_jax.measurement import Recording
 
 
@@ -238,6 +238,10 @@ def _explanation(told: Diagnosis, steps: Sequence[Step], found: _Found, further:
         text += not_named(further, told.left, search.samples)
     if steps and steps[0].id not in {s.id for s in alarming(found.tested.screened)}:
         text += f" {steps[0].id} raised no alarm by itself: it was tried because what did explains less, or nothing."
+    if struck := [effect.id for effect in told.additions if isinstance(effect, Impact)]:
+        text += (
+            f" The intervals of {', '.join(struck)} may be far too narrow: they leave out when parts hit each other."
+        )
     if told.verdict == "unknown" and not found.thorough:
         text += " This was a quick diagnosis: a thorough one also tries what raised no alarm."
     if not any(test.rejects for test in told.left):  # or else random forces may stand for what is still missing

@@ -89,6 +89,7 @@ def test_what_raises_no_alarm_is_found(name: str) -> None:
     assert found.verdict == "missing", found
     assert [c.id for c in found.effects] == [name], found
     assert f"{name} raised no alarm by itself" in found.explanation
+    assert ("may be far too narrow" in found.explanation) == (name == "backlash")
     for one, value in truth.items():
         assert found.effects[0].parameters[one].value == pytest.approx(value, rel=0.02)
 

@@ -5,10 +5,11 @@
     python benchmarks/study_diagnosis.py run results.jsonl --kinds effects outside      # these kinds of case only
     python benchmarks/study_diagnosis.py run results.jsonl --part 0/2                   # one of two processes side by side
     python benchmarks/study_diagnosis.py table results.jsonl
+    python benchmarks/study_diagnosis.py table benchmarks/diagnosis.jsonl               # from draw 34 on
 
 Rigs are drawn within 15 % around the paper's, sampled at 500 Hz with 12 bits; every rig of an odd draw is shaken by
 random forces and torques. Where rotor and arm move apart, the rotor's share of the inertia is drawn too (0.3 for all up
-to draw 33). Draws 0 to 8 and 10 to 33 have been looked at in development, so draws begin at 34; of draws up to 69 the
+to draw 33). Draws 0 to 8 and 10 to 33 have been looked at in development, so draws begin at 34; of draws up to 94 the
 recordings with nothing hidden have been. A line of the result file is one recording: what was hidden, what was named,
 what the tests said, the commit, and the error on a validation recording of the base model, of the improved model, of a
 learned force where the catalogue lacks the effect, and of the best fit with the structure that the rig has; a model

@@ -58,11 +58,11 @@ def compiled(structure: str, data: Recording, repeats: int, *, optimistix: bool)
     import jax.numpy as jnp
     import optimistix as optx
 
-    from estimators._conditions import conditions as signals
-    from estimators._conditions import stacked
-    from estimators._linear_fit import predictor_stage, simulation_stages
-    from estimators._linear_predictor import _errors, solve
-    from estimators._prediction_error import structure_of
+    from estimators.linear.fit import structure_of
+    from estimators.linear.operating_conditions import conditions as signals
+    from estimators.linear.operating_conditions import stacked
+    from estimators.linear.predictor import _errors, solve
+    from estimators.linear.stages import predictor_stage, simulation_stages
 
     options: dict[str, Any] = {
         "input": "current", "output": "cart_position", "compensate": False, "detrend": False, "angles": None, "model": None,

@@ -52,7 +52,7 @@ def package(trajectories: int, steps: int, repeats: int, *, dry: bool) -> tuple[
     import jax
     import jax.numpy as jnp
 
-    from rtac_jax._simulate import trajectories as loop
+    from rtac_jax.simulation import trajectories as loop
 
     model = rtac.RTAC.paper() if dry else rtac.RTAC.paper().without("cart_coulomb")
     unused = np.linspace(0.0, 1e-3, steps)  # an experiment has outputs; they are not looked at

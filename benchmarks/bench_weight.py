@@ -12,7 +12,7 @@ import dkpy
 import numpy as np
 
 import estimators as est
-from estimators._nominal import log_measure
+from estimators.uncertainty.nominal_model import log_measure
 
 OMEGA = np.geomspace(1.0, 100.0, 100)
 

@@ -52,9 +52,9 @@ from diagnosis_cases import (
 
 import estimators as est
 import rtac_jax as rtac
-from estimators._add_effect import holding
-from estimators._output_error import moving
-from estimators._start import scales_of
+from estimators.core.data import moving
+from estimators.core.initial_state import scales_of
+from estimators.diagnosis.model_extension import holding
 from rtac_jax import virtual_rig
 from rtac_jax.effects import Effect
 

@@ -1,28 +1,31 @@
 """What can be learned from a recording."""
 
-from estimators._agreement import Agreement, agreement
-from estimators._attribution import SOURCES, Attribution
-from estimators._candidate import Candidate
-from estimators._compare import Comparison, compare
-from estimators._control_design import ControlDesign, control
-from estimators._diagnose import Diagnosis, diagnose
-from estimators._effect_cost import EffectCost, effect_cost
-from estimators._envelope import Envelope, envelope
-from estimators._expected import Expected, expected_std
-from estimators._frequency_response import frequency_responses
-from estimators._improve import Improvement, improve
-from estimators._least_squares import AS_IN_PAPER, ClosedForm, least_squares
-from estimators._linear_equality import Equality, Trend
-from estimators._linear_model import LinearModel
-from estimators._linear_residuals import ResidualTest
-from estimators._next_experiment import NextExperiment, PlannedExperiment, next_experiment
-from estimators._nonlinear_prediction_error import PredictorFit, prediction_error_nonlinear
-from estimators._output_error import Fit, output_error
-from estimators._prediction_error import LinearModels, prediction_error
-from estimators._profile import Profile, profile
-from estimators._response_record import FrequencyResponse, FrequencyResponses
-from estimators._results import RESULTS, DivergedError, NotIdentifiableError
-from estimators._sandwich import Covariances, covariances
+from estimators.closed_form.fit import AS_IN_PAPER, least_squares
+from estimators.closed_form.table1 import ClosedForm
+from estimators.controller.design import control
+from estimators.controller.outcome import ControlDesign
+from estimators.core.fit import Fit
+from estimators.core.results import RESULTS, DivergedError, NotIdentifiableError
+from estimators.diagnosis.candidate import Candidate
+from estimators.diagnosis.diagnose import Diagnosis, diagnose
+from estimators.diagnosis.improve import Improvement, improve
+from estimators.experiment_design.next_experiment import NextExperiment, PlannedExperiment, next_experiment
+from estimators.frequency_response.estimate import frequency_responses
+from estimators.frequency_response.response import FrequencyResponse, FrequencyResponses
+from estimators.inference.cramer_rao import Expected, expected_std
+from estimators.inference.hausman import Agreement, agreement
+from estimators.inference.profile_likelihood import Profile, profile
+from estimators.inference.robust_covariance import Covariances, covariances
+from estimators.linear.fit import LinearModels, prediction_error
+from estimators.linear.homogeneity_test import Equality, Trend
+from estimators.linear.model import LinearModel
+from estimators.linear.residual_tests import ResidualTest
+from estimators.output_error.fit import output_error
+from estimators.prediction_error.fit import PredictorFit, prediction_error_nonlinear
+from estimators.uncertainty.attribution import SOURCES, Attribution
+from estimators.uncertainty.effect_cost import EffectCost, effect_cost
+from estimators.uncertainty.envelope import Envelope, envelope
+from estimators.validation.simulation_error import Comparison, compare
 
 __all__ = [
     "AS_IN_PAPER",

@@ -3,13 +3,13 @@
 from rtac_jax import control, effects, virtual_rig
 from rtac_jax._configure import configure, require_configured
 from rtac_jax._design import design_excitation
-from rtac_jax._excitation import Excitation
-from rtac_jax._linearise import equation_4, linearise
-from rtac_jax._parameter import Declaration, Scales, parameter
 from rtac_jax._rigid_body import RigidBody
 from rtac_jax._rtac import RTAC
-from rtac_jax._simulate import Simulation, simulate
+from rtac_jax.excitation import Excitation
+from rtac_jax.linearisation import equation_4, linearise
 from rtac_jax.measurement import Experiment, Recording, RecordingError, concerns, describe
+from rtac_jax.parameters import Declaration, Scales, parameter
+from rtac_jax.simulation import Simulation, simulate
 
 __all__ = [
     "RTAC",

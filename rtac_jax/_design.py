@@ -8,10 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float64
 
-from rtac_jax._excitation import Excitation
 from rtac_jax._rtac import RTAC
-from rtac_jax._simulate import State, Steps, advance, substeps_for
+from rtac_jax.excitation import Excitation
 from rtac_jax.measurement import Experiment, Recording
+from rtac_jax.simulation import State, Steps, advance, substeps_for
 
 _FEWER = 0.9  # by which an amplitude is lowered until the travel holds
 _MOST_TRIES = 60

@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from rtac_jax._parameter import Scalar, parameter
+from rtac_jax.parameters import Scalar, parameter
 
 _TABLE_1 = "paper, Table 1(c)"
 

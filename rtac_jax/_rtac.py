@@ -7,8 +7,6 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from rtac_jax._excitation import Excitation
-from rtac_jax._parameter import Declaration, declarations
 from rtac_jax._rigid_body import RigidBody
 from rtac_jax._since import Since, through
 from rtac_jax._sincos import sincos
@@ -29,7 +27,9 @@ from rtac_jax.effects import (
     Sensor,
 )
 from rtac_jax.effects._interface import in_parts
+from rtac_jax.excitation import Excitation
 from rtac_jax.measurement import Recording
+from rtac_jax.parameters import Declaration, declarations
 
 _PLACES = {name: place for place, name in enumerate(CATALOGUE)}
 _PORTS = ("on the cart", "on the arm")

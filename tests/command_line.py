@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from estimators import cli
+from estimators.cli import app as cli
 
 
 def call(*arguments):

@@ -21,7 +21,7 @@ jaxtyping.install_import_hook([*(f"rtac_jax.{part}" for part in sorted(parts)), 
 import matplotlib  # noqa: E402 - after the hook
 
 import rtac_jax  # noqa: E402 - after the hook
-from estimators._compile import make_room  # noqa: E402 - after the hook
+from estimators.core.compilation import make_room  # noqa: E402 - after the hook
 
 rtac_jax.configure()
 # Tracing makes many objects that stay: looking through them as often as Python does by itself costs a twentieth of the time.

@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from estimators._compile import Ahead
-from estimators._refit import Refit
-from estimators._refit import Tested as Answers
-from estimators._screen import Screened
-from estimators._search import Search
+from estimators.core.compilation import Ahead
+from estimators.diagnosis.refit import Refit
+from estimators.diagnosis.refit import Tested as Answers
+from estimators.diagnosis.refitting import Search
+from estimators.misspecification.candidate_screening import Screened
 from rtac_jax.effects import CATALOGUE
 
 SIZES = {"arm_stribeck": 2, "arm_coulomb": 1, "lvdt_lag": 1, "cubic_spring": 1}

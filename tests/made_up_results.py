@@ -4,16 +4,16 @@ import dataclasses
 
 import numpy as np
 
-from estimators._add_effect import Foreseen
-from estimators._adequacy import Evidence
-from estimators._candidate import Candidate
-from estimators._compare import Compared, Comparison, Trace
-from estimators._diagnose import Diagnosis
-from estimators._force_curve import ForceCurve
-from estimators._improve import Improvement
-from estimators._latent_force import LatentForce
-from estimators._output_error import Parameter
-from estimators._where import Place
+from estimators.core.fit import Parameter
+from estimators.diagnosis.candidate import Candidate
+from estimators.diagnosis.diagnose import Diagnosis
+from estimators.diagnosis.improve import Improvement
+from estimators.diagnosis.model_extension import Foreseen
+from estimators.misspecification.adequacy import Evidence
+from estimators.misspecification.residual_maps import Place
+from estimators.misspecification.static_force import ForceCurve
+from estimators.prediction_error.latent_force import LatentForce
+from estimators.validation.simulation_error import Compared, Comparison, Trace
 from rtac_jax import RTAC
 
 NOISE = {"cart_position": 2e-5, "arm_velocity": 0.05, "arm_angle": 1e-3}

@@ -1,22 +1,76 @@
 """Pictures of recordings and results; each function returns a figure whose title says what it shows."""
 
-from estimators.plots._agreement import plot_agreement
-from estimators.plots._bands import plot_bands
-from estimators.plots._comparison import plot_comparison
-from estimators.plots._confusion import plot_confusion
-from estimators.plots._control import plot_batch, plot_closed_loop, plot_margins, plot_synthesis
-from estimators.plots._diagnosis import plot_diagnosis
-from estimators.plots._envelope import plot_effect_cost, plot_envelope, plot_responses
-from estimators.plots._improvement import plot_improvement
-from estimators.plots._next_experiment import plot_next_experiment
-from estimators.plots._prediction_error import plot_equality, plot_innovations, plot_prediction_error
-from estimators.plots._profile import plot_profile
-from estimators.plots._recording import plot_recording
-from estimators.plots._residuals import plot_residuals
-from estimators.plots._table1 import plot_table_1
-from estimators.plots._where import plot_where
+import functools
+from typing import Any
+
+from estimators.closed_form.table1 import ClosedForm
+from estimators.controller.outcome import ControlDesign
+from estimators.diagnosis.diagnose import Diagnosis
+from estimators.diagnosis.improve import Improvement
+from estimators.experiment_design.next_experiment import NextExperiment
+from estimators.frequency_response.response import FrequencyResponses
+from estimators.inference.hausman import Agreement
+from estimators.inference.profile_likelihood import Profile
+from estimators.linear.fit import LinearModels
+from estimators.linear.homogeneity_test import Equality
+from estimators.plots.agreement import plot_agreement
+from estimators.plots.bands import plot_bands
+from estimators.plots.comparison import plot_comparison
+from estimators.plots.confusion import plot_confusion
+from estimators.plots.control import plot_batch, plot_closed_loop, plot_margins, plot_synthesis
+from estimators.plots.diagnosis import plot_diagnosis
+from estimators.plots.envelope import plot_effect_cost, plot_envelope, plot_responses
+from estimators.plots.improvement import plot_improvement
+from estimators.plots.next_experiment import plot_next_experiment
+from estimators.plots.prediction_error import plot_equality, plot_innovations, plot_prediction_error
+from estimators.plots.profile import plot_profile
+from estimators.plots.recording import plot_recording
+from estimators.plots.residuals import plot_residuals
+from estimators.plots.table1 import plot_table_1
+from estimators.plots.where import plot_where
+from estimators.prediction_error.fit import PredictorFit
+from estimators.uncertainty.effect_cost import EffectCost
+from estimators.uncertainty.envelope import Envelope
+from estimators.validation.simulation_error import Comparison
+
+
+@functools.singledispatch
+def draw(result: Any, *arguments: Any) -> Any:
+    """Draw the picture that belongs to a result; each type of result registers its own below.
+
+    Raises:
+        TypeError: no picture is registered for results of this type.
+    """
+    raise TypeError(
+        f"there is no picture of a {type(result).__name__}; the functions of estimators.plots draw what there is."
+    )
+
+
+for _type, _picture in {
+    Agreement: plot_agreement,
+    ClosedForm: plot_table_1,
+    Comparison: plot_comparison,
+    Diagnosis: plot_diagnosis,
+    EffectCost: plot_effect_cost,
+    Envelope: plot_envelope,
+    Equality: plot_equality,
+    FrequencyResponses: plot_responses,
+    Improvement: plot_improvement,
+    LinearModels: plot_prediction_error,
+    NextExperiment: plot_next_experiment,
+    PredictorFit: plot_innovations,
+    Profile: plot_profile,
+}.items():
+    draw.register(_type, _picture)
+
+
+@draw.register
+def _(result: ControlDesign) -> Any:
+    return plot_closed_loop(result.free, {"closed loop": result.closed})
+
 
 __all__ = [
+    "draw",
     "plot_agreement",
     "plot_bands",
     "plot_batch",

@@ -11,13 +11,13 @@ from jaxtyping import Array, Float
 from scipy.linalg import expm
 
 from rtac_jax._configure import require_configured
-from rtac_jax._excitation import Excitation
 from rtac_jax._rtac import RTAC
-from rtac_jax._simulate import advance, substeps_for
 from rtac_jax.control._checks import state_space
 from rtac_jax.control._response import ClosedLoop
 from rtac_jax.control._units import Actuation, Units
 from rtac_jax.effects import Input
+from rtac_jax.excitation import Excitation
+from rtac_jax.simulation import advance, substeps_for
 
 _FINE = 5e-4  # s, step of a continuous controller
 

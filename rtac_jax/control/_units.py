@@ -5,8 +5,8 @@ import dataclasses
 import control as ct
 import numpy as np
 
-from rtac_jax._linearise import linearise
 from rtac_jax._rtac import RTAC
+from rtac_jax.linearisation import linearise
 
 # Found with the rules of `propose_weights`, by a search over closed loops of plants about Table 1(c).
 _SWING = 0.9  # rad

@@ -12,8 +12,8 @@ from typing import Any, ClassVar, NamedTuple
 import equinox as eqx
 from jaxtyping import Array, Float
 
-from rtac_jax._parameter import Scales, declarations
 from rtac_jax._rigid_body import RigidBody
+from rtac_jax.parameters import Scales, declarations
 
 Values = Float[Array, "*#batch"]
 """One number per trajectory, or one for all."""

@@ -5,9 +5,9 @@ from typing import Any, ClassVar
 import jax.numpy as jnp
 import numpy as np
 
-from rtac_jax._parameter import Scalar, parameter
 from rtac_jax.effects._interface import Actuator, Motion, States
 from rtac_jax.effects._lag import averaged, behind
+from rtac_jax.parameters import Scalar, parameter
 
 _TAO = "Tao and Kokotovic, Adaptive Control of Systems with Actuator and Sensor Nonlinearities (1996)"
 

@@ -5,8 +5,8 @@ from typing import Any, ClassVar
 import jax.numpy as jnp
 import numpy as np
 
-from rtac_jax._parameter import Scalar, parameter
 from rtac_jax.effects._interface import DryFriction, Force, Motion, States
+from rtac_jax.parameters import Scalar, parameter
 
 
 class ArmViscous(Force):

@@ -8,9 +8,9 @@ from typing import Any, ClassVar
 import jax.numpy as jnp
 import numpy as np
 
-from rtac_jax._excitation import BEYOND
-from rtac_jax._parameter import Scalar, parameter
 from rtac_jax.effects._interface import Input, Pieces
+from rtac_jax.excitation import BEYOND
+from rtac_jax.parameters import Scalar, parameter
 
 _POLE = np.sqrt(3.0) - 2.0  # of the cubic spline through equidistant points: 1 / (z + 4 + 1/z)
 _REACH = BEYOND  # intervals, after which it is below 1e-6

@@ -2,9 +2,9 @@
 
 from typing import Any, ClassVar
 
-from rtac_jax._parameter import Scalar, parameter
 from rtac_jax._sincos import sincos
 from rtac_jax.effects._interface import Force, Motion, States
+from rtac_jax.parameters import Scalar, parameter
 
 
 class Cogging(Force):

@@ -2,8 +2,8 @@
 
 from typing import Any, ClassVar
 
-from rtac_jax._parameter import Scalar, parameter
 from rtac_jax.effects._interface import Force, Motion, States
+from rtac_jax.parameters import Scalar, parameter
 
 STANDARD_GRAVITY = 9.80665  # m/s^2, CGPM 1901
 

@@ -4,9 +4,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from rtac_jax._parameter import Scalar, parameter
 from rtac_jax._sincos import sincos
 from rtac_jax.effects._interface import Outputs, Sensor, States
+from rtac_jax.parameters import Scalar, parameter
 
 
 class TachoRipple(Sensor):

@@ -9,9 +9,9 @@ from typing import Any, ClassVar
 import jax.numpy as jnp
 import numpy as np
 
-from rtac_jax._parameter import Scalar, parameter
 from rtac_jax.effects._interface import Motion, Outputs, Sensor, States
 from rtac_jax.effects._lag import behind
+from rtac_jax.parameters import Scalar, parameter
 
 _AMPLIFIER = "gain and offset of an analogue amplifier; Doebelin, Measurement Systems (2004), chapter 3"
 _FIRST_ORDER = "first-order instrument; Doebelin, Measurement Systems (2004), chapter 3"

@@ -8,9 +8,9 @@ from typing import Any, ClassVar
 import jax.numpy as jnp
 import numpy as np
 
-from rtac_jax._parameter import Scalar, parameter
 from rtac_jax._rigid_body import RigidBody
 from rtac_jax.effects._interface import Force, Impact, Motion, Outputs, States
+from rtac_jax.parameters import Scalar, parameter
 
 
 def _rotor_share(grid: tuple[float, ...]) -> Any:

@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from rtac_jax._parameter import Scalar, parameter
 from rtac_jax.effects._interface import Force, Motion, States
+from rtac_jax.parameters import Scalar, parameter
 
 VARIABLES = (
     "cart_position",

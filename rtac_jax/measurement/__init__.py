@@ -18,11 +18,13 @@ from ._filter import central_difference, zero_phase_lowpass
 from ._info import describe
 from ._recording import Recording
 from ._signal import INPUTS, OUTPUTS, Signal
+from .plan import Plan
 
 __all__ = [
     "INPUTS",
     "OUTPUTS",
     "Experiment",
+    "Plan",
     "Recording",
     "RecordingError",
     "Signal",

@@ -12,7 +12,7 @@ from jaxtyping import Float64
 
 from ._columns import assemble, check_options
 from ._errors import RecordingError
-from ._replace import replacing
+from .atomic_write import replacing
 
 if TYPE_CHECKING:
     from ._recording import Recording

@@ -11,8 +11,8 @@ from jaxtyping import Float64
 
 from ._errors import RecordingError
 from ._experiment import Experiment, check_name
-from ._replace import replacing
 from ._signal import INPUTS, OUTPUTS, Signal
+from .atomic_write import replacing
 
 if TYPE_CHECKING:
     from ._recording import Recording

@@ -17,8 +17,10 @@ from itertools import groupby
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline, CubicSpline, make_interp_spline
 
+from rtac_jax.measurement.plan import Plan
+
 from ._effects import BUILDERS, Batch, friction_bound
-from ._rig import Plan, Rig
+from ._rig import Rig
 
 _HOLD = 1e-3  # random forces are held for about this long [s]
 

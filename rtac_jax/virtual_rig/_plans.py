@@ -5,7 +5,7 @@ from typing import Literal
 
 import numpy as np
 
-from ._rig import Plan
+from rtac_jax.measurement.plan import Plan
 
 _BAND = (0.3, 8.0)  # [Hz], the multisine's lines
 _CORNER = 1.7  # [Hz], near the resonance of the cart; above it the current falls

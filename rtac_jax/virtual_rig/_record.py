@@ -6,9 +6,10 @@ from typing import Any
 import numpy as np
 
 from rtac_jax.measurement import Experiment, Recording
+from rtac_jax.measurement.plan import Plan
 
 from ._motion import Track, integrate
-from ._rig import Plan, Rig
+from ._rig import Rig
 
 
 def record(rig: Rig, plans: Sequence[Plan], *, seed: int, step: float = 2e-4, write_noise: bool = False) -> Recording:

@@ -1,0 +1,233 @@
+"""What every command of `rtac` does around its work: read, refuse in one sentence, hold out, write."""
+
+import os
+import secrets
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NoReturn
+
+import typer
+
+NOT_POSSIBLE, WRONG_USE, INTERRUPTED = 1, 2, 130
+
+
+class Job:
+    """One run of a command on one recording.
+
+    Attributes:
+        file: the recording's path, or the name to show for it.
+        recording: all of it.
+        train, held_out: what is fitted and what tests the fit; `held_out` is None where nothing can be spared.
+        not_split: why not.
+        remark: what a reader must know of the result beside it.
+        folder: for the report and the figures, or None.
+        json: file for the numbers, or None.
+    """
+
+    def __init__(
+        self, file: str, recording: Any, validation: str | None, folder: Path | None, json: Path | None, began: float
+    ) -> None:
+        self.file, self.recording, self.folder, self.json, self.began = file, recording, folder, json, began
+        self.names = _names(recording, validation)
+        self.train, self.held_out, self.not_split = _split(recording, self.names)
+        self.remark = (
+            f"Fitted to all experiments, and nothing validates the result: {self.not_split}"
+            if self.held_out is None
+            else ""
+        )
+
+    @property
+    def seconds(self) -> float:
+        """Since the command began."""
+        return time.perf_counter() - self.began
+
+    @property
+    def held(self) -> str:
+        """Caption of a picture of what tests the fit."""
+        return "Experiments that were fitted." if self.held_out is None else "Held-out experiments."
+
+    def model(self) -> Any:
+        """The paper's model with the constants of the file."""
+        from estimators.core.data import moving
+        from rtac_jax import RTAC
+
+        moving(self.recording)
+        try:
+            return RTAC.from_rig(self.recording)
+        except ValueError as error:
+            stop(WRONG_USE, str(error))
+
+    def fitted(self, model: Any) -> Any:
+        """Output-error fit to the training part."""
+        import estimators as est
+
+        with self.explaining():
+            return est.output_error(model, self.train, progress=progress())
+
+    def compared(self, fits: Any, labels: Sequence[str] | None = None) -> tuple[Any, Any]:
+        """Fits against the training part and against what was held out, or None."""
+        import estimators as est
+
+        tested = None if self.held_out is None else est.compare(fits, self.held_out, labels=labels)
+        return est.compare(fits, self.train, labels=labels), tested
+
+    @contextmanager
+    def explaining(self) -> Iterator[None]:
+        """Where a fit runs away because nothing fixes the scale, say so."""
+        from estimators.core.results import DivergedError, NotIdentifiableError
+        from rtac_jax.measurement import concerns
+
+        try:
+            yield
+        except DivergedError as error:
+            scale = [said for said in concerns(self.recording) if said.startswith("The scale is not fixed")]
+            if scale:
+                raise NotIdentifiableError(scale[0]) from error
+            raise
+
+    def write_json(self, content: Any) -> None:
+        """Write the numbers, if a file was named."""
+        from estimators.reporting import html as _report_file
+
+        if self.json is not None:
+            _report_file.write_json(self.json, content)
+
+    def write_report(
+        self,
+        title: str,
+        figures: dict[str, Any],
+        sections: Sequence[tuple[str, Sequence[Any]]],
+        *,
+        split: tuple[Sequence[str], Sequence[str]] | None = None,
+    ) -> None:
+        """Write figures and report.html; `split` names what was fitted and held out, where that is not the job's own."""
+        from estimators.reporting import html as _report_file
+
+        assert self.folder is not None
+        fitted, apart = split or (self.train.names, self.held_out.names if self.held_out is not None else ())
+        settings = _report_file.Table(
+            ("setting", "value"),
+            (
+                ("recording", self.file),
+                ("fitted to", ", ".join(fitted)),
+                ("held out", ", ".join(apart) or "nothing"),
+                ("took", f"{self.seconds:.0f} s"),
+            ),
+        )
+        whole = [(heading, [block for block in blocks if block != ""]) for heading, blocks in sections]
+        images = _report_file.write_figures(self.folder, figures)
+        whole.append(("Settings and versions", [settings, _report_file.versions()]))
+        _report_file.write_report(self.folder / "report.html", title, whole, images=images)
+        typer.echo(f"\nreport: {self.folder / 'report.html'}")
+
+
+@contextmanager
+def job(file: Path, validation: str | None = None, out: Path | None = None, json: Path | None = None) -> Iterator[Job]:
+    """A command's work on a recording; what goes wrong inside becomes one sentence and an exit status."""
+    began = time.perf_counter()
+    with answering():
+        folder = None if out is None else writable_folder(out)
+        if json is not None:
+            if json.is_dir():
+                stop(WRONG_USE, f"{json}: is a folder; name a file for --json.")
+            writable_folder(json.parent)
+        recording = load(file)
+        prepare()
+        yield Job(file.name, recording, validation, folder, json, began)
+
+
+@contextmanager
+def answering() -> Iterator[None]:
+    """Turn what may go wrong with data or files into one sentence and an exit status."""
+    # Deferred, so that the help comes up without them.
+    from estimators.core.results import DivergedError
+    from rtac_jax.measurement import RecordingError
+
+    try:
+        yield
+    except (RecordingError, OSError) as error:
+        stop(WRONG_USE, _sentence(error))
+    except (ValueError, DivergedError, FloatingPointError) as error:
+        stop(NOT_POSSIBLE, _sentence(error))
+    except KeyboardInterrupt:
+        stop(INTERRUPTED, "interrupted; nothing that was not complete has been written.")
+    except MemoryError:
+        stop(INTERRUPTED, "there is not enough memory for this recording; cut it with Experiment.cut.")
+
+
+def stop(status: int, sentence: str) -> NoReturn:
+    """Say one sentence and end with a status."""
+    typer.echo(f"rtac: {sentence}", err=True)
+    raise typer.Exit(status)
+
+
+def load(file: Path) -> Any:
+    """The recording."""
+    from rtac_jax.measurement import Recording
+
+    return Recording.load(file)
+
+
+def prepare() -> None:
+    """Before anything is computed or drawn."""
+    import matplotlib
+
+    import rtac_jax
+
+    matplotlib.use("Agg")
+    rtac_jax.configure()
+
+
+def progress() -> bool:
+    """Bars are for people."""
+    return sys.stderr.isatty()
+
+
+def say(*blocks: Any) -> None:
+    """Paragraphs and tables, an empty line between them."""
+    typer.echo("\n\n".join(str(block) for block in blocks if str(block)))
+
+
+def writable_folder(folder: Path) -> Path:
+    """The folder, made if need be, and tried before anything is computed."""
+    probe = folder / f".{secrets.token_hex(4)}.part"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        probe.touch(exist_ok=False)
+        os.unlink(probe)
+    except OSError as error:
+        stop(WRONG_USE, f"{folder}: cannot be written to ({error.strerror}); name another place.")
+    return folder
+
+
+def _sentence(error: Exception) -> str:
+    if isinstance(error, OSError) and error.filename is not None and error.strerror:
+        return f"{error.filename}: {error.strerror}."
+    return " ".join(str(error).split())
+
+
+def _names(recording: Any, validation: str | None) -> list[str] | None:
+    """The experiments named on the command line; a name may hold a comma itself."""
+    if validation is None:
+        return None
+    if validation in recording.names:
+        return [validation]
+    names = [name.strip() for name in validation.split(",") if name.strip()]
+    if not names:
+        stop(WRONG_USE, f"--validation names no experiment; choose among {', '.join(recording.names)}.")
+    return names
+
+
+def _split(recording: Any, names: list[str] | None) -> tuple[Any, Any, str]:
+    """Train, validation or None, and why nothing could be held out."""
+    from rtac_jax.measurement import RecordingError
+
+    try:
+        return (*recording.split(names), "")
+    except RecordingError as error:
+        if names is not None:
+            raise
+        return recording, None, str(error)

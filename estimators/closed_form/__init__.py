@@ -1,0 +1,1 @@
+"""Least squares in closed form, as in the paper and by modulating functions."""

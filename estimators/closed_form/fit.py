@@ -1,0 +1,129 @@
+"""Closed form: equations (5) and (6) of the paper, by filtered differences or against test functions."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from estimators.closed_form.modulating_functions import integrated_terms
+from estimators.closed_form.regressors import Terms, automatic_cutoff, sampled_terms
+from estimators.closed_form.table1 import ClosedForm, ClosedFormOptions
+from estimators.closed_form.two_stage import Estimates, Weighting, forced_stage, free_stage
+from estimators.core.sensor_noise import noise_levels
+from rtac_jax import RTAC
+from rtac_jax.measurement import Experiment, Recording
+
+_TURNS = 4
+_DRY = "cart_coulomb.level"
+AS_IN_PAPER: Mapping[str, Any] = {"weighting": "none", "near_zero": 0.0}
+"""Options of `least_squares` that leave out what the paper does not write of: weights, and samples where the cart hardly moves."""
+
+
+def least_squares(
+    model: RTAC,
+    recording: Recording,
+    *,
+    weak: bool = False,
+    instruments: bool = False,
+    reaction: bool | None = None,
+    weighting: Weighting = "residual",
+    cutoff: float | None = None,
+    near_zero: float | None = None,
+) -> ClosedForm:
+    """Closed-form estimates: free oscillation first, then, with those known, forced oscillation.
+
+    By default as the paper does it, on filtered and differentiated measurements, with choices of our own where it is silent:
+    the filter's cut-off, the weights of the two equations, and leaving out samples where the cart hardly moves, without
+    which v and d of a decay that ends at rest are off by a factor. `**AS_IN_PAPER` leaves the last two out. With `weak` both
+    equations are integrated against test functions instead, which takes the errors of the regressors away.
+
+    Args:
+        model: gives the constants known beforehand (its fixed parameters) and which parameters there are.
+        weak: integrate against test functions instead of differentiating.
+        instruments: with `weak`, take the arm's velocity from before a test function began as the instrument for its friction, so
+            that random torques, which drive the motion that they disturb, do not bias it. From one experiment that is a
+            quotient of two uncertain numbers, so prefer `pooled`.
+        reaction: in free oscillation, count the arm's reaction instead of neglecting it as the paper does; by default only
+            with `weak`.
+        weighting: of the two equations of forced oscillation: "residual" for each by its own error, "inertia" for
+            accelerations, dividing by M+m and I+me^2, "none" for forces and torques as they are.
+        cutoff: of the ninth-order zero-phase Chebyshev filter [Hz]; by default where each spectrum sinks into the noise.
+        near_zero: samples slower than this share of the rms velocity are left out, because the sign of a filtered velocity
+            is wrong there; by default 0.05. With `weak` test functions over which the cart is slower than this share of its
+            fastest stretch; by default 0.2.
+
+    Returns:
+        Estimates per experiment and together. A stage without suitable experiments leaves the model's values.
+
+    Raises:
+        ValueError: an option is unknown or does not go with another.
+
+    Source: paper, equations (5) and (6), section 4.2; weak form: Preisig and Rippin, Comput. Chem. Eng. 17 (1993).
+    """
+    if weighting not in ("residual", "inertia", "none"):
+        raise ValueError(f"weighting is {weighting!r}; use 'residual', 'inertia' or 'none'.")
+    if weak and cutoff is not None:
+        raise ValueError("cutoff belongs to the filter, and the weak form has none; leave out cutoff, or weak=True.")
+    if instruments and not weak:
+        raise ValueError("instruments are integrals over earlier test functions; add weak=True.")
+    near = near_zero if near_zero is not None else 0.2 if weak else 0.05
+    options = ClosedFormOptions(weak, instruments, weak if reaction is None else reaction, weighting, cutoff, near)
+    levels = noise_levels(recording.experiments)
+    return closed_form(model, [e for e in recording.experiments if e.kind != "rest"], levels, options)
+
+
+def closed_form(
+    model: RTAC,
+    experiments: Sequence[Experiment],
+    levels: Mapping[str, float],
+    options: ClosedFormOptions,
+    *,
+    settled: bool = False,
+) -> ClosedForm:
+    """The estimates of `least_squares` with its options already made.
+
+    Args:
+        experiments: moving ones.
+        levels: noise of each channel, SI units.
+        settled: the model is near the result already, as for a replicate of the same recording, so one turn will do.
+    """
+    skipped: dict[str, str] = {}
+    used: dict[str, float] = {}
+
+    def terms(model: RTAC) -> list[Terms]:
+        dry = float(model[_DRY]) / float(model["total_mass"]) if _DRY in model.parameters else 0.0
+        drive = float(model["torque_constant"]) / float(model["arm_inertia"])
+        found = []
+        for experiment in experiments:
+            try:
+                if options.weak:
+                    near = options.near_zero
+                    found.append(integrated_terms(experiment, levels, near_zero=near, dry_rate=dry, drive_rate=drive))
+                else:
+                    limit = options.cutoff if options.cutoff is not None else automatic_cutoff(experiment, levels)
+                    found.append(sampled_terms(experiment, limit, near_zero=options.near_zero))
+                    used[experiment.name] = limit
+            except ValueError as error:
+                skipped[experiment.name] = str(error)
+        return found
+
+    # The weak form needs the dry friction to find the cart's turns, and the arm's reaction in free oscillation needs me,
+    # which only forced oscillation gives: both settle in a few turns.
+    first = model.with_values({_DRY: 0.0}) if options.weak and not settled and _DRY in model.parameters else model
+    ready = terms(first)
+    ratios: dict[str, Estimates] = {}
+    estimates: dict[str, Estimates] = {}
+    more: dict[str, Estimates] = {}
+    for turn in range(2 if settled else _TURNS if options.weak or options.reaction else 1):
+        if options.weak and turn in (1, 2) and not settled:
+            ready = terms(model)
+        pushed = any(t.pushed for t in ready)
+        free = [t for t in ready if np.any(t.cart["spring"]) and not t.driven and t.pushed == pushed]
+        forced = [t for t in ready if t.driven and t.has_arm and t.arm_free]
+        model, ratios, estimates = free_stage(
+            model, free, pushed=pushed, reaction=options.reaction, acceleration=options.weak
+        )
+        model, more = forced_stage(
+            model, forced, weighting=options.weighting, alone=not ratios, instruments=options.instruments
+        )
+    return ClosedForm(model, ratios, estimates | more, used, skipped, options)

@@ -1,0 +1,135 @@
+"""Table 1 of the paper, in its form: estimates from free and from forced oscillation, and the rig's parameters."""
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from estimators.closed_form.two_stage import Estimates, Weighting
+from estimators.core.drawing import draw
+from rtac_jax import RTAC
+
+CONSISTENT = 0.3
+SYMBOLS = {
+    "eccentric_moment": "me",
+    "torque_constant": "K_m",
+    "arm_viscous.positive": "K_v1",
+    "arm_viscous.negative": "K_v2",
+}
+
+
+class Printed(NamedTuple):
+    """A mean of Table 1 and its standard deviation over experiments, divided by the mean."""
+
+    mean: float
+    consistency: float
+
+
+PAPER: Mapping[str, Printed] = {
+    "(M+m)/k": Printed(9.27e-3, 0.0064),
+    "v/k": Printed(4.18e-3, 0.0968),
+    "d/k": Printed(1.81e-4, 0.1474),
+    "eccentric_moment": Printed(1.06e-3, 0.155),
+    "torque_constant": Printed(8.04e-2, 0.062),
+    "arm_viscous.positive": Printed(1.39e-4, 0.34),
+    "arm_viscous.negative": Printed(1.49e-4, 0.33),
+}
+"""Table 1(a) and (b) as the paper prints them, for its real rig; SI units."""
+
+
+@dataclasses.dataclass(frozen=True)
+class ClosedFormOptions:
+    """How closed-form estimates were made; see the arguments of `least_squares`."""
+
+    weak: bool
+    instruments: bool
+    reaction: bool
+    weighting: Weighting
+    cutoff: float | None
+    near_zero: float
+
+
+@dataclasses.dataclass(frozen=True)
+class ClosedForm:
+    """Result of `least_squares`.
+
+    Attributes:
+        model: the model with these estimates.
+        ratios: (M+m)/k, v/k and d/k from free oscillation, Table 1(a).
+        estimates: parameters in SI units, by name; Table 1(b) and (c).
+        cutoff: of the low-pass filter, per experiment [Hz]; empty for the weak form.
+        skipped: why an experiment was not used, by name.
+        options: how the estimates were made.
+    """
+
+    model: RTAC
+    ratios: Mapping[str, Estimates]
+    estimates: Mapping[str, Estimates]
+    cutoff: Mapping[str, float]
+    skipped: Mapping[str, str]
+    options: ClosedFormOptions
+
+    @property
+    def consistent(self) -> bool:
+        """The paper's rule: every estimate scatters over the experiments by less than 30 % of its mean."""
+        known = [e.consistency for e in {**self.ratios, **self.estimates}.values() if np.isfinite(e.consistency)]
+        return bool(known) and all(c < CONSISTENT for c in known)
+
+    def __str__(self) -> str:
+        return table_1(self)
+
+    def plot(self) -> Any:
+        """Estimates from each experiment, as a matplotlib figure."""
+        return draw(self)
+
+
+def table_1(found: ClosedForm) -> str:
+    """Table 1(a), (b) and (c) of these estimates as text, with the paper's rule on consistency."""
+    forced = {SYMBOLS[n]: found.estimates[n] for n in SYMBOLS if n in found.estimates}
+    parts = []
+    for letter, kind, columns in (("a", "free", found.ratios), ("b", "forced", forced)):
+        if not columns:
+            parts.append(f"({letter}) {kind} oscillation: no experiment that serves")
+            continue
+        count = max(len(e.each) for e in columns.values())
+        rows = [
+            ["", *(f"{n} [{e.unit}]" for n, e in columns.items())],
+            ["Mean", *(f"{e.value:.4g}" for e in columns.values())],
+            ["Std.dev. / Mean", *(_percent(e.consistency) for e in columns.values())],
+            ["Std.dev. of mean", *("" if np.isnan(e.std) else f"{e.std:.2g}" for e in columns.values())],
+        ]
+        parts.append(f"({letter}) {kind} oscillation, {count} experiment{'s' * (count != 1)}\n{_aligned(rows)}")
+    coupling = float(np.asarray(found.model.body.coupling()))
+    rows = [["Coupling parameter", "epsilon", f"{coupling:.4g}", ""]]
+    places = ("Total mass", "total_mass"), ("Arm inertia", "arm_inertia"), ("Spring stiffness", "spring_stiffness")
+    others = tuple((found.model.parameters[n].meaning.capitalize(), n) for n in found.estimates)
+    for title, name in dict.fromkeys((*places, *(o for o in others if o[1] not in dict((b, a) for a, b in places)))):
+        declared = found.model.parameters[name]
+        rows.append([title, declared.symbol, f"{float(np.mean(np.asarray(found.model[name]))):.5g}", declared.unit])
+    parts.append(f"(c) parameters of the rig\n{_aligned(rows)}")
+    return "\n\n".join([*parts, _rule(found)])
+
+
+def _rule(found: ClosedForm) -> str:
+    known = {n: e.consistency for n, e in {**found.ratios, **found.estimates}.items() if np.isfinite(e.consistency)}
+    if not known:
+        return "One experiment of a kind has no scatter: record several to judge consistency."
+    loose = [f"{SYMBOLS.get(n, n)} ({_percent(c)})" for n, c in known.items() if not c < 0.3]
+    if loose:
+        return f"Not consistent by the paper's rule of 30 %: {', '.join(loose)}."
+    return "Consistent by the paper's rule: all standard deviations are below 30 % of their means."
+
+
+def _percent(share: float) -> str:
+    return "" if np.isnan(share) else f"{100 * share:.3g} %"
+
+
+def _aligned(rows: list[list[str]]) -> str:
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+    return "\n".join(
+        "  ".join(
+            t.ljust(w) if i == 0 else t.rjust(w) for i, (t, w) in enumerate(zip(row, widths, strict=True))
+        ).rstrip()
+        for row in rows
+    )

@@ -1,0 +1,1 @@
+"""The H-infinity controller for an envelope, tried on the nonlinear model."""

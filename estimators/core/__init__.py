@@ -1,0 +1,1 @@
+"""Data, unknowns, residual, optimiser and results that every estimator shares."""

@@ -1,0 +1,120 @@
+"""Recordings as arrays, and what loads and cuts them."""
+
+import hashlib
+import itertools
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from rtac_jax import Excitation
+from rtac_jax.excitation import BEYOND
+from rtac_jax.measurement import OUTPUTS, Experiment, Recording
+from rtac_jax.time_loop import room_for
+
+CHANNELS = tuple(OUTPUTS)
+Values = Float[np.ndarray, " sample"]
+Outputs3 = Float[Array, "sample output experiment"]
+
+
+class Data(eqx.Module):
+    """Experiments as arrays of one shape, with room for more samples than the longest has.
+
+    Attributes:
+        excitation: the inputs.
+        values: outputs in the order of `CHANNELS`; zero where there is none.
+        present: 1 where an output was measured, else 0.
+        trusted: 0 where a filter follows the outputs but its likelihood and its innovations do not count, else 1.
+        length: samples of the longest experiment, or of the part of all experiments that is run through.
+    """
+
+    excitation: Excitation
+    values: Outputs3
+    present: Outputs3
+    trusted: Float[Array, "sample experiment"]
+    length: Int[Array, ""]
+
+    @classmethod
+    def of(cls, experiments: Sequence[Experiment]) -> "Data":
+        """Stack experiments of any lengths and channels."""
+        samples = max(e.samples for e in experiments)
+        values = np.full((room_for(samples + BEYOND), len(CHANNELS), len(experiments)), np.nan)
+        for column, experiment in enumerate(experiments):
+            for row, channel in enumerate(CHANNELS):
+                if channel in experiment.outputs:
+                    values[: experiment.samples, row, column] = experiment.outputs[channel].values
+        present = np.isfinite(values)
+        return cls(
+            Excitation.of(experiments, room=len(values)),
+            jnp.asarray(np.where(present, values, 0.0)),
+            jnp.asarray(present.astype(float)),
+            jnp.ones((values.shape[0], values.shape[2])),
+            jnp.asarray(samples),
+        )
+
+    @property
+    def counted(self) -> Outputs3:
+        """1 where an output was measured and counts, else 0."""
+        return self.present * self.trusted[:, None]
+
+    @property
+    def room(self) -> int:
+        """Length of the arrays."""
+        return self.values.shape[0]
+
+    @property
+    def samples(self) -> int:
+        """Length of the longest experiment; not within compiled code."""
+        return int(self.length)
+
+    @property
+    def experiments(self) -> int:
+        """How many there are."""
+        return self.values.shape[2]
+
+
+def mark_of(experiment: Experiment) -> str:
+    """A digest of what was measured; another recording may hold an experiment of the same name."""
+    digest = hashlib.blake2b(digest_size=16)
+    for channel in sorted(experiment.outputs):
+        digest.update(channel.encode() + np.ascontiguousarray(experiment.outputs[channel].values).tobytes())
+    return digest.hexdigest()
+
+
+def moving(recording: Recording) -> list[Experiment]:
+    """The experiments that are not rest records.
+
+    Raises:
+        ValueError: there is none.
+    """
+    found = [e for e in recording.experiments if e.kind != "rest"]
+    if not found:
+        raise ValueError("the recording holds rest records only; add an experiment in which the rig moves.")
+    return found
+
+
+def pieces(experiments: Sequence[Experiment], longest: int = 8192, length: int = 512) -> list[Experiment]:
+    """Long experiments cut into pieces that are simulated side by side, each with a start of its own.
+
+    Only where every piece shows where it starts: with the arm locked or its angle measured.
+    """
+    found = []
+    for e in experiments:
+        if e.samples <= longest or (e.arm == "free" and "arm_angle" not in e.outputs):
+            found.append(e)
+            continue
+        edges = np.linspace(0, e.samples, round(e.samples / length) + 1).astype(int)
+        for first, last in itertools.pairwise(edges):
+            found.append(e.cut(int(first), int(last), f"{e.name}[{first}:{last}]"))
+    return found
+
+
+def filled(values: Values) -> Values:
+    """The signal with its gaps bridged by straight lines."""
+    bad = ~np.isfinite(values)
+    if not bad.any():
+        return values
+    index = np.arange(len(values))
+    return np.interp(index, index[~bad], values[~bad])

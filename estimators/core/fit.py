@@ -1,0 +1,68 @@
+"""What every fit of a physical model tells: estimates, how sure they are, and how it ended."""
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from estimators.core.fisher_information import Information
+from estimators.core.results import RESULTS
+from rtac_jax import RTAC
+
+
+@dataclasses.dataclass(frozen=True)
+class Parameter:
+    """An estimate: value, standard deviation (zero where the parameter is fixed) and unit."""
+
+    value: float
+    std: float
+    unit: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Fit:
+    """Result of `output_error`.
+
+    Attributes:
+        model: with the estimated values; parameters of each experiment as arrays in the order of `experiments`.
+        result: how it ended.
+        information: covariance and identifiability of the free parameters.
+        noise: standard deviation of each channel's sensor noise.
+        residual_std: rms of each channel's residual, which weighted the channels.
+        start: states at the start of each experiment, SI units.
+        experiments: names of the experiments.
+        statistics: cost, steps, seconds, starts and how many agreed, substeps.
+        marks: of each experiment's measurements, which tell it from another of the same name.
+    """
+
+    model: RTAC
+    result: RESULTS
+    information: Information
+    noise: Mapping[str, float]
+    residual_std: Mapping[str, float]
+    start: Mapping[str, Float[np.ndarray, " state"]]
+    experiments: tuple[str, ...]
+    statistics: Mapping[str, Any]
+    marks: Mapping[str, str] = dataclasses.field(default_factory=dict)
+
+    @property
+    def parameters(self) -> dict[str, Parameter]:
+        """Every shared parameter with its standard deviation."""
+        deviations = dict(zip(self.information.names, np.sqrt(np.diagonal(self.information.covariance)), strict=True))
+        return {
+            name: Parameter(float(np.asarray(self.model[name])), float(deviations.get(name, 0.0)), declared.unit)
+            for name, declared in self.model.parameters.items()
+            if name not in self.model.per_experiment
+        }
+
+    def __str__(self) -> str:
+        lines = [f"{'parameter':30s} {'value':>12s} {'std':>10s}  unit"]
+        for name, found in self.parameters.items():
+            spread = f"{found.std:.2g}" if name in self.information.names else "fixed"
+            lines.append(f"{name:30s} {found.value:12.6g} {spread:>10s}  {found.unit}")
+        for channel, rms in self.residual_std.items():
+            lines.append(f"residual of {channel}: {rms:.4g} rms, {rms / self.noise[channel]:.2f} times its noise")
+        agreed = f"{self.statistics['agreed']} of {self.statistics['starts']} starts agree"
+        return "\n".join([*lines, f"{RESULTS[self.result]} {agreed}."])

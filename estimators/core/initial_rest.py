@@ -1,0 +1,49 @@
+"""Where a simulation begins: states at the start that the first samples do not show."""
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from estimators.core.levenberg_marquardt import Arguments, plain_residual
+from estimators.core.parameter_space import Space, Unknowns
+from rtac_jax import RTAC
+
+_SPEEDS = (1, 3)  # rows of the cart's and the arm's
+
+
+def at_rest(unknowns: Unknowns, space: Space) -> Unknowns:
+    """The same with cart and arm at rest, and what effects have for states at equilibrium.
+
+    Most experiments begin so, and a tachometer that swings, as a rotor behind a soft shaft or within a play does, makes its
+    first samples say otherwise.
+    """
+    start = np.asarray(unknowns.start).copy()
+    if len(start) == 0:
+        return unknowns
+    rows = [*_SPEEDS, *range(4, len(start))]
+    start[rows] = -(np.asarray(space.start) / np.asarray(space.start_scale))[rows]
+    return unknowns._replace(start=jnp.asarray(start))
+
+
+def may_swing(model: RTAC) -> bool:
+    """Whether something in the model could move beside cart and arm, so that first samples may mislead."""
+    return any(effect.states for effect in model.effects)
+
+
+def best_starts(several: list[Unknowns], arguments: Arguments, *, worth: float = 1.0) -> Unknowns:
+    """The first, with what another has for those experiments alone in which that one leaves less than this share of it."""
+    left = np.stack([squares(one, arguments) for one in several])
+    left[1:] /= worth
+    best = np.argmin(left, axis=0)
+    if not best.any():
+        return several[0]
+    parts = [np.stack([np.asarray(one[field]) for one in several]) for field in (1, 2)]
+    each, start = (np.take_along_axis(part, best[None, None], axis=0)[0] for part in parts)
+    return several[0]._replace(each=jnp.asarray(each), start=jnp.asarray(start))
+
+
+def squares(unknowns: Unknowns, arguments: Arguments) -> Float[np.ndarray, " experiment"]:
+    """Of what a simulation leaves of each experiment, in units of the noise; infinite where it diverges."""
+    error, known = (np.asarray(part) for part in plain_residual(unknowns, arguments))
+    found = np.sum(error**2, axis=(0, 1)) + np.sum(known**2, axis=0)
+    return np.where(np.isfinite(found), found, np.inf)

@@ -1,0 +1,159 @@
+"""optimistix's Levenberg-Marquardt on the compressed residual, one step at a time so that progress shows."""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+from jaxtyping import Array
+
+from estimators.core.data import Data
+from estimators.core.parameter_space import Space, Unknowns
+from estimators.core.residual import residual, triangle
+from rtac_jax import RTAC
+from rtac_jax.simulation import Steps
+
+_HOPELESS = 1e30
+# A gain in log-likelihood that moves no parameter by a fiftieth of its standard deviation.
+_NOTHING = 2e-4
+
+
+class Arguments(eqx.Module):
+    """All that the residual needs beside the unknowns; a change of values never compiles again."""
+
+    model: RTAC
+    data: Data
+    space: Space
+    whitener: Array
+    gain: Array | None
+    substeps: Steps = eqx.field(converter=jnp.asarray)
+
+
+def _factor(unknowns: Unknowns, arguments: Arguments) -> Array:
+    factor = triangle(
+        arguments.model,
+        arguments.data,
+        arguments.space,
+        unknowns,
+        arguments.whitener,
+        substeps=arguments.substeps,
+        gain=arguments.gain,
+    )
+    # A trial step that makes the model diverge must look worse than any other, not like nothing.
+    return jnp.where(jnp.all(jnp.isfinite(factor)), factor, jnp.zeros_like(factor).at[:, -1, -1].set(_HOPELESS))
+
+
+@eqx.filter_jit
+def factor(unknowns: Unknowns, arguments: Arguments) -> Array:
+    """The triangular factor of residual and Jacobian, per experiment; see `triangle`."""
+    return _factor(unknowns, arguments)
+
+
+def diverged(factor: Array) -> bool:
+    """Whether the factor is that of a model that left all bounds."""
+    return bool(np.max(np.asarray(factor)[:, -1, -1]) >= _HOPELESS)
+
+
+@eqx.filter_jit
+def plain_residual(unknowns: Unknowns, arguments: Arguments) -> tuple[Array, Array]:
+    """The residual itself and what is known of the starts; see `residual`."""
+    a = arguments
+    return residual(a.model, a.data, a.space, unknowns, a.whitener, substeps=a.substeps, gain=a.gain)
+
+
+def _linearised(unknowns: Unknowns, at: tuple[Unknowns, Array]) -> tuple[Array, None]:
+    """The compressed residual near a point where its triangular factor is known.
+
+    The optimiser asks for value and Jacobian at that point only, so the heavy function is compiled once, apart from the
+    optimiser.
+    """
+    point, factor = at
+    shared, each, start = (now - then for now, then in zip(unknowns, point, strict=True))
+    own = jnp.concatenate([jnp.broadcast_to(shared[:, None], (len(shared), factor.shape[0])), each, start])
+    return factor[..., -1] + jnp.einsum("brc,cb->br", factor[..., :-1], own), None
+
+
+_OPTIONS = {"jac": "bwd"}  # gives the Jacobian as an array, which a compiled step can take and return
+
+
+@eqx.filter_jit
+def _init(solver: Any, unknowns: Unknowns, factor: Array) -> Any:
+    shape = jax.eval_shape(lambda: factor[..., -1])
+    return solver.init(_linearised, unknowns, (unknowns, factor), _OPTIONS, shape, None, frozenset())
+
+
+@eqx.filter_jit
+def _step(solver: Any, unknowns: Unknowns, state: Any, factor: Array) -> tuple[Unknowns, Any, Array]:
+    at = (state.y_eval, factor)
+    unknowns, state, _ = solver.step(_linearised, unknowns, at, _OPTIONS, state, frozenset())
+    return unknowns, state, 0.5 * jnp.sum(state.f_info.residual**2)
+
+
+def _largest(tree: Any) -> Array:
+    """The largest absolute element; optimistix's own norm cannot take empty arrays."""
+    leaves = [jnp.max(jnp.abs(leaf)) for leaf in jax.tree.leaves(tree) if leaf.size]
+    return jnp.max(jnp.stack(leaves)) if leaves else jnp.zeros(())
+
+
+class Solved(NamedTuple):
+    """Where Levenberg-Marquardt came to rest.
+
+    Attributes:
+        unknowns: there.
+        factor: the triangular factor there.
+        cost: half the sum of squares.
+        steps: how many were tried.
+        converged: whether steps and residual stopped changing, rather than the number of steps running out.
+    """
+
+    unknowns: Unknowns
+    factor: np.ndarray
+    cost: float
+    steps: int
+    converged: bool
+
+
+def solve(
+    unknowns: Unknowns, arguments: Arguments, *, tolerance: float = 1e-6, most: int = 60, progress: Any = None
+) -> Solved:
+    """Minimise the sum of squares.
+
+    Args:
+        tolerance: relative change of unknowns and residual below which it stops.
+        most: steps to try.
+        progress: called with a line of text after every step.
+
+    Raises:
+        FloatingPointError: the model diverges at the very start.
+    """
+    small: Any = jnp.asarray(tolerance)  # an array, or every tolerance would compile its own step
+    solver = optx.LevenbergMarquardt(rtol=small, atol=small, norm=_largest)
+    trial = factor(unknowns, arguments)
+    if diverged(trial):
+        raise FloatingPointError(
+            "The model diverges at the start values; give start values nearer to the rig, or check the units."
+        )
+    state = _init(solver, unknowns, trial)
+    cost, quiet, converged, step, best = np.inf, 0, False, 0, trial
+    for step in range(1, most + 1):
+        before = unknowns
+        unknowns, state, value = _step(solver, unknowns, state, trial)
+        if not _same(unknowns, before):  # the trial was taken
+            best = trial
+        now = float(value)
+        if progress is not None:
+            progress(f"step {step}, cost {now:.6g}")
+        if now < cost:
+            quiet = quiet + 1 if cost - now < max(0.1 * tolerance * now, _NOTHING) else 0
+            cost = now
+        if bool(state.terminate) or quiet >= 2:
+            converged = True
+            break
+        trial = factor(state.y_eval, arguments)
+    return Solved(unknowns, np.asarray(best), cost, step, converged)
+
+
+def _same(one: Unknowns, other: Unknowns) -> bool:
+    return all(np.array_equal(a, b) for a, b in zip(one, other, strict=True))

@@ -1,0 +1,147 @@
+"""The problem that a fit solved, set up again at its solution, for what is asked of it afterwards."""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from estimators.core.data import CHANNELS, Data, mark_of, moving, pieces
+from estimators.core.fisher_information import slope_of
+from estimators.core.fit import Fit
+from estimators.core.initial_state import space_of
+from estimators.core.levenberg_marquardt import Arguments, plain_residual
+from estimators.core.parameter_space import Unknowns
+from estimators.core.residual import diagonal_whitener, no_gain, residual
+from rtac_jax import RTAC
+from rtac_jax.measurement import Experiment, Recording
+
+
+class Problem(NamedTuple):
+    """A residual and the point at which it is looked at.
+
+    Attributes:
+        arguments: of the residual.
+        unknowns: the point.
+        experiments: or pieces of them, in the order of the data.
+        names: of the free shared parameters.
+    """
+
+    arguments: Arguments
+    unknowns: Unknowns
+    experiments: tuple[Experiment, ...]
+    names: tuple[str, ...]
+
+
+def at_fit(fit: Fit, recording: Recording) -> Problem:
+    """The problem that gave this fit, at its solution.
+
+    Raises:
+        ValueError: the recording is not the one that was fitted.
+    """
+    by_name = {e.name: e for e in pieces(moving(recording))}
+    missing = [name for name in fit.experiments if name not in by_name]
+    if missing:
+        raise ValueError(
+            f"the fit used {', '.join(missing)}, which this recording does not hold; give the recording that was fitted."
+        )
+    experiments = [by_name[name] for name in fit.experiments]
+    other = [e.name for e in experiments if fit.marks.get(e.name) != mark_of(e)]
+    if other:
+        raise ValueError(
+            f"{other[0]} was fitted with other measurements than this recording holds; give the recording that was fitted."
+        )
+    deviation = np.array([fit.residual_std.get(channel, 1.0) for channel in CHANNELS])
+    return problem_of(fit.model, experiments, deviation, substeps=int(fit.statistics["substeps"]), start=fit.start)
+
+
+def problem_of(
+    model: RTAC,
+    experiments: Sequence[Experiment],
+    deviation: Float[np.ndarray, " output"],
+    *,
+    substeps: int,
+    start: Mapping[str, np.ndarray] | None = None,
+) -> Problem:
+    """The simulation error of a model at its own values, and at these states at the start.
+
+    Args:
+        deviation: standard deviation of each output, SI units.
+    """
+    free = [n for n in model.free if n not in model.per_experiment]
+    space = space_of(model, experiments, free=free)
+    data = Data.of(experiments)
+    unknowns = space.unconstrained()
+    if start is not None:
+        wanted = np.stack([np.asarray(start[e.name]) for e in experiments], axis=1)
+        moved = (wanted - np.asarray(space.start)) / np.asarray(space.start_scale)
+        unknowns = unknowns._replace(start=jnp.asarray(np.where(np.asarray(space.start_held) > 0, 0.0, moved)))
+    arguments = Arguments(model, data, space, diagonal_whitener(deviation, data), no_gain(model, data), substeps)
+    names = tuple(space.names[int(i)] for i in np.asarray(space.active))
+    return Problem(arguments, unknowns, tuple(experiments), names)
+
+
+class Rows(NamedTuple):
+    """Whitened residual and its Jacobian by the shared parameters, what each experiment has for itself projected away.
+
+    Attributes:
+        jacobian: by physical parameters.
+        residual: whitened; zero where nothing was measured.
+    """
+
+    jacobian: Float[np.ndarray, "sample output experiment parameter"]
+    residual: Float[np.ndarray, "sample output experiment"]
+
+
+@eqx.filter_jit
+def _columns(unknowns: Unknowns, arguments: Arguments) -> tuple[Array, Array]:
+    """Derivatives of the residual, and of what is known of the starts, along each unknown of all experiments at once."""
+    a = arguments
+    edges = np.cumsum([0, *(leaf.shape[0] for leaf in unknowns)])
+
+    def along(direction: Array) -> tuple[Array, Array]:
+        parts = [direction[edges[i] : edges[i + 1]] for i in range(3)]
+        tangent = Unknowns(
+            parts[0], *(jnp.broadcast_to(p[:, None], x.shape) for p, x in zip(parts[1:], unknowns[1:], strict=True))
+        )
+        return jax.jvp(
+            lambda at: residual(a.model, a.data, a.space, at, a.whitener, substeps=a.substeps, gain=a.gain),
+            (unknowns,),
+            (tangent,),
+        )[1]
+
+    return jax.lax.optimization_barrier(jax.vmap(along)(jnp.eye(int(edges[-1]))))
+
+
+def rows_at(problem: Problem) -> Rows:
+    """Residual and Jacobian of every sample, in physical parameters.
+
+    The Jacobian is held whole: samples times outputs times experiments times parameters numbers.
+    """
+    unknowns, arguments = problem.unknowns, problem.arguments
+    slopes, known_slopes = (np.moveaxis(np.asarray(x), 0, -1) for x in _columns(unknowns, arguments))
+    value = np.asarray(plain_residual(unknowns, arguments)[0])
+    shared = len(problem.unknowns.shared)
+    steepness = slope_of(problem.arguments.space, problem.unknowns)[: len(problem.names)]
+    samples, outputs, count, _ = slopes.shape
+    jacobian = np.zeros((samples, outputs, count, shared))
+    for i in range(count):
+        block = slopes[:, :, i].reshape(samples * outputs, -1)
+        prior = known_slopes[:, i]
+        whole = np.concatenate([block, prior])
+        own = whole[:, shared:]
+        if own.shape[1]:
+            basis, _ = np.linalg.qr(own)
+            whole = whole[:, :shared] - basis @ (basis.T @ whole[:, :shared])
+        jacobian[:, :, i] = whole[: samples * outputs, :shared].reshape(samples, outputs, shared)
+    return Rows(jacobian[..., : len(problem.names)] / steepness, value)
+
+
+def with_outputs(problem: Problem, values: Array) -> Arguments:
+    """The same problem for other measurements [sample output experiment]."""
+    data = dataclasses.replace(problem.arguments.data, values=values * problem.arguments.data.present)
+    return dataclasses.replace(problem.arguments, data=data)

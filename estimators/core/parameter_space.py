@@ -1,0 +1,84 @@
+"""The unknowns of a fit: which parameters are free, between which bounds, at which scale."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from estimators.core.bound_transform import to_physical, to_unconstrained
+
+
+class Unknowns(NamedTuple):
+    """What a fit varies, scaled to order one: shared parameters, parameters of each experiment, states at the start."""
+
+    shared: Float[Array, " shared"]
+    each: Float[Array, "each experiment"]
+    start: Float[Array, "start experiment"]
+
+
+class Space(eqx.Module):
+    """Where the unknowns live: which parameters of the model they are, between which bounds, at which scale.
+
+    Attributes:
+        values: all shared parameters of the model.
+        active: places in `values` of those that are free; a place past the end is an unknown that does nothing, so
+            that problems with different numbers of free parameters share one compiled function.
+        lower, upper, scale: of all shared parameters.
+        each_values, each_lower, each_upper, each_scale: of the parameters that each experiment has for itself.
+        start: expected states at the start, for the rigid body absolute, for an effect beside its equilibrium.
+        start_scale: their scales.
+        start_spread: standard deviations of what is known of them beforehand; infinite where nothing is.
+        start_held: 1 where a state at the start is known exactly.
+        names, each: names of the parameters.
+    """
+
+    values: Float[Array, " parameter"]
+    active: Int[Array, " shared"]
+    lower: Float[Array, " parameter"]
+    upper: Float[Array, " parameter"]
+    scale: Float[Array, " parameter"]
+    each_values: Float[Array, "each experiment"]
+    each_lower: Float[Array, " each"]
+    each_upper: Float[Array, " each"]
+    each_scale: Float[Array, " each"]
+    start: Float[Array, "start experiment"]
+    start_scale: Float[Array, "start experiment"]
+    start_spread: Float[Array, "start experiment"]
+    start_held: Float[Array, "start experiment"]
+    names: tuple[str, ...] = eqx.field(static=True)
+    each: tuple[str, ...] = eqx.field(static=True)
+
+    @eqx.filter_jit
+    def physical(self, unknowns: Unknowns) -> tuple[Array, Array, Array]:
+        """All shared parameters, those of each experiment, and the states at the start, in SI units."""
+
+        def of_free(values: Array) -> Array:
+            return values.at[self.active].get(mode="fill", fill_value=1.0)
+
+        free = to_physical(
+            unknowns.shared,
+            of_free(self.lower),
+            of_free(self.upper),
+            of_free(self.scale),
+        )
+        shared = self.values.at[self.active].set(free, mode="drop")
+        each = to_physical(unknowns.each, self.each_lower[:, None], self.each_upper[:, None], self.each_scale[:, None])
+        if unknowns.start.shape[0] == 0:
+            return shared, each, self.start
+        return shared, each, self.start + (1.0 - self.start_held) * self.start_scale * unknowns.start
+
+    def unconstrained(self, *, start: bool = True) -> Unknowns:
+        """The unknowns at the present values; without `start` the states at the start are not among them."""
+        index = np.asarray(self.active)
+        inside = index < len(self.names)
+        place = np.where(inside, index, 0)
+        shared = to_unconstrained(*(np.asarray(x)[place] for x in (self.values, self.lower, self.upper, self.scale)))
+        each = to_unconstrained(
+            np.asarray(self.each_values),
+            *(np.asarray(x)[:, None] for x in (self.each_lower, self.each_upper, self.each_scale)),
+        )
+        rows = np.asarray(self.start)[: len(self.start) * start]
+        shared = jnp.asarray(np.where(inside, shared, 0.0))
+        return Unknowns(shared, jnp.asarray(each), jnp.asarray(np.zeros_like(rows)))

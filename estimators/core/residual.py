@@ -1,0 +1,162 @@
+"""Model, recording, noise and free parameters make one residual, in units of its standard deviation."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from estimators.core.data import CHANNELS, Data, Outputs3
+from estimators.core.parameter_space import Space, Unknowns
+from rtac_jax import RTAC, Excitation
+from rtac_jax.simulation import Steps, trajectories
+
+
+def states_at_start(model: RTAC, start: Array, excitation: Excitation) -> tuple[Any, ...]:
+    """The model's whole state from the estimated part of it: the rigid body's, and effects' offsets from equilibrium."""
+    state = list(model.start(tuple(start[:4]), excitation.first_current()))
+    row, place = 4, 4
+    for effect in model.effects:
+        for _ in effect.states:
+            if effect.free_start:
+                state[place] = state[place] + start[row]
+                row += 1
+            place += 1
+    return tuple(state)
+
+
+def start_rows(model: RTAC) -> tuple[str, ...]:
+    """Names of the states at the start that a fit estimates."""
+    names = tuple(model.states)
+    return names[:4] + tuple(
+        f"{effect.id}.{state}" for effect in model.effects if effect.free_start for state in effect.states
+    )
+
+
+def predict(
+    model: RTAC,
+    data: Data,
+    space: Space,
+    physical: tuple[Array, Array, Array],
+    *,
+    substeps: Steps,
+    gain: Array | None = None,
+    impulses: Array | None = None,
+) -> Outputs3:
+    """Outputs of the model with these parameters: simulated, or predicted one sample ahead where there is a gain.
+
+    Impulses strike what is simulated; see `trajectories`.
+    """
+    shared, each, start = physical
+    values: Mapping[str, Any] = dict(zip(space.names, shared, strict=True)) | dict(zip(space.each, each, strict=True))
+    placed = model.with_values(values)
+    return trajectories(
+        placed,
+        states_at_start(placed, start, data.excitation),
+        data.excitation,
+        room=data.room,
+        samples=data.length,
+        substeps=substeps,
+        measured=None if gain is None else (data.values, data.present),
+        gain=gain,
+        impulses=impulses,
+    )
+
+
+def whitened(whitener: Array, error: Array) -> Array:
+    """The error in units of its standard deviation: whitener [sample or 1, row, output, experiment] times error."""
+    return sum(whitener[:, :, j] * error[:, None, j] for j in range(error.shape[1]))  # type: ignore[return-value] - sum begins with 0
+
+
+def residual(
+    model: RTAC,
+    data: Data,
+    space: Space,
+    unknowns: Unknowns,
+    whitener: Array,
+    *,
+    substeps: Steps,
+    gain: Array | None = None,
+) -> tuple[Outputs3, Float[Array, "start experiment"]]:
+    """The one residual: whitened output errors, and how far the start is from what is known of it."""
+    physical = space.physical(unknowns)
+    error = (data.values - predict(model, data, space, physical, substeps=substeps, gain=gain)) * data.present
+    if unknowns.start.shape[0] == 0:
+        return whitened(whitener, error), unknowns.start
+    known = jnp.where(space.start_held > 0, unknowns.start, (physical[2] - space.start) / space.start_spread)
+    return whitened(whitener, error), known
+
+
+def triangle(
+    model: RTAC,
+    data: Data,
+    space: Space,
+    unknowns: Unknowns,
+    whitener: Array,
+    *,
+    substeps: Steps,
+    gain: Array | None = None,
+) -> Float[Array, "experiment row column"]:
+    """Residual and Jacobian of each experiment, compressed without loss to the triangular factor of [J, r].
+
+    Its columns are the shared unknowns, the experiment's own, its start, and last the residual. Sums of squares, gradients
+    and Gauss-Newton matrices are those of the whole residual. Because experiments do not depend on each other's unknowns, one
+    direction serves the same unknown of all experiments, and the cost does not grow with their number.
+    """
+    count, width = data.experiments, [len(unknowns.shared), len(unknowns.each), len(unknowns.start)]
+    directions = sum(width)
+
+    def basis(block: int, like: Array) -> Array:
+        first = sum(width[:block])
+        rows = jnp.eye(directions)[:, first : first + width[block]]
+        return rows if like.ndim == 1 else jnp.broadcast_to(rows[:, :, None], (directions, *like.shape))
+
+    tangents = Unknowns(*(basis(block, leaf) for block, leaf in enumerate(unknowns)))
+
+    def along(tangent: Unknowns) -> Any:
+        return jax.jvp(
+            lambda at: residual(model, data, space, at, whitener, substeps=substeps, gain=gain), (unknowns,), (tangent,)
+        )
+
+    (error, known), (d_error, d_known) = jax.vmap(along, out_axes=(None, -1))(tangents)
+    columns = jnp.concatenate([d_error, error[..., None]], axis=-1)
+    rows = jnp.moveaxis(columns, 2, 0).reshape(count, -1, directions + 1)
+    prior = jnp.moveaxis(jnp.concatenate([d_known, known[..., None]], axis=-1), 1, 0)
+    rows = jnp.concatenate([rows, prior], axis=1)
+    factor = _triangular(rows)
+    # A positive diagonal makes the factor a continuous function of the unknowns.
+    sign = jnp.where(jnp.diagonal(factor, axis1=1, axis2=2) < 0, -1.0, 1.0)
+    return factor * sign[:, :, None]
+
+
+def _triangular(rows: Float[Array, "experiment row column"]) -> Float[Array, "experiment column column"]:
+    """The triangular factor of each block, block by block: LAPACK on a tall matrix starts threads that fight for cores."""
+    count, _, width = rows.shape
+    height = max(256, 4 * width)
+    while rows.shape[1] > 2 * height:
+        parts = -(-rows.shape[1] // height)
+        rows = jnp.pad(rows, ((0, 0), (0, parts * height - rows.shape[1]), (0, 0)))
+        rows = _each_r(rows.reshape(count * parts, height, width)).reshape(count, parts * width, width)
+    rows = jnp.pad(rows, ((0, 0), (0, max(0, width - rows.shape[1])), (0, 0)))
+    return _each_r(rows)
+
+
+def _each_r(rows: Float[Array, "block row column"]) -> Float[Array, "block column column"]:
+    """The triangular factors of blocks, one after the other: a batch waits within XLA's threads for others of these.
+
+    Two threads that factor batches at the same time would wait for each other for ever.
+    """
+    return jax.lax.map(lambda block: jnp.linalg.qr(block, mode="r"), rows)
+
+
+def no_gain(model: RTAC, data: Data) -> Array:
+    """The gain of a predictor that does not correct: a free simulation."""
+    return jnp.asarray(np.zeros((data.room, len(model.states), len(CHANNELS), data.experiments)))
+
+
+def diagonal_whitener(deviation: np.ndarray, data: Data) -> Array:
+    """Divides each output by its standard deviation; [1 row output experiment]."""
+    inverse = np.diag(1.0 / np.asarray(deviation))[None, :, :, None]
+    return jnp.asarray(np.broadcast_to(inverse, (1, len(CHANNELS), len(CHANNELS), data.experiments)))

@@ -1,0 +1,60 @@
+"""How noisy each sensor is: seen at rest, stated in the file, or read off the quietest part of the spectrum."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+from scipy.signal import welch
+
+from estimators.core.data import filled
+from rtac_jax.measurement import OUTPUTS, Experiment
+
+Values = Float[np.ndarray, " sample"]
+
+
+def noise_levels(experiments: Sequence[Experiment]) -> dict[str, float]:
+    """Standard deviation of the noise of every recorded channel, SI units.
+
+    In this order: the standard deviation at rest; `noise_std` of the file; the quietest fifth of the spectrum, which is
+    right where the motion leaves some band empty. Never below a twelfth of a quantisation step squared.
+    """
+    levels = {}
+    for channel in OUTPUTS:
+        holders = [e for e in experiments if channel in e.outputs]
+        if not holders:
+            continue
+        step = min(quantisation_step(e.outputs[channel].values) for e in holders)
+        stated = [s for e in holders if (s := e.outputs[channel].noise_std) is not None]
+        resting = [e.outputs[channel].values for e in holders if e.kind == "rest"]
+        moving = [e for e in holders if e.kind != "rest"]
+        if resting:
+            deviations = np.concatenate([values - np.nanmean(values) for values in resting])
+            level = float(np.sqrt(np.nanmean(deviations**2)))
+        elif stated:
+            level = float(np.sqrt(np.mean(np.square(stated))))
+        else:
+            level = float(np.median([spectral_floor(e.outputs[channel].values) for e in moving]))
+        levels[channel] = max(level, step / np.sqrt(12.0), 1e-300)
+    return levels
+
+
+def quantisation_step(values: Values) -> float:
+    """The smallest difference between two recorded values, if most differences are whole multiples of it, else zero."""
+    present = np.unique(values[np.isfinite(values)])
+    steps = np.diff(present)
+    steps = steps[steps > 1e-9 * max(np.max(np.abs(present), initial=0.0), 1e-300)]
+    if len(steps) == 0 or len(present) > 0.5 * len(values):
+        return 0.0
+    step = float(np.min(steps))
+    ratio = steps / step
+    return step if np.mean(np.abs(ratio - np.round(ratio)) < 0.02) > 0.95 else 0.0
+
+
+def spectral_floor(values: Values) -> float:
+    """Standard deviation of the white noise that would fill the quietest fifth of the spectrum."""
+    length = int(min(len(values), max(64, len(values) // 16)))
+    # A window of low side lobes, or a strong resonance would leak over the whole spectrum.
+    frequency, density = welch(filled(values), fs=1.0, window="blackmanharris", nperseg=length, detrend="linear")
+    width = max(3, len(frequency) // 5)
+    bands = np.lib.stride_tricks.sliding_window_view(density[1:-1], min(width, len(density) - 2))
+    return float(np.sqrt(0.5 * np.min(np.mean(bands, axis=1))))

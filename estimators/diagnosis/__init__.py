@@ -1,0 +1,1 @@
+"""Which physical effect is missing: evidence, verdict, and the loop that adds it."""

@@ -1,0 +1,73 @@
+"""What a diagnosis says of one effect of the catalogue, and of each effect that it named."""
+
+import dataclasses
+from collections.abc import Callable, Mapping
+
+from estimators.core.fit import Parameter
+from estimators.diagnosis.refit import Refit
+from estimators.misspecification.adequacy import Evidence
+from estimators.misspecification.candidate_screening import Screened
+
+
+@dataclasses.dataclass(frozen=True)
+class Candidate:
+    """What the data say of one effect of the catalogue.
+
+    Attributes:
+        id: of the effect.
+        score: chi-square gained on the innovations of the base model, less the price of its amplitudes.
+        chi_square: the same without that price; 20 and more, if not by the scatter of a few seconds, raise the alarm.
+        p_value: probability of so large a score by chance among all that were tried.
+        detection_limit: amplitude that would be found, in the unit of its first amplitude parameter.
+        unit: of it.
+        testable: whether the data could show the effect at a plausible size.
+        refitted: whether it was fitted together with the base model, and with effects named before it.
+        bic_gain: by that; positive speaks for the effect.
+        held_out_gain: in the log-likelihood of experiments that did not take part in estimating it; NaN where only one shows it.
+        error_reduction: share of the misfit that it removes.
+        parameters: of the effect after refitting.
+        confusable_with: ids of accepted candidates that the data cannot tell from it.
+        correlation: of its template with those of the others, by id.
+    """
+
+    id: str
+    score: float
+    chi_square: float
+    p_value: float
+    detection_limit: float
+    unit: str
+    testable: bool
+    refitted: bool = False
+    bic_gain: float = 0.0
+    held_out_gain: float = 0.0
+    error_reduction: float = 0.0
+    parameters: Mapping[str, Parameter] = dataclasses.field(default_factory=dict)
+    confusable_with: tuple[str, ...] = ()
+    correlation: Mapping[str, float] = dataclasses.field(default_factory=dict)
+
+
+@dataclasses.dataclass(frozen=True)
+class Step:
+    """One effect that improved the model.
+
+    Attributes:
+        id: of the effect.
+        rivals: ids that the data cannot tell from it.
+        gain: twice the gain in log-likelihood over the model before.
+        bic_gain: the same less the price of its parameters.
+        held_out_gain: in the log-likelihood of experiments that did not take part in estimating it; NaN where only one shows it.
+        refit: the model with it.
+        left: the tests of the model with it.
+        asked: all candidates that were refitted at this step, this one among them.
+        way: in which they were, where that was not the usual one.
+    """
+
+    id: str
+    rivals: tuple[str, ...]
+    gain: float
+    bic_gain: float
+    held_out_gain: float
+    refit: Refit
+    left: tuple[Evidence, ...]
+    asked: Mapping[str, Screened] = dataclasses.field(default_factory=dict)
+    way: Callable[[Refit, Screened], Refit] | None = None

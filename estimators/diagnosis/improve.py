@@ -1,0 +1,186 @@
+"""The loop: compare, diagnose, add the effect, fit again, until nothing rejects or the held-out error stops falling."""
+
+import dataclasses
+import time
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+from estimators.core.drawing import draw
+from estimators.core.fit import Fit
+from estimators.diagnosis.diagnose import Candidate, Diagnosis, Verdict, compile_diagnosis, diagnose
+from estimators.diagnosis.model_extension import Foreseen, add_effect, parameters_of
+from estimators.output_error.fit import output_error
+from estimators.validation.simulation_error import Comparison, compare
+from rtac_jax import RTAC
+from rtac_jax.effects import CATALOGUE, Effect
+from rtac_jax.measurement import Recording
+
+
+@dataclasses.dataclass(frozen=True)
+class Improvement:
+    """Result of `improve`.
+
+    Attributes:
+        fits: of the base model and of every model after it, in order.
+        diagnoses: one for every fit that was diagnosed.
+        added: the effects that were added, in order, as the diagnosis saw them.
+        verdict: "adequate" if nothing was missing, "missing" if what was added makes the model adequate or all that can be
+            named, else what the last diagnosis says.
+        train, validation: every model against the experiments that it was fitted to, and against those held out.
+        held: ids of added effects that are held at the estimate of the diagnosis, because a fit by simulation fails, or serves
+            held-out experiments worse; deviations of the other parameters are for that value of theirs.
+        predicted: the last model has all its parameters from predictions one sample ahead, because random forces or an arm that
+            tumbles carry a simulation away from the data that it was fitted to.
+        foreseen: added effects that do not clearly lower the held-out error of simulation, but make the held-out experiments
+            likelier one sample ahead.
+        stopped: why the loop ended.
+        seconds: how long it took.
+    """
+
+    fits: tuple[Fit, ...]
+    diagnoses: tuple[Diagnosis, ...]
+    added: tuple[Candidate, ...]
+    verdict: Verdict
+    train: Comparison
+    validation: Comparison
+    held: tuple[str, ...]
+    predicted: bool
+    foreseen: tuple[Foreseen, ...]
+    stopped: str
+    seconds: float
+
+    @property
+    def base(self) -> Fit:
+        """The fit without any effect added."""
+        return self.fits[0]
+
+    @property
+    def final(self) -> Fit:
+        """The fit with all effects added."""
+        return self.fits[-1]
+
+    @property
+    def ending(self) -> str:
+        """What was held, or kept for its predictions, if anything, and why the loop ended."""
+        said = [str(one) for one in self.foreseen]
+        if self.predicted:
+            said.append(
+                "All parameters of the last model are those with which the data are foreseen best one sample ahead, as of "
+                "est.prediction_error_nonlinear: with a fit by simulation the held-out experiments do not tell."
+            )
+        if self.held:
+            said.insert(
+                0,
+                f"Held at the estimate of the diagnosis, because a fit by simulation fails or serves held-out experiments worse: "
+                f"{', '.join(self.held)}.",
+            )
+        return " ".join([*said, self.stopped])
+
+    def __str__(self) -> str:
+        lines = []
+        for diagnosis in self.diagnoses:
+            lines.append(diagnosis.explanation)
+        lines.append(self.ending)
+        for title, comparison in (("train", self.train), ("validation", self.validation)):
+            for model in comparison.models:
+                errors = ", ".join(
+                    f"{channel} {e.rms:.3g} ({e.rms_over_noise:.2f} times the noise)"
+                    for channel, e in model.errors.items()
+                )
+                lines.append(f"{title:10s} {model.label:24s} {errors}")
+        return "\n".join(lines)
+
+    def plot(self) -> Any:
+        """Error before and after, as a matplotlib figure."""
+        return draw(self)
+
+
+def improve(
+    model: RTAC,
+    recording: Recording,
+    *,
+    validation: Sequence[str] | None = None,
+    candidates: Sequence[type[Effect]] | None = None,
+    most: int = 4,
+    progress: bool = True,
+) -> Improvement:
+    """Fit, diagnose, add what is missing, fit again, and validate on experiments that no fit has seen.
+
+    An effect is kept if the error of the held-out experiments falls clearly in the channels together: by a twentieth, or,
+    near the noise, at all. Where it does not, or where the effect cannot be fitted by simulation, as on a rig that random
+    forces shake, the effect is held at the estimate of the diagnosis, which foresees one sample at a time, and asked again;
+    then the whole model is fitted by such predictions (`prediction_error_nonlinear`), with the effect and without. Where
+    none of the three tells, the one is kept that foresees the held-out experiments best one sample at a time, if better than
+    any model without the effect: where random forces shake the rig, or the arm tumbles, no simulation can follow it, however
+    right the model is. Last, an error that falls a little is enough, if predictions do not speak against it. The held-out
+    experiments choose the models by that, so their last error is a little too good.
+
+    Args:
+        validation: names of the experiments to hold out; by default every fourth of each kind.
+        candidates: classes of effects to try; by default the whole catalogue.
+        most: effects to add at most.
+        progress: show bars.
+
+    Raises:
+        ValueError: there is nothing to hold out, or nothing moves.
+        NotIdentifiableError, DivergedError: as `output_error`, for the base model.
+    """
+    began = time.perf_counter()
+    train, held_out = recording.split(validation)
+    with ThreadPoolExecutor(1) as other:
+        other.submit(compile_diagnosis, model, train, candidates)
+        fits = [output_error(model, train, progress=progress)]
+        tested = [compare(fits[0], held_out, labels=["base"]).models[0]]
+    diagnoses: list[Diagnosis] = []
+    added: list[Candidate] = []
+    held: list[str] = []
+    foreseen: list[Foreseen] = []
+    predicted = False
+    stopped = ""
+    while not stopped:
+        # What is held was estimated too: a diagnosis may move it.
+        released = fits[-1].model.release(*parameters_of(fits[-1].model, held))
+        found = diagnose(dataclasses.replace(fits[-1], model=released), train, candidates=candidates, progress=progress)
+        diagnoses.append(found)
+        if not found.additions:
+            enough = found.verdict == "adequate"
+            stopped = f"Stopped: {'nothing more is missing' if enough else 'what is missing is not in the catalogue'}."
+        known = {c.id: c for c in found.effects}
+        for effect in found.additions:
+            if len(added) == most:
+                stopped = f"Stopped: {most} effects were added; more seem to be missing."
+                break
+            label = "+ " + ", ".join([*(c.id for c in added), effect.id])
+            step = add_effect(fits[-1], tested[-1], effect, label, train, held_out, progress=progress)
+            if isinstance(step, str):
+                stopped = step
+                break
+            if step.way == "held":
+                held.append(effect.id)
+            predicted = step.way == "predicted"
+            if step.foreseen is not None:
+                foreseen.append(step.foreseen)
+            fits.append(step.fit)
+            tested.append(step.tested)
+            added.append(known[effect.id])
+        if not stopped and not [c for c in (candidates or CATALOGUE.values()) if c.id not in fits[-1].model]:
+            stopped = "Stopped: every candidate was added."
+    labels = [model.label for model in tested]
+    last = diagnoses[-1].verdict
+    verdict: Verdict = "unknown" if last in ("missing", "ambiguous") else last
+    if added:
+        verdict = "ambiguous" if any(c.confusable_with for c in added) else "missing"
+    return Improvement(
+        fits=tuple(fits),
+        diagnoses=tuple(diagnoses),
+        added=tuple(added),
+        verdict=verdict,
+        train=compare(fits, train, labels=labels),
+        validation=Comparison(tuple(tested)),
+        held=tuple(held),
+        predicted=predicted,
+        foreseen=tuple(foreseen),
+        stopped=stopped,
+        seconds=time.perf_counter() - began,
+    )

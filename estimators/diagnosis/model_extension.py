@@ -1,0 +1,186 @@
+"""One effect more in a model: fitted in three ways, of which held-out experiments choose one, or none."""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal
+
+import numpy as np
+
+from estimators.core.data import mark_of
+from estimators.core.fit import Fit
+from estimators.core.results import RESULTS, DivergedError, NotIdentifiableError
+from estimators.output_error.fit import output_error
+from estimators.prediction_error.fit import prediction_error_nonlinear
+from estimators.validation.predictive_likelihood import OneStepAhead, one_step_ahead
+from estimators.validation.simulation_error import Compared, compare
+from rtac_jax import RTAC
+from rtac_jax.effects import Effect
+from rtac_jax.measurement import Recording
+
+_CLEAR = 0.05  # share by which the held-out error has to fall for a simulation to tell
+_NEAR = 1.5  # error of simulation in units of the noise below which any fall will do where the effect is simply fitted
+
+
+@dataclasses.dataclass(frozen=True)
+class Foreseen:
+    """An effect that no simulation of the held-out experiments shows, and that predictions one sample ahead do.
+
+    Attributes:
+        id: of the effect.
+        gain: in the log-likelihood of the held-out experiments.
+        before, after: rms of the predictions' errors over the sensor's noise, by channel.
+    """
+
+    id: str
+    gain: float
+    before: Mapping[str, float]
+    after: Mapping[str, float]
+
+    @property
+    def channel(self) -> str:
+        """Where the predictions gain most."""
+        return max(self.before, key=lambda c: self.before[c] / self.after[c])
+
+    def __str__(self) -> str:
+        where = self.channel
+        return (
+            f"{self.id} is kept for what it foresees: a simulation of the held-out experiments does not tell, as where random "
+            f"forces or an arm that tumbles carry it away, but one sample ahead they are foreseen better with it (log-likelihood "
+            f"{self.gain:+.0f}, error of {where} {self.before[where]:.2f} to {self.after[where]:.2f} times the noise)."
+        )
+
+
+@dataclasses.dataclass(frozen=True)
+class Added:
+    """A model with one effect more.
+
+    Attributes:
+        fit: of it.
+        tested: against the held-out experiments.
+        way: all parameters fitted by simulation; those of the effect held at the estimate of the diagnosis; or all fitted by
+            predictions one sample ahead.
+        foreseen: what predictions gain, where a simulation does not tell.
+    """
+
+    fit: Fit
+    tested: Compared
+    way: Literal["simulated", "held", "predicted"]
+    foreseen: Foreseen | None = None
+
+
+def add_effect(
+    before: Fit, tested: Compared, effect: Effect, label: str, train: Recording, held_out: Recording, *, progress: bool
+) -> Added | str:
+    """The model with an effect more that serves the held-out experiments better, or why there is none.
+
+    Args:
+        before: the model without it.
+        tested: that against the held-out experiments.
+        effect: at the estimate of the diagnosis.
+        label: for the comparison.
+    """
+    extended = before.model + effect
+    bases = [Added(before, tested, "simulated")]
+    steps: list[Added] = []
+    reasons = []
+    for way in ("simulated", "held", "predicted"):
+        try:
+            if way == "predicted":
+                # The model without the effect is fitted so too, or the effect would be credited with what the way of fitting does.
+                base = _predicted(before.model, before, train, progress=progress)
+                bases.append(Added(base, compare(base, held_out).models[0], way))
+                fit = _predicted(extended, before, train, progress=progress)
+            else:
+                tried = extended if way == "simulated" else holding(extended, [effect.id])
+                fit = output_error(tried, train, from_model=True, progress=progress)
+            test = compare(fit, held_out, labels=[label]).models[0]
+        except (NotIdentifiableError, DivergedError, FloatingPointError) as error:
+            reasons.append(f"Stopped: with {effect.id} the model could not be fitted: {error}")
+            continue
+        steps.append(Added(fit, test, way))
+        if _falls_clearly(min((one.tested for one in bases), key=_misfit), test, way):
+            return steps[-1]
+        reasons.append(f"Stopped: with {effect.id} the held-out error would not fall.")
+    if not steps:
+        return reasons[0]
+    return _foreseen(effect, bases, steps, train, held_out) or (
+        f"{reasons[0]} Held at the estimate of the diagnosis, or fitted by predictions one sample ahead, it would not help "
+        "clearly either, and predictions are no better with it."
+    )
+
+
+def _foreseen(
+    effect: Effect, bases: Sequence[Added], steps: Sequence[Added], train: Recording, held_out: Recording
+) -> Added | None:
+    """Of models whose simulation does not tell, the one that foresees the held-out experiments best; None if none is better."""
+    tested = bases[0].tested
+    first = one_step_ahead(bases[0].fit, train, held_out, tested.start)
+
+    def ahead(one: Added) -> OneStepAhead:
+        return one_step_ahead(one.fit, train, held_out, tested.start, like=first)
+
+    known = max((ahead(one) for one in bases), key=_likelihood)
+    several = [(one, ahead(one)) for one in steps]
+    step, best = max(several, key=lambda pair: _likelihood(pair[1]))
+    if best.surpasses(known, of=len(several)):
+        gain = best.log_likelihood - known.log_likelihood
+        return dataclasses.replace(step, foreseen=Foreseen(effect.id, gain, known.errors, best.errors))
+    freely, its = several[0]
+    if freely.way == "simulated" and _misfit(freely.tested) <= _misfit(tested) and not known.surpasses(its):
+        return freely
+    return None
+
+
+def _likelihood(one: OneStepAhead) -> float:
+    return one.log_likelihood if np.isfinite(one.log_likelihood) else -np.inf
+
+
+def _predicted(model: RTAC, before: Fit, train: Recording, *, progress: bool) -> Fit:
+    """A model fitted by its predictions one sample ahead, with the starts from which its simulation follows best."""
+    found = prediction_error_nonlinear(model, train, from_model=True, progress=progress)
+    experiments, space = found.problem.experiments, found.problem.arguments.space
+    states = np.asarray(space.physical(found.problem.unknowns)[2])
+    compared = compare(found.model, train).models[0]
+    start = {e.name: compared.start.get(e.name, states[:, i]) for i, e in enumerate(experiments)}
+    return dataclasses.replace(
+        before,
+        model=found.model,
+        result=RESULTS.successful,
+        information=found.information,
+        residual_std={channel: error.rms for channel, error in compared.errors.items()},
+        start=start,
+        experiments=found.experiments,
+        statistics={
+            "cost": -found.log_likelihood,
+            "steps": 0,
+            "starts": 1,
+            "agreed": 1,
+            "winner": "predictions one sample ahead",
+            "failures": (),
+            "substeps": found.statistics["substeps"],
+            "seconds": found.statistics["seconds"],
+        },
+        marks={e.name: mark_of(e) for e in experiments},
+    )
+
+
+def holding(model: RTAC, effects: Sequence[str]) -> RTAC:
+    """The model with all parameters of these effects, by id, held at their values."""
+    return model.fix(*parameters_of(model, effects))
+
+
+def parameters_of(model: RTAC, effects: Sequence[str]) -> list[str]:
+    """Names of the parameters of these effects, by id."""
+    return [name for name in model.parameters if name.split(".")[0] in effects]
+
+
+def _falls_clearly(before: Compared, after: Compared, way: str) -> bool:
+    """By a twentieth; near the noise, where the effect is simply fitted, any fall will do."""
+    error, first = _misfit(after), _misfit(before)
+    return error <= (1 - _CLEAR) * first or (way == "simulated" and error <= first and error < _NEAR)
+
+
+def _misfit(compared: Any) -> float:
+    """Mean over the channels of the error in units of the noise, where no channel can hide another."""
+    errors = [e.rms_over_noise for e in compared.errors.values()]
+    return sum(errors) / len(errors)

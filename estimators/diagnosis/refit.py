@@ -1,0 +1,61 @@
+"""A fitted predictor with some of the candidates added, and what its innovations say."""
+
+import dataclasses
+
+import numpy as np
+
+from estimators.core.parameter_space import Space
+from estimators.core.residual import start_rows
+from estimators.misspecification.adequacy import Evidence
+from estimators.misspecification.candidate_screening import Screened
+from estimators.misspecification.static_force import ForceCurve
+from estimators.prediction_error.noise_estimation import Predictor
+from rtac_jax import RTAC
+
+
+@dataclasses.dataclass(frozen=True)
+class Refit:
+    """A model with some of the candidates added, fitted to the data.
+
+    Attributes:
+        added: ids of the effects beyond the base model.
+        model: with them.
+        predictor: the fit.
+        space: its unknowns.
+        by_sample: log-likelihood of each sample.
+        free: names of the free parameters.
+        triangles: triangular factors of the innovations and their derivatives, for each experiment.
+    """
+
+    added: tuple[str, ...]
+    model: RTAC
+    predictor: Predictor
+    space: Space
+    by_sample: np.ndarray
+    free: tuple[str, ...]
+    triangles: np.ndarray
+
+    @property
+    def values(self) -> dict[str, float]:
+        """All shared parameters by name."""
+        return dict(zip(self.space.names, np.asarray(self.predictor.physical[0]).tolist(), strict=True))
+
+    @property
+    def start(self) -> dict[str, np.ndarray]:
+        """States at the start by name, of every experiment."""
+        return dict(zip(start_rows(self.model), np.asarray(self.predictor.physical[2]), strict=True))
+
+
+@dataclasses.dataclass(frozen=True)
+class Tested:
+    """What the innovations of one model say.
+
+    Attributes:
+        screened: named candidates, every shape of them.
+        curves: missing force against each variable.
+        tests: of whether anything is missing.
+    """
+
+    screened: tuple[Screened, ...]
+    curves: tuple[ForceCurve, ...]
+    tests: tuple[Evidence, ...]

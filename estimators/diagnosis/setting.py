@@ -1,0 +1,156 @@
+"""What stays the same over one diagnosis: the data, the candidates, and how models with some of them are made."""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from functools import reduce
+from typing import Any, TypeVar
+
+import jax.numpy as jnp
+import numpy as np
+
+from estimators.core.data import CHANNELS, Data, moving, pieces
+from estimators.core.initial_state import scales_of, space_of
+from estimators.core.parameter_space import Space
+from estimators.core.residual import start_rows
+from estimators.core.sensor_noise import noise_levels
+from estimators.diagnosis.candidate_set import plausible
+from estimators.diagnosis.refit import Refit
+from estimators.diagnosis.testability import can_show
+from estimators.prediction_error.coloured_noise import ColouredNoise, colours_at_rest
+from estimators.prediction_error.innovations import stretches
+from estimators.prediction_error.noise_estimation import NoiseModel
+from rtac_jax import RTAC
+from rtac_jax.effects import Effect
+from rtac_jax.measurement import Experiment, Recording
+from rtac_jax.parameters import declarations
+from rtac_jax.simulation import Steps
+
+_ROOM = 8  # unknowns are padded to a multiple of this
+Kind = TypeVar("Kind", bound="Setting")
+
+
+@dataclasses.dataclass
+class Setting:
+    """The data, and the candidates at null.
+
+    Screening simulates one model with all candidates at null; the filter, which costs the cube of the number of states, runs
+    on models with no more than what was added.
+    """
+
+    model: RTAC
+    recording: Recording
+    absent: dict[str, Effect]
+    colour: ColouredNoise | None
+    colour_seen: bool
+    experiments: list[Experiment]
+    data: Data
+    prior: NoiseModel
+    classes: dict[str, type[Effect]]
+    instances: list[Effect]
+    substeps: Steps
+    start: dict[str, np.ndarray]
+    bar: Any
+
+    @classmethod
+    def set_up(
+        cls: type[Kind],
+        model: RTAC,
+        recording: Recording,
+        classes: Sequence[type[Effect]],
+        starts: Mapping[str, np.ndarray],
+        substeps: int,
+        bar: Any,
+    ) -> Kind:
+        """Set up for a model; candidates that nothing in the recording could show are passed over."""
+        experiments = pieces(moving(recording))
+        scales = scales_of(model, experiments)
+        possible: dict[str, type[Effect]] = {}
+        instances: list[Effect] = []
+        absent: dict[str, Effect] = {}
+        for c in classes:
+            found = plausible(c, scales)
+            if found and can_show(c, experiments):
+                possible[c.id] = c
+                instances += list(found)
+                absent[c.id] = absent_like(found[len(found) // 2])
+        levels = dict(noise_levels(recording.experiments))
+        colours = colours_at_rest(recording.experiments)
+        # The first samples tell the start better than a simulation of a model that may be wrong, except for an angle
+        # that nobody measured.
+        blind = [e for e in experiments if e.initial_arm_angle is None and "arm_angle" not in e.outputs]
+        start = {e.name: starts[e.name] for e in blind if e.name in starts}
+        space = space_of(model, experiments, free=shared(model), start=start)
+        prior = NoiseModel.of(levels, recording.experiments, scales, space)
+        colour = ColouredNoise.of(colours) if colours else None
+        return cls(
+            model, recording, absent, colour, colour is not None, experiments, Data.of(experiments), prior, possible, instances,
+            jnp.asarray(substeps), start, bar,
+        )  # fmt: skip
+
+    @property
+    def assumed(self) -> tuple[str, ...]:
+        """Channels whose noise was taken as coloured although no rest record shows it."""
+        if self.colour is None or self.colour_seen:
+            return ()
+        return tuple(str(c) for c in np.array(CHANNELS)[np.asarray(self.colour.share) > 0])
+
+    @property
+    def samples(self) -> int:
+        """Number of measured values that count."""
+        return int(np.sum(np.asarray(self.data.counted)))
+
+    @property
+    def left_out(self) -> float:
+        """Share of the measured values that do not count."""
+        return 1.0 - self.samples / float(np.sum(np.asarray(self.data.present)))
+
+    def stretches(self) -> np.ndarray:
+        """For every sample and experiment the number of the second that it belongs to."""
+        return stretches(self.data)
+
+    def effect(self, effect: str, refit: Refit) -> Effect:
+        """An added effect at its estimated parameters."""
+        cls = self.classes[effect]
+        return cls(**{name: refit.values[f"{effect}.{name}"] for name in declarations(cls)})
+
+    def with_effects(self, effects: Sequence[Effect]) -> RTAC:
+        """The model with these effects, and with the colour of the sensors' noise."""
+        return reduce(RTAC.__add__, [*effects, *([self.colour] if self.colour is not None else [])], self.model)
+
+    def space(self, model: RTAC, free: Sequence[str]) -> Space:
+        """The unknowns of a model with these parameters free."""
+        return space_of(model, self.experiments, free=free, start=self.start)
+
+    def padded(self, model: RTAC, free: Sequence[str]) -> Space:
+        """With places past the end, so that a model with a few parameters more needs no new compilation."""
+        space = self.space(model, free)
+        active = np.full(max(-(-len(free) // _ROOM), 1) * _ROOM, len(space.names))
+        active[: len(space.active)] = np.asarray(space.active)
+        return dataclasses.replace(space, active=jnp.asarray(active))
+
+
+def by_name(space: Space, other: Space, values: Any) -> Any:
+    """Values of one space where another has a parameter of that name."""
+    known = dict(zip(other.names, np.asarray(values), strict=True))
+    return jnp.asarray([known.get(n, v) for n, v in zip(space.names, np.asarray(space.values), strict=True)])
+
+
+def begun(space: Space, model: RTAC, start: Mapping[str, np.ndarray]) -> Space:
+    """With states at the start where they are known by name."""
+    known = zip(start_rows(model), np.asarray(space.start), strict=True)
+    return dataclasses.replace(space, start=jnp.asarray(np.stack([start.get(row, first) for row, first in known])))
+
+
+def shared(model: RTAC) -> list[str]:
+    """Names of the free parameters that all experiments have in common."""
+    return [name for name in model.free if name not in model.per_experiment]
+
+
+def absent_like(instance: Effect) -> Effect:
+    """The effect at its null value with the shape of an instance."""
+    shape = {
+        name: float(np.asarray(getattr(instance, name)))
+        for name, declared in declarations(instance).items()
+        if declared.null is None
+    }
+    return type(instance).absent(**shape)

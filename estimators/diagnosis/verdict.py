@@ -1,0 +1,236 @@
+"""What follows from a diagnosis: adequate, missing, ambiguous or unknown, and the same in plain words."""
+
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+from typing import Literal
+
+from estimators.core.fit import Parameter
+from estimators.diagnosis.candidate import Candidate, Step
+from estimators.misspecification.adequacy import LEVEL, Evidence, excess_of, removed_by_repeats, significant
+from estimators.misspecification.line_classes import LineClass
+from estimators.misspecification.residual_maps import Place
+from estimators.misspecification.static_force import ForceCurve
+from estimators.prediction_error.latent_force import LatentForce
+from rtac_jax.measurement import Recording
+
+Verdict = Literal["adequate", "missing", "ambiguous", "unknown"]
+
+_LEFT_OUT = 0.02  # share of the samples from which it is worth a word that they do not count
+SHAKEN = 1e-2  # share of the rms forces from which random forces in one sample are worth a word
+_FOUND = 0.9  # share of the misfit that the named effects must remove
+_STRAYED = 3.0  # rms of what a simulation leaves over the noise, from which it is worth a word
+_STATIC = 0.5  # share of the misfit that a force curve must explain to be called the missing force
+
+
+def judge(steps: Sequence[Step], tests: Sequence[Evidence], samples: int) -> tuple[Verdict, int, float]:
+    """The verdict, how many of the steps it names, and the share of the misfit that they remove.
+
+    The best of a bad set is never named: an effect is, if together with those named after it, it removes nearly
+    everything that was wrong before it. So a strong effect does not carry a doubtful one along.
+    """
+    for count in range(len(steps), 0, -1):
+        shares = [share_removed(steps[first:count], _before(steps, tests, first), samples) for first in range(count)]
+        if min(shares) >= _FOUND:
+            open_question = any(step.rivals for step in without_named_rivals(steps[:count]))
+            return ("ambiguous" if open_question else "missing"), count, shares[0]
+    if not steps:
+        return ("unknown" if any(test.rejects for test in tests) else "adequate"), 0, 0.0
+    return "unknown", 0, share_removed(steps, tests, samples)
+
+
+def without_named_rivals(steps: Sequence[Step]) -> list[Step]:
+    """The steps without those rivals that were named as well: they act beside each other, not instead of each other."""
+    named = {step.id for step in steps}
+    return [dataclasses.replace(step, rivals=tuple(r for r in step.rivals if r not in named)) for step in steps]
+
+
+def share_removed(steps: Sequence[Step], tests: Sequence[Evidence], samples: int) -> float:
+    """Share of the excess squared prediction error that steps remove, of which the tests before the first are given."""
+    left = steps[-1].left
+    gain = sum(step.gain for step in steps)
+    after = math.exp(-gain / samples)
+    return min((1 - after) / (1 - floor(steps, samples)), removed_by_repeats(tests, left, gain, samples))
+
+
+def floor(steps: Sequence[Step], samples: int) -> float:
+    """Squared prediction error that would be left if also what the tests still find were explained, in shares of the first."""
+    after = math.exp(-sum(step.gain for step in steps) / samples)
+    return after * (1 - min(excess_of(steps[-1].left) / samples, 1.0))
+
+
+def _before(steps: Sequence[Step], tests: Sequence[Evidence], place: int) -> Sequence[Evidence]:
+    return steps[place - 1].left if place else tests
+
+
+def words(
+    verdict: Verdict,
+    effects: Sequence[Candidate],
+    candidates: Sequence[Candidate],
+    steps: Sequence[Step],
+    tests: Sequence[Evidence],
+    left: Sequence[Evidence],
+    removed: float,
+    curves: Sequence[ForceCurve],
+    latent: Sequence[LatentForce],
+    places: Sequence[Place],
+    lines: Sequence[LineClass],
+) -> str:
+    """A paragraph: what is missing, how big, where it shows, how sure, and what would make it surer."""
+    if verdict == "adequate":
+        limits = sorted((c for c in candidates if c.testable), key=lambda c: c.id)
+        text = ", ".join(f"{c.id} {c.detection_limit:.2g} {c.unit}".removesuffix(" 1") for c in limits)
+        blind = [c.id for c in candidates if not c.testable]
+        unseen = f" These data could not show {', '.join(blind)} at any plausible size." if blind else ""
+        return f"Adequate: at the noise floor nothing is missing. An effect would have been found from: {text}.{unseen}"
+    worst = next((p for p in places if p.by == "experiment"), None)
+    part = next((p for p in places if p.by != "experiment" and p.excess > 1), None)
+    shown = ""
+    if worst is not None and worst.excess <= 1:
+        shown = (
+            " Predicted one sample ahead, no channel of any experiment is farther off than chance allows: what is missing shows in"
+            " what these errors go along with, not in their size."
+        )
+    elif worst is not None:
+        shown = f" It shows most in {worst.channel} of {worst.label} ({worst.value:.2f} times the expected squares)"
+        shown += f" and at {part.label}." if part is not None else "."
+    if verdict == "unknown":
+        return _unknown(candidates, tests, removed, curves, latent, lines) + shown
+    by_id = {c.id: c for c in effects}
+    sentences = []
+    for step in steps:
+        c = by_id[step.id]
+        size = ", ".join(f"{n} = {_size(p)}" for n, p in c.parameters.items())
+        sentences.append(
+            f"{step.id} ({size}) gains {step.bic_gain:.0f} in BIC"
+            + (
+                f" and {step.held_out_gain:.0f} in the log-likelihood of data that did not help to estimate it"
+                if math.isfinite(step.held_out_gain)
+                else ", in one experiment only, so that no other confirms it"
+            )
+        )
+    text = "; ".join(sentences)
+    rest = [test.test for test in left if test.rejects]
+    after = (
+        f"; still, {', '.join(rest)} {'rejects' if len(rest) == 1 else 'reject'}"
+        if rest
+        else ", and nothing rejects any more"
+    )
+    share = (
+        f" {'It removes' if len(steps) == 1 else 'Together they remove'} {100 * removed:.0f} % of the misfit{after}."
+    )
+    if verdict == "missing":
+        return f"Missing: {text}.{share}{shown} The intervals do not count that the effect was selected."
+    groups = "; ".join(f"{step.id} or {', '.join(step.rivals)}" for step in steps if step.rivals)
+    return (
+        f"Ambiguous: the data cannot tell {groups} apart. The best fit: {text}.{share}{shown} An experiment that separates "
+        "them would decide (est.next_experiment)."
+    )
+
+
+def _size(one: Parameter) -> str:
+    # A deviation of zero is that of a parameter that is fixed.
+    return f"{one.value:.4g} +- {one.std:.2g} {one.unit}" if one.std > 0 else f"{one.value:.4g} {one.unit}, fixed"
+
+
+def static_force(curves: Sequence[ForceCurve], tests: Sequence[Evidence]) -> tuple[ForceCurve | None, bool]:
+    """The curve that explains most of what is missing, if one does; and whether any explains more than chance."""
+    rejecting = next((test for test in tests if test.test == "static force" and test.rejects), None)
+    if rejecting is None:
+        return None, False
+    best = max(significant(curves, rejecting.level), key=lambda c: c.excess, default=None)
+    if best is None or not best.excess > _STATIC * excess_of(tests):
+        return None, True
+    return best, True
+
+
+def not_named(further: Sequence[Step], left: Sequence[Evidence], samples: int) -> str:
+    """What would explain a part of what the named effects leave, but too little of it."""
+    first = further[0]
+    share = share_removed([first], left, samples)
+    choice = " or ".join([first.id, *first.rivals])
+    return f" Of what is then left {choice} would remove {100 * share:.0f} %, too little to be named."
+
+
+def surer(verdict: Verdict, recording: Recording) -> str:
+    """What would make the verdict surer: records that this recording lacks."""
+    lacking = []
+    if not any(e.kind == "rest" for e in recording.experiments):
+        lacking.append("a rest record of two seconds, which tells the noise and its colour apart from the motion")
+    if not any(e.repeat_of for e in recording.experiments):
+        lacking.append("a repeat of one experiment (repeat_of), which shows model error whatever the noise is")
+    if not lacking:
+        return ""
+    surer = "A missing effect would show more surely" if verdict == "adequate" else "It would be surer"
+    return f" {surer} with {', and '.join(lacking)}."
+
+
+def shaken(random_force: float, random_torque: float, left_out: float) -> str:
+    """What random forces mean for the verdict and for the fit that follows; nothing where they are small.
+
+    Args:
+        random_force, random_torque: in one sample, as shares of the rms spring force and motor torque.
+        left_out: share of the samples at which they may shake loose what dry friction holds.
+    """
+    said = ""
+    if left_out > _LEFT_OUT:
+        said = (
+            f" {100 * left_out:.0f} % of the samples do not count: there the cart or the arm all but rests, and what the base"
+            " model takes for random forces may shake loose what dry friction holds."
+        )
+    if max(random_force, random_torque) < SHAKEN:
+        return said
+    return said + (
+        f" Random forces shake the rig even so ({100 * random_force:.1f} % of the rms spring force in one sample,"
+        f" {100 * random_torque:.1f} % of the rms torque). A simulation cannot follow them: est.prediction_error_nonlinear"
+        " estimates parameters of such a rig, est.output_error may not."
+    )
+
+
+def strayed(residual_std: Mapping[str, float], noise: Mapping[str, float], recording: Recording) -> str:
+    """What it means that a simulation leaves the recording although no prediction shows why; nothing where it stays.
+
+    Of sensors whose noise is stated or recorded at rest: that of others is taken from fast changes, and is more where it is slow.
+    """
+    at_rest = {c for e in recording for c in e.outputs if e.kind == "rest" or e.outputs[c].noise_std is not None}
+    known = [c for c in noise if c in at_rest and c in residual_std]
+    channel = max(known, key=lambda c: residual_std[c] / noise[c], default=None)
+    far = residual_std[channel] / noise[channel] if channel is not None else 0.0
+    if far < _STRAYED:
+        return ""
+    return (
+        f" Even so, the simulation of the fit is {far:.0f} times the noise away from the recording ({channel}): the fit ended at"
+        " values that are not the best, or no simulation can follow this motion, as where an arm tumbles. Its parameters and"
+        " their standard deviations are not to be trusted then; est.prediction_error_nonlinear estimates them by predictions."
+    )
+
+
+def _unknown(
+    candidates: Sequence[Candidate],
+    tests: Sequence[Evidence],
+    removed: float,
+    curves: Sequence[ForceCurve],
+    latent: Sequence[LatentForce],
+    lines: Sequence[LineClass],
+) -> str:
+    reasons = "; ".join(f"{test.test}: {test.words}" for test in tests if test.rejects)
+    refitted = [c for c in candidates if c.refitted]
+    near = max(refitted, key=lambda c: c.error_reduction) if refitted else None
+    nearest = f" The nearest, {near.id}, removes {100 * near.error_reduction:.0f} % of the misfit." if near else ""
+    if removed and near and removed > near.error_reduction + 0.01:
+        nearest += f" Several effects of the catalogue together remove {100 * removed:.0f} %."
+    force = f" The missing force is {latent[0]}." if latent else ""
+    curve, rejected = static_force(curves, tests)
+    if curve is not None:
+        static = f" It depends most on {curve.variable} ({curve.port})."
+    elif rejected:
+        static = " No static function of position, velocity, angle or current explains most of it."
+    else:
+        static = " It is no static function of position, velocity, angle or current."
+    telling = min(lines, key=lambda line: line.p_value, default=None)
+    if telling is not None and telling.p_value < LEVEL / len(lines):
+        static += (
+            f" On the {telling.lines} lines of the periodic input {telling.channel} has {telling.ratio:.2g} times the power "
+            f"of the noise, which shows {telling.shows}."
+        )
+    return f"Unknown: the model fails and no effect of the catalogue explains it ({reasons}).{nearest}{force}{static}"

@@ -1,0 +1,1 @@
+"""The next experiment: which feasible one tells the remaining hypotheses apart."""

@@ -1,0 +1,190 @@
+"""Experiments that a rig could do next, kept by simulation within its travel, torque and speed."""
+
+import dataclasses
+import itertools
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from rtac_jax import RTAC, Simulation, simulate
+from rtac_jax.measurement import Experiment, Plan, multisine
+
+_MARGIN = 0.85  # share of travel and speed that the model may use: the rig departs from it
+_ROUNDS = 8  # in which a current is lowered until the limits hold
+_FEWER = 0.9
+
+_DISPLACEMENTS = (0.2, 0.5, 0.8)  # of the travel
+_ANGLES = (0.0, 0.25 * np.pi, 0.5 * np.pi)
+_SWINGS = (0.5, 1.5)  # rad, of the arm under a square wave or a chirp
+_SQUARES = (0.5, 1.0, 1.6, 3.0, 6.0)  # Hz
+_BANDS = ((0.3, 3.0), (1.0, 8.0), (3.0, 20.0))  # Hz
+_LEAD = 0.1  # s without current at the beginning
+_CHANNELS = ("cart_position", "arm_velocity")
+_SPEEDS = (4.0, 12.0, 30.0)  # rad/s, at which friction balances a steady current
+
+
+@dataclasses.dataclass(frozen=True)
+class Limits:
+    """What an experiment must respect: travel of the cart to each side [m], torque [N m], speed of the arm [rad/s].
+
+    Raises:
+        ValueError: one is not a positive number.
+    """
+
+    travel: float
+    torque: float
+    speed: float
+
+    def __post_init__(self) -> None:
+        for name in ("travel", "torque", "speed"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value > 0):
+                raise ValueError(f"{name} limit: is {value}; give a positive number in SI units.")
+
+
+class Feasible(NamedTuple):
+    """Plans within the limits, what the model does in each, and why the others were refused."""
+
+    plans: tuple[Plan, ...]
+    shown: tuple[Simulation, ...]
+    refused: tuple[str, ...]
+
+
+def default_menu(model: RTAC, limits: Limits, *, sample_time: float, duration: float) -> list[Plan]:
+    """Free decays, square waves, multisines, steady currents, steps and chirps, slow and fast, at several arm angles.
+
+    Currents are sized by what they do to the arm, J theta'' = K_m i, and cut at the torque limit.
+    """
+    samples = round(duration / sample_time)
+    rest = min(max(5, round(_LEAD / sample_time)), samples // 10)
+    time = sample_time * np.arange(samples - rest)
+    gain = float(np.asarray(model["torque_constant"]))
+    inertia = float(np.asarray(model["arm_inertia"]))
+    drag = float(np.asarray(model["arm_viscous.positive"])) if "arm_viscous" in model else 0.0
+    largest = limits.torque / gain
+    highest = 0.4 / sample_time  # Hz
+    plans = [
+        Plan(
+            f"decay {1e3 * share * limits.travel:.3g} mm at {_degrees(angle)}", "free", duration, sample_time,
+            initial_position=share * limits.travel, initial_angle=angle,
+        )
+        for share, angle in itertools.product(_DISPLACEMENTS, _ANGLES)
+    ]  # fmt: skip
+    waves: list[tuple[str, np.ndarray]] = []
+    for frequency, swing in itertools.product(_SQUARES, _SWINGS):
+        # A square wave that begins in mid half-wave swings the arm by tau T^2 / (32 J) without drift.
+        amplitude = 32 * frequency**2 * inertia * swing / gain
+        if frequency < highest and frequency * duration >= 1:
+            sign = np.where((frequency * time + 0.25) % 1 < 0.5, 1.0, -1.0)
+            waves.append((f"square {frequency:g} Hz, {swing:g} rad", min(amplitude, largest) * sign))
+    for number, (low, high) in enumerate(_BANDS):
+        if high < highest and low * duration >= 1:
+            for rms in (0.05, 0.2):
+                wave = multisine(samples=len(time), sample_time=sample_time, rms=rms, band=(low, high), seed=number)
+                waves.append((f"multisine {low:g}-{high:g} Hz, {rms:g} A", np.clip(wave, -largest, largest)))
+    for speed in _SPEEDS:
+        level = min(drag * speed / gain, largest)
+        if level > 0:
+            waves.append((f"steady current to {speed:g} rad per s", np.full(len(time), level)))
+            # Forth, off, back, off: the arm runs up, coasts, and comes back slowly through rest.
+            turn = np.array([1.0, 0.0, -1.0, 0.0])[np.floor(4 * time / time[-1]).astype(int) % 4]
+            waves.append((f"steps to {speed:g} rad per s", level * turn))
+    for swing in _SWINGS:
+        low, high = 0.5, min(6.0, highest)
+        rate = low + (high - low) * time / time[-1]
+        phase = 2 * np.pi * np.cumsum(rate) * sample_time
+        # The current rises with the frequency squared, so that the arm swings alike throughout.
+        wave = inertia * (2 * np.pi * rate) ** 2 * swing / gain * np.cos(phase)
+        waves.append((f"chirp {low:g}-{high:g} Hz, {swing:g} rad", np.clip(wave, -largest, largest)))
+    # What came before a record is not known, so nothing that a delay or a lag would remember may begin with it.
+    lead = np.zeros(rest)
+    plans += [
+        Plan(
+            f"{name} at {_degrees(angle)}", "forced", duration, sample_time, np.concatenate([lead, wave]),
+            initial_angle=angle,
+        )
+        for (name, wave), angle in itertools.product(waves, (_ANGLES[0], _ANGLES[2]))
+    ]  # fmt: skip
+    return plans
+
+
+def feasible(model: RTAC, plans: Sequence[Plan], limits: Limits, *, lower: bool) -> Feasible:
+    """Plans that stay within the limits on the model.
+
+    Args:
+        lower: whether currents may be lowered until they do.
+    """
+    plans, asked = list(plans), {plan.name: plan for plan in plans}
+    refused: dict[str, str] = {}
+    shown: dict[str, Simulation] = {}
+    gain = float(np.asarray(model["torque_constant"]))
+    for attempt in range(_ROUNDS if lower else 1):
+        shown = simulate(model, [_blank(plan) for plan in plans], start={plan.name: start_of(plan) for plan in plans})
+        refused = {}
+        for place, plan in enumerate(plans):
+            states = shown[plan.name].states
+            reach = float(np.max(np.abs(states["cart_position"]))) / (_MARGIN * limits.travel)
+            speed = float(np.max(np.abs(states["arm_velocity"]))) / (_MARGIN * limits.speed)
+            pull = 0.0 if plan.current is None else gain * float(np.max(np.abs(plan.current))) / limits.torque
+            worst = max(reach, speed, pull) if np.isfinite(reach + speed) else np.inf
+            if worst <= 1 + 1e-9:
+                if not _shows(plan, shown[plan.name], _CHANNELS):
+                    refused[plan.name] = f"{plan.name}: too weak to move anything against friction"
+                continue
+            what = "travel" if worst == reach else "torque" if worst == pull else "speed of the arm"
+            refused[plan.name] = f"{plan.name}: breaks the limit of the {what}"
+            if lower and plan.current is not None and attempt < _ROUNDS - 1:
+                less = max(min(_FEWER, 1 / worst), 0.3)
+                plans[place] = dataclasses.replace(plan, current=less * plan.current)
+        if not refused:
+            break
+    kept = [plan for plan in plans if plan.name not in refused]
+    motions = tuple(shown[plan.name] for plan in kept)
+    return Feasible(tuple(_named(plan, asked[plan.name]) for plan in kept), motions, tuple(refused.values()))
+
+
+def predicted(plan: Plan, shown: Simulation, channels: Sequence[str]) -> Experiment:
+    """A plan as the experiment that the model expects of it; a channel in which nothing moves is left out."""
+    return _experiment(plan, {c: getattr(shown, c) for c in _shows(plan, shown, channels)})
+
+
+def start_of(plan: Plan) -> tuple[float, float, float, float]:
+    """Cart position [m], cart velocity [m/s], arm angle [rad] and arm velocity [rad/s] at the start."""
+    return plan.initial_position, plan.initial_velocity, plan.initial_angle, plan.initial_arm_velocity
+
+
+def _shows(plan: Plan, shown: Simulation, channels: Sequence[str]) -> list[str]:
+    """The channels in which something moves."""
+    held = {
+        "cart_position": plan.cart == "clamped",
+        "arm_velocity": plan.arm == "locked",
+        "arm_angle": plan.arm == "locked",
+    }
+    return [c for c in channels if not held[c] and np.ptp(getattr(shown, c)) > 0]
+
+
+def _named(plan: Plan, asked: Plan) -> Plan:
+    if plan.current is None or plan.current is asked.current:
+        return plan
+    return dataclasses.replace(plan, name=f"{plan.name}, lowered to {np.max(np.abs(plan.current)):.2g} A")
+
+
+def _blank(plan: Plan) -> Experiment:
+    # Only the inputs of this one are looked at, but an experiment in which nothing shows would be refused.
+    ramp = np.arange(plan.samples, dtype=float)
+    return predicted(plan, Simulation(ramp, ramp, ramp, ramp, {}), _CHANNELS)
+
+
+def _experiment(plan: Plan, outputs: Mapping[str, Float[np.ndarray, " sample"]]) -> Experiment:
+    return Experiment.of(
+        plan.name, kind=plan.kind, sample_time=plan.sample_time, current=plan.current,
+        disturbance_force=plan.disturbance_force, intersample=plan.intersample, initial_arm_angle=plan.initial_angle,
+        arm=plan.arm, cart=plan.cart, cart_position=outputs.get("cart_position"), arm_velocity=outputs.get("arm_velocity"),
+        arm_angle=outputs.get("arm_angle"),
+    )  # fmt: skip
+
+
+def _degrees(angle: float) -> str:
+    return f"{np.degrees(angle):.3g} deg"

@@ -1,0 +1,254 @@
+"""The next experiment: of those that the rig can do, the one that best tells apart what the data leave open."""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from os import PathLike
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from estimators.core.data import moving
+from estimators.core.drawing import draw
+from estimators.core.fit import Fit
+from estimators.diagnosis.diagnose import Diagnosis
+from estimators.experiment_design.candidate_experiments import Limits, default_menu, feasible, predicted
+from estimators.experiment_design.hypotheses import contest_of
+from estimators.experiment_design.t_optimality import separations
+from rtac_jax import require_configured
+from rtac_jax.effects import Effect
+from rtac_jax.measurement import OUTPUTS, Plan, Recording
+
+CONFUSABLE = 10.0
+"""Separation below which two effects are not told apart."""
+
+ENOUGH = 500.0
+"""Separation beyond that of the recording, above which more decides nothing more: the gentler experiment comes first."""
+
+Pair = tuple[str, str]
+
+
+@dataclasses.dataclass(frozen=True)
+class PlannedExperiment:
+    """One experiment of the menu.
+
+    Attributes:
+        plan: what to do; `rtac_jax.virtual_rig.record` can do it too.
+        separation: twice the expected gain in log-likelihood of the first effect of a pair, if it is the truth, over the
+            second at its best values, from the recording and this experiment together; by pair.
+        travel: of the cart to each side, as the model predicts [m].
+        torque: largest [N m].
+        speed: of the arm, largest [rad/s].
+        effort: the largest of these as a share of its limit [1].
+    """
+
+    plan: Plan
+    separation: Mapping[Pair, float]
+    travel: float
+    torque: float
+    speed: float
+    effort: float
+
+    @property
+    def smallest(self) -> float:
+        """The separation of the pair that it separates least."""
+        return min(self.separation.values())
+
+
+@dataclasses.dataclass(frozen=True)
+class NextExperiment:
+    """Result of `next_experiment`.
+
+    Attributes:
+        effects: ids of those to be told apart.
+        already: separation of each pair by the recording alone.
+        ranked: experiments within the limits, best first.
+        refused: why the others are not among them.
+        recording: the recommended experiment as a file to play: its inputs, and as outputs what the model predicts.
+    """
+
+    effects: tuple[str, ...]
+    already: Mapping[Pair, float]
+    ranked: tuple[PlannedExperiment, ...]
+    refused: tuple[str, ...]
+    recording: Recording
+
+    @property
+    def best(self) -> PlannedExperiment:
+        """The recommended experiment."""
+        return self.ranked[0]
+
+    @property
+    def told_apart(self) -> str:
+        """The effects in words: one from its rivals, or all from each other."""
+        pairs = list(self.already)
+        sure = next((i for i in self.effects if len(self.effects) > 2 and all(i in pair for pair in pairs)), None)
+        if sure is None:
+            return " and ".join(self.effects)
+        return f"{sure} from {' and '.join(i for i in self.effects if i != sure)}"
+
+    @property
+    def plan(self) -> Plan:
+        """What to do: the plan of the recommended experiment."""
+        return self.best.plan
+
+    @property
+    def current(self) -> Float[np.ndarray, " sample"]:
+        """Motor current of the recommended experiment [A]; zero in a free decay."""
+        plan = self.plan
+        return np.zeros(plan.samples) if plan.current is None else plan.current
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write the recommended experiment for the rig, ".csv" or ".h5"; see `Recording.save`."""
+        self.recording.save(path)
+
+    def as_dict(self, most: int = 5) -> dict[str, Any]:
+        """The recommendation and the experiments next to it, for a report; SI units."""
+        plan = self.plan
+
+        def pairs(separation: Mapping[Pair, float]) -> list[dict[str, Any]]:
+            return [{"true": i, "against": j, "separation": value} for (i, j), value in separation.items()]
+
+        return {
+            "name": plan.name,
+            "kind": plan.kind,
+            "effects": list(self.effects),
+            "separation": pairs(self.best.separation),
+            "separation_already": pairs(self.already),
+            "sample_time": plan.sample_time,
+            "duration": plan.duration,
+            "initial_position": plan.initial_position,
+            "initial_arm_angle": plan.initial_angle,
+            "travel": self.best.travel,
+            "torque": self.best.torque,
+            "arm_speed": self.best.speed,
+            "ranked": [{"name": one.plan.name, "smallest_separation": one.smallest} for one in self.ranked[:most]],
+        }
+
+    def __str__(self) -> str:
+        best, plan = self.best, self.plan
+        worst = min(best.separation, key=lambda pair: best.separation[pair])
+        lines = [
+            f"Next experiment: {plan.name}, {plan.duration:g} s, the cart released at {1e3 * plan.initial_position:.3g} mm, the "
+            f"arm at {plan.initial_angle:.3g} rad.",
+            f"It raises the smallest separation of {self.told_apart} from {min(self.already.values()):.3g} to "
+            f"{best.smallest:.3g} ({worst[0]} against {worst[1]}); below {CONFUSABLE:g} effects are not told apart.",
+            f"Predicted: travel {1e3 * best.travel:.2g} mm, torque {best.torque:.2g} N m, arm {best.speed:.3g} rad/s.",
+        ]
+        if best.smallest < CONFUSABLE:
+            lines.append("No experiment of the menu tells these apart; record it several times, or widen the limits.")
+        lines += ["", f"{'experiment':44s} {'separation':>11s} {'travel':>9s} {'torque':>11s} {'arm speed':>11s}"]
+        lines += [
+            f"{one.plan.name:44s} {one.smallest:11.3g} {1e3 * one.travel:6.2f} mm {1e3 * one.torque:6.2f} mN m "
+            f"{one.speed:5.1f} rad/s"
+            for one in self.ranked
+        ]
+        return "\n".join([*lines, *(f"refused: {reason}" for reason in self.refused)])
+
+    def plot(self) -> Any:
+        """Separation by every experiment, and the recommended one, as a matplotlib figure."""
+        return draw(self)
+
+
+def next_experiment(
+    fit: Fit,
+    recording: Recording,
+    found: Diagnosis,
+    *,
+    between: Sequence[str] | None = None,
+    menu: Sequence[Plan] | None = None,
+    candidates: Sequence[type[Effect]] | None = None,
+    travel: float = 0.015,
+    torque_limit: float = 0.1,
+    speed_limit: float = 55.0,
+    duration: float | None = None,
+    progress: bool = True,
+) -> NextExperiment:
+    """The experiment that best tells apart the effects between which a diagnosis could not decide.
+
+    For each pair the separation is |(I - P) (t_i - t_j)|^2, with t what an effect at its estimated size changes in the
+    innovations, and P the projection on what the parameters of the model and of the second effect can change: twice the
+    expected gain in log-likelihood with the noise as it is, which is that of the recording once the best effect is added.
+
+    The recommended experiment has the largest smallest separation, together with the recording that exists. Of those that
+    add more than `ENOUGH` it is the gentlest: a base model that fails by fifty times the noise, as under a violent
+    excitation, leads the next diagnosis astray.
+
+    Args:
+        fit: of the base model to the recording.
+        found: the diagnosis of this fit.
+        between: ids of the effects to tell apart, or of one, to be told from nothing; by default those that the diagnosis
+            calls ambiguous, else what it found and the nearest rivals.
+        menu: experiments to choose from; those that break a limit on the model are passed over. By default free decays,
+            square waves, multisines, steady currents, steps and chirps, their currents lowered to the limits.
+        candidates: classes of the effects, where they are not in the catalogue.
+        travel: largest cart position to each side [m].
+        torque_limit: largest |K_m i| [N m].
+        speed_limit: largest speed of the arm [rad/s].
+        duration: of the experiments of the default menu [s]; by default as the longest of the recording, at most 20 s.
+        progress: show a bar.
+
+    Raises:
+        ValueError: nothing is to be told apart, an effect is unknown, a limit is out of range, or no experiment keeps to
+            the limits.
+        RuntimeError: JAX was not configured for double precision.
+
+    Source: Atkinson and Fedorov, Biometrika 62 (1975), T-optimum design for discrimination, linearised at the estimates.
+    """
+    require_configured()
+    limits = Limits(travel, torque_limit, speed_limit)
+    experiments = moving(recording)
+    contest = contest_of(fit, recording, found, between=between, candidates=candidates, progress=progress)
+    interval = min(e.sample_time for e in experiments)
+    if menu is None:
+        longest = min(max(e.samples * e.sample_time for e in experiments), 20.0)
+        plans = default_menu(contest.truth, limits, sample_time=interval, duration=duration or longest)
+        taken = {e.name for e in recording.experiments}
+        plans = [dataclasses.replace(p, name=f"{p.name}, once more") if p.name in taken else p for p in plans]
+    else:
+        plans = list(menu)
+    _require_plans(plans, [e.name for e in experiments])
+    possible = feasible(contest.truth, plans, limits, lower=menu is None)
+    if not possible.plans:
+        raise ValueError("menu: no experiment keeps to the limits: " + "; ".join(possible.refused[:3]) + ".")
+    channels = [c for c in OUTPUTS if any(c in e.outputs for e in experiments)]
+    planned = [predicted(plan, shown, channels) for plan, shown in zip(possible.plans, possible.shown, strict=True)]
+    already, with_each = separations(contest, experiments, possible.plans, planned)
+    gain = float(np.asarray(contest.truth["torque_constant"]))
+    ranked = []
+    for plan, shown, separation in zip(possible.plans, possible.shown, with_each, strict=True):
+        reach, speed = (float(np.max(np.abs(shown.states[x]))) for x in ("cart_position", "arm_velocity"))
+        torque = 0.0 if plan.current is None else gain * float(np.max(np.abs(plan.current)))
+        effort = max(reach / travel, torque / torque_limit, speed / speed_limit)
+        ranked.append(PlannedExperiment(plan, separation, reach, torque, speed, effort))
+    # Of an effect that was never fitted the size is a guess, and no separation is surely enough.
+    fitted = all(c.refitted for c in found.candidates if c.id in contest.effects)
+    enough = min(already.values()) + ENOUGH if fitted else np.inf
+    ranked.sort(key=lambda one: (-min(one.smallest, enough), one.effort))
+    best = next(e for e in planned if e.name == ranked[0].plan.name)
+    comment = (
+        f"Experiment to be played, to tell {' and '.join(contest.effects)} apart: the inputs are the design, the outputs are the "
+        f"prediction of the model ({', '.join(contest.truth.ids)}), not measurements. Release the cart at "
+        f"{1e3 * ranked[0].plan.initial_position:.4g} mm and the arm at {ranked[0].plan.initial_angle:.4g} rad."
+    )
+    playable = Recording((best,), recording.rig, recording.rig_name, comment)
+    return NextExperiment(contest.effects, already, tuple(ranked), possible.refused, playable)
+
+
+def _require_plans(plans: Sequence[Plan], taken: Sequence[str]) -> None:
+    for plan in plans:
+        if not isinstance(plan, Plan):
+            raise ValueError(f"menu: {plan!r} is no plan; give virtual_rig.Plan(...).")
+        if plan.arm == "locked" and plan.cart == "clamped":
+            raise ValueError(
+                f"menu: in {plan.name} the arm is locked and the cart clamped, so nothing moves; free one of them."
+            )
+    names = [plan.name for plan in plans]
+    if not names:
+        raise ValueError("menu: is empty; give at least one plan.")
+    twice = sorted({n for n in names if names.count(n) > 1})
+    if twice:
+        raise ValueError(f"menu: {', '.join(twice)} occurs twice; give each plan a name of its own.")
+    known = sorted(set(names) & set(taken))
+    if known:
+        raise ValueError(f"menu: the recording has {', '.join(known)} already; rename the plan.")

@@ -1,0 +1,1 @@
+"""Frequency responses of operating conditions, estimated without a model."""

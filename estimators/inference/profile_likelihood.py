@@ -1,0 +1,155 @@
+"""Profile likelihood: how the fit worsens as one parameter is held at other values and all the rest is fitted again."""
+
+import dataclasses
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+from scipy.optimize import brentq
+from scipy.stats import chi2
+
+from estimators.core.active_bounds import solve_bounded
+from estimators.core.data import CHANNELS
+from estimators.core.drawing import draw
+from estimators.core.fit import Fit
+from estimators.core.linearisation import at_fit, problem_of
+from rtac_jax import require_configured
+from rtac_jax.measurement import Recording
+
+
+@dataclasses.dataclass(frozen=True)
+class Profile:
+    """Result of `profile`.
+
+    Attributes:
+        name: of the parameter.
+        unit: SI unit.
+        value: the estimate.
+        std: its standard deviation from the curvature at the estimate.
+        held: values at which the parameter was held.
+        rise: of twice the negative log-likelihood above its minimum, at each of them.
+        interval: where the rise stays below the level's quantile; infinite where it never crosses it.
+        level: of the interval.
+    """
+
+    name: str
+    unit: str
+    value: float
+    std: float
+    held: Float[np.ndarray, " point"]
+    rise: Float[np.ndarray, " point"]
+    interval: tuple[float, float]
+    level: float
+
+    def __str__(self) -> str:
+        low, high = self.interval
+        text = f"{self.name} = {self.value:.6g} {self.unit}; {100 * self.level:.3g} % interval {low:.6g} to {high:.6g}"
+        below, above = (self.value - low) / self.std, (high - self.value) / self.std
+        if not np.isfinite(below + above):
+            return f"{text}: the data do not bound it on {'both sides' if np.isinf(below) and np.isinf(above) else 'one side'}."
+        reach = float(np.sqrt(chi2.ppf(self.level, 1)))
+        skewed = max(abs(below / reach - 1), abs(above / reach - 1)) > 0.1
+        return text + (", not that of a parabola: trust it rather than the standard deviation." if skewed else ".")
+
+    def plot(self) -> Any:
+        """The profile beside the parabola of the standard deviation, as a matplotlib figure."""
+        return draw(self)
+
+
+def profile(
+    fit: Fit,
+    recording: Recording,
+    name: str,
+    *,
+    points: int = 9,
+    reach: float = 3.0,
+    level: float = 0.95,
+    steps: int = 30,
+) -> Profile:
+    """Profile likelihood of one parameter of a fit, with its interval.
+
+    Args:
+        recording: the one that was fitted.
+        name: of the parameter.
+        points: values at which it is held, spread evenly over `reach` standard deviations to both sides.
+        level: of the interval.
+        steps: optimiser steps at each point.
+
+    Raises:
+        ValueError: the fit did not estimate the parameter, or the recording is not the one that was fitted.
+        RuntimeError: JAX was not configured for double precision.
+
+    Source: Venzon and Moolgavkar, Applied Statistics 37 (1988).
+    """
+    require_configured()
+    if name not in fit.information.names:
+        raise ValueError(f"the fit did not estimate {name!r}; it estimated {', '.join(fit.information.names)}.")
+    if points < 3 or not 0 < level < 1 or reach <= 0:
+        raise ValueError("profile needs three points or more, a positive reach, and a level between 0 and 1.")
+    needed = float(np.sqrt(chi2.ppf(level, 1)))
+    if reach < needed:
+        raise ValueError(f"reach is {reach:g}; an interval at {100 * level:g} % needs {needed:.2f} or more.")
+    value, std = fit.parameters[name].value, fit.parameters[name].std
+    lower, upper = fit.model.parameters[name].bounds
+    whole = at_fit(fit, recording)
+    deviation = np.array([fit.residual_std.get(channel, 1.0) for channel in CHANNELS])
+    best = solve_bounded(whole.unknowns, whole.arguments, tolerance=1e-8, most=steps)
+    offsets = np.linspace(-reach, reach, points + (points + 1) % 2) * std
+    offsets = offsets[(value + offsets > lower) & (value + offsets < upper)]
+    rise = np.zeros(len(offsets))
+    correlated = fit.information.covariance[:, fit.information.names.index(name)] / std**2
+    for side in (-1, 1):
+        for place in np.argsort(np.abs(offsets)):
+            if np.sign(offsets[place]) != side:
+                continue
+            # The others begin where the ridge of the likelihood leads, as its curvature has it.
+            moved = {
+                n: float(np.clip(fit.parameters[n].value + c * offsets[place], *_inside(fit, n)))
+                for n, c in zip(fit.information.names, correlated, strict=True)
+            }
+            model = fit.model.with_values(moved | {name: value + offsets[place]})
+            problem = problem_of(
+                model, whole.experiments, deviation, substeps=int(fit.statistics["substeps"]), start=fit.start
+            )
+            # A place past the end holds the parameter at the space's value; the fit's compiled function serves again.
+            space = problem.arguments.space
+            active = np.asarray(space.active).copy()
+            active[problem.names.index(name)] = len(space.names)
+            held = dataclasses.replace(space, active=jnp.asarray(active))
+            solved = solve_bounded(
+                problem.unknowns, dataclasses.replace(problem.arguments, space=held), tolerance=1e-8, most=steps
+            )
+            rise[place] = 2 * (solved.cost - best.cost)
+    return Profile(
+        name,
+        fit.parameters[name].unit,
+        value,
+        std,
+        value + offsets,
+        rise,
+        _interval(value, offsets, rise, level),
+        level,
+    )
+
+
+def _inside(fit: Fit, name: str) -> tuple[float, float]:
+    lower, upper = fit.model.parameters[name].bounds
+    room = 1e-6 * abs(fit.parameters[name].value)
+    return lower + room, upper - room
+
+
+def _interval(value: float, offsets: np.ndarray, rise: np.ndarray, level: float) -> tuple[float, float]:
+    """Where the signed root of the rise, which is nearly a straight line, crosses the quantile's root."""
+    root = np.sign(offsets) * np.sqrt(np.maximum(rise, 0.0))
+    bound = float(np.sqrt(chi2.ppf(level, 1)))
+    ends = []
+    for side in (-1, 1):
+        reached = root[-1] if side > 0 else -root[0]
+        if reached < bound:
+            ends.append(side * np.inf)
+            continue
+        far = offsets[-1] if side > 0 else offsets[0]
+        crossing = brentq(lambda x, s=side: float(np.interp(x, offsets, root)) - s * bound, 0.0, far)
+        ends.append(value + float(np.asarray(crossing)))
+    return ends[0], ends[1]

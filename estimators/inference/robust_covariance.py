@@ -1,0 +1,167 @@
+"""Covariances of a fit that hold when its residual is coloured, beside the plain one."""
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+from scipy.stats import t as student
+
+from estimators.core.fisher_information import Information
+from estimators.core.fit import Fit
+from estimators.core.linearisation import Problem, Rows, at_fit, rows_at
+from rtac_jax import require_configured
+from rtac_jax.measurement import Recording
+
+Kind = Literal["plain", "sandwich", "clustered"]
+Matrix = Float[np.ndarray, "parameter parameter"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Covariances:
+    """Result of `covariances`: how sure the parameters of one fit are, by three sets of assumptions.
+
+    Attributes:
+        names: of the parameters.
+        values: the estimates, SI units.
+        units: SI units.
+        plain: the residual is white.
+        sandwich: the residual is coloured, and forgets within an experiment.
+        clustered: the residual is anything that is independent between experiments.
+        degrees: of freedom of Student's distribution, by kind and parameter.
+    """
+
+    names: tuple[str, ...]
+    values: Float[np.ndarray, " parameter"]
+    units: tuple[str, ...]
+    plain: Matrix
+    sandwich: Matrix
+    clustered: Matrix
+    degrees: Mapping[str, Float[np.ndarray, " parameter"]]
+
+    def std(self, kind: Kind) -> dict[str, float]:
+        """Standard deviation of each parameter; NaN where only one experiment shows it and there is nothing to compare."""
+        return dict(zip(self.names, (float(x) for x in np.sqrt(np.diagonal(getattr(self, kind)))), strict=True))
+
+    def interval(self, kind: Kind, level: float = 0.95) -> dict[str, tuple[float, float]]:
+        """Confidence interval of each parameter."""
+        reach = student.ppf(0.5 + 0.5 * level, self.degrees[kind]) * np.array(list(self.std(kind).values()))
+        return {n: (float(v - r), float(v + r)) for n, v, r in zip(self.names, self.values, reach, strict=True)}
+
+    def __str__(self) -> str:
+        kinds: tuple[Kind, ...] = ("plain", "sandwich", "clustered")
+        lines = [f"{'parameter':28s} {'value':>12s} " + " ".join(f"{k + ' std':>14s}" for k in kinds) + "  unit"]
+        each = [self.std(kind) for kind in kinds]
+        for name, value, unit in zip(self.names, self.values, self.units, strict=True):
+            spreads = " ".join(f"{s[name]:14.2g}" if np.isfinite(s[name]) else f"{'one only':>14s}" for s in each)
+            lines.append(f"{name:28s} {value:12.6g} {spreads}  {unit}")
+        lines.append("plain: white residual; sandwich: coloured residual; clustered: independent experiments only")
+        return "\n".join(lines)
+
+
+def covariances(fit: Fit, recording: Recording) -> Covariances:
+    """Plain, sandwich and clustered covariance of a fit.
+
+    The sandwich sums the autocovariance of the scores within each experiment under Bartlett's window, as wide as their
+    correlation asks, and makes up for what fitting took from the residual; the clustered one takes each experiment's whole
+    score as one observation, scaled so that it is right on average when the residual is white, with as many degrees of
+    freedom as then match its variance.
+
+    Args:
+        recording: the one that was fitted.
+
+    Raises:
+        ValueError: the recording is not the one that was fitted.
+
+    Source: Newey and West, Econometrica 55 (1987); Andrews, Econometrica 59 (1991); Bell and McCaffrey, Survey
+    Methodology 28 (2002).
+    """
+    require_configured()
+    problem = at_fit(fit, recording)
+    rows = rows_at(problem)
+    meat, bread, lag = _coloured(rows)
+    meat = meat * _spent(rows, problem)
+    clusters = [name.split("[")[0] for name in fit.experiments]
+    by_cluster, degrees = clustered(fit.information, clusters)
+    names = fit.information.names
+    many = np.full(len(names), np.inf)
+    samples = float(np.sum(np.asarray(problem.arguments.data.present)))
+    return Covariances(
+        names,
+        np.array([fit.parameters[n].value for n in names]),
+        tuple(fit.parameters[n].unit for n in names),
+        fit.information.covariance,
+        bread @ meat @ bread,
+        by_cluster,
+        {"plain": many, "sandwich": np.full(len(names), max(1.5 * samples / (lag + 1), 3.0)), "clustered": degrees},
+    )
+
+
+def _coloured(rows: Rows) -> tuple[Matrix, Matrix, int]:
+    """Sum of the scores' autocovariance, inverse of the Gauss-Newton matrix, and the lag up to which was summed."""
+    scores = np.einsum("sokp,sok->ksp", rows.jacobian, rows.residual)
+    flat = rows.jacobian.reshape(-1, rows.jacobian.shape[-1])
+    bread = np.linalg.inv(flat.T @ flat)
+    lag = _bandwidth(scores)
+    meat = np.einsum("ksp,ksq->pq", scores, scores)
+    for k in range(1, lag + 1):
+        shifted = np.einsum("ksp,ksq->pq", scores[:, k:], scores[:, :-k])
+        meat += (1 - k / (lag + 1)) * (shifted + shifted.T)
+    return meat, bread, lag
+
+
+def _spent(rows: Rows, problem: Problem) -> float:
+    """By how much fitting made the residual smaller: a coloured one of n samples is worth fewer, and all unknowns fit it."""
+    power = float(np.sum(rows.residual**2))
+    rho = float(np.clip(np.sum(rows.residual[1:] * rows.residual[:-1]) / power, 0.0, 0.99)) if power > 0 else 0.0
+    worth = float(np.sum(np.asarray(problem.arguments.data.present))) * (1 - rho) / (1 + rho)
+    starts = float(np.sum(1 - np.asarray(problem.arguments.space.start_held)))
+    fitted = len(problem.names) + np.size(problem.unknowns.each) + starts
+    return worth / max(worth - fitted, 0.5 * worth)
+
+
+def _bandwidth(scores: Float[np.ndarray, "experiment sample parameter"]) -> int:
+    """Andrews' choice for Bartlett's window, from the correlation of neighbouring scores; the largest of all parameters."""
+    power = np.sum(scores**2, axis=(0, 1))
+    near = np.sum(scores[:, 1:] * scores[:, :-1], axis=(0, 1)) / np.where(power > 0, power, 1.0)
+    rho = float(np.clip(np.max(near, initial=0.0), 0.0, 0.99))
+    samples = scores.shape[1]
+    wide = 1.1447 * (4 * rho**2 / (1 - rho**2) ** 2 * samples) ** (1 / 3)
+    return int(min(np.ceil(wide), samples // 4))
+
+
+def clustered(information: Information, clusters: list[str]) -> tuple[Matrix, Float[np.ndarray, " parameter"]]:
+    """Covariance from the scores of independent clusters, and degrees of freedom per parameter.
+
+    Args:
+        clusters: to which cluster each of the information's experiments belongs.
+
+    Raises:
+        ValueError: there are no scores, or as many labels as experiments are not given.
+    """
+    if information.parts is None or information.scores is None:
+        raise ValueError("this information holds no scores of single experiments, so it cannot be clustered.")
+    if len(clusters) != len(information.scores):
+        raise ValueError(f"{len(information.scores)} experiments need as many clusters, not {len(clusters)}.")
+    groups = list(dict.fromkeys(clusters))
+    place = np.array([groups.index(c) for c in clusters])
+    parts = np.stack([information.parts[place == g].sum(axis=0) for g in range(len(groups))])
+    scores = np.stack([information.scores[place == g].sum(axis=0) for g in range(len(groups))])
+    bread = information.covariance
+    moved = scores @ bread  # what each cluster moves each parameter by, but for the sign
+    raw = moved.T @ moved
+    # Were the residual white, cluster g's share of parameter p would be c' B (s_g - H_g B sum s) with Cov(s_g) = H_g.
+    # Its covariance over clusters tells how far the raw variance is off, and how much it scatters.
+    width = len(information.names)
+    scale, degrees = np.full(width, np.nan), np.full(width, np.nan)
+    for p in range(width):
+        c = bread[p]
+        through = np.einsum("q,gqr,rs->gs", c, parts, bread)
+        own = np.einsum("q,gqr,r->g", c, parts, c)
+        omega = np.diag(own) - np.einsum("gs,hst,t->gh", through, parts, c)
+        trace = float(np.trace(omega))
+        if trace > 1e-9 * bread[p, p]:
+            scale[p] = np.sqrt(bread[p, p] / trace)
+            degrees[p] = trace**2 / float(np.sum(omega**2))
+    return raw * np.outer(scale, scale), degrees

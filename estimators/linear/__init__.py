@@ -1,0 +1,1 @@
+"""Linear models of many operating conditions at once, by the prediction-error method."""

@@ -1,0 +1,203 @@
+"""Are the parameters of a linear model the same in all conditions? Which one drifts, and with what?"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.stats
+from jaxtyping import Float
+
+from estimators.core.drawing import draw
+from estimators.linear.model import LinearModel
+
+_DETERMINED = 0.5  # standard deviation over value
+_SINGULAR = 1e-9  # of correlations
+_WORDS = {
+    "amplitude": "the amplitude (output rms)",
+    "angle": "the arm's angle (cos² θ₀)",
+    "time": "the order of time",
+}
+
+
+@dataclass(frozen=True)
+class Trend:
+    """Weighted regression of one quantity on one covariate.
+
+    Attributes:
+        covariate: "amplitude", the rms of the output; "angle", cos^2 of the mean arm angle; "time", the order of the
+            conditions.
+        slope, slope_std: change of the quantity over the range of the covariate. The deviation counts what scatters
+            beyond the estimates' own uncertainty.
+        share: of the scatter's chi-square that the regression removes [1].
+        p_value: of no slope.
+    """
+
+    covariate: str
+    slope: float
+    slope_std: float
+    share: float
+    p_value: float
+
+
+@dataclass(frozen=True, eq=False)
+class Equality:
+    """Result of `LinearModels.equality`.
+
+    Attributes:
+        names, units: of the quantities.
+        conditions: names of the conditions.
+        values, std: [condition, quantity].
+        common, common_std: the weighted mean over conditions.
+        chi_square, freedom, p_value: of all quantities being equal, jointly.
+        p_values: of each one alone.
+        trends: of each quantity on each covariate that is known.
+        covariates: their values by name, one for each condition.
+        left_out: conditions that determine a natural frequency or damping ratio worse than to half its size, where standard
+            deviations mean little.
+        level: at which equality is called broken.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    conditions: tuple[str, ...]
+    values: Float[np.ndarray, "condition quantity"]
+    std: Float[np.ndarray, "condition quantity"]
+    common: Float[np.ndarray, " quantity"]
+    common_std: Float[np.ndarray, " quantity"]
+    chi_square: float
+    freedom: int
+    p_value: float
+    p_values: Float[np.ndarray, " quantity"]
+    trends: tuple[tuple[Trend, ...], ...]
+    covariates: dict[str, Float[np.ndarray, " condition"]]
+    left_out: tuple[str, ...]
+    level: float
+
+    @property
+    def equal(self) -> bool:
+        """Whether equality of all quantities stands."""
+        return self.p_value >= self.level
+
+    @property
+    def drifting(self) -> tuple[str, ...]:
+        """Quantities that differ between conditions, the one with the largest chi-square first."""
+        if self.equal:
+            return ()
+        bound = self.level / len(self.names)
+        order = np.argsort(-np.sum((self.values - self.common) ** 2 / self.std**2, axis=0))
+        return tuple(self.names[i] for i in order if self.p_values[i] < bound) or (self.names[order[0]],)
+
+    def best_trend(self, name: str) -> Trend | None:
+        """The covariate that explains most of this quantity's scatter, where one does beyond chance."""
+        each = self.trends[self.names.index(name)]
+        if not each:
+            return None
+        found = min(each, key=lambda trend: trend.p_value)
+        return found if found.p_value < self.level / len(each) else None
+
+    @property
+    def verdict(self) -> str:
+        """In words: equal or not, which quantity drifts, and with what."""
+        if self.equal:
+            return (
+                f"The {len(self.conditions)} conditions have one set of parameters, as far as these data tell "
+                f"(p = {self.p_value:.2g})."
+            )
+        said = [f"The conditions differ (chi-square {self.chi_square:.0f} on {self.freedom}, p = {self.p_value:.2g})."]
+        for name in self.drifting[:3]:
+            place = self.names.index(name)
+            trend = self.best_trend(name)
+            unit = "" if self.units[place] == "1" else f" {self.units[place]}"
+            if trend is None:
+                said.append(f"{name[0].upper()}{name[1:]} scatters, with nothing that was looked at.")
+            else:
+                said.append(
+                    f"{name[0].upper()}{name[1:]} drifts with {_WORDS[trend.covariate]}: {trend.slope:+.3g} ± "
+                    f"{trend.slope_std:.1g}{unit} over its range, {100 * trend.share:.0f} % of the scatter."
+                )
+        return " ".join(said)
+
+    def __str__(self) -> str:
+        rows = [
+            f"{'quantity':24s} {'mean':>12s} {'its std':>9s} {'scatter/std':>11s} {'p':>9s}  drifts with",
+        ]
+        for i, name in enumerate(self.names):
+            sigma = float(np.sqrt(np.mean((self.values[:, i] - self.common[i]) ** 2 / self.std[:, i] ** 2)))
+            trend = self.best_trend(name) if name in self.drifting else None
+            rows.append(
+                f"{name:24s} {self.common[i]:12.5g} {self.common_std[i]:9.2g} {sigma:11.2f} {self.p_values[i]:9.2g}  "
+                f"{trend.covariate if trend else ''}"
+            )
+        if self.left_out:
+            rows.append(f"left out, as they hardly determine a mode: {', '.join(self.left_out)}")
+        return "\n".join([*rows, self.verdict])
+
+    def plot(self) -> Any:
+        """Each quantity over the conditions, or over what it drifts with."""
+        return draw(self)
+
+
+def equality_of(models: Sequence[LinearModel], level: float) -> Equality:
+    """Raises `ValueError` for fewer than three conditions that determine their modes."""
+    everyone = models
+    models = [m for m in everyone if not m.undetermined and _known(m)]
+    if len(models) < 3:
+        raise ValueError(
+            f"equality: {len(models)} of {len(everyone)} condition(s) determine their modes, too few to tell a drift; give at "
+            "least three, or fit fewer modes."
+        )
+    values = np.stack([m.values for m in models])
+    std = np.stack([m.std for m in models])
+    scaled = [m.covariance / np.outer(s, s) for m, s in zip(models, std, strict=True)]
+    inverse = np.stack(
+        [np.linalg.pinv(c, rcond=_SINGULAR, hermitian=True) / np.outer(s, s) for c, s in zip(scaled, std, strict=True)]
+    )
+    total, size = np.sum(inverse, axis=0), 1 / np.min(std, axis=0)
+    common = np.linalg.solve(total / np.outer(size, size), np.einsum("cpq,cq->p", inverse, values) / size) / size
+    away = values - common
+    chi_square = float(np.einsum("cp,cpq,cq->", away, inverse, away))
+    freedom = (len(models) - 1) * values.shape[1]
+    weight = 1 / std**2
+    alone = np.sum(weight * values, axis=0) / np.sum(weight, axis=0)
+    each = np.sum(weight * (values - alone) ** 2, axis=0)
+    covariates = {"amplitude": np.array([float(np.sqrt(np.nanmean(m.output**2))) for m in models])}
+    angles = [m.arm_angle for m in models]
+    if all(angle is not None for angle in angles):
+        covariates["angle"] = np.cos(np.array(angles, dtype=float)) ** 2
+    covariates["time"] = np.arange(1, len(models) + 1, dtype=float)
+    covariates = {name: x for name, x in covariates.items() if np.ptp(x) > 1e-9 * np.max(np.abs(x))}
+    trends = tuple(
+        tuple(_trend(name, x, values[:, i], std[:, i]) for name, x in covariates.items())
+        for i in range(values.shape[1])
+    )
+    return Equality(
+        names=models[0].names, units=models[0].units, conditions=tuple(m.name for m in models), values=values, std=std,
+        common=alone, common_std=1 / np.sqrt(np.sum(weight, axis=0)), chi_square=chi_square, freedom=freedom,
+        p_value=float(scipy.stats.chi2.sf(chi_square, freedom)),
+        p_values=scipy.stats.chi2.sf(each, len(models) - 1), trends=trends, covariates=covariates,
+        left_out=tuple(m.name for m in everyone if m not in models), level=level,
+    )  # fmt: skip
+
+
+def _known(model: LinearModel) -> bool:
+    count = 2 * model.structure.modes
+    return bool(np.all(model.std[:count] < _DETERMINED * model.values[:count]))
+
+
+def _trend(
+    name: str, covariate: Float[np.ndarray, " condition"], values: Float[np.ndarray, " condition"],
+    std: Float[np.ndarray, " condition"],
+) -> Trend:  # fmt: skip
+    x = (covariate - np.min(covariate)) / np.ptp(covariate)
+    columns = np.stack([np.ones_like(x), x], axis=1) / std[:, None]
+    target = values / std
+    found, *_ = np.linalg.lstsq(columns, target, rcond=None)
+    left = float(np.sum((target - columns @ found) ** 2))
+    flat = columns[:, :1] @ np.linalg.lstsq(columns[:, :1], target, rcond=None)[0]
+    before = float(np.sum((target - flat) ** 2))
+    freedom = len(x) - 2
+    excess = max(left / freedom, 1.0)
+    slope_std = float(np.sqrt(excess * np.linalg.inv(columns.T @ columns)[1, 1]))
+    p_value = float(2 * scipy.stats.t.sf(abs(found[1]) / slope_std, freedom))
+    return Trend(name, float(found[1]), slope_std, 1 - left / before if before > 0 else 0.0, p_value)

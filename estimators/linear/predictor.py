@@ -1,0 +1,139 @@
+"""Prediction errors of a linear model along a condition, and the fit of all conditions at once that makes them small."""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from estimators.linear.batched_gauss_newton import gauss_newton
+from estimators.linear.model_sets import Sampled, Scale, Structure, sampled
+
+
+class Signals(eqx.Module):
+    """Conditions as arrays of one length; the shorter ones end with samples that are not present.
+
+    Attributes:
+        input: polynomials over the interval that follows each sample, rising powers.
+        output: zero where it was not measured.
+        present: 1 where the output was measured, else 0.
+        interval: between samples [s].
+        scale: of each condition.
+    """
+
+    input: Float[Array, "*condition sample power"]
+    output: Float[Array, "*condition sample"]
+    present: Float[Array, "*condition sample"]
+    interval: Float[Array, "*condition"]
+    scale: Scale
+
+
+class Track(NamedTuple):
+    """What a predictor shows at each sample.
+
+    Attributes:
+        error: output less its prediction from the past; zero where there is no output.
+        simulated: G u, with the start.
+        noise: states of H after the sample; the first is the prediction of H e one sample ahead.
+    """
+
+    error: Float[Array, "*condition sample"]
+    simulated: Float[Array, "*condition sample"]
+    noise: Float[Array, "*condition sample order"]
+
+
+def track(model: Sampled, one: Signals) -> Track:
+    """Run the predictor of section 5.1, L_1 = 1 - 1/H and L_2 = G/H."""
+    modes, order = model.transition.shape[0], len(model.c)
+
+    def step(carry: tuple[Any, Any], row: tuple[Any, Any, Any]) -> tuple[tuple[Any, Any], Any]:
+        # Scalars rather than small arrays: over a batch they become loops that vectorise.
+        states, noise = carry
+        powers, output, present = row
+        simulated = model.feedthrough * powers[0]
+        for position, _ in states:
+            simulated = simulated + position
+        expected = noise[0] if order else 0.0
+        error = present * (output - simulated - expected)
+        disturbance = expected + error
+        after = tuple(
+            (noise[i + 1] if i + 1 < order else 0.0) - model.d[i] * disturbance + model.c[i] * error
+            for i in range(order)
+        )
+        moved = []
+        for k in range(modes):
+            f, g, (x, v) = model.transition[k], model.drive[k], states[k]
+            pushed = [sum(g[row, j] * powers[j] for j in range(g.shape[1])) for row in range(2)]
+            moved.append(tuple(f[row, 0] * x + f[row, 1] * v + pushed[row] for row in range(2)))
+        return (tuple(moved), after), (error, simulated, after)
+
+    begin = (tuple((s[0], s[1]) for s in model.start), tuple(model.noise_start))
+    _, (error, simulated, noise) = jax.lax.scan(step, begin, (one.input, one.output, one.present))
+    return Track(error, simulated, jnp.stack(noise, -1) if order else jnp.zeros((*error.shape, 0)))
+
+
+def _sampled(structure: Structure, theta: Array, one: Signals) -> Sampled:
+    return sampled(structure, theta, one.scale, one.interval, one.input.shape[-1])
+
+
+def _errors(structure: Structure, theta: Float[Array, " unknown"], one: Signals) -> Float[Array, " sample"]:
+    """Prediction errors over their size."""
+    return track(_sampled(structure, theta, one), one).error / one.scale.error
+
+
+class Rows(NamedTuple):
+    """Prediction errors of all conditions, in units of their scale, and their derivatives by the unknowns."""
+
+    error: Float[Array, "condition sample"]
+    jacobian: Float[Array, "condition sample unknown"]
+
+
+@eqx.filter_jit
+def rows(structure: Structure, theta: Float[Array | np.ndarray, "condition unknown"], data: Signals) -> Rows:
+    """Prediction errors and Jacobian at these unknowns."""
+
+    def of_one(at: Array, one: Signals) -> Rows:
+        return Rows(_errors(structure, at, one), jax.jacfwd(lambda t: _errors(structure, t, one))(at))
+
+    return jax.vmap(of_one)(jnp.asarray(theta), data)
+
+
+@eqx.filter_jit
+def tracks(
+    structure: Structure, theta: Float[Array | np.ndarray, "condition unknown"], data: Signals
+) -> tuple[Track, Sampled]:
+    """The predictors and what they show, in the output's unit."""
+
+    def of_one(at: Array, one: Signals) -> tuple[Track, Sampled]:
+        model = _sampled(structure, at, one)
+        return track(model, one), model
+
+    return jax.vmap(of_one)(jnp.asarray(theta), data)
+
+
+class Solved(NamedTuple):
+    """Where each condition came to rest: unknowns, half the sum of squares, whether it converged."""
+
+    theta: Float[np.ndarray, "condition unknown"]
+    cost: Float[np.ndarray, " condition"]
+    converged: Bool[np.ndarray, " condition"]
+
+
+@eqx.filter_jit
+def _solve(
+    structure: Structure, theta: Float[Array, "condition unknown"], data: Signals, most: Int[Array, ""]
+) -> tuple[Array, Array, Array]:
+    def of_one(at: Array, one: Signals) -> tuple[Array, Array, Array]:
+        found, converged = gauss_newton(lambda t: _errors(structure, t, one), at, most=most)
+        return found.theta, found.cost, converged
+
+    return jax.vmap(of_one)(theta, data)
+
+
+def solve(
+    structure: Structure, theta: Float[np.ndarray, "condition unknown"], data: Signals, *, most: int = 60
+) -> Solved:
+    """Minimise the sum of squares of each condition's prediction errors; all conditions in one compiled call."""
+    return Solved(*(np.asarray(x) for x in _solve(structure, jnp.asarray(theta), data, jnp.asarray(most))))

@@ -1,0 +1,143 @@
+"""Are prediction errors white, and independent of the input? Tests with 99 % bands, and what a failure means."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.signal
+import scipy.stats
+from jaxtyping import Float
+
+from estimators.linear.initialisation import autocovariance, autoregression
+
+Colour = tuple[Float[np.ndarray, " order"], float]
+"""The autoregression that whitens errors, leading one included, and the variance that it leaves."""
+
+_LEVEL = 0.01
+_DETERMINED = 1e-7  # singular value of the scaled Jacobian, below which a combination of parameters was not fitted
+_LONGEST = 20  # order of the autoregression that stands for the colour of the errors
+
+
+@dataclass(frozen=True, eq=False)
+class ResidualTest:
+    """Correlations of a condition's prediction errors.
+
+    Attributes:
+        autocorrelation: at lags 1, 2, ... samples [1].
+        white_band: 99 % of each of them lie within plus and minus this if the errors are white.
+        cross_correlation: with the input, at lags 0, 1, 2, ... samples [1].
+        cross_band: likewise if the errors are independent of the input, whatever their colour; one for each lag.
+        white_p: probability of autocorrelations as large by chance, all lags together.
+        cross_p: likewise of the cross-correlations.
+    """
+
+    autocorrelation: Float[np.ndarray, " lag"]
+    white_band: float
+    cross_correlation: Float[np.ndarray, " from_zero"]
+    cross_band: Float[np.ndarray, " from_zero"]
+    white_p: float
+    cross_p: float
+
+    @property
+    def white(self) -> bool:
+        """Whether whiteness stands at 1 %."""
+        return self.white_p >= _LEVEL
+
+    @property
+    def independent(self) -> bool:
+        """Whether independence of the input stands at 1 %."""
+        return self.cross_p >= _LEVEL
+
+    def verdict(self, noise_modelled: bool) -> str:
+        """In words, with what to do."""
+        if not self.independent:
+            return (
+                "the errors still hold a response to the input, so G lacks dynamics or the plant is not linear: raise modes, or "
+                "compare smaller amplitudes"
+            )
+        if self.white:
+            return "the errors are white and independent of the input"
+        if noise_modelled:
+            return "the errors are independent of the input, but coloured: raise noise_order; G may stand"
+        return "the errors are independent of the input, but coloured, which output error allows; its standard deviations count it"
+
+
+def residual_test(
+    error: Float[np.ndarray, " sample"],
+    signal: Float[np.ndarray, " sample"],
+    present: Float[np.ndarray, " sample"],
+    jacobian: Float[np.ndarray, "sample parameter"],
+    colour: Colour,
+    *,
+    noise_parameters: int,
+    lags: int = 25,
+) -> ResidualTest:
+    """Ljung and Box's test of whiteness, and a quadratic form in the cross-correlations.
+
+    What the fit took out of the errors, which were e before it, is J (J'J)^-1 J'e: the cross-correlations count what is left
+    of the shifted inputs when their share in J is taken out likewise. With coloured errors and output error, that matters.
+
+    Args:
+        error: zero where the output is not present.
+        jacobian: J, of the errors by what was fitted.
+        colour: of the error, by `whitened`.
+        noise_parameters: of H, which cost degrees of freedom.
+
+    Source: Ljung, System Identification (1999), section 16.6; Ljung and Box, Biometrika 65 (1978).
+    """
+    count = float(np.sum(present))
+    lags = int(min(lags, len(error) // 4))
+    own = autocovariance(error, lags)
+    auto = own[1:] / own[0]
+    pairs = autocovariance(present, lags)[1:] * len(present)
+    statistic = count * (count + 2) * float(np.sum(auto**2 / np.maximum(pairs, 1.0)))
+    white_p = float(scipy.stats.chi2.sf(statistic, max(lags - noise_parameters, 1)))
+
+    shifted = np.stack([np.append(np.zeros(k), signal[: len(signal) - k]) for k in range(lags + 1)], axis=1)
+    shifted = shifted * present[:, None]
+    cross = shifted.T @ error
+    span, strength, _ = np.linalg.svd(
+        jacobian / np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300), full_matrices=False
+    )
+    span = span[:, strength > _DETERMINED]
+    # The variance of sum e(t) u(t - k) is that of white noise against u filtered backwards by the errors' colour.
+    whitening, innovation = colour
+    coloured = backward_coloured(shifted - span @ (span.T @ shifted), whitening)
+    # The variance was taken over all samples, of which those that are missing have no error.
+    variance = innovation * len(error) / max(count - span.shape[1], 1.0) * coloured.T @ coloured
+    size = np.sqrt(np.sum(error**2) * np.sum(signal**2))
+    values, vectors = np.linalg.eigh(variance)
+    kept = values > 1e-6 * values[-1]
+    parts = (vectors[:, kept].T @ cross) ** 2 / values[kept]
+    cross_p = float(scipy.stats.chi2.sf(np.sum(parts), int(np.sum(kept))))
+    quantile = float(scipy.stats.norm.isf(_LEVEL / 2))
+    return ResidualTest(
+        auto,
+        quantile / np.sqrt(count),
+        cross / size,
+        quantile * np.sqrt(np.diagonal(variance)) / size,
+        white_p,
+        cross_p,
+    )
+
+
+def whitened(error: Float[np.ndarray, " sample"]) -> Colour:
+    """The autoregression that whitens the errors, leading one included, of the order with the least AIC, and the variance left."""
+    count = len(error)
+    covariance = autocovariance(error, min(_LONGEST, count // 10))
+    best, least = (np.ones(1), float(covariance[0])), np.inf
+    for order in (0, 1, 2, 4, 8, _LONGEST):
+        if order >= len(covariance):
+            break
+        whitening = np.append(1.0, autoregression(covariance, order) if order else [])
+        variance = float(whitening @ covariance[: order + 1])
+        score = count * np.log(max(variance, 1e-300)) + 2 * order
+        if score < least:
+            best, least = (whitening, variance), score
+    return best
+
+
+def backward_coloured(
+    columns: Float[np.ndarray, "sample *column"], whitening: Float[np.ndarray, " order"]
+) -> Float[np.ndarray, "sample *column"]:
+    """The transpose of the colouring filter 1 / whitening applied: backwards in time."""
+    return np.asarray(scipy.signal.lfilter([1.0], whitening, columns[::-1], axis=0))[::-1]

@@ -1,0 +1,1 @@
+"""Statistics of what a model leaves unexplained; they compute and do not judge."""

@@ -1,0 +1,184 @@
+"""Is anything missing? Every test that the innovations of a predictor must pass, each with its p-value."""
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from typing import TypeVar
+
+import numpy as np
+
+from estimators.misspecification.candidate_screening import ALARM, CHANCE, Screened
+from estimators.misspecification.lagged_force import DelayedForce
+from estimators.misspecification.replication_test import RepeatTest
+from estimators.misspecification.spectral_line_test import SpectralLine
+from estimators.misspecification.static_force import ForceCurve
+
+LEVEL = 0.01  # of all tests together
+Missing = TypeVar("Missing", ForceCurve, DelayedForce)
+
+
+@dataclasses.dataclass(frozen=True)
+class Evidence:
+    """One test of whether anything is missing.
+
+    Attributes:
+        test: "repeats", "named effects", "static force", "delayed force" or "spectral line".
+        p_value: by chance, with everything counted that the test tried.
+        excess: what the test finds beyond chance, in units of twice the log-likelihood; repeats give a ratio instead.
+        level: p-value below which it rejects.
+        words: what it says.
+        power: mean square of what repeats share, where the model states one; NaN for other tests.
+        shared: what they share beyond chance, in units of twice the log-likelihood, of all data if it is as large in each; zero for
+            other tests.
+    """
+
+    test: str
+    p_value: float
+    excess: float
+    level: float
+    words: str
+    power: float = float("nan")
+    shared: float = 0.0
+
+    @property
+    def rejects(self) -> bool:
+        """Whether it says that something is missing."""
+        return self.p_value < self.level
+
+
+def p_by_chance(one: Screened, tried: int) -> float:
+    """Probability of so large a statistic for any of the candidates that were tried."""
+    return min(1.0, tried * one.p_value)
+
+
+def alarming(screened: Sequence[Screened]) -> list[Screened]:
+    """The candidates that the innovations speak for, whatever the colour of the noise."""
+    return [s for s in screened if s.statistic >= ALARM and p_by_chance(s, len(screened)) < CHANCE]
+
+
+def overshadowing(screened: Sequence[Screened]) -> list[Screened]:
+    """Candidates that do not alarm in any shape, and are larger than all that do.
+
+    What is large at few instants scatters over stretches of time as much as it shows. Once something alarms, what would
+    explain more than all that does is not passed over for it.
+    """
+    alarms = alarming(screened)
+    ids = {s.id for s in alarms}
+    largest = max((s.statistic for s in alarms), default=np.inf)
+    return [s for s in screened if s.id not in ids and s.statistic > largest]
+
+
+def suspects(screened: Sequence[Screened], tests: Sequence[Evidence]) -> list[Screened]:
+    """The candidates to refit where none alarms and another test rejects: all that reach the alarm's size.
+
+    What acts at a few instants, as a stop that is hit once, scatters over stretches of time as much as it shows.
+    """
+    if alarming(screened) or not any(test.rejects for test in tests):
+        return []
+    return [s for s in screened if s.statistic >= ALARM]
+
+
+def line_left(tests: Sequence[Evidence]) -> float:
+    """What a line of the spectrum that neither input nor state explains has beyond chance; zero where there is none."""
+    return max((test.excess for test in tests if test.test == "spectral line" and test.rejects), default=0.0)
+
+
+def evidence(
+    screened: Sequence[Screened],
+    curves: Sequence[ForceCurve],
+    delayed: Sequence[DelayedForce],
+    line: SpectralLine | None,
+    repeats: RepeatTest | None,
+) -> tuple[Evidence, ...]:
+    """All tests, in the order in which a reader asks; those without data are left out."""
+    level = LEVEL / max(sum(bool(known) for known in (screened, curves, delayed, line, repeats)), 1)
+    found: list[tuple[str, float, float, str]] = []
+    if repeats is not None:
+        found.append(
+            (
+                "repeats",
+                repeats.p_value,
+                0.0,
+                f"what the {repeats.repeats} repeats share is {repeats.ratio:.2f} times what noise alone would leave",
+            )
+        )
+    if screened:
+        alarms = alarming(screened)
+        best = max(alarms or screened, key=lambda s: s.statistic)
+        found.append(
+            (
+                "named effects",
+                p_by_chance(best, len(screened)) if alarms else 1.0,
+                best.statistic - len(best.amplitudes),
+                f"{best.id} reaches {best.statistic:.0f}, the alarm is at {ALARM:.0f}",
+            )
+        )
+    if curves:
+        p_value, curve = _strongest(curves, level)
+        found.append(
+            (
+                "static force",
+                p_value,
+                curve.excess,
+                f"a force on the {curve.port} that depends on {curve.variable} would explain {curve.excess:.0f}",
+            )
+        )
+    if delayed:
+        p_value, one = _strongest(delayed, level)
+        found.append(
+            (
+                "delayed force",
+                p_value,
+                one.excess,
+                f"a force on the {one.port} that follows {one.follows} with a lag would explain {one.excess:.0f}",
+            )
+        )
+    if line is not None:
+        found.append(
+            (
+                "spectral line",
+                line.p_value,
+                line.excess,
+                f"the strongest line, of {line.channel} at {line.frequency:.3g} rad/s, has {line.ratio:.1f} times the power "
+                "around it",
+            )
+        )
+    told = {"repeats": (repeats.power, repeats.excess)} if repeats is not None else {}
+    return tuple(Evidence(name, p, excess, level, words, *told.get(name, ())) for name, p, excess, words in found)
+
+
+def significant(several: Sequence[Missing], level: float) -> list[Missing]:
+    """Those of several forces that explain more than chance does, all of them counted."""
+    return [one for one in several if one.p_value * len(several) < level]
+
+
+def _strongest(several: Sequence[Missing], level: float) -> tuple[float, Missing]:
+    """The p-value of several forces together, and of those that explain more than chance the one that explains most."""
+    surest = min(several, key=lambda one: (one.p_value, -one.excess))
+    strongest = max(significant(several, level), key=lambda one: one.excess, default=surest)
+    return min(1.0, surest.p_value * len(several)), strongest
+
+
+def excess_of(tests: Sequence[Evidence]) -> float:
+    """The most that any rejecting test finds beyond chance; zero where none rejects."""
+    return max((e.excess for e in tests if e.rejects), default=0.0)
+
+
+def removed_by_repeats(before: Sequence[Evidence], after: Sequence[Evidence], gain: float, samples: int) -> float:
+    """Share of the squared model error that repeats show before and no longer after; 1 where they show none after.
+
+    The tests count in the unit that each model states, and what helps makes that smaller. Where repeats show none before, what is
+    missing need not be in the experiment that is repeated, or random forces hide it there: then what they show after is held
+    against what was removed from all data.
+
+    Args:
+        gain: in twice the log-likelihood, of what was added.
+        samples: that it is the gain of.
+    """
+    first = next((e for e in before if e.test == "repeats" and e.rejects), None)
+    last = next((e for e in after if e.test == "repeats" and e.rejects), None)
+    if last is None:
+        return 1.0
+    if first is None:
+        return gain / (gain + last.shared)
+    return 1.0 - math.exp(-gain / samples) * max(last.power, 0.0) / first.power

@@ -1,0 +1,223 @@
+"""Named candidates held against innovations: what each would have changed, beyond what the base parameters explain."""
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from scipy.stats import f as fisher
+
+from estimators.core.threads import at_once
+from estimators.misspecification.score_test import score_test
+from estimators.prediction_error.innovations import Innovations, Rows, orthonormal
+from rtac_jax.effects import Effect
+from rtac_jax.parameters import declarations
+
+
+class NotNothingError(ValueError):
+    """Some of these candidates change what the model predicts although they are at null, or make it diverge."""
+
+    def __init__(self, ids: Sequence[str]) -> None:
+        super().__init__(ids)
+        self.ids = tuple(dict.fromkeys(ids))
+
+
+def same(innovations: np.ndarray, others: np.ndarray) -> bool:
+    """Whether innovations are the same but for rounding."""
+    return bool(np.linalg.norm(innovations - others) <= _ROUNDING * np.linalg.norm(others))
+
+
+class Group(NamedTuple):
+    """Candidates that are simulated together: a model that has all of them at null, their instances, and the innovations
+    without them."""
+
+    innovations: Innovations
+    instances: Sequence[Effect]
+    base: np.ndarray
+
+    def switched_on(self, instances: Sequence[Effect], amplitudes: Sequence[str]) -> Rows:
+        """Innovations where of each instance one amplitude is switched on; one column each."""
+        return self.innovations.at(np.array([*map(self._placed, instances, amplitudes)]))
+
+    def changes(self, instances: Sequence[Effect], amplitudes: Sequence[str]) -> Rows:
+        """What that changes.
+
+        Raises:
+            NotNothingError: the candidates change something although all of them are at null.
+        """
+        points = [np.asarray(self.innovations.space.values), *map(self._placed, instances, amplitudes)]
+        found = self.innovations.at(np.array(points))
+        # A predictor that diverges itself is no candidate's fault.
+        if np.all(np.isfinite(self.base)) and not same(found[:, 0], self.base):
+            raise NotNothingError([instance.id for instance in self.instances])
+        return found[:, 1:] - found[:, :1]
+
+    def _placed(self, instance: Effect, amplitude: str) -> np.ndarray:
+        """Shared values with this amplitude switched on and no other."""
+        space = self.innovations.space
+        values = np.asarray(space.values).copy()
+        for name, declared in declarations(instance).items():
+            if declared.null is None or name == amplitude:
+                values[space.names.index(f"{instance.id}.{name}")] = float(np.asarray(getattr(instance, name)))
+        return values
+
+
+@dataclasses.dataclass(frozen=True)
+class Screened:
+    """One candidate of one shape against the innovations.
+
+    Attributes:
+        id: of the effect.
+        instance: the effect at a plausible size.
+        amplitudes: its amplitude parameters.
+        begin: values at which to begin to fit them.
+        statistic: chi-square distributed when the effect is absent; zero where the sign is unphysical.
+        p_value: by the model's variance or by the scatter over seconds of data, whichever is larger.
+        limit: size of the amplitudes at which an effect alone would raise the alarm on average.
+        templates: projected change of the innovations per unit of each amplitude.
+    """
+
+    id: str
+    instance: Any
+    amplitudes: tuple[str, ...]
+    begin: Float[np.ndarray, " amplitude"]
+    statistic: float
+    p_value: float
+    limit: Float[np.ndarray, " amplitude"]
+    templates: Rows
+
+
+_ROUNDING = 1e-2  # what the filter's own pass and a simulation with its gains differ by is far less
+ALARM = 20.0
+CHANCE = 2e-3  # of an alarm by any of the candidates that are tried, if nothing is missing
+_SIZES = (0.1, 0.2, 0.35, 0.5, 0.7, 1.0, 1.5)  # of the plausible amplitude, that are tried
+_THRESHOLD = 0.1  # of what proportion would ask of the smallest size, below which there is a threshold
+_TRIED = 3  # candidates whose size is looked for so
+
+
+def screen(groups: Sequence[Group], error: np.ndarray, basis: Rows, ready: Callable[[], None]) -> list[Screened]:
+    """Hold candidates against the innovations.
+
+    Args:
+        error: innovations of the base model, without their share in the basis.
+        basis: orthonormal columns that the base model's parameters explain already.
+        ready: called before each group is simulated.
+    """
+
+    tried = sum(len(group.instances) for group in groups)
+
+    def held(group: Group) -> list[Screened]:
+        ready()
+        return _one_by_one(group, _each(group), error, basis, tried)
+
+    found = [s for part in at_once(held, groups) for s in part]
+    clear = [s for s in found if s.statistic >= ALARM and len(s.amplitudes) == 1 and s.begin[0] != 0]
+    largest = sorted(clear, key=lambda s: -s.statistic)[:_TRIED]
+    owner = {instance.id: group for group in groups for instance in group.instances}
+    sized = at_once(lambda s: _sized(owner[s.id], error, basis, s), largest)
+    instead = {id(s): other for s, other in zip(largest, sized, strict=True)}
+    return [instead.get(id(s), s) for s in found]
+
+
+def _each(group: Group) -> Rows:
+    """What each amplitude of each instance of a group changes by itself, per unit."""
+    owners = [(i, amplitude) for i in group.instances for amplitude in type(i).amplitudes()]
+    columns = group.changes(*zip(*owners, strict=True))
+    return columns / [float(np.asarray(getattr(instance, amplitude))) for instance, amplitude in owners]
+
+
+def _one_by_one(
+    group: Group, columns: Rows, error: np.ndarray, basis: Float[np.ndarray, "row explained"], tried: int
+) -> list[Screened]:
+    """Each instance of a group by itself."""
+    sound = np.isfinite(columns).all(axis=0)  # a candidate at its plausible size may make the model diverge
+    columns[:, sound] -= basis @ (basis.T @ columns[:, sound])
+    blocks = group.innovations.blocks()
+    edges = np.cumsum([0, *(len(type(i).amplitudes()) for i in group.instances)])
+
+    def one(place: int) -> Screened:
+        instance, templates = group.instances[place], columns[:, edges[place] : edges[place + 1]].copy()
+        return _screened(instance, tuple(type(instance).amplitudes()), templates, error, basis, blocks, tried)
+
+    return at_once(one, range(len(group.instances)))
+
+
+def _sized(group: Group, error: np.ndarray, basis: Rows, s: Screened) -> Screened:
+    """For what has a threshold: begin at the size that leaves least, beyond what the base parameters explain.
+
+    A drive that saturates changes nothing up to a size and is far from linear beyond. What changes in proportion at small
+    sizes begins where that leads.
+    """
+    (name,) = s.amplitudes
+    plausible = abs(float(np.asarray(getattr(s.instance, name))))
+    linear = float(s.begin[0])
+    sizes = np.array([linear, *(np.sign(linear) * plausible * share for share in _SIZES)])
+    left = group.switched_on(
+        [dataclasses.replace(s.instance, **{name: float(size)}) for size in sizes], [name] * len(sizes)
+    )
+    left = left - basis @ (basis.T @ left)
+    least, whole = (np.linalg.norm(left[:, 1 + _SIZES.index(size)] - error) for size in (_SIZES[0], 1.0))
+    if not least < _THRESHOLD * _SIZES[0] * whole:
+        return s
+    left = np.sum(left**2, axis=0)
+    best = int(np.argmin(np.where(np.isfinite(left), left, np.inf)))
+    return dataclasses.replace(s, begin=sizes[best : best + 1])
+
+
+def _screened(
+    instance: Any,
+    names: tuple[str, ...],
+    templates: Rows,
+    error: np.ndarray,
+    basis: Float[np.ndarray, "row explained"],
+    blocks: np.ndarray,
+    tried: int,
+) -> Screened:
+    declared = declarations(instance)
+    if not np.all(np.isfinite(templates)):
+        none = np.zeros(len(names))
+        return Screened(instance.id, instance, names, none, 0.0, 1.0, none + np.inf, 0 * np.nan_to_num(templates))
+    gram = templates.T @ templates
+    size = np.sqrt(np.diagonal(gram))
+    with np.errstate(divide="ignore"):
+        limit = np.sqrt(_alarm(len(np.unique(blocks)), tried)) / size
+    sound = size > 1e-12 / np.array([max(abs(float(np.asarray(getattr(instance, n)))), 1e-300) for n in names])
+    estimate = np.zeros(len(names))
+    if sound.any():
+        part = templates[:, sound]
+        estimate[sound] = -np.linalg.lstsq(part, error, rcond=1e-8)[0]
+    for i, name in enumerate(names):
+        low, high = declared[name].bounds
+        if not low <= estimate[i] <= high:
+            estimate[i] = 0.0
+    explained = -templates @ estimate
+    statistic = float(2 * explained @ error - explained @ explained)
+    allowed = estimate != 0.0
+    # By stretch of time, too: what coloured noise, or friction that is shaken loose, does to a score shows in its scatter.
+    p_value = score_test(templates[:, allowed], error, basis, blocks).p_value if statistic > 0 else 1.0
+    return Screened(instance.id, instance, names, estimate, max(statistic, 0.0), p_value, limit, templates)
+
+
+def _alarm(stretches: int, tried: int) -> float:
+    """Chi-square at which one amplitude raises the alarm: fewer stretches of time tell their scatter less well."""
+    if stretches < 3:
+        return ALARM
+    least = float(fisher.isf(CHANCE / tried, 1, stretches - 1)) * stretches / (stretches - 1)
+    return max(ALARM, least)
+
+
+def correlations(screened: Mapping[str, Screened]) -> dict[str, dict[str, float]]:
+    """Largest cosine between what each two candidates would change."""
+    bases = {name: orthonormal(s.templates) for name, s in screened.items() if np.any(s.templates)}
+    edges = np.cumsum([0, *(basis.shape[1] for basis in bases.values())])
+    whole = np.concatenate(list(bases.values()), axis=1) if bases else np.zeros((0, 0))
+    products = whole.T @ whole
+    found: dict[str, dict[str, float]] = {name: {o: 0.0 for o in screened if o != name} for name in screened}
+    for i, a in enumerate(bases):
+        for j, b in enumerate(bases):
+            if i < j:
+                block = products[edges[i] : edges[i + 1], edges[j] : edges[j + 1]]
+                value = float(np.linalg.norm(block, 2)) if block.size else 0.0
+                found[a][b] = found[b][a] = value
+    return found

@@ -1,0 +1,104 @@
+"""From which size on a candidate raises the alarm by itself, where what it changes is not in proportion to its size."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from estimators.core.threads import at_once
+from estimators.misspecification.candidate_screening import Group, Screened
+from estimators.prediction_error.innovations import AT_ONCE, Rows, orthonormal
+from rtac_jax.parameters import declarations
+
+_NEAR = 1.5  # of the chi-square at the limit, to either side, within which proportion holds
+_LEAST = 1e-3  # of the limit by proportion, the smallest size that is looked at
+TESTABLE = 30.0  # times the plausible size: what shows from there on only cannot be shown
+_ROUNDS = 2
+
+
+def main_amplitude(s: Screened) -> str:
+    """The amplitude whose limit is stated: the first, or one of the same unit that shows sooner."""
+    declared = declarations(s.instance)
+    alike = [i for i, name in enumerate(s.amplitudes) if declared[name].unit == declared[s.amplitudes[0]].unit]
+    return s.amplitudes[min(alike, key=lambda i: float(s.limit[i]))]
+
+
+def detection_limits(group: Group, several: Sequence[Screened], basis: Rows) -> dict[str, float]:
+    """Of every candidate the size of its main amplitude at which screening would raise the alarm.
+
+    A template of a plausible size says so by proportion. At that limit the innovations are computed once more, and where the
+    template explains more or less of their change, the size is looked for. Infinite where no size up to `TESTABLE` times the
+    plausible one is enough.
+    """
+    found = {s.id: limit if (limit := _by_proportion(s)) < _most(s) else np.inf for s in several}
+    sound = [s for s in several if np.isfinite(found[s.id])]
+    shown = _scores(group, basis, sound, [found[s.id] for s in sound])
+    off = [(s, not there >= _alarm(s)) for s, there in zip(sound, shown, strict=True) if not _as_foreseen(s, there)]
+    looked_for = at_once(lambda one: _looked_for(group, basis, one[0], more=one[1]), off)
+    return found | {s.id: limit for (s, _), limit in zip(off, looked_for, strict=True)}
+
+
+def _as_foreseen(s: Screened, there: float) -> bool:
+    """Whether what the limit by proportion would show is about the alarm."""
+    return bool(_alarm(s) / _NEAR < there < _alarm(s) * _NEAR)
+
+
+def _by_proportion(s: Screened) -> float:
+    return float(s.limit[s.amplitudes.index(main_amplitude(s))])
+
+
+def _most(s: Screened) -> float:
+    """The largest size that is looked at: beyond its bounds no estimate may go."""
+    low, high = declarations(s.instance)[main_amplitude(s)].bounds
+    return min(TESTABLE * abs(_plausible(s)), high if _plausible(s) > 0 else -low)
+
+
+def _alarm(s: Screened) -> float:
+    """Chi-square of the change at the limit by proportion."""
+    place = s.amplitudes.index(main_amplitude(s))
+    return float((s.limit[place] * np.linalg.norm(s.templates[:, place])) ** 2)
+
+
+def _plausible(s: Screened) -> float:
+    return float(np.asarray(getattr(s.instance, main_amplitude(s))))
+
+
+def _scores(group: Group, basis: Rows, several: Sequence[Screened], sizes: Any) -> np.ndarray:
+    """Chi-square that screening would find of each candidate at a size: of what it changes, what its templates explain."""
+    if not several:
+        return np.zeros(0)
+    names = [main_amplitude(s) for s in several]
+    instances = [
+        replace(s.instance, **{name: float(np.sign(_plausible(s)) * size)})
+        for s, name, size in zip(several, names, sizes, strict=True)
+    ]
+    columns = group.changes(instances, names)
+    columns -= basis @ (basis.T @ columns)
+    return np.array([_explained(s, column) for s, column in zip(several, columns.T, strict=True)])
+
+
+def _explained(s: Screened, change: np.ndarray) -> float:
+    """Nothing if the estimate has the wrong sign; a change that makes the model diverge is seen."""
+    if not np.all(np.isfinite(change)):
+        return np.inf
+    along = float(s.templates[:, s.amplitudes.index(main_amplitude(s))] @ change) * _plausible(s)
+    return float(np.sum((orthonormal(s.templates).T @ change) ** 2)) if along > 0 else 0.0
+
+
+def _looked_for(group: Group, basis: Rows, s: Screened, *, more: bool) -> float:
+    """The smallest size on finer and finer grids that raises the alarm, larger or smaller than by proportion."""
+    linear, alarm = _by_proportion(s), _alarm(s)
+    low, high = (linear, _most(s)) if more else (_LEAST * linear, linear)
+    if not low < high:
+        return np.inf
+    for _ in range(_ROUNDS):
+        sizes = np.geomspace(low, high, AT_ONCE - 1)
+        enough = np.flatnonzero(_scores(group, basis, [s] * len(sizes), sizes) >= alarm)
+        if not len(enough):
+            return np.inf
+        first = int(enough[0])
+        if first == 0:
+            return float(sizes[0])
+        low, high = float(sizes[first - 1]), float(sizes[first])
+    return high

@@ -1,0 +1,87 @@
+"""A line in the spectrum of the innovations: a vibration that neither the input nor the state explains."""
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.ndimage import median_filter
+from scipy.special import gammainccinv
+from scipy.stats import f as fisher
+
+from estimators.core.data import CHANNELS
+from rtac_jax.measurement import Experiment
+
+_AROUND = 31  # lines whose median tells how strong the noise is there
+# Their median scatters as a mean of so many independent powers by two, since a window ties neighbours together.
+_FREEDOM = 20
+_THERE = 0.5  # share of an experiment's samples that must count
+_BLIND = 8  # lowest lines, where transients of the start end up
+
+
+@dataclasses.dataclass(frozen=True)
+class SpectralLine:
+    """The strongest line.
+
+    Attributes:
+        channel: where it shows.
+        frequency: of it [rad/s].
+        ratio: power over that of the noise around.
+        excess: of the line over the noise, in units of twice the log-likelihood.
+        p_value: of so strong a line among all by chance.
+    """
+
+    channel: str
+    frequency: float
+    ratio: float
+    excess: float
+    p_value: float
+
+
+def spectral_line(
+    innovations: np.ndarray, present: np.ndarray, experiments: Sequence[Experiment]
+) -> SpectralLine | None:
+    """The strongest line over all experiments together; None where they are too short.
+
+    The noise around it is measured on the same spectrum, so that smooth colour of the noise is no line.
+
+    Args:
+        innovations: [sample output experiment].
+        present: 1 where measured.
+
+    Source: Fisher, Proceedings of the Royal Society A 125 (1929), with a local estimate of the noise.
+    """
+    interval = float(np.median([e.sample_time for e in experiments]))
+    alike = [i for i, e in enumerate(experiments) if np.isclose(e.sample_time, interval)]
+    length = int(np.median([experiments[i].samples for i in alike]))
+    best: SpectralLine | None = None
+    tried = 0
+    for output, channel in enumerate(CHANNELS):
+        columns = [i for i in alike if present[:length, output, i].sum() > _THERE * length]
+        if not columns or length < 8 * _AROUND:
+            continue
+        error = (innovations * present)[:length, output, columns]
+        # A window keeps the line of one experiment from leaking; powers of experiments add up.
+        window = np.hanning(length)[:, None]
+        power = np.abs(np.fft.rfft(error * window, axis=0)) ** 2 / np.sum(window**2)
+        power = (power / np.median(power[_BLIND:], axis=0)).mean(axis=1)[_BLIND:-1]
+        n = len(columns)
+        power = power / _trend(power)
+        # The median of a mean of n exponentials lies below its mean by a known factor.
+        middle = median_filter(power, _AROUND, mode="mirror") / (gammainccinv(n, 0.5) / n)
+        ratio = power / middle
+        peak = int(np.argmax(ratio))
+        tried += len(ratio)
+        p_value = float(fisher.sf(ratio[peak], 2 * n, _FREEDOM * n))
+        if best is None or p_value < best.p_value:
+            frequency = 2 * np.pi * (peak + _BLIND) / (length * interval)
+            best = SpectralLine(channel, frequency, float(ratio[peak]), 2 * n * float(ratio[peak] - 1), p_value)
+    if best is None:
+        return None
+    return dataclasses.replace(best, p_value=min(1.0, best.p_value * tried))
+
+
+def _trend(power: np.ndarray) -> np.ndarray:
+    """How the power of coloured noise rises or falls with frequency; at the ends of a spectrum no neighbours would tell."""
+    line = np.log(_BLIND + np.arange(len(power)))
+    level = np.log(np.maximum(power, 1e-9 * np.median(power)))
+    return np.exp(np.polynomial.Chebyshev.fit(line, level, 5)(line))

@@ -1,0 +1,192 @@
+"""The missing force at a port of the rig as a function of one variable, with its standard deviation."""
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from estimators.core.compilation import compile_only
+from estimators.core.data import Data
+from estimators.core.parameter_space import Space
+from estimators.core.threads import at_once
+from estimators.misspecification.score_test import score_test
+from estimators.prediction_error.innovations import Innovations, Rows, error_at
+from rtac_jax import RTAC
+from rtac_jax.effects import Force, Motion, States
+from rtac_jax.effects.spline_force import PORTS, SHAPES, VARIABLES, SplineForce, on_curve
+from rtac_jax.simulation import Steps
+
+KNOTS = 12
+# As many hats as a learned force has shapes, over the whole range, as heights at the knots.
+_WIDE = np.maximum(0.0, 1.0 - np.abs(np.linspace(0, SHAPES - 1, KNOTS) - np.arange(SHAPES)[:, None]))
+
+
+class Probe(Force):
+    """An unknown force at one port as a piecewise linear function of one variable; for `jax.jvp` at zero only."""
+
+    id: ClassVar[str] = "probe"
+    equation: ClassVar[str] = "sum of hat functions"
+    source: ClassVar[str] = "de Boor, A Practical Guide to Splines (1978), chapter 3"
+    port: ClassVar[str] = "cart or arm"
+    nature: ClassVar[str] = "source"
+
+    heights: Float[Array, " knot"]
+    on: Float[Array, "2"]
+    variable: Float[Array, " variable"]
+    first: Array
+    spacing: Array
+    slow: Array
+
+    def force(self, motion: Motion, own: States) -> tuple[Any, Any]:
+        # At zero heights it does not matter how the hats change with the motion, and stopping that saves half the time.
+        at, rubs = jax.lax.stop_gradient(on_curve(motion, self.variable, self.first, self.spacing, self.slow))
+        at = jnp.clip(at, 0.0, KNOTS - 1.0)
+        total = sum(self.heights[k] * (jnp.maximum(0.0, 1.0 - jnp.abs(at - k)) * rubs) for k in range(KNOTS))
+        return self.on[0] * total, self.on[1] * total
+
+
+@eqx.filter_jit
+def _derivatives(
+    model: RTAC,
+    probe: Probe,
+    directions: Array,
+    data: Data,
+    space: Space,
+    whitener: Array,
+    gain: Array,
+    substeps: Steps,
+) -> Array:
+    """Derivatives of the innovations by the heights of a probe at zero."""
+
+    def function(heights: Array) -> Array:
+        probed = model + eqx.tree_at(lambda p: p.heights, probe, heights)
+        return error_at(probed, data, space, whitener, gain, space.values, substeps)
+
+    zero = jnp.zeros(KNOTS)
+    return jax.vmap(lambda t: jax.jvp(function, (zero,), (t,))[1])(directions)
+
+
+@dataclasses.dataclass(frozen=True)
+class ForceCurve:
+    """What is missing at one port, as a function of one variable.
+
+    Attributes:
+        port: "cart" [N] or "arm" [N m].
+        variable: of `rtac_jax.effects.spline_force.VARIABLES`.
+        score: how much of the innovations it explains beyond chance and its price; negative for nothing.
+        at: values of the variable.
+        force: the missing force there.
+        std: its standard deviation; infinite where the variable never was.
+        explains: twice the gain in log-likelihood.
+        excess: that, less what chance explains.
+        p_value: of the score test, for this curve alone.
+        shapes: curves that the data tell from the model's own parameters, most telling first, as heights at `at`; made of six
+            wide hats where these explain more than the six most telling of twelve narrow ones.
+        amounts: of each, as far as it explains more than chance.
+        slow: speed below which friction fades [m/s or rad/s].
+    """
+
+    port: str
+    variable: str
+    score: float
+    at: Float[np.ndarray, " knot"]
+    force: Float[np.ndarray, " knot"]
+    std: Float[np.ndarray, " knot"]
+    explains: float
+    excess: float
+    p_value: float
+    shapes: Float[np.ndarray, "shape knot"]
+    amounts: Float[np.ndarray, " shape"]
+    slow: float = 1e-4
+
+    def __repr__(self) -> str:
+        told = f"explains {self.explains:.1f}, p = {self.p_value:.2g}, largest {np.max(np.abs(self.force)):.3g}"
+        return f"ForceCurve(on the {self.port} against {self.variable}: {told})"
+
+    def effect(self) -> SplineForce:
+        """The missing force as an effect that can be added to the model: it makes the error fall, whatever it is."""
+        size = np.max(np.abs(self.shapes[:SHAPES] * self.amounts[:SHAPES, None]), axis=1)
+        size = np.where(size > 0, size, 1.0)
+        between = (float(self.at[0]), float(self.at[-1]))
+        # Amounts in units of what was found, so that all of them are of order one.
+        return SplineForce.over(
+            self.variable, between, port=self.port, shapes=self.shapes[:SHAPES] * size[:, None],
+            amounts=self.amounts[:SHAPES] / size, slow=self.slow,
+        )  # fmt: skip
+
+
+def force_curves(
+    innovations: Innovations,
+    error: np.ndarray,
+    basis: Rows,
+    ranges: Mapping[str, tuple[float, float]],
+    slow: tuple[float, float],
+) -> list[ForceCurve]:
+    """Missing force at each port against each variable, with bands, best score first.
+
+    Args:
+        error: the innovations of the base model.
+        basis: orthonormal columns that its parameters explain already.
+        ranges: between which values each variable moves.
+        slow: speeds of cart and arm below which friction fades.
+    """
+    count, blocks = int(np.sum(innovations.weight > 0)), innovations.blocks()
+
+    def curve(place: tuple[int, int]) -> ForceCurve | None:
+        port, variable = place
+        low, high = ranges[VARIABLES[variable].split(",")[0]]
+        spacing = (high - low) / (KNOTS - 1)
+        slopes = np.asarray(_derivatives(*_arguments(innovations, port, variable, low, spacing, slow[port])))
+        rows = innovations.rows(slopes)
+        test = score_test(rows, error, basis, blocks)
+        if test.freedom == 0:
+            return None
+        wide = score_test(rows @ _WIDE.T, error, basis, blocks)
+        # What is smooth is told by fewer shapes, what is narrow by the most telling of many.
+        smooth = wide.explained > np.sum(test.by_direction[:SHAPES])
+        chosen, hats = (wide, _WIDE) if smooth else (test, np.eye(KNOTS))
+        # An amount that explains less than chance would leaves a fit with nothing to hold it.
+        told = max(1, int(np.sum(chosen.by_direction > 1.0)))
+        # Directions that the base parameters explain, such as a slope, are not the data's to give.
+        return ForceCurve(
+            PORTS[port], VARIABLES[variable], test.explained - test.freedom * np.log(count),
+            low + spacing * np.arange(KNOTS), test.coefficients, test.std,
+            test.explained, test.excess, test.p_value, chosen.directions[:told] @ hats,
+            chosen.amounts[:told], slow[port],
+        )  # fmt: skip
+
+    found = [one for one in at_once(curve, _places(ranges)) if one is not None]
+    return sorted(found, key=lambda one: -one.score)
+
+
+def _places(ranges: Mapping[str, tuple[float, float]]) -> list[tuple[int, int]]:
+    """Numbers of port and variable between which a force is looked for."""
+    found = []
+    for place, port in enumerate(PORTS):
+        for index, variable in enumerate(VARIABLES):
+            low, high = ranges[variable.split(",")[0]]
+            rubbed = {"cart_position": "cart", "arm_angle": "arm"}
+            if high > low and ("," not in variable or rubbed[variable.split(",")[0]] == port):
+                found.append((place, index))
+    return found
+
+
+def compile_force_curves(innovations: Innovations) -> None:
+    """Compile what `force_curves` will run, and run nothing."""
+    compile_only(_derivatives, *_arguments(innovations, 0, 0, 0.0, 1.0, 1.0))
+
+
+def _arguments(
+    innovations: Innovations, port: int, variable: int, low: float, spacing: float, slow: float
+) -> tuple[Any, ...]:
+    probe = Probe(
+        jnp.asarray(np.zeros(KNOTS)), jnp.asarray(np.eye(2)[port]), jnp.asarray(np.eye(len(VARIABLES))[variable]),
+        jnp.asarray(low), jnp.asarray(spacing), jnp.asarray(slow),
+    )  # fmt: skip
+    i = innovations
+    return i.model, probe, jnp.asarray(np.eye(KNOTS)), i.data, i.space, i.whitener, i.gain, i.substeps

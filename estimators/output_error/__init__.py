@@ -1,0 +1,1 @@
+"""The fit by simulation error."""

@@ -1,0 +1,257 @@
+"""Output error: the simulation that comes nearest to all measurements, with shared physics and separate starts."""
+
+import dataclasses
+import time
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+from tqdm import tqdm
+
+from estimators.closed_form.fit import least_squares
+from estimators.core.active_bounds import solve_bounded
+from estimators.core.data import CHANNELS, Data, mark_of, moving, pieces
+from estimators.core.fisher_information import information
+from estimators.core.fit import Fit
+from estimators.core.initial_rest import at_rest, best_starts, may_swing
+from estimators.core.initial_state import scales_of, space_of
+from estimators.core.levenberg_marquardt import Arguments, Solved, diverged, factor, plain_residual
+from estimators.core.parameter_space import Space, Unknowns
+from estimators.core.residual import diagonal_whitener, no_gain
+from estimators.core.results import RESULTS, DivergedError
+from estimators.core.sensor_noise import noise_levels
+from estimators.core.step_size import accurate_substeps
+from estimators.prediction_error.noise_estimation import NoiseModel, run_filter, start_variance
+from rtac_jax import RTAC, require_configured
+from rtac_jax.measurement import Experiment, Recording
+
+# A second start agrees with the best one when its log-likelihood is within this much for each sample.
+_AGREES = 1e-3
+# Random force and torque of the predictor, as shares of the rms ones: from strong to weak correction.
+_CORRECTION = (0.3, 0.03)
+# Times the noise from which on a start is led to the simulation by predictions with correction.
+_GUIDED = 5.0
+# An experiment begins at rest where that leaves less than this share of what is left from where its first samples begin.
+_AT_REST = 0.5
+# A start whose short predictions stay this many times worse than another's is given up.
+_HOPELESS = 5.0
+
+
+def output_error(
+    model: RTAC,
+    recording: Recording,
+    *,
+    starts: int = 2,
+    tolerance: float = 1e-6,
+    steps: int = 60,
+    from_model: bool = False,
+    progress: bool = True,
+) -> Fit:
+    """Fit a model to all moving experiments of a recording at once by its simulation error.
+
+    The first start is the closed form, the second the values of the model itself, further ones are drawn around the first.
+    From each it goes by one-step-ahead predictions with ever weaker correction to the free simulation.
+
+    Args:
+        starts: how many starts to try.
+        tolerance: relative change at which the optimiser stops.
+        steps: optimiser steps in each stage.
+        from_model: begin at the model's values only, as after adding an effect to a model that was fitted.
+        progress: show a bar.
+
+    Raises:
+        ValueError: nothing moves in the recording, or no parameter is free.
+        NotIdentifiableError: the data leave parameters free.
+        DivergedError: the model diverges from every start.
+        RuntimeError: JAX was not configured for double precision.
+
+    Source: Ljung, System Identification (1999), chapter 7; optimistix's LevenbergMarquardt.
+    """
+    require_configured()
+    began = time.perf_counter()
+    experiments = pieces(moving(recording))
+    if not model.free:
+        raise ValueError("The model has no free parameter; release one with model.release(name).")
+    levels = noise_levels(recording.experiments)
+    data = Data.of(experiments)
+    candidates = [("the model's values", model)] if from_model else _starts(model, recording, experiments, starts)
+    bar = tqdm(total=None, disable=not progress, desc="output error", unit=" steps", leave=False)
+    run = _Run(data, experiments, levels, tolerance, steps, bar)
+    ends: list[tuple[str, _Stage]] = []
+    failures = []
+    for name, start in candidates:
+        bar.set_description(f"output error from {name}")
+        try:
+            end = run.descend(start, best=min((end.cost for _, end in ends), default=np.inf))
+            if end is not None:
+                ends.append((name, end))
+        except FloatingPointError as error:
+            failures.append(f"from {name}: {error}")
+    if not ends:
+        bar.close()
+        raise DivergedError(" ".join(failures))
+    winner, stage = min(ends, key=lambda end: end[1].cost)
+    agreed = sum(_same(end, stage, float(jnp.sum(data.present))) for _, end in ends)
+    bar.close()
+    found = information(stage.solved.factor, stage.space, stage.solved.unknowns)
+    found.require_determined()
+    if not stage.solved.converged:
+        result = RESULTS.steps_exhausted
+    elif len(candidates) > 1 and agreed < 2:
+        result = RESULTS.starts_disagree
+    else:
+        result = RESULTS.successful
+    shared, each, states = (np.asarray(part) for part in stage.space.physical(stage.solved.unknowns))
+    values = dict(zip(stage.space.names, shared, strict=True)) | dict(zip(stage.space.each, each, strict=True))
+    return Fit(
+        model=stage.model.with_values(values),
+        result=result,
+        information=found,
+        noise=levels,
+        residual_std={c: float(s) for c, s in zip(CHANNELS, stage.deviation, strict=True) if c in levels},
+        start={e.name: states[:, i] for i, e in enumerate(experiments)},
+        experiments=tuple(e.name for e in experiments),
+        statistics={
+            "cost": stage.cost,
+            "steps": run.taken,
+            "starts": len(candidates),
+            "agreed": agreed,
+            "winner": winner,
+            "failures": tuple(failures),
+            "substeps": stage.substeps,
+            "seconds": time.perf_counter() - began,
+        },
+        marks={e.name: mark_of(e) for e in experiments},
+    )
+
+
+def _starts(model: RTAC, recording: Recording, experiments: Sequence[Experiment], count: int) -> list[tuple[str, RTAC]]:
+    first = least_squares(model, recording).model
+    found = [("the closed form", first)]
+    if count > 1:
+        found.append(("the model's values", model))
+    random = np.random.default_rng(0)
+    for number in range(2, count):
+        factors = {name: float(np.asarray(first[name])) * random.uniform(0.8, 1.2) for name in first.free}
+        found.append((f"draw {number - 1}", first.with_values(factors)))
+    return found
+
+
+def _same(end: "_Stage", best: "_Stage", samples: float) -> bool:
+    """Whether a descent ended where the best one did: at the same likelihood, or at the same parameters."""
+    if end.cost <= best.cost + _AGREES * samples:
+        return True
+    there, here = (np.asarray(s.space.physical(s.solved.unknowns)[0]) for s in (end, best))
+    return bool(np.all(np.abs(there - here) <= 1e-4 * np.maximum(np.abs(here), 1e-3 * np.asarray(best.space.scale))))
+
+
+@dataclasses.dataclass(frozen=True)
+class _Stage:
+    model: RTAC
+    space: Space
+    solved: Solved
+    deviation: np.ndarray
+    cost: float
+    substeps: int
+
+
+@dataclasses.dataclass
+class _Run:
+    """The descent from one start: what stays the same over its stages."""
+
+    data: Data
+    experiments: Sequence[Experiment]
+    levels: Mapping[str, float]
+    tolerance: float
+    steps: int
+    bar: Any
+    taken: int = 0
+    nearest: float = np.inf
+
+    def descend(self, model: RTAC, *, best: float) -> _Stage | None:
+        """From predictions with strong correction to the free simulation; None where that leads nowhere."""
+        space = space_of(model, self.experiments, free=[n for n in model.free if n not in model.per_experiment])
+        unknowns = space.unconstrained()
+        noise = np.array([self.levels.get(channel, 1.0) for channel in CHANNELS])
+        scales = scales_of(model, self.experiments)
+        nothing = no_gain(model, self.data)
+        whitener = diagonal_whitener(noise, self.data)
+        substeps = accurate_substeps(model, self.data, space, unknowns, noise)
+        if may_swing(model):
+            simulated = Arguments(model, self.data, space, whitener, nothing, substeps)
+            unknowns = best_starts([unknowns, at_rest(unknowns, space)], simulated, worth=_AT_REST)
+        # A start whose free simulation is near already, as after adding what a diagnosis found, needs no guidance.
+        begins_near = bool(np.all(self._deviation(model, space, unknowns, substeps, noise) < _GUIDED * noise))
+        for share in () if begins_near else _CORRECTION:
+            gain, corrected = self._gain(model, space, unknowns, noise, scales, share, substeps)
+            arguments = Arguments(model, self.data, space, corrected, gain, substeps)
+            self._require_determined(space, unknowns, arguments)
+            near = self._solve(unknowns, arguments, tolerance=1e-3, most=15)
+            unknowns = near.unknowns
+            if share == _CORRECTION[0]:
+                if near.cost > _HOPELESS * self.nearest:
+                    return None
+                self.nearest = min(self.nearest, near.cost)
+        deviation = noise
+        cost, solved = np.inf, None
+        for last in (False, False, True):
+            arguments = Arguments(model, self.data, space, whitener, nothing, substeps)
+            self._require_determined(space, unknowns, arguments)
+            solved = self._solve(
+                unknowns, arguments, tolerance=self.tolerance if last else 1e-2, most=self.steps if last else 15
+            )
+            unknowns = solved.unknowns
+            deviation = self._deviation(model, space, unknowns, substeps, noise)
+            cost = _concentrated(deviation, self.data)
+            if cost > best + 1.0 * float(jnp.sum(self.data.present)):
+                break  # hopeless beside another start: not worth the last digits
+            whitener = diagonal_whitener(deviation, self.data)
+        assert solved is not None
+        return _Stage(model, space, solved, deviation, cost, substeps)
+
+    def _solve(self, unknowns: Unknowns, arguments: Arguments, *, tolerance: float, most: int) -> Solved:
+        def show(text: str) -> None:
+            self.taken += 1
+            self.bar.update(1)
+            self.bar.set_postfix_str(text, refresh=False)
+
+        return solve_bounded(unknowns, arguments, tolerance=tolerance, most=most, progress=show)
+
+    def _require_determined(self, space: Space, unknowns: Unknowns, arguments: Arguments) -> None:
+        """Before the first step: along directions that the data leave free it would wander until the model breaks."""
+        if self.taken == 0:
+            first = factor(unknowns, arguments)
+            if not diverged(first):
+                information(np.asarray(first), space, unknowns).require_determined()
+
+    def _gain(
+        self, model: RTAC, space: Space, unknowns: Unknowns, noise: np.ndarray, scales: Any, share: float, substeps: int
+    ) -> tuple[Array, Array]:
+        # By the function that a diagnosis runs too, so that it is compiled once for both.
+        interval = float(np.min(np.asarray(self.data.excitation.sample_time)))
+        known = NoiseModel(noise, np.ones_like(noise), scales.force, scales.torque, interval, start_variance(space))
+        size = np.concatenate([np.full(2, 2 * np.log(share)), np.zeros(len(CHANNELS))])
+        physical = space.physical(unknowns)
+        result = run_filter(model, self.data, space, physical, known, size, jnp.asarray(substeps)).filtered
+        # One whitener for all samples: enough for a start, and the same compiled function as for the simulation.
+        middle = np.median(
+            np.asarray(result.whitener)[self.data.samples // 4 : self.data.samples], axis=0, keepdims=True
+        )
+        return result.gain, jnp.asarray(middle)
+
+    def _deviation(self, model: RTAC, space: Space, unknowns: Unknowns, substeps: int, noise: np.ndarray) -> np.ndarray:
+        whitener = diagonal_whitener(np.ones(len(CHANNELS)), self.data)
+        arguments = Arguments(model, self.data, space, whitener, no_gain(model, self.data), substeps)
+        error, _ = plain_residual(unknowns, arguments)
+        count = np.maximum(np.asarray(self.data.present).sum(axis=(0, 2)), 1.0)
+        rms = np.sqrt((np.asarray(error) ** 2).sum(axis=(0, 2)) / count)
+        # A channel cannot be trusted beyond its sensor, or one that happens to fit would drown the others.
+        return np.where(rms > 0, np.maximum(rms, 1e-12 * noise), noise)
+
+
+def _concentrated(deviation: np.ndarray, data: Data) -> float:
+    """Negative log-likelihood with the noise levels at their best values, less a constant."""
+    count = np.asarray(data.present).sum(axis=(0, 2))
+    return float(np.sum(count * np.log(np.where(count > 0, deviation, 1.0))))

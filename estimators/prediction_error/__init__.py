@@ -1,0 +1,1 @@
+"""The Kalman predictor of the nonlinear model: its noise, its innovations, and the fit by its likelihood."""

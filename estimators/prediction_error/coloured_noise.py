@@ -1,0 +1,200 @@
+"""Sensor noise with a memory: how much of it, and how long, as rest records show it, and what the filter makes of it.
+
+Noise that wanders looks like a random force to a filter that expects it to be white, and then almost every effect of the
+catalogue seems to help. So does noise whose colour is a little wrong: the colour of rest records comes from the likelihood of
+their periodograms (P. Whittle, Arkiv foer Matematik 2, 1953), and the records of motion make it more exact (`Search.recoloured`).
+"""
+
+import dataclasses
+import itertools
+from collections.abc import Callable, Sequence
+from typing import Any, ClassVar
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float64
+from scipy.optimize import minimize
+from scipy.special import expit, logit
+from scipy.stats import chi2
+
+from estimators.core.data import CHANNELS
+from rtac_jax.effects import Motion, Outputs, Sensor, States
+from rtac_jax.measurement import Experiment
+from rtac_jax.parameters import Scalar, parameter
+
+Colours = dict[str, tuple[float, float]]
+"""Share of coloured noise and its correlation time [s], by channel."""
+
+_LAGS = 5  # of the correlations that have to be more than chance
+_SHORTEST = 160  # samples of a rest record that tells anything
+_MEMORIES = (1.5, 5.0, 20.0)  # correlation times from which the likeliest is looked for, in samples
+_RANGE = ((-6.0, 6.0), (-1.0, 6.0))  # of the logarithms of share over rest, and of the correlation time in samples
+_REACH = (1.0, 0.3)  # first steps in the logarithms of share over rest, and of correlation time
+_CLOSER = 0.5 ** np.arange(6)  # shares of a step, tried where it leads to what cannot be
+_LITTLE = 0.05  # share of coloured noise that is not worth a state
+_DOUBT = 1e-4  # p-value below which the noise of a rest record is not white
+_MOST = 0.98  # the rest is white: quantisation at least
+
+
+def _share() -> Any:
+    return parameter(symbol="c", unit="1", bounds=(0.0, 1.0), meaning="share of the variance", fixed=True, default=0.0)
+
+
+def _memory() -> Any:
+    return parameter(symbol="tau", unit="s", bounds=(0.0, np.inf), meaning="correlation time", fixed=True, default=1e-3)
+
+
+class ColouredNoise(Sensor):
+    """First-order coloured noise in each output, beside the white; no effect of the rig, so not in the catalogue."""
+
+    id: ClassVar[str] = "coloured_noise"
+    equation: ClassVar[str] = "y + n, tau n' = -n + w"
+    source: ClassVar[str] = "Bryson and Johansen, IEEE Transactions on Automatic Control 10 (1965)"
+    states: ClassVar[dict[str, str]] = {"cart_position": "m", "arm_velocity": "rad/s", "arm_angle": "rad"}
+    closed: ClassVar[bool] = True
+
+    cart_position_share: Scalar = _share()
+    arm_velocity_share: Scalar = _share()
+    arm_angle_share: Scalar = _share()
+    cart_position_memory: Scalar = _memory()
+    arm_velocity_memory: Scalar = _memory()
+    arm_angle_memory: Scalar = _memory()
+
+    @classmethod
+    def of(cls, colours: dict[str, tuple[float, float]]) -> "ColouredNoise":
+        """From share and correlation time [s] by channel; channels that are not named are white."""
+        values = {}
+        for channel, (share, memory) in colours.items():
+            values |= {f"{channel}_share": min(share, _MOST), f"{channel}_memory": memory}
+        return cls(**values)
+
+    @property
+    def colours(self) -> dict[str, tuple[float, float]]:
+        """Share and correlation time [s] of the channels that are not white."""
+        found = {c: (float(getattr(self, f"{c}_share")), float(getattr(self, f"{c}_memory"))) for c in self.states}
+        return {channel: colour for channel, colour in found.items() if colour[0] > 0}
+
+    @property
+    def share(self) -> Any:
+        """Share of the variance of each output's noise, in the order of `CHANNELS`."""
+        return jnp.stack([getattr(self, f"{channel}_share") for channel in CHANNELS])
+
+    @property
+    def memory(self) -> Any:
+        """Correlation time of each output's noise [s]."""
+        return jnp.stack([getattr(self, f"{channel}_memory") for channel in CHANNELS])
+
+    def read(self, outputs: Outputs, own: States) -> Outputs:
+        return Outputs(*(getattr(outputs, c) + own[list(self.states).index(c)] for c in Outputs._fields))
+
+    def start(self, motion: Motion) -> States:
+        return (0.0 * motion.cart_position,) * len(self.states)
+
+    def rate(self, motion: Motion, own: States) -> States:
+        memory = {c: getattr(self, f"{c}_memory") for c in self.states}
+        return tuple(-n / memory[c] for c, n in zip(self.states, own, strict=True))
+
+    def follow(self, motion: Motion, own: States) -> States:
+        return tuple(
+            n * jnp.exp(-motion.step / getattr(self, f"{c}_memory")) for c, n in zip(self.states, own, strict=True)
+        )
+
+
+@dataclasses.dataclass(frozen=True)
+class RestSpectrum:
+    """Periodograms of the rest records of a channel, which tell the colour of its noise.
+
+    Attributes:
+        angle: of each line, 2 pi frequency times sample time [rad].
+        power: of each line, in any unit.
+        interval: sample time [s].
+    """
+
+    angle: Float64[np.ndarray, " line"]
+    power: Float64[np.ndarray, " line"]
+    interval: float
+
+    @classmethod
+    def of(cls, experiments: Sequence[Experiment], channel: str) -> "RestSpectrum | None":
+        """Of records that are long enough and show a noise that is not white; else nothing."""
+        angle, power, products, count, interval = [], [], np.zeros(_LAGS + 1), 0, 0.0
+        for e in experiments:
+            if e.kind != "rest" or channel not in e.outputs or (interval and e.sample_time != interval):
+                continue
+            values = e.outputs[channel].values
+            values = values - np.nanmean(values)
+            values = np.where(np.isfinite(values), values, 0.0)
+            samples = len(values)
+            if samples < _SHORTEST or not np.any(values):
+                continue
+            lines = np.arange(1, (samples - 1) // 2 + 1)
+            angle.append(2 * np.pi * lines / samples)
+            power.append(np.abs(np.fft.rfft(values)[lines]) ** 2 / samples)
+            products += [values[: samples - k] @ values[k:] for k in range(_LAGS + 1)]
+            count, interval = count + samples, e.sample_time
+        if not count or chi2.sf(count * np.sum((products[1:] / products[0]) ** 2), _LAGS) > _DOUBT:
+            return None
+        return cls(np.concatenate(angle), np.concatenate(power), interval)
+
+    def log_likelihood(self, share: float, memory: float) -> float:
+        """Of a share of coloured noise with this correlation time [s], at the level that fits best."""
+        keep = np.exp(-self.interval / memory)
+        shape = share * (1 - keep**2) / (1 - 2 * keep * np.cos(self.angle) + keep**2) + 1 - share
+        return -float(len(shape) * np.log(np.mean(self.power / shape)) + np.sum(np.log(shape)))
+
+    def colour(self) -> tuple[float, float]:
+        """The likeliest share and correlation time [s]."""
+
+        def cost(at: np.ndarray) -> float:
+            return -self.log_likelihood(float(expit(at[0])), self.interval * float(np.exp(at[1])))
+
+        begins = itertools.product((0.0, 3.0), np.log(_MEMORIES))
+        found = min(
+            (minimize(cost, begin, method="L-BFGS-B", bounds=_RANGE) for begin in begins), key=lambda one: one.fun
+        )
+        return float(expit(found.x[0])), self.interval * float(np.exp(found.x[1]))
+
+
+def rest_spectra(experiments: Sequence[Experiment]) -> dict[str, RestSpectrum]:
+    """Of the channels whose rest records are not white."""
+    found = {channel: RestSpectrum.of(experiments, channel) for channel in CHANNELS}
+    return {channel: one for channel, one in found.items() if one is not None}
+
+
+def colours_at_rest(experiments: Sequence[Experiment]) -> Colours:
+    """Share of coloured noise and its correlation time [s], for channels whose rest records are not white."""
+    found = {channel: one.colour() for channel, one in rest_spectra(experiments).items()}
+    return {channel: (share, memory) for channel, (share, memory) in found.items() if share > _LITTLE}
+
+
+def likeliest_colours(first: Colours, likelihood: Callable[[Colours], float]) -> tuple[Colours, float]:
+    """By parabolas through three points along each share and correlation time in turn, and what the log-likelihood gains."""
+    best, value = dict(first), likelihood(first)
+    began = value
+    for scale, channel, which in itertools.product((1.0, 0.5), first, (1, 0)):
+        several: dict[float, Colours] = {}
+        values: dict[float, float] = {}
+        reach = 0.0
+        for reach in scale * _REACH[which] * _CLOSER:
+            several = {by: _moved(best, channel, which, by) for by in (-reach, reach)}
+            values = {by: likelihood(colours) for by, colours in several.items()}
+            if any(np.isfinite(one) for one in values.values()):
+                break
+        low, high = values[-reach], values[reach]
+        bend = low - 2 * value + high
+        if np.isfinite(bend) and bend < 0:
+            top = float(np.clip(0.5 * reach * (low - high) / bend, -2 * reach, 2 * reach))
+            several[top] = _moved(best, channel, which, top)
+            values[top] = likelihood(several[top])
+        by = max(values, key=lambda one: values[one])
+        if values[by] > value:
+            best, value = several[by], values[by]
+    return best, value - began
+
+
+def _moved(colours: Colours, channel: str, which: int, by: float) -> Colours:
+    """With the logarithm of share over rest (0) or of the correlation time (1) of a channel moved."""
+    share, memory = colours[channel]
+    if which:
+        return {**colours, channel: (share, memory * float(np.exp(by)))}
+    return {**colours, channel: (min(float(expit(logit(min(share, _MOST)) + by)), _MOST), memory)}

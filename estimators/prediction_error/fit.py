@@ -1,0 +1,276 @@
+"""Prediction error of the nonlinear model: physics and random forces from one-step-ahead predictions of a Kalman filter."""
+
+import dataclasses
+import time
+from collections.abc import Mapping
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+import scipy.stats
+from jaxtyping import Float
+from tqdm import tqdm
+
+from estimators.closed_form.fit import least_squares
+from estimators.core.data import CHANNELS, Data, moving, pieces
+from estimators.core.drawing import draw
+from estimators.core.fisher_information import Information, each_slope, information
+from estimators.core.fit import Parameter
+from estimators.core.initial_state import scales_of, space_of
+from estimators.core.levenberg_marquardt import Arguments, diverged, factor
+from estimators.core.linearisation import Problem
+from estimators.core.parameter_space import Space
+from estimators.core.results import DivergedError
+from estimators.core.sensor_noise import noise_levels
+from estimators.core.step_size import accurate_substeps
+from estimators.linear.initialisation import autocovariance
+from estimators.prediction_error.fisher_scoring import most_likely
+from estimators.prediction_error.noise_estimation import NoiseModel, Predictor, fit_trusted
+from rtac_jax import RTAC, require_configured
+from rtac_jax.measurement import Experiment, Recording
+
+_LAGS = 25
+_LEVEL = 0.01
+
+
+@dataclasses.dataclass(frozen=True)
+class Whiteness:
+    """Whether the innovations of a channel in one experiment are white.
+
+    Attributes:
+        experiment, channel: where.
+        rms: of the innovations over their expected size; 1 where the predictor's noise is right.
+        autocorrelation: at lags 1, 2, ... samples [1].
+        band: 99 % of each lie within plus and minus this by chance.
+        p_value: of all lags together (Ljung and Box).
+    """
+
+    experiment: str
+    channel: str
+    rms: float
+    autocorrelation: Float[np.ndarray, " lag"]
+    band: float
+    p_value: float
+
+
+@dataclasses.dataclass(frozen=True)
+class PredictorFit:
+    """Result of `prediction_error_nonlinear`.
+
+    Attributes:
+        model: with the estimated values; parameters of each experiment as arrays in the order of `experiments`.
+        information: covariance and identifiability of the free shared parameters.
+        each_std: standard deviations of the parameters of each experiment, the others integrated out.
+        force_noise: square root of the two-sided spectral density of the random force on the cart [N/sqrt(Hz)].
+        torque_noise: likewise of the random torque on the arm [N m/sqrt(Hz)].
+        noise: standard deviation of each channel's sensor.
+        whiteness: of the innovations, by experiment and channel.
+        log_likelihood: of all data, less a constant.
+        experiments: names of the experiments.
+        statistics: substeps, samples and seconds.
+        problem: that was solved, at its solution.
+        prior: of the noise.
+        noise_exponents: the estimated noise as `run_filter` takes it.
+    """
+
+    model: RTAC
+    information: Information
+    each_std: Mapping[str, Float[np.ndarray, " experiment"]]
+    force_noise: float
+    torque_noise: float
+    noise: Mapping[str, float]
+    whiteness: tuple[Whiteness, ...]
+    log_likelihood: float
+    experiments: tuple[str, ...]
+    statistics: Mapping[str, Any]
+    problem: Problem = dataclasses.field(repr=False)
+    prior: NoiseModel = dataclasses.field(repr=False)
+    noise_exponents: Float[np.ndarray, " noise"] = dataclasses.field(repr=False)
+
+    @property
+    def parameters(self) -> dict[str, Parameter]:
+        """Every shared parameter with its standard deviation."""
+        deviations = dict(zip(self.information.names, np.sqrt(np.diagonal(self.information.covariance)), strict=True))
+        return {
+            name: Parameter(float(np.asarray(self.model[name])), float(deviations.get(name, 0.0)), declared.unit)
+            for name, declared in self.model.parameters.items()
+            if name not in self.model.per_experiment
+        }
+
+    @property
+    def verdict(self) -> str:
+        """What the innovations say of the model."""
+        bound = _LEVEL / len(self.whiteness)
+        coloured = sorted((w for w in self.whiteness if w.p_value < bound), key=lambda w: w.p_value)
+        if not coloured:
+            return "The innovations are white: a random force and torque explain what the physics leaves."
+        worst = coloured[0]
+        return (
+            f"The innovations are coloured in {len(coloured)} of {len(self.whiteness)} channels, most in {worst.channel} of "
+            f"{worst.experiment}: more than random forces is missing; ask est.diagnose."
+        )
+
+    def __str__(self) -> str:
+        lines = [f"{'parameter':30s} {'value':>12s} {'std':>10s}  unit"]
+        for name, found in self.parameters.items():
+            spread = f"{found.std:.2g}" if name in self.information.names else "fixed"
+            lines.append(f"{name:30s} {found.value:12.6g} {spread:>10s}  {found.unit}")
+        for name, std in self.each_std.items():
+            values = np.asarray(self.model[name])
+            unit = self.model.parameters[name].unit
+            for experiment, value, one in zip(self.experiments, values, std, strict=True):
+                lines.append(f"{name + ' in ' + experiment:30s} {value:12.6g} {one:10.2g}  {unit}")
+        lines.append(f"{'random force on the cart':30s} {self.force_noise:12.3g} {'':10s}  N/sqrt(Hz)")
+        lines.append(f"{'random torque on the arm':30s} {self.torque_noise:12.3g} {'':10s}  N m/sqrt(Hz)")
+        for channel, level in self.noise.items():
+            lines.append(f"{'sensor noise of ' + channel:30s} {level:12.3g}")
+        return "\n".join([*lines, self.verdict])
+
+    def plot(self) -> Any:
+        """Autocorrelation of the innovations with its band."""
+        return draw(self)
+
+
+def prediction_error_nonlinear(
+    model: RTAC,
+    recording: Recording,
+    *,
+    rounds: int = 10,
+    from_model: bool = False,
+    progress: bool = True,
+) -> PredictorFit:
+    """Fit a model to all moving experiments of a recording by its predictions one sample ahead.
+
+    An extended Kalman filter mends the state at each sample by what was measured, as far as a random force on the cart and a
+    random torque on the arm, both white, make it doubtful. Their sizes and the sensors' noise are estimated by maximum
+    likelihood, in turn with the physics. Unlike the simulation of `output_error`, predictions forget a disturbance, so
+    that the physics is not bent to explain it, and standard deviations count it.
+
+    The states at the start are taken from the first samples, as doubtful as those are; the filter mends them.
+
+    The filter is linear along its estimate, and dry friction is not: samples at which random forces may shake loose what
+    dry friction holds do not count.
+
+    Args:
+        model: parameters released with `per_condition` are estimated for each experiment, the other free ones for all.
+        rounds: at most, of physics and noise in turn.
+        from_model: begin at the model's values instead of the closed form.
+        progress: show a bar.
+
+    Raises:
+        ValueError: nothing moves in the recording, or no parameter is free.
+        NotIdentifiableError: the data leave parameters free.
+        DivergedError: the model diverges at the start.
+        RuntimeError: JAX was not configured for double precision.
+
+    Source: Kristensen, Madsen and Jorgensen, Automatica 40 (2004); Ljung, System Identification (1999), section 7.
+    """
+    require_configured()
+    began = time.perf_counter()
+    experiments = pieces(moving(recording))
+    if not model.free:
+        raise ValueError("The model has no free parameter; release one with model.release(name).")
+    levels = noise_levels(recording.experiments)
+    data = Data.of(experiments)
+    start = model if from_model else least_squares(model, recording).model
+    shared = [name for name in start.free if name not in start.per_experiment]
+    space = space_of(start, experiments, free=shared)
+    scales = scales_of(start, experiments)
+    prior = NoiseModel.of(levels, recording.experiments, scales, space)
+    sensors = np.array([levels.get(channel, 1.0) for channel in CHANNELS])
+    substeps = accurate_substeps(start, data, space, space.unconstrained(), sensors)
+    bar = tqdm(total=None, disable=not progress, desc="prediction error", unit=" steps", leave=False)
+
+    def show(text: str) -> None:
+        bar.update(1)
+        bar.set_postfix_str(text, refresh=False)
+
+    try:
+        steps = jnp.asarray(substeps)
+        found, data = fit_trusted(start, data, space, prior, substeps=steps, rounds=rounds, progress=show)
+        factors = factor(found.unknowns, _arguments_at(found, start, data, space, substeps))
+        if diverged(factors):
+            raise DivergedError(
+                "The model diverges at the estimate; begin with from_model=True at values nearer to the rig."
+            )
+        frozen = np.asarray(factors)
+        known = information(frozen, space, found.unknowns)
+        known.require_determined()
+        each_std = _each_std(frozen, space, found)
+        found, triangles = most_likely(found, start, data, space, prior, known, each_std, substeps=steps, progress=show)
+    except FloatingPointError as error:
+        raise DivergedError(str(error)) from None
+    finally:
+        bar.close()
+    arguments = _arguments_at(found, start, data, space, substeps)
+    known = information(triangles, space, found.unknowns)
+    known.require_determined()
+    shared_values, each, _ = (np.asarray(part) for part in found.physical)
+    values = dict(zip(space.names, shared_values, strict=True)) | dict(zip(space.each, each, strict=True))
+    interval = float(np.min(np.asarray(data.excitation.sample_time)))
+    force, torque = np.exp(0.5 * found.noise[:2]) * np.array([scales.force, scales.torque]) * np.sqrt(interval)
+    sensor = np.exp(0.5 * found.noise[2:]) * prior.sensor
+    return PredictorFit(
+        model=start.with_values(values),
+        information=known,
+        each_std=dict(zip(space.each, _each_std(triangles, space, found), strict=True)),
+        force_noise=float(force),
+        torque_noise=float(torque),
+        noise={c: float(s) for c, s in zip(CHANNELS, sensor, strict=True) if c in levels},
+        whiteness=_whiteness(found, data, experiments),
+        log_likelihood=found.log_likelihood,
+        experiments=tuple(e.name for e in experiments),
+        statistics={
+            "substeps": substeps,
+            "samples": float(jnp.sum(data.counted)),
+            "seconds": time.perf_counter() - began,
+        },
+        problem=Problem(arguments, found.unknowns, tuple(experiments), known.names),
+        prior=prior,
+        noise_exponents=found.noise,
+    )
+
+
+def _arguments_at(found: Predictor, model: RTAC, data: Data, space: Space, substeps: Any) -> Arguments:
+    return Arguments(model, data, space, found.filtered.whitener, found.filtered.gain, substeps)
+
+
+def _each_std(triangles: np.ndarray, space: Space, found: Predictor) -> Float[np.ndarray, "each experiment"]:
+    """Standard deviations of what each experiment has for itself, with the doubt about the shared parameters in it."""
+    shared, own = len(found.unknowns.shared), len(space.each)
+    if not own:
+        return np.zeros((0, len(triangles)))
+    parts = [block[:, :-1].T @ block[:, :-1] for block in triangles]
+    between = sum(
+        p[:shared, :shared] - p[:shared, shared:] @ np.linalg.solve(p[shared:, shared:], p[shared:, :shared])
+        for p in parts
+    )
+    common = np.linalg.pinv(np.asarray(between), hermitian=True)
+    slope = each_slope(space, found.unknowns)
+    result = np.zeros((own, len(parts)))
+    for column, p in enumerate(parts):
+        inner = np.linalg.inv(p[shared:, shared:])
+        through = inner @ p[shared:, :shared]
+        result[:, column] = np.sqrt(np.diagonal(inner + through @ common @ through.T)[:own])
+    return result * np.abs(slope)
+
+
+def _whiteness(found: Predictor, data: Data, experiments: list[Experiment]) -> tuple[Whiteness, ...]:
+    innovations = np.asarray(found.filtered.innovations)
+    counts = np.asarray(data.counted)
+    result = []
+    for column, experiment in enumerate(experiments):
+        for row, channel in enumerate(CHANNELS):
+            count = float(np.sum(counts[:, row, column]))
+            if count < 2 * _LAGS:
+                continue
+            error = innovations[: experiment.samples, row, column]
+            own = autocovariance(error, _LAGS)
+            auto = own[1:] / own[0]
+            here = counts[: experiment.samples, row, column]
+            left = np.array([max(here[lag:] @ here[:-lag], 1.0) for lag in range(1, _LAGS + 1)])  # pairs that count
+            p_value = float(scipy.stats.chi2.sf(count * (count + 2) * np.sum(auto**2 / left), _LAGS))
+            band = float(scipy.stats.norm.isf(_LEVEL / 2) / np.sqrt(count))
+            rms = float(np.sqrt(np.sum(error**2) / count))
+            result.append(Whiteness(experiment.name, channel, rms, auto, band, p_value))
+    return tuple(result)

@@ -1,0 +1,166 @@
+"""Innovations of a predictor with frozen gains, and what they would have been had something been otherwise."""
+
+import dataclasses
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from estimators.core.compilation import compile_only
+from estimators.core.data import Data
+from estimators.core.parameter_space import Space
+from estimators.core.residual import predict, whitened
+from estimators.core.threads import at_once
+from rtac_jax import RTAC, Excitation
+from rtac_jax.simulation import Steps
+
+AT_ONCE = 8
+Rows = Float[np.ndarray, "row column"]
+
+
+class Innovations:
+    """Innovations of a predictor with frozen gains, as a function of parameter values; rows are whitened samples."""
+
+    def __init__(self, model: RTAC, data: Data, space: Space, whitener: Array, gain: Array, substeps: Steps) -> None:
+        self.model, self.data, self.space = model, data, space
+        self.whitener, self.gain, self.substeps = whitener, gain, substeps
+        self.used = np.asarray(data.present).any(axis=(0, 2))
+        self.weight = np.asarray(data.present)[: data.samples, self.used]
+
+    def at(self, values: Float[np.ndarray, "point parameter"]) -> Rows:
+        """Innovations for several sets of shared parameter values, one column each."""
+
+        def some(first: int) -> Rows:
+            part = values[first : first + AT_ONCE]
+            padded = np.concatenate([part, np.repeat(part[-1:], AT_ONCE - len(part), axis=0)])
+            return self.rows(np.asarray(_innovations(*self._arguments(padded)))[: len(part)])
+
+        return np.concatenate(at_once(some, range(0, len(values), AT_ONCE)), axis=1)
+
+    def jacobian(self) -> Rows:
+        """Derivatives by the free shared parameters, scaled."""
+        return self.rows(np.asarray(_jacobian(*self._arguments(self._directions()))))
+
+    def pushed(self, current: np.ndarray, force: np.ndarray) -> Rows:
+        """Derivatives by currents [A] and cart forces [N] added to the inputs, each [direction sample experiment]."""
+        columns = []
+        for first in range(0, len(current), AT_ONCE):
+            parts = [added[first : first + AT_ONCE] for added in (current, force)]
+            missing = AT_ONCE - len(parts[0])
+            padded = [np.concatenate([p, np.zeros((missing, *p.shape[1:]))]) for p in parts]
+            found = _pushed(*self._arguments(*padded))
+            columns.append(self.rows(np.asarray(found)[: len(parts[0])]))
+        return np.concatenate(columns, axis=1)
+
+    def compile(self) -> None:
+        """Compile `at`, and run nothing."""
+        several = np.repeat(np.asarray(self.space.values)[None], AT_ONCE, axis=0)
+        compile_only(_innovations, *self._arguments(several))
+
+    def compile_jacobian(self) -> None:
+        """Likewise `jacobian`."""
+        compile_only(_jacobian, *self._arguments(self._directions()))
+
+    def compile_pushed(self) -> None:
+        """Likewise `pushed`."""
+        nothing = np.zeros((AT_ONCE, self.data.room, self.data.experiments))
+        compile_only(_pushed, *self._arguments(nothing, nothing))
+
+    def _arguments(self, *several: np.ndarray) -> tuple[Any, ...]:
+        several_of = [jnp.asarray(one) for one in several]
+        return (self.model, self.data, self.space, self.whitener, self.gain, *several_of, self.substeps)
+
+    def _directions(self) -> np.ndarray:
+        # A free parameter past the end is none: its direction, and so its column, is zero.
+        unit = np.eye(len(self.space.names) + 1)[np.asarray(self.space.active), :-1]
+        return unit * np.asarray(self.space.scale)
+
+    def rows(self, found: np.ndarray) -> Rows:
+        """Whitened samples [direction sample output experiment] as columns, channels that nobody measured left out.
+
+        Rows of an experiment, and within it of a stretch of time, are neighbours.
+        """
+        there = found[:, : self.data.samples, self.used]
+        return np.moveaxis(there, 3, 1).reshape(len(found), -1).T
+
+    def blocks(self) -> np.ndarray:
+        """For every row the number of the stretch of time that it belongs to; it never falls."""
+        return np.repeat(stretches(self.data)[: self.data.samples].T.reshape(-1), int(self.used.sum()))
+
+
+def stretches(data: Data, seconds: float = 1.0) -> Int[np.ndarray, "sample experiment"]:
+    """For every sample and experiment the number of the stretch of time that it belongs to.
+
+    Those of an experiment are equally long, and as near to so many seconds as they can be. Where nothing counts, as beyond the
+    end of a short experiment or in a gap, no stretch begins: it would be one that never scatters.
+    """
+    counts = np.any(np.asarray(data.counted) > 0, axis=1)
+    sample_time = np.broadcast_to(np.asarray(data.excitation.sample_time), counts.shape[1:])
+    found = np.zeros(counts.shape, dtype=int)
+    last = -1
+    for column in range(counts.shape[1]):
+        there = counts[:, column]
+        samples = 1 + np.max(np.flatnonzero(there), initial=0)
+        several = max(round(samples * float(sample_time[column]) / seconds), 1)
+        within = np.minimum(np.arange(len(there)) * several // samples, several - 1)
+        begins = np.bincount(within[there], minlength=several) > 0
+        found[:, column] = np.maximum(last + np.cumsum(begins), 0)[within]
+        last += int(np.sum(begins))
+    return found
+
+
+def error_at(
+    model: RTAC, data: Data, space: Space, whitener: Array, gain: Array, values: Array, substeps: Steps
+) -> Array:
+    """Whitened innovations at values of all shared parameters."""
+    predicted = predict(model, data, space, (values, space.each_values, space.start), substeps=substeps, gain=gain)
+    return whitened(whitener, (data.values - predicted) * data.present)
+
+
+@eqx.filter_jit
+def _innovations(
+    model: RTAC, data: Data, space: Space, whitener: Array, gain: Array, values: Array, substeps: Steps
+) -> Array:
+    return jax.vmap(lambda v: error_at(model, data, space, whitener, gain, v, substeps))(values)
+
+
+@eqx.filter_jit
+def _jacobian(
+    model: RTAC, data: Data, space: Space, whitener: Array, gain: Array, directions: Array, substeps: Steps
+) -> Array:
+    def function(values: Array) -> Array:
+        return error_at(model, data, space, whitener, gain, values, substeps)
+
+    return jax.vmap(lambda t: jax.jvp(function, (space.values,), (t,))[1])(directions)
+
+
+@eqx.filter_jit
+def _pushed(
+    model: RTAC, data: Data, space: Space, whitener: Array, gain: Array, current: Array, force: Array, substeps: Steps
+) -> Array:
+    nothing = jnp.zeros((data.room, 1, data.experiments))
+
+    def function(added: tuple[Array, Array]) -> Array:
+        excitation = data.excitation
+        inputs = [
+            (nothing if known is None else known).at[:, 0].add(extra)
+            for known, extra in zip((excitation.current, excitation.force), added, strict=True)
+        ]
+        pushed = Excitation(inputs[0], inputs[1], excitation.sample_time, excitation.arm_free, excitation.cart_free)
+        changed = dataclasses.replace(data, excitation=pushed)
+        return error_at(model, changed, space, whitener, gain, space.values, substeps)
+
+    zero = jnp.zeros((data.room, data.experiments))
+    return jax.vmap(lambda *t: jax.jvp(function, ((zero, zero),), (t,))[1])(current, force)
+
+
+def orthonormal(columns: Rows) -> Float[np.ndarray, "row basis"]:
+    """An orthonormal basis of what the columns span."""
+    if columns.shape[1] == 0:
+        return columns
+    size = np.sqrt(np.sum(columns**2, axis=0))
+    q, r = np.linalg.qr(columns / np.where(size > 0, size, 1.0))
+    return q[:, np.abs(np.diagonal(r)) > 1e-10]

@@ -1,0 +1,343 @@
+"""Prediction one sample ahead: sensor and process noise by maximum likelihood, physics by least squares on innovations."""
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from estimators.core.active_bounds import solve_bounded
+from estimators.core.compilation import compile_only
+from estimators.core.data import CHANNELS, Data
+from estimators.core.levenberg_marquardt import Arguments, factor
+from estimators.core.parameter_space import Space, Unknowns
+from estimators.prediction_error.ekf import Filtered, kalman
+from rtac_jax import RTAC, Scales
+from rtac_jax.measurement import Experiment
+from rtac_jax.simulation import Steps
+
+# Random force and torque between these shares of the rms forces, as powers of e of their variance.
+# A force beyond the rms force comes from wrong physics and would keep it wrong; a motor's torque is small beside what can
+# shake it.
+_LEAST, _FIRST = np.log(1e-5**2), np.log(3e-3**2)
+_MOST = (np.log(1.0**2), np.log(10.0**2))
+_FAR = 3.0  # the longest step in the logarithm of a variance
+_LITTLE = 0.1  # gain in log-likelihood that is not worth another pass of the filter
+_PASSES = 25
+_PART = 8  # the first of so many parts of all experiments tell the noise where it is far off
+_FEWEST = 200  # samples of that part
+_MUCH = 100.0  # gain in log-likelihood that a step must promise to be called far off
+_LESS = (0.0, 4.0)  # by how much in the logarithm of the variance
+_ENOUGH = 1.0  # gain in log-likelihood that is worth another round
+_SHOWN = 10.0  # how much wider the cart's position at the start is taken to lie than its scale
+
+
+@dataclasses.dataclass(frozen=True)
+class NoiseModel:
+    """What is known of the noise before the fit.
+
+    Attributes:
+        sensor: standard deviation of each channel, SI units.
+        doubt: standard deviation of the logarithm of its variance.
+        force, torque: sizes that scale the process noise [N, N m].
+        interval: sample time [s].
+        start_variance: of the states at the start.
+    """
+
+    sensor: Float[np.ndarray, " output"]
+    doubt: Float[np.ndarray, " output"]
+    force: float
+    torque: float
+    interval: float
+    start_variance: Float[Array, "start experiment"]
+
+    @classmethod
+    def of(
+        cls, levels: Mapping[str, float], experiments: Sequence[Experiment], scales: Scales, space: Space
+    ) -> "NoiseModel":
+        """From noise levels; a rest record or a stated level is trusted as far as its length allows."""
+        resting = {c: sum(e.samples for e in experiments if e.kind == "rest" and c in e.outputs) for c in CHANNELS}
+        doubt = [np.sqrt(2.0 / n) + 0.03 if (n := resting[c]) > 0 else 0.5 for c in CHANNELS]
+        return cls(
+            np.array([levels.get(c, 1.0) for c in CHANNELS]),
+            np.array(doubt),
+            scales.force,
+            scales.torque,
+            scales.sample_time,
+            start_variance(space),
+        )
+
+    def starting(self, space: Space) -> "NoiseModel":
+        """The same for a model with other states."""
+        return dataclasses.replace(self, start_variance=start_variance(space))
+
+
+def start_variance(space: Space) -> Float[Array, "start experiment"]:
+    """Variance of the states at the start; none where they are held.
+
+    The cart's position, the first of them, is taken from the first samples of a sensor whose gain or offset may be unknown. If
+    that held the position, where an experiment begins would make up for a wrong gain, and half of it would be estimated.
+    """
+    deviation = np.asarray(space.start_scale) * (1 - np.asarray(space.start_held))
+    deviation[0] *= _SHOWN
+    return jnp.asarray(deviation**2)
+
+
+@dataclasses.dataclass(frozen=True)
+class Predictor:
+    """A model with the noise that makes its predictions most likely.
+
+    Attributes:
+        unknowns: the free parameters.
+        physical: all parameters and starts.
+        noise: logarithms of the process variances (shares of force and torque) and of the sensors' variance ratios.
+        filtered: gains, whiteners and innovations.
+        log_likelihood: of all data that count.
+    """
+
+    unknowns: Unknowns
+    physical: tuple[Array, Array, Array]
+    noise: Float[np.ndarray, " noise"]
+    filtered: Filtered
+    log_likelihood: float
+
+    @property
+    def random_force(self) -> float:
+        """Rms of the random force that the predictor needs, as a share of the rms spring force, in one sample."""
+        return float(np.exp(0.5 * self.noise[0]))
+
+    @property
+    def random_torque(self) -> float:
+        """Likewise of the random torque on the arm."""
+        return float(np.exp(0.5 * self.noise[1]))
+
+
+class Passed(NamedTuple):
+    """A pass of the filter, and how the likelihood changes with the noise.
+
+    Attributes:
+        value: negative log-likelihood.
+        slope: of that, by the logarithms of the variances.
+        information: expected curvature (Fisher).
+        filtered: the pass.
+    """
+
+    value: Array
+    slope: Float[Array, " noise"]
+    information: Float[Array, "noise noise"]
+    filtered: Filtered
+
+
+@eqx.filter_jit
+def _pass(
+    model: RTAC, data: Data, space: Space, physical: Any, noise: Array, scale: Array, sensor: Array, start: Array,
+    substeps: Steps,
+) -> Passed:  # fmt: skip
+    """One compiled function for the pass and its derivatives."""
+
+    density = jnp.exp(noise[:2]) * scale
+    variance = jnp.broadcast_to((jnp.exp(noise[2:]) * sensor**2)[:, None], (len(CHANNELS), data.experiments))
+    found, slopes = kalman(
+        model, data, space, physical, sensor_variance=variance, process=(density[0], density[1]),
+        start_variance=start, substeps=substeps, by_noise=True,
+    )  # fmt: skip
+    assert slopes is not None  # since they were asked for
+    return Passed(-found.log_likelihood.sum(), slopes.slope.sum(-1), slopes.information.sum(-1), found)
+
+
+def run_filter(
+    model: RTAC, data: Data, space: Space, physical: Any, prior: NoiseModel, noise: np.ndarray, substeps: Steps
+) -> Passed:
+    """The filter's pass at given noise."""
+    return _pass(*_arguments(model, data, space, physical, prior, noise, substeps))
+
+
+def _arguments(
+    model: RTAC, data: Data, space: Space, physical: Any, prior: NoiseModel, noise: np.ndarray, substeps: Steps
+) -> tuple[Any, ...]:
+    scale = jnp.asarray(np.array([prior.force**2, prior.torque**2]) * prior.interval)
+    sensor = jnp.asarray(prior.sensor)
+    return model, data, space, physical, jnp.asarray(noise), scale, sensor, prior.start_variance, substeps
+
+
+def compile_predictor(
+    model: RTAC, data: Data, space: Space, prior: NoiseModel, substeps: Steps, *, noise: bool = True
+) -> None:
+    """Compile what `fit_predictor` will run, with or without what it runs first, the filter; and run nothing."""
+    unknowns = space.unconstrained(start=False)
+    if noise:
+        physical = (space.values, space.each_values, space.start)  # of the shapes that space.physical computes
+        compile_only(_pass, *_arguments(model, data, space, physical, prior, _begin(), substeps))
+    whitener, gain = (
+        jnp.asarray(np.zeros((data.room, count, len(CHANNELS), data.experiments)))
+        for count in (len(CHANNELS), len(model.states))
+    )
+    compile_only(factor, unknowns, Arguments(model, data, space, whitener, gain, substeps))
+
+
+def _begin() -> np.ndarray:
+    return np.array([_FIRST, _FIRST, 0.0, 0.0, 0.0])
+
+
+class Noise(NamedTuple):
+    """Noise of the greatest likelihood.
+
+    Attributes:
+        exponents: logarithms of the process variances and of the sensors' variance ratios.
+        log_likelihood: there, without the prior's share.
+        filtered: the pass of the filter there.
+    """
+
+    exponents: Float[np.ndarray, " noise"]
+    log_likelihood: float
+    filtered: Filtered
+
+
+def fit_noise(
+    model: RTAC, data: Data, space: Space, physical: Any, prior: NoiseModel, first: np.ndarray | None, substeps: Steps
+) -> Noise:
+    """Noise by maximum likelihood: Newton's steps with the expected curvature, damped where they lead uphill.
+
+    A pass of the filter costs far more than a step, and gives the expected curvature with the slope; so few passes do. Where
+    the noise is far off, most of these are over the beginning of all experiments only.
+
+    Source: Gupta and Mehra, IEEE Transactions on Automatic Control 19 (1974), scoring.
+    """
+    tight = np.concatenate([np.zeros(2), 1.0 / prior.doubt**2])
+
+    def scored(at: np.ndarray, data: Data = data) -> _Scored:
+        passed = run_filter(model, data, space, physical, prior, at, substeps)
+        total = float(passed.value) + 0.5 * float(tight @ at**2)
+        curvature = np.asarray(passed.information) + np.diag(tight)
+        return _Scored(at, total, np.asarray(passed.slope) + tight * at, curvature, passed)
+
+    part = dataclasses.replace(data, length=jnp.asarray(data.samples // _PART))
+    long = part.samples >= _FEWEST
+    if first is None:
+        at = _climbed(lambda at: scored(at, part), scored(_begin(), part)).at if long else _begin()
+        found = scored(at)
+    else:
+        found = scored(first)
+        if long and np.isfinite(found.value) and found.promised(_moved(found, 0.0)) > _MUCH:
+            nearer = scored(_climbed(lambda at: scored(at, part), scored(first, part)).at)
+            found = nearer if nearer.value < found.value else found
+    found = _climbed(scored, found)
+    passed = found.passed
+    return Noise(found.at, -float(passed.value) if np.isfinite(found.value) else -np.inf, passed.filtered)
+
+
+class _Scored(NamedTuple):
+    """Noise, and what the filter and what was known beforehand say of it: negative log-likelihood, slope and curvature."""
+
+    at: Float[np.ndarray, " noise"]
+    value: float
+    slope: Float[np.ndarray, " noise"]
+    curvature: Float[np.ndarray, "noise noise"]
+    passed: Passed
+
+    def promised(self, trial: np.ndarray) -> float:
+        """Gain in log-likelihood that the slope promises there."""
+        return -float(self.slope @ (trial - self.at))
+
+
+def _moved(here: _Scored, damping: float) -> Float[np.ndarray, " noise"]:
+    """A Newton step within the bounds."""
+    low = np.array([_LEAST] * 2 + [-6.0] * 3)
+    high = np.array([*_MOST, 6.0, 6.0, 6.0])
+    at, slope = here.at, here.slope
+    free = np.flatnonzero(~((at <= low) & (slope > 0) | (at >= high) & (slope < 0)))
+    inner = here.curvature[free][:, free]
+    damped = inner + damping * np.diag(np.diagonal(inner)) + 1e-9 * np.trace(here.curvature) * np.eye(len(free))
+    move = np.zeros_like(at)
+    move[free] = np.clip(-np.linalg.solve(damped, slope[free]), -_FAR, _FAR)
+    return np.clip(at + move, low, high)
+
+
+def _climbed(scored: Callable[[np.ndarray], _Scored], here: _Scored) -> _Scored:
+    """Where Newton's steps lead."""
+    damping = 0.0
+    for _ in range(_PASSES if np.isfinite(here.value) else 0):
+        trial = _moved(here, damping)
+        if here.promised(trial) < _LITTLE:
+            break
+        there = scored(trial)
+        gained = here.value - there.value
+        if not gained > 0:
+            damping = max(10.0 * damping, 1.0)
+            continue
+        here = there
+        damping *= 0.1
+        if gained < _LITTLE:
+            break
+    return here
+
+
+def without_shaken(data: Data, filtered: Filtered) -> Data:
+    """The data, of which no sample counts at which random forces shake loose what dry friction holds.
+
+    There the filter takes for a straight line what is a step, and how likely it finds the data changes more with the level of
+    the friction than with the rest of the physics: counted, such samples make the level too low.
+    """
+    return dataclasses.replace(data, trusted=data.trusted * (1.0 - filtered.shaken))
+
+
+def all_trusted(data: Data) -> Data:
+    """The data, of which every sample counts."""
+    return dataclasses.replace(data, trusted=jnp.ones_like(data.trusted))
+
+
+def fit_trusted(
+    model: RTAC, data: Data, space: Space, prior: NoiseModel, *, substeps: Steps, rounds: int = 10, progress: Any = None
+) -> tuple[Predictor, Data]:
+    """`fit_predictor`, and again from there `without_shaken` samples; and the data that counted."""
+    found = fit_predictor(model, data, space, prior, substeps=substeps, rounds=rounds, progress=progress)
+    if not np.any(found.filtered.shaken):
+        return found, data
+    data = without_shaken(data, found.filtered)
+    space = dataclasses.replace(space, values=found.physical[0], each_values=found.physical[1])
+    options = {"substeps": substeps, "rounds": rounds, "progress": progress}
+    return fit_predictor(model, data, space, prior, first=found.noise, **options), data
+
+
+def fit_predictor(
+    model: RTAC,
+    data: Data,
+    space: Space,
+    prior: NoiseModel,
+    *,
+    substeps: Steps,
+    first: np.ndarray | None = None,
+    rounds: int = 10,
+    progress: Any = None,
+) -> Predictor:
+    """Physics and noise in turn: gains are frozen while the physics is fitted to the innovations, then refreshed.
+
+    Process noise that is large because the physics was wrong hides from the physics what it should mend. So where a
+    round gains nothing, gains for less noise are tried, and kept if they make the data more likely.
+    The states at the start are the filter's to mend, not the fit's: fitted with frozen gains they led astray.
+
+    Source: Kristensen, Madsen and Jorgensen, Automatica 40 (2004); Ljung, System Identification (1999), section 7.
+    """
+    unknowns = space.unconstrained(start=False)
+    physical = space.physical(unknowns)
+    noise = fit_noise(model, data, space, physical, prior, first, substeps)
+    failed = 0
+    for _ in range(rounds):
+        passed = noise.filtered
+        if _LESS[failed] > 0:
+            used = np.concatenate([np.maximum(noise.exponents[:2] - _LESS[failed], _LEAST), noise.exponents[2:]])
+            passed = run_filter(model, data, space, physical, prior, used, substeps).filtered
+        arguments = Arguments(model, data, space, passed.whitener, passed.gain, substeps)
+        trial = solve_bounded(unknowns, arguments, tolerance=1e-4, most=20, progress=progress).unknowns
+        moved = space.physical(trial)
+        new = fit_noise(model, data, space, moved, prior, noise.exponents, substeps)
+        gained = new.log_likelihood - noise.log_likelihood
+        if gained > 0:
+            unknowns, physical, noise = trial, moved, new
+        failed = 0 if gained > _ENOUGH else failed + 1
+        if failed == len(_LESS):
+            break
+    return Predictor(unknowns, physical, noise.exponents, noise.filtered, noise.log_likelihood)

@@ -1,0 +1,185 @@
+"""What `rtac envelope` writes: a dictionary for JSON, tables and sentences."""
+
+from itertools import pairwise
+from typing import Any
+
+import control as ct
+import numpy as np
+
+from estimators.frequency_response.response import FrequencyResponses
+from estimators.linear.fit import LinearModels
+from estimators.reporting.html import Table
+from estimators.reporting.report import FORMAT, VERSION
+from estimators.uncertainty.attribution import SOURCE_WORDS, SOURCES
+from estimators.uncertainty.condition_selection import UsableConditions
+from estimators.uncertainty.coverage import Coverage
+from estimators.uncertainty.envelope import Envelope
+
+_BANDS = 4
+
+
+def envelope_dict(found: Envelope, used: UsableConditions, *, seconds: float) -> dict[str, Any]:
+    """An envelope, ready for `write_json`; complex numbers are pairs of real and imaginary part."""
+    distance = found.distance(used.responses)
+    inside = distance <= 1
+    conditions = [
+        {
+            "name": one.name,
+            "held_out": bool(found.held_out[i]),
+            "input_rms": one.input_rms,
+            "arm_angle": one.arm_angle,
+            "distance": float(distance[i]),
+            "inside": bool(inside[i]),
+            "response": pairs(one.response),
+            "std": one.std.tolist(),
+            "gap": found.gaps[i].tolist(),
+        }
+        for i, one in enumerate(used.responses)
+    ]
+    return {
+        "format": FORMAT,
+        "version": VERSION,
+        "kind": found.kind,
+        "input": "current times cos(theta) [A]",
+        "output": "cart_position [m]",
+        "nominal": system_dict(found.nominal),
+        "weight": system_dict(found.weight),
+        "frequency": found.frequency.tolist(),
+        "profile": found.profile.tolist(),
+        "weight_magnitude": found.weight_magnitude().tolist(),
+        "excess_db": found.excess_db,
+        "largest_excess_db": found.largest_excess_db,
+        "minimise": found.minimise,
+        "coverage": coverage_dict(found.coverage),
+        "attribution": {name: found.attribution.shares[i].tolist() for i, name in enumerate(SOURCES)},
+        "conditions": conditions,
+        "left_out": dict(used.left_out),
+        "method": "local" if used.models is None else "prediction-error",
+        "linear_models": None if used.models is None else models_said(used.models),
+        "seconds": seconds,
+    }
+
+
+def coverage_dict(coverage: Coverage) -> dict[str, Any]:
+    """What may be said of a new condition."""
+    return {
+        "probability": coverage.probability,
+        "confidence": coverage.confidence,
+        "conditions": coverage.conditions,
+        "method": coverage.method,
+        "in_words": str(coverage),
+    }
+
+
+def system_dict(system: ct.TransferFunction) -> dict[str, Any]:
+    """Zeros, poles and gain, and numerator and denominator in falling powers of s [rad/s]."""
+    top, low = (np.trim_zeros(np.asarray(part[0][0], dtype=float), "f") for part in (system.num, system.den))
+    return {
+        "zeros": pairs(np.asarray(system.zeros())),
+        "poles": pairs(np.asarray(system.poles())),
+        "gain": float(top[0] / low[0]),
+        "numerator": top.tolist(),
+        "denominator": low.tolist(),
+    }
+
+
+def models_table(found: Envelope) -> Table:
+    """Nominal model and weight."""
+    rows = []
+    for name, system in (("P0, nominal model [m/A]", found.nominal), ("W, weight", found.weight)):
+        told = system_dict(system)
+        rows.append((name, f"{told['gain']:.4g}", roots(system.zeros()), roots(system.poles())))
+    return Table(
+        ("model", "gain", "zeros [rad/s]", "poles [rad/s]"),
+        tuple(rows),
+        "Gain, zeros and poles: gain * product of (s - zero) / product of (s - pole).",
+    )
+
+
+def roots(values: Any) -> str:
+    """Roots in text; a pair is one entry."""
+    shown = [v for v in np.sort_complex(np.asarray(values)) if v.imag >= 0]
+    return ", ".join(f"{v.real:.4g}" + (f" ± j{v.imag:.4g}" if v.imag > 0 else "") for v in shown) or "none"
+
+
+def conditions_table(found: Envelope, responses: FrequencyResponses) -> Table:
+    """What each condition was and how far it lies from the nominal model."""
+    distance = found.distance(responses)
+    rows = []
+    for i, one in enumerate(responses):
+        spread = 100 * float(np.median(one.std / np.abs(one.response)))
+        at = int(np.argmax(found.gaps[i]))
+        rows.append(
+            (
+                one.name,
+                "held out" if found.held_out[i] else "fitted",
+                "" if one.arm_angle is None else f"{one.arm_angle:.2f}",
+                f"{1e3 * one.input_rms:.3g}",
+                f"{spread:.2g}",
+                f"{found.gaps[i, at]:.2f}",
+                f"{found.frequency[at]:.3g}",
+                f"{distance[i]:.2f}",
+            )
+        )
+    header = (
+        "condition", "use", "mean arm angle [rad]", "current rms [mA]", "std [%]", "largest gap [1]", "at [rad/s]",
+        "largest |Δ| [1]",
+    )  # fmt: skip
+    return Table(header, tuple(rows), "A condition whose largest |Δ| is at most 1 lies inside the envelope.")
+
+
+def sources_table(found: Envelope) -> Table:
+    """What the gaps come from, in bands of equal width on a log scale."""
+    edges = np.geomspace(found.frequency[0], found.frequency[-1], _BANDS + 1)
+    rows = []
+    for low, high in pairwise(edges):
+        inside = (found.frequency >= low * (1 - 1e-9)) & (found.frequency <= high * (1 + 1e-9))
+        if np.any(inside):
+            shares = 100 * found.attribution.shares[:, inside].mean(axis=1)
+            rows.append((f"{low:.3g} to {high:.3g}", *(f"{share:.0f}" for share in shares)))
+    header = ("band [rad/s]", *(f"{SOURCE_WORDS[name]} [%]" for name in SOURCES))
+    return Table(header, tuple(rows), "Shares of the mean squared gap between the conditions and the nominal model.")
+
+
+def remarks(found: Envelope, used: UsableConditions) -> list[str]:
+    """What a reader must know of an envelope beside its numbers."""
+    said = [f"Coverage: {found.coverage}."]
+    if np.all(found.weight_magnitude() >= 1) and found.kind != "additive":
+        said.append(
+            "|W| is at least 1 everywhere, so no linear controller can be robust for all of these conditions: they differ in "
+            "phase or sign, or the nominal model needs a higher order."
+        )
+    largest = SOURCES[int(np.argmax(found.attribution.shares.mean(axis=1)))]
+    said.append(
+        f"The gaps come mostly from the {SOURCE_WORDS[largest].replace('left by', 'dynamics that are left by')}. "
+        + (
+            "The responses are estimates by local polynomials, which count nonlinear distortion as noise."
+            if used.models is None
+            else f"The responses are those of linear models with {used.models.structure.modes} mode(s), by the prediction error "
+            "method; what a model lacks is in no standard deviation."
+        )
+    )
+    if used.integrated:
+        said.append(
+            f"The arm's angle of {', '.join(used.integrated)} was integrated from its velocity, as none was measured; it drifts, "
+            "and with it cos(theta)."
+        )
+    said += [f"Left out: {name}: {why.rstrip('.')}." for name, why in used.left_out.items()]
+    return said
+
+
+def models_said(models: LinearModels) -> list[str]:
+    """What the residuals of linear models say, and whether all conditions have the same parameters."""
+    return [*models.verdict.splitlines(), _equality(models)]
+
+
+def _equality(models: LinearModels) -> str:
+    try:
+        return models.equality().verdict
+    except ValueError as error:
+        return f"Whether the conditions have the same parameters cannot be told: {error}"
+
+
+def pairs(values: Any) -> list[list[float]]:
+    """Complex numbers for JSON: real and imaginary part."""
+    return [[float(v.real), float(v.imag)] for v in np.asarray(values, dtype=complex)]

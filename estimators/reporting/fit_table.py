@@ -1,0 +1,89 @@
+"""All that is known of the parameters after a fit, as one text: what `rtac fit` prints."""
+
+import numpy as np
+
+from estimators.closed_form.table1 import ClosedForm
+from estimators.core.fit import Fit
+from estimators.inference.hausman import Agreement
+from estimators.inference.robust_covariance import Covariances
+from estimators.prediction_error.fit import PredictorFit
+
+
+def fit_table(
+    closed: ClosedForm,
+    fit: Fit,
+    *,
+    predicted: PredictorFit | None = None,
+    agreed: Agreement | None = None,
+    spread: Covariances | None = None,
+) -> str:
+    """Closed form, output error and prediction error side by side, with standard deviations, and what they differ by.
+
+    Args:
+        closed: estimates in closed form.
+        fit: output error.
+        predicted: prediction error.
+        agreed: all held against each other; adds the largest difference in its standard deviations and the verdict.
+        spread: covariances of the fit; adds the standard deviations that hold for a coloured residual.
+
+    Returns:
+        One table, the verdict, the combinations that the data determine worst, and Table 1 of the closed form.
+    """
+    header = ["parameter", "unit", "closed form", "std", "output error", "std"]
+    if spread is not None:
+        header += ["coloured", "clustered"]
+    if predicted is not None:
+        header += ["prediction error", "std"]
+    if agreed is not None:
+        header += ["sigmas apart"]
+    rows = [header]
+    coloured = spread.std("sandwich") if spread is not None else {}
+    by_cluster = spread.std("clustered") if spread is not None else {}
+    apart = _apart(agreed, fit)
+    for name, p in fit.parameters.items():
+        e = closed.estimates.get(name)
+        row = [name, p.unit, *(("", "") if e is None else (f"{e.value:.6g}", _short(e.std))), f"{p.value:.6g}"]
+        row.append(_short(p.std) if name in fit.information.names else "fixed")
+        if spread is not None:
+            row += [_short(coloured.get(name, np.nan)), _short(by_cluster.get(name, np.nan))]
+        if predicted is not None:
+            other = predicted.parameters[name]
+            row += [f"{other.value:.6g}", _short(other.std) if name in predicted.information.names else "fixed"]
+        if agreed is not None:
+            row.append(f"{apart[name]:.1f}" if name in apart else "")
+        rows.append(row)
+    parts = [_aligned(rows)]
+    if predicted is not None:
+        parts.append(
+            f"Prediction error takes a random force of {predicted.force_noise:.3g} N/sqrt(Hz) on the cart and a random torque "
+            f"of {predicted.torque_noise:.3g} N m/sqrt(Hz) on the arm into account."
+        )
+    if agreed is not None:
+        parts.append(agreed.verdict)
+    if weak := fit.information.weakest():
+        parts.append("\n".join(f"{text[0].upper()}{text[1:]}." for text in weak))
+    if skipped := [f"The closed form could not use {name}: {why}" for name, why in closed.skipped.items()]:
+        parts.append("\n".join(skipped))
+    return "\n\n".join([*parts, f"Table 1 of these data\n{closed}"])
+
+
+def _apart(agreed: Agreement | None, fit: Fit) -> dict[str, float]:
+    """The largest difference of any two ways, in its standard deviations."""
+    if agreed is None:
+        return {}
+    sigmas = np.max([np.nan_to_num(np.abs(pair.difference / pair.std)) for pair in agreed.pairs], axis=0)
+    return {n: float(s) for n, s in zip(agreed.names, sigmas, strict=True) if n in fit.information.names}
+
+
+def _short(std: float) -> str:
+    return f"{std:.2g}" if np.isfinite(std) else ""
+
+
+def _aligned(rows: list[list[str]]) -> str:
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+    return "\n".join(
+        "  ".join(
+            t.ljust(w) if i < 2 else t.rjust(w) for i, (t, w) in enumerate(zip(row, widths, strict=True))
+        ).rstrip()
+        for row in rows
+    )

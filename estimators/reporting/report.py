@@ -1,0 +1,318 @@
+"""Results as dictionaries for JSON and as tables."""
+
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from estimators.closed_form.table1 import ClosedForm
+from estimators.core.fit import Fit, Parameter
+from estimators.diagnosis.candidate import Candidate
+from estimators.diagnosis.diagnose import Diagnosis
+from estimators.diagnosis.improve import Improvement
+from estimators.diagnosis.ranking import ranked
+from estimators.experiment_design.next_experiment import NextExperiment
+from estimators.inference.hausman import Agreement
+from estimators.inference.robust_covariance import Covariances
+from estimators.prediction_error.fit import PredictorFit
+from estimators.reporting.html import Table, cleaned
+from estimators.validation.simulation_error import Compared, Comparison
+
+FORMAT, VERSION = "rtac-report", 1
+
+# -- dictionaries ----------------------------------------------------------------------------------------------------
+
+
+def report_dict(
+    found: Diagnosis | Improvement,
+    *,
+    fit: Fit | None = None,
+    train: Comparison | None = None,
+    validation: Comparison | None = None,
+    planned: NextExperiment | None = None,
+    seconds: float | None = None,
+) -> dict[str, Any]:
+    """What a diagnosis or an improvement found, ready for `write_json`.
+
+    Args:
+        fit: whose parameters to give; of an improvement by default the last one.
+        train, validation: the base model and, after it, the model with the effect; an improvement brings its own.
+        planned: the experiment that would tell the rest apart.
+        seconds: how long everything took; by default what the result says of itself.
+    """
+    if isinstance(found, Improvement):
+        fit = fit or found.final
+        train, validation = train or found.train, validation or found.validation
+        first = found.diagnoses[0]
+        named = found.added
+        known = _with_held(found.final, named)
+    else:
+        first, named, known = found, found.effects, {}
+    effects = [_effect(candidate, known) for candidate in named]
+    accepted = {effect["id"] for effect in effects}
+    return cleaned(
+        {
+            "format": FORMAT,
+            "version": VERSION,
+            "verdict": found.verdict,
+            "effects": effects,
+            "candidates": [_candidate(c, c.id in accepted) for c in first.candidates],
+            "parameters": _parameters(_with_held(fit, named)) if fit is not None else {},
+            "error": {"train": _before_after(train), "validation": _before_after(validation)},
+            "next_experiment": planned.as_dict() if planned is not None else None,
+            "seconds": found.seconds if seconds is None else seconds,
+        }
+    )
+
+
+def fit_dict(
+    fit: Fit,
+    *,
+    train: Comparison,
+    validation: Comparison | None,
+    seconds: float,
+    closed: ClosedForm | None = None,
+    predicted: PredictorFit | None = None,
+    agreed: Agreement | None = None,
+    spread: Covariances | None = None,
+) -> dict[str, Any]:
+    """The parameters and errors of a fit; beside it other ways to estimate, whether they agree, and other deviations."""
+    found: dict[str, Any] = {
+        "format": FORMAT,
+        "version": VERSION,
+        "parameters": _parameters(_every(fit)),
+        "error": {"train": _before_after(train), "validation": _before_after(validation)},
+        "seconds": seconds,
+    }
+    if closed is not None:
+        found["closed_form"] = {
+            name: {"value": e.value, "std": e.std, "unit": e.unit} for name, e in closed.estimates.items()
+        }
+    if predicted is not None:
+        found["prediction_error"] = {
+            "parameters": _parameters(predicted.parameters),
+            "force_noise": predicted.force_noise,
+            "torque_noise": predicted.torque_noise,
+        }
+    if agreed is not None:
+        pairs = [
+            {
+                "between": list(pair.labels),
+                "p_value": pair.p_value,
+                "parameters": {
+                    name: {"difference": d, "std": s, "p_value": p}
+                    for name, d, s, p in zip(agreed.names, pair.difference, pair.std, pair.p_values, strict=True)
+                    if np.isfinite(d)
+                },
+            }
+            for pair in agreed.pairs
+        ]
+        found["agreement"] = {"verdict": agreed.verdict, "pairs": pairs}
+    if spread is not None:
+        found["std"] = {kind: spread.std(kind) for kind in ("plain", "sandwich", "clustered")}
+    return cleaned(found)
+
+
+def comparison_rows(comparison: Comparison) -> list[dict[str, Any]]:
+    """Error of every channel of every experiment, worst first."""
+    return cleaned(
+        [
+            {
+                "model": compared.label,
+                "experiment": t.experiment,
+                "channel": t.channel,
+                "fit_percent": t.fit_percent,
+                "rms": t.rms,
+                "rms_over_noise": t.rms / t.noise,
+                "whiteness_p": t.whiteness_p,
+            }
+            for compared in comparison.models
+            for t in compared.worst(len(compared.traces))
+        ]
+    )
+
+
+def _effect(candidate: Candidate, known: Mapping[str, Parameter]) -> dict[str, Any]:
+    """An effect at the parameters of the last fit where there is one, else at those of the diagnosis."""
+    parameters = {n: known.get(f"{candidate.id}.{n}", found) for n, found in candidate.parameters.items()}
+    return {
+        "id": candidate.id,
+        "score": candidate.score,
+        "p_value": candidate.p_value,
+        "error_reduction": candidate.error_reduction,
+        "confusable_with": list(candidate.confusable_with),
+        "parameters": _parameters(parameters),
+    }
+
+
+def _candidate(c: Candidate, accepted: bool) -> dict[str, Any]:
+    return {
+        "id": c.id,
+        "p_value": c.p_value,
+        "detection_limit": c.detection_limit,
+        "testable": c.testable,
+        "score": c.score,
+        "unit": c.unit,
+        "refitted": c.refitted,
+        "bic_gain": c.bic_gain if c.refitted else None,
+        "error_reduction": c.error_reduction if c.refitted else None,
+        "accepted": accepted,
+    }
+
+
+def _parameters(parameters: Mapping[str, Parameter]) -> dict[str, Any]:
+    return {name: {"value": p.value, "std": p.std, "unit": p.unit} for name, p in parameters.items()}
+
+
+def _with_held(fit: Fit, candidates: Sequence[Candidate]) -> dict[str, Parameter]:
+    """All parameters of a fit; of effects that are held in it as the diagnosis estimated them."""
+    found = _every(fit)
+    told = {f"{c.id}.{name}": p for c in candidates for name, p in c.parameters.items()}
+    return found | {name: p for name, p in told.items() if name in found and name not in fit.information.names}
+
+
+def _every(fit: Fit) -> dict[str, Parameter]:
+    """The shared parameters, and as NAME[EXPERIMENT] those that each experiment has for itself, which have no deviation."""
+    found = dict(fit.parameters)
+    for name in sorted(fit.model.per_experiment):
+        unit = fit.model.parameters[name].unit
+        values = np.broadcast_to(np.asarray(fit.model[name]), (len(fit.experiments),))
+        for experiment, value in zip(fit.experiments, values, strict=True):
+            found[f"{name}[{experiment}]"] = Parameter(float(value), math.nan, unit)
+    return found
+
+
+def _before_after(comparison: Comparison | None) -> dict[str, Any] | None:
+    """Of the first model and of the last, which is the same where nothing was added; None where nothing was held out."""
+    if comparison is None:
+        return None
+    return {"before": _errors(comparison.models[0]), "after": _errors(comparison.models[-1])}
+
+
+def _errors(compared: Compared) -> dict[str, Any]:
+    return {channel: dataclasses.asdict(error) for channel, error in compared.errors.items()}
+
+
+# -- tables ----------------------------------------------------------------------------------------------------------
+
+
+def error_table(train: Comparison, validation: Comparison | None) -> Table:
+    """Error of every channel before and after, for both sides of the split."""
+    rows = []
+    two = len(train.models) > 1
+    for which, comparison in (("train", train), ("validation", validation)):
+        if comparison is None:
+            continue
+        before, after = comparison.models[0].errors, comparison.models[-1].errors
+        for channel, error in before.items():
+            row = [which, channel, f"{error.fit_percent:.2f}", f"{error.rms:.3g}", f"{error.rms_over_noise:.2f}"]
+            if two:
+                then = after[channel]
+                row += [f"{then.fit_percent:.2f}", f"{then.rms:.3g}", f"{then.rms_over_noise:.2f}"]
+            rows.append(tuple(row))
+    header = ["data", "channel", "fit [%]", "rms [SI]", "rms/noise"]
+    header += ["fit after [%]", "rms after [SI]", "rms/noise after"] if two else []
+    return Table(tuple(header), tuple(rows), "Error of free simulation; the noise is that of the sensor.")
+
+
+def parameter_table(fit: Fit, *, base: Fit | None = None) -> Table:
+    """Parameters with standard deviations; with a base fit its values before them."""
+    rows = []
+    known = _every(base) if base is not None else {}
+    for name, p in _every(fit).items():
+        std = "" if math.isnan(p.std) else f"{p.std:.2g}" if name in fit.information.names else "fixed"
+        row = [name, f"{p.value:.6g}", std, p.unit]
+        if base is not None:
+            row.insert(1, f"{known[name].value:.6g}" if name in known else "")
+        rows.append(tuple(row))
+    header = (
+        ("parameter", "before", "value", "std", "unit") if base is not None else ("parameter", "value", "std", "unit")
+    )
+    return Table(header, tuple(rows))
+
+
+def side_by_side(closed: ClosedForm, fit: Fit) -> Table:
+    """Closed form and output error."""
+    rows = []
+    for name, p in fit.parameters.items():
+        e = closed.estimates.get(name)
+        value = "" if e is None else f"{e.value:.5g}"
+        spread = "" if e is None or not math.isfinite(e.std) else f"{e.std:.2g}"
+        std = f"{p.std:.2g}" if name in fit.information.names else "fixed"
+        rows.append((name, value, spread, f"{p.value:.6g}", std, p.unit))
+    return Table(("parameter", "closed form", "std", "output error", "std", "unit"), tuple(rows))
+
+
+def comparison_table(rows: Sequence[Mapping[str, Any]]) -> Table:
+    """Error of every channel of every experiment, as `comparison_rows` gives it."""
+    header = ("experiment", "channel", "fit [%]", "rms [SI]", "rms/noise", "residual")
+    return Table(
+        header,
+        tuple(
+            (
+                row["experiment"],
+                row["channel"],
+                "" if row["fit_percent"] is None else f"{row['fit_percent']:.2f}",
+                f"{row['rms']:.3g}",
+                f"{row['rms_over_noise']:.2f}",
+                "white" if row["whiteness_p"] > 0.01 else "not white",
+            )
+            for row in rows
+        ),
+    )
+
+
+def evidence_table(diagnosis: Diagnosis) -> Table:
+    """The tests of whether anything is missing, before and after what was added."""
+    after = {test.test: test for test in diagnosis.left} if diagnosis.additions else {}
+    rows = []
+    for test in diagnosis.tests:
+        row = [test.test, f"{test.p_value:.2g}", "rejects" if test.rejects else "passes", test.words]
+        if diagnosis.additions:
+            then = after.get(test.test)
+            row[3:3] = [""] if then is None else [f"{'rejects' if then.rejects else 'passes'} (p {then.p_value:.2g})"]
+        rows.append(tuple(row))
+    header = ["test", "p", "base model", "in words"]
+    if diagnosis.additions:
+        header.insert(3, "with what was added")
+    return Table(
+        tuple(header), tuple(rows), "Is anything missing? All tests together reject one right model in a hundred."
+    )
+
+
+def place_table(diagnosis: Diagnosis, most: int = 8) -> Table:
+    """Where the innovations of the base model are too large."""
+    rows = [
+        (p.by, p.label, p.channel, f"{p.value:.2f}", f"{p.high:.2f}") for p in diagnosis.places[:most] if p.excess > 1
+    ]
+    header = ("by", "part", "channel", "mean square", "99 % bound")
+    return Table(header, tuple(rows), "Squared innovations where they exceed what chance allows, worst first.")
+
+
+def candidate_table(diagnosis: Diagnosis) -> Table:
+    """All candidates: what was accepted, then the others by their score."""
+    accepted = {c.id for c in diagnosis.effects}
+    rows = []
+    for c in ranked(diagnosis):
+        unit = "" if c.unit == "1" else f" {c.unit}"
+        limit = f"{c.detection_limit:.2g}{unit}" if c.testable and math.isfinite(c.detection_limit) else ""
+        rows.append(
+            (
+                c.id,
+                f"{c.score:.1f}",
+                f"{c.p_value:.2g}",
+                f"{c.bic_gain:.1f}" if c.refitted else "",
+                f"{100 * c.error_reduction:.0f}" if c.refitted else "",
+                limit or "not testable with these data",
+                "accepted" if c.id in accepted else "",
+            )
+        )
+    header = ("effect", "score", "p", "BIC gain", "explains [%]", "would be found from", "")
+    return Table(
+        header,
+        tuple(rows),
+        "Score: chi-square gained on the one-step predictions, less the price of the parameters. Those that came nearest were "
+        "fitted, which gives BIC gain and share of the misfit.",
+    )

@@ -1,0 +1,1 @@
+"""Nominal model, uncertainty weight and what makes the weight as large as it is."""

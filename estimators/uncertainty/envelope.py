@@ -1,0 +1,292 @@
+"""A nominal model and an uncertainty weight that cover all operating conditions."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from os import PathLike
+from typing import Any, cast, get_args
+
+import control as ct
+import numpy as np
+import scipy.io
+from jaxtyping import Bool, Complex128, Float64
+from tqdm import tqdm
+
+from estimators.core.drawing import draw
+from estimators.uncertainty.attribution import Attribution, attribute
+from estimators.uncertainty.coverage import Coverage, held_out_coverage, scenario_coverage
+from estimators.uncertainty.covering_weight import cover
+from estimators.uncertainty.nominal_model import NOMINAL_STEPS, log_measure, nominal_fit
+from estimators.uncertainty.plant_set import PlantSet, Responses, evaluate, gather, require_stable
+from estimators.uncertainty.uncertainty_structures import KINDS, Kind, corners, errors, packed
+from estimators.uncertainty.weight import WEIGHT_STEPS, Minimise
+from rtac_jax.measurement.atomic_write import replacing
+
+Curve = Float64[np.ndarray, " frequency"]
+
+_DECIBEL = 20 / np.log(10)
+
+
+@dataclass(frozen=True, eq=False)
+class Envelope:
+    """All plants that |Delta| <= 1 makes of a nominal model and a weight.
+
+    Attributes:
+        nominal: P_0, stable.
+        weight: W, stable and minimum-phase.
+        kind: what Delta W does to P_0; see `envelope`.
+        names: of the conditions.
+        frequency: [rad/s].
+        plants: the responses covered, [condition, frequency].
+        gaps: how far each lies from P_0, in the unit of W, [condition, frequency].
+        profile: the largest gap at each frequency, over the conditions that were fitted and those held out.
+        held_out: which conditions took no part in the fit.
+        excess_db: how far W lies above the profile, mean over log frequency [dB].
+        largest_excess_db: likewise, where it is farthest.
+        coverage: what may be said of a new condition.
+        attribution: where the gaps come from.
+        minimise: which distance of W from the profile was made least, "mean" or "largest".
+    """
+
+    nominal: ct.TransferFunction
+    weight: ct.TransferFunction
+    kind: Kind
+    names: tuple[str, ...]
+    frequency: Curve
+    plants: Complex128[np.ndarray, "condition frequency"]
+    gaps: Float64[np.ndarray, "condition frequency"]
+    profile: Curve
+    held_out: Bool[np.ndarray, " condition"]
+    excess_db: float
+    largest_excess_db: float
+    coverage: Coverage
+    attribution: Attribution
+    minimise: str = "mean"
+
+    def nominal_response(self, omega: Curve | None = None) -> Complex128[np.ndarray, " frequency"]:
+        """P_0(j omega); on the envelope's grid by default."""
+        return evaluate([self.nominal], self.frequency if omega is None else omega)[0]
+
+    def weight_magnitude(self, omega: Curve | None = None) -> Curve:
+        """|W(j omega)|; on the envelope's grid by default."""
+        return np.abs(evaluate([self.weight], self.frequency if omega is None else omega)[0])
+
+    def distance(self, responses: Responses, omega: Curve | None = None) -> Float64[np.ndarray, " condition"]:
+        """The largest |Delta| that each plant needs, over the frequencies; at most 1 for those inside.
+
+        Raises:
+            ValueError: as `envelope` does for its responses.
+        """
+        found = _representable(responses, self.frequency if omega is None else omega, self.kind)
+        gap = np.abs(errors(found.plants, self.nominal_response(found.omega), self.kind))
+        return np.max(gap / self.weight_magnitude(found.omega), axis=1)
+
+    def covers(self, responses: Responses, omega: Curve | None = None) -> Bool[np.ndarray, " condition"]:
+        """Whether each plant lies inside at every frequency."""
+        return self.distance(responses, omega) <= 1.0
+
+    def save_mat(self, path: str | PathLike[str]) -> None:
+        """Write a MAT file (version 5): P0 and W as num, den and as A, B, C, D; omega, plants, gaps and profile."""
+        contents: dict[str, Any] = {}
+        for name, system in (("P0", self.nominal), ("W", self.weight)):
+            state: Any = ct.tf2ss(system)
+            contents[name] = {
+                "num": np.asarray(system.num[0][0]), "den": np.asarray(system.den[0][0]),
+                "A": state.A, "B": state.B, "C": state.C, "D": state.D,
+            }  # fmt: skip
+        contents |= {
+            "kind": self.kind, "omega": self.frequency, "plants": self.plants, "gaps": self.gaps, "profile": self.profile,
+            "conditions": np.array(self.names, dtype=object), "held_out": self.held_out,
+        }  # fmt: skip
+        with replacing(path) as temporary:
+            scipy.io.savemat(temporary, contents, appendmat=False)
+
+    def __str__(self) -> str:
+        def roots(values: np.ndarray) -> str:
+            shown = [v for v in np.sort_complex(values) if v.imag >= 0]
+            return ", ".join(f"{v.real:.4g}" + (f" ± j{v.imag:.4g}" if v.imag > 0 else "") for v in shown) or "none"
+
+        at = int(np.argmax(self.profile))
+        magnitude = self.weight_magnitude()
+        below = self.frequency[magnitude < 1]
+        useful = (
+            f"|W| < 1 on {100 * float(log_measure(self.frequency) @ (magnitude < 1)):.0f} % of the band (log scale)"
+        )
+        useful += f", from {below[0]:.3g} to {below[-1]:.3g} rad/s" if len(below) else ""
+        lines = [
+            f"{self.kind} envelope of {len(self.plants)} conditions, {self.frequency[0]:.3g} to {self.frequency[-1]:.3g} rad/s",
+            f"P0 poles: {roots(self.nominal.poles())}",
+            f"P0 zeros: {roots(self.nominal.zeros())}",
+            f"W poles:  {roots(self.weight.poles())}",
+            f"W zeros:  {roots(self.weight.zeros())}",
+            f"largest gap {self.profile[at]:.3g} at {self.frequency[at]:.3g} rad/s",
+            f"W lies {self.excess_db:.1f} dB above the profile on average, {self.largest_excess_db:.1f} dB at most",
+            useful if self.kind != "additive" else "",
+            "|W| >= 1 everywhere: no controller can hold all of these; their phases or signs differ, or P0 needs a higher order"
+            if self.kind != "additive" and not len(below)
+            else "",
+            f"coverage: {self.coverage}",
+        ]
+        return "\n".join(line for line in lines if line)
+
+    def plot(self) -> Any:
+        """Fig. 6 of the paper: responses and nominal model, profile and weight, and where the gaps come from."""
+        return draw(self)
+
+
+def envelope(
+    responses: Responses,
+    *,
+    omega: Float64[np.ndarray, " grid"] | None = None,
+    kind: str = "multiplicative_output",
+    order_nominal: int = 4,
+    zeros: int | None = None,
+    order_weight: int = 2,
+    minimise: str = "mean",
+    nominal: ct.TransferFunction | ct.StateSpace | None = None,
+    held_out: Sequence[int | str] = (),
+    importance: Float64[np.ndarray, " factor"] | None = None,
+    std: Float64[np.ndarray, "condition frequency"] | None = None,
+    amplitude: Float64[np.ndarray, " condition"] | None = None,
+    within_db: float = 12.0,
+    confidence: float = 0.95,
+    progress: bool = True,
+) -> Envelope:
+    """The stable nominal model that is least far from all plants, and a weight above all gaps (paper, equation (7)).
+
+    A scalar plant P is written with |Delta| <= 1 as (1 + Delta W) P_0, "multiplicative_output" or, the same for a scalar
+    plant, "multiplicative_input", as P_0 + Delta W, "additive", or as P_0 / (1 + Delta W), "inverse_multiplicative".
+
+    P_0 makes the largest gap over conditions and frequencies as small as possible; its zeros may lie in the right half
+    plane. W lies above the largest gap at every frequency, also between the points of the grid, where parametric plants
+    are evaluated and others interpolated on logarithmic scales; its distance above, in decibels over log frequency, is
+    as small as possible, on the mean or at most. Both searches are local, from several starts.
+
+    Args:
+        responses: frequency responses of the conditions, python-control systems, or numbers [condition, frequency]; of
+            stable plants unless the kind is inverse, which is checked where systems are given.
+        omega: [rad/s], for numbers and for parametric systems.
+        order_nominal: poles of P_0.
+        zeros: of P_0; by default as many as poles.
+        order_weight: poles and zeros of W.
+        minimise: the "mean" distance of W above the profile, which gives a controller most room, or the "largest", so that no
+            frequency is treated worse than it must be.
+        nominal: given instead of fitted.
+        held_out: numbers or names of conditions that take no part in the fit. W is raised where they ask for it, and the statement
+            of coverage rests on them alone; without any it rests on the fitted ones, which says little for few.
+        importance: factor on the gap at each frequency that P_0 minimises, for instance below 1 where control does nothing.
+        std: of the responses; by default theirs.
+        amplitude: of each condition's input; by default theirs.
+        within_db: largest mean excess of W over the profile that is still called covering.
+        confidence: of the statement of coverage [1].
+        progress: show a bar.
+
+    Raises:
+        ValueError: fewer than two conditions to fit, an unstable nominal or plant, a plant or nominal that is zero where the
+            kind divides by it, orders out of range, or a weight that covers only far above the profile.
+    """
+    if kind not in KINDS:
+        raise ValueError(f"kind: is {kind!r}; use one of {', '.join(KINDS)}.")
+    chosen = cast(Kind, kind)
+    if order_nominal < 1 or order_weight < 0:
+        raise ValueError(f"order_nominal, order_weight: are {order_nominal} and {order_weight}; give at least 1 and 0.")
+    free = order_nominal if zeros is None else zeros
+    if not 0 <= free <= order_nominal:
+        raise ValueError(f"zeros: is {zeros}; a proper model of order {order_nominal} has from 0 to {order_nominal}.")
+    if minimise not in get_args(Minimise):
+        raise ValueError(f"minimise: is {minimise!r}; use 'mean' or 'largest'.")
+    if not 0 < confidence < 1:
+        raise ValueError(f"confidence: is {confidence}; give a probability between 0 and 1.")
+    found = _representable(responses, omega, chosen)
+    count = len(found.plants)
+    held = np.zeros(count, dtype=bool)
+    for one in held_out:
+        number = found.names.index(one) if isinstance(one, str) and one in found.names else one
+        if isinstance(number, str) or not -count <= number < count:
+            raise ValueError(f"held_out: there is no condition {one!r}; there are {count}: {', '.join(found.names)}.")
+        held[number] = True
+    if np.sum(~held) < 2:
+        raise ValueError(
+            f"responses: {int(np.sum(~held))} condition is left to fit, which has no scatter to cover; give at least two, or "
+            "plants drawn from a parameter covariance."
+        )
+    if kind != "additive" and np.any(found.plants == 0):
+        raise ValueError(
+            f"responses: a plant is zero at a frequency, where a {kind} gap has no size; use kind='additive'."
+        )
+    weightings = np.ones(len(found.omega)) if importance is None else importance
+    if weightings.shape != found.omega.shape or not np.all(weightings > 0):
+        raise ValueError(f"importance: give {len(found.omega)} positive factors, one for each frequency.")
+
+    fitted = found.plants[~held]
+    kept = corners(fitted, chosen)
+    with tqdm(
+        total=NOMINAL_STEPS + WEIGHT_STEPS, desc="envelope", unit=" steps", disable=not progress, leave=False
+    ) as bar:
+        if nominal is None:
+            fit = nominal_fit(
+                found.omega, packed(fitted, kept), chosen, order=order_nominal, zeros=free, importance=weightings,
+                done=bar.update,
+            )  # fmt: skip
+            model = _named(ct.tf(*fit.coefficients()), "P0")
+        else:
+            model = _given(nominal)
+            bar.update(NOMINAL_STEPS)
+        shape, raised, profile = cover(found, held, model, chosen, order_weight, cast(Minimise, minimise), bar.update)
+    measure = log_measure(found.omega)
+    above = _DECIBEL * (shape.log_magnitude(found.omega) - np.log(profile))
+    excess = float(measure @ above)
+    if excess > within_db:
+        raise ValueError(
+            f"order_weight: a weight of order {order_weight} covers the profile only {excess:.1f} dB above it on average, more "
+            f"than within_db = {within_db:g}; raise order_weight or order_nominal, or within_db."
+        )
+    response = evaluate([model], found.omega)[0]
+    gaps = np.abs(errors(found.plants, response, chosen))
+    coverage = (
+        held_out_coverage(int(held.sum()), confidence=confidence, raised=raised)
+        if held.any()
+        else scenario_coverage(count, int(kept.any(axis=1).sum()), confidence=confidence)
+    )
+    return Envelope(
+        nominal=model,
+        weight=_named(ct.tf(*shape.coefficients()), "W"),
+        kind=chosen,
+        names=found.names,
+        frequency=found.omega,
+        plants=found.plants,
+        gaps=gaps,
+        profile=gaps.max(axis=0),
+        held_out=held,
+        excess_db=excess,
+        largest_excess_db=float(np.max(above)),
+        coverage=coverage,
+        attribution=attribute(
+            found.plants, response, chosen, std=found.std if std is None else std,
+            amplitude=found.amplitude if amplitude is None else amplitude,
+        ),
+        minimise=minimise,
+    )  # fmt: skip
+
+
+def _representable(responses: Responses, omega: Any, kind: Kind) -> PlantSet:
+    """Raises `ValueError` as `gather` does, and for plants that this kind of uncertainty cannot be."""
+    found = gather(responses, omega)
+    if kind != "inverse_multiplicative":  # 1 / (1 + Delta W) may be unstable
+        require_stable(found)
+    return found
+
+
+def _given(nominal: ct.TransferFunction | ct.StateSpace) -> ct.TransferFunction:
+    poles: Any = np.asarray(nominal.poles())
+    unstable = poles[poles.real >= 0]
+    if len(unstable):
+        raise ValueError(
+            f"nominal: has a pole at {unstable[0]:.4g}, and an unstable model cannot be nominal; fit one that is stable, or leave "
+            "it out."
+        )
+    return _named(ct.tf(nominal), "P0")
+
+
+def _named(system: Any, name: str) -> ct.TransferFunction:
+    system.name = name
+    return system

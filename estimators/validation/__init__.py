@@ -1,0 +1,1 @@
+"""Models held against measurements that they may not have seen."""

@@ -1,0 +1,136 @@
+"""Held-out experiments foreseen one sample at a time: what tells of a model where no simulation can follow the rig."""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+
+import jax.numpy as jnp
+import numpy as np
+import scipy.stats
+from jaxtyping import Array, Float, Int
+
+from estimators.core.data import CHANNELS, Data, moving, pieces
+from estimators.core.fit import Fit
+from estimators.core.initial_state import scales_of, space_of
+from estimators.core.parameter_space import Space
+from estimators.core.sensor_noise import noise_levels
+from estimators.prediction_error.coloured_noise import ColouredNoise, colours_at_rest
+from estimators.prediction_error.ekf import Filtered
+from estimators.prediction_error.innovations import stretches
+from estimators.prediction_error.noise_estimation import NoiseModel, fit_noise, run_filter
+from estimators.validation.model_comparison import by_sample, vuong
+from rtac_jax import RTAC
+from rtac_jax.measurement import Experiment, Recording
+
+_CHANCE = 0.05  # probability of calling a model better that is not
+_FEWEST = 5  # seconds of data, below which their scatter says nothing
+
+
+@dataclasses.dataclass(frozen=True)
+class OneStepAhead:
+    """Experiments as a model foresees them, each sample from all before it.
+
+    Attributes:
+        by_sample: log-likelihood of each sample that counts, less a constant.
+        stretches: number of the second that each sample belongs to.
+        errors: rms of what was foreseen wrongly over the sensor's noise, by channel.
+        shaken: 1 at samples at which random forces may shake loose what dry friction holds, of the recording that was fitted and
+            of this one.
+    """
+
+    by_sample: Float[np.ndarray, "sample experiment"]
+    stretches: Int[np.ndarray, "sample experiment"]
+    errors: Mapping[str, float]
+    shaken: tuple[Float[np.ndarray, "fitted_sample fitted"], Float[np.ndarray, "sample experiment"]]
+
+    @property
+    def log_likelihood(self) -> float:
+        """Of all samples, less a constant."""
+        return float(np.sum(self.by_sample))
+
+    def surpasses(self, other: "OneStepAhead", *, of: int = 1) -> bool:
+        """Whether this makes the same samples likelier, by more than chance does in one of twenty cases.
+
+        Args:
+            of: number of models of which this is the likeliest.
+
+        Source: Vuong, Econometrica 57 (1989), on sums over seconds, with Student's t for few of them.
+        """
+        seconds = len(np.unique(self.stretches))
+        if seconds < _FEWEST:
+            return False
+        statistic = vuong(self.by_sample, other.by_sample, self.stretches, 0.0)
+        return bool(statistic > scipy.stats.t.isf(_CHANCE / of, seconds - 1))
+
+
+def one_step_ahead(
+    fit: Fit,
+    fitted: Recording,
+    recording: Recording,
+    starts: Mapping[str, Float[np.ndarray, " state"]],
+    *,
+    like: OneStepAhead | None = None,
+) -> OneStepAhead:
+    """Foresee a recording with a model that was fitted to another one.
+
+    A Kalman filter mends the state at each sample, as far as a random force and a random torque make it doubtful. How large
+    these are is estimated where the model was fitted.
+
+    Args:
+        fitted: the recording of the fit.
+        recording: another one of the same rig.
+        starts: states at the start, by experiment, for those in which nobody measured where the arm was; the same for all
+            models that are compared.
+        like: of another model: what is shaken there does not count here either, as likelihoods compare only where they count
+            the same samples, and those at which friction is shaken loose tell more of its level than of the rest.
+
+    Source: Ljung, System Identification (1999), section 16.6, on cross-validation by predictions.
+    """
+    model = fit.model.with_values({name: jnp.mean(fit.model[name]) for name in fit.model.per_experiment})
+    colours = colours_at_rest(fitted.experiments)
+    if colours:
+        model = model + ColouredNoise.of(colours)
+    substeps = jnp.asarray(int(fit.statistics["substeps"]))
+    levels = noise_levels(recording.experiments) | noise_levels(fitted.experiments)
+    trained = pieces(moving(fitted))
+    space, data = _space(model, trained, fit.start), Data.of(trained)
+    prior = NoiseModel.of(levels, fitted.experiments, scales_of(model, trained), space)
+    if like is not None:
+        data = _counting(data, like.shaken[0])
+    fitted_length = data.samples  # arrays have room for more
+    noise = fit_noise(model, data, space, _values(space), prior, None, substeps)
+    others = pieces(moving(recording))
+    space, data = _space(model, others, starts), Data.of(others)
+    if like is not None:
+        data = _counting(data, like.shaken[1])
+    passed = run_filter(model, data, space, _values(space), prior.starting(space), noise.exponents, substeps).filtered
+    there = slice(data.samples)
+    shaken = (np.asarray(noise.filtered.shaken)[:fitted_length], np.asarray(passed.shaken)[there])
+    return OneStepAhead(by_sample(passed)[there], stretches(data)[there], _errors(passed, levels), shaken)
+
+
+def _counting(data: Data, shaken: np.ndarray) -> Data:
+    return dataclasses.replace(data, trusted=data.trusted.at[: data.samples].multiply(1.0 - shaken))
+
+
+def _space(model: RTAC, experiments: Sequence[Experiment], starts: Mapping[str, np.ndarray]) -> Space:
+    # The first samples tell the start better than a simulation of a model that may be wrong, but for an unmeasured angle.
+    blind = [e.name for e in experiments if e.initial_arm_angle is None and "arm_angle" not in e.outputs]
+    return space_of(model, experiments, free=[], start={name: starts[name] for name in blind if name in starts})
+
+
+def _values(space: Space) -> tuple[Array, Array, Array]:
+    return space.physical(space.unconstrained(start=False))
+
+
+def _errors(passed: Filtered, levels: Mapping[str, float]) -> dict[str, float]:
+    whitener = np.moveaxis(np.asarray(passed.whitener), 3, 1)  # [sample experiment row output]
+    there = np.diagonal(whitener, axis1=2, axis2=3) > 0
+    # A row of zeros stands for a sample that was not measured.
+    square = whitener + np.eye(len(CHANNELS)) * ~there[..., None, :]
+    white = np.swapaxes(np.asarray(passed.innovations), 1, 2)[..., None]
+    error = np.linalg.solve(square, white)[..., 0]
+    return {
+        channel: float(np.sqrt(np.mean(error[..., row][there[..., row]] ** 2)) / levels[channel])
+        for row, channel in enumerate(CHANNELS)
+        if there[..., row].any()
+    }

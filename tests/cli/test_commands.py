@@ -1,0 +1,348 @@
+"""The command line: what it writes, what it says, and how it refuses."""
+
+import functools
+import json
+import math
+import re
+from dataclasses import replace
+
+import pytest
+from command_line import call, check_report, refused, reported
+
+import estimators
+import estimators as est
+import estimators.diagnosis.candidate_set
+from estimators import Improvement
+from estimators.cli import job
+from estimators.reporting.html import Table, write_json, write_report
+from rtac_jax import RTAC
+from rtac_jax.effects import CATALOGUE
+from rtac_jax.measurement import Recording
+from rtac_jax.virtual_rig import Rig, record, standard_plans
+
+COMMANDS = ("fit", "compare", "diagnose", "improve")
+FIGURES = {
+    "fit": {"agreement", "comparison", "recording"},
+    "compare": {"comparison", "residuals"},
+    "diagnose": {"diagnosis", "where", "confusion", "bands", "comparison", "residuals"},
+    "improve": {
+        "improvement", "diagnosis_1", "where", "confusion", "bands", "comparison", "residuals_before", "residuals_after",
+        "recording",
+    },
+}  # fmt: skip
+TRIED = ("flexible_mode", "cubic_spring")
+HELD = "diagnose, where a simulation cannot fit what is missing"
+
+
+@pytest.fixture(scope="module")
+def recording():
+    rig = Rig(flexible_mass=0.12, flexible_damping=0.03, position_noise=2e-6, quantisation_bits=16)
+    return record(rig, standard_plans(seed=3, duration=4.0, free=1, forced=2, rest=1), seed=3)
+
+
+@pytest.fixture(scope="module")
+def file(recording, tmp_path_factory):
+    path = tmp_path_factory.mktemp("recording") / "rig & <co>.h5"
+    recording.save(path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def ran(file, tmp_path_factory):
+    """Every command once, with a short catalogue: exit status, output, folder and JSON.
+
+    The fits of the first command serve the others, and what `improve` would find is put together from what `diagnose`
+    found: the loop has tests of its own, and this keeps the time to that of one diagnosis.
+    """
+    found, kept = {}, {}
+
+    def once(name):
+        original = getattr(estimators, name)
+
+        def remembered(subject, *arguments, **options):
+            key = (name, subject.ids if hasattr(subject, "ids") else name)
+            if key not in kept:
+                kept[key] = original(subject, *arguments, **options)
+            return kept[key]
+
+        return remembered
+
+    def loop(model, recording, *, validation, candidates, progress):
+        train, held_out = recording.split(validation)
+        fits = tuple(fit for (name, _), fit in kept.items() if name == "output_error")
+        (diagnosis,) = (record for (name, _), record in kept.items() if name == "diagnose")
+        sides = [estimators.compare(fits, side, labels=["base", "+ flexible_mode"]) for side in (train, held_out)]
+        return Improvement(fits, (diagnosis,), diagnosis.effects, "missing", *sides, (), False, (), "Stopped.", 1.0)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(estimators.diagnosis.candidate_set, "CATALOGUE", {name: CATALOGUE[name] for name in TRIED})
+        patch.setattr(estimators, "output_error", once("output_error"))
+        patch.setattr(estimators, "diagnose", once("diagnose"))
+        patch.setattr(estimators, "improve", loop)
+        patch.setattr(estimators, "agreement", functools.partial(estimators.agreement, draws=40))
+        for command in COMMANDS:
+            found[command] = reported(command, file, tmp_path_factory.mktemp(command))
+
+        remembered = estimators.output_error
+
+        def refusing(model, *arguments, **options):
+            if "flexible_mode" not in model:
+                return remembered(model, *arguments, **options)
+            if "flexible_mode.frequency" in model.free:
+                raise estimators.NotIdentifiableError("The data leave it free.")
+            return estimators.output_error.fit.output_error(model, *arguments, **options)
+
+        target = tmp_path_factory.mktemp("refused") / "result.json"
+        patch.setattr(estimators, "output_error", refusing)
+        found[HELD] = call("diagnose", file, "--json", target), None, json.loads(target.read_text())
+    return found
+
+
+def check_parameters(parameters):
+    for name, found in parameters.items():
+        assert isinstance(name, str)
+        assert set(found) == {"value", "std", "unit"}
+        assert isinstance(found["value"], float)
+        assert isinstance(found["std"], float)
+        assert isinstance(found["unit"], str)
+
+
+def check_errors(error):
+    assert set(error) == {"train", "validation"}
+    for side in error.values():
+        assert set(side) == {"before", "after"}
+        for moment in side.values():
+            assert set(moment) == {"cart_position", "arm_velocity"}
+            for numbers in moment.values():
+                assert set(numbers) == {"fit_percent", "rms", "rms_over_noise"}
+                assert all(isinstance(number, float) for number in numbers.values())
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_command_writes_what_it_promises(ran, command):
+    result, _, content = ran[command]
+    assert check_report(*ran[command]) == FIGURES[command]
+    check_parameters(content["parameters"])
+    if command == "fit":
+        check_parameters(content["prediction_error"]["parameters"])
+        assert content["prediction_error"]["force_noise"] > 0
+        assert [p["between"] for p in content["agreement"]["pairs"]] == [
+            ["closed form", "output error"], ["closed form", "prediction error"], ["output error", "prediction error"],
+        ]  # fmt: skip
+        assert "prediction error" in result.stdout
+    check_errors(content["error"])
+    assert content["parameters"]["total_mass"]["unit"] == "kg"
+
+
+def test_what_cannot_be_fitted_by_simulation_is_held_and_the_reader_told(ran):
+    result, _, content = ran[HELD]
+    said = " ".join(result.stdout.split())
+    assert "with flexible_mode could not be fitted by simulation: The data leave it free." in said
+    assert "The errors after are those with flexible_mode, held at the estimate of the diagnosis." in said
+    (effect,) = content["effects"]
+    for name, told in effect["parameters"].items():
+        assert content["parameters"][f"flexible_mode.{name}"] == told
+    assert effect["parameters"]["frequency"]["std"] > 0
+    before, after = (content["error"]["validation"][moment]["cart_position"]["rms"] for moment in ("before", "after"))
+    assert after < 0.5 * before
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_the_report_needs_nothing_else(ran, command):
+    page = (ran[command][1] / "report.html").read_text()
+    assert "http://" not in page
+    assert "https://" not in page
+    assert "<script" not in page
+    assert all(source.startswith("data:image/png;base64,") for source in re.findall(r'src="([^"]*)', page))
+    assert page.count("<img") == len(FIGURES[command])
+    assert "rig &amp; &lt;co&gt;.h5" in page
+    assert "<co>" not in page
+
+
+@pytest.mark.parametrize("command", ["diagnose", "improve"])
+def test_the_json_has_the_form_that_was_agreed(ran, command):
+    content = ran[command][2]
+    assert set(content) == {
+        "format", "version", "verdict", "effects", "candidates", "parameters", "error", "next_experiment", "seconds",
+    }  # fmt: skip
+    assert content["verdict"] == "missing"
+    assert content["next_experiment"] is None
+    (effect,) = content["effects"]
+    assert set(effect) == {"id", "score", "p_value", "error_reduction", "confusable_with", "parameters"}
+    assert effect["id"] == "flexible_mode"
+    assert effect["confusable_with"] == []
+    check_parameters(effect["parameters"])
+    assert effect["parameters"]["mass"]["value"] == pytest.approx(0.12, rel=0.05)
+    assert {c["id"] for c in content["candidates"]} == set(TRIED)
+    for c in content["candidates"]:
+        assert {"id", "p_value", "detection_limit", "testable"} <= set(c)
+        assert isinstance(c["testable"], bool)
+    held_out = content["error"]["validation"]
+    before, after = (held_out[moment]["cart_position"]["rms_over_noise"] for moment in ("before", "after"))
+    assert before > 5
+    assert after < 1.5
+    assert content["parameters"]["flexible_mode.frequency"]["value"] == pytest.approx(37.4, rel=0.01)
+
+
+def test_fit_sets_both_estimates_side_by_side(ran):
+    result, _, content = ran["fit"]
+    assert "closed form" in result.stdout
+    assert "output error" in result.stdout
+    assert content["closed_form"]["torque_constant"]["unit"] == "N m/A"
+    for pair in content["agreement"]["pairs"]:
+        assert 0 <= pair["p_value"] <= 1
+        assert {"spring_stiffness", "torque_constant"} <= set(pair["parameters"]) <= set(content["parameters"])
+    assert content["agreement"]["verdict"]
+    assert content["std"]["plain"]["torque_constant"] == pytest.approx(
+        content["parameters"]["torque_constant"]["std"], rel=0.5
+    )
+    assert set(content["std"]) == {"plain", "sandwich", "clustered"}
+
+
+def test_compare_says_where_the_model_fails(ran):
+    result, _, content = ran["compare"]
+    assert "fails most in cart_position of forced_2" in result.stdout
+    assert {row["experiment"] for row in content["experiments"]} == {"forced_2"}
+
+
+def test_quick_takes_no_second_look(file, monkeypatch):
+    asked = []
+
+    def diagnosed(*_, **options):
+        asked.append(options["thorough"])
+        raise ValueError("that is enough.")
+
+    monkeypatch.setattr(estimators, "output_error", lambda *_, **__: None)
+    monkeypatch.setattr(estimators, "diagnose", diagnosed)
+    for flags in ([], ["--quick"]):
+        refused(call("diagnose", file, *flags), 1, "that is enough")
+    assert asked == [True, False]
+
+
+def test_info_describes_and_warns(file):
+    result = call("info", file)
+    assert result.exit_code == 0
+    assert "forced_2" in result.stdout
+    assert "concerns" in result.stdout
+
+
+def test_help_names_every_command():
+    result = call("--help")
+    assert result.exit_code == 0
+    assert all(command in result.stdout for command in (*COMMANDS, "info", "demo"))
+
+
+# -- refusals --------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def bad_files(file, tmp_path):
+    text = tmp_path / "text.h5"
+    text.write_text("time,position\n0,1\n")
+    cut = tmp_path / "cut.h5"
+    cut.write_bytes(file.read_bytes()[:3000])
+    return {"text": text, "cut": cut, "missing": tmp_path / "missing.h5", "folder": tmp_path}
+
+
+@pytest.mark.parametrize("command", ["info", *COMMANDS])
+@pytest.mark.parametrize("which", ["text", "cut", "missing", "folder"])
+def test_an_unreadable_file_is_wrong_use(bad_files, command, which):
+    refused(call(command, bad_files[which]), 2, str(bad_files[which]))
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_an_unknown_name_for_validation_is_wrong_use(file, command):
+    refused(call(command, file, "--validation", "free_1,fred"), 2, "fred", "forced_2")
+    refused(call(command, file, "--validation", ","), 2, "choose among")
+
+
+def test_an_experiment_at_rest_cannot_validate(file):
+    refused(call("fit", file, "--validation", "rest_1"), 2, "rest_1")
+
+
+@pytest.mark.parametrize("option", ["--out", "--json"])
+def test_a_place_that_cannot_be_written_is_wrong_use(file, option):
+    # Below a file there can be no folder, whoever asks.
+    refused(call("fit", file, option, file / "below" / "it"), 2, "cannot be written to")
+
+
+def test_a_folder_is_no_json_file(file, tmp_path):
+    refused(call("fit", file, "--json", tmp_path), 2, "folder")
+
+
+def test_wrong_arguments_are_wrong_use(file):
+    assert call("fit").exit_code == 2
+    assert call("fit", file, "--nonsense").exit_code == 2
+    assert call("nonsense").exit_code == 2
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_rest_records_alone_do_not_allow_it(recording, tmp_path, command):
+    recording.select(["rest_1"]).save(tmp_path / "rest.h5")
+    refused(call(command, tmp_path / "rest.h5"), 1)
+
+
+def test_one_moving_experiment_cannot_be_improved_upon(recording, tmp_path):
+    recording.select(["forced_1", "rest_1"]).save(tmp_path / "one.h5")
+    refused(call("improve", tmp_path / "one.h5"), 1, "nothing can be held out")
+
+
+def test_a_constant_that_no_model_has_is_named(recording, tmp_path):
+    Recording(recording.experiments, {"arm_length": 0.1}).save(tmp_path / "odd.h5")
+    refused(call("fit", tmp_path / "odd.h5"), 2, "arm_length", "arm_inertia")
+
+
+def test_an_unknown_scale_does_not_allow_it(recording, tmp_path):
+    Recording(recording.experiments).save(tmp_path / "unscaled.h5")
+    refused(call("fit", tmp_path / "unscaled.h5"), 1, "total_mass", "arm_inertia", "scale")
+
+
+def test_an_interruption_has_a_status_of_its_own(file, monkeypatch):
+    def interrupt(_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Recording, "load", staticmethod(interrupt))
+    refused(call("info", file), 130, "interrupted")
+
+
+# -- parts -----------------------------------------------------------------------------------------------------------
+
+
+def test_names_may_hold_commas(recording):
+    odd = replace(recording["free_1"], name="free, slow")
+    assert job._names(Recording((odd,)), "free, slow") == ["free, slow"]
+    assert job._names(recording, "free_1, forced_1") == ["free_1", "forced_1"]
+    assert job._names(recording, None) is None
+
+
+def test_json_has_no_nan(tmp_path):
+    write_json(tmp_path / "x.json", {"a": [math.nan, math.inf, 1.5], "b": (1, True, None, "ä")})
+    assert json.loads((tmp_path / "x.json").read_text()) == {"a": [None, None, 1.5], "b": [1, True, None, "ä"]}
+
+
+def test_a_failed_write_leaves_the_old_file(tmp_path):
+    target = tmp_path / "x.json"
+    write_json(target, {"a": 1})
+    with pytest.raises(TypeError):
+        write_json(target, {"a": object()})
+    assert json.loads(target.read_text()) == {"a": 1}
+    assert [path.name for path in tmp_path.iterdir()] == ["x.json"]
+
+
+def test_a_report_escapes_what_it_is_given(tmp_path):
+    table = Table(("<b>", "n"), (("a & b", "1.5"), ("", "-2")), "<caption>")
+    write_report(tmp_path / "r.html", "<title> & more", [("<h>", ["<p>", table])])
+    page = (tmp_path / "r.html").read_text()
+    assert "&lt;title&gt; &amp; more" in page
+    for raw in ("<b>", "<h>", "<p><p>", "<caption><caption>"):
+        assert raw not in page
+    assert '<td class="n">1.5</td>' in page
+
+
+@pytest.mark.parametrize("progress", [True, False])
+def test_a_long_call_shows_a_bar_on_request(recording, capsys, progress):
+    train, _ = recording.split()  # which was fitted before, so that nothing is compiled anew
+    est.output_error(RTAC.from_rig(recording), train, from_model=True, progress=progress)
+    said, shown = capsys.readouterr()
+    assert said == ""
+    assert ("output error from the model's values" in shown and "steps" in shown) if progress else shown == ""

@@ -1,0 +1,240 @@
+"""Which refit is chosen, what becomes of it when a later one explains the same, and what is found late; on made-up gains."""
+
+import threading
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pytest
+from known_search import Known, known, screened
+
+from estimators.core.compilation import Ahead
+from estimators.core.results import DivergedError
+from estimators.diagnosis.candidate import Step
+from estimators.diagnosis.choice import chosen, reconsidered
+from estimators.diagnosis.refit import Refit
+from estimators.diagnosis.refit import Tested as Answers
+from estimators.diagnosis.stepwise_selection import _hidden, improvements, second_looks
+from estimators.diagnosis.verdict import judge
+from estimators.misspecification.adequacy import Evidence
+from estimators.misspecification.candidate_screening import Screened
+
+
+def step(search: Known, before: Sequence[str], several: Sequence[str]) -> Step | None:
+    tried = {e: (screened(e), search.refit(*before, e)) for e in several}
+    return chosen(search, search.refit(*before), tried)
+
+
+def steps(search: Known, *rounds: Sequence[str]) -> list[Step]:
+    """What a forward selection from these candidates finds."""
+    found: list[Step] = []
+    for several in rounds:
+        one = step(search, found[-1].refit.added if found else (), several)
+        assert one is not None
+        found.append(one)
+    return found
+
+
+@pytest.mark.parametrize(
+    ("stribeck", "rivals"),
+    [
+        (1003.0, ()),  # what the spare parameter gains comes by chance
+        (1004.0, ("arm_stribeck",)),  # more than by chance in one of a hundred, less than BIC asks
+    ],
+)
+def test_an_effect_is_no_rival_of_the_simpler_one_that_it_contains(stribeck: float, rivals: tuple[str, ...]) -> None:
+    search = Known(known(base=0.0, arm_coulomb=1000.0, arm_stribeck=stribeck))
+    found = step(search, (), ["arm_stribeck", "arm_coulomb"])
+    assert found is not None
+    assert (found.id, found.rivals) == ("arm_coulomb", rivals)
+
+
+def test_a_shape_that_ran_away_is_chosen_only_where_nothing_else_helps() -> None:
+    likelihood = known(base=0.0, arm_coulomb=900.0, arm_stribeck=1000.0, cubic_spring=1.0)
+    for others, expected in ((["arm_coulomb"], "arm_coulomb"), (["cubic_spring"], "arm_stribeck")):
+        found = step(Known(likelihood, loose=["arm_stribeck"]), (), ["arm_stribeck", *others])
+        assert found is not None
+        assert found.id == expected
+    assert step(Known(likelihood), (), ["cubic_spring"]) is None
+
+
+def test_what_does_not_help_where_it_was_not_estimated_is_not_chosen() -> None:
+    likelihood = known(base=0.0, arm_coulomb=900.0, lvdt_lag=1000.0, cubic_spring=300.0)
+    search = Known(likelihood, held_out={"lvdt_lag": -1.0, "arm_coulomb": 0.0})
+    found = step(search, (), ["lvdt_lag", "arm_coulomb", "cubic_spring"])
+    assert found is not None
+    assert (found.id, found.rivals) == ("cubic_spring", ())
+    assert step(search, (), ["lvdt_lag", "arm_coulomb"]) is None
+
+
+def test_where_one_experiment_only_shows_an_effect_no_other_can_refuse_it() -> None:
+    found = step(Known(known(base=0.0, lvdt_lag=1000.0), held_out={"lvdt_lag": np.nan}), (), ["lvdt_lag"])
+    assert found is not None
+    assert found.id == "lvdt_lag"
+
+
+def test_an_effect_gives_way_to_the_one_that_it_stood_for() -> None:
+    """Stribeck friction mends a part of what the lag does, until the lag is in the model."""
+    search = Known(
+        known(
+            base=0.0, arm_stribeck=500.0, arm_coulomb=450.0, lvdt_lag=300.0, arm_stribeck__lvdt_lag=900.0,
+            arm_coulomb__lvdt_lag=1000.0,
+        )
+    )  # fmt: skip
+    before = steps(search, ["arm_stribeck", "arm_coulomb"], ["lvdt_lag"])
+    assert [s.id for s in before] == ["arm_stribeck", "lvdt_lag"]
+    after = reconsidered(search, search.refit(), before)
+    assert [s.id for s in after] == ["lvdt_lag", "arm_coulomb"]
+    assert [s.gain for s in after] == pytest.approx([600.0, 1400.0])
+    assert after[-1].refit.added == ("lvdt_lag", "arm_coulomb")
+
+
+def test_an_effect_that_is_not_needed_any_more_goes() -> None:
+    search = Known(known(base=0.0, arm_coulomb=100.0, lvdt_lag=898.0, arm_coulomb__lvdt_lag=900.0))
+    after = reconsidered(search, search.refit(), steps(search, ["arm_coulomb"], ["lvdt_lag"]))
+    assert [(s.id, s.gain) for s in after] == [("lvdt_lag", pytest.approx(1796.0))]
+
+
+def test_what_is_needed_stays_and_a_rival_of_the_first_round_is_told_from_it() -> None:
+    likelihood = known(base=0.0, cubic_spring=500.0, arm_coulomb=498.0, lvdt_lag=300.0)
+    likelihood |= known(cubic_spring__lvdt_lag=1000.0, arm_coulomb__lvdt_lag=600.0)
+    search = Known(likelihood)
+    before = steps(search, ["cubic_spring", "arm_coulomb"], ["lvdt_lag"])
+    assert before[0].rivals == ("arm_coulomb",)
+    after = reconsidered(search, search.refit(), before)
+    assert [s.id for s in after] == ["cubic_spring", "lvdt_lag"]
+    assert after[0].rivals == ()
+
+
+def test_what_the_model_diverges_without_is_needed(monkeypatch: pytest.MonkeyPatch) -> None:
+    search = Known(known(base=0.0, arm_coulomb=100.0, lvdt_lag=898.0, arm_coulomb__lvdt_lag=900.0))
+    before = steps(search, ["arm_coulomb"], ["lvdt_lag"])
+
+    def without(refit: Refit, effect: str) -> Refit:
+        raise FloatingPointError(f"it diverges without {effect}.")
+
+    monkeypatch.setattr(search, "without", without)
+    after = reconsidered(search, search.refit(), before)
+    assert [s.id for s in after] == ["arm_coulomb", "lvdt_lag"]
+
+
+class Late(Known):
+    """One in which every refit leaves a spectral line, and all candidates but some are seen by a quiet predictor only."""
+
+    line = 0.0
+    quiet: tuple[tuple[str, float, float], ...] = (("cubic_spring", 900.0, 1.0),)
+
+    def tested(self, refit: Refit, ahead: Ahead | None = None) -> Any:
+        return Answers((), (), (Evidence("spectral line", 1e-9 if self.line else 1.0, self.line, 0.002, ""),))
+
+    def quietly(self, refit: Refit) -> list[Screened]:
+        return [sized(*one) for one in self.quiet]
+
+    def thoroughly(self, before: Refit, s: Screened) -> Refit:
+        return self.with_effect(before, s)
+
+
+def sized(effect: str, statistic: float, p_value: float) -> Screened:
+    return Screened(effect, None, ("size",), np.ones(1), statistic, p_value, np.ones(1), np.zeros((4, 1)))
+
+
+FORCE = Evidence("static force", 1e-9, 2000.0, 0.002, "")
+
+
+@pytest.mark.parametrize(("line", "named"), [(0.0, 1), (30.0, 1), (60.0, 0)])
+def test_a_late_find_may_leave_a_small_line_only(line: float, named: int) -> None:
+    """Of a gain of 2000, in units of twice the log-likelihood, 40 are a fiftieth."""
+    search = Late(known(base=0.0, cubic_spring=1000.0))
+    search.line = line
+    steps, tried = second_looks(search, search.refit(), Answers((), (), (FORCE,)), [], {})
+    assert judge(steps, (FORCE,), search.samples)[1] == named
+    assert set(tried) == {"cubic_spring"}
+
+
+QUIET = (
+    ("end_stop", 9000.0, 0.4), ("lvdt_gain", 8000.0, 0.3), ("arm_coulomb", 7000.0, 1e-4), ("lvdt_lag", 600.0, 1e-5),
+    ("backlash", 500.0, 0.01), ("flexible_mode", 400.0, 0.2), ("flexible_shaft", 300.0, 0.05), ("saturation", 200.0, 0.5),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("line", "ranked", "near"),
+    [
+        # By p-value, of which the first two are near each other, and then what is largest.
+        (1999.0, ["lvdt_lag", "arm_coulomb", "backlash", "end_stop", "lvdt_gain"], ["arm_coulomb"]),
+        # A line that is more than all else is of what has a resonance, which a play has not.
+        (
+            2001.0,
+            ["flexible_shaft", "flexible_mode", "lvdt_lag", "arm_coulomb", "backlash", "end_stop", "lvdt_gain"],
+            ["flexible_mode", "lvdt_lag", "arm_coulomb"],
+        ),
+    ],
+)
+def test_what_random_forces_hide_is_tried_in_this_order(line: float, ranked: list[str], near: list[str]) -> None:
+    search = Late(known(base=0.0))
+    search.quiet = QUIET
+    tests = (FORCE, Evidence("spectral line", 1e-9, line, 0.002, ""))
+    look = _hidden(search, search.refit(), Answers((), (), tests))
+    assert [s.id for s in look.ranked] == ranked
+    assert [s.id for s in look.near] == near
+
+
+def test_what_works_by_contact_is_tried_however_little_it_shows() -> None:
+    search = Late(known(base=0.0))
+    search.quiet = (*(one for one in QUIET if one[0] != "backlash"), ("backlash", 1.0, 1.0))
+    look = _hidden(search, search.refit(), Answers((), (), (FORCE,)))
+    ranked = [s.id for s in look.ranked]
+    assert ranked == ["lvdt_lag", "arm_coulomb", "flexible_shaft", "end_stop", "lvdt_gain", "backlash"]
+
+
+@pytest.mark.parametrize(("line", "first"), [(30.0, "lvdt_lag"), (60.0, "arm_coulomb")])
+def test_what_overshadows_the_alarms_is_chosen_where_it_gains_most_and_leaves_no_large_line(
+    line: float, first: str
+) -> None:
+    search = Late(known(base=0.0, arm_coulomb=500.0, lvdt_lag=1000.0))
+    search.line = line
+    screened = (sized("arm_coulomb", 400.0, 1e-15), sized("lvdt_lag", 900.0, 0.1))
+    steps, _ = improvements(search, search.refit(), Answers(screened, (), (FORCE,)))
+    assert steps[0].id == first
+
+
+class Refused(Known):
+    """One in which the model diverges with some candidates, and the first is tested only when another refit has begun."""
+
+    diverging: tuple[str, ...] = ()
+
+    def __init__(self, likelihood: dict[frozenset[str], float]) -> None:
+        super().__init__(likelihood)
+        self.asked: list[str] = []
+        self.other = threading.Event()
+
+    def with_effect(self, before: Refit, s: Screened) -> Refit:
+        self.asked.append(s.id)
+        if s.id != "cubic_spring":
+            self.other.set()
+        if s.id in self.diverging:
+            raise DivergedError("it diverges.")
+        return super().with_effect(before, s)
+
+    def tested(self, refit: Refit, ahead: Ahead | None = None) -> Any:
+        assert self.other.wait(timeout=60)
+        return super().tested(refit, ahead)
+
+
+@pytest.mark.parametrize(
+    ("diverging", "left"),
+    [
+        ((), ["cubic_spring", "lvdt_lag", "arm_coulomb", "arm_stribeck"]),
+        (("arm_coulomb",), ["cubic_spring", "lvdt_lag", "arm_stribeck"]),
+        (("cubic_spring",), ["lvdt_lag", "arm_coulomb", "arm_stribeck"]),
+    ],
+)
+def test_first_refits_are_those_that_do_not_diverge_in_the_order_asked(diverging: Any, left: list[str]) -> None:
+    search = Refused(known(base=0.0, cubic_spring=4.0, lvdt_lag=3.0, arm_coulomb=2.0, arm_stribeck=1.0))
+    search.diverging = diverging
+    near = [screened(effect) for effect in ("lvdt_lag", "arm_coulomb", "arm_stribeck")]
+    found, tested = search.first_refits(search.refit(), screened("cubic_spring"), near)
+    assert [(effect, refit.added) for effect, refit in found.items()] == [(effect, (effect,)) for effect in left]
+    assert sorted(search.asked) == sorted(s.id for s in (screened("cubic_spring"), *near))
+    assert (tested is None) == ("cubic_spring" in diverging)
+    assert list(search.refits(search.refit(), near)) == [effect for effect in left if effect != "cubic_spring"]

@@ -1,0 +1,42 @@
+"""Candidates held against innovations: one model for all of them, or a few smaller ones."""
+
+import numpy as np
+import pytest
+from hidden_effects import recorded
+from tqdm import tqdm
+
+import estimators as est
+import rtac_jax as rtac
+from estimators.diagnosis import evidence
+from estimators.diagnosis.refitting import Search
+from rtac_jax.effects import CATALOGUE
+
+CANDIDATES = (
+    "cubic_spring",
+    "cart_stribeck",
+    "hysteretic_spring",
+    "current_lag",
+    "lvdt_lag",
+    "saturation",
+    "input_hold",
+)
+
+
+@pytest.mark.slow
+def test_smaller_models_give_the_same_scores_as_one_for_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    recording = recorded({"cubic": {"cubic_spring": 5e4}}, first=40)["cubic"]
+    fit = est.output_error(rtac.RTAC.from_rig(recording), recording, progress=False)
+    search = Search.of(fit, recording, [CATALOGUE[i] for i in CANDIDATES], tqdm(disable=True))
+    base = search.base()
+    found = []
+    for many, groups in ((np.inf, 1), (0, 4)):
+        monkeypatch.setattr(evidence, "_MANY", many)
+        assert len(search._grouped(())) == groups
+        found.append({(s.id, str(s.instance)): s for s in search.tested(base).screened})
+    one, several = found
+    assert one.keys() == several.keys()
+    assert {name for name, _ in one} == set(CANDIDATES)
+    assert max(s.statistic for s in one.values()) > 100  # something is there to be told apart
+    for key, s in one.items():
+        np.testing.assert_allclose(several[key].statistic, s.statistic, rtol=1e-6, atol=1e-6, err_msg=str(key))
+        np.testing.assert_allclose(several[key].begin, s.begin, rtol=1e-6, atol=1e-9, err_msg=str(key))

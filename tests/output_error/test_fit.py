@@ -1,0 +1,330 @@
+"""Fits by simulation to noisy recordings of virtual rigs, what they refuse, and the parts that they are made of."""
+
+import dataclasses
+import re
+import subprocess
+import sys
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from exact_decay import MASS, STIFFNESS, TRUTH, VISCOUS, exact_decay
+from scipy.linalg import expm
+
+import estimators as est
+import rtac_jax as rtac
+from estimators.core.bound_transform import to_physical, to_unconstrained
+from estimators.core.data import Data
+from estimators.core.fisher_information import information, information_of
+from estimators.core.initial_state import space_of
+from estimators.core.levenberg_marquardt import Arguments, factor
+from estimators.core.residual import diagonal_whitener
+from estimators.core.sensor_noise import noise_levels, quantisation_step, spectral_floor
+from estimators.prediction_error.ekf import filtered
+from rtac_jax import virtual_rig
+
+
+@pytest.fixture(scope="module")
+def noisy() -> rtac.Recording:
+    plans = virtual_rig.standard_plans(seed=11, sample_time=0.005, duration=6.0, free=2, forced=4, rest=1)
+    return virtual_rig.record(virtual_rig.Rig(), plans, seed=12)
+
+
+@pytest.fixture(scope="module")
+def noisy_fit(noisy: rtac.Recording) -> est.Fit:
+    return est.output_error(rtac.RTAC.from_rig(noisy), noisy, progress=False)
+
+
+def test_noisy_estimates_agree_with_the_truth_within_their_deviations(
+    noisy: rtac.Recording, noisy_fit: est.Fit
+) -> None:
+    fit = noisy_fit
+    deviations = [(fit.parameters[n].value - v) / fit.parameters[n].std for n, v in TRUTH.items()]
+    assert np.max(np.abs(deviations)) < 4.0, dict(zip(TRUTH, deviations, strict=True))
+    assert np.sqrt(np.mean(np.square(deviations))) > 0.2  # deviations that never differ from zero are too wide
+    assert fit.residual_std["cart_position"] == pytest.approx(2e-5, rel=0.1)
+    assert fit.residual_std["arm_velocity"] == pytest.approx(0.05, rel=0.1)
+    assert fit.parameters["total_mass"].std == 0.0
+    closed = est.least_squares(rtac.RTAC.from_rig(noisy), noisy, reaction=True)
+    for name, share in {"spring_stiffness": 0.01, "torque_constant": 0.01, "eccentric_moment": 0.1}.items():
+        assert closed.estimates[name].pooled == pytest.approx(TRUTH[name], rel=share), name
+
+    train = est.compare(fit, noisy).models[0]
+    assert train.errors["cart_position"].rms_over_noise == pytest.approx(1.0, abs=0.15)
+    assert train.errors["arm_velocity"].fit_percent > 95.0
+
+
+def test_with_noise_weak_closed_form_output_error_and_truth_agree(noisy: rtac.Recording, noisy_fit: est.Fit) -> None:
+    """Within four of their standard deviations, which are small enough to say something: a hundredth and a thousandth.
+
+    The scatter of two decays is a standard deviation of one degree of freedom: on other recordings it may well be far too small.
+    """
+    closed = est.least_squares(rtac.RTAC.from_rig(noisy), noisy, weak=True).estimates
+    assert closed.keys() == TRUTH.keys()
+    for name, value in TRUTH.items():
+        here, there = closed[name], noisy_fit.parameters[name]
+        assert here.std < 1e-2 * value, name
+        assert there.std < 1e-3 * value, name
+        assert abs(here.value - value) < 4 * here.std, name
+        assert abs(there.value - value) < 4 * there.std, name
+        assert abs(here.value - there.value) < 4 * np.hypot(here.std, there.std), name
+
+
+def test_a_rig_without_known_constants_is_refused_with_the_free_combination(noisy: rtac.Recording) -> None:
+    unknown = rtac.Recording(noisy.experiments)
+    with pytest.raises(est.NotIdentifiableError, match=r"free: .*total_mass.*scaled together.*Give a known constant"):
+        est.output_error(rtac.RTAC.from_rig(unknown), unknown, progress=False, starts=1)
+
+
+def test_a_model_that_diverges_is_refused(noisy: rtac.Recording) -> None:
+    model = rtac.RTAC.from_rig(noisy) + rtac.effects.CubicSpring(-1e9)
+    with pytest.raises(est.DivergedError, match="diverges at the start values"):
+        est.output_error(model, noisy, progress=False, from_model=True)
+
+
+def test_comparison_with_a_model_that_diverges_names_model_and_experiment(
+    noisy: rtac.Recording, noisy_fit: est.Fit
+) -> None:
+    # Tonnes for kilograms: the arm is heavier than the cart that carries it.
+    lost = dataclasses.replace(noisy_fit, model=noisy_fit.model.with_values({"total_mass": 1.23e-3}))
+    with pytest.raises(est.DivergedError, match=r"experiment free_1: the model 'tonnes' diverges .*check .* unit"):
+        est.compare([noisy_fit, lost], noisy, labels=["good", "tonnes"])
+
+
+def test_another_recording_with_the_same_names_has_starts_of_its_own(noisy: rtac.Recording, noisy_fit: est.Fit) -> None:
+    plans = virtual_rig.standard_plans(seed=77, sample_time=0.01, duration=3.0, free=2, forced=4, rest=1)
+    other = virtual_rig.record(virtual_rig.Rig(), plans, seed=78)
+    assert other.names == noisy.names
+    for error in est.compare(noisy_fit, other).models[0].errors.values():
+        assert error.rms_over_noise < 1.3
+    with pytest.raises(ValueError, match="other measurements than this recording holds; give the recording"):
+        est.covariances(noisy_fit, other)
+
+
+def test_comparison_names_the_one_experiment_that_a_model_leaves() -> None:
+    """A softening spring lets go beyond 12 mm, where only the second decay begins."""
+    time = 0.01 * np.arange(200)
+    recording = rtac.Recording(
+        tuple(
+            rtac.Experiment.of(
+                f"from_{1000 * q:g}_mm", kind="free", sample_time=0.01, arm="locked", initial_arm_angle=0.0,
+                cart_position=exact_decay(q, time),
+            )
+            for q in (0.006, 0.015, 0.01)
+        ),
+        rig={"total_mass": MASS},
+    )  # fmt: skip
+    model = rtac.RTAC.from_rig(recording).with_values({"spring_stiffness": STIFFNESS})
+    soft = model + rtac.effects.CubicSpring(-STIFFNESS / 0.012**2)
+    with pytest.raises(est.DivergedError, match=r"experiment from_15_mm: the model 'model' diverges"):
+        est.compare(soft, recording)
+
+
+def test_what_free_decays_do_not_show_is_refused_by_name() -> None:
+    """A drive that is idle; and a pull at a spring, which a sensor that is shifted shows just as well."""
+    time = 0.01 * np.arange(200)
+    experiments = tuple(
+        rtac.Experiment.of(
+            f"free_{i}", kind="free", sample_time=0.01, arm="locked", initial_arm_angle=0.0,
+            cart_position=exact_decay(q, time), noise_std={"cart_position": 1e-6},
+        )
+        for i, q in enumerate((0.015, -0.01))
+    )  # fmt: skip
+    recording = rtac.Recording(experiments, rig={"total_mass": MASS})
+    model = rtac.RTAC.from_rig(recording).without("cart_coulomb") + rtac.effects.CurrentLag(0.003)
+    model = model + rtac.effects.ForceOffset(0.01) + rtac.effects.LvdtOffset(1e-4)
+    with pytest.raises(est.NotIdentifiableError, match=r"leave 2 combination") as refusal:
+        est.output_error(model, recording, progress=False, starts=1)
+    assert "current_lag.time_constant has no effect on what was measured" in str(refusal.value)
+    pair = r"force_offset\.offset, lvdt_offset\.offset may be (scaled together|traded against each other)"
+    assert re.search(pair, str(refusal.value))
+    assert "spring_stiffness" not in str(refusal.value)  # nor anything else that these decays show well
+
+
+def test_nothing_moves_and_nothing_free_are_refused(noisy: rtac.Recording) -> None:
+    resting = rtac.Recording(tuple(e for e in noisy.experiments if e.kind == "rest"), rig=noisy.rig)
+    with pytest.raises(ValueError, match="rest records only"):
+        est.output_error(rtac.RTAC.paper(), resting, progress=False)
+    model = rtac.RTAC.from_rig(noisy)
+    with pytest.raises(ValueError, match="no free parameter"):
+        est.output_error(model.fix(*model.free), noisy, progress=False)
+
+
+def test_estimation_refuses_single_precision() -> None:
+    code = (
+        "import rtac_jax as r, estimators as e\n"
+        "x = r.Recording((r.Experiment.of('a', kind='free', sample_time=0.1, cart_position=[0., 1] * 8),))\n"
+        "e.output_error(r.RTAC.paper(), x)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode != 0
+    assert "rtac_jax.configure()" in done.stderr
+
+
+def test_a_parameter_of_each_experiment_is_estimated_for_each(noisy: rtac.Recording) -> None:
+    biased = []
+    for number, e in enumerate(noisy.experiments):
+        shift = 0.0 if e.kind == "rest" else 0.1 * number
+        values = {c: s.values + (shift if c == "arm_velocity" else 0.0) for c, s in e.outputs.items()}
+        current = e.inputs["current"].values if "current" in e.inputs else None
+        biased.append(
+            rtac.Experiment.of(
+                e.name,
+                kind=e.kind,
+                sample_time=e.sample_time,
+                current=current,
+                initial_arm_angle=e.initial_arm_angle,
+                **values,
+            )
+        )
+    recording = rtac.Recording(tuple(biased), rig=noisy.rig)
+    model = (rtac.RTAC.from_rig(recording) + rtac.effects.TachoBias(0.0)).each_experiment("tacho_bias.bias")
+    fit = est.output_error(model, recording, progress=False, starts=1)
+    expected = [0.1 * i for i, e in enumerate(noisy.experiments) if e.kind != "rest"]
+    np.testing.assert_allclose(np.asarray(fit.model["tacho_bias.bias"]), expected, atol=0.02)
+
+
+def test_transform_is_invertible_and_keeps_bounds() -> None:
+    infinity = np.inf
+    lower = np.array([-infinity, 0.0, 0.0, -infinity, 2.0])
+    upper = np.array([infinity, infinity, 1.0, 3.0, infinity])
+    scale = np.array([5.0, 0.1, 1.0, 2.0, 1e-6])
+    value = np.array([-7.0, 0.03, 0.3, -4.0, 2.0 + 3e-6])
+    z = to_unconstrained(value, lower, upper, scale)
+    np.testing.assert_allclose(to_physical(*map(jnp.asarray, (z, lower, upper, scale))), value, rtol=1e-12)
+    for extreme in (-50.0, 50.0):
+        moved = np.asarray(to_physical(jnp.full(5, extreme), *map(jnp.asarray, (lower, upper, scale))))
+        assert np.all(moved >= lower)
+        assert np.all(moved <= upper)
+
+
+def test_noise_levels_from_rest_statement_and_spectrum() -> None:
+    random = np.random.default_rng(0)
+    time = 0.005 * np.arange(4000)
+    motion = 0.01 * np.sin(10 * time) * np.exp(-0.2 * time)
+    moving = rtac.Experiment.of(
+        "a", kind="free", sample_time=0.005, cart_position=motion + 2e-5 * random.normal(size=4000)
+    )
+    rest = rtac.Experiment.of("r", kind="rest", sample_time=0.005, cart_position=3e-5 * random.normal(size=2000) + 1e-3)
+    assert spectral_floor(moving.outputs["cart_position"].values) == pytest.approx(2e-5, rel=0.15)
+    assert noise_levels([moving])["cart_position"] == pytest.approx(2e-5, rel=0.15)
+    assert noise_levels([moving, rest])["cart_position"] == pytest.approx(3e-5, rel=0.1)
+    stated = rtac.Experiment.of(
+        "b", kind="free", sample_time=0.005, cart_position=motion, noise_std={"cart_position": 7e-5}
+    )
+    assert noise_levels([stated])["cart_position"] == pytest.approx(7e-5)
+    coarse = np.round(motion / 1e-3) * 1e-3
+    assert quantisation_step(coarse) == pytest.approx(1e-3, rel=1e-6)
+    assert quantisation_step(motion) == 0.0
+
+
+def test_kalman_filter_agrees_with_one_for_linear_systems() -> None:
+    """A locked arm and no dry friction make a linear oscillator, for which the textbook filter is written out here."""
+    random = np.random.default_rng(3)
+    dt, count, density, sensor = 0.01, 300, 1e-4, 2e-5
+    force = random.normal(size=count) * 0.1
+    a = np.array([[0.0, 1.0], [-STIFFNESS / MASS, -VISCOUS / MASS]])
+    block = expm(np.block([[a, np.array([[0.0], [1 / MASS]])], [np.zeros((1, 3))]]) * dt)
+    f, g = block[:2, :2], block[:2, 2]
+    x, measured = np.array([0.003, 0.0]), []
+    push = np.array([0.0, 1 / MASS])
+    for k in range(count):
+        measured.append(x[0] + sensor * random.normal())
+        x = f @ x + g * force[k] + push * np.sqrt(density * dt) * random.normal()
+    experiment = rtac.Experiment.of(
+        "a", kind="forced", sample_time=dt, disturbance_force=force, cart_position=np.array(measured), arm="locked"
+    )
+    model = rtac.RTAC.from_rig(rtac.Recording((experiment,), rig={})).without("cart_coulomb")
+    space = space_of(model, [experiment], free=[], start={"a": np.array([0.003, 0.0, 0.0, 0.0])})
+    data = Data.of([experiment])
+    # A third of the samples is followed and does not count.
+    counts = (np.arange(count) % 3 > 0).astype(float)
+    found, some = (
+        filtered(
+            model, dataclasses.replace(data, trusted=trusted), space, space.physical(space.unconstrained(start=False)),
+            sensor_variance=jnp.full((3, 1), sensor**2), process=(jnp.asarray(density), jnp.asarray(0.0)),
+            start_variance=jnp.asarray([[1e-8], [1e-6], [0.0], [0.0]]), substeps=8,
+        )
+        for trusted in (data.trusted, data.trusted.at[:count, 0].set(counts))
+    )  # fmt: skip
+
+    state, spread, likelihood, counted = np.array([0.003, 0.0]), np.diag([1e-8, 1e-6]), 0.0, 0.0
+    half = 0.5 * dt * density * np.outer(push, push)
+    for k in range(count):
+        variance = spread[0, 0] + sensor**2
+        error = measured[k] - state[0]
+        gain = spread[:, 0] / variance
+        assert float(found.innovations[k, 0, 0]) == pytest.approx(error / np.sqrt(variance), abs=1e-5)
+        np.testing.assert_allclose(np.asarray(found.gain[k, :2, 0, 0]), gain, rtol=1e-5)
+        assert float(some.innovations[k, 0, 0]) == pytest.approx(counts[k] * error / np.sqrt(variance), abs=1e-5)
+        np.testing.assert_allclose(np.asarray(some.gain[k, :2, 0, 0]), gain, rtol=1e-5)
+        likelihood -= 0.5 * (error**2 / variance + np.log(variance))
+        counted -= 0.5 * counts[k] * (error**2 / variance + np.log(variance))
+        state = f @ (state + gain * error) + g * force[k]
+        spread = f @ (spread - np.outer(gain, spread[0]) + half) @ f.T + half
+    assert float(found.log_likelihood[0]) == pytest.approx(likelihood, rel=1e-6)
+    assert float(some.log_likelihood[0]) == pytest.approx(counted, rel=1e-6)
+    assert not np.any(np.asarray(some.whitener)[:count][counts == 0])
+
+
+def test_the_compressed_residual_keeps_squares_and_gradients(noisy: rtac.Recording) -> None:
+    experiments = [e.cut(0, 200, e.name) for e in noisy.experiments if e.kind != "rest"][:3]
+    model = rtac.RTAC.paper()
+    data = Data.of(experiments)
+    space = space_of(model, experiments, free=["spring_stiffness", "torque_constant"])
+    unknowns = space.unconstrained()
+    white = diagonal_whitener(np.array([2e-5, 0.05, 1.0]), data)
+    arguments = Arguments(model, data, space, white, None, 1)
+    compact = np.asarray(factor(unknowns, arguments))
+
+    def rows(shared: np.ndarray, column: int) -> np.ndarray:
+        from estimators.core.levenberg_marquardt import plain_residual
+
+        error, known = plain_residual(unknowns._replace(shared=jnp.asarray(shared)), arguments)
+        return np.concatenate([np.asarray(error)[:, :, column].ravel(), np.asarray(known)[:, column]])
+
+    here = np.asarray(unknowns.shared)
+    for column in range(3):
+        step = 1e-6
+        jacobian = np.stack(
+            [(rows(here + step * e, column) - rows(here - step * e, column)) / (2 * step) for e in np.eye(2)], axis=1
+        )
+        whole = np.concatenate([jacobian, rows(here, column)[:, None]], axis=1)
+        part = compact[column][:, [0, 1, -1]]
+        np.testing.assert_allclose(part.T @ part, whole.T @ whole, rtol=2e-4)
+
+
+def test_information_names_what_is_free_and_matches_least_squares() -> None:
+    random = np.random.default_rng(1)
+    matrix = random.normal(size=(200, 2))
+    known = information_of(matrix, ("a", "b"), np.array([1.0, 1.0]))
+    np.testing.assert_allclose(known.covariance, np.linalg.inv(matrix.T @ matrix), rtol=1e-10)
+    assert known.undetermined() == []
+    together = information_of(matrix[:, :1] @ np.array([[1.0, -1.0]]), ("a", "b"), np.array([1.0, 1.0]))
+    assert together.undetermined() == ["a, b may be scaled together"]
+    silent = information_of(matrix * np.array([1.0, 0.0]), ("a", "b"), np.array([1.0, 1.0]))
+    assert silent.undetermined() == ["b has no effect on what was measured"]
+    with pytest.raises(est.NotIdentifiableError, match="b has no effect"):
+        silent.require_determined()
+
+
+def test_covariance_integrates_the_starts_out(noisy: rtac.Recording) -> None:
+    """The covariance of the shared parameters is that of a dense least squares over everything."""
+    experiments = [e.cut(0, 300, e.name) for e in noisy.experiments if e.kind != "rest"][:3]
+    model = rtac.RTAC.paper()
+    data = Data.of(experiments)
+    space = space_of(model, experiments, free=["spring_stiffness", "cart_viscous.coefficient"])
+    unknowns = space.unconstrained()
+    arguments = Arguments(model, data, space, diagonal_whitener(np.array([2e-5, 0.05, 1.0]), data), None, 1)
+    compact = np.asarray(factor(unknowns, arguments))
+    found = information(compact, space, unknowns)
+    own = compact.shape[2] - 3
+    dense = np.zeros((3 * compact.shape[1], 2 + 3 * own))
+    for i, block in enumerate(compact):
+        rows = slice(i * compact.shape[1], (i + 1) * compact.shape[1])
+        dense[rows, :2] = block[:, :2]
+        dense[rows, 2 + i * own : 2 + (i + 1) * own] = block[:, 2:-1]
+    covariance = np.linalg.inv(dense.T @ dense)[:2, :2]
+    z = np.asarray(unknowns.shared)
+    slope = np.asarray(space.scale)[np.asarray(space.active)] * 0.5 * (1 + z / np.sqrt(z * z + 4))
+    np.testing.assert_allclose(found.covariance, covariance * np.outer(slope, slope), rtol=1e-6)

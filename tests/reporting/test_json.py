@@ -1,0 +1,66 @@
+"""The JSON of a diagnosis and an improvement: one form, whatever the verdict."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+from made_up_results import (
+    NOISE,
+    OTHERS,
+    diagnosis,
+    improvement,
+)
+
+from estimators.core.fisher_information import information_of
+from estimators.core.fit import Fit
+from estimators.core.results import RESULTS
+from estimators.reporting.html import write_json
+from estimators.reporting.report import report_dict
+from rtac_jax import RTAC
+
+ACCEPTED = {"adequate": [], "missing": ["flexible_mode"], "ambiguous": ["flexible_mode", "cubic_spring"], "unknown": []}
+RIVALS = {"flexible_mode": ["cubic_spring"], "cubic_spring": ["flexible_mode"]}
+
+
+def fitted():
+    """A fit in which each experiment has a friction of its own."""
+    model = RTAC.paper().each_experiment("cart_coulomb.level").with_values({"cart_coulomb.level": np.array([0.1, 0.2])})
+    known = information_of(np.zeros((1, 0)), (), np.zeros(0))
+    return Fit(model, RESULTS.successful, known, NOISE, NOISE, {}, ("free_1", "forced_1[0:1024]"), {})
+
+
+@pytest.mark.parametrize("command", ["diagnose", "improve"])
+@pytest.mark.parametrize("verdict", ACCEPTED)
+def test_the_json_has_one_form_whatever_the_verdict(verdict, command, tmp_path):
+    steps = 2 if ACCEPTED[verdict] else 1
+    loop = dataclasses.replace(improvement(steps, verdict), fits=(fitted(),) * steps)
+    found = loop if command == "improve" else loop.diagnoses[0]
+    write_json(tmp_path / "x.json", report_dict(found, fit=fitted(), train=loop.train, validation=loop.validation))
+    content = json.loads((tmp_path / "x.json").read_text(), parse_constant=pytest.fail)
+    assert list(content) == [
+        "format", "version", "verdict", "effects", "candidates", "parameters", "error", "next_experiment", "seconds",
+    ]  # fmt: skip
+    assert content["verdict"] == verdict
+    # The loop adds one of a group; a diagnosis names them all. Either says what it may be instead.
+    assert [e["id"] for e in content["effects"]] == ACCEPTED[verdict][: 1 if command == "improve" else None]
+    for effect in content["effects"]:
+        assert set(effect) == {"id", "score", "p_value", "error_reduction", "confusable_with", "parameters"}
+        assert effect["confusable_with"] == (RIVALS[effect["id"]] if verdict == "ambiguous" else [])
+    assert {c["id"] for c in content["candidates"]} == {c.id for c in (*diagnosis(verdict).effects, *OTHERS)}
+    assert [c["id"] for c in content["candidates"] if c["accepted"]] == [e["id"] for e in content["effects"]]
+    for side in ("train", "validation"):
+        before, after = (content["error"][side][moment] for moment in ("before", "after"))
+        assert set(before) == {"cart_position", "arm_velocity"}
+        for channel, numbers in before.items():
+            assert set(numbers) == {"fit_percent", "rms", "rms_over_noise"}
+            falls = after[channel]["rms"] < 0.5 * numbers["rms"]
+            assert falls if steps > 1 else after == before
+
+
+def test_the_json_gives_what_each_experiment_has_for_itself():
+    found = report_dict(diagnosis(), fit=fitted())["parameters"]
+    assert "cart_coulomb.level" not in found
+    assert found["cart_coulomb.level[free_1]"] == {"value": 0.1, "std": None, "unit": "N"}
+    assert found["cart_coulomb.level[forced_1[0:1024]]"]["value"] == 0.2
+    assert found["spring_stiffness"]["unit"] == "N/m"

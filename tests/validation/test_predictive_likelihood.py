@@ -1,0 +1,94 @@
+"""Held-out experiments foreseen one sample ahead tell models apart where random forces carry every simulation away."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import estimators as est
+import rtac_jax as rtac
+from estimators.diagnosis.model_extension import holding
+from estimators.validation.predictive_likelihood import OneStepAhead, one_step_ahead
+from rtac_jax import virtual_rig
+from rtac_jax.effects import CubicSpring, EncoderGain
+
+SHAKEN = {"force_noise": 1e-3, "torque_noise": 3e-5}
+GAIN = 1.01
+
+
+def recorded(**hidden: float) -> tuple[rtac.Recording, rtac.Recording]:
+    """Two recordings of one shaken rig that also measures the arm's angle."""
+    rig = dataclasses.replace(virtual_rig.Rig().drawn(4711), encoder=True, **SHAKEN, **hidden)
+    plans = [
+        virtual_rig.standard_plans(seed=seed, free=1, forced=2, rest=1, sample_time=0.002, duration=3.0)
+        for seed in (4712, 4713)
+    ]
+    train, held_out = virtual_rig.record_many([(rig, plans[0], 4714), (rig, plans[1], 4715)])
+    return train, held_out
+
+
+@pytest.fixture(scope="module")
+def by_model() -> dict[str, OneStepAhead]:
+    """Of a rig whose encoder shows too much: by the base model, the right one, and one with an effect that is not there."""
+    train, held_out = recorded(encoder_gain=GAIN)
+    base = rtac.RTAC.from_rig(train)
+    models = {
+        "base": base,
+        "right": holding(base + EncoderGain(error=GAIN - 1.0), ["encoder_gain"]),
+        "wrong": base + CubicSpring(stiffness=1e3),
+    }
+    fits = {name: est.output_error(model, train, progress=False) for name, model in models.items()}
+    first = one_step_ahead(fits["base"], train, held_out, {})
+    return {name: one_step_ahead(fit, train, held_out, {}, like=first) for name, fit in fits.items()} | {"first": first}
+
+
+def test_the_right_effect_is_foreseen_better(by_model: dict[str, OneStepAhead]) -> None:
+    base, right = by_model["base"], by_model["right"]
+    assert right.surpasses(base)
+    assert not base.surpasses(right)
+    assert right.log_likelihood > base.log_likelihood + 100.0
+    # An encoder that shows too much contradicts the tachometer.
+    assert right.errors["arm_velocity"] < 0.9 * base.errors["arm_velocity"]
+
+
+def test_an_effect_that_is_not_there_is_not(by_model: dict[str, OneStepAhead]) -> None:
+    assert not by_model["wrong"].surpasses(by_model["base"])
+
+
+def test_errors_are_those_of_the_predictions(by_model: dict[str, OneStepAhead]) -> None:
+    # Little more than its noise can be foreseen wrongly of a sensor where the state is known.
+    right = by_model["right"]
+    assert set(right.errors) == {"cart_position", "arm_velocity", "arm_angle"}
+    assert all(0.9 < error < 1.5 for error in right.errors.values()), right.errors
+
+
+@pytest.mark.parametrize("seconds", [6, 60])
+def test_surpassing_takes_more_than_chance(seconds: int) -> None:
+    of_sample = np.repeat(np.arange(seconds), 100)[:, None]
+
+    def ahead(by_sample: np.ndarray, of_sample: np.ndarray = of_sample) -> OneStepAhead:
+        return OneStepAhead(by_sample, of_sample, {}, (by_sample, by_sample))
+
+    def share(gain: float, several: int) -> float:
+        """In which the likeliest of several models surpasses one that is as likely as each but for the gain."""
+        random, found = np.random.default_rng(1), 0
+        for _ in range(1000):
+            models = [ahead(gain + random.normal(size=of_sample.shape)) for _ in range(several)]
+            best = max(models, key=lambda one: one.log_likelihood)
+            found += best.surpasses(ahead(np.zeros(of_sample.shape)), of=several)
+        return found / 1000
+
+    assert 0.03 < share(0.0, 1) < 0.07
+    assert share(0.0, 3) < 0.07
+    assert share(1.0, 1) > 0.99
+    few = of_sample[:400]
+    assert not ahead(np.ones(few.shape), few).surpasses(ahead(np.zeros(few.shape), few))  # four seconds tell nothing
+
+
+def test_what_one_model_finds_shaken_counts_for_none(by_model: dict[str, OneStepAhead]) -> None:
+    first = by_model["first"]
+    shaken = first.shaken[1] > 0
+    assert shaken.any()
+    assert np.all(first.by_sample != 0)
+    for name in ("base", "right", "wrong"):
+        assert np.all((by_model[name].by_sample == 0) == shaken)

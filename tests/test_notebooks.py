@@ -8,6 +8,8 @@ import pytest
 ROOT = Path(__file__).parents[1]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 SILVERBOX = "08_silverbox"
+# What these show, the tests of `make test` show on smaller recordings; they take one to three minutes each.
+LONG = {"02_closed_form", "04_find_the_missing_effect", "06_envelope", SILVERBOX}
 # What the machinery around a kernel warns of says nothing about a notebook, and what a notebook's own kernel warns of
 # it shows in its output.
 pytestmark = pytest.mark.filterwarnings("ignore")
@@ -19,7 +21,14 @@ def _silverbox_is_here() -> bool:
 
 def _cases() -> list:
     absent = pytest.mark.skipif(not _silverbox_is_here(), reason="the Silverbox data are not in shared/data/silverbox")
-    return [pytest.param(path, id=path.stem, marks=[absent] if path.stem == SILVERBOX else []) for path in NOTEBOOKS]
+    return [
+        pytest.param(
+            path,
+            id=path.stem,
+            marks=[absent] * (path.stem == SILVERBOX) + [pytest.mark.slow] * (path.stem in LONG),
+        )
+        for path in NOTEBOOKS
+    ]
 
 
 def _code(notebook) -> list:

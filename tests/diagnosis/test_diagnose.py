@@ -28,8 +28,8 @@ HIDDEN = {
     "current_offset": (dict(current_offset=0.005), {"offset": 0.005}),
     "tacho_bias": (dict(tacho_bias=0.2), {"bias": 0.2}),
 }
-# On cart and sensor one is named in every run of the tests, and one of the arm in a notebook; the others take half a minute each.
-QUICK = ("cubic_spring", "tacho_bias")
+# One is named in every run of the tests, one more by `rtac demo` and one by the README; the others take half a minute each.
+QUICK = ("cubic_spring",)
 CASES = [pytest.param(name, marks=() if name in QUICK else pytest.mark.slow) for name in HIDDEN]
 # What the paper's model has, where a model lacks it.
 PAPERS_OWN = ("cart_viscous", "cart_coulomb", "arm_viscous")

@@ -46,11 +46,13 @@ def check_unknown(found: est.Diagnosis) -> None:
     assert found.latent[0].port == "cart"
 
 
+@pytest.mark.slow
 def test_what_was_not_offered_is_not_named(unknown: est.Diagnosis) -> None:
     check_unknown(unknown)
     assert unknown.curves[0].variable == "cart_position"
 
 
+@pytest.mark.slow
 def test_with_the_learned_force_the_error_of_another_recording_falls_by_half(
     recordings: dict[str, rtac.Recording], fitted: est.Fit, unknown: est.Diagnosis
 ) -> None:

@@ -78,6 +78,7 @@ def test_lag_or_delay_is_settled_by_the_recommended_experiment(delayed: Case) ->
     assert found.effects[0].parameters["delay"].value == pytest.approx(0.006, abs=1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("separation", [100.0, 1000.0, 1e4])
 def test_the_separation_that_is_predicted_is_the_one_that_is_recorded(delayed: Case, separation: float) -> None:
     planned = min(delayed.next.ranked, key=lambda one: abs(np.log(one.smallest / separation)))

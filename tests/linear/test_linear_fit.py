@@ -267,7 +267,7 @@ def test_means_are_taken_off_only_where_asked():
     assert all(np.min(np.abs(one.poles - POLE)) > 1 for one in left), "an offset is no part of the model set"
 
 
-@pytest.mark.parametrize("structure", ["output_error", "armax", "state_space"])
+@pytest.mark.parametrize("structure", ["output_error", pytest.param("armax", marks=pytest.mark.slow), "state_space"])
 def test_models_are_stable_even_of_a_system_that_is_not(structure):
     """The truth's poles lie at +0.05 +- 10.5j."""
     random = np.random.default_rng(10)
@@ -283,6 +283,7 @@ def test_models_are_stable_even_of_a_system_that_is_not(structure):
         assert np.all(np.abs(np.roots(one.noise_numerator)) < 1 + 1e-9)
 
 
+@pytest.mark.slow
 def test_zeros_as_many_as_asked_for():
     random = np.random.default_rng(5)
     current = random.standard_normal((3, 800))

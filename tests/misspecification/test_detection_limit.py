@@ -53,6 +53,7 @@ def test_an_effect_is_found_at_twice_its_limit_and_not_at_a_third(
         assert [c.id for c in found.effects] == ([name] if number == 0 else []), (share, found)
 
 
+@pytest.mark.slow
 def test_a_parameter_of_each_experiment_does_not_blame_a_candidate(nothing: tuple[est.Fit, rtac.Recording]) -> None:
     """The innovations that candidates are held against are those of the predictor's own values."""
     _, recording = nothing

@@ -80,6 +80,7 @@ def recordings():
     )
 
 
+@pytest.mark.slow
 def test_motion_makes_the_colour_more_exact(recordings):
     recording = recordings["nothing"]
     fit = est.output_error(rtac.RTAC.from_rig(recording), recording, progress=False)

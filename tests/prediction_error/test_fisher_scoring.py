@@ -18,6 +18,7 @@ def recorded(rig, seed):
     return record(rig, plans, seed=seed)
 
 
+@pytest.mark.slow
 def test_what_changes_the_gains_of_the_filter_is_as_sure_as_it_says():
     """The gain of the cart's sensor changes the gains of the filter, and where an experiment begins.
 

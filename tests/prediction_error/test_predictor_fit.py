@@ -94,6 +94,7 @@ def test_noise_that_a_part_tells_first_is_that_of_all_samples(shaken, monkeypatc
     np.testing.assert_allclose(noise[50].exponents[told], noise[10**9].exponents[told], atol=0.05)
 
 
+@pytest.mark.slow
 def test_a_parameter_of_each_condition_beside_shared_ones(shaken):
     data, model, truth, _ = shaken
     found = est.prediction_error_nonlinear(
@@ -120,6 +121,7 @@ def test_nothing_to_fit_is_refused(shaken):
         est.prediction_error_nonlinear(model, resting)
 
 
+@pytest.mark.slow
 def test_random_forces_do_not_bend_dry_friction():
     """With the samples counted at which they shake it loose its level is 6 standard deviations low, and damping 4 high."""
     rig = Rig(encoder=True, force_noise=0.005, torque_noise=5e-5)

@@ -70,6 +70,7 @@ def test_by_default_it_is_nothing_and_has_a_hat_for_each_of_six_knots() -> None:
     assert len([name for name in model.free if name.startswith("spline_force")]) == SHAPES
 
 
+@pytest.mark.slow
 def test_fewer_shapes_have_fewer_amounts_to_fit() -> None:
     """A detent at 3 mm, 1 mm wide, of which only the place is known: a bump to either side."""
     plans = virtual_rig.standard_plans(seed=3, sample_time=0.005, duration=4.0, free=1, forced=2, rest=1)

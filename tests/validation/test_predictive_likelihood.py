@@ -42,6 +42,7 @@ def by_model() -> dict[str, OneStepAhead]:
     return {name: one_step_ahead(fit, train, held_out, {}, like=first) for name, fit in fits.items()} | {"first": first}
 
 
+@pytest.mark.slow
 def test_the_right_effect_is_foreseen_better(by_model: dict[str, OneStepAhead]) -> None:
     base, right = by_model["base"], by_model["right"]
     assert right.surpasses(base)
@@ -51,10 +52,12 @@ def test_the_right_effect_is_foreseen_better(by_model: dict[str, OneStepAhead]) 
     assert right.errors["arm_velocity"] < 0.9 * base.errors["arm_velocity"]
 
 
+@pytest.mark.slow
 def test_an_effect_that_is_not_there_is_not(by_model: dict[str, OneStepAhead]) -> None:
     assert not by_model["wrong"].surpasses(by_model["base"])
 
 
+@pytest.mark.slow
 def test_errors_are_those_of_the_predictions(by_model: dict[str, OneStepAhead]) -> None:
     # Little more than its noise can be foreseen wrongly of a sensor where the state is known.
     right = by_model["right"]
@@ -85,6 +88,7 @@ def test_surpassing_takes_more_than_chance(seconds: int) -> None:
     assert not ahead(np.ones(few.shape), few).surpasses(ahead(np.zeros(few.shape), few))  # four seconds tell nothing
 
 
+@pytest.mark.slow
 def test_what_one_model_finds_shaken_counts_for_none(by_model: dict[str, OneStepAhead]) -> None:
     first = by_model["first"]
     shaken = first.shaken[1] > 0

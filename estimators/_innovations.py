@@ -12,7 +12,7 @@ from jaxtyping import Array, Float, Int
 from estimators._at_once import at_once
 from estimators._compile import compile_only
 from estimators._problem import Data, Space, predict, whitened
-from rtac_jax import RTAC, Excitation
+from rtac_jax import RTAC
 from rtac_jax._simulate import Steps
 
 AT_ONCE = 8
@@ -147,7 +147,7 @@ def _pushed(
             (nothing if known is None else known).at[:, 0].add(extra)
             for known, extra in zip((excitation.current, excitation.force), added, strict=True)
         ]
-        pushed = Excitation(inputs[0], inputs[1], excitation.sample_time, excitation.arm_free, excitation.cart_free)
+        pushed = dataclasses.replace(excitation, current=inputs[0], force=inputs[1])
         changed = dataclasses.replace(data, excitation=pushed)
         return error_at(model, changed, space, whitener, gain, space.values, substeps)
 

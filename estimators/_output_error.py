@@ -329,10 +329,7 @@ class _Run:
         physical = space.physical(unknowns)
         result = run_filter(model, self.data, space, physical, known, size, jnp.asarray(substeps)).filtered
         # One whitener for all samples: enough for a start, and the same compiled function as for the simulation.
-        middle = np.median(
-            np.asarray(result.whitener)[self.data.samples // 4 : self.data.samples], axis=0, keepdims=True
-        )
-        return result.gain, jnp.asarray(middle)
+        return result.gain, jnp.asarray(_settled(np.asarray(result.whitener), self.data))
 
     def _deviation(self, model: RTAC, space: Space, unknowns: Unknowns, substeps: int, noise: np.ndarray) -> np.ndarray:
         whitener = diagonal_whitener(np.ones(len(CHANNELS)), self.data)
@@ -348,7 +345,10 @@ def accurate_substeps(model: RTAC, data: Data, space: Space, unknowns: Unknowns,
     """The fewest Runge-Kutta steps per sample with which halving them changes outputs by less than a fiftieth of the noise."""
     white = diagonal_whitener(noise, data)
     nothing = no_gain(model, data)
-    count = np.maximum(np.asarray(data.present).sum(axis=(0, 2)), 1.0)
+    count = np.asarray(data.present).sum(axis=0)
+    interval = np.asarray(data.excitation.sample_time)
+    # Apart by sample time: in the mean over all, many short steps would hide that few long ones are too long.
+    alike = [interval == one for one in np.unique(interval)]
 
     def run(substeps: int) -> np.ndarray:
         return np.asarray(plain_residual(unknowns, Arguments(model, data, space, white, nothing, substeps))[0])
@@ -357,11 +357,29 @@ def accurate_substeps(model: RTAC, data: Data, space: Space, unknowns: Unknowns,
     coarse = run(substeps)
     while substeps < _MOST_SUBSTEPS:
         fine = run(2 * substeps)
-        change = np.sqrt(((fine - coarse) ** 2).sum(axis=(0, 2)) / count)
+        squares = ((fine - coarse) ** 2).sum(axis=0)
+        change = np.sqrt([squares[:, c].sum(axis=1) / np.maximum(count[:, c].sum(axis=1), 1.0) for c in alike])
         if not np.all(np.isfinite(fine)) or np.all(change < _STEP_ERROR):
             break
         substeps, coarse = 2 * substeps, fine
     return substeps
+
+
+def _settled(whitener: np.ndarray, data: Data) -> Float[np.ndarray, "1 row output experiment"]:
+    """Return the median whitener of each experiment and channel after its first quarter, over the samples that are there.
+
+    Where a channel has no sample the filter's whitener is zero: counted, an experiment that is shorter than others, or a
+    channel sampled less often, would tell nothing.
+    """
+    found = np.zeros((1, *whitener.shape[1:]))
+    present = np.asarray(data.present) > 0
+    for column in range(data.experiments):
+        for row in range(whitener.shape[1]):
+            there = np.flatnonzero(present[:, row, column])
+            late = there[there >= (there[-1] + 1) // 4] if len(there) else there
+            if len(late):
+                found[0, row, :, column] = np.median(whitener[late, row, :, column], axis=0)
+    return found
 
 
 def no_gain(model: RTAC, data: Data) -> Array:

@@ -1,5 +1,6 @@
 """The rig's model: a rigid body and the effects that act on it; `model + effect` is another model."""
 
+import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
@@ -310,7 +311,7 @@ class RTAC(eqx.Module):
                 current = effect.transform(current, "current", excitation.sample_time)
             if force is not None:
                 force = effect.transform(force, "force", excitation.sample_time)
-        return Excitation(current, force, excitation.sample_time, excitation.arm_free, excitation.cart_free)
+        return dataclasses.replace(excitation, current=current, force=force)
 
     @property
     def steps_apart(self) -> bool:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float, Int
 from scipy.interpolate import CubicSpline
 
 from rtac_jax.measurement import Experiment, Signal
@@ -21,6 +21,7 @@ class Excitation(eqx.Module):
         force: likewise of the disturbance force [N].
         sample_time: [s].
         arm_free, cart_free: 1 where it may move, 0 where it is held.
+        samples: of each experiment; None where all last as long as the arrays.
     """
 
     current: Float[Array, "sample current_power experiment"] | None
@@ -28,6 +29,7 @@ class Excitation(eqx.Module):
     sample_time: Float[Array, " experiment"]
     arm_free: Float[Array, " experiment"]
     cart_free: Float[Array, " experiment"]
+    samples: Int[Array, " experiment"] | None = None
 
     @classmethod
     def of(cls, experiments: Sequence[Experiment], *, room: int | None = None) -> "Excitation":
@@ -45,7 +47,19 @@ class Excitation(eqx.Module):
             sample_time=jnp.asarray([e.sample_time for e in experiments]),
             arm_free=jnp.asarray([float(e.arm == "free") for e in experiments]),
             cart_free=jnp.asarray([float(e.cart == "free") for e in experiments]),
+            samples=jnp.asarray([e.samples for e in experiments]),
         )
+
+    def lasts(self, room: int) -> Bool[Array, "sample experiment"]:
+        """Return True at the samples of each experiment and False beyond its end, where a state is held as it is.
+
+        A state that ran on beside longer experiments could leave all bounds, and zero times that is not zero.
+
+        Args:
+            room: length of the arrays.
+        """
+        samples = jnp.full(self.sample_time.shape, room) if self.samples is None else self.samples
+        return jnp.arange(room)[:, None] < samples
 
     def first_current(self) -> Float[Array, " experiment"]:
         """Current at the first sample [A]."""

@@ -115,7 +115,7 @@ def trajectories(
     """Outputs of all experiments, one column each: cart position [m], arm velocity [rad/s], arm angle [rad].
 
     Of arrays that are longer than `samples` the first so many are run through; `room` is their length, and where it is given
-    another number of samples compiles nothing. What is beyond is zero.
+    another number of samples compiles nothing. What is beyond is zero. An experiment that ends before holds its last state.
     With `measured` (values, and 1 where there is one) and `gain` the state is corrected by gain times the error at each
     sample before it moves on, and the outputs are predictions one sample ahead; without, they are a simulation.
     With `states` the rows are the states themselves instead of the outputs.
@@ -126,13 +126,15 @@ def trajectories(
     excitation = model.driven(excitation)
     shape = excitation.sample_time.shape
     start = tuple(jnp.broadcast_to(x, shape) for x in start)
-    rows: dict[str, Any] = {"current": excitation.current, "force": excitation.force}
+    room = room or int(samples)
+    rows: dict[str, Any] = {"current": excitation.current, "force": excitation.force, "lasts": excitation.lasts(room)}
     if measured is not None and gain is not None:
         rows |= {"values": measured[0], "present": measured[1], "gain": gain}
     if impulses is not None:
         rows["impulses"] = impulses
 
     def one_sample(state: State, row: dict[str, Any]) -> tuple[State, Array]:
+        before = state
         shown = jnp.stack([jnp.broadcast_to(y, shape) for y in (state if states else model.outputs(state))])
         if "gain" in row:
             outputs = jnp.stack([jnp.broadcast_to(y, shape) for y in model.outputs(state)]) if states else shown
@@ -146,9 +148,10 @@ def trajectories(
             state = tuple(x + struck[i] + (late[i + 1] if i in (0, 2) else 0.0) for i, x in enumerate(state))
         current, force = (None if row[name] is None else tuple(row[name]) for name in ("current", "force"))
         state = advance(model, state, current, force, excitation, substeps=substeps)
+        state = tuple(jnp.where(row["lasts"], x, held) for x, held in zip(state, before, strict=True))
         return tuple(_without_denormals(x) for x in state), shown
 
-    return time_loop(one_sample, start, rows, room=room or int(samples), samples=samples)[1]
+    return time_loop(one_sample, start, rows, room=room, samples=samples)[1]
 
 
 def unit_pushes(

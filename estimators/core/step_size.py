@@ -17,7 +17,10 @@ def accurate_substeps(model: RTAC, data: Data, space: Space, unknowns: Unknowns,
     """The fewest Runge-Kutta steps per sample with which halving them changes outputs by less than a fiftieth of the noise."""
     white = diagonal_whitener(noise, data)
     nothing = no_gain(model, data)
-    count = np.maximum(np.asarray(data.present).sum(axis=(0, 2)), 1.0)
+    count = np.asarray(data.present).sum(axis=0)
+    interval = np.asarray(data.excitation.sample_time)
+    # Apart by sample time: in the mean over all, many short steps would hide that few long ones are too long.
+    alike = [interval == one for one in np.unique(interval)]
 
     def run(substeps: int) -> np.ndarray:
         return np.asarray(plain_residual(unknowns, Arguments(model, data, space, white, nothing, substeps))[0])
@@ -26,7 +29,8 @@ def accurate_substeps(model: RTAC, data: Data, space: Space, unknowns: Unknowns,
     coarse = run(substeps)
     while substeps < _MOST_SUBSTEPS:
         fine = run(2 * substeps)
-        change = np.sqrt(((fine - coarse) ** 2).sum(axis=(0, 2)) / count)
+        squares = ((fine - coarse) ** 2).sum(axis=0)
+        change = np.sqrt([squares[:, c].sum(axis=1) / np.maximum(count[:, c].sum(axis=1), 1.0) for c in alike])
         if not np.all(np.isfinite(fine)) or np.all(change < _STEP_ERROR):
             break
         substeps, coarse = 2 * substeps, fine

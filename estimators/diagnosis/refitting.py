@@ -265,10 +265,10 @@ class Search(Probing):
         Rest records would tell; without them the likelihood has to.
         """
         count = np.asarray(self.data.present).sum(axis=(0, 2))
-        interval = float(np.min(np.asarray(self.data.excitation.sample_time)))
+        memories = np.unique(np.outer(np.unique(np.asarray(self.data.excitation.sample_time)), _MEMORIES))
         best, likelihood = {}, base.predictor.log_likelihood
         for channel in np.array(CHANNELS)[count > 0]:
-            trials = [{**best, str(channel): (1.0, float(memory))} for memory in interval * np.array(_MEMORIES)]
+            trials = [{**best, str(channel): (1.0, float(memory))} for memory in memories]
             values = at_once(lambda colours: self._likelihood_with(colours, base), trials)
             for trial, value in zip(trials, values, strict=True):
                 if value > likelihood + _WORTH:

@@ -80,13 +80,12 @@ def covariances(fit: Fit, recording: Recording) -> Covariances:
     require_configured()
     problem = at_fit(fit, recording)
     rows = rows_at(problem)
-    meat, bread, lag = _coloured(rows)
+    meat, bread, independent = _coloured(rows, problem)
     meat = meat * _spent(rows, problem)
     clusters = [name.split("[")[0] for name in fit.experiments]
     by_cluster, degrees = clustered(fit.information, clusters)
     names = fit.information.names
     many = np.full(len(names), np.inf)
-    samples = float(np.sum(np.asarray(problem.arguments.data.present)))
     return Covariances(
         names,
         np.array([fit.parameters[n].value for n in names]),
@@ -94,21 +93,31 @@ def covariances(fit: Fit, recording: Recording) -> Covariances:
         fit.information.covariance,
         bread @ meat @ bread,
         by_cluster,
-        {"plain": many, "sandwich": np.full(len(names), max(1.5 * samples / (lag + 1), 3.0)), "clustered": degrees},
+        {"plain": many, "sandwich": np.full(len(names), max(1.5 * independent, 3.0)), "clustered": degrees},
     )
 
 
-def _coloured(rows: Rows) -> tuple[Matrix, Matrix, int]:
-    """Sum of the scores' autocovariance, inverse of the Gauss-Newton matrix, and the lag up to which was summed."""
+def _coloured(rows: Rows, problem: Problem) -> tuple[Matrix, Matrix, float]:
+    """Return the sum of the scores' autocovariance, the inverse of the Gauss-Newton matrix, and the number of stretches.
+
+    A stretch has as many samples as lags are summed; how many that is, is chosen for each sample time by itself.
+    """
     scores = np.einsum("sokp,sok->ksp", rows.jacobian, rows.residual)
     flat = rows.jacobian.reshape(-1, rows.jacobian.shape[-1])
     bread = np.linalg.inv(flat.T @ flat)
-    lag = _bandwidth(scores)
     meat = np.einsum("ksp,ksq->pq", scores, scores)
-    for k in range(1, lag + 1):
-        shifted = np.einsum("ksp,ksq->pq", scores[:, k:], scores[:, :-k])
-        meat += (1 - k / (lag + 1)) * (shifted + shifted.T)
-    return meat, bread, lag
+    independent = 0.0
+    interval = np.array([e.sample_time for e in problem.experiments])
+    for one in np.unique(interval):
+        alike = np.flatnonzero(interval == one)
+        longest = max(problem.experiments[column].samples for column in alike)
+        own = scores[alike, :longest]
+        lag = _bandwidth(own)
+        for k in range(1, lag + 1):
+            shifted = np.einsum("ksp,ksq->pq", own[:, k:], own[:, :-k])
+            meat += (1 - k / (lag + 1)) * (shifted + shifted.T)
+        independent += float(np.sum(np.asarray(problem.arguments.data.present)[..., alike])) / (lag + 1)
+    return meat, bread, independent
 
 
 def _spent(rows: Rows, problem: Problem) -> float:

@@ -62,7 +62,7 @@ def line_classes(innovations: np.ndarray, present: np.ndarray, experiments: Sequ
             count = periods * length
             if not present[:count, row, column].all():
                 continue
-            power = np.abs(np.fft.rfft(innovations[:count, row, column])) ** 2
+            power = np.abs(np.fft.rfft(innovations[:count, row, column])) ** 2 / count
             for line in range(1, min(highest * periods + 1, len(power))):
                 harmonic, between = divmod(line, periods)
                 name = "noise" if between else "excited" if excited[harmonic] else ("even", "odd")[harmonic % 2]

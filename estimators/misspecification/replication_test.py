@@ -50,9 +50,9 @@ def repeat_test(innovations: np.ndarray, present: np.ndarray, experiments: Seque
     Source: Ljung, System Identification (1999), section 16.5, for model error against noise; degrees of freedom after
     Bartlett, Supplement to the Journal of the Royal Statistical Society 8 (1946).
     """
-    groups: dict[str, list[int]] = {}
+    groups: dict[tuple[str, float], list[int]] = {}
     for column, e in enumerate(experiments):
-        groups.setdefault(e.repeat_of or e.name, []).append(column)
+        groups.setdefault((e.repeat_of or e.name, e.sample_time), []).append(column)
     shared, between, above, below, members, seen, excess = 0.0, 0.0, 0.0, 0.0, 0, 0.0, 0.0
     for columns in groups.values():
         m = len(columns)

@@ -15,6 +15,7 @@ _AROUND = 31  # lines whose median tells how strong the noise is there
 # Their median scatters as a mean of so many independent powers by two, since a window ties neighbours together.
 _FREEDOM = 20
 _THERE = 0.5  # share of an experiment's samples that must count
+_ALIKE = 0.9  # share of the longest's samples from which on experiments are cut to one length, and little is lost
 _BLIND = 8  # lowest lines, where transients of the start end up
 
 
@@ -50,34 +51,49 @@ def spectral_line(
 
     Source: Fisher, Proceedings of the Royal Society A 125 (1929), with a local estimate of the noise.
     """
-    interval = float(np.median([e.sample_time for e in experiments]))
-    alike = [i for i, e in enumerate(experiments) if np.isclose(e.sample_time, interval)]
-    length = int(np.median([experiments[i].samples for i in alike]))
     best: SpectralLine | None = None
     tried = 0
-    for output, channel in enumerate(CHANNELS):
-        columns = [i for i in alike if present[:length, output, i].sum() > _THERE * length]
-        if not columns or length < 8 * _AROUND:
-            continue
-        error = (innovations * present)[:length, output, columns]
-        # A window keeps the line of one experiment from leaking; powers of experiments add up.
-        window = np.hanning(length)[:, None]
-        power = np.abs(np.fft.rfft(error * window, axis=0)) ** 2 / np.sum(window**2)
-        power = (power / np.median(power[_BLIND:], axis=0)).mean(axis=1)[_BLIND:-1]
-        n = len(columns)
-        power = power / _trend(power)
-        # The median of a mean of n exponentials lies below its mean by a known factor.
-        middle = median_filter(power, _AROUND, mode="mirror") / (gammainccinv(n, 0.5) / n)
-        ratio = power / middle
-        peak = int(np.argmax(ratio))
-        tried += len(ratio)
-        p_value = float(fisher.sf(ratio[peak], 2 * n, _FREEDOM * n))
-        if best is None or p_value < best.p_value:
-            frequency = 2 * np.pi * (peak + _BLIND) / (length * interval)
-            best = SpectralLine(channel, frequency, float(ratio[peak]), 2 * n * float(ratio[peak] - 1), p_value)
+    for alike in _alike(experiments):
+        interval = experiments[alike[0]].sample_time
+        length = min(experiments[i].samples for i in alike)
+        for output, channel in enumerate(CHANNELS):
+            columns = [i for i in alike if present[:length, output, i].sum() > _THERE * length]
+            if not columns or length < 8 * _AROUND:
+                continue
+            error = (innovations * present)[:length, output, columns]
+            # A window keeps the line of one experiment from leaking; powers of experiments add up.
+            window = np.hanning(length)[:, None]
+            power = np.abs(np.fft.rfft(error * window, axis=0)) ** 2 / np.sum(window**2)
+            power = (power / np.median(power[_BLIND:], axis=0)).mean(axis=1)[_BLIND:-1]
+            n = len(columns)
+            power = power / _trend(power)
+            # The median of a mean of n exponentials lies below its mean by a known factor.
+            middle = median_filter(power, _AROUND, mode="mirror") / (gammainccinv(n, 0.5) / n)
+            ratio = power / middle
+            peak = int(np.argmax(ratio))
+            tried += len(ratio)
+            p_value = float(fisher.sf(ratio[peak], 2 * n, _FREEDOM * n))
+            if best is None or p_value < best.p_value:
+                frequency = 2 * np.pi * (peak + _BLIND) / (length * interval)
+                best = SpectralLine(channel, frequency, float(ratio[peak]), 2 * n * float(ratio[peak] - 1), p_value)
     if best is None:
         return None
     return dataclasses.replace(best, p_value=min(1.0, best.p_value * tried))
+
+
+def _alike(experiments: Sequence[Experiment]) -> list[list[int]]:
+    """Return groups of experiments of one sample time and about one length, whose spectra have the same lines."""
+    groups: list[list[int]] = []
+    for column in sorted(range(len(experiments)), key=lambda i: -experiments[i].samples):
+        own = experiments[column]
+        for group in groups:
+            longest = experiments[group[0]]
+            if np.isclose(own.sample_time, longest.sample_time) and own.samples >= _ALIKE * longest.samples:
+                group.append(column)
+                break
+        else:
+            groups.append([column])
+    return groups
 
 
 def _trend(power: np.ndarray) -> np.ndarray:

@@ -236,10 +236,7 @@ class _Run:
         physical = space.physical(unknowns)
         result = run_filter(model, self.data, space, physical, known, size, jnp.asarray(substeps)).filtered
         # One whitener for all samples: enough for a start, and the same compiled function as for the simulation.
-        middle = np.median(
-            np.asarray(result.whitener)[self.data.samples // 4 : self.data.samples], axis=0, keepdims=True
-        )
-        return result.gain, jnp.asarray(middle)
+        return result.gain, jnp.asarray(_settled(np.asarray(result.whitener), self.data))
 
     def _deviation(self, model: RTAC, space: Space, unknowns: Unknowns, substeps: int, noise: np.ndarray) -> np.ndarray:
         whitener = diagonal_whitener(np.ones(len(CHANNELS)), self.data)
@@ -249,6 +246,23 @@ class _Run:
         rms = np.sqrt((np.asarray(error) ** 2).sum(axis=(0, 2)) / count)
         # A channel cannot be trusted beyond its sensor, or one that happens to fit would drown the others.
         return np.where(rms > 0, np.maximum(rms, 1e-12 * noise), noise)
+
+
+def _settled(whitener: np.ndarray, data: Data) -> Float[np.ndarray, "1 row output experiment"]:
+    """Return the median whitener of each experiment and channel after its first quarter, over the samples that are there.
+
+    Where a channel has no sample the filter's whitener is zero: counted, an experiment that is shorter than others, or a
+    channel sampled less often, would tell nothing.
+    """
+    found = np.zeros((1, *whitener.shape[1:]))
+    present = np.asarray(data.present) > 0
+    for column in range(data.experiments):
+        for row in range(whitener.shape[1]):
+            there = np.flatnonzero(present[:, row, column])
+            late = there[there >= (there[-1] + 1) // 4] if len(there) else there
+            if len(late):
+                found[0, row, :, column] = np.median(whitener[late, row, :, column], axis=0)
+    return found
 
 
 def _concentrated(deviation: np.ndarray, data: Data) -> float:

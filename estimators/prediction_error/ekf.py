@@ -146,16 +146,19 @@ def kalman(
                 seen * row["present"][:, None], weigh, white, gain, sensor_variance, counts, jacobian, pushed,
                 wander.by_noise(wander.fresh),
             )  # fmt: skip
-        return (tuple(moved), spread, slopes), (gain, counts * weigh, counts * white, counts * likelihood, shaken)
+        carry = jax.tree.map(
+            lambda new, held: jnp.where(row["lasts"], new, held), (tuple(moved), spread, slopes), carry
+        )
+        return carry, (gain, counts * weigh, counts * white, counts * likelihood, shaken)
 
     rows = {
         "current": excitation.current, "force": excitation.force, "values": data.values, "present": data.present,
-        "trusted": data.trusted,
+        "trusted": data.trusted, "lasts": excitation.lasts(data.room),
     }  # fmt: skip
     (_, _, slopes), found = time_loop(one_sample, (state, spread, slopes), rows, room=data.room, samples=data.length)
     gain, whitener, innovations, likelihood, shaken = found
     # Not the sample itself: to leave out samples for what they show would bias what is left.
-    after = jnp.concatenate([jnp.zeros_like(shaken[:1]), shaken[:-1]])
+    after = jnp.concatenate([jnp.zeros_like(shaken[:1]), shaken[:-1]]) * rows["lasts"]
     return Filtered(gain, whitener, innovations, likelihood.sum(axis=0), after), slopes
 
 

@@ -14,7 +14,7 @@ from estimators.core.data import Data
 from estimators.core.parameter_space import Space
 from estimators.core.residual import predict, whitened
 from estimators.core.threads import at_once
-from rtac_jax import RTAC, Excitation
+from rtac_jax import RTAC
 from rtac_jax.simulation import Steps
 
 AT_ONCE = 8
@@ -149,7 +149,7 @@ def _pushed(
             (nothing if known is None else known).at[:, 0].add(extra)
             for known, extra in zip((excitation.current, excitation.force), added, strict=True)
         ]
-        pushed = Excitation(inputs[0], inputs[1], excitation.sample_time, excitation.arm_free, excitation.cart_free)
+        pushed = dataclasses.replace(excitation, current=inputs[0], force=inputs[1])
         changed = dataclasses.replace(data, excitation=pushed)
         return error_at(model, changed, space, whitener, gain, space.values, substeps)
 

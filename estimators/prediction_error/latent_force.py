@@ -153,7 +153,8 @@ def latent_forces(
         # Between what the data show and what they leave room for: of the latter the assumed spectrum decides.
         seen, possible = np.sqrt(np.nanmean(at**2)), np.sqrt(np.nanmean(at**2 + std**2))
         rms = float(0.5 * (seen + possible))
-        independent = np.sum(np.isfinite(at)) * np.median([e.sample_time for e in experiments]) / best.memory
+        measured = np.isfinite(at).sum(axis=0) @ np.array([e.sample_time for e in experiments])  # s
+        independent = float(measured) / best.memory
         doubt = float(0.5 * (possible - seen) + rms / np.sqrt(2 * max(independent, 1.0)))
         found.append(
             LatentForce(
@@ -190,7 +191,7 @@ def _strongest(force: np.ndarray, experiments: Sequence[Experiment]) -> float:
     total = np.zeros_like(grid)
     for column, e in enumerate(experiments):
         frequency, power = periodogram(force[: e.samples, column], 1 / e.sample_time, "hann")
-        total += e.samples * np.interp(grid, 2 * np.pi * frequency, power)
+        total += e.samples * e.sample_time * np.interp(grid, 2 * np.pi * frequency, power)
     return float(grid[np.argmax(total)])
 
 
@@ -279,7 +280,7 @@ def _filter(linear: _Linear, data: Data, gain: Array, size: Array, memory: Any, 
 
     def one(carry: Any, row: Any) -> Any:
         mean, spread = carry
-        transition, push, shown, error, present, trusted, correction = row
+        transition, push, shown, error, present, trusted, correction, lasts = row
         before = (mean, spread)
         likelihood = jnp.zeros(experiments)
         for j in range(len(variance)):
@@ -300,9 +301,12 @@ def _filter(linear: _Linear, data: Data, gain: Array, size: Array, memory: Any, 
         grown = jnp.einsum("abe,cbe->ace", half, forward) + fresh
         # gain of the smoother: P F' (F P F' + Q)^-1
         back = jnp.einsum("abe,cbe->ace", spread, forward)
-        return (after, 0.5 * (grown + jnp.swapaxes(grown, 0, 1))), (before, (mean, spread), back, trusted * likelihood)
+        onward_to = (after, 0.5 * (grown + jnp.swapaxes(grown, 0, 1)))
+        carry = jax.tree.map(lambda new, held: jnp.where(lasts, new, held), onward_to, before)
+        return carry, (before, (mean, spread), back, trusted * likelihood)
 
-    rows = (linear.transition, linear.push, linear.shown, linear.error, data.present, data.trusted, gain)
+    lasts = data.excitation.lasts(data.room)
+    rows = (linear.transition, linear.push, linear.shown, linear.error, data.present, data.trusted, gain, lasts)
     start = jnp.zeros((whole, experiments))
     return jax.lax.scan(one, (start, spread), rows)
 

@@ -64,10 +64,11 @@ def demo(
 def info(file: File) -> None:
     """What is in a recording, and what looks wrong with it."""
     with answering():
-        from rtac_jax.measurement import concerns, describe
+        from rtac_jax.measurement import concerns, describe, guarded_by_digest
 
         recording = load(file)
         typer.echo(describe(recording))
+        typer.echo(f"\n{_GUARDED if guarded_by_digest(file) else _UNGUARDED}")
         found = concerns(recording)
         typer.echo("\nconcerns:" if found else "\nconcerns: none")
         for sentence in found:
@@ -362,6 +363,10 @@ def _show_planned(planned: Any, work: Job, figures: dict[str, Any], captions: di
 app.command()(envelope)
 app.command()(control)
 
+_GUARDED = "checksums: the file is as it was written."
+_UNGUARDED = (
+    "checksums: none, so nothing guards the numbers against damage to the file; Recording.load(...).save(...) adds them."
+)
 _DIAGNOSIS = (
     "The bars: what every candidate gains on the one-step predictions of the base model, and from which size on it would "
     "have been found. The curves: the missing force as a function of what it may depend on, with two standard deviations, in "

@@ -364,9 +364,7 @@ app.command()(envelope)
 app.command()(control)
 
 _GUARDED = "checksums: the file is as it was written."
-_UNGUARDED = (
-    "checksums: none, so nothing guards the numbers against damage to the file; Recording.load(...).save(...) adds them."
-)
+_UNGUARDED = "checksums: none, so nothing guards the numbers against damage to the file; Recording.load(...).save(...) adds them."
 _DIAGNOSIS = (
     "The bars: what every candidate gains on the one-step predictions of the base model, and from which size on it would "
     "have been found. The curves: the missing force as a function of what it may depend on, with two standard deviations, in "

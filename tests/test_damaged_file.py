@@ -77,7 +77,9 @@ def test_every_flipped_bit_of_a_sample_is_refused_with_its_place(path):
     assert start > 0
     for bit in (0, 51, 64 * 31 + 62, 64 * 59 + 63):
         path.write_bytes(flipped(whole, 8 * start + bit))
-        with pytest.raises(RecordingError, match="/experiments/forced_1/outputs/cart_position: .* copy or write it again"):
+        with pytest.raises(
+            RecordingError, match=r"/experiments/forced_1/outputs/cart_position: .* copy or write it again"
+        ):
             Recording.load(path)
 
 
@@ -117,7 +119,9 @@ EDITS = {
 def test_what_is_not_as_it_was_written_is_named_and_can_be_accepted(path, change, place):
     with h5py.File(path, "r+") as file:
         change(file)
-    with pytest.raises(RecordingError, match=rf"{place}: is not what was written there.*delete the attribute digest of /"):
+    with pytest.raises(
+        RecordingError, match=rf"{place}: is not what was written there.*delete the attribute digest of /"
+    ):
         Recording.load(path)
     with h5py.File(path, "r+") as file:
         del file.attrs["digest"]

@@ -1,6 +1,6 @@
 """`rtac`: what a recording says of a rig, from the command line.
 
-Exit status 0: done; 1: the data do not allow it; 2: wrong use or unreadable file; 130: interrupted.
+Exit status 0: done; 1: the data do not allow it; 2: wrong use or unreadable file; 130: interrupted; 143: asked to stop.
 """
 
 import time
@@ -35,7 +35,7 @@ app = typer.Typer(
 
 
 def main() -> None:
-    """Entry point of `rtac`."""
+    """Run a command; `rtac_entry.main` calls it when signals and pipes are taken care of."""
     app()
 
 

@@ -15,6 +15,8 @@ import numpy as np
 
 from ._errors import RecordingError
 
+Order = Literal["<", ">"]
+
 HEADER_BYTES = 128
 VERSION = 0x0100
 # Types of data elements.
@@ -70,7 +72,7 @@ class Mat5:
         with open(path, "rb") as stream:
             content = memoryview(stream.read())
         try:
-            self._order = _byte_order(content)
+            self._order: Order = _byte_order(content)
             heads = [self._head(kind, body) for kind, body in self._elements(content)]
             self.variables = {head.name: head for head in heads if head is not None and head.name}
         except (Damaged, zlib.error) as error:
@@ -165,11 +167,12 @@ class Mat5:
         return struct.unpack(self._order + form, content[at : at + size])
 
 
-def _byte_order(content: memoryview) -> Literal["<", ">"]:
-    order = {b"IM": "<", b"MI": ">"}.get(bytes(content[126:HEADER_BYTES]))
+def _byte_order(content: memoryview) -> Order:
+    orders: dict[bytes, Order] = {b"IM": "<", b"MI": ">"}
+    order = orders.get(bytes(content[126:HEADER_BYTES]))
     if order is None or struct.unpack(f"{order}H", content[124:126])[0] != VERSION:
         raise Damaged("no header of version 5")
-    return order  # pyright: ignore[reportReturnType] - one of the two
+    return order
 
 
 def _text(name: memoryview) -> str:

@@ -86,7 +86,9 @@ with replacing(sys.argv[1]) as part:
 def test_a_result_half_written_in_foreign_code_is_removed(tmp_path):
     old = tmp_path / "result.json"
     old.write_text("old")
-    process = subprocess.Popen([sys.executable, "-c", HOLDING, old], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        [sys.executable, "-c", HOLDING, old], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
     assert process.stdout.readline() == "ready\n"
     assert len(list(tmp_path.iterdir())) == 2
     process.send_signal(signal.SIGINT)
@@ -129,6 +131,8 @@ def test_a_closed_pipe_keeps_nothing_from_being_written(tmp_path):
 def test_a_command_with_a_closed_pipe_ends_quietly(file):
     reading, writing = os.pipe()
     os.close(reading)
-    done = subprocess.run([sys.executable, "-m", "rtac_entry", "info", file], stdout=writing, stderr=subprocess.PIPE, timeout=60)
+    done = subprocess.run(
+        [sys.executable, "-m", "rtac_entry", "info", file], stdout=writing, stderr=subprocess.PIPE, timeout=60
+    )
     os.close(writing)
     assert (done.returncode, done.stderr) == (0, b"")

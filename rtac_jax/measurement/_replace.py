@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-
 unfinished: set[Path] = set()
 """What is being written just now; whoever ends the process removes it."""
 

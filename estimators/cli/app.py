@@ -1,6 +1,6 @@
 """`rtac`: what a recording says of a rig, from the command line.
 
-Exit status 0: done; 1: the data do not allow it; 2: wrong use or unreadable file; 130: interrupted.
+Exit status 0: done; 1: the data do not allow it; 2: wrong use or unreadable file; 130: interrupted; 143: asked to stop.
 """
 
 import time
@@ -35,7 +35,7 @@ app = typer.Typer(
 
 
 def main() -> None:
-    """Entry point of `rtac`."""
+    """Run a command; `rtac_entry.main` calls it when signals and pipes are taken care of."""
     app()
 
 
@@ -64,10 +64,11 @@ def demo(
 def info(file: File) -> None:
     """What is in a recording, and what looks wrong with it."""
     with answering():
-        from rtac_jax.measurement import concerns, describe
+        from rtac_jax.measurement import concerns, describe, guarded_by_digest
 
         recording = load(file)
         typer.echo(describe(recording))
+        typer.echo(f"\n{_GUARDED if guarded_by_digest(file) else _UNGUARDED}")
         found = concerns(recording)
         typer.echo("\nconcerns:" if found else "\nconcerns: none")
         for sentence in found:
@@ -362,6 +363,8 @@ def _show_planned(planned: Any, work: Job, figures: dict[str, Any], captions: di
 app.command()(envelope)
 app.command()(control)
 
+_GUARDED = "checksums: the file is as it was written."
+_UNGUARDED = "checksums: none, so nothing guards the numbers against damage to the file; Recording.load(...).save(...) adds them."
 _DIAGNOSIS = (
     "The bars: what every candidate gains on the one-step predictions of the base model, and from which size on it would "
     "have been found. The curves: the missing force as a function of what it may depend on, with two standard deviations, in "

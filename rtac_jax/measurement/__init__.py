@@ -15,6 +15,7 @@ from ._excitation import (
 )
 from ._experiment import Experiment
 from ._filter import central_difference, zero_phase_lowpass
+from ._hdf5 import guarded_by_digest
 from ._info import describe
 from ._recording import Recording
 from ._signal import INPUTS, OUTPUTS, Signal
@@ -34,6 +35,7 @@ __all__ = [
     "crest_factor",
     "describe",
     "from_rest",
+    "guarded_by_digest",
     "harmonic_grid",
     "multisine",
     "positive_negative",

@@ -9,8 +9,10 @@ import h5py
 import numpy as np
 from jaxtyping import Float64
 
+from ._digest import ATTRIBUTE, digest, verify
 from ._errors import RecordingError
 from ._experiment import Experiment, check_name
+from ._global_heap import endless
 from ._signal import INPUTS, OUTPUTS, Signal
 from .atomic_write import replacing
 
@@ -23,16 +25,25 @@ MOST_ELEMENTS = 200_000_000
 # Deflate never exceeds about 1000:1, and only on constants; a real recording compresses far less than this.
 MOST_EXPANSION = 64
 SLACK_BYTES = 1 << 20
+# HDF5's own checksum is kept for each chunk: 512 kB, which its cache of 1 MB holds.
+CHUNK_SAMPLES = 1 << 16
+# With this version HDF5 keeps checksums of what describes a group or a data set, too; every reader since 2008 knows it.
+LIBRARY_VERSION = "v108"
 
 
 def write(path: str | os.PathLike[str], recording: "Recording") -> None:
-    """Writes `recording` to `path`; an interrupted write leaves an earlier file as it was."""
-    with replacing(path) as temporary, h5py.File(temporary, "x", track_order=True) as file:
+    """Writes `recording` to `path`; an interrupted write leaves an earlier file as it was.
+
+    Every data set carries HDF5's checksum, and the root a digest of everything, which `read` verifies.
+    """
+    options: dict[str, Any] = {"track_order": True, "libver": (LIBRARY_VERSION, LIBRARY_VERSION)}
+    with replacing(path) as temporary, h5py.File(temporary, "x", **options) as file:
         _fill(file, recording)
 
 
 def _fill(file: h5py.File, recording: "Recording") -> None:
     file.attrs.update(format=FORMAT, version=VERSION, rig=recording.rig_name, comment=recording.comment)
+    file.attrs[ATTRIBUTE] = digest(recording)
     file.create_group("rig").attrs.update(recording.rig)
     experiments = file.create_group("experiments", track_order=True)
     for experiment in recording.experiments:
@@ -44,7 +55,8 @@ def _fill(file: h5py.File, recording: "Recording") -> None:
         for side, signals in (("inputs", experiment.inputs), ("outputs", experiment.outputs)):
             folder = group.create_group(side)
             for name, signal in signals.items():
-                dataset = folder.create_dataset(name, data=signal.values)
+                chunks = (min(len(signal.values), CHUNK_SAMPLES),)
+                dataset = folder.create_dataset(name, data=signal.values, chunks=chunks, fletcher32=True)
                 for key in ("unit", "intersample", "noise_std"):
                     value = getattr(signal, key)
                     if value is not None:
@@ -62,6 +74,12 @@ def read(path: str | os.PathLike[str]) -> "Recording":
     except RecordingError as error:
         # Said once, here, so that no reader below needs to know the name of the file.
         raise RecordingError(f"{os.fspath(path)}: {error}") from error.__cause__
+
+
+def guarded_by_digest(path: str | os.PathLike[str]) -> bool:
+    """Return whether a file carries the digest that `read` verifies."""
+    with open_hdf5(path) as file:
+        return ATTRIBUTE in file.attrs
 
 
 def _read_file(file: h5py.File, budget: "Budget") -> "Recording":
@@ -85,12 +103,16 @@ def _read_file(file: h5py.File, budget: "Budget") -> "Recording":
     if "experiments" not in members:
         raise RecordingError("/experiments: the group is missing; add it with one group for each experiment.")
     folders = children(_group(members["experiments"]), None)
-    return Recording(
+    recording = Recording(
         tuple(_read_experiment(name, folder, budget) for name, folder in folders.items()),
         rig,
         rig_name=text(file, "rig") or "",
         comment=text(file, "comment") or "",
     )
+    written = text(file, ATTRIBUTE)
+    if written is not None:
+        verify(recording, written)
+    return recording
 
 
 def _read_experiment(name: str, folder: Any, budget: "Budget") -> Experiment:
@@ -159,6 +181,8 @@ def open_hdf5(path: str | os.PathLike[str]) -> Iterator[h5py.File]:
         raise FileNotFoundError(f"{os.fspath(path)}: there is no such file; check the path.")
     if not (os.path.isfile(path) and os.access(path, os.R_OK)):
         raise RecordingError("/: this is not a file that can be read; give the path of an HDF5 file.")
+    if endless(path):
+        raise RecordingError("/: the texts in the HDF5 file are damaged; copy or write it again.")
     try:
         known = h5py.is_hdf5(path)
         file = h5py.File(path, "r") if known else None

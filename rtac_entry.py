@@ -1,0 +1,88 @@
+"""What runs first when `rtac` is called: signals and pipes are answered before anything heavy is imported.
+
+Python answers a signal between two steps of its own code. Importing and compiling stay in foreign code for seconds, so
+here the signal's number goes through a pipe to a thread, which says one sentence and ends the process at once. Nothing is
+lost by that: every result is written aside and takes the place of an earlier one when it is complete.
+
+Exit status after a signal, as shells have it: 130 after Ctrl-C (SIGINT), 143 after SIGTERM.
+"""
+
+import contextlib
+import io
+import os
+import signal
+import sys
+import threading
+from typing import Any
+
+SENTENCES = {
+    signal.SIGINT: "interrupted; nothing that was not complete has been written.",
+    signal.SIGTERM: "asked to stop (SIGTERM); nothing that was not complete has been written.",
+}
+
+
+def main() -> None:
+    """Run the command line."""
+    answer_signals()
+    outlive_closed_pipes()
+    from estimators.cli import main as command  # after the above: it takes seconds
+
+    command()
+
+
+def answer_signals() -> None:
+    """End the process with a sentence when it is interrupted or asked to stop, whatever it is doing."""
+    for number in SENTENCES:
+        # A signal that whoever called wants to have ignored, as `nohup` or a background job does, stays ignored.
+        if signal.getsignal(number) != signal.SIG_IGN:
+            signal.signal(number, lambda *_: None)
+    receiving, sending = os.pipe()
+    os.set_blocking(sending, False)
+    signal.set_wakeup_fd(sending, warn_on_full_buffer=False)
+    threading.Thread(target=_wait, args=(receiving,), name="signals", daemon=True).start()
+
+
+def _wait(receiving: int) -> None:
+    while True:
+        number = os.read(receiving, 1)[0]
+        if number in SENTENCES:
+            _end(number)
+
+
+def _end(number: int) -> None:
+    # What was being written lies beside its place under a name of its own. The module is only looked for, not imported.
+    aside = getattr(sys.modules.get("rtac_jax.measurement.atomic_write"), "unfinished", ())
+    for path in tuple(aside):
+        with contextlib.suppress(OSError):
+            os.unlink(path)
+    with contextlib.suppress(OSError):
+        start = "\n" if os.isatty(2) else ""  # a bar may stand on the line
+        os.write(2, f"{start}rtac: {SENTENCES[signal.Signals(number)]}\n".encode())
+    os._exit(128 + number)
+
+
+def outlive_closed_pipes() -> None:
+    """Let a command go on when nobody reads what it says, as with `rtac ... | head`: its files are still wanted."""
+    for name in ("stdout", "stderr"):
+        stream: Any = getattr(sys, name)
+        if isinstance(stream, io.TextIOWrapper):
+            patient = io.BufferedWriter(_Patient(stream.fileno(), "wb", closefd=False))
+            options: dict[str, Any] = {"encoding": stream.encoding, "errors": stream.errors}
+            setattr(sys, name, io.TextIOWrapper(patient, line_buffering=stream.line_buffering, **options))
+
+
+class _Patient(io.FileIO):
+    """A file that takes what is written to it even when its reader has gone."""
+
+    def write(self, content: Any, /) -> int:
+        try:
+            return super().write(content)
+        except BrokenPipeError:
+            nowhere = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(nowhere, self.fileno())
+            os.close(nowhere)
+            return len(content)
+
+
+if __name__ == "__main__":
+    main()

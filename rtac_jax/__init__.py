@@ -8,7 +8,9 @@ from rtac_jax._linearise import equation_4, linearise
 from rtac_jax._parameter import Declaration, Scales, parameter
 from rtac_jax._rigid_body import RigidBody
 from rtac_jax._rtac import RTAC
-from rtac_jax._simulate import Simulation, simulate
+from rtac_jax._simulate_experiments import simulate
+from rtac_jax._simulate_inputs import simulate_inputs
+from rtac_jax._simulation import Simulation
 from rtac_jax.measurement import Experiment, Recording, RecordingError, concerns, describe
 
 __all__ = [
@@ -32,5 +34,6 @@ __all__ = [
     "parameter",
     "require_configured",
     "simulate",
+    "simulate_inputs",
     "virtual_rig",
 ]

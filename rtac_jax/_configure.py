@@ -1,6 +1,7 @@
 """One explicit call that prepares JAX for estimation; importing the package changes nothing."""
 
 import os
+import warnings
 from pathlib import Path
 
 import jax
@@ -74,3 +75,19 @@ def require_configured() -> None:
         raise RuntimeError(
             "Estimation needs double precision: add the line `rtac_jax.configure()` before the first use."
         )
+
+
+_warned = False
+
+
+def warn_single_precision() -> None:
+    """Warn, once in a process, that what is computed is computed in single precision."""
+    global _warned
+    if jax.config.read("jax_enable_x64") or _warned:
+        return
+    _warned = True
+    warnings.warn(
+        "Simulating in single precision, to about six digits: add the line `rtac_jax.configure()` before the first use for "
+        "double precision.",
+        stacklevel=3,
+    )

@@ -1,7 +1,6 @@
 """The only time loop: Runge-Kutta steps and dry friction over all experiments at once, free or corrected by measurements."""
 
-import dataclasses
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
@@ -12,14 +11,15 @@ from jaxtyping import Array, Float, Int
 
 from rtac_jax._rtac import RTAC
 from rtac_jax._since import Since
-from rtac_jax.excitation import BEYOND, Excitation
-from rtac_jax.measurement import Experiment
-from rtac_jax.time_loop import room_for, time_loop
+from rtac_jax.excitation import Excitation
+from rtac_jax.time_loop import time_loop
 
 State = tuple[Any, ...]
 Steps = int | Int[Array, ""]
 """A number of steps; an array compiles once for all numbers."""
 
+MOST_SUBSTEPS = 64
+ANGLES = (0.0, 1.5)  # rad, of the arm, at which the fastest mode is looked for
 _NEGLIGIBLE = 1e-100
 
 
@@ -38,6 +38,33 @@ def advance(
         current, force: polynomial coefficients of the inputs over the interval, rising powers of its fraction.
     """
     step = excitation.sample_time / substeps
+
+    def one(k: Any, at: State) -> State:
+        return runge_kutta(model, at, current, force, excitation, step=step, begin=k / substeps, substeps=substeps)
+
+    # A loop whose length the compiler does not know: unrolled steps compile longer and run no faster, and where their
+    # results are used many times they would be fused into, and computed anew for, each use.
+    return jax.lax.fori_loop(0, jnp.asarray(substeps), one, state)
+
+
+def runge_kutta(
+    model: RTAC,
+    state: State,
+    current: Sequence[Any] | None,
+    force: Sequence[Any] | None,
+    excitation: Excitation,
+    *,
+    step: Any,
+    begin: Any,
+    substeps: Steps,
+) -> State:
+    """Take one of the `substeps` steps of an interval between samples.
+
+    Args:
+        current, force: as `advance` takes them.
+        step: its length [s].
+        begin: fraction of the interval at which the step begins.
+    """
     apart = model.steps_apart
 
     @jax.jit
@@ -52,28 +79,23 @@ def advance(
             since,
         )
 
-    def moved(at: State, by: Any, along: State) -> State:
-        return tuple(x + by * dx for x, dx in zip(at, along, strict=True))
+    def moved(by: Any, along: State) -> State:
+        return tuple(x + by * dx for x, dx in zip(state, along, strict=True))
 
-    def runge_kutta(at: State, begin: Any) -> State:
-        way = model.slide(at)
-        began = None
-        if apart:
-            began = model.since(at, _polynomial(current, begin), step, _polynomial(current, begin + 1.0 / substeps))
-        middle, end = (began and began._replace(elapsed=share) for share in (0.5, 1.0))
-        k1 = slope(at, begin, way, began)
-        k2 = slope(moved(at, 0.5 * step, k1), begin + 0.5 / substeps, way, middle)
-        k3 = slope(moved(at, 0.5 * step, k2), begin + 0.5 / substeps, way, middle)
-        k4 = slope(moved(at, step, k3), begin + 1.0 / substeps, way, end)
-        smooth = tuple(
-            x + step / 6.0 * (a + 2.0 * (b + c) + d) for x, a, b, c, d in zip(at, k1, k2, k3, k4, strict=True)
-        )
-        after = model.stop(at, smooth, step, excitation.arm_free, excitation.cart_free)
-        return after if end is None else model.settle(after, end, excitation.arm_free, excitation.cart_free)
-
-    # A loop whose length the compiler does not know: unrolled steps compile longer and run no faster, and where their
-    # results are used many times they would be fused into, and computed anew for, each use.
-    return jax.lax.fori_loop(0, jnp.asarray(substeps), lambda k, at: runge_kutta(at, k / substeps), state)
+    way = model.slide(state)
+    began = None
+    if apart:
+        began = model.since(state, _polynomial(current, begin), step, _polynomial(current, begin + 1.0 / substeps))
+    middle, end = (began and began._replace(elapsed=share) for share in (0.5, 1.0))
+    k1 = slope(state, begin, way, began)
+    k2 = slope(moved(0.5 * step, k1), begin + 0.5 / substeps, way, middle)
+    k3 = slope(moved(0.5 * step, k2), begin + 0.5 / substeps, way, middle)
+    k4 = slope(moved(step, k3), begin + 1.0 / substeps, way, end)
+    smooth = tuple(
+        x + step / 6.0 * (a + 2.0 * (b + c) + d) for x, a, b, c, d in zip(state, k1, k2, k3, k4, strict=True)
+    )
+    after = model.stop(state, smooth, step, excitation.arm_free, excitation.cart_free)
+    return after if end is None else model.settle(after, end, excitation.arm_free, excitation.cart_free)
 
 
 def _polynomial(coefficients: Sequence[Any] | None, fraction: Any) -> Any:
@@ -86,7 +108,7 @@ def _polynomial(coefficients: Sequence[Any] | None, fraction: Any) -> Any:
 
 
 @jax.custom_jvp
-def _without_denormals(x: Array) -> Array:
+def without_denormals(x: Array) -> Array:
     """x, with numbers too small to matter set to zero: a processor works on denormal numbers a hundred times slower.
 
     States of a rig that comes to rest, and sensitivities to a start that a correction forgets, decay that far.
@@ -94,9 +116,9 @@ def _without_denormals(x: Array) -> Array:
     return jnp.where(jnp.abs(x) < _NEGLIGIBLE, 0.0, x)
 
 
-@_without_denormals.defjvp
+@without_denormals.defjvp
 def _without_denormals_jvp(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
-    return _without_denormals(primals[0]), _without_denormals(tangents[0])
+    return without_denormals(primals[0]), without_denormals(tangents[0])
 
 
 def trajectories(
@@ -149,7 +171,7 @@ def trajectories(
         current, force = (None if row[name] is None else tuple(row[name]) for name in ("current", "force"))
         state = advance(model, state, current, force, excitation, substeps=substeps)
         state = tuple(jnp.where(row["lasts"], x, held) for x, held in zip(state, before, strict=True))
-        return tuple(_without_denormals(x) for x in state), shown
+        return tuple(without_denormals(x) for x in state), shown
 
     return time_loop(one_sample, start, rows, room=room, samples=samples)[1]
 
@@ -164,7 +186,7 @@ def unit_pushes(
     return jnp.stack([zero, cart_cart, zero, cart_arm, *rest]), jnp.stack([zero, cart_arm, zero, arm_arm, *rest])
 
 
-def substeps_for(model: RTAC, excitation: Excitation, *, stability: float = 1.0, most: int = 64) -> int:
+def substeps_for(model: RTAC, excitation: Excitation, *, stability: float = 1.0, most: int = MOST_SUBSTEPS) -> int:
     """Runge-Kutta steps per sample that keep the fastest mode of the model at rest well inside the stable region.
 
     Args:
@@ -174,16 +196,18 @@ def substeps_for(model: RTAC, excitation: Excitation, *, stability: float = 1.0,
     longest = float(np.max(np.asarray(excitation.sample_time)))
     first = jax.tree.map(lambda leaf: jnp.asarray(np.ravel(leaf)[0]), model)
     fastest = 0.0
-    for angle in (0.0, 1.5):
+    for angle in ANGLES:
         at = np.zeros(count)
         at[2] = angle
-        fastest = max(fastest, float(np.max(np.abs(np.linalg.eigvals(np.asarray(_slopes(first, jnp.asarray(at))))))))
+        fastest = max(
+            fastest, float(np.max(np.abs(np.linalg.eigvals(np.asarray(rate_jacobian(first, jnp.asarray(at)))))))
+        )
     return int(np.clip(np.ceil(longest * fastest / stability), 1, most))
 
 
 @eqx.filter_jit
-def _slopes(model: RTAC, at: Array) -> Array:
-    """Jacobian of the state's rate."""
+def rate_jacobian(model: RTAC, at: Array) -> Array:
+    """Return the Jacobian of the state's rate."""
 
     def rate(x: Array) -> Array:
         # States that have a closed form are not integrated, however fast they are.
@@ -192,84 +216,6 @@ def _slopes(model: RTAC, at: Array) -> Array:
         return jnp.stack([jnp.asarray(dx, dtype=float) for dx in rates])
 
     return jax.jacfwd(rate)(at)
-
-
-@dataclasses.dataclass(frozen=True)
-class Simulation:
-    """A simulated experiment; arrays of one length.
-
-    Attributes:
-        time: [s].
-        cart_position, arm_velocity, arm_angle: as the sensors show them [m, rad/s, rad].
-        states: every state of the model by name, SI units.
-    """
-
-    time: Float[np.ndarray, " sample"]
-    cart_position: Float[np.ndarray, " sample"]
-    arm_velocity: Float[np.ndarray, " sample"]
-    arm_angle: Float[np.ndarray, " sample"]
-    states: Mapping[str, Float[np.ndarray, " sample"]]
-
-    def __repr__(self) -> str:
-        return f"Simulation({len(self.time)} samples, {self.time[-1]:.6g} s, states {', '.join(self.states)})"
-
-
-def simulate(
-    model: RTAC,
-    experiments: Iterable[Experiment],
-    *,
-    start: Mapping[str, Sequence[float | int] | np.ndarray | Array] | None = None,
-    substeps: int | None = None,
-) -> dict[str, Simulation]:
-    """Simulate experiments of any lengths, sample times and inputs in one call.
-
-    Args:
-        experiments: a recording, or some of its experiments; their inputs, holds and lengths are taken, their outputs not.
-        start: cart position [m], cart velocity [m/s], arm angle [rad] and arm velocity [rad/s] at the start, by name of
-            experiment; what is not named starts at rest in the origin at its `initial_arm_angle`. More than four numbers
-            give every state of the model.
-        substeps: Runge-Kutta steps per sample; by default as the fastest mode asks.
-
-    Returns:
-        By name of experiment.
-
-    Raises:
-        ValueError: no experiment, or a start of the wrong length.
-    """
-    chosen = list(experiments)
-    if not chosen:
-        raise ValueError("simulate needs at least one experiment.")
-    samples = max(e.samples for e in chosen)
-    room = room_for(samples + BEYOND)
-    excitation = Excitation.of(chosen, room=room)
-    rigid = np.zeros((4, len(chosen)))
-    whole: dict[int, np.ndarray] = {}
-    for column, experiment in enumerate(chosen):
-        rigid[2, column] = experiment.initial_arm_angle or 0.0
-        given = None if start is None else start.get(experiment.name)
-        if given is not None:
-            values = np.asarray(given, dtype=float)
-            if values.shape not in {(4,), (len(model.states),)}:
-                raise ValueError(
-                    f"start of experiment {experiment.name} has shape {values.shape}; give 4 or {len(model.states)} numbers."
-                )
-            rigid[:, column] = values[:4]
-            if len(values) > 4:
-                whole[column] = values
-    state = model.start(tuple(jnp.asarray(rigid)), excitation.first_current())
-    table = np.stack([np.broadcast_to(np.asarray(x), (len(chosen),)) for x in state]).copy()
-    for column, values in whole.items():
-        table[:, column] = values
-    steps = substeps if substeps is not None else substeps_for(model, excitation, stability=0.5)
-    found = np.asarray(_states(model, jnp.asarray(table), excitation, room, jnp.asarray(samples), jnp.asarray(steps)))
-    shown = [np.broadcast_to(np.asarray(y), found[:, 0].shape) for y in model.outputs(tuple(np.moveaxis(found, 1, 0)))]
-    result = {}
-    for column, e in enumerate(chosen):
-        part = slice(0, e.samples)
-        position, velocity, angle = (np.array(y[part, column]) for y in shown)
-        states = {name: np.array(found[part, row, column]) for row, name in enumerate(model.states)}
-        result[e.name] = Simulation(np.asarray(e.time), position, velocity, angle, states)
-    return result
 
 
 @eqx.filter_jit

@@ -117,4 +117,4 @@ def _experiment(model: RTAC, plan: Plan) -> Experiment:
         return blank
     start = (plan.initial_position, plan.initial_velocity, plan.initial_angle, plan.initial_arm_velocity)
     shown = simulate(model, [blank], start={plan.name: start})[plan.name]
-    return of(shown.cart_position, shown.arm_velocity)
+    return of(np.asarray(shown.cart_position), np.asarray(shown.arm_velocity))

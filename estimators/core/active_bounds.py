@@ -5,12 +5,17 @@ import dataclasses
 import jax.numpy as jnp
 import numpy as np
 
-from estimators.core.fisher_information import information
+from estimators.core.bound_transform import to_unconstrained
+from estimators.core.fisher_information import information, slope_of
 from estimators.core.levenberg_marquardt import Arguments, Solved, factor, solve
 from estimators.core.parameter_space import Space, Unknowns
 
 _NEAR = 0.3  # standard deviations from its bound at which a parameter is held there
 _TURNS = 4  # of holding and releasing, before what is left is taken as it is
+_FLAT = 0.01  # of the slope that it has amid its range, below which a parameter hardly moves though the data pull it
+# How far inside a parameter begins again that the data pull off its bound, as shares of its scale: where a straight line
+# leads, but neither back to where its slope is lost, nor beyond a plausible size.
+_INSIDE = (0.05, 1.0)
 _AT = 1e5  # unconstrained value that is as good as the bound
 
 
@@ -23,6 +28,7 @@ def solve_bounded(
     """
     whole = arguments.space
     held: dict[int, float] = {}
+    best: Solved | None = None
     turn = 0
     while True:
         turn += 1
@@ -33,14 +39,18 @@ def solve_bounded(
         unknowns = solved.unknowns
         full = np.asarray(factor(unknowns, dataclasses.replace(arguments, space=whole))) if held else solved.factor
         before = dict(held)
-        held = _on_bounds(whole, unknowns, full, held)
-        if held == before or turn == _TURNS:
-            return solved._replace(factor=full)
+        held, inside = _on_bounds(whole, unknowns, full, held)
+        solved = solved._replace(factor=full, pulled=bool(inside))
+        if best is None or solved.cost <= best.cost:
+            best = solved
+        if (held == before and not inside) or turn == _TURNS:
+            return best
+        shared = np.asarray(unknowns.shared).copy()
         released = [place for place in before if place not in held]
-        if released:
-            inside = np.asarray(unknowns.shared).copy()
-            inside[released] = 3.0 * np.sign(inside[released])
-            unknowns = unknowns._replace(shared=jnp.asarray(inside))
+        shared[released] = 3.0 * np.sign(shared[released])
+        for place, value in inside.items():
+            shared[place] = value
+        unknowns = unknowns._replace(shared=jnp.asarray(shared))
 
 
 def _holding(space: Space, unknowns: Unknowns, held: dict[int, float]) -> tuple[Space, Unknowns]:
@@ -61,15 +71,23 @@ def _holding(space: Space, unknowns: Unknowns, held: dict[int, float]) -> tuple[
     )
 
 
-def _on_bounds(space: Space, unknowns: Unknowns, full: np.ndarray, held: dict[int, float]) -> dict[int, float]:
-    """Places of the free parameters that belong on a bound, and the unconstrained values that stand for it."""
+def _on_bounds(
+    space: Space, unknowns: Unknowns, full: np.ndarray, held: dict[int, float]
+) -> tuple[dict[int, float], dict[int, float]]:
+    """Return the free parameters that belong on a bound, and those on one that the data pull inwards.
+
+    Both by place: the first with the unconstrained value that stands for the bound, the second with one inside to go on from.
+    That they are pulled is the sign of Karush, Kuhn and Tucker: the physical gradient at the bound points inwards. By how much
+    is counted with all other parameters following, so that what leads less than `_NEAR` deviations away is left there.
+    """
     found = information(full, space, unknowns)
     deviations = np.sqrt(np.diagonal(found.covariance))
     shared = np.asarray(space.physical(unknowns)[0])
     gradient = full[:, :, : len(unknowns.shared)].transpose(0, 2, 1) @ full[:, :, -1:]
     downhill = -gradient.sum(axis=0)[:, 0]
-    lower, upper = np.asarray(space.lower), np.asarray(space.upper)
-    result = {}
+    lower, upper, scale = np.asarray(space.lower), np.asarray(space.upper), np.asarray(space.scale)
+    slope = slope_of(space, unknowns)
+    result, inside = {}, {}
     for place, index in enumerate(np.asarray(space.active)):
         if index >= len(space.names):
             continue
@@ -84,4 +102,14 @@ def _on_bounds(space: Space, unknowns: Unknowns, full: np.ndarray, held: dict[in
             result[place] = -_AT
         elif high - value < _NEAR * deviation and downhill[place] >= 0:
             result[place] = _AT
-    return result
+        elif np.isfinite(low) or np.isfinite(high):
+            width = high - low
+            amid = 0.25 * width if np.isfinite(width) else scale[index]
+            # Where it would go with all others following, by a straight line in physical units.
+            move = downhill[place] / slope[place] * deviation**2
+            inward = move if value - low < high - value else -move
+            if abs(slope[place]) < _FLAT * amid and inward > _NEAR * deviation:
+                by = min(np.clip(inward, *(share * scale[index] for share in _INSIDE)), 0.5 * width)
+                target = low + by if value - low < high - value else high - by
+                inside[place] = float(to_unconstrained(*(np.asarray(x) for x in (target, low, high, scale[index]))))
+    return result, inside

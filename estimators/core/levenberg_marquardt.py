@@ -106,6 +106,7 @@ class Solved(NamedTuple):
         cost: half the sum of squares.
         steps: how many were tried.
         converged: whether steps and residual stopped changing, rather than the number of steps running out.
+        pulled: whether a parameter was left on its bound although the data pull it inwards.
     """
 
     unknowns: Unknowns
@@ -113,6 +114,7 @@ class Solved(NamedTuple):
     cost: float
     steps: int
     converged: bool
+    pulled: bool = False
 
 
 def solve(

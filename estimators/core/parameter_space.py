@@ -69,13 +69,24 @@ class Space(eqx.Module):
             return shared, each, self.start
         return shared, each, self.start + (1.0 - self.start_held) * self.start_scale * unknowns.start
 
-    def unconstrained(self, *, start: bool = True) -> Unknowns:
-        """The unknowns at the present values; without `start` the states at the start are not among them."""
+    def unconstrained(self, *, start: bool = True, off_bounds: float = 0.0) -> Unknowns:
+        """The unknowns at the present values; without `start` the states at the start are not among them.
+
+        Args:
+            off_bounds: share of its scale by which a parameter exactly on a bound is moved inside, for a fit that begins
+                there. On the bound itself a reparametrised parameter has next to no slope, and would stay.
+        """
+
+        def placed(value: np.ndarray, low: np.ndarray, high: np.ndarray, scale: np.ndarray) -> np.ndarray:
+            by = np.minimum(off_bounds * scale, 0.5 * (high - low))
+            inside = np.where(value <= low, low + by, np.where(value >= high, high - by, value))
+            return to_unconstrained(inside, low, high, scale)
+
         index = np.asarray(self.active)
         inside = index < len(self.names)
         place = np.where(inside, index, 0)
-        shared = to_unconstrained(*(np.asarray(x)[place] for x in (self.values, self.lower, self.upper, self.scale)))
-        each = to_unconstrained(
+        shared = placed(*(np.asarray(x)[place] for x in (self.values, self.lower, self.upper, self.scale)))
+        each = placed(
             np.asarray(self.each_values),
             *(np.asarray(x)[:, None] for x in (self.each_lower, self.each_upper, self.each_scale)),
         )

@@ -10,6 +10,10 @@ class RESULTS(eqx.Enumeration):
     steps_exhausted = (
         "The fit did not converge in the steps allowed; raise `steps`, or look at the parameters that still move."
     )
+    pulled_off_bound = (
+        "The fit did not converge: an estimate lies on its bound, and the data pull it inwards; begin with a plausible value "
+        "of it (model.with_values), or fix it."
+    )
     starts_disagree = (
         "The fit converged, but no second start reached the same place; it may be a local minimum, "
         "so compare the model with the data before trusting it."

@@ -35,6 +35,9 @@ _CORRECTION = (0.3, 0.03)
 _GUIDED = 5.0
 # An experiment begins at rest where that leaves less than this share of what is left from where its first samples begin.
 _AT_REST = 0.5
+# Share of its plausible size with which a parameter begins that is given exactly on a bound; the refits of a diagnosis
+# begin no nearer to null either.
+_OFF_BOUNDS = 0.05
 # A start whose short predictions stay this many times worse than another's is given up.
 _HOPELESS = 5.0
 
@@ -99,6 +102,8 @@ def output_error(
     found.require_determined()
     if not stage.solved.converged:
         result = RESULTS.steps_exhausted
+    elif stage.solved.pulled:
+        result = RESULTS.pulled_off_bound
     elif len(candidates) > 1 and agreed < 2:
         result = RESULTS.starts_disagree
     else:
@@ -173,7 +178,7 @@ class _Run:
     def descend(self, model: RTAC, *, best: float) -> _Stage | None:
         """From predictions with strong correction to the free simulation; None where that leads nowhere."""
         space = space_of(model, self.experiments, free=[n for n in model.free if n not in model.per_experiment])
-        unknowns = space.unconstrained()
+        unknowns = space.unconstrained(off_bounds=_OFF_BOUNDS)
         noise = np.array([self.levels.get(channel, 1.0) for channel in CHANNELS])
         scales = scales_of(model, self.experiments)
         nothing = no_gain(model, self.data)

@@ -21,6 +21,7 @@ from estimators._line_classes import LineClass
 from estimators._offered import offered
 from estimators._output_error import Fit
 from estimators._refit import Refit, Tested
+from estimators._residual_veto import SimulationResidual
 from estimators._screen import correlations
 from estimators._search import Search
 from estimators._stepwise import Tried, by_size, improvements, second_looks
@@ -63,6 +64,7 @@ class Diagnosis:
         random_force, random_torque: what the predictor of the base model needs, as shares of the rms forces.
         explanation: in plain words.
         seconds: how long it took.
+        simulation: what the error of the fitted simulation means, where no test rejects and no effect is named; None elsewhere.
     """
 
     verdict: Verdict
@@ -80,6 +82,7 @@ class Diagnosis:
     random_torque: float
     explanation: str
     seconds: float
+    simulation: SimulationResidual | None = None
 
     @property
     def best(self) -> Effect | None:
@@ -148,10 +151,12 @@ def diagnose(
         with warnings.catch_warnings():  # what threads do to the filters at the same time ends here
             found = _searched(search, thorough)
         bar.set_description("diagnose: verdict")
-        told = _told(found, [c for c in classes if c.id not in search.absent])
+        told = _told(found, [c for c in classes if c.id not in search.absent], fit)
     if (
-        told.verdict == "adequate" and max(told.random_force, told.random_torque) < SHAKEN
-    ):  # or else they are the reason
+        told.simulation is not None
+        and told.simulation.cause == "unexplained"
+        and max(told.random_force, told.random_torque) < SHAKEN  # or else they are the reason
+    ):
         told = dataclasses.replace(told, explanation=told.explanation + strayed(fit.residual_std, fit.noise, recording))
     return dataclasses.replace(told, seconds=time.perf_counter() - began)
 
@@ -193,10 +198,14 @@ def _searched(search: Search, thorough: bool) -> _Found:
     return _Found(search, base, tested, steps, refits, thorough)
 
 
-def _told(found: _Found, unshown: Sequence[type[Effect]]) -> Diagnosis:
+def _told(found: _Found, unshown: Sequence[type[Effect]], fit: Fit) -> Diagnosis:
     """The verdict and its reasons; of candidates that nothing in the recording could show, that."""
     search, base, tests = found.search, found.base, found.tested.tests
     verdict, count, removed = judge(found.steps, tests, search.samples)
+    simulation = search.simulation(fit, base, found.tested.screened) if verdict == "adequate" else None
+    latent = search.latent(base) if verdict == "unknown" else ()
+    if simulation is not None and simulation.vetoes:
+        verdict = "unknown"
     candidates = _candidates(search, base, found.tested, found.steps, count, found.refits)
     candidates += [_not_testable(c, float(np.log(search.samples))) for c in unshown]
     steps = without_named_rivals(found.steps[:count])
@@ -216,13 +225,14 @@ def _told(found: _Found, unshown: Sequence[type[Effect]]) -> Diagnosis:
         left=left,
         removed=removed,
         curves=found.tested.curves,
-        latent=search.latent(base) if verdict == "unknown" else (),
+        latent=latent,
         places=search.places(base),
         lines=search.lines(base),
         random_force=base.predictor.random_force,
         random_torque=base.predictor.random_torque,
         explanation="",
         seconds=0.0,
+        simulation=simulation,
     )
     return dataclasses.replace(told, explanation=_explanation(told, steps, found, found.steps[count:]))
 
@@ -232,7 +242,7 @@ def _explanation(told: Diagnosis, steps: Sequence[Step], found: _Found, further:
     search = found.search
     text = words(
         told.verdict, told.effects, told.candidates, steps, told.tests, told.left, told.removed, told.curves, told.latent,
-        told.places, told.lines,
+        told.places, told.lines, told.simulation,
     )  # fmt: skip
     if steps and further:
         text += not_named(further, told.left, search.samples)
@@ -242,9 +252,12 @@ def _explanation(told: Diagnosis, steps: Sequence[Step], found: _Found, further:
         text += (
             f" The intervals of {', '.join(struck)} may be far too narrow: they leave out when parts hit each other."
         )
-    if told.verdict == "unknown" and not found.thorough:
+    if told.verdict == "unknown" and told.simulation is None and not found.thorough:
         text += " This was a quick diagnosis: a thorough one also tries what raised no alarm."
-    if not any(test.rejects for test in told.left):  # or else random forces may stand for what is still missing
+    vetoed = told.simulation is not None and told.simulation.vetoes
+    if not vetoed and not any(
+        test.rejects for test in told.left
+    ):  # or else random forces may stand for what is still missing
         final = (steps[-1].refit if steps else found.base).predictor
         text += shaken(final.random_force, final.random_torque, search.left_out)
     if search.assumed:

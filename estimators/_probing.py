@@ -7,7 +7,7 @@ from functools import partial
 import jax.numpy as jnp
 import numpy as np
 
-from estimators._adequacy import evidence
+from estimators._adequacy import alarming, evidence
 from estimators._at_once import at_once
 from estimators._compile import Ahead
 from estimators._delayed_force import delayed_forces
@@ -17,11 +17,14 @@ from estimators._innovations import Innovations, Rows, orthonormal
 from estimators._latent_force import LatentForce, latent_forces
 from estimators._likelihood import run_filter, start_variance
 from estimators._line_classes import LineClass, line_classes
-from estimators._problem import CHANNELS
+from estimators._output_error import Fit
+from estimators._problem import CHANNELS, start_rows
 from estimators._refit import Refit, Tested
 from estimators._repeats import repeat_test
-from estimators._screen import Group, NotNothingError, Screened, same, screen
+from estimators._residual_veto import SimulationResidual, known_noise, simulation_residual
+from estimators._screen import ALARM, Group, NotNothingError, Screened, few_for, same, screen
 from estimators._setting import Setting, begun, by_name, shared
+from estimators._shaken_simulation import signal_rms, simulation_deviation
 from estimators._spectral_line import spectral_line
 from estimators._start import scales_of
 from estimators._where import Place, where
@@ -111,6 +114,44 @@ class Probing(Setting):
         probed = self._innovations(quiet, [], quiet.free)
         basis = orthonormal(probed.jacobian())
         return self._screened(quiet, probed, self._error(quiet, probed, basis), basis)
+
+    def simulation(self, fit: Fit, base: Refit, screened: Sequence[Screened]) -> SimulationResidual:
+        """Return what the simulation error of the diagnosed fit means beside the random forces of its predictor.
+
+        Args:
+            fit: that is diagnosed.
+            base: the predictor of the same model.
+            screened: the candidates, against its innovations.
+        """
+        known = [c for c in fit.residual_std if c in known_noise(self.recording)]
+        error = {c: fit.residual_std[c] / fit.noise[c] for c in known}
+        start = np.stack([fit.start[e.name] for e in self.experiments], axis=1)
+        space = begun(
+            self.space(base.model, base.free), base.model, dict(zip(start_rows(fit.model), start, strict=True))
+        )
+        values = base.values | {name: float(np.asarray(fit.model[name])) for name in shared(fit.model)}
+        physical = (
+            jnp.asarray([values[name] for name in space.names]), base.predictor.physical[1], space.start,
+        )  # fmt: skip
+        deviation = simulation_deviation(
+            base.model, self.data, space, physical, self.prior.starting(space), base.predictor.noise, self.substeps
+        )
+        signal = signal_rms(self.data)
+        rows = {c: CHANNELS.index(c) for c in known}
+        scales = scales_of(self.model, self.experiments)
+        stretches = int(np.max(self.stretches())) + 1
+        few = [s for s in screened if few_for(s, stretches, len(screened))] if not alarming(screened) else []
+        loudest = max(few, key=lambda s: s.statistic, default=None)
+        return simulation_residual(
+            error,
+            {c: float(deviation[row]) / fit.noise[c] for c, row in rows.items() if np.isfinite(deviation[row])},
+            {c: float(signal[row]) / fit.noise[c] for c, row in rows.items()},
+            random=(base.predictor.random_force, base.predictor.random_torque),
+            samples_per_radian=1.0 / (scales.frequency * scales.sample_time),
+            experiments=len(self.experiments),
+            suspect="" if loudest is None else f"{loudest.id} ({loudest.statistic:.0f}, the alarm is at {ALARM:.0f})",
+            seconds=stretches,
+        )
 
     def places(self, refit: Refit) -> tuple[Place, ...]:
         """Where the innovations are too large."""

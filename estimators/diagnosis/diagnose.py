@@ -31,6 +31,7 @@ from estimators.diagnosis.verdict import (
     without_named_rivals,
     words,
 )
+from estimators.inference.simulation_residual import SimulationResidual
 from estimators.misspecification.adequacy import Evidence, alarming, excess_of, p_by_chance
 from estimators.misspecification.candidate_screening import correlations
 from estimators.misspecification.detection_limit import TESTABLE, main_amplitude
@@ -64,6 +65,7 @@ class Diagnosis:
         random_force, random_torque: what the predictor of the base model needs, as shares of the rms forces.
         explanation: in plain words.
         seconds: how long it took.
+        simulation: what the error of the fitted simulation means, where no test rejects and no effect is named; None elsewhere.
     """
 
     verdict: Verdict
@@ -81,6 +83,7 @@ class Diagnosis:
     random_torque: float
     explanation: str
     seconds: float
+    simulation: SimulationResidual | None = None
 
     @property
     def best(self) -> Effect | None:
@@ -147,10 +150,12 @@ def diagnose(
         with warnings.catch_warnings():  # what threads do to the filters at the same time ends here
             found = _searched(search, thorough)
         bar.set_description("diagnose: verdict")
-        told = _told(found, [c for c in classes if c.id not in search.absent])
+        told = _told(found, [c for c in classes if c.id not in search.absent], fit)
     if (
-        told.verdict == "adequate" and max(told.random_force, told.random_torque) < SHAKEN
-    ):  # or else they are the reason
+        told.simulation is not None
+        and told.simulation.cause == "unexplained"
+        and max(told.random_force, told.random_torque) < SHAKEN  # or else they are the reason
+    ):
         told = dataclasses.replace(told, explanation=told.explanation + strayed(fit.residual_std, fit.noise, recording))
     return dataclasses.replace(told, seconds=time.perf_counter() - began)
 
@@ -192,10 +197,14 @@ def _searched(search: Search, thorough: bool) -> _Found:
     return _Found(search, base, tested, steps, refits, thorough)
 
 
-def _told(found: _Found, unshown: Sequence[type[Effect]]) -> Diagnosis:
+def _told(found: _Found, unshown: Sequence[type[Effect]], fit: Fit) -> Diagnosis:
     """The verdict and its reasons; of candidates that nothing in the recording could show, that."""
     search, base, tests = found.search, found.base, found.tested.tests
     verdict, count, removed = judge(found.steps, tests, search.samples)
+    simulation = search.simulation(fit, base, found.tested.screened) if verdict == "adequate" else None
+    latent = search.latent(base) if verdict == "unknown" else ()
+    if simulation is not None and simulation.vetoes:
+        verdict = "unknown"
     candidates = _candidates(search, base, found.tested, found.steps, count, found.refits)
     candidates += [_not_testable(c, float(np.log(search.samples))) for c in unshown]
     steps = without_named_rivals(found.steps[:count])
@@ -215,13 +224,14 @@ def _told(found: _Found, unshown: Sequence[type[Effect]]) -> Diagnosis:
         left=left,
         removed=removed,
         curves=found.tested.curves,
-        latent=search.latent(base) if verdict == "unknown" else (),
+        latent=latent,
         places=search.places(base),
         lines=search.lines(base),
         random_force=base.predictor.random_force,
         random_torque=base.predictor.random_torque,
         explanation="",
         seconds=0.0,
+        simulation=simulation,
     )
     return dataclasses.replace(told, explanation=_explanation(told, steps, found, found.steps[count:]))
 
@@ -231,7 +241,7 @@ def _explanation(told: Diagnosis, steps: Sequence[Step], found: _Found, further:
     search = found.search
     text = words(
         told.verdict, told.effects, told.candidates, steps, told.tests, told.left, told.removed, told.curves, told.latent,
-        told.places, told.lines,
+        told.places, told.lines, told.simulation,
     )  # fmt: skip
     if steps and further:
         text += not_named(further, told.left, search.samples)
@@ -241,9 +251,12 @@ def _explanation(told: Diagnosis, steps: Sequence[Step], found: _Found, further:
         text += (
             f" The intervals of {', '.join(struck)} may be far too narrow: they leave out when parts hit each other."
         )
-    if told.verdict == "unknown" and not found.thorough:
+    if told.verdict == "unknown" and told.simulation is None and not found.thorough:
         text += " This was a quick diagnosis: a thorough one also tries what raised no alarm."
-    if not any(test.rejects for test in told.left):  # or else random forces may stand for what is still missing
+    vetoed = told.simulation is not None and told.simulation.vetoes
+    if not vetoed and not any(
+        test.rejects for test in told.left
+    ):  # or else random forces may stand for what is still missing
         final = (steps[-1].refit if steps else found.base).predictor
         text += shaken(final.random_force, final.random_torque, search.left_out)
     if search.assumed:

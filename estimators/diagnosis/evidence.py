@@ -9,12 +9,24 @@ import numpy as np
 
 from estimators.core.compilation import Ahead
 from estimators.core.data import CHANNELS
+from estimators.core.fit import Fit
 from estimators.core.initial_state import scales_of
+from estimators.core.residual import start_rows
 from estimators.core.threads import at_once
 from estimators.diagnosis.refit import Refit, Tested
 from estimators.diagnosis.setting import Setting, begun, by_name, shared
-from estimators.misspecification.adequacy import evidence
-from estimators.misspecification.candidate_screening import Group, NotNothingError, Screened, same, screen
+from estimators.inference.shaken_simulation import signal_rms, simulation_deviation
+from estimators.inference.simulation_residual import SimulationResidual, known_noise, simulation_residual
+from estimators.misspecification.adequacy import alarming, evidence
+from estimators.misspecification.candidate_screening import (
+    ALARM,
+    Group,
+    NotNothingError,
+    Screened,
+    few_for,
+    same,
+    screen,
+)
 from estimators.misspecification.detection_limit import detection_limits
 from estimators.misspecification.lagged_force import delayed_forces
 from estimators.misspecification.line_classes import LineClass, line_classes
@@ -111,6 +123,44 @@ class Probing(Setting):
         probed = self._innovations(quiet, [], quiet.free)
         basis = orthonormal(probed.jacobian())
         return self._screened(quiet, probed, self._error(quiet, probed, basis), basis)
+
+    def simulation(self, fit: Fit, base: Refit, screened: Sequence[Screened]) -> SimulationResidual:
+        """Return what the simulation error of the diagnosed fit means beside the random forces of its predictor.
+
+        Args:
+            fit: that is diagnosed.
+            base: the predictor of the same model.
+            screened: the candidates, against its innovations.
+        """
+        known = [c for c in fit.residual_std if c in known_noise(self.recording)]
+        error = {c: fit.residual_std[c] / fit.noise[c] for c in known}
+        start = np.stack([fit.start[e.name] for e in self.experiments], axis=1)
+        space = begun(
+            self.space(base.model, base.free), base.model, dict(zip(start_rows(fit.model), start, strict=True))
+        )
+        values = base.values | {name: float(np.asarray(fit.model[name])) for name in shared(fit.model)}
+        physical = (
+            jnp.asarray([values[name] for name in space.names]), base.predictor.physical[1], space.start,
+        )  # fmt: skip
+        deviation = simulation_deviation(
+            base.model, self.data, space, physical, self.prior.starting(space), base.predictor.noise, self.substeps
+        )
+        signal = signal_rms(self.data)
+        rows = {c: CHANNELS.index(c) for c in known}
+        scales = scales_of(self.model, self.experiments)
+        stretches = int(np.max(self.stretches())) + 1
+        few = [s for s in screened if few_for(s, stretches, len(screened))] if not alarming(screened) else []
+        loudest = max(few, key=lambda s: s.statistic, default=None)
+        return simulation_residual(
+            error,
+            {c: float(deviation[row]) / fit.noise[c] for c, row in rows.items() if np.isfinite(deviation[row])},
+            {c: float(signal[row]) / fit.noise[c] for c, row in rows.items()},
+            random=(base.predictor.random_force, base.predictor.random_torque),
+            samples_per_radian=1.0 / (scales.frequency * scales.sample_time),
+            experiments=len(self.experiments),
+            suspect="" if loudest is None else f"{loudest.id} ({loudest.statistic:.0f}, the alarm is at {ALARM:.0f})",
+            seconds=stretches,
+        )
 
     def places(self, refit: Refit) -> tuple[Place, ...]:
         """Where the innovations are too large."""

@@ -145,7 +145,10 @@ def improve(
         diagnoses.append(found)
         if not found.additions:
             enough = found.verdict == "adequate"
-            stopped = f"Stopped: {'nothing more is missing' if enough else 'what is missing is not in the catalogue'}."
+            why = "nothing more is missing" if enough else "what is missing is not in the catalogue"
+            if found.simulation is not None and found.simulation.vetoes:
+                why = "no test names what the simulation's error comes from"
+            stopped = f"Stopped: {why}."
         known = {c.id: c for c in found.effects}
         for effect in found.additions:
             if len(added) == most:

@@ -7,6 +7,7 @@ from typing import Literal
 
 from estimators.core.fit import Parameter
 from estimators.diagnosis.candidate import Candidate, Step
+from estimators.inference.simulation_residual import SimulationResidual, known_noise
 from estimators.misspecification.adequacy import LEVEL, Evidence, excess_of, removed_by_repeats, significant
 from estimators.misspecification.line_classes import LineClass
 from estimators.misspecification.residual_maps import Place
@@ -75,6 +76,7 @@ def words(
     latent: Sequence[LatentForce],
     places: Sequence[Place],
     lines: Sequence[LineClass],
+    simulation: SimulationResidual | None = None,
 ) -> str:
     """A paragraph: what is missing, how big, where it shows, how sure, and what would make it surer."""
     if verdict == "adequate":
@@ -82,7 +84,12 @@ def words(
         text = ", ".join(f"{c.id} {c.detection_limit:.2g} {c.unit}".removesuffix(" 1") for c in limits)
         blind = [c.id for c in candidates if not c.testable]
         unseen = f" These data could not show {', '.join(blind)} at any plausible size." if blind else ""
-        return f"Adequate: at the noise floor nothing is missing. An effect would have been found from: {text}.{unseen}"
+        floor = (
+            simulation.words
+            if simulation is not None and simulation.words
+            else "At the noise floor nothing is missing."
+        )
+        return f"Adequate: {floor[0].lower()}{floor[1:]} An effect would have been found from: {text}.{unseen}"
     worst = next((p for p in places if p.by == "experiment"), None)
     part = next((p for p in places if p.by != "experiment" and p.excess > 1), None)
     shown = ""
@@ -94,6 +101,10 @@ def words(
     elif worst is not None:
         shown = f" It shows most in {worst.channel} of {worst.label} ({worst.value:.2f} times the expected squares)"
         shown += f" and at {part.label}." if part is not None else "."
+    if simulation is not None and simulation.vetoes:
+        return f"Unknown: {simulation.words[0].lower()}{simulation.words[1:]}" + (
+            shown if worst is not None and worst.excess > 1 else ""
+        )
     if verdict == "unknown":
         return _unknown(candidates, tests, removed, curves, latent, lines) + shown
     by_id = {c.id: c for c in effects}
@@ -192,7 +203,7 @@ def strayed(residual_std: Mapping[str, float], noise: Mapping[str, float], recor
 
     Of sensors whose noise is stated or recorded at rest: that of others is taken from fast changes, and is more where it is slow.
     """
-    at_rest = {c for e in recording for c in e.outputs if e.kind == "rest" or e.outputs[c].noise_std is not None}
+    at_rest = known_noise(recording)
     known = [c for c in noise if c in at_rest and c in residual_std]
     channel = max(known, key=lambda c: residual_std[c] / noise[c], default=None)
     far = residual_std[channel] / noise[channel] if channel is not None else 0.0

@@ -11,11 +11,16 @@ from scipy.stats import f as fisher
 from scipy.stats import t as student
 from tqdm import tqdm
 
+from estimators.core.data import CHANNELS
 from estimators.core.drawing import draw
 from estimators.core.fit import Fit
+from estimators.core.initial_state import scales_of
+from estimators.core.linearisation import at_fit
 from estimators.inference.assumptions import ASSUMES
 from estimators.inference.bootstrap import Shaken, Shuffled
 from estimators.inference.estimates import MODAL, Result, Way, label_of, way_of
+from estimators.inference.shaken_simulation import shaken_by, signal_rms
+from estimators.inference.simulation_residual import SimulationResidual, known_noise, simulation_residual
 from estimators.linear.fit import LinearModels
 from estimators.prediction_error.fit import PredictorFit
 from rtac_jax import require_configured
@@ -28,6 +33,9 @@ _HIDES = (
     " The random forces that the prediction error takes into account may stand for an effect that is missing; est.diagnose "
     "tells the two apart."
 )
+
+
+_ASK = " Add est.prediction_error_nonlinear's result, which estimates random forces, and ask est.diagnose."
 
 
 @dataclasses.dataclass(frozen=True)
@@ -69,6 +77,7 @@ class Agreement:
         draws: replicates that the distribution of the differences was taken from.
         disturbed: whether the replicates hold random forces and torques.
         misfit: residual of each output error over the noise, of its worst channel, by label.
+        simulation: what the residual of the first output error means where its noise is known; None without an output error.
     """
 
     names: tuple[str, ...]
@@ -82,6 +91,7 @@ class Agreement:
     draws: int
     disturbed: bool
     misfit: Mapping[str, float]
+    simulation: SimulationResidual | None = None
 
     @property
     def rejected(self) -> bool:
@@ -118,10 +128,13 @@ class Agreement:
         """In words: whether they agree, which assumption fails, and what to look at next."""
         smallest = self.worst.p_value
         if not self.rejected:
-            return (
-                f"They agree: differences as large as these come about by chance (p = {smallest:.2g}). What the estimates "
-                "rest on holds as far as these data can tell." + (_HIDES if "prediction error" in self.labels else "")
-            )
+            chance = f"differences as large as these come about by chance (p = {smallest:.2g})."
+            hides = _HIDES if "prediction error" in self.labels else ""
+            if self.simulation is not None and self.simulation.vetoes:
+                return f"No two disagree: {chance} That confirms nothing. {self.simulation.words}{hides or _ASK}"
+            if self.simulation is not None and self.simulation.words:
+                return f"They agree: {chance} {self.simulation.words}{hides}"
+            return f"They agree: {chance} What the estimates rest on holds as far as these data can tell.{hides}"
         failing = list(dict.fromkeys(ASSUMES[n][0] for n in self.differing if n in ASSUMES))
         fails = f" Doubt first that {failing[0]}" + "".join(f", then that {f}" for f in failing[1:3]) + "."
         first, second = (self.asks[self.labels.index(label)] for label in self.worst.labels)
@@ -282,7 +295,31 @@ def agreement(
         for label, result in zip(said, several, strict=True)
         if isinstance(result, Fit)
     }
-    return Agreement(names, units, said, asks, values, spread, pairs, level, draws, bool(predictors), misfit)
+    simulation = _simulation(fits[0], recording, predictors) if fits else None
+    return Agreement(
+        names, units, said, asks, values, spread, pairs, level, draws, bool(predictors), misfit, simulation
+    )
+
+
+def _simulation(fit: Fit, recording: Recording, predictors: Sequence[PredictorFit]) -> SimulationResidual:
+    """Return what the residual of an output error means, beside the random forces of a predictor if there is one."""
+    problem = at_fit(fit, recording)
+    data = problem.arguments.data
+    rows = {c: CHANNELS.index(c) for c in fit.residual_std if c in known_noise(recording)}
+    random, deviation = (float("nan"), float("nan")), {}
+    if predictors:
+        left, random = shaken_by(predictors[0], np.asarray(problem.arguments.space.physical(problem.unknowns)[2]))
+        deviation = {c: float(left[row]) / fit.noise[c] for c, row in rows.items()}
+    signal = signal_rms(data)
+    scales = scales_of(fit.model, problem.experiments)
+    return simulation_residual(
+        {c: fit.residual_std[c] / fit.noise[c] for c in rows},
+        deviation,
+        {c: float(signal[row]) / fit.noise[c] for c, row in rows.items()},
+        random=random,
+        samples_per_radian=1.0 / (scales.frequency * scales.sample_time),
+        experiments=len(problem.experiments),
+    )
 
 
 def _common(one: Way, other: Way) -> tuple[str, ...]:

@@ -199,6 +199,11 @@ def _screened(
     return Screened(instance.id, instance, names, estimate, max(statistic, 0.0), p_value, limit, templates)
 
 
+def few_for(s: Screened, stretches: int, tried: int) -> bool:
+    """Return whether a candidate is large by the model's variance, and so few stretches of time could not confirm it."""
+    return ALARM <= s.statistic < _alarm(stretches, tried)
+
+
 def _alarm(stretches: int, tried: int) -> float:
     """Chi-square at which one amplitude raises the alarm: fewer stretches of time tell their scatter less well."""
     if stretches < 3:

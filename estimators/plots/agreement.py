@@ -34,6 +34,8 @@ def plot_agreement(found: Agreement) -> Picture:
     tidy(axes)
     if found.rejected:
         title(figure, f"The estimates disagree, most clearly in {found.differing[0]}: the model lacks something")
+    elif found.simulation is not None and found.simulation.vetoes:
+        title(figure, f"No two estimates disagree, which confirms nothing. {found.simulation.headline}")
     else:
         title(figure, "The estimates agree within chance")
     return figure

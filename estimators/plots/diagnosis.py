@@ -69,6 +69,8 @@ def plot_diagnosis(diagnosis: Diagnosis, *, recording: Recording | None = None) 
 def finding(diagnosis: Diagnosis) -> str:
     """The verdict in one line, with the numbers that carry it."""
     accepted = diagnosis.effects
+    if diagnosis.simulation is not None and diagnosis.simulation.words:
+        return diagnosis.simulation.headline
     if diagnosis.verdict == "adequate":
         tried, count = len(diagnosis.candidates), sum(c.testable for c in diagnosis.candidates)
         return f"Nothing is missing at the noise floor: none of {tried} candidates ({count} testable) stands out"

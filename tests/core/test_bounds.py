@@ -10,12 +10,12 @@ import estimators as est
 import rtac_jax as rtac
 from estimators.core import active_bounds as _bounds
 from estimators.core.active_bounds import solve_bounded
+from estimators.core.data import Data
 from estimators.core.initial_state import space_of
 from estimators.core.levenberg_marquardt import Arguments
 from estimators.core.linearisation import at_fit
-from estimators.core.residual import Data
+from estimators.core.residual import diagonal_whitener, no_gain
 from estimators.diagnosis.candidate_set import plausible
-from estimators.output_error.fit import diagonal_whitener, no_gain
 from rtac_jax import Scales, effects, virtual_rig
 from rtac_jax.parameters import declarations
 from rtac_jax.simulation import substeps_for

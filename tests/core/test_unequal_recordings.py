@@ -9,12 +9,14 @@ from small_experiments import forced as small_forced
 
 import estimators as est
 import rtac_jax as rtac
+from estimators.core.data import CHANNELS, Data
 from estimators.core.initial_state import space_of
 from estimators.core.levenberg_marquardt import Arguments, factor, plain_residual
-from estimators.core.residual import CHANNELS, Data
+from estimators.core.residual import diagonal_whitener, no_gain
+from estimators.core.step_size import accurate_substeps
 from estimators.misspecification.replication_test import repeat_test
 from estimators.misspecification.spectral_line_test import spectral_line
-from estimators.output_error.fit import _settled, accurate_substeps, diagonal_whitener, no_gain
+from estimators.output_error.fit import _settled
 from estimators.prediction_error.ekf import filtered
 from estimators.prediction_error.innovations import stretches
 from estimators.prediction_error.noise_estimation import start_variance

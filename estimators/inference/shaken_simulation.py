@@ -1,0 +1,68 @@
+"""How far random forces carry a simulation away: the covariance of a filter that is not corrected."""
+
+import dataclasses
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from estimators.core.data import Data
+from estimators.core.parameter_space import Space
+from estimators.prediction_error.fit import PredictorFit
+from estimators.prediction_error.noise_estimation import NoiseModel, all_trusted, run_filter
+from rtac_jax import RTAC
+from rtac_jax.simulation import Steps
+
+# Weight of a measurement in a filter that is to ignore it: its gain falls with the square, far below rounding of any residual.
+_IGNORED = 1e-6
+
+
+def simulation_deviation(
+    model: RTAC, data: Data, space: Space, physical: Any, prior: NoiseModel, noise: np.ndarray, substeps: Steps
+) -> Float[np.ndarray, " output"]:
+    """Return the rms error that random forces and sensor noise give a free simulation, per output, SI units.
+
+    The covariance is propagated along the simulation by the filter's own compiled pass, whose measurements have no weight, from
+    starts that are known. NaN for an output that nobody measured. A fit of starts and parameters absorbs a part of this.
+
+    Args:
+        physical: all parameters and the states at the start, along which to linearise.
+        noise: as `run_filter` takes it.
+
+    Source: Jazwinski, Stochastic Processes and Filtering Theory (1970), chapter 8, prediction without measurement update.
+    """
+    known = dataclasses.replace(prior, start_variance=jnp.zeros_like(prior.start_variance))
+    ignored = dataclasses.replace(all_trusted(data), present=_IGNORED * data.present)
+    passed = run_filter(model, ignored, space, physical, known, noise, substeps).filtered
+    weights = np.moveaxis(np.diagonal(np.asarray(passed.whitener), axis1=1, axis2=2), -1, 1)
+    present = np.asarray(data.present) > 0
+    # The whitener's diagonal is the weight squared over the deviation.
+    variance = np.where(present, (_IGNORED**2 / np.where(present, weights, 1.0)) ** 2, 0.0)
+    count = present.sum(axis=(0, 2))
+    return np.sqrt(np.where(count > 0, variance.sum(axis=(0, 2)) / np.maximum(count, 1), np.nan))
+
+
+def shaken_by(
+    fit: PredictorFit, start: Float[np.ndarray, "start experiment"]
+) -> tuple[Float[np.ndarray, " output"], tuple[float, float]]:
+    """Return `simulation_deviation` of a predictor, and its random force and torque in one sample as shares of the rms forces.
+
+    Args:
+        start: states at the start, along whose simulation to linearise.
+    """
+    a = fit.problem.arguments
+    shared, each, _ = a.space.physical(fit.problem.unknowns)
+    physical = (shared, each, jnp.asarray(start))
+    left = simulation_deviation(a.model, a.data, a.space, physical, fit.prior, fit.noise_exponents, a.substeps)
+    force, torque = np.exp(0.5 * fit.noise_exponents[:2])
+    return left, (float(force), float(torque))
+
+
+def signal_rms(data: Data) -> Float[np.ndarray, " output"]:
+    """Return the rms of each output about its mean in each experiment, SI units; NaN where nobody measured it."""
+    values = np.where(np.asarray(data.present) > 0, np.asarray(data.values), np.nan)
+    count = np.isfinite(values).sum(axis=0, keepdims=True)
+    mean = np.nansum(values, axis=0, keepdims=True) / np.maximum(count, 1)
+    total = count.sum(axis=(0, 2))
+    return np.sqrt(np.where(total > 0, np.nansum((values - mean) ** 2, axis=(0, 2)) / np.maximum(total, 1), np.nan))

@@ -1,0 +1,168 @@
+"""What a simulation error beyond a known noise means: random forces, too few data, or what nobody explained."""
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Literal
+
+from scipy.stats import chi2
+
+from rtac_jax.measurement import Recording
+
+Cause = Literal["noise", "shaken", "too few data", "stand-in", "unexplained"]
+
+# Squared error over the squared noise from which the model misses more than the sensors do: both are equally large at 2.
+_BEYOND = 2.0
+# Rms error over the rms of the motion from which a simulation is poor, whatever the reason: a fit of 90 % as in Ljung, System
+# Identification (1999), section 16.5.
+_POOR = 0.1
+# Random forces averaged over a radian of the cart's swing, over the rms forces, from which they are no small disturbance any more.
+# Set between the shaken rigs of the study (0.005 to 0.01) and recordings with signs or units wrong (0.1 to 0.4).
+_LARGE = 0.05
+# Random forces carry a swing away by one amplitude and one phase for each experiment, so that its power scatters as chi-square of
+# two degrees of freedom for each; at this level it is more than they explain. That a fit absorbs a part of it makes it cautious.
+_LEVEL = 1e-3
+
+
+@dataclasses.dataclass(frozen=True)
+class SimulationResidual:
+    """Error of a fitted simulation in the channel in which it is farthest beyond a known noise.
+
+    Attributes:
+        cause: "noise" where no channel is beyond it; "shaken" where random forces explain it; "too few data" where so would an
+            effect that the data are too few to confirm; "stand-in" where the random forces take the place of the model's own;
+            "unexplained".
+        channel: name of the output; empty where no noise is known.
+        ratio: rms error over the noise [1].
+        shaken_ratio: rms error over the noise that the random forces of the predictor would leave [1]; NaN if not known.
+        signal_fraction: rms error over the rms of the signal [1].
+        random_force, random_torque: in one sample, as shares of the rms forces; NaN if not known.
+        words: what is known, as one or two sentences; empty for "noise".
+    """
+
+    cause: Cause
+    channel: str
+    ratio: float
+    shaken_ratio: float
+    signal_fraction: float
+    random_force: float
+    random_torque: float
+    words: str
+
+    @property
+    def vetoes(self) -> bool:
+        """Whether no model may be called adequate, and no agreement a confirmation, with such an error."""
+        return self.cause not in ("noise", "shaken")
+
+    @property
+    def headline(self) -> str:
+        """The cause in one line, with the numbers that carry it."""
+        said = {
+            "noise": "The simulation follows the recording down to the noise",
+            "shaken": "One sample ahead nothing is missing; random forces explain the simulation's error",
+            "too few data": "Too few data to tell a random force from a missing effect",
+            "stand-in": "Random forces stand in for the physics",
+            "unexplained": "Nothing explains the error of the simulation",
+        }[self.cause]
+        return f"{said}: {self.ratio:.2g} times the noise ({self.channel})"
+
+
+def known_noise(recording: Recording) -> frozenset[str]:
+    """Return the channels whose noise is known apart from any fit: recorded at rest, or stated in the file."""
+    return frozenset(
+        channel
+        for e in recording
+        for channel, signal in e.outputs.items()
+        if e.kind == "rest" or signal.noise_std is not None
+    )
+
+
+def simulation_residual(
+    error: Mapping[str, float],
+    shaken: Mapping[str, float],
+    signal: Mapping[str, float],
+    *,
+    random: tuple[float, float],
+    samples_per_radian: float,
+    experiments: int,
+    suspect: str = "",
+    seconds: int = 0,
+) -> SimulationResidual:
+    """Judge the simulation error of a fit in channels of known noise.
+
+    In this order: within the noise; random forces that take the place of the model's own, where they are large and the
+    simulation is poor; more than random forces explain; an effect of the catalogue that would explain it too, and that so few
+    data cannot confirm; random forces.
+
+    Args:
+        error: rms over the noise, by channel of known noise.
+        shaken: what the random forces of the predictor and the sensors would leave of it; empty if no predictor tells.
+        signal: rms of the motion over the noise.
+        random: force and torque in one sample as shares of the rms forces; NaN if not known.
+        samples_per_radian: of the cart's natural swing, over which random forces average.
+        experiments: number of them.
+        suspect: the effect that speaks loudest of those that the data are too few to confirm, with what it reaches.
+        seconds: of data.
+    """
+    nothing = float("nan")
+    if not error:
+        return SimulationResidual("noise", "", nothing, nothing, nothing, *random, "")
+
+    def said(cause: Cause, channel: str) -> SimulationResidual:
+        fraction = error[channel] / signal[channel]
+        words = _words(cause, channel, error[channel], shaken.get(channel, nothing), fraction, random, suspect, seconds)
+        return SimulationResidual(
+            cause, channel, error[channel], shaken.get(channel, nothing), fraction, *random, words
+        )
+
+    beyond = {c: ratio for c, ratio in error.items() if ratio**2 > _BEYOND}
+    if not beyond:
+        return said("noise", max(error, key=lambda c: error[c]))
+    farthest = max(beyond, key=lambda c: beyond[c])
+    poorest = max(beyond, key=lambda c: beyond[c] / signal[c])
+    if max(random) / samples_per_radian**0.5 > _LARGE and beyond[poorest] > _POOR * signal[poorest]:
+        return said("stand-in", poorest)
+    scatter = float(chi2.isf(_LEVEL, 2 * experiments)) / (2 * experiments)
+    least = max(beyond, key=lambda c: beyond[c] / shaken.get(c, nothing) if c in shaken else float("inf"))
+    if least not in shaken or not beyond[least] ** 2 <= scatter * shaken[least] ** 2:
+        return said("unexplained", least)
+    return said("too few data" if suspect else "shaken", farthest)
+
+
+def _words(
+    cause: Cause,
+    channel: str,
+    ratio: float,
+    shaken: float,
+    fraction: float,
+    random: tuple[float, float],
+    suspect: str,
+    seconds: int,
+) -> str:
+    if cause == "noise":
+        return ""
+    misses = f"the simulation is {ratio:.2g} times the known noise away from the recording ({channel})"
+    size = (
+        f"{100 * random[0]:.2g} % of the rms spring force and {100 * random[1]:.2g} % of the rms torque in one sample"
+    )
+    if cause == "stand-in":
+        return (
+            f"Although predictions one sample ahead are at the noise, {misses}, by {100 * fraction:.0f} % of the motion. Random"
+            f" forces stand in for the physics there ({size}): the model's own forces are wrong, as by a sign, a unit, a constant"
+            " of the rig, or a gross effect."
+        )
+    if cause == "unexplained":
+        if shaken != shaken:  # NaN
+            return f"Unexplained: {misses}, and nothing says how much of that random forces would explain."
+        return (
+            f"Unexplained: {misses}. The random forces that the predictions ask for ({size}) would leave {shaken:.2g} times, so"
+            " they do not explain it."
+        )
+    if cause == "too few data":
+        return (
+            f"Too few data: {misses}. Random forces ({size}) would explain that, and so might {suspect}; {seconds} s of data are"
+            " too few to tell a random force from a missing effect."
+        )
+    return (
+        f"One sample ahead nothing is missing. Even so, {misses}, as random forces of the size that the predictions ask for would"
+        f" leave it ({shaken:.2g} times; {size}): the rig is shaken, or they hide what is smaller."
+    )

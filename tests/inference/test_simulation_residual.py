@@ -1,0 +1,191 @@
+"""A simulation error beyond a known noise is never called adequate, unless random forces of modest size explain it."""
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+
+import estimators as est
+import rtac_jax as rtac
+from estimators.inference.simulation_residual import SimulationResidual, known_noise, simulation_residual
+from rtac_jax import virtual_rig
+from rtac_jax.measurement import Recording
+
+SHAKEN = {"force_noise": 1e-3, "torque_noise": 3e-5}
+NAN = float("nan")
+
+
+def judged(
+    error: float,
+    shaken: float | None,
+    *,
+    random: tuple[float, float] = (0.02, 0.04),
+    signal: float = 200.0,
+    suspect: str = "",
+    experiments: int = 3,
+) -> SimulationResidual:
+    return simulation_residual(
+        {"cart_position": 1.0, "arm_velocity": error},
+        {} if shaken is None else {"cart_position": 1.0, "arm_velocity": shaken},
+        {"cart_position": 300.0, "arm_velocity": signal},
+        random=random, samples_per_radian=20.0, experiments=experiments, suspect=suspect, seconds=4,
+    )  # fmt: skip
+
+
+def test_within_twice_the_power_of_the_noise_nothing_is_said() -> None:
+    assert judged(1.4, 1.0).cause == "noise"
+    assert judged(1.4, 1.0).words == ""
+    assert judged(1.5, 1.0, experiments=30).cause == "unexplained"
+
+
+def test_modest_random_forces_that_would_leave_as_much_explain_it() -> None:
+    found = judged(4.0, 5.0)
+    assert found.cause == "shaken"
+    assert not found.vetoes
+    assert "nothing is missing" in found.words
+    assert "4 times the known noise" in found.words
+
+
+def test_random_forces_do_not_explain_far_more_than_they_would_leave() -> None:
+    assert judged(9.0, 5.0, experiments=3).cause == "shaken"
+    assert judged(9.0, 5.0, experiments=30).cause == "unexplained"  # the more experiments, the surer
+    assert judged(30.0, 5.0, signal=2000.0).vetoes
+
+
+def test_large_random_forces_beside_a_poor_simulation_stand_in_for_the_physics() -> None:
+    assert judged(60.0, 90.0, random=(0.4, 0.0)).cause == "stand-in"
+    assert judged(15.0, 20.0, random=(0.4, 0.0)).cause == "shaken"  # the simulation follows nine tenths
+    assert judged(60.0, 90.0, random=(0.02, 0.04)).cause == "shaken"  # as where an arm tumbles
+    assert "a sign, a unit, a constant" in judged(60.0, 90.0, random=(0.4, 0.0)).words
+
+
+def test_an_effect_that_the_data_are_too_few_to_confirm_vetoes() -> None:
+    found = judged(2.5, 2.8, suspect="arm_coulomb (127, the alarm is at 20)")
+    assert found.cause == "too few data"
+    assert found.vetoes
+    assert "arm_coulomb (127" in found.words
+
+
+def test_without_a_predictor_nothing_explains_it() -> None:
+    found = judged(18.6, None, random=(NAN, NAN))
+    assert found.cause == "unexplained"
+    assert "nothing says how much" in found.words
+    empty = simulation_residual({}, {}, {}, random=(NAN, NAN), samples_per_radian=20.0, experiments=3)
+    assert empty.cause == "noise"  # nobody knows the noise
+
+
+def train(seed: int, duration: float, free: int, forced: int, **hidden: Any) -> Recording:
+    rig = virtual_rig.Rig(**hidden)
+    plans = virtual_rig.standard_plans(seed=seed, duration=duration, free=free, forced=forced)
+    return virtual_rig.record(rig, plans, seed=6).split()[0]
+
+
+def fitted(recording: Recording) -> est.Fit:
+    return est.output_error(rtac.RTAC.from_rig(recording), recording, progress=False)
+
+
+def test_noise_is_known_from_rest_or_from_the_file() -> None:
+    recording = train(5, 2.0, 2, 2)
+    assert known_noise(recording) == {"cart_position", "arm_velocity"}
+    moving = Recording(tuple(e for e in recording if e.kind != "rest"), rig=recording.rig)
+    assert known_noise(moving) == frozenset()
+
+
+@pytest.mark.parametrize("level", [4e-4, 1.5e-4])
+def test_dry_friction_in_too_few_data_is_not_called_adequate(level: float) -> None:
+    recording = train(5, 2.0, 2, 2, arm_coulomb=level)
+    found = est.diagnose(fitted(recording), recording, progress=False, thorough=False)
+    assert found.verdict == "unknown", found
+    assert found.simulation is not None
+    assert found.simulation.cause == "too few data"
+    assert "at the noise floor nothing is missing" not in found.explanation
+    assert "arm_coulomb" in found.explanation
+    assert "Random forces shake the rig" not in found.explanation
+    assert "Too few data" in found.plot().get_suptitle().replace("\n", " ")
+
+
+def spoilt(recording: Recording, kind: str) -> Recording:
+    side, name, factor = {
+        "current of the wrong sign": ("inputs", "current", -1.0),
+        "positions in millimetres": ("outputs", "cart_position", 1000.0),
+    }[kind]
+    found = []
+    for e in recording:
+        signals = dict(getattr(e, side))
+        if name in signals:
+            signals[name] = dataclasses.replace(signals[name], values=factor * signals[name].values)
+        found.append(dataclasses.replace(e, **{side: signals}))
+    return dataclasses.replace(recording, experiments=tuple(found))
+
+
+@pytest.fixture(scope="module")
+def millimetres() -> tuple[est.Fit, Recording]:
+    recording = spoilt(train(2, 3.0, 2, 3), "positions in millimetres")
+    return fitted(recording), recording
+
+
+def test_random_forces_in_place_of_the_physics_are_not_called_adequate(millimetres: tuple[est.Fit, Recording]) -> None:
+    found = est.diagnose(*millimetres, progress=False, thorough=False)
+    assert found.verdict == "unknown", found
+    assert found.simulation is not None
+    assert found.simulation.cause == "stand-in"
+    assert "stand in for the physics" in found.explanation
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_current_of_the_wrong_sign_is_not_called_adequate(seed: int) -> None:
+    recording = spoilt(train(seed, 3.0, 2, 3), "current of the wrong sign")
+    assert est.diagnose(fitted(recording), recording, progress=False, thorough=False).verdict != "adequate"
+
+
+@pytest.fixture(scope="module")
+def shaken() -> tuple[est.Fit, Recording]:
+    recording = train(3, 3.0, 2, 3, **SHAKEN)
+    return fitted(recording), recording
+
+
+def test_a_shaken_rig_with_nothing_missing_stays_adequate(shaken: tuple[est.Fit, Recording]) -> None:
+    fit, recording = shaken
+    found = est.diagnose(fit, recording, progress=False, thorough=False)
+    assert found.verdict == "adequate", found
+    assert found.simulation is not None
+    assert found.simulation.cause == "shaken"
+    assert "one sample ahead nothing is missing" in found.explanation
+    assert "noise floor" not in found.explanation
+    # The covariance without corrections foretells how far the simulation strays; the fit absorbs a part of it.
+    assert 0.5 < found.simulation.ratio / found.simulation.shaken_ratio < 1.5
+
+
+def held_together(fit: est.Fit, recording: Recording, *, predicted: bool) -> est.Agreement:
+    closed = est.least_squares(rtac.RTAC.from_rig(recording), recording, weak=True)
+    more = [est.prediction_error_nonlinear(fit.model, recording, from_model=True, progress=False)] if predicted else []
+    return est.agreement([closed, fit, *more], recording, draws=40, progress=False)
+
+
+def test_estimates_of_a_shaken_rig_agree_but_confirm_no_noise_floor(shaken: tuple[est.Fit, Recording]) -> None:
+    found = held_together(*shaken, predicted=True)
+    assert found.simulation is not None
+    assert found.simulation.cause == "shaken"
+    assert not found.rejected, found
+    assert found.verdict.startswith("They agree")
+    assert "rest on holds" not in found.verdict
+    assert f"{found.simulation.ratio:.2g} times the known noise" in found.verdict
+
+
+def test_agreement_far_above_the_noise_confirms_nothing(millimetres: tuple[est.Fit, Recording]) -> None:
+    found = held_together(*millimetres, predicted=True)
+    assert found.simulation is not None
+    assert found.simulation.vetoes
+    agreeing = dataclasses.replace(
+        found,
+        pairs=tuple(
+            dataclasses.replace(pair, p_value=0.4, p_values=np.ones_like(pair.p_values)) for pair in found.pairs
+        ),
+    )
+    for one in (found, agreeing):
+        assert "They agree" not in one.verdict
+        assert "rest on holds" not in one.verdict
+    assert agreeing.verdict.startswith("No two disagree")
+    assert "confirms nothing" in agreeing.plot().get_suptitle().replace("\n", " ")

@@ -9,6 +9,7 @@ from estimators.core.results import RESULTS, DivergedError, NotIdentifiableError
 from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.diagnose import Diagnosis, diagnose
 from estimators.diagnosis.improve import Improvement, improve
+from estimators.diagnosis.policy import DiagnosisPolicy
 from estimators.experiment_design.next_experiment import NextExperiment, PlannedExperiment, next_experiment
 from estimators.frequency_response.estimate import frequency_responses
 from estimators.frequency_response.response import FrequencyResponse, FrequencyResponses
@@ -39,6 +40,7 @@ __all__ = [
     "ControlDesign",
     "Covariances",
     "Diagnosis",
+    "DiagnosisPolicy",
     "DivergedError",
     "EffectCost",
     "Envelope",

@@ -13,12 +13,6 @@ from estimators.diagnosis.refitting import Search
 from estimators.misspecification.candidate_screening import Screened
 from estimators.validation.model_comparison import vuong
 
-_BIC_GAIN = 10.0  # what a candidate must gain, and within which it cannot be told from the best
-_VUONG = 1.645  # standard normal statistic below which the data do not tell two models apart
-_CHANCE = 0.01  # of so large a gain by the parameters that an effect has more than the simpler one that it contains
-_ASKED = 4  # candidates of a step that are held against its effect again, when others have come
-_RIVAL = 0.5  # share of the best gain that a rival must reach to be one
-
 
 def gain(before: Refit, after: Refit) -> float:
     """Gain in log-likelihood."""
@@ -35,14 +29,14 @@ def chosen(search: Search, before: Refit, tried: Mapping[str, tuple[Screened, Re
     refits = {i: refit for i, (_, refit) in tried.items()}
     gains = {i: bic_gain(search, before, refit) for i, refit in refits.items()}
     held_out = {i: search.held_out_gain(before, refit) for i, refit in refits.items()}
-    good = [i for i in refits if gains[i] > _BIC_GAIN and not held_out[i] <= 0]
+    good = [i for i in refits if gains[i] > search.policy.bic_gain and not held_out[i] <= 0]
     if not good:
         return None
     # One whose shape has run away stands in for a simpler one; the user's own fit would refuse it.
     good = [i for i in good if not search.loose(i, refits[i])] or good
     best = max(good, key=lambda i: gains[i])
     rivals = tuple(i for i in good if i != best and _untold(search, before, refits, gains, best, i))
-    asked = {i: tried[i][0] for i in sorted(gains, key=lambda i: -gains[i])[:_ASKED]}
+    asked = {i: tried[i][0] for i in sorted(gains, key=lambda i: -gains[i])[: search.policy.reconsidered]}
     return Step(best, rivals, 2 * gain(before, refits[best]), gains[best], held_out[best], refits[best], (), asked)
 
 
@@ -52,13 +46,13 @@ def _untold(
     """Whether the data cannot tell a candidate from the best."""
     if best in search.classes[other].contains:
         more = len(tried[other].free) - len(tried[best].free)
-        return 2 * gain(tried[best], tried[other]) > float(chi2.isf(_CHANCE, max(more, 1)))
-    if gains[best] - gains[other] < _BIC_GAIN:
+        return 2 * gain(tried[best], tried[other]) > float(chi2.isf(search.policy.nested_level, max(more, 1)))
+    if gains[best] - gains[other] < search.policy.bic_gain:
         return True
-    if gain(before, tried[other]) < _RIVAL * gain(before, tried[best]):
+    if gain(before, tried[other]) < search.policy.rival * gain(before, tried[best]):
         return False
     price = 0.5 * (len(tried[best].free) - len(tried[other].free)) * float(np.log(search.samples))
-    return bool(vuong(tried[best].by_sample, tried[other].by_sample, search.stretches(), price) < _VUONG)
+    return bool(vuong(tried[best].by_sample, tried[other].by_sample, search.stretches(), price) < search.policy.vuong)
 
 
 def reconsidered(search: Search, base: Refit, steps: list[Step]) -> list[Step]:

@@ -16,6 +16,7 @@ from estimators.core.fit import Fit
 from estimators.diagnosis.candidate import Candidate, Step
 from estimators.diagnosis.candidate_set import offered
 from estimators.diagnosis.choice import bic_gain, gain
+from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
 from estimators.diagnosis.refit import Refit, Tested
 from estimators.diagnosis.refitting import Search
 from estimators.diagnosis.stepwise_selection import Tried, by_size, improvements, second_looks
@@ -66,6 +67,7 @@ class Diagnosis:
         explanation: in plain words.
         seconds: how long it took.
         simulation: what the error of the fitted simulation means, where no test rejects and no effect is named; None elsewhere.
+        policy: the thresholds that it was judged by.
     """
 
     verdict: Verdict
@@ -84,6 +86,7 @@ class Diagnosis:
     explanation: str
     seconds: float
     simulation: SimulationResidual | None = None
+    policy: DiagnosisPolicy = STANDARD
 
     @property
     def best(self) -> Effect | None:
@@ -117,6 +120,7 @@ def diagnose(
     *,
     candidates: Sequence[type[Effect]] | None = None,
     thorough: bool = True,
+    policy: DiagnosisPolicy = STANDARD,
     progress: bool = True,
 ) -> Diagnosis:
     """Say which effects the model of a fit leaves out, or that none is, or that the data cannot say.
@@ -125,6 +129,7 @@ def diagnose(
         fit: of the base model to this recording.
         candidates: classes of effects to try; by default the whole catalogue. Those of the model are passed over.
         thorough: where the verdict would be unknown, look again at what raised no alarm; that may take minutes.
+        policy: the thresholds; see `DiagnosisPolicy`.
         progress: show a bar.
 
     Raises:
@@ -141,7 +146,7 @@ def diagnose(
     if not classes:
         raise ValueError("no candidate is left: the model has every effect that was offered.")
     with tqdm(total=None, disable=not progress, desc="diagnose", unit=" steps", leave=False) as bar:
-        search = Search.of(fit, recording, classes, bar)
+        search = dataclasses.replace(Search.of(fit, recording, classes, bar), policy=policy)
         # Where some are in the model already, as in the loop, its other tests are still worth asking.
         if not search.absent and not any(c.id in fit.model for c in candidates or ()):
             raise ValueError(
@@ -200,7 +205,7 @@ def _searched(search: Search, thorough: bool) -> _Found:
 def _told(found: _Found, unshown: Sequence[type[Effect]], fit: Fit) -> Diagnosis:
     """The verdict and its reasons; of candidates that nothing in the recording could show, that."""
     search, base, tests = found.search, found.base, found.tested.tests
-    verdict, count, removed = judge(found.steps, tests, search.samples)
+    verdict, count, removed = judge(found.steps, tests, search.samples, search.policy)
     simulation = search.simulation(fit, base, found.tested.screened) if verdict == "adequate" else None
     latent = search.latent(base) if verdict == "unknown" else ()
     if simulation is not None and simulation.vetoes:
@@ -232,6 +237,7 @@ def _told(found: _Found, unshown: Sequence[type[Effect]], fit: Fit) -> Diagnosis
         explanation="",
         seconds=0.0,
         simulation=simulation,
+        policy=search.policy,
     )
     return dataclasses.replace(told, explanation=_explanation(told, steps, found, found.steps[count:]))
 
@@ -241,7 +247,7 @@ def _explanation(told: Diagnosis, steps: Sequence[Step], found: _Found, further:
     search = found.search
     text = words(
         told.verdict, told.effects, told.candidates, steps, told.tests, told.left, told.removed, told.curves, told.latent,
-        told.places, told.lines, told.simulation,
+        told.places, told.lines, told.simulation, told.policy,
     )  # fmt: skip
     if steps and further:
         text += not_named(further, told.left, search.samples)

@@ -10,6 +10,7 @@ from estimators.core.drawing import draw
 from estimators.core.fit import Fit
 from estimators.diagnosis.diagnose import Candidate, Diagnosis, Verdict, compile_diagnosis, diagnose
 from estimators.diagnosis.model_extension import Foreseen, add_effect, parameters_of
+from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
 from estimators.output_error.fit import output_error
 from estimators.validation.simulation_error import Comparison, compare
 from rtac_jax import RTAC
@@ -103,6 +104,7 @@ def improve(
     validation: Sequence[str] | None = None,
     candidates: Sequence[type[Effect]] | None = None,
     most: int = 4,
+    policy: DiagnosisPolicy = STANDARD,
     progress: bool = True,
 ) -> Improvement:
     """Fit, diagnose, add what is missing, fit again, and validate on experiments that no fit has seen.
@@ -120,6 +122,7 @@ def improve(
         validation: names of the experiments to hold out; by default every fourth of each kind.
         candidates: classes of effects to try; by default the whole catalogue.
         most: effects to add at most.
+        policy: the thresholds of every diagnosis; see `DiagnosisPolicy`.
         progress: show bars.
 
     Raises:
@@ -141,7 +144,8 @@ def improve(
     while not stopped:
         # What is held was estimated too: a diagnosis may move it.
         released = fits[-1].model.release(*parameters_of(fits[-1].model, held))
-        found = diagnose(dataclasses.replace(fits[-1], model=released), train, candidates=candidates, progress=progress)
+        base = dataclasses.replace(fits[-1], model=released)
+        found = diagnose(base, train, candidates=candidates, policy=policy, progress=progress)
         diagnoses.append(found)
         if not found.additions:
             enough = found.verdict == "adequate"

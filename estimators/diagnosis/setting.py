@@ -14,6 +14,7 @@ from estimators.core.parameter_space import Space
 from estimators.core.residual import start_rows
 from estimators.core.sensor_noise import noise_levels
 from estimators.diagnosis.candidate_set import plausible
+from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
 from estimators.diagnosis.refit import Refit
 from estimators.diagnosis.testability import can_show
 from estimators.prediction_error.coloured_noise import ColouredNoise, colours_at_rest
@@ -50,6 +51,7 @@ class Setting:
     substeps: Steps
     start: dict[str, np.ndarray]
     bar: Any
+    policy: DiagnosisPolicy = STANDARD
 
     @classmethod
     def set_up(

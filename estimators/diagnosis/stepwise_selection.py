@@ -14,14 +14,6 @@ from estimators.misspecification.adequacy import alarming, excess_of, line_left,
 from estimators.misspecification.candidate_screening import ALARM, Screened
 from rtac_jax.effects import Effect, Impact
 
-_REFITS = 4  # candidates refitted at least
-_CLOSE = 0.3  # and those whose score is within this share of the best
-_HIDDEN = 3  # candidates refitted by each of two orders, where random forces may hide what is missing
-# Share of what an effect that raised no alarm gains, that may be left in a spectral line: a mode that followed a vibration of the
-# floor left 9 %, a backlash on a rig whose contact is softer than the model's left 0.4 %.
-_LINE = 0.02
-_EFFECTS = 3  # that one diagnosis names at most
-
 Tried = dict[str, tuple[Refit, Refit]]
 """Of every candidate that was tried the model before and after."""
 
@@ -49,14 +41,14 @@ def _consistency(s: Screened) -> float:
     return -float(np.log(max(s.p_value, 1e-300)))
 
 
-def _near(ranked: Sequence[Screened], strength: Callable[[Screened], float]) -> list[Screened]:
-    return [s for s in ranked[1:] if strength(s) > (1 - _CLOSE) * strength(ranked[0])]
+def _near(ranked: Sequence[Screened], strength: Callable[[Screened], float], close: float) -> list[Screened]:
+    return [s for s in ranked[1:] if strength(s) > (1 - close) * strength(ranked[0])]
 
 
 def _unalarmed(search: Search, base: Refit, tested: Tested) -> _Look:
     """Candidates that are large, but act at a few instants only."""
-    found = by_size(suspects(tested.screened, tested.tests), float(np.log(search.samples)))[:_REFITS]
-    return _Look(found, _near(found, _statistic), search.with_effect)
+    found = by_size(suspects(tested.screened, tested.tests), float(np.log(search.samples)))[: search.policy.refits]
+    return _Look(found, _near(found, _statistic, search.policy.close), search.with_effect)
 
 
 def _hidden(search: Search, base: Refit, tested: Tested) -> _Look:
@@ -68,12 +60,16 @@ def _hidden(search: Search, base: Refit, tested: Tested) -> _Look:
     """
     large = by_size(search.quietly(base), float(np.log(search.samples)))
     alike = sorted(large, key=_consistency, reverse=True)
-    together = [*alike[:1], *_near(alike[:_HIDDEN], _consistency)]
+    together = [*alike[:1], *_near(alike[: search.policy.hidden], _consistency, search.policy.close)]
     if 0 < line_left(tested.tests) == excess_of(tested.tests):
         together = [*(s for s in alike if _rings(search.classes[s.id]) and s.statistic > ALARM), *together]
     # What works by contact shows nowhere until the filter follows it.
     contacts = [s for s in large if issubclass(search.classes[s.id], Impact)]
-    ranked = list({s.id: s for s in (*together, *alike[:_HIDDEN], *large[:_HIDDEN], *contacts)}.values())
+    ranked = list(
+        {
+            s.id: s for s in (*together, *alike[: search.policy.hidden], *large[: search.policy.hidden], *contacts)
+        }.values()
+    )
     names = {s.id for s in together}
     return _Look(ranked, [s for s in ranked[1:] if s.id in names], search.thoroughly)
 
@@ -87,15 +83,15 @@ def second_looks(
     search: Search, base: Refit, tested: Tested, steps: list[Step], refits: Tried
 ) -> tuple[list[Step], Tried]:
     """The same steps, or, where these leave the misfit unknown, others that explain it; and all that was tried."""
-    if judge(steps, tested.tests, search.samples)[0] != "unknown":
+    if judge(steps, tested.tests, search.samples, search.policy)[0] != "unknown":
         return steps, refits
     for look in (_unalarmed, _hidden):
         search.bar.set_description("diagnose: what raised no alarm")
         again, more = improvements(search, base, tested, look(search, base, tested))
         refits = more | refits
-        named = judge(again, tested.tests, search.samples)[1]
+        named = judge(again, tested.tests, search.samples, search.policy)[1]
         # A mode without damping can follow a vibration from outside, but for the line that this leaves.
-        if named and line_left(again[named - 1].left) <= _LINE * again[0].gain:
+        if named and line_left(again[named - 1].left) <= search.policy.line_left * again[0].gain:
             return again, refits | more
     return steps, refits
 
@@ -109,20 +105,20 @@ def improvements(search: Search, base: Refit, tested: Tested, look: _Look | None
     refits: Tried = {}
     now, seen = base, tested
     price = float(np.log(search.samples))
-    for _ in range(2 * _EFFECTS):  # a step may be taken back
+    for _ in range(2 * search.policy.effects):  # a step may be taken back
         if look is not None and not steps:
             way, ranked, near, above = look.way, look.ranked, look.near, []
         else:
             way, ranked = None, by_size(alarming(seen.screened), price)
-            near = _near(ranked, _statistic)
-            above = by_size(overshadowing(seen.screened), price)[:_REFITS]
+            near = _near(ranked, _statistic, search.policy.close)
+            above = by_size(overshadowing(seen.screened), price)[: search.policy.refits]
         if not ranked:
             break
         several, ahead = search.first_refits(now, ranked[0], near, way)
         begun = {s.id for s in (ranked[0], *near)}
         # Where the best leaves nothing to explain, those far behind it need not be asked.
         settled = ahead is not None and not any(test.rejects for test in ahead.tests)
-        most = len(ranked) if way else _REFITS
+        most = len(ranked) if way else search.policy.refits
         far = [] if settled else [*(s for s in ranked[1:most] if s.id not in begun), *above]
         several |= search.refits(now, far, way)
         asked = {s.id: s for s in (*ranked, *above)}
@@ -132,14 +128,14 @@ def improvements(search: Search, base: Refit, tested: Tested, look: _Look | None
         search.bar.set_description("diagnose: what is left")
         while (step := chosen(search, now, tried)) is not None:
             seen = ahead if ahead is not None and step.id == ranked[0].id else search.tested(step.refit)
-            if not any(s.id == step.id for s in above) or line_left(seen.tests) <= _LINE * step.gain:
+            if not any(s.id == step.id for s in above) or line_left(seen.tests) <= search.policy.line_left * step.gain:
                 break
             del tried[step.id]
         if step is None:
             break
         steps = [*steps, dataclasses.replace(step, left=seen.tests, way=way)]
         # Where some are named and the next cannot be, the rest is left to the next diagnosis, with those in the model.
-        if 0 < judge(steps, tested.tests, search.samples)[1] < len(steps):
+        if 0 < judge(steps, tested.tests, search.samples, search.policy)[1] < len(steps):
             refits[step.id] = (now, step.refit)
             break
         steps = reconsidered(search, base, steps)
@@ -149,8 +145,12 @@ def improvements(search: Search, base: Refit, tested: Tested, look: _Look | None
         befores = [base, *(s.refit for s in steps)]
         refits |= {s.id: (before, s.refit) for s, before in zip(steps, befores, strict=False)}
         now = steps[-1].refit
-        count = judge(steps, tested.tests, search.samples)[1]
-        if len(steps) == _EFFECTS or not any(test.rejects for test in seen.tests) or 0 < count < len(steps):
+        count = judge(steps, tested.tests, search.samples, search.policy)[1]
+        if (
+            len(steps) == search.policy.effects
+            or not any(test.rejects for test in seen.tests)
+            or 0 < count < len(steps)
+        ):
             break
     return steps, refits
 

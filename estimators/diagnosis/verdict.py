@@ -7,6 +7,7 @@ from typing import Literal
 
 from estimators.core.fit import Parameter
 from estimators.diagnosis.candidate import Candidate, Step
+from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
 from estimators.inference.simulation_residual import SimulationResidual, known_noise
 from estimators.misspecification.adequacy import LEVEL, Evidence, excess_of, removed_by_repeats, significant
 from estimators.misspecification.line_classes import LineClass
@@ -19,12 +20,12 @@ Verdict = Literal["adequate", "missing", "ambiguous", "unknown"]
 
 _LEFT_OUT = 0.02  # share of the samples from which it is worth a word that they do not count
 SHAKEN = 1e-2  # share of the rms forces from which random forces in one sample are worth a word
-_FOUND = 0.9  # share of the misfit that the named effects must remove
 _STRAYED = 3.0  # rms of what a simulation leaves over the noise, from which it is worth a word
-_STATIC = 0.5  # share of the misfit that a force curve must explain to be called the missing force
 
 
-def judge(steps: Sequence[Step], tests: Sequence[Evidence], samples: int) -> tuple[Verdict, int, float]:
+def judge(
+    steps: Sequence[Step], tests: Sequence[Evidence], samples: int, policy: DiagnosisPolicy = STANDARD
+) -> tuple[Verdict, int, float]:
     """The verdict, how many of the steps it names, and the share of the misfit that they remove.
 
     The best of a bad set is never named: an effect is, if together with those named after it, it removes nearly
@@ -32,7 +33,7 @@ def judge(steps: Sequence[Step], tests: Sequence[Evidence], samples: int) -> tup
     """
     for count in range(len(steps), 0, -1):
         shares = [share_removed(steps[first:count], _before(steps, tests, first), samples) for first in range(count)]
-        if min(shares) >= _FOUND:
+        if min(shares) >= policy.removed:
             open_question = any(step.rivals for step in without_named_rivals(steps[:count]))
             return ("ambiguous" if open_question else "missing"), count, shares[0]
     if not steps:
@@ -77,6 +78,7 @@ def words(
     places: Sequence[Place],
     lines: Sequence[LineClass],
     simulation: SimulationResidual | None = None,
+    policy: DiagnosisPolicy = STANDARD,
 ) -> str:
     """A paragraph: what is missing, how big, where it shows, how sure, and what would make it surer."""
     if verdict == "adequate":
@@ -106,7 +108,7 @@ def words(
             shown if worst is not None and worst.excess > 1 else ""
         )
     if verdict == "unknown":
-        return _unknown(candidates, tests, removed, curves, latent, lines) + shown
+        return _unknown(candidates, tests, removed, curves, latent, lines, policy) + shown
     by_id = {c.id: c for c in effects}
     sentences = []
     for step in steps:
@@ -144,13 +146,15 @@ def _size(one: Parameter) -> str:
     return f"{one.value:.4g} +- {one.std:.2g} {one.unit}" if one.std > 0 else f"{one.value:.4g} {one.unit}, fixed"
 
 
-def static_force(curves: Sequence[ForceCurve], tests: Sequence[Evidence]) -> tuple[ForceCurve | None, bool]:
+def static_force(
+    curves: Sequence[ForceCurve], tests: Sequence[Evidence], policy: DiagnosisPolicy = STANDARD
+) -> tuple[ForceCurve | None, bool]:
     """The curve that explains most of what is missing, if one does; and whether any explains more than chance."""
     rejecting = next((test for test in tests if test.test == "static force" and test.rejects), None)
     if rejecting is None:
         return None, False
     best = max(significant(curves, rejecting.level), key=lambda c: c.excess, default=None)
-    if best is None or not best.excess > _STATIC * excess_of(tests):
+    if best is None or not best.excess > policy.static * excess_of(tests):
         return None, True
     return best, True
 
@@ -223,6 +227,7 @@ def _unknown(
     curves: Sequence[ForceCurve],
     latent: Sequence[LatentForce],
     lines: Sequence[LineClass],
+    policy: DiagnosisPolicy,
 ) -> str:
     reasons = "; ".join(f"{test.test}: {test.words}" for test in tests if test.rejects)
     refitted = [c for c in candidates if c.refitted]
@@ -231,7 +236,7 @@ def _unknown(
     if removed and near and removed > near.error_reduction + 0.01:
         nearest += f" Several effects of the catalogue together remove {100 * removed:.0f} %."
     force = f" The missing force is {latent[0]}." if latent else ""
-    curve, rejected = static_force(curves, tests)
+    curve, rejected = static_force(curves, tests, policy)
     if curve is not None:
         static = f" It depends most on {curve.variable} ({curve.port})."
     elif rejected:

@@ -78,7 +78,7 @@ def finding(diagnosis: Diagnosis) -> str:
         failed = "The model fails, and no effect of the catalogue explains it"
         if not diagnosis.curves:
             return failed
-        best, rejected = static_force(diagnosis.curves, diagnosis.tests)
+        best, rejected = static_force(diagnosis.curves, diagnosis.tests, diagnosis.policy)
         if best is None:
             what = "is for the most part no function" if rejected else "is no function"
             return f"{failed}; what is missing on the {_deficient(diagnosis)} {what} of position, velocity or angle"

@@ -1,4 +1,4 @@
-"""The weight that covers given plants, between the points of their grid too."""
+"""A weight that covers given plants, between the points of their grid too."""
 
 from collections.abc import Callable
 
@@ -25,7 +25,7 @@ def cover(
     found: PlantSet, held: Bool[np.ndarray, " condition"], model: ct.TransferFunction, kind: Kind, order: int,
     minimise: Minimise, done: Callable[[], object],
 ) -> tuple[Shape, float, Curve]:  # fmt: skip
-    """The weight, by how much those held out raised it, and the profile on the grid without zeros."""
+    """Return the weight, the logarithm of the factor by which those held out raised it, and the profile without zeros."""
     between = max(_DENSE, -(-2 * _FEWEST // (len(found.omega) - 1)))
     dense = _filled(found.omega, between)
     fitting = dense[:: max(1, len(dense) // max(_FEWEST, len(found.omega)))]
@@ -49,7 +49,10 @@ def _shortfall(
     found: PlantSet, which: Bool[np.ndarray, " condition"], model: ct.TransferFunction, kind: Kind, shape: Shape,
     dense: Curve, floor: float,
 ) -> float:  # fmt: skip
-    """Logarithm of the factor that lifts the weight above the gaps of some plants; closer points where it is near."""
+    """Return the logarithm of the factor that lifts the weight above the model errors of some plants.
+
+    Points are closer where the weight is near.
+    """
     gaps = np.maximum(_profile(found, which, model, kind, dense), floor)
     margin = shape.log_magnitude(dense) - np.log(gaps)
     worst = float(np.max(-margin))
@@ -61,7 +64,7 @@ def _shortfall(
 
 
 def _filled(omega: Curve, between: int) -> Float64[np.ndarray, " dense"]:
-    """The grid with so many steps, equal on a log scale, in place of each of its own; its own points stay as they are."""
+    """Return the grid with so many steps, equal on a log scale, in place of each of its own; its own points stay."""
     steps = np.linspace(np.log(omega[:-1]), np.log(omega[1:]), between, endpoint=False, axis=1)
     dense = np.exp(np.append(steps.ravel(), np.log(omega[-1])))
     dense[::between] = omega

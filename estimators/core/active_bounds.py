@@ -1,4 +1,4 @@
-"""Parameters that end on their bounds: held there, because a reparametrisation only creeps towards a bound."""
+"""Active bounds: parameters that end on a bound are held there, as a reparametrisation only creeps towards it."""
 
 import dataclasses
 
@@ -44,7 +44,7 @@ def solve_bounded(
 
 
 def _holding(space: Space, unknowns: Unknowns, held: dict[int, float]) -> tuple[Space, Unknowns]:
-    """The space without the free parameters in these places, which take the unconstrained values given."""
+    """Return the space without the free parameters in these places, which take the unconstrained values given."""
     if not held:
         return space, unknowns
     active = np.asarray(space.active).copy()
@@ -62,7 +62,7 @@ def _holding(space: Space, unknowns: Unknowns, held: dict[int, float]) -> tuple[
 
 
 def _on_bounds(space: Space, unknowns: Unknowns, full: np.ndarray, held: dict[int, float]) -> dict[int, float]:
-    """Places of the free parameters that belong on a bound, and the unconstrained values that stand for it."""
+    """Return the places of the free parameters that belong on a bound, and the unconstrained values that stand for it."""
     found = information(full, space, unknowns)
     deviations = np.sqrt(np.diagonal(found.covariance))
     shared = np.asarray(space.physical(unknowns)[0])

@@ -19,7 +19,7 @@ from rtac_jax.measurement import Recording
 
 @dataclasses.dataclass(frozen=True)
 class Improvement:
-    """Result of `improve`.
+    """The result of `improve`.
 
     Attributes:
         fits: of the base model and of every model after it, in order.
@@ -35,7 +35,7 @@ class Improvement:
         foreseen: added effects that do not clearly lower the held-out error of simulation, but make the held-out experiments
             likelier one sample ahead.
         stopped: why the loop ended.
-        seconds: how long it took.
+        seconds: duration [s].
     """
 
     fits: tuple[Fit, ...]
@@ -62,7 +62,7 @@ class Improvement:
 
     @property
     def ending(self) -> str:
-        """What was held, or kept for its predictions, if anything, and why the loop ended."""
+        """The effects that were held, or kept for their predictions, if any, and why the loop ended."""
         said = [str(one) for one in self.foreseen]
         if self.predicted:
             said.append(
@@ -92,7 +92,7 @@ class Improvement:
         return "\n".join(lines)
 
     def plot(self) -> Any:
-        """Error before and after, as a matplotlib figure."""
+        """Draw the error before and after, as a matplotlib figure."""
         return draw(self)
 
 
@@ -117,6 +117,8 @@ def improve(
     experiments choose the models by that, so their last error is a little too good.
 
     Args:
+        model: the base model.
+        recording: with enough moving experiments to hold some out.
         validation: names of the experiments to hold out; by default every fourth of each kind.
         candidates: classes of effects to try; by default the whole catalogue.
         most: effects to add at most.

@@ -1,4 +1,4 @@
-"""Do different ways to estimate the same physics agree? Hausman's test, and what a disagreement means."""
+"""Hausman's test of whether estimators of the same physics agree, and what a disagreement means."""
 
 import dataclasses
 import itertools
@@ -32,7 +32,7 @@ _HIDES = (
 
 @dataclasses.dataclass(frozen=True)
 class Disagreement:
-    """Two ways held against each other.
+    """The difference between two estimators.
 
     Attributes:
         labels: of the two.
@@ -54,7 +54,7 @@ class Disagreement:
 
 @dataclasses.dataclass(frozen=True)
 class Agreement:
-    """Result of `agreement`.
+    """The result of `agreement`.
 
     Attributes:
         names: of the quantities that two ways or more estimate: parameters, and natural frequency and damping ratio of
@@ -105,7 +105,7 @@ class Agreement:
 
     @property
     def suspects(self) -> tuple[str, ...]:
-        """Ids of effects that break what these quantities rest on; the most often named first.
+        """Ids of effects that break the assumptions of these quantities; the most often named first.
 
         Where to look first, and no list to choose from: a fit of the whole motion hands an error on to other quantities too.
         """
@@ -115,7 +115,7 @@ class Agreement:
 
     @property
     def verdict(self) -> str:
-        """In words: whether they agree, which assumption fails, and what to look at next."""
+        """The verdict in words: whether they agree, which assumption fails, and what to look at next."""
         smallest = self.worst.p_value
         if not self.rejected:
             return (
@@ -140,7 +140,7 @@ class Agreement:
         )
 
     def _but(self) -> str:
-        """What else than the model could be wrong with a disagreement."""
+        """Say what else than the model could be wrong with a disagreement."""
         if not self.disturbed:
             return (
                 " A random force or torque on the rig makes them disagree too: add est.prediction_error_nonlinear's result, "
@@ -179,7 +179,7 @@ class Agreement:
         return "\n".join([*lines, "", self.verdict])
 
     def plot(self) -> Any:
-        """Differences in standard deviations, as a matplotlib figure."""
+        """Draw the differences in standard deviations, as a matplotlib figure."""
         return draw(self)
 
 
@@ -194,7 +194,7 @@ def agreement(
     seed: int = 0,
     progress: bool = True,
 ) -> Agreement:
-    """Hold estimates of the same physics, made in different ways from the same recording, against each other.
+    """Compare estimates of the same physics, made by different estimators from the same recording.
 
     Hausman's idea: two estimators that are both right when the model is right differ only by chance, so a difference that
     is large beside its own standard deviation shows that the model is wrong. Neither estimator need be efficient: the
@@ -286,7 +286,7 @@ def agreement(
 
 
 def _common(one: Way, other: Way) -> tuple[str, ...]:
-    """What both estimate; between two of the physics its parameters, of which the modal quantities are functions."""
+    """Return what both estimate; between two of the physics its parameters, of which the modal quantities are functions."""
     skipped = MODAL if one.physical and other.physical else ()
     return tuple(n for n in one.names if n in other.names and n not in skipped)
 

@@ -55,7 +55,9 @@ def output_error(
     From each it goes by one-step-ahead predictions with ever weaker correction to the free simulation.
 
     Args:
-        starts: how many starts to try.
+        model: gives the free parameters and the values of the second start.
+        recording: with moving experiments; those at rest tell the sensors' noise.
+        starts: number of starts to try.
         tolerance: relative change at which the optimiser stops.
         steps: optimiser steps in each stage.
         from_model: begin at the model's values only, as after adding an effect to a model that was fitted.
@@ -140,7 +142,7 @@ def _starts(model: RTAC, recording: Recording, experiments: Sequence[Experiment]
 
 
 def _same(end: "_Stage", best: "_Stage", samples: float) -> bool:
-    """Whether a descent ended where the best one did: at the same likelihood, or at the same parameters."""
+    """Return whether a descent ended where the best one did: at the same likelihood, or at the same parameters."""
     if end.cost <= best.cost + _AGREES * samples:
         return True
     there, here = (np.asarray(s.space.physical(s.solved.unknowns)[0]) for s in (end, best))
@@ -171,7 +173,7 @@ class _Run:
     nearest: float = np.inf
 
     def descend(self, model: RTAC, *, best: float) -> _Stage | None:
-        """From predictions with strong correction to the free simulation; None where that leads nowhere."""
+        """Descend from predictions with strong correction to the free simulation; None where that leads nowhere."""
         space = space_of(model, self.experiments, free=[n for n in model.free if n not in model.per_experiment])
         unknowns = space.unconstrained()
         noise = np.array([self.levels.get(channel, 1.0) for channel in CHANNELS])
@@ -220,7 +222,10 @@ class _Run:
         return solve_bounded(unknowns, arguments, tolerance=tolerance, most=most, progress=show)
 
     def _require_determined(self, space: Space, unknowns: Unknowns, arguments: Arguments) -> None:
-        """Before the first step: along directions that the data leave free it would wander until the model breaks."""
+        """Refuse data that leave parameters free, before the first step.
+
+        Along directions that are free the descent would wander until the model breaks.
+        """
         if self.taken == 0:
             first = factor(unknowns, arguments)
             if not diverged(first):
@@ -252,6 +257,6 @@ class _Run:
 
 
 def _concentrated(deviation: np.ndarray, data: Data) -> float:
-    """Negative log-likelihood with the noise levels at their best values, less a constant."""
+    """Return the negative log-likelihood with the noise levels at their best values, less a constant."""
     count = np.asarray(data.present).sum(axis=(0, 2))
     return float(np.sum(count * np.log(np.where(count > 0, deviation, 1.0))))

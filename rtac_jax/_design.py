@@ -15,7 +15,7 @@ from rtac_jax.simulation import State, Steps, advance, substeps_for
 
 _FEWER = 0.9  # by which an amplitude is lowered until the travel holds
 _MOST_TRIES = 60
-_MOST_SILENT = 0.5  # share of the samples that a dead band may silence: an arm that rests in it cannot be driven out
+_MOST_SILENT = 0.5  # fraction of the samples that a dead band may silence: an arm that rests in it cannot be driven out
 
 
 def design_excitation(

@@ -81,7 +81,7 @@ def _stopped(started: Any, arrived: Any, most: Any) -> _Stop:
     driven = end - begin + jnp.where(resting, 0.0, most)  # by the other forces alone
     slides = end >= jnp.where(resting, most, 0.0)
     apart = most - driven
-    rest = jnp.where(apart > 0, begin / jnp.where(apart > 0, apart, 1.0), 0.0)  # when it comes to rest, as a share
+    rest = jnp.where(apart > 0, begin / jnp.where(apart > 0, apart, 1.0), 0.0)  # when it comes to rest, as a fraction
     back = jnp.minimum(driven + most, 0.0) * (1.0 - rest)
     late = jnp.where(resting, -most, 0.0)  # what slides off from rest was not yet rubbed
     change = jnp.where(slides, late, back - end)

@@ -11,8 +11,8 @@ from estimators.uncertainty.attribution import SOURCE_WORDS, SOURCES
 from estimators.uncertainty.envelope import Envelope
 from rtac_jax.control import Actuation, ClosedLoop, Margins, Reduction, Synthesis, Units, Weights
 
-_ANYWAY = 0.9  # share of plants that hold without a controller, above which a batch says little of it
-_USEFUL = 0.8  # share of the settling time, above which a controller is of little use
+_ANYWAY = 0.9  # fraction of plants that hold without a controller, above which a batch says little of it
+_USEFUL = 0.8  # fraction of the settling time, above which a controller is of little use
 _USED = 0.8  # of the torque that it may use, above which a controller uses it
 _ROOM = 0.3  # of the largest |W T|, below which it is not the envelope that holds a controller back
 _NARROWER = {

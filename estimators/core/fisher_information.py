@@ -11,7 +11,7 @@ from estimators.core.bound_transform import slopes
 from estimators.core.parameter_space import Space, Unknowns
 from estimators.core.results import NotIdentifiableError
 
-# A direction along which all free parameters may move by more than this share of their size within one standard
+# A direction along which all free parameters may move by more than this fraction of their size within one standard
 # deviation is not determined by the data.
 _UNDETERMINED = 10.0
 

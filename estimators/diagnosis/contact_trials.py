@@ -19,18 +19,18 @@ from rtac_jax.effects import Effect
 from rtac_jax.parameters import declarations
 from rtac_jax.simulation import Steps
 
-# Logarithm of the variance of random forces, in shares of the rms forces, above which they take over what they should not.
+# Logarithm of the variance of random forces, in fractions of the rms forces, above which they take over what they should not.
 _FEW = -4.0
-_SOME = -2.0  # likewise, once trials have come near
+_SOME = -2.0  # the same, once trials have come near
 _TRIALS = 150
 _SIDES = (0.6, 0.3, 0.2, 0.1, 0.05)  # of the first simplex of trials, one sweep after the other
-_WORTH_A_SWEEP = (10.0, 0.003)  # gain in log-likelihood, and share of what all have gained, that make a sweep worth it
+_WORTH_A_SWEEP = (10.0, 0.003)  # gain in log-likelihood, and fraction of all that was gained, worth a sweep
 _SIZES = tuple(2.0 ** (power / 2) for power in range(-2, 7))  # of what is plausible, from which trials may begin
-_SHAPES = (1 / 3, 2 / 3, 3 / 2, 2.0, 8 / 3)  # likewise of a parameter that only shapes the effect
+_SHAPES = (1 / 3, 2 / 3, 3 / 2, 2.0, 8 / 3)  # the same of a parameter that only shapes the effect
 _LITTLE = 0.5  # change in log-likelihood that is not worth another trial
 _FINE = 0.01  # of unconstrained numbers: half a percent of a size
 _DIVERGED = 1e12  # negative log-likelihood: a simplex cannot compare infinities
-_SMALL = 0.05  # of its scale, the least size of a parameter that steps are a share of
+_SMALL = 0.05  # of its scale, the least size of a parameter that steps are a fraction of
 _REACH = 3.0  # of unconstrained numbers: from a parameter at its bound, infinitely far, no step leads away
 _ARM = ("arm_inertia", "torque_constant")
 

@@ -17,7 +17,7 @@ from rtac_jax import RTAC
 from rtac_jax.effects import Effect
 from rtac_jax.measurement import Recording
 
-_CLEAR = 0.05  # share by which the held-out error has to fall for a simulation to tell
+_CLEAR = 0.05  # fraction by which the held-out error has to fall for a simulation to tell
 _NEAR = 1.5  # error of simulation in units of the noise below which any fall will do where the effect is simply fitted
 
 
@@ -89,7 +89,7 @@ def add_effect(
     for way in ("simulated", "held", "predicted"):
         try:
             if way == "predicted":
-                # The model without the effect is fitted so too, or the effect would be credited with what the way of fitting does.
+                # The model without the effect is fitted so too, or the effect would be credited with what the estimator does.
                 base = _predicted(before.model, before, train, progress=progress)
                 bases.append(Added(base, compare(base, held_out).models[0], way))
                 fit = _predicted(extended, before, train, progress=progress)

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from rtac_jax import RTAC, Simulation, simulate
 from rtac_jax.measurement import Experiment, Plan, multisine
 
-_MARGIN = 0.85  # share of travel and speed that the model may use: the rig departs from it
+_MARGIN = 0.85  # fraction of travel and speed that the model may use: the rig departs from it
 _ROUNDS = 8  # in which a current is lowered until the limits hold
 _FEWER = 0.9
 

@@ -186,7 +186,7 @@ def next_experiment(
         travel: largest cart position to each side [m].
         torque_limit: largest |K_m i| [N m].
         speed_limit: largest speed of the arm [rad/s].
-        duration: of the experiments of the default menu [s]; by default as the longest of the recording, at most 20 s.
+        duration: of the experiments of the default candidate set [s]; by default as the longest of the recording, at most 20 s.
         progress: show a bar.
 
     Raises:

@@ -22,7 +22,7 @@ from rtac_jax.measurement import Experiment, Plan
 from rtac_jax.parameters import declarations
 
 _OWN = 6  # parameters that an effect may have
-_ROUNDING = 1e-10  # share of the largest eigenvalue below which a direction is rounding
+_ROUNDING = 1e-10  # fraction of the largest eigenvalue below which a direction is rounding
 
 Separation = dict[tuple[str, str], float]
 

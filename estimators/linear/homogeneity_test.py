@@ -98,7 +98,7 @@ class Equality:
 
     @property
     def verdict(self) -> str:
-        """In words: equal or not, which quantity drifts, and with what."""
+        """The verdict in words: equal or not, which quantity drifts, and with what."""
         if self.equal:
             return (
                 f"The {len(self.conditions)} conditions have one set of parameters, as far as these data tell "

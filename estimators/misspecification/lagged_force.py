@@ -15,7 +15,7 @@ from estimators.misspecification.score_test import score_test
 from estimators.prediction_error.innovations import Innovations, Rows
 from rtac_jax.measurement import Experiment
 
-# Time constants as shares of the period of the motion.
+# Time constants as fractions of the period of the motion.
 _LAGS = (0.02, 0.06, 0.2, 0.6, 2.0)
 
 

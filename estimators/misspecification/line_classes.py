@@ -35,7 +35,7 @@ class LineClass:
 
     @property
     def shows(self) -> str:
-        """What is missing if the ratio is large."""
+        """The kind of model error that a large ratio shows."""
         return _SHOWS[self.lines]
 
 

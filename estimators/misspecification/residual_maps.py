@@ -34,7 +34,7 @@ class Place:
 
     @property
     def excess(self) -> float:
-        """How many times the bound it reaches."""
+        """The mean square over its bound."""
         return self.value / self.high
 
 

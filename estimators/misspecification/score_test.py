@@ -9,7 +9,7 @@ from scipy.stats import f as fisher
 
 from estimators.prediction_error.innovations import Rows
 
-_SMALLEST = 1e-3  # singular values below this share of the largest belong to directions that the data do not show
+_SMALLEST = 1e-3  # singular values below this fraction of the largest belong to directions that the data do not show
 _FEWEST = 2  # stretches that scatter
 
 
@@ -40,7 +40,7 @@ class ScoreTest:
 
     @property
     def excess(self) -> float:
-        """What is explained beyond what chance explains."""
+        """The explained part beyond what chance explains."""
         return self.explained - self.freedom
 
 

@@ -14,7 +14,7 @@ from rtac_jax.measurement import Experiment
 _AROUND = 31  # lines whose median tells how strong the noise is there
 # Their median scatters as a mean of so many independent powers by two, since a window ties neighbours together.
 _FREEDOM = 20
-_THERE = 0.5  # share of an experiment's samples that must count
+_THERE = 0.5  # fraction of an experiment's samples that must count
 _BLIND = 8  # lowest lines, where transients of the start end up
 
 

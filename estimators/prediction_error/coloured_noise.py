@@ -30,8 +30,8 @@ _SHORTEST = 160  # samples of a rest record that tells anything
 _MEMORIES = (1.5, 5.0, 20.0)  # correlation times from which the likeliest is looked for, in samples
 _RANGE = ((-6.0, 6.0), (-1.0, 6.0))  # of the logarithms of share over rest, and of the correlation time in samples
 _REACH = (1.0, 0.3)  # first steps in the logarithms of share over rest, and of correlation time
-_CLOSER = 0.5 ** np.arange(6)  # shares of a step, tried where it leads to what cannot be
-_LITTLE = 0.05  # share of coloured noise that is not worth a state
+_CLOSER = 0.5 ** np.arange(6)  # fractions of a step, tried where it leads to what cannot be
+_LITTLE = 0.05  # fraction of coloured noise that is not worth a state
 _DOUBT = 1e-4  # p-value below which the noise of a rest record is not white
 _MOST = 0.98  # the rest is white: quantisation at least
 

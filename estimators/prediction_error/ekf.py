@@ -19,7 +19,7 @@ from rtac_jax.time_loop import time_loop
 
 OUTPUTS = len(CHANNELS)
 _VELOCITIES = (1, 3)  # places of the velocities of cart and arm in the state
-# Of what parts move in a sample, the share by which they may be farther on or behind. Where they hit each other near the end of a
+# Fraction of their motion in a sample by which parts may be farther on or behind. Where they hit each other near the end of a
 # sample, an error of a tenth of a sample decides which of two samples shows it, and that one would count for a hundred others.
 _EARLY = 0.5
 _SURE = 1e-6  # deviation of such states below which dividing by it would magnify rounding

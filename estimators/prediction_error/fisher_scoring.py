@@ -16,8 +16,8 @@ from estimators.prediction_error.noise_estimation import Noise, NoiseModel, Pred
 from rtac_jax import RTAC
 from rtac_jax.simulation import Steps
 
-# The likelihood is differenced over this share of a standard deviation to either side: dry friction has steps, which a
-# derivative at a point would see, or miss. A parameter that is hardly known moves by a share of its size.
+# The likelihood is differenced over this fraction of a standard deviation to either side: dry friction has steps, which a
+# derivative at a point would see, or miss. A parameter that is hardly known moves by a fraction of its size.
 _REACH, _SHARE = 0.25, 0.1
 # Gain in log-likelihood that a step must promise; less moves nothing by more than a fifth of its deviation.
 _WORTH = 0.02
@@ -47,8 +47,8 @@ def most_likely(
     """Go on from a fit with frozen gains to the maximum of the likelihood, by Fisher's scoring.
 
     With the gains frozen, a parameter that changes them, as the gain of a sensor does, seems better known than it is: part of
-    its slope is random, and vanishes once the gains follow. On shaken rigs its standard deviation came out at half of what it
-    was, and the estimate was not the likeliest.
+    its slope is random, and vanishes once the gains follow. On rigs with large random forces its standard
+    deviation came out at half of what it was, and the estimate was not the likeliest.
 
     Args:
         found: the predictor with frozen gains.

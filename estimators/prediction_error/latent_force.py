@@ -26,10 +26,10 @@ _MEMORIES = (
     0.1,
     0.3,
     1.0,
-)  # correlation times of the force that are tried, as shares of the period of the motion
-# Standard deviations of the force that are tried, as shares of the rms spring force or motor torque.
+)  # correlation times of the force that are tried, as fractions of the period of the motion
+# Standard deviations of the force that are tried, as fractions of the rms spring force or motor torque.
 _SHARES = (1e-4, 1e-3, 3e-3, 1e-2, 3e-2, 1e-1, 3e-1)
-_STILL = 1e-7  # share of the force that stands for none
+_STILL = 1e-7  # fraction of the force that stands for none
 _RINGING = (1.0, 3.0, 10.0)  # correlation times that are tried of a force that swings, in its periods
 
 

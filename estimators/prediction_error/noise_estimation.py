@@ -19,7 +19,7 @@ from rtac_jax import RTAC, Scales
 from rtac_jax.measurement import Experiment
 from rtac_jax.simulation import Steps
 
-# Random force and torque between these shares of the rms forces, as powers of e of their variance.
+# Random force and torque between these fractions of the rms forces, as powers of e of their variance.
 # A force beyond the rms force comes from wrong physics and would keep it wrong; a motor's torque is small beside what can
 # shake it.
 _LEAST, _FIRST = np.log(1e-5**2), np.log(3e-3**2)

@@ -14,7 +14,7 @@ _STEPS = 12
 _FIRST = 0.1  # standard deviations beforehand, over which the first slopes are taken
 _SPAN = 0.5  # standard deviations afterwards, over which the others are
 _DAMPING = (1e-2, 10.0)  # at first, and by how much it grows or falls
-_ENOUGH = 1e-2  # gain in log-likelihood, foreseen or made, that is worth another step
+_ENOUGH = 1e-2  # gain in log-likelihood, predicted or made, that is worth another step
 _STALLED = 3  # steps without such a gain, each more damped than the one before, after which it stops
 
 

@@ -64,7 +64,7 @@ def attribute(
         by_amplitude = np.maximum(explained - chance, 0.0)
     estimation = np.zeros_like(spread)
     if std is not None:
-        # To first order an error of the plant shifts the gap by its relative size times what a shift of the nominal does.
+        # To first order an error of the plant shifts the model error by its relative size times what a shift of the nominal does.
         estimation = np.mean((np.abs(slopes(plants, nominal, kind)) * std / np.abs(plants)) ** 2, axis=0)
         if kind == "additive":
             estimation = np.mean(std**2, axis=0)

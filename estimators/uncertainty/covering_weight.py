@@ -16,16 +16,16 @@ _DENSE = 10  # points between two of the grid, at which the weight is checked
 _FEWEST = 200  # points to which a coarse grid is filled up for the fit of the weight
 _NEAR = 0.05  # logarithm of weight over profile, below which the neighbourhood is looked at more closely
 _CLOSER = 20  # points between two of the dense grid there
-_FLOOR = 1e-6  # of the largest gap: a profile that touches zero has no logarithm
-_CLEAR = 1e-6  # by which the weight clears the gaps, for what lies between even the closest points
-_EQUAL = 1e-9  # of the plant, below which gaps are rounding
+_FLOOR = 1e-6  # of the largest model error: a profile that touches zero has no logarithm
+_CLEAR = 1e-6  # by which the weight clears the model errors, for what lies between even the closest points
+_EQUAL = 1e-9  # of the plant, below which model errors are rounding
 
 
 def cover(
     found: PlantSet, held: Bool[np.ndarray, " condition"], model: ct.TransferFunction, kind: Kind, order: int,
     minimise: Minimise, done: Callable[[], object],
 ) -> tuple[Shape, float, Curve]:  # fmt: skip
-    """Return the weight, the logarithm of the factor by which those held out raised it, and the profile without zeros."""
+    """Return the weight, the factor by which those held out raised it, and the profile on the grid without zeros."""
     between = max(_DENSE, -(-2 * _FEWEST // (len(found.omega) - 1)))
     dense = _filled(found.omega, between)
     fitting = dense[:: max(1, len(dense) // max(_FEWEST, len(found.omega)))]

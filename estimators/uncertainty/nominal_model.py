@@ -13,8 +13,8 @@ from estimators.uncertainty.vector_fitting import Rational, vector_fit
 _ROUNDS = 40
 _ENOUGH = 1e-4  # relative gain of a round, below which it is the last
 _CORNERS = 4  # farthest plants of each frequency that bound a step
-_SLACK = 1.01  # by which the largest gap may grow where that makes the others smaller
-_PENALTY = 10.0  # of the mean gap, for what lies above that
+_SLACK = 1.01  # by which the largest model error may grow where that makes the others smaller
+_PENALTY = 10.0  # of the mean model error, for what lies above that
 _STARTS = 2  # of the fits, the best ones are refined
 
 Plants = Complex128[np.ndarray, "corner frequency"]

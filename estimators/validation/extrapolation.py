@@ -9,7 +9,7 @@ from rtac_jax import RTAC
 from rtac_jax.effects import SplineForce
 from rtac_jax.measurement import Experiment
 
-_WORTH = 0.05  # share of the samples from which it is worth a word: ranges leave out the outermost of what was recorded
+_WORTH = 0.05  # fraction of the samples that is worth a word: ranges leave out the outermost of what was recorded
 
 
 def beyond(

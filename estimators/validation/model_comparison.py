@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from estimators.prediction_error.ekf import Filtered
 
-_KNOWN = 0.02  # share of what all know of an effect that the other experiments must know
+_KNOWN = 0.02  # fraction of what all know of an effect that the other experiments must know
 
 
 def held_out(

@@ -33,8 +33,7 @@ class OneStepAhead:
         by_sample: log-likelihood of each sample that counts, less a constant.
         stretches: number of the second that each sample belongs to.
         errors: rms of the prediction errors over the sensor's noise, by channel.
-        shaken: 1 at samples at which random forces may shake loose what dry friction holds, of the recording that was fitted and
-            of this one.
+        shaken: 1 at stick-slip ambiguous samples, of the recording that was fitted and of this one.
     """
 
     by_sample: Float[np.ndarray, "sample experiment"]
@@ -77,13 +76,13 @@ def one_step_ahead(
     these are is estimated where the model was fitted.
 
     Args:
-        fit: of output error, to `fitted`.
+        fit: to `fitted`.
         fitted: the recording of the fit.
         recording: another one of the same rig.
         starts: states at the start, by experiment, for those in which nobody measured where the arm was; the same for all
             models that are compared.
         like: of another model: what is ambiguous there does not count here either, as likelihoods compare only where they count
-            the same samples, and those at which friction is shaken loose tell more of its level than of the rest.
+            the same samples, and the ambiguous ones tell more of its level than of the rest.
 
     Source: Ljung, System Identification (1999), section 16.6, on cross-validation by predictions.
     """

@@ -67,7 +67,7 @@ class Actuation:
     """The conversion of the controller's output into the motor's torque: torque = clip(u / cos(theta)) - stiffness theta.
 
     The division is that of Fig. 3 of the paper. The rest keeps the arm within its half of the circle, beyond which its push
-    on the cart turns round: a limit on the share of the controller limits the swing, and a weak electric spring brings the
+    on the cart turns round: a limit on the controller's part limits the swing, and a weak electric spring brings the
     arm back to where it started, which nothing else on a level rig does.
 
     Attributes:

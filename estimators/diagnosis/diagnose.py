@@ -61,7 +61,7 @@ class Diagnosis:
         latent: missing force at each port in time, where the verdict is unknown.
         places: where the innovations are too large, worst first.
         lines: innovations by class of spectral line, where an input is periodic.
-        random_force, random_torque: what the predictor of the base model needs, as shares of the rms forces.
+        random_force, random_torque: what the predictor of the base model needs, as fractions of the rms forces.
         explanation: in plain words.
         seconds: how long it took.
     """
@@ -122,7 +122,7 @@ def diagnose(
         fit: of the base model to this recording.
         recording: that the model was fitted to.
         candidates: classes of effects to try; by default the whole catalogue. Those of the model are passed over.
-        thorough: where the verdict would be unknown, look again at what raised no alarm; that may take minutes.
+        thorough: where the verdict would be unknown, look again at what did not reject; that may take minutes.
         progress: show a bar.
 
     Raises:

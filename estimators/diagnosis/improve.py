@@ -109,9 +109,9 @@ def improve(
 
     An effect is kept if the error of the held-out experiments falls clearly in the channels together: by a twentieth, or,
     near the noise, at all. Where it does not, or where the effect cannot be fitted by simulation, as on a rig that random
-    forces shake, the effect is held at the estimate of the diagnosis, which foresees one sample at a time, and asked again;
+    forces shake, the effect is held at the estimate of the diagnosis, which predicts one sample at a time, and asked again;
     then the whole model is fitted by such predictions (`prediction_error_nonlinear`), with the effect and without. Where
-    none of the three tells, the one is kept that foresees the held-out experiments best one sample at a time, if better than
+    none of the three tells, the one is kept that predicts the held-out experiments best one sample at a time, if better than
     any model without the effect: where random forces shake the rig, or the arm tumbles, no simulation can follow it, however
     right the model is. Last, an error that falls a little is enough, if predictions do not speak against it. The held-out
     experiments choose the models by that, so their last error is a little too good.

@@ -57,14 +57,14 @@ class Agreement:
     """The result of `agreement`.
 
     Attributes:
-        names: of the quantities that two ways or more estimate: parameters, and natural frequency and damping ratio of
+        names: of the quantities that two estimators or more give: parameters, and natural frequency and damping ratio of
             the cart where a linear fit takes part.
         units: SI units.
-        labels: of the ways.
-        asks: what the model must be right for so that this way is, in words.
-        values: estimates [way quantity]; NaN where a way does not estimate it.
-        std: their standard deviations, were the model right [way quantity].
-        pairs: every two ways held against each other.
+        labels: of the estimators.
+        asks: what the model must be right for so that this estimator is, in words.
+        values: estimates [estimator quantity]; NaN where one does not give it.
+        std: their standard deviations, were the model right [estimator quantity].
+        pairs: every two estimators compared.
         level: at which a disagreement is called one.
         draws: replicates that the distribution of the differences was taken from.
         disturbed: whether the replicates hold random forces and torques.
@@ -90,7 +90,7 @@ class Agreement:
 
     @property
     def worst(self) -> Disagreement:
-        """The two ways that disagree most clearly."""
+        """The two estimators that disagree most clearly."""
         return min(self.pairs, key=lambda pair: pair.p_value)
 
     @property
@@ -198,8 +198,8 @@ def agreement(
 
     Hausman's idea: two estimators that are both right when the model is right differ only by chance, so a difference that
     is large beside its own standard deviation shows that the model is wrong. Neither estimator need be efficient: the
-    distribution of the difference comes from replicates, from each of which every way estimates anew (a fit by one
-    Gauss-Newton step), so that their common errors cancel, and the bias that a way has on such data is taken off. That also
+    distribution of the difference comes from replicates, from each of which every estimator estimates anew (a fit by one
+    Gauss-Newton step), so that their common errors cancel, and the bias that an estimator has on such data is taken off. That also
     lets a linear fit take part, whose natural frequency and damping are those of the cart with dry friction and arm; pairs
     with it, and the joint verdict over pairs that depend on each other, reject more rarely than the level says.
 
@@ -215,7 +215,7 @@ def agreement(
         labels: of the results, each another.
         level: of the test.
         draws: replicates; more than three times as many as there are quantities.
-        block: duration that stays together when the residual is put in another order [s]; longer than its memory.
+        block: duration that stays together when the residual is put in another order [s]; longer than its correlation time.
         seed: of the replicates.
         progress: show a bar.
 
@@ -263,7 +263,7 @@ def agreement(
         for row, way in enumerate(ways):
             found[number, row] = _in_order(way, way.again(measured), names)
     # The estimates by the same step as in the replicates: what an optimiser left undone is large beside the difference of
-    # two ways that almost agree.
+    # two estimators that almost agree.
     measured = source.measured
     observed = np.array([_in_order(way, way.again(measured), names) for way in ways])
     values = np.array([_in_order(way, way.values, names) for way in ways])

@@ -92,7 +92,7 @@ class Screened:
 
 _ROUNDING = 1e-2  # what the filter's own pass and a simulation with its gains differ by is far less
 ALARM = 20.0
-CHANCE = 2e-3  # of an alarm by any of the candidates that are tried, if nothing is missing
+CHANCE = 2e-3  # of a rejection by any of the candidates that are tried, if nothing is missing
 _SIZES = (0.1, 0.2, 0.35, 0.5, 0.7, 1.0, 1.5)  # of the plausible amplitude, that are tried
 _THRESHOLD = 0.1  # of what proportion would ask of the smallest size, below which there is a threshold
 _TRIED = 3  # candidates whose size is looked for so

@@ -29,11 +29,11 @@ from rtac_jax.measurement import Experiment, Recording
 
 # A second start agrees with the best one when its log-likelihood is within this much for each sample.
 _AGREES = 1e-3
-# Random force and torque of the predictor, as shares of the rms ones: from strong to weak correction.
+# Random force and torque of the predictor, as fractions of the rms ones: from strong to weak correction.
 _CORRECTION = (0.3, 0.03)
 # Times the noise from which on a start is led to the simulation by predictions with correction.
 _GUIDED = 5.0
-# An experiment begins at rest where that leaves less than this share of what is left from where its first samples begin.
+# An experiment begins at rest where that leaves less than this fraction of what is left from where its first samples begin.
 _AT_REST = 0.5
 # A start whose short predictions stay this many times worse than another's is given up.
 _HOPELESS = 5.0

@@ -29,7 +29,7 @@ from estimators.prediction_error.latent_force import LatentForce
 from rtac_jax.measurement import Recording
 
 _MOST_BARS = 14
-_NEAR = 0.05  # share of the misfit that makes a rival worth naming
+_NEAR = 0.05  # fraction of the misfit that makes a rival worth naming
 _FORCE = {"cart": ("force", "N"), "arm": ("torque", "N m")}
 _ALWAYS = ("cart_position", "cart_velocity", "arm_angle")
 

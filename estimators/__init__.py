@@ -1,4 +1,4 @@
-"""What can be learned from a recording."""
+"""Estimators of a recording: parameters, missing effects, model error and controllers."""
 
 from estimators.closed_form.fit import AS_IN_PAPER, least_squares
 from estimators.closed_form.table1 import ClosedForm

@@ -1,4 +1,4 @@
-"""The rig: what was recorded, what physics may act on it, and how it moves."""
+"""The rig: its recordings, the physics that may act on it, and its motion."""
 
 from rtac_jax import control, effects, virtual_rig
 from rtac_jax._configure import configure, require_configured

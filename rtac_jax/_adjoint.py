@@ -53,8 +53,13 @@ def differentiable_states(
     Second derivatives are forward ones, `jax.jacfwd` of either.
 
     Args:
-        room: length of the arrays, of which the first `samples` are run through.
-        substeps: Runge-Kutta steps per sample, at most `most`.
+        model: at the values by which to differentiate.
+        start: every state at the first sample, SI units.
+        excitation: the inputs.
+        room: length of the arrays.
+        samples: how many of them are run through.
+        substeps: Runge-Kutta steps per sample.
+        most: the largest number of them for which there is room.
     """
     driven = model.driven(excitation)
     bare = model.without(*(effect.id for effect in model.effects if isinstance(effect, Input)))
@@ -114,10 +119,15 @@ def _tangents(direction: Driven, driven: Driven, path: Array, samples: Array, su
 def _gradients(
     wanted: Driven, driven: Driven, path: Array, weights: Array, samples: Array, substeps: Array, most: int
 ) -> Driven:
-    """Gradients of the sum of the states times weights, by the transpose of `_tangents`.
+    """Return gradients of the sum of the states times weights, by the transpose of `_tangents`.
 
     Args:
         wanted: True where a gradient is asked for; elsewhere it is None.
+        driven: what the states depend on.
+        path: the states at every sample.
+        weights: of every state at every sample.
+        samples: how many are run through.
+        substeps: Runge-Kutta steps per sample.
         most: steps between two samples for whose states there is room.
     """
     signals = eqx.filter((driven.current, driven.force), (wanted.current, wanted.force))

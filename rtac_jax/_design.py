@@ -1,4 +1,4 @@
-"""Currents made safe on the model before the rig plays them: torque, travel, and where the arm has no grip."""
+"""Design of currents that are safe on the model before the rig plays them: torque, travel, and an arm without grip."""
 
 from collections.abc import Sequence
 
@@ -15,7 +15,7 @@ from rtac_jax.simulation import State, Steps, advance, substeps_for
 
 _FEWER = 0.9  # by which an amplitude is lowered until the travel holds
 _MOST_TRIES = 60
-_MOST_SILENT = 0.5  # share of the samples that a dead band may silence: an arm that rests in it cannot be driven out
+_MOST_SILENT = 0.5  # fraction of the samples that a dead band may silence: an arm that rests in it cannot be driven out
 
 
 def design_excitation(
@@ -30,7 +30,7 @@ def design_excitation(
     dead_band: float = 0.05,
     name: str = "condition",
 ) -> Recording:
-    """A recording that a rig can play: one experiment for each starting angle, within the limits of torque and travel.
+    """Return a recording that a rig can play: one experiment for each starting angle, within torque and travel.
 
     The current is scaled until the torque and, by simulation of the model, the cart's travel stay within their limits;
     `amplitudes` then take fractions of that. Where the simulated arm has |cos(theta)| <= `dead_band` the current is zero
@@ -50,6 +50,7 @@ def design_excitation(
         travel: largest cart position to each side [m].
         torque_limit: largest |N| [N m].
         dead_band: [1].
+        name: of the experiments, which are numbered.
 
     Returns:
         Experiments `condition_1`, ... whose outputs are the model's prediction, as the comment says; replace them by
@@ -119,7 +120,7 @@ def design_excitation(
 def _play(
     model: RTAC, currents: np.ndarray, angles: Sequence[float], sample_time: float, dead_band: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Currents that are zero where their own motion has no grip [experiment, sample], and the outputs of that motion."""
+    """Return currents that are zero where their own motion has no grip [experiment, sample], and that motion's outputs."""
     count = len(currents)
     excitation = Excitation(None, None, jnp.full(count, sample_time), jnp.ones(count), jnp.ones(count))
     rigid = (jnp.zeros(count), jnp.zeros(count), jnp.asarray(angles, dtype=float), jnp.zeros(count))

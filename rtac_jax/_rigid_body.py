@@ -12,7 +12,7 @@ _TABLE_1 = "paper, Table 1(c)"
 
 
 class RigidBody(eqx.Module):
-    """Cart, spring, motor and arm without any friction.
+    """The cart, spring, motor and arm without any friction.
 
     (M+m) q'' + k q = -m e (theta'' cos theta - theta'^2 sin theta) + F        (1)
     (I+m e^2) theta'' = -m e q'' cos theta + K_m i                            (2)
@@ -54,15 +54,15 @@ class RigidBody(eqx.Module):
             )
 
     def coupling(self) -> Any:
-        """epsilon = m e / sqrt((I+m e^2)(M+m)), equation (3); no unit."""
+        """Return epsilon = m e / sqrt((I+m e^2)(M+m)), equation (3); no unit."""
         return self.eccentric_moment / jnp.sqrt(self.arm_inertia * self.total_mass)
 
     def natural_frequency(self) -> Any:
-        """sqrt(k / (M+m)) [rad/s]."""
+        """Return the natural frequency sqrt(k / (M+m)) [rad/s]."""
         return jnp.sqrt(self.spring_stiffness / self.total_mass)
 
     def energy(self, cart_position: Any, cart_velocity: Any, arm_angle: Any, arm_velocity: Any) -> Any:
-        """Kinetic and spring energy [J]."""
+        """Return kinetic and spring energy [J]."""
         kinetic_cart = 0.5 * self.total_mass * cart_velocity**2
         kinetic_arm = 0.5 * self.arm_inertia * arm_velocity**2
         exchange = self.eccentric_moment * cart_velocity * arm_velocity * jnp.cos(arm_angle)

@@ -75,7 +75,7 @@ class RTAC(eqx.Module):
 
     @classmethod
     def paper(cls) -> "RTAC":
-        """The rig of the paper: Table 1, and v and d of section 4.2."""
+        """Return the rig of the paper: Table 1, and v and d of section 4.2."""
         return cls(
             RigidBody(**_PAPER),
             (CartViscous(0.5543), CartCoulomb(0.024), ArmViscous(1.39e-4, 1.49e-4)),
@@ -83,7 +83,7 @@ class RTAC(eqx.Module):
 
     @classmethod
     def from_rig(cls, recording: Recording) -> "RTAC":
-        """The paper's model for the rig of a recording: known constants are fixed, and what nothing excites is left out.
+        """Return the paper's model for the rig of a recording: known constants fixed, and what nothing excites left out.
 
         The other parameters start at the paper's values; an estimator finds better ones from the data.
 
@@ -118,7 +118,7 @@ class RTAC(eqx.Module):
     # -- composition -------------------------------------------------------------------------------------------------
 
     def __add__(self, effect: Effect) -> "RTAC":
-        """One effect more, at its place in the order of the catalogue; an effect that is not in it comes last."""
+        """Return the model with one effect more, at its place in the catalogue's order; one that is not in it comes last."""
         if not isinstance(effect, Effect):
             return NotImplemented
         places = [_PLACES.get(e.id, len(_PLACES)) for e in (*self.effects, effect)]
@@ -128,7 +128,7 @@ class RTAC(eqx.Module):
         return type(self)(self.body, effects, self.fixed | idle, self.per_experiment)
 
     def without(self, *ids: str) -> "RTAC":
-        """The model less the effects with these ids.
+        """Return the model less the effects with these ids.
 
         Raises:
             ValueError: the model has no such effect.
@@ -164,7 +164,7 @@ class RTAC(eqx.Module):
         return tuple(n for n, declared in self.parameters.items() if n not in self.fixed and not declared.fixed)
 
     def __getitem__(self, name: str) -> Any:
-        """The value of a parameter.
+        """Return the value of a parameter.
 
         Raises:
             KeyError: there is none of that name.
@@ -181,7 +181,7 @@ class RTAC(eqx.Module):
         return self.effects[self.ids.index(effect_id)], field
 
     def with_values(self, values: Mapping[str, Any]) -> "RTAC":
-        """The model with other values of some parameters; values may be traced, or one for each experiment."""
+        """Return the model with other values of some parameters; values may be traced, or one for each experiment."""
         if not values:
             return self
         names = tuple(values)
@@ -192,22 +192,22 @@ class RTAC(eqx.Module):
         )
 
     def fix(self, *names: str) -> "RTAC":
-        """The model with these parameters held at their values."""
+        """Return the model with these parameters held at their values."""
         return type(self)(self.body, self.effects, self.fixed | set(names), self.per_experiment)
 
     def release(self, *names: str) -> "RTAC":
-        """The model with these parameters estimated."""
+        """Return the model with these parameters estimated."""
         return type(self)(self.body, self.effects, self.fixed - set(names), self.per_experiment)
 
     def each_experiment(self, *names: str) -> "RTAC":
-        """The model with a value of its own for each experiment in these parameters."""
+        """Return the model with a value of its own for each experiment in these parameters."""
         return type(self)(self.body, self.effects, self.fixed, self.per_experiment | set(names))
 
     def __str__(self) -> str:
         return self.table()
 
     def table(self) -> str:
-        """Parameters with symbol, value, unit and meaning, one a line."""
+        """Return a table of parameters with symbol, value, unit and meaning, one a line."""
         rows = []
         for name, declared in self.parameters.items():
             value = np.asarray(self[name])
@@ -227,7 +227,7 @@ class RTAC(eqx.Module):
         return found
 
     def start(self, rigid: tuple[Any, Any, Any, Any], current: Any) -> tuple[Any, ...]:
-        """The whole state at the start, from the rigid body's [m, m/s, rad, rad/s] and the current [A]."""
+        """Return the whole state at the start, from the rigid body's [m, m/s, rad, rad/s] and the current [A]."""
         sine, cosine = sincos(rigid[2])
         motion = Motion(*rigid, sine, cosine, current, self.body)
         state = tuple(rigid)
@@ -245,13 +245,14 @@ class RTAC(eqx.Module):
         way: tuple[Any, Any] = (0.0, 0.0),
         since: Since | None = None,
     ) -> tuple[Any, ...]:
-        """Time derivative of the state: equations (1) and (2) with the effects.
+        """Return the time derivative of the state: equations (1) and (2) with the effects.
 
         Args:
             state: one array per state; all of one shape.
             current: motor current [A].
             force: disturbance force F on the cart [N].
-            arm_free, cart_free: 1 where it may move, 0 where it is held.
+            arm_free: 1 where the arm may turn, 0 where it is locked.
+            cart_free: 1 where the cart may move, 0 where it is clamped.
             way: direction in which cart and arm slide, 1 or -1, against which dry friction acts; 0 for none.
             since: the beginning of the integration step; from there states with a closed form are followed, so that
                 `state` holds their values at the beginning and their derivatives are zero. None: all are integrated.
@@ -266,7 +267,7 @@ class RTAC(eqx.Module):
             motion = since.seen_from(motion)
 
         def act(effect: Effect) -> tuple[Any, ...]:
-            """Rates of an effect; its states are brought to this instant."""
+            """Return the rates of an effect; its states are brought to this instant."""
             if not effect.closed or since is None:
                 return in_parts(effect.rate(motion, own[effect.id]), effect, "rate", tuple(effect.states))
             if not isinstance(effect, Sensor):
@@ -301,7 +302,7 @@ class RTAC(eqx.Module):
         return result
 
     def driven(self, excitation: Excitation) -> Excitation:
-        """The excitation as it reaches the rig, after the effects on how inputs run between and across samples."""
+        """Return the excitation as it reaches the rig, after the effects on how inputs run between and across samples."""
         stages = [effect for effect in self.effects if isinstance(effect, Input)]
         if not stages:
             return excitation
@@ -319,16 +320,18 @@ class RTAC(eqx.Module):
         return any(effect.closed or isinstance(effect, Impact) for effect in self.effects)
 
     def since(self, state: tuple[Any, ...], current: Any, step: Any, last: Any) -> Since:
-        """The beginning of a step of this length [s], with the currents at its beginning and its end [A]."""
+        """Return the beginning of a step of this length [s], with the currents at its beginning and its end [A]."""
         motion = Motion(state[0], state[1], state[2], state[3], *sincos(state[2]), current, self.body)
         return Since(motion, step, last, 0.0)
 
     def settle(self, after: tuple[Any, ...], since: Since, arm_free: Any, cart_free: Any) -> tuple[Any, ...]:
-        """The state after a step, with the states that have a closed form, and with what happens at once.
+        """Return the state after a step, with the states that have a closed form, and with what happens at once.
 
         Args:
             after: by the integration, with those states as they were at the beginning.
             since: the beginning of the step.
+            arm_free: 1 where the arm may turn, 0 where it is locked.
+            cart_free: 1 where the cart may move, 0 where it is clamped.
         """
         own = self._own_states(after)
         motion = since.seen_from(self.since(after, since.last, since.step, since.last).motion)
@@ -351,7 +354,7 @@ class RTAC(eqx.Module):
         return (*rigid, *(x for effect in self.effects for x in own[effect.id]))
 
     def _mobility(self, cosine: Any, arm_free: Any, cart_free: Any) -> tuple[Any, Any, Any]:
-        """Inverse of the mass matrix: what a unit force and a unit torque do to the accelerations."""
+        """Return the inverse of the mass matrix: the accelerations by a unit force and a unit torque."""
         body = self.body
         mass, inertia = body.total_mass, body.arm_inertia
         for effect in self.effects:
@@ -362,11 +365,11 @@ class RTAC(eqx.Module):
         return cart_free * scale * inertia, -scale * exchange, arm_free * scale * mass
 
     def pushes(self, state: tuple[Any, ...], arm_free: Any, cart_free: Any) -> tuple[Any, Any, Any]:
-        """Accelerations by a unit force and a unit torque: cart by force, either by the other's, arm by torque."""
+        """Return accelerations by a unit force and a unit torque: cart by force, either by the other's, arm by torque."""
         return self._mobility(sincos(state[2])[1], arm_free, cart_free)
 
     def slide(self, state: tuple[Any, ...]) -> tuple[Any, Any]:
-        """Directions in which cart and arm slide at the start of a step."""
+        """Return the directions in which cart and arm slide at the start of a step."""
         if not any(isinstance(effect, DryFriction) for effect in self.effects):
             return 0.0, 0.0
         return jnp.sign(state[1]), jnp.sign(state[3])
@@ -374,7 +377,7 @@ class RTAC(eqx.Module):
     def stop(
         self, before: tuple[Any, ...], after: tuple[Any, ...], step: Any, arm_free: Any = 1.0, cart_free: Any = 1.0
     ) -> tuple[Any, ...]:
-        """The state after a step, mended where the cart or the arm came to rest on the way or was at rest before.
+        """Return the state after a step, mended where cart or arm came to rest on the way or was at rest before.
 
         The step is taken with dry friction against the direction of its start; where that would turn the motion round,
         the step is cut at the instant of rest, after which the other forces, taken as constant, overcome the friction
@@ -389,7 +392,7 @@ class RTAC(eqx.Module):
         return brought_to_rest(before, after, step, levels, self.pushes(before, arm_free, cart_free))
 
     def friction_levels(self, state: tuple[Any, ...]) -> list[tuple[Any, Any]]:
-        """Largest dry friction force on the cart [N] and torque on the arm [N m], of each effect that has any."""
+        """Return the largest dry friction force on the cart [N] and torque on the arm [N m], of each effect that has any."""
         rubbing = [effect for effect in self.effects if isinstance(effect, DryFriction)]
         sine, cosine = sincos(state[2])
         own = self._own_states(state)
@@ -397,7 +400,7 @@ class RTAC(eqx.Module):
         return [effect.levels(motion, own[effect.id]) for effect in rubbing]
 
     def outputs(self, state: tuple[Any, ...]) -> Outputs:
-        """What the sensors show of a state."""
+        """Return the outputs of the sensors in a state."""
         shown = Outputs(state[0], state[3], state[2])
         own = self._own_states(state)
         # What the sensors look at comes before the sensors themselves.

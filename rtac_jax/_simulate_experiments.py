@@ -44,6 +44,7 @@ def simulate(
         positions = jax.jit(jax.vmap(position))(sets)  # [64 sample]
 
     Args:
+        model: at the values to simulate with.
         experiments: a recording, or some of its experiments, or one experiment; their inputs, holds and lengths are taken,
             their outputs not.
         start: cart position [m], cart velocity [m/s], arm angle [rad] and arm velocity [rad/s] at the start, by name of

@@ -44,6 +44,7 @@ def simulate_inputs(
         positions = jax.jit(jax.vmap(position, (0, None)))(sets, current)  # [64 sample]
 
     Args:
+        model: at the values to simulate with.
         sample_time: [s].
         current: of the motor [A], one number per sample; None where it is idle.
         disturbance_force: on the cart [N], likewise.
@@ -51,7 +52,8 @@ def simulate_inputs(
         start: cart position [m], cart velocity [m/s], arm angle [rad] and arm velocity [rad/s] at the first sample, or every
             state of the model.
         intersample: how the inputs run between samples: "zoh" held, "foh" straight lines, "bl" band-limited, a cubic spline.
-        arm, cart: "free", or the arm "locked" and the cart "clamped".
+        arm: "free" or "locked".
+        cart: "free" or "clamped".
         substeps: Runge-Kutta steps per sample; by default as the fastest mode asks, in a batch the fastest of all.
 
     Raises:

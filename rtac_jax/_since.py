@@ -1,4 +1,4 @@
-"""What effects may know of the beginning of the integration step that is being taken."""
+"""The beginning of the integration step that is being taken, as far as effects may know it."""
 
 from typing import Any, NamedTuple
 
@@ -12,7 +12,7 @@ class Since(NamedTuple):
         motion: there.
         step: length of the step [s].
         last: the current at its end [A].
-        elapsed: share of the step that has gone by.
+        elapsed: fraction of the step that has gone by.
     """
 
     motion: Motion
@@ -21,12 +21,12 @@ class Since(NamedTuple):
     elapsed: Any
 
     def seen_from(self, motion: Motion) -> Motion:
-        """A motion within the step that knows of its beginning."""
+        """Return a motion within the step that knows of its beginning."""
         return motion._replace(began=self.motion, elapsed=self.elapsed, step=self.step, last=self.last)
 
 
 def through(effect: Actuator, motion: Motion, before: tuple[Any, ...], now: tuple[Any, ...]) -> Motion:
-    """The motion with the currents after an actuator stage, now and at both ends of the step."""
+    """Return the motion with the currents after an actuator stage, now and at both ends of the step."""
     current = effect.current(motion.current, now)
     if motion.began is None:
         return motion._replace(current=current)

@@ -27,7 +27,7 @@ _PIO2 = (1.57079632673412561417e00, 6.07710050630396597660e-11, 2.02226624879595
 
 @jax.custom_jvp
 def sincos(angle: Float[Array, "..."]) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
-    """Sine and cosine of an angle [rad], exact to 1e-16 up to about 1e5 rad.
+    """Return sine and cosine of an angle [rad], exact to 1e-16 up to about 1e5 rad.
 
     Source: range reduction of Cody and Waite, minimax polynomials of fdlibm.
     """

@@ -1,4 +1,4 @@
-"""Dry friction over an integration step: what it brings to rest on the way, and what it holds."""
+"""Dry friction over an integration step: the bodies that it brings to rest on the way, and those that it holds."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -16,10 +16,11 @@ def brought_to_rest(
     levels: Sequence[tuple[Any, Any]],
     mobility: tuple[Any, Any, Any],
 ) -> tuple[Any, ...]:
-    """The state after a step, mended where cart or arm came to rest; see `RTAC.stop`.
+    """Return the state after a step, mended where cart or arm came to rest; see `RTAC.stop`.
 
     Args:
-        before, after: states at both ends of the step.
+        before: state at the beginning of the step.
+        after: state at its end, without rest.
         step: its length [s].
         levels: largest friction force on the cart and torque on the arm, of each effect.
         mobility: inverse of the mass matrix: cart by force, either by the other's, arm by torque.
@@ -53,7 +54,7 @@ def _never(level: Any) -> bool:
 
 
 class _Stop(NamedTuple):
-    """What mends a step of dry friction.
+    """The correction of a step of dry friction.
 
     Attributes:
         change: of the velocity.
@@ -67,12 +68,12 @@ class _Stop(NamedTuple):
 
 
 def _stopped(started: Any, arrived: Any, most: Any) -> _Stop:
-    """What mends a step of dry friction in which the velocity vanishes, with the other forces constant over it.
+    """Return the correction of a step of dry friction whose velocity vanishes, with other forces constant over it.
 
     Args:
         started: velocity before the step.
         arrived: velocity after it, with friction all the time against the direction of the start.
-        most: by how much friction can change the velocity in a whole step.
+        most: largest change of the velocity by friction in a whole step.
     """
     way = jnp.where((started > 0) | ((started == 0) & (arrived > 0)), 1.0, -1.0)
     begin, end = way * started, way * arrived
@@ -80,7 +81,7 @@ def _stopped(started: Any, arrived: Any, most: Any) -> _Stop:
     driven = end - begin + jnp.where(resting, 0.0, most)  # by the other forces alone
     slides = end >= jnp.where(resting, most, 0.0)
     apart = most - driven
-    rest = jnp.where(apart > 0, begin / jnp.where(apart > 0, apart, 1.0), 0.0)  # when it comes to rest, as a share
+    rest = jnp.where(apart > 0, begin / jnp.where(apart > 0, apart, 1.0), 0.0)  # when it comes to rest, as a fraction
     back = jnp.minimum(driven + most, 0.0) * (1.0 - rest)
     late = jnp.where(resting, -most, 0.0)  # what slides off from rest was not yet rubbed
     change = jnp.where(slides, late, back - end)

@@ -13,7 +13,10 @@ def substeps_traced(model: RTAC, excitation: Excitation, *, stability: float, mo
     """Return what `substeps_for` returns, as an array; in a batch the most that one of it needs.
 
     Args:
-        stability, most: see `substeps_for`.
+        model: that JAX traces.
+        excitation: the inputs, with their sample times.
+        stability: step times fastest rate, at most.
+        most: the largest number of steps returned.
     """
     model, sample_time = jax.lax.stop_gradient((model, excitation.sample_time))
     first = jax.tree.map(lambda leaf: jnp.ravel(leaf)[0], model)
@@ -25,7 +28,7 @@ def substeps_traced(model: RTAC, excitation: Excitation, *, stability: float, mo
 
 @jax.custom_batching.custom_vmap
 def _most_of_batch(count: Int[Array, ""]) -> Int[Array, ""]:
-    """The same number; under `jax.vmap` the largest of the batch, so that one loop serves all of it."""
+    """Return the same number; under `jax.vmap` the largest of the batch, so that one loop serves all of it."""
     return count
 
 

@@ -1,4 +1,4 @@
-"""What drives a set of experiments, as arrays that the time loop can take: padded to one length, one column each."""
+"""The excitation of a set of experiments, as arrays for the time loop: padded to one length, one column each."""
 
 from collections.abc import Sequence
 
@@ -14,11 +14,11 @@ BEYOND = 12  # samples by which an input goes on after its last, for effects tha
 
 
 class Excitation(eqx.Module):
-    """Inputs of several experiments between their samples, as polynomials in the fraction of the interval.
+    """The inputs of several experiments between their samples, as polynomials in the fraction of the interval.
 
     Attributes:
         current: polynomial coefficients, rising powers [A]; None where no experiment has a current.
-        force: likewise of the disturbance force [N].
+        force: the same of the disturbance force [N].
         sample_time: [s].
         arm_free, cart_free: 1 where it may move, 0 where it is held.
         samples: of each experiment; None where all last as long as the arrays.
@@ -33,11 +33,12 @@ class Excitation(eqx.Module):
 
     @classmethod
     def of(cls, experiments: Sequence[Experiment], *, room: int | None = None) -> "Excitation":
-        """From experiments of any lengths, sample times and channels.
+        """Stack the inputs of experiments of any lengths, sample times and channels.
 
         Beyond its end an input goes on for a few samples as its mirror image, evenly in value and slope, and is zero then.
 
         Args:
+            experiments: one column each.
             room: length of the arrays, by default that of the longest experiment.
         """
         room = room or max(e.samples for e in experiments)
@@ -62,7 +63,7 @@ class Excitation(eqx.Module):
         return jnp.arange(room)[:, None] < samples
 
     def first_current(self) -> Float[Array, " experiment"]:
-        """Current at the first sample [A]."""
+        """Return the current at the first sample [A]."""
         if self.current is None:
             return jnp.zeros_like(self.sample_time)
         return self.current[0, 0]
@@ -84,7 +85,7 @@ def _stack(experiments: Sequence[Experiment], channel: str, room: int) -> Array 
 
 
 def coefficients(signal: Signal) -> Float[np.ndarray, "sample power"]:
-    """Rising powers of the fraction of the interval that follows each sample; the last interval holds its value."""
+    """Return rising powers of the fraction of the interval that follows each sample; the last one holds its value."""
     values = signal.values
     if signal.intersample == "zoh":
         return values[:, None]

@@ -1,4 +1,4 @@
-"""The model about an operating point as a linear system, and equation (4) in closed form."""
+"""Linearisation of the model about an operating point, and equation (4) in closed form."""
 
 from collections.abc import Callable, Mapping
 from typing import Any, Literal
@@ -25,7 +25,7 @@ def linearise(
     arm_angle: float = 0.0,
     drive: Literal["torque", "current"] = "torque",
 ) -> ct.StateSpace:
-    """The exact linear system for small motions about the equilibrium with the arm at this angle.
+    """Return the exact linear system for small motions about the equilibrium with the arm at this angle.
 
     The Jacobian is that of the model's own derivative, so every effect with its states takes part. Where gravity, cogging
     or an offset acts, the equilibrium's cart position and holding current are found first, and states, input and outputs
@@ -34,6 +34,7 @@ def linearise(
     rest (the arm's friction, which differs by direction), the slope is the mean of both sides.
 
     Args:
+        model: with one value of each parameter.
         arm_angle: at the equilibrium [rad].
         drive: the first input is the motor's torque [N m] or its current [A].
 
@@ -68,11 +69,12 @@ def linear_matrices(
 ) -> tuple[
     Float[np.ndarray, "plant state state"], Float[np.ndarray, "plant state 2"], Float[np.ndarray, "plant 3 state"]
 ]:
-    """A, B and C of `linearise` at theta = 0, from the current, for many plants at once.
+    """Return A, B and C of `linearise` at theta = 0, from the current, for many plants at once.
 
     All are linearised about the equilibrium of the model itself, which is theirs too where nothing pulls the rig aside.
 
     Args:
+        model: that all plants are linearised about.
         values: of some parameters, one for each plant.
 
     Raises:
@@ -86,7 +88,7 @@ def linear_matrices(
 
 
 def _both_sides(jacobians: Callable[[Array, Array], Any], rest: np.ndarray, holding: float) -> tuple[Any, Any, Any]:
-    """Mean of the slopes on both sides of rest."""
+    """Return the mean of the slopes on both sides of rest."""
     sides = []
     for side in (_NUDGE, -_NUDGE):
         at = jnp.asarray(rest).at[jnp.array([1, 3])].add(side)
@@ -96,12 +98,13 @@ def _both_sides(jacobians: Callable[[Array, Array], Any], rest: np.ndarray, hold
 
 
 def equation_4(model: RTAC, *, arm_angle: float = 0.0, rate: float = 1.0) -> ct.TransferFunction:
-    """Equation (4): from the normalised torque u to the normalised cart position xi, at small motions about an arm angle.
+    """Return equation (4): from normalised torque u to normalised cart position xi, at small motions about an arm angle.
 
     Only the rigid body and the cart's viscous friction enter; the arm turns without friction, as in the paper. For a plant
     in seconds that still relates the normalised u and xi, give the natural frequency, `model.body.natural_frequency()`.
 
     Args:
+        model: of which the rigid body and the cart's viscous friction enter.
         arm_angle: theta_0 [rad].
         rate: normalised time per unit of the result's time, 1 for the paper's own.
 
@@ -120,7 +123,7 @@ def equation_4(model: RTAC, *, arm_angle: float = 0.0, rate: float = 1.0) -> ct.
 
 
 def _equilibrium(model: RTAC, arm_angle: float) -> tuple[np.ndarray, float]:
-    """State at rest with the arm at this angle, and the current [A] that holds it there."""
+    """Return the state at rest with the arm at this angle, and the current [A] that holds it there."""
     count = len(model.states)
     moving = np.array([0, *range(4, count)])  # what rest leaves open besides the current
     residual = np.array([1, 3, *range(4, count)])

@@ -20,7 +20,7 @@ _KEY = "rtac_parameter"
 
 @dataclasses.dataclass(frozen=True)
 class Scales:
-    """Typical sizes in a recording and its model, in SI units: what makes a missing effect plausible or absurd.
+    """The typical sizes in a recording and its model, SI units, by which a missing effect is plausible or absurd.
 
     Attributes:
         position: rms cart position [m].
@@ -50,7 +50,7 @@ Plausible = Callable[[Scales], "float | tuple[float, ...]"]
 
 @dataclasses.dataclass(frozen=True)
 class Declaration:
-    """What is known of a parameter before any data.
+    """The knowledge of a parameter before any data.
 
     Attributes:
         symbol: as in the paper or the field, for tables and axes.
@@ -103,5 +103,5 @@ def _as_value(value: Any) -> Array:
 
 
 def declarations(module: Any) -> dict[str, Declaration]:
-    """The declared parameters of a module or of its class, by field name, in order of declaration."""
+    """Return the declared parameters of a module or of its class, by field name, in order of declaration."""
     return {field.name: field.metadata[_KEY] for field in dataclasses.fields(module) if _KEY in field.metadata}

@@ -32,10 +32,15 @@ def advance(
     *,
     substeps: Steps,
 ) -> State:
-    """The state one sample later, by `substeps` classic Runge-Kutta steps, cut where dry friction brings to rest.
+    """Return the state one sample later, by `substeps` classic Runge-Kutta steps, cut where dry friction brings to rest.
 
     Args:
-        current, force: polynomial coefficients of the inputs over the interval, rising powers of its fraction.
+        model: the rig.
+        state: at the sample; one array for each state, SI units.
+        current: polynomial coefficients of the current over the interval, rising powers of its fraction [A]; None for none.
+        force: the same of the disturbance force [N].
+        excitation: gives sample times and what is free to move.
+        substeps: number of steps.
     """
     step = excitation.sample_time / substeps
 
@@ -61,7 +66,12 @@ def runge_kutta(
     """Take one of the `substeps` steps of an interval between samples.
 
     Args:
-        current, force: as `advance` takes them.
+        model: whose equations act.
+        state: at the beginning of the step.
+        current: polynomial of the interval, as `advance` takes it.
+        force: likewise.
+        excitation: of which experiments.
+        substeps: steps in an interval.
         step: its length [s].
         begin: fraction of the interval at which the step begins.
     """
@@ -109,7 +119,7 @@ def _polynomial(coefficients: Sequence[Any] | None, fraction: Any) -> Any:
 
 @jax.custom_jvp
 def without_denormals(x: Array) -> Array:
-    """x, with numbers too small to matter set to zero: a processor works on denormal numbers a hundred times slower.
+    """Set numbers too small to matter to zero: a processor works on denormal numbers a hundred times slower.
 
     States of a rig that comes to rest, and sensitivities to a start that a correction forgets, decay that far.
     """
@@ -134,7 +144,7 @@ def trajectories(
     states: bool = False,
     impulses: Float[Array, "sample 2 2 experiment"] | None = None,
 ) -> Float[Array, "sample row experiment"]:
-    """Outputs of all experiments, one column each: cart position [m], arm velocity [rad/s], arm angle [rad].
+    """Return the outputs of all experiments, one column each: cart position [m], arm velocity [rad/s], arm angle [rad].
 
     Of arrays that are longer than `samples` the first so many are run through; `room` is their length, and where it is given
     another number of samples compiles nothing. What is beyond is zero. An experiment that ends before holds its last state.
@@ -179,7 +189,7 @@ def trajectories(
 def unit_pushes(
     model: RTAC, state: State, excitation: Excitation
 ) -> tuple[Float[Array, "state experiment"], Float[Array, "state experiment"]]:
-    """What a unit force on the cart and a unit torque on the arm do to all states' rates."""
+    """Return the change of all states' rates by a unit force on the cart and by a unit torque on the arm."""
     cart_cart, cart_arm, arm_arm = model.pushes(state, excitation.arm_free, excitation.cart_free)
     zero = jnp.zeros_like(state[0])
     rest = [zero] * (len(state) - 4)
@@ -187,10 +197,13 @@ def unit_pushes(
 
 
 def substeps_for(model: RTAC, excitation: Excitation, *, stability: float = 1.0, most: int = MOST_SUBSTEPS) -> int:
-    """Runge-Kutta steps per sample that keep the fastest mode of the model at rest well inside the stable region.
+    """Return the Runge-Kutta steps per sample that keep the fastest mode of the model at rest well inside the stable region.
 
     Args:
+        model: the rig; of parameters with several values the first is taken.
+        excitation: gives the longest sample time.
         stability: step times fastest rate; classic Runge-Kutta is stable up to about 2.8.
+        most: largest number of steps.
     """
     count = len(model.states)
     longest = float(np.max(np.asarray(excitation.sample_time)))

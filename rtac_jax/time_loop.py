@@ -11,7 +11,7 @@ _SHORTEST = 64
 
 
 def room_for(samples: int) -> int:
-    """Length of the arrays that hold so many samples: one of a few, each about 1.4 times the one before.
+    """Return the length of arrays that hold so many samples: one of a few, each about 1.4 times the one before.
 
     Code is compiled for a length of the arrays and stops after the samples that there are.
     """
@@ -23,13 +23,15 @@ def room_for(samples: int) -> int:
 def time_loop(
     step: Callable[[Any, Any], tuple[Any, Any]], carry: Any, rows: Any, *, room: int, samples: Any
 ) -> tuple[Any, Any]:
-    """What `jax.lax.scan` does, for the first `samples` of the rows; what it shows of all others is zero.
+    """Scan as `jax.lax.scan` does, over the first `samples` of the rows; all other results are zero.
 
     Forward derivatives only.
 
     Args:
         step: from the carry and a row to the carry and what is shown.
+        carry: at the start.
         rows: arrays, or trees of them, with `room` along their first axis.
+        room: length of the rows and of the results.
         samples: a number of steps; an array compiles once for all numbers.
     """
 

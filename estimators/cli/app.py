@@ -62,7 +62,7 @@ def demo(
 
 @app.command()
 def info(file: File) -> None:
-    """What is in a recording, and what looks wrong with it."""
+    """Describe what is in a recording, and what looks wrong with it."""
     with answering():
         from rtac_jax.measurement import concerns, describe, guarded_by_digest
 
@@ -77,7 +77,7 @@ def info(file: File) -> None:
 
 @app.command()
 def fit(file: File, validation: Validation = None, out: Out = None, json: Json = None) -> None:
-    """Closed form, output error and prediction error side by side, with standard deviations, and whether they agree."""
+    """Fit by closed form, output error and prediction error side by side, with standard deviations, and test their agreement."""
     with job(file, validation, out, json) as work:
         import estimators as est
         from estimators.reporting import report as _report
@@ -124,7 +124,7 @@ def fit(file: File, validation: Validation = None, out: Out = None, json: Json =
 
 @app.command()
 def compare(file: File, validation: Validation = None, out: Out = None, json: Json = None) -> None:
-    """Fit per channel and experiment, residual tests, and where the model fails."""
+    """Compare model and measurements by channel and experiment, test the residuals, and show where the model fails."""
     with job(file, validation, out, json) as work:
         from estimators.reporting import report as _report
 
@@ -252,7 +252,7 @@ def improve(
 
 
 def _candidates(effects: Path | None) -> Any:
-    """The catalogue with the user's own effects; None for the catalogue alone."""
+    """Return the catalogue with the user's own effects; None for the catalogue alone."""
     from estimators.cli.own_effects import with_own
 
     try:
@@ -340,7 +340,10 @@ def _improve(work: Job, effects: Path | None = None) -> None:
 
 
 def _planned(work: Job, base: Any, found: Any, candidates: Any) -> Any:
-    """The experiment that would tell the effects of an ambiguous diagnosis apart; None where none is needed or feasible."""
+    """Plan the experiment that would tell the effects of an ambiguous diagnosis apart.
+
+    None where none is needed or feasible.
+    """
     if found.verdict != "ambiguous":
         return None
     import estimators as est
@@ -384,7 +387,7 @@ _LADDER = "Left: error of free simulation in units of the sensor noise. Right: t
 
 
 def _without_limits(explanation: str) -> str:
-    """The explanation as far as the tables of a report do not say it better."""
+    """Return the explanation as far as the tables of a report do not say it better."""
     before, found, limits = explanation.partition(" An effect would have been found from: ")
     rest = limits.partition(". ")[2]
     table = " The table of candidates says from which size on each effect would have been found." if found else ""
@@ -392,7 +395,7 @@ def _without_limits(explanation: str) -> str:
 
 
 def _shown(figures: dict[str, Any], **captions: str) -> list[Any]:
-    """Figures with their captions, in the order of the captions."""
+    """Return figures with their captions, in the order of the captions."""
     from estimators.reporting.html import Shown
 
     return [Shown(figures[name], caption) for name, caption in captions.items()]

@@ -22,7 +22,7 @@ Band = Annotated[
 
 
 class Kind(StrEnum):
-    """What the uncertainty does to the nominal model."""
+    """The structure of the uncertainty about the nominal model."""
 
     MULTIPLICATIVE_OUTPUT = "multiplicative_output"
     MULTIPLICATIVE_INPUT = "multiplicative_input"
@@ -31,14 +31,14 @@ class Kind(StrEnum):
 
 
 class Least(StrEnum):
-    """Which distance of the weight from what it covers is made least."""
+    """The distance of the weight from what it covers that is made least."""
 
     MEAN = "mean"
     LARGEST = "largest"
 
 
 class Method(StrEnum):
-    """How the frequency response of a condition is found."""
+    """The estimator of the frequency response of a condition."""
 
     LOCAL = "local"
     PREDICTION_ERROR = "prediction-error"
@@ -65,7 +65,7 @@ def envelope(
     out: Out = None,
     json: Json = None,
 ) -> None:
-    """One linear model and an uncertainty weight that cover all operating conditions."""
+    """Fit one linear model and an uncertainty weight that cover all operating conditions."""
     between = _band(band)
     with job(file, validation, out, json) as work:
         from estimators.reporting import envelope as texts
@@ -129,7 +129,7 @@ def control(
     out: Out = None,
     json: Json = None,
 ) -> None:
-    """An H-infinity controller for the envelope, tried on the fitted nonlinear model."""
+    """Design an H-infinity controller for the envelope, and try it on the fitted nonlinear model."""
     between = _band(band)
     for name, value in (("--displacement", displacement), ("--torque-limit", torque_limit)):
         if not 0 < value < float("inf"):
@@ -199,7 +199,7 @@ def _enveloped(
     modes: int | None = None,
     for_control: bool = False,
 ) -> tuple[Any, list[Any]]:
-    """Responses, and envelopes of each order; one that cannot be is left out as long as another can.
+    """Return responses, and envelopes of each order; one that cannot be is left out as long as another can.
 
     For control the nominal model keeps closest to the responses where they are large, as limited torque does nothing
     elsewhere, a little or much; and unless they were named, none is held out: a held-out condition raises the weight at all
@@ -234,7 +234,7 @@ def _enveloped(
 
 
 def _sides(found: Any) -> tuple[list[str], list[str]]:
-    """Conditions that were fitted, and those held out."""
+    """Return the conditions that were fitted, and those held out."""
     pairs = list(zip(found.names, found.held_out, strict=True))
     return [name for name, held in pairs if not held], [name for name, held in pairs if held]
 

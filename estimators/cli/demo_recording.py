@@ -10,7 +10,7 @@ SEED = 20
 
 
 def demo_rig() -> Rig:
-    """Table 1 of the paper, with the peak at 37.4 rad/s of its section 5.3."""
+    """Return the rig of Table 1 of the paper, with the peak at 37.4 rad/s of its section 5.3."""
     return Rig(
         flexible_mass=0.12,
         flexible_frequency=37.4,
@@ -21,6 +21,6 @@ def demo_rig() -> Rig:
 
 
 def demo_recording(*, duration: float = 4.0, seed: int = SEED) -> Recording:
-    """Two free decays, four forced runs and one rest at 200 Hz."""
+    """Record two free decays, four forced runs and one rest at 200 Hz."""
     plans = standard_plans(seed=seed, sample_time=0.005, duration=duration, free=2, forced=4, rest=1)
     return record(demo_rig(), plans, seed=seed)

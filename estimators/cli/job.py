@@ -1,4 +1,4 @@
-"""What every command of `rtac` does around its work: read, refuse in one sentence, hold out, write."""
+"""The frame of every command of `rtac` around its work: read, refuse in one sentence, hold out, write."""
 
 import os
 import secrets
@@ -15,7 +15,7 @@ NOT_POSSIBLE, WRONG_USE, INTERRUPTED = 1, 2, 130
 
 
 class Job:
-    """One run of a command on one recording.
+    """The run of a command on one recording.
 
     Attributes:
         file: the recording's path, or the name to show for it.
@@ -41,7 +41,7 @@ class Job:
 
     @property
     def seconds(self) -> float:
-        """Since the command began."""
+        """Seconds since the command began."""
         return time.perf_counter() - self.began
 
     @property
@@ -50,7 +50,7 @@ class Job:
         return "Experiments that were fitted." if self.held_out is None else "Held-out experiments."
 
     def model(self) -> Any:
-        """The paper's model with the constants of the file."""
+        """Return the paper's model with the constants of the file."""
         from estimators.core.data import moving
         from rtac_jax import RTAC
 
@@ -61,14 +61,14 @@ class Job:
             stop(WRONG_USE, str(error))
 
     def fitted(self, model: Any) -> Any:
-        """Output-error fit to the training part."""
+        """Fit the training part by output error."""
         import estimators as est
 
         with self.explaining():
             return est.output_error(model, self.train, progress=progress())
 
     def compared(self, fits: Any, labels: Sequence[str] | None = None) -> tuple[Any, Any]:
-        """Fits against the training part and against what was held out, or None."""
+        """Compare fits with the training part and with what was held out, or None."""
         import estimators as est
 
         tested = None if self.held_out is None else est.compare(fits, self.held_out, labels=labels)
@@ -76,7 +76,7 @@ class Job:
 
     @contextmanager
     def explaining(self) -> Iterator[None]:
-        """Where a fit runs away because nothing fixes the scale, say so."""
+        """Explain a fit that runs away because nothing fixes the scale."""
         from estimators.core.results import DivergedError, NotIdentifiableError
         from rtac_jax.measurement import concerns
 
@@ -126,7 +126,7 @@ class Job:
 
 @contextmanager
 def job(file: Path, validation: str | None = None, out: Path | None = None, json: Path | None = None) -> Iterator[Job]:
-    """A command's work on a recording; what goes wrong inside becomes one sentence and an exit status."""
+    """Yield a command's work on a recording; what goes wrong inside becomes one sentence and an exit status."""
     began = time.perf_counter()
     with answering():
         folder = None if out is None else writable_folder(out)
@@ -165,14 +165,14 @@ def stop(status: int, sentence: str) -> NoReturn:
 
 
 def load(file: Path) -> Any:
-    """The recording."""
+    """Load the recording."""
     from rtac_jax.measurement import Recording
 
     return Recording.load(file)
 
 
 def prepare() -> None:
-    """Before anything is computed or drawn."""
+    """Prepare JAX and matplotlib, before anything is computed or drawn."""
     import matplotlib
 
     import rtac_jax
@@ -182,17 +182,17 @@ def prepare() -> None:
 
 
 def progress() -> bool:
-    """Bars are for people."""
+    """Return whether to show bars, which are for people."""
     return sys.stderr.isatty()
 
 
 def say(*blocks: Any) -> None:
-    """Paragraphs and tables, an empty line between them."""
+    """Print paragraphs and tables, an empty line between them."""
     typer.echo("\n\n".join(str(block) for block in blocks if str(block)))
 
 
 def writable_folder(folder: Path) -> Path:
-    """The folder, made if need be, and tried before anything is computed."""
+    """Return the folder, made if need be, and tried before anything is computed."""
     probe = folder / f".{secrets.token_hex(4)}.part"
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -210,7 +210,7 @@ def _sentence(error: Exception) -> str:
 
 
 def _names(recording: Any, validation: str | None) -> list[str] | None:
-    """The experiments named on the command line; a name may hold a comma itself."""
+    """Return the experiments named on the command line; a name may hold a comma itself."""
     if validation is None:
         return None
     if validation in recording.names:
@@ -222,7 +222,7 @@ def _names(recording: Any, validation: str | None) -> list[str] | None:
 
 
 def _split(recording: Any, names: list[str] | None) -> tuple[Any, Any, str]:
-    """Train, validation or None, and why nothing could be held out."""
+    """Return train, validation or None, and why nothing could be held out."""
     from rtac_jax.measurement import RecordingError
 
     try:

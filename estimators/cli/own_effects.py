@@ -10,7 +10,7 @@ from rtac_jax.effects import CATALOGUE, Effect
 
 
 def with_own(file: Path | None) -> list[type[Effect]] | None:
-    """The catalogue and every class of effects that a Python file defines; None where there is no file.
+    """Return the catalogue and every class of effects that a Python file defines; None where there is no file.
 
     Raises:
         ValueError: the file cannot be run, defines none, or one that cannot be looked for.

@@ -30,7 +30,7 @@ def least_squares(
     cutoff: float | None = None,
     near_zero: float | None = None,
 ) -> ClosedForm:
-    """Closed-form estimates: free oscillation first, then, with those known, forced oscillation.
+    """Estimate the parameters in closed form: free oscillation first, then, with those known, forced oscillation.
 
     By default as the paper does it, on filtered and differentiated measurements, with choices of our own where it is silent:
     the filter's cut-off, the weights of the two equations, and leaving out samples where the cart hardly moves, without
@@ -39,6 +39,7 @@ def least_squares(
 
     Args:
         model: gives the constants known beforehand (its fixed parameters) and which parameters there are.
+        recording: with free or forced experiments; those at rest give the noise levels only.
         weak: integrate against test functions instead of differentiating.
         instruments: with `weak`, take the arm's velocity from before a test function began as the instrument for its friction, so
             that random torques, which drive the motion that they disturb, do not bias it. From one experiment that is a
@@ -48,8 +49,8 @@ def least_squares(
         weighting: of the two equations of forced oscillation: "residual" for each by its own error, "inertia" for
             accelerations, dividing by M+m and I+me^2, "none" for forces and torques as they are.
         cutoff: of the ninth-order zero-phase Chebyshev filter [Hz]; by default where each spectrum sinks into the noise.
-        near_zero: samples slower than this share of the rms velocity are left out, because the sign of a filtered velocity
-            is wrong there; by default 0.05. With `weak` test functions over which the cart is slower than this share of its
+        near_zero: samples slower than this fraction of the rms velocity are left out, because the sign of a filtered velocity
+            is wrong there; by default 0.05. With `weak` test functions over which the cart is slower than this fraction of its
             fastest stretch; by default 0.2.
 
     Returns:
@@ -80,11 +81,13 @@ def closed_form(
     *,
     settled: bool = False,
 ) -> ClosedForm:
-    """The estimates of `least_squares` with its options already made.
+    """Return the estimates of `least_squares` with its options already made.
 
     Args:
+        model: gives the fixed parameters, and the values from which the turns begin.
         experiments: moving ones.
         levels: noise of each channel, SI units.
+        options: how the estimates are made.
         settled: the model is near the result already, as for a replicate of the same recording, so one turn will do.
     """
     skipped: dict[str, str] = {}

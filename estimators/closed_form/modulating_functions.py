@@ -46,11 +46,11 @@ class _Tests:
         self.middle = np.arange(self.m, samples - self.m, self.step)
 
     def __call__(self, values: Values, order: int = 0) -> Float[np.ndarray, " row"]:
-        """Integral of the test functions times the derivative of this order, by parts."""
+        """Return the integral of the test functions times the derivative of this order, by parts."""
         return (-1.0) ** order * self._windows(values, 2 * self.m + 1) @ self.weights[order]
 
     def of_input(self, signal: Signal | None) -> Float[np.ndarray, " row"]:
-        """Integral of an input as it acts between samples: exact for one that is held."""
+        """Return the integral of an input as it acts between samples: exact for one that is held."""
         if signal is None:
             return np.zeros(len(self.middle))
         if signal.intersample == "zoh":
@@ -58,11 +58,11 @@ class _Tests:
         return self(signal.values)
 
     def of_kinks(self, jumps: Values, order: int) -> Float[np.ndarray, " row"]:
-        """What the trapezoidal rule misses where the slope of a signal jumps at samples: dt^2 / 12 times the jump."""
+        """Return the trapezoidal rule's error where the slope of a signal jumps at samples: dt^2 / 12 times the jump."""
         return self._windows(jumps, 2 * self.m + 1) @ self.weights[order] * self.dt / 12
 
     def largest(self, values: Values) -> Float[np.ndarray, " row"]:
-        """Root of the mean square over each test function's support."""
+        """Return the root mean square of a signal over each test function's support."""
         return np.sqrt(np.mean(self._windows(values, 2 * self.m + 1) ** 2, axis=1))
 
     def _windows(self, values: Values, length: int) -> np.ndarray:
@@ -77,19 +77,20 @@ def integrated_terms(
     dry_rate: float = 0.0,
     drive_rate: float = 0.0,
 ) -> Terms:
-    """Terms of both equations against test functions, whose derivatives stand for those of the measurements.
+    """Return the terms of both equations against test functions, whose derivatives replace those of the measurements.
 
     The swinging arm's force is me times the second derivative of sin(theta), so it too goes over to the test function. The
     sign of the velocity is integrated exactly between the turns of the cart, and test functions that reach into a stretch
     where the cart hardly moves, as at the end of a decay, are not sliding.
 
     Args:
+        experiment: free or forced.
         levels: noise of each channel, SI units.
         dry_rate: dry friction divided by mass [m/s^2], as far as it is known: the velocity has a kink of twice this slope at
             each turn, which smoothing would shift.
         drive_rate: torque constant divided by inertia [rad/s^2/A], as far as it is known: where a held current jumps, the
             arm's velocity has a kink.
-        near_zero: a test function slides where the rms velocity over it is above this share of the largest.
+        near_zero: a test function slides where the rms velocity over it is above this fraction of the largest.
 
     Raises:
         ValueError: the experiment shows no cart position, or is shorter than two test functions.
@@ -172,20 +173,20 @@ def _sections(share: float) -> np.ndarray:
 
 
 def _smooth(values: Values, share: float) -> Values:
-    """The signal below this share of the sampling rate, without delay."""
+    """Return the signal below this fraction of the sampling rate, without delay."""
     share = min(share, 0.33)
     return scipy.signal.sosfiltfilt(_sections(share), values, padlen=min(len(values) - 1, math.ceil(4 / share)))
 
 
 class _Distance(NamedTuple):
-    """Integral of the sign of a velocity, and the integral of that, at the samples."""
+    """The integral of the sign of a velocity, and the integral of that, at the samples."""
 
     values: Values
     integral: Values
 
 
 def _distance(velocity: Values, dt: float) -> _Distance:
-    """Exact where the velocity is a straight line between samples."""
+    """Integrate the sign of a velocity twice; exact where the velocity is a straight line between samples."""
     before, after = velocity[:-1], velocity[1:]
     turned = before * after < 0
     part = np.where(turned, np.abs(before) / np.where(turned, np.abs(before) + np.abs(after), 1.0), 1.0)

@@ -1,4 +1,4 @@
-"""What the equations of motion are made of, sample by sample: filtered and differentiated measurements."""
+"""Regressors of the equations of motion, sample by sample: filtered and differentiated measurements."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -56,12 +56,16 @@ class Terms:
 
 
 def channel(experiment: Experiment, name: str) -> Values | None:
-    """The measured values of one channel with gaps bridged, or None."""
+    """Return the measured values of one channel with gaps bridged, or None."""
     return filled(experiment.outputs[name].values) if name in experiment.outputs else None
 
 
 def require_position(experiment: Experiment) -> None:
-    """Raises `ValueError` for an experiment in which the cart moves unseen."""
+    """Refuse an experiment in which the cart moves unseen.
+
+    Raises:
+        ValueError: it has no cart position although the cart is free.
+    """
     if "cart_position" not in experiment.outputs and experiment.cart == "free":
         raise ValueError(f"experiment {experiment.name}: no cart_position, so the closed form cannot use it.")
 
@@ -70,8 +74,9 @@ def sampled_terms(experiment: Experiment, cutoff: float, *, near_zero: float, or
     """Filter all signals alike, differentiate, and leave out the ends, where the filter has transients.
 
     Args:
+        experiment: free or forced.
         cutoff: of the zero-phase Chebyshev filter [Hz].
-        near_zero: samples slower than this share of the rms velocity are not sliding.
+        near_zero: samples slower than this fraction of the rms velocity are not sliding.
         order: of the filter.
 
     Raises:
@@ -133,17 +138,17 @@ def sampled_terms(experiment: Experiment, cutoff: float, *, near_zero: float, or
 
 
 def integrated(omega: Values, first: float, dt: float) -> Values:
-    """The angle from its rate, by the trapezoidal rule."""
+    """Integrate the angle from its rate, by the trapezoidal rule."""
     return first + np.concatenate([[0.0], np.cumsum(0.5 * dt * (omega[1:] + omega[:-1]))])
 
 
 def second_difference(values: Values, dt: float) -> Float[np.ndarray, " inner"]:
-    """The second derivative at the interior samples."""
+    """Return the second derivative at the interior samples."""
     return (values[2:] - 2 * values[1:-1] + values[:-2]) / dt**2
 
 
 def _around_samples(signal: Signal | None) -> Values | None:
-    """The input as it acts around each sample: a held one is the mean of the values before and after."""
+    """Return the input as it acts around each sample: a held one is the mean of the values before and after."""
     if signal is None or signal.intersample != "zoh":
         return None if signal is None else signal.values
     before = np.concatenate([signal.values[:1], signal.values[:-1]])
@@ -151,9 +156,9 @@ def _around_samples(signal: Signal | None) -> Values | None:
 
 
 def automatic_cutoff(experiment: Experiment, levels: Mapping[str, float]) -> float:
-    """The widest band [Hz] in which the noise of the accelerations stays below a thousandth of their power.
+    """Return the widest band [Hz] in which the noise of the accelerations stays below a thousandth of their power.
 
-    Noise in a regressor biases its coefficient towards zero by just that share; a narrower filter costs little, because
+    Noise in a regressor biases its coefficient towards zero by just that fraction; a narrower filter costs little, because
     the equations hold for signals that are all filtered alike.
     """
     dt = experiment.sample_time

@@ -40,7 +40,7 @@ PAPER: Mapping[str, Printed] = {
 
 @dataclasses.dataclass(frozen=True)
 class ClosedFormOptions:
-    """How closed-form estimates were made; see the arguments of `least_squares`."""
+    """The options of closed-form estimates; see the arguments of `least_squares`."""
 
     weak: bool
     instruments: bool
@@ -52,7 +52,7 @@ class ClosedFormOptions:
 
 @dataclasses.dataclass(frozen=True)
 class ClosedForm:
-    """Result of `least_squares`.
+    """The result of `least_squares`.
 
     Attributes:
         model: the model with these estimates.
@@ -72,7 +72,7 @@ class ClosedForm:
 
     @property
     def consistent(self) -> bool:
-        """The paper's rule: every estimate scatters over the experiments by less than 30 % of its mean."""
+        """Whether every estimate scatters over the experiments by less than 30 % of its mean, the paper's rule."""
         known = [e.consistency for e in {**self.ratios, **self.estimates}.values() if np.isfinite(e.consistency)]
         return bool(known) and all(c < CONSISTENT for c in known)
 
@@ -80,12 +80,12 @@ class ClosedForm:
         return table_1(self)
 
     def plot(self) -> Any:
-        """Estimates from each experiment, as a matplotlib figure."""
+        """Draw the estimates from each experiment, as a matplotlib figure."""
         return draw(self)
 
 
 def table_1(found: ClosedForm) -> str:
-    """Table 1(a), (b) and (c) of these estimates as text, with the paper's rule on consistency."""
+    """Return Table 1(a), (b) and (c) of these estimates as text, with the paper's rule on consistency."""
     forced = {SYMBOLS[n]: found.estimates[n] for n in SYMBOLS if n in found.estimates}
     parts = []
     for letter, kind, columns in (("a", "free", found.ratios), ("b", "forced", forced)):

@@ -37,7 +37,7 @@ _OF_CART = ("spring_stiffness", "cart_viscous.coefficient", "cart_coulomb.level"
 
 @dataclasses.dataclass(frozen=True)
 class Estimates:
-    """One quantity, estimated from each experiment by itself and from all together.
+    """The estimates of one quantity, from each experiment by itself and from all together.
 
     Attributes:
         names: of the experiments.
@@ -67,9 +67,11 @@ class Estimates:
 def free_stage(
     model: RTAC, ready: Sequence[Terms], *, pushed: bool, reaction: bool, acceleration: bool
 ) -> tuple[RTAC, dict[str, Estimates], dict[str, Estimates]]:
-    """Equation (5): (M+m)/k, v/k, d/k; with a known disturbance force also k.
+    """Solve equation (5) for (M+m)/k, v/k and d/k; with a known disturbance force also for k.
 
     Args:
+        model: gives the constants known beforehand.
+        ready: terms of the experiments in free oscillation.
         pushed: the experiments have a known disturbance force.
         reaction: take the arm's reaction into account, with the model's me.
         acceleration: solve for the acceleration rather than for the position; what is solved for may be noisy without
@@ -125,9 +127,11 @@ def free_stage(
 def forced_stage(
     model: RTAC, ready: Sequence[Terms], *, weighting: Weighting, alone: bool, instruments: bool
 ) -> tuple[RTAC, dict[str, Estimates]]:
-    """Equation (6): me, K_m, K_v1, K_v2 from both equations of motion together.
+    """Solve equation (6) for me, K_m, K_v1 and K_v2 from both equations of motion together.
 
     Args:
+        model: gives the constants known beforehand and from the first stage.
+        ready: terms of the experiments in forced oscillation.
         weighting: of the two equations: by their own residuals, by M+m and I+me^2 so that both are accelerations, or none.
         alone: there was no free oscillation, so k, v and d are estimated here too.
         instruments: for the arm's friction the arm's velocity of before. A random torque drives the velocity that it
@@ -184,7 +188,7 @@ def forced_stage(
 
 
 def _with_earlier(matrix: np.ndarray, target: np.ndarray, names: Sequence[str], lag: int) -> System:
-    """Instruments in which the arm's velocity is that of `lag` rows before, outside of what a row integrates over."""
+    """Return a system whose instruments hold the arm's velocity of `lag` rows before, which no row integrates over."""
     instruments = matrix.copy()
     if lag == 0 or lag >= len(matrix):
         return matrix, target, instruments
@@ -195,7 +199,7 @@ def _with_earlier(matrix: np.ndarray, target: np.ndarray, names: Sequence[str], 
 
 
 def solve_each(systems: Sequence[System]) -> tuple[np.ndarray, np.ndarray]:
-    """Least squares, or instrumental variables, of each system by itself and of all stacked; columns scaled to one size."""
+    """Solve each system by itself and all stacked, by least squares or instrumental variables; columns scaled to one size."""
 
     def solve(matrix: np.ndarray, target: np.ndarray, instruments: np.ndarray) -> np.ndarray:
         size = np.sqrt(np.mean(matrix**2, axis=0))
@@ -214,14 +218,14 @@ def _value(model: RTAC, name: str) -> float:
 
 
 def _summary(names: tuple[str, ...], values: np.ndarray, unit: str) -> Estimates:
-    """From the values of each experiment and, last, of all stacked."""
+    """Summarise the values of each experiment and, last, of all stacked."""
     each = np.asarray(values[:-1])
     std = float(np.std(each, ddof=1) / np.sqrt(len(each))) if len(each) > 1 else float("nan")
     return Estimates(names, each, float(np.mean(each)), std, float(values[-1]), unit)
 
 
 def placed(model: RTAC, estimates: Mapping[str, Estimates]) -> RTAC:
-    """The model with these estimates, moved inside the bounds where the data put one outside."""
+    """Return the model with these estimates, moved inside the bounds where the data put one outside."""
     values = {}
     for name, found in estimates.items():
         lower, upper = model.parameters[name].bounds

@@ -1,4 +1,4 @@
-"""From an envelope and a fitted model to a controller, and what it does on that model."""
+"""Design of a controller from an envelope and a fitted model, and its trial on that model."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -40,7 +40,7 @@ _ANGLE = 1e-3  # rad, noise of an angle that the recording does not have
 
 
 class _Attempt(NamedTuple):
-    """What one envelope leads to."""
+    """The design that one envelope leads to."""
 
     covered: Envelope
     weights: Weights
@@ -59,7 +59,7 @@ def control(
     displacement: float = 0.015,
     torque_limit: float = 0.1,
 ) -> ControlDesign:
-    """An H-infinity controller for an envelope, tried on the fitted nonlinear model (paper, section 5.4 and Fig. 8).
+    """Design an H-infinity controller for an envelope and try it on the fitted nonlinear model (section 5.4, Fig. 8).
 
     The electric spring that holds the arm is put into the envelope, weights are proposed from it, and the mixed
     sensitivity problem (9) is solved; the controller is reduced, sampled, and simulated with the model, its friction,
@@ -154,7 +154,7 @@ def _check(envelopes: Sequence[Envelope], responses: FrequencyResponses) -> None
 
 
 def _with_spring(model: RTAC, actuation: Actuation, found: Envelope, responses: FrequencyResponses) -> Envelope:
-    """The envelope of what the controller sees once the electric spring holds the arm.
+    """Return the envelope of what the controller sees once the electric spring holds the arm.
 
     The spring is no part of the recording, so each response is multiplied by what the spring does to the linearised
     model. The nominal model gets the spring's two states alone, and the weight covers what that leaves out.
@@ -192,7 +192,7 @@ def _in_si(controller: ct.StateSpace, units: Units) -> ct.StateSpace:
 
 
 def _off(model: RTAC, seed: int = 0) -> RTAC:
-    """Plants with every parameter up to 15 % off."""
+    """Return plants with every parameter up to 15 % off."""
     random = np.random.default_rng(seed)
     return model.with_values(
         {name: float(model[name]) * (1 + OFF * random.uniform(-1, 1, PLANTS)) for name in model.parameters}
@@ -205,7 +205,7 @@ def _doubt(fit: Fit) -> float:
 
 
 def _drawn(fit: Fit, seed: int = 0) -> RTAC:
-    """Plants drawn from the covariance of the estimates."""
+    """Return plants drawn from the covariance of the estimates."""
     names, random = fit.information.names, np.random.default_rng(seed)
     middle = np.array([float(fit.model[name]) for name in names])
     covariance = fit.information.covariance

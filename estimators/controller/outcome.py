@@ -1,4 +1,4 @@
-"""A controller that was designed: what it does and what is not guaranteed, also in sentences."""
+"""The outcome of a controller design: what it achieves and what is not guaranteed, also in sentences."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -11,8 +11,8 @@ from estimators.uncertainty.attribution import SOURCE_WORDS, SOURCES
 from estimators.uncertainty.envelope import Envelope
 from rtac_jax.control import Actuation, ClosedLoop, Margins, Reduction, Synthesis, Units, Weights
 
-_ANYWAY = 0.9  # share of plants that hold without a controller, above which a batch says little of it
-_USEFUL = 0.8  # share of the settling time, above which a controller is of little use
+_ANYWAY = 0.9  # fraction of plants that hold without a controller, above which a batch says little of it
+_USEFUL = 0.8  # fraction of the settling time, above which a controller is of little use
 _USED = 0.8  # of the torque that it may use, above which a controller uses it
 _ROOM = 0.3  # of the largest |W T|, below which it is not the envelope that holds a controller back
 _NARROWER = {
@@ -42,7 +42,7 @@ class ControlDesign:
         free, closed: the fitted model without and with the controller, and with the noise of the recording's sensors.
         off, drawn: batches of 2,000 plants, with every parameter up to 15 % off, and drawn from the covariance of the fit.
         inside: a batch of plants of the envelope, as `plants_inside` draws them; None where it holds none that the model can be.
-        doubt: the largest standard deviation of any parameter of the fit, as a share of it [1].
+        doubt: the largest standard deviation of any parameter of the fit, as a fraction of it [1].
         off_free, inside_free: the plants of these batches without a controller.
         printed_bound: the least gamma that the weights printed in the paper allow, and where [rad/s].
     """
@@ -70,7 +70,7 @@ class ControlDesign:
 
     @property
     def shares(self) -> dict[str, float]:
-        """Share of the plants of each batch that settle within `within` and keep the arm in its half of the circle [1]."""
+        """Fraction of the plants of each batch that settle within `within` and keep the arm in its half of the circle [1]."""
         batches = {"parameters_off": self.off, "parameter_covariance": self.drawn, "envelope": self.inside}
         return {name: float(np.mean(one.holds(within=self.within))) for name, one in batches.items() if one is not None}
 
@@ -83,12 +83,12 @@ class ControlDesign:
         return "\n".join([*outcome(self), *honesty(self)])
 
     def plot(self) -> Any:
-        """Cart, arm and torque of the fitted nonlinear model, with and without the controller (Fig. 8 of the paper)."""
+        """Draw cart, arm and torque of the fitted nonlinear model, with and without the controller (Fig. 8 of the paper)."""
         return draw(self)
 
 
 def outcome(found: ControlDesign) -> list[str]:
-    """What the controller does, in sentences, the answer first."""
+    """Describe what the controller does, in sentences, the answer first."""
     alone, now = (float(r.settling_time()[0]) for r in (found.free, found.closed))
     first = (
         f"Released {1e3 * found.displacement:g} mm off, the cart of the fitted nonlinear model stays under a tenth "
@@ -143,7 +143,7 @@ def outcome(found: ControlDesign) -> list[str]:
 
 
 def honesty(found: ControlDesign) -> list[str]:
-    """What a reader of the paper has to know, and what is not guaranteed."""
+    """State what a reader of the paper has to know, and what is not guaranteed."""
     act = found.actuation
     bound, at = found.printed_bound
     stable, _ = found.margins.worst_stability
@@ -175,13 +175,13 @@ def honesty(found: ControlDesign) -> list[str]:
 
 
 def _resonance(found: ControlDesign) -> float:
-    """Of the nominal model, where its response is largest [rad/s]."""
+    """Return the frequency at which the response of the nominal model is largest [rad/s]."""
     omega = found.covered.frequency
     return float(omega[np.argmax(np.abs(found.covered.nominal_response()))])
 
 
 def _without(free: ClosedLoop | None, within: float) -> str:
-    """What the comparison is worth: how many plants hold anyway."""
+    """Say what the comparison is worth: how many plants settle anyway."""
     if free is None:
         return ""
     share = float(np.mean(free.holds(within=within)))
@@ -189,7 +189,7 @@ def _without(free: ClosedLoop | None, within: float) -> str:
 
 
 def _astray(batch: ClosedLoop) -> str:
-    """Plants that end badly, if any do."""
+    """Say how many plants end badly, if any do."""
     never, wound = int(np.sum(~np.isfinite(batch.settling_time()))), int(np.sum(batch.wound_up))
     said = [f"{never} do not settle while simulated" if never else "", f"{wound} wind up the arm" if wound else ""]
     return "".join(f"; {one}" for one in said if one)

@@ -1,4 +1,4 @@
-"""Nonlinear plants whose linearisation lies inside an envelope."""
+"""Sampling of nonlinear plants whose linearisation lies inside an envelope."""
 
 from typing import Any
 
@@ -18,7 +18,7 @@ _DAMPED = 50.0  # factor by which friction may be larger that stands for dry fri
 def plants_inside(
     covered: Envelope, model: RTAC, actuation: Actuation, *, off: float, count: int, seed: int = 0
 ) -> RTAC | None:
-    """A batch of plants drawn about a model, of which those are kept whose linearisation an envelope covers.
+    """Draw plants about a model, and keep those whose linearisation an envelope covers, as a batch.
 
     They have no dry friction. Of that an envelope of linear plants knows only how much it damps, so the other friction at
     its place is drawn over a wide range, and the envelope chooses. What the envelope does not see is not chosen
@@ -28,8 +28,9 @@ def plants_inside(
         covered: from the current that the controller asks for [A] to cart position [m], with the electric spring.
         model: about which they are drawn, on a logarithmic scale.
         actuation: with that spring.
-        off: by how much every other parameter may be off [1].
+        off: largest relative deviation of every other parameter [1].
         count: of plants; fewer where few of many that were drawn lie inside.
+        seed: of the draws.
 
     Returns:
         None where no plant lies inside.
@@ -57,7 +58,10 @@ def plants_inside(
 
 
 def _inside(covered: Envelope, model: RTAC, values: dict[str, np.ndarray], actuation: Actuation) -> np.ndarray:
-    """Which plants are stable and covered, with the spring that a drive makes which believes the model's torque constant."""
+    """Return which plants are stable and covered, with the electric spring.
+
+    The drive that makes the spring believes the model's torque constant.
+    """
     a, b, c = linear_matrices(model, values)
     held = a - actuation.arm_stiffness / float(model["torque_constant"]) * b[:, :, :1] @ c[:, 2:3]
     eigen: Any = np.linalg.eig(held)

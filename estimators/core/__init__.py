@@ -1,1 +1,1 @@
-"""Data, unknowns, residual, optimiser and results that every estimator shares."""
+"""The data, unknowns, residual, optimiser and results that every estimator shares."""

@@ -1,4 +1,4 @@
-"""Parameters that end on their bounds: held there, because a reparametrisation only creeps towards a bound."""
+"""Active bounds: parameters that end on a bound are held there, as a reparametrisation only creeps towards it."""
 
 import dataclasses
 
@@ -54,7 +54,7 @@ def solve_bounded(
 
 
 def _holding(space: Space, unknowns: Unknowns, held: dict[int, float]) -> tuple[Space, Unknowns]:
-    """The space without the free parameters in these places, which take the unconstrained values given."""
+    """Return the space without the free parameters in these places, which take the unconstrained values given."""
     if not held:
         return space, unknowns
     active = np.asarray(space.active).copy()

@@ -9,7 +9,7 @@ Vector = Float[Array, "..."]
 
 
 def to_physical(z: Vector, lower: Vector, upper: Vector, scale: Vector) -> Vector:
-    """Physical values from unconstrained ones.
+    """Return physical values from unconstrained ones.
 
     Without bounds scale * z; with one bound the bound plus scale * (z + sqrt(z^2 + 4)) / 2, which is linear far from
     the bound and reaches it only at infinity; with two a logistic curve between them.
@@ -26,7 +26,7 @@ def to_physical(z: Vector, lower: Vector, upper: Vector, scale: Vector) -> Vecto
 def to_unconstrained(
     value: np.ndarray, lower: np.ndarray, upper: np.ndarray, scale: np.ndarray, *, inside: float = 1e-3
 ) -> np.ndarray:
-    """The inverse of `to_physical`; a value on its bound is moved inside by this share of the scale."""
+    """Invert `to_physical`; a value on its bound is moved inside by this fraction of the scale."""
     value, lower, upper, scale = np.broadcast_arrays(
         *(np.asarray(x, dtype=float) for x in (value, lower, upper, scale))
     )

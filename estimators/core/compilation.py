@@ -1,4 +1,4 @@
-"""Compiling ahead of time, and room for compiled code."""
+"""Compilation ahead of time, and room for compiled code."""
 
 import contextlib
 from collections.abc import Callable, Sequence
@@ -34,7 +34,7 @@ class Ahead:
 def make_room(
     used: Path = Path("/proc/self/maps"), allowed: Path = Path("/proc/sys/vm/max_map_count"), share: float = _SHARE
 ) -> bool:
-    """Drop compiled code if it takes up more than this share of the memory maps that Linux allows a process.
+    """Drop compiled code if it takes up more than this fraction of the memory maps that Linux allows a process.
 
     Every model structure has code of its own, and a study of many of them in one process would end in a crash of the
     compiler. What is needed again comes back from the cache on disk. Only where nothing else computes.

@@ -1,4 +1,4 @@
-"""Recordings as arrays, and what loads and cuts them."""
+"""Recordings as arrays, and the functions that load and cut them."""
 
 import hashlib
 import itertools
@@ -20,7 +20,7 @@ Outputs3 = Float[Array, "sample output experiment"]
 
 
 class Data(eqx.Module):
-    """Experiments as arrays of one shape, with room for more samples than the longest has.
+    """The experiments as arrays of one shape, with room for more samples than the longest has.
 
     Attributes:
         excitation: the inputs.
@@ -71,12 +71,12 @@ class Data(eqx.Module):
 
     @property
     def experiments(self) -> int:
-        """How many there are."""
+        """Number of experiments."""
         return self.values.shape[2]
 
 
 def mark_of(experiment: Experiment) -> str:
-    """A digest of what was measured; another recording may hold an experiment of the same name."""
+    """Return a digest of the measurements; another recording may hold an experiment of the same name."""
     digest = hashlib.blake2b(digest_size=16)
     for channel in sorted(experiment.outputs):
         digest.update(channel.encode() + np.ascontiguousarray(experiment.outputs[channel].values).tobytes())
@@ -84,7 +84,7 @@ def mark_of(experiment: Experiment) -> str:
 
 
 def moving(recording: Recording) -> list[Experiment]:
-    """The experiments that are not rest records.
+    """Return the experiments that are not rest records.
 
     Raises:
         ValueError: there is none.
@@ -96,7 +96,7 @@ def moving(recording: Recording) -> list[Experiment]:
 
 
 def pieces(experiments: Sequence[Experiment], longest: int = 8192, length: int = 512) -> list[Experiment]:
-    """Long experiments cut into pieces that are simulated side by side, each with a start of its own.
+    """Cut long experiments into pieces that are simulated side by side, each with a start of its own.
 
     Only where every piece shows where it starts: with the arm locked or its angle measured.
     """
@@ -112,7 +112,7 @@ def pieces(experiments: Sequence[Experiment], longest: int = 8192, length: int =
 
 
 def filled(values: Values) -> Values:
-    """The signal with its gaps bridged by straight lines."""
+    """Return the signal with its gaps bridged by straight lines."""
     bad = ~np.isfinite(values)
     if not bad.any():
         return values

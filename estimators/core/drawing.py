@@ -1,4 +1,4 @@
-"""What draws a result, without any result knowing a picture."""
+"""Drawing of results, without any result knowing a picture."""
 
 from typing import Any
 

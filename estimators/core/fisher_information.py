@@ -1,4 +1,4 @@
-"""The only place where parameter covariance and identifiability are computed."""
+"""Fisher information: the only place where parameter covariance and identifiability are computed."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -11,7 +11,7 @@ from estimators.core.bound_transform import slopes
 from estimators.core.parameter_space import Space, Unknowns
 from estimators.core.results import NotIdentifiableError
 
-# A direction along which all free parameters may move by more than this share of their size within one standard
+# A direction along which all free parameters may move by more than this fraction of their size within one standard
 # deviation is not determined by the data.
 _UNDETERMINED = 10.0
 
@@ -20,7 +20,7 @@ _ROOM = 32  # parameters are padded to a multiple of this, so that one compiled 
 
 @dataclasses.dataclass(frozen=True)
 class Information:
-    """What the data say of the shared parameters, with those of each experiment and the starts integrated out.
+    """The Fisher information on the shared parameters, with those of each experiment and the starts integrated out.
 
     Attributes:
         names: of the free shared parameters.
@@ -39,7 +39,7 @@ class Information:
     scores: Float[np.ndarray, "experiment parameter"] | None = None
 
     def undetermined(self) -> list[str]:
-        """In words, every combination of parameters that the data leave free."""
+        """Describe every combination of parameters that the data leave free."""
         said = []
         for direction, deviation in zip(self.directions, self.deviations, strict=True):
             if deviation < _UNDETERMINED:
@@ -54,7 +54,7 @@ class Information:
         return said
 
     def weakest(self, *, above: float = 0.1) -> list[str]:
-        """In words, what these data determine, but worse than to this share of its size, the worst first."""
+        """Describe what these data determine, but worse than to this fraction of its size, the worst first."""
         said = []
         for direction, deviation in zip(self.directions, self.deviations, strict=True):
             if deviation <= above:
@@ -74,7 +74,11 @@ class Information:
         return said
 
     def require_determined(self) -> None:
-        """Raises `NotIdentifiableError` that names what the data leave free."""
+        """Refuse data that leave parameters free.
+
+        Raises:
+            NotIdentifiableError: names what is free.
+        """
         if said := self.undetermined():
             raise NotIdentifiableError(
                 f"The data leave {len(said)} combination(s) of parameters free: {'; '.join(said)}. Give a known constant "
@@ -84,10 +88,12 @@ class Information:
 
 
 def information(factor: np.ndarray, space: Space, unknowns: Unknowns) -> Information:
-    """Covariance and identifiability from the triangular factors of the experiments.
+    """Compute covariance and identifiability from the triangular factors of the experiments.
 
     Args:
         factor: [experiment row column], of a residual in units of its standard deviation, at the optimum.
+        space: of the parameters.
+        unknowns: the optimum.
 
     Source: Gauss-Markov; Ljung, System Identification (1999), section 9.4.
     """
@@ -112,7 +118,7 @@ def information(factor: np.ndarray, space: Space, unknowns: Unknowns) -> Informa
 
 
 def information_of(matrix: np.ndarray, names: Sequence[str], size: np.ndarray) -> Information:
-    """From a whitened Jacobian by physical parameters and the parameters' sizes."""
+    """Compute covariance and identifiability from a whitened Jacobian by physical parameters, and their sizes."""
     if not names:
         return Information((), np.zeros((0, 0)), np.zeros((0, 0)), np.zeros(0))
     _, singular, directions = np.linalg.svd(matrix * size, full_matrices=True)
@@ -126,7 +132,7 @@ def information_of(matrix: np.ndarray, names: Sequence[str], size: np.ndarray) -
 
 
 def slope_of(space: Space, unknowns: Unknowns) -> np.ndarray:
-    """Derivative of each free physical parameter by its unconstrained stand-in, kept away from zero at a bound."""
+    """Return the derivative of each free physical parameter by its unconstrained stand-in, kept off zero at a bound."""
     index = np.asarray(space.active)
     place = np.where(index < len(space.names), index, 0)
     count = len(index)
@@ -141,7 +147,7 @@ def slope_of(space: Space, unknowns: Unknowns) -> np.ndarray:
 
 
 def each_slope(space: Space, unknowns: Unknowns) -> Float[np.ndarray, "each experiment"]:
-    """Likewise of the parameters of each experiment, by central differences of the exact map."""
+    """Return the same derivative for the parameters of each experiment, by central differences of the exact map."""
     step = 1e-6
     ahead, behind = (
         np.asarray(space.physical(unknowns._replace(each=unknowns.each + side))[1]) for side in (step, -step)
@@ -150,7 +156,7 @@ def each_slope(space: Space, unknowns: Unknowns) -> Float[np.ndarray, "each expe
 
 
 def sizes_of(space: Space, unknowns: Unknowns) -> np.ndarray:
-    """Size of each free parameter, of which a relative deviation is a share."""
+    """Return the size of each free parameter, to which a relative deviation refers."""
     index = np.asarray(space.active)
     inside = index < len(space.names)
     place = np.where(inside, index, 0)

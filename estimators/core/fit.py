@@ -1,4 +1,4 @@
-"""What every fit of a physical model tells: estimates, how sure they are, and how it ended."""
+"""The result of a fit of a physical model: estimates, their uncertainty, and the outcome."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -23,11 +23,11 @@ class Parameter:
 
 @dataclasses.dataclass(frozen=True)
 class Fit:
-    """Result of `output_error`.
+    """The result of `output_error`.
 
     Attributes:
         model: with the estimated values; parameters of each experiment as arrays in the order of `experiments`.
-        result: how it ended.
+        result: outcome of the optimisation.
         information: covariance and identifiability of the free parameters.
         noise: standard deviation of each channel's sensor noise.
         residual_std: rms of each channel's residual, which weighted the channels.

@@ -1,4 +1,4 @@
-"""Where a simulation begins: states at the start that the first samples do not show."""
+"""Initial states at rest, where the first samples do not show the state."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -12,7 +12,7 @@ _SPEEDS = (1, 3)  # rows of the cart's and the arm's
 
 
 def at_rest(unknowns: Unknowns, space: Space) -> Unknowns:
-    """The same with cart and arm at rest, and what effects have for states at equilibrium.
+    """Return the unknowns with cart and arm at rest, and the effects' states at equilibrium.
 
     Most experiments begin so, and a tachometer that swings, as a rotor behind a soft shaft or within a play does, makes its
     first samples say otherwise.
@@ -26,12 +26,16 @@ def at_rest(unknowns: Unknowns, space: Space) -> Unknowns:
 
 
 def may_swing(model: RTAC) -> bool:
-    """Whether something in the model could move beside cart and arm, so that first samples may mislead."""
+    """Return whether something in the model could move beside cart and arm, so that first samples may mislead."""
     return any(effect.states for effect in model.effects)
 
 
 def best_starts(several: list[Unknowns], arguments: Arguments, *, worth: float = 1.0) -> Unknowns:
-    """The first, with what another has for those experiments alone in which that one leaves less than this share of it."""
+    """Return the first unknowns, with the starts of others where these fit better.
+
+    Another one is taken for those experiments alone in which it leaves less than this fraction (`worth`) of what the
+    first leaves.
+    """
     left = np.stack([squares(one, arguments) for one in several])
     left[1:] /= worth
     best = np.argmin(left, axis=0)
@@ -43,7 +47,7 @@ def best_starts(several: list[Unknowns], arguments: Arguments, *, worth: float =
 
 
 def squares(unknowns: Unknowns, arguments: Arguments) -> Float[np.ndarray, " experiment"]:
-    """Of what a simulation leaves of each experiment, in units of the noise; infinite where it diverges."""
+    """Return the sum of squares that a simulation leaves of each experiment, in units of the noise; infinite if it diverges."""
     error, known = (np.asarray(part) for part in plain_residual(unknowns, arguments))
     found = np.sum(error**2, axis=(0, 1)) + np.sum(known**2, axis=0)
     return np.where(np.isfinite(found), found, np.inf)

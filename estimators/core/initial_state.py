@@ -1,4 +1,4 @@
-"""Where a fit begins: states at the start of each experiment, scales of a rig, and the space of unknowns."""
+"""The beginning of a fit: initial states of each experiment, scales of a rig, and the space of unknowns."""
 
 from collections.abc import Mapping, Sequence
 
@@ -19,7 +19,7 @@ UNKNOWN_SPEED = 10.0  # rad/s; an arm without tachometer or encoder
 
 
 def dominant_frequency(experiments: Sequence[Experiment]) -> float:
-    """Frequency at which the cart's position, or else the arm, moves most [Hz], the median over experiments."""
+    """Return the frequency at which the cart's position, or else the arm, moves most [Hz], the median over experiments."""
     found = []
     for experiment in experiments:
         for channel in ("cart_position", "arm_velocity", "arm_angle"):
@@ -33,7 +33,7 @@ def dominant_frequency(experiments: Sequence[Experiment]) -> float:
 
 
 def first_values(signal: Signal, sample_time: float, frequency: float, degree: int = 2) -> tuple[float, float]:
-    """Value and slope at the first sample, by a parabola through the first tenth of a period."""
+    """Return value and slope at the first sample, by a parabola through the first tenth of a period."""
     values = filled(signal.values)
     count = int(np.clip(0.15 / (frequency * sample_time), degree + 3, len(values)))
     time = sample_time * np.arange(count)
@@ -44,7 +44,10 @@ def first_values(signal: Signal, sample_time: float, frequency: float, degree: i
 def initial_states(
     experiments: Sequence[Experiment],
 ) -> tuple[Float[np.ndarray, "4 experiment"], Float[np.ndarray, "4 experiment"], Float[np.ndarray, "4 experiment"]]:
-    """States at the start [m, m/s, rad, rad/s] as the first samples show them, how far they may be off, and which are held."""
+    """Return the initial states [m, m/s, rad, rad/s] as the first samples show them, their spread, and which are held.
+
+    Each is [4, experiment].
+    """
     frequency = dominant_frequency(experiments)
     state = np.zeros((4, len(experiments)))
     spread = np.full((4, len(experiments)), np.inf)
@@ -73,7 +76,7 @@ def initial_states(
 
 
 def scales_of(model: RTAC, experiments: Sequence[Experiment]) -> Scales:
-    """Typical sizes, for what is plausible and for scaling."""
+    """Return typical sizes, for what is plausible and for scaling."""
     moving = [e for e in experiments if e.kind != "rest"]
     frequency = 2 * np.pi * dominant_frequency(moving)
 
@@ -113,9 +116,11 @@ def space_of(
     free: Sequence[str],
     start: Mapping[str, np.ndarray] | None = None,
 ) -> Space:
-    """The unknowns of a fit: these free parameters, and the states at the start of each experiment.
+    """Return the unknowns of a fit: these free parameters, and the states at the start of each experiment.
 
     Args:
+        model: gives values, bounds and scales.
+        experiments: whose initial states are unknown.
         free: names of the shared parameters to estimate; parameters of each experiment are always estimated.
         start: states at the start by experiment, to begin from instead of what the first samples show.
     """
@@ -171,7 +176,7 @@ def space_of(
 
 
 def _size(model: RTAC, name: str, scales: Scales) -> float:
-    """Order of magnitude of a parameter: a plausible value, or the present one where that is larger."""
+    """Return the order of magnitude of a parameter: a plausible value, or the present one where that is larger."""
     declared = model.parameters[name]
     guess = declared.plausible(scales) if declared.plausible else 0.0
     plausible = max(abs(x) for x in guess) if isinstance(guess, tuple) else abs(guess)

@@ -47,24 +47,24 @@ def _factor(unknowns: Unknowns, arguments: Arguments) -> Array:
 
 @eqx.filter_jit
 def factor(unknowns: Unknowns, arguments: Arguments) -> Array:
-    """The triangular factor of residual and Jacobian, per experiment; see `triangle`."""
+    """Return the triangular factor of residual and Jacobian, per experiment; see `triangle`."""
     return _factor(unknowns, arguments)
 
 
 def diverged(factor: Array) -> bool:
-    """Whether the factor is that of a model that left all bounds."""
+    """Return whether the factor is that of a model that left all bounds."""
     return bool(np.max(np.asarray(factor)[:, -1, -1]) >= _HOPELESS)
 
 
 @eqx.filter_jit
 def plain_residual(unknowns: Unknowns, arguments: Arguments) -> tuple[Array, Array]:
-    """The residual itself and what is known of the starts; see `residual`."""
+    """Return the residual itself and the deviation of the starts from what is known of them; see `residual`."""
     a = arguments
     return residual(a.model, a.data, a.space, unknowns, a.whitener, substeps=a.substeps, gain=a.gain)
 
 
 def _linearised(unknowns: Unknowns, at: tuple[Unknowns, Array]) -> tuple[Array, None]:
-    """The compressed residual near a point where its triangular factor is known.
+    """Return the compressed residual near a point where its triangular factor is known.
 
     The optimiser asks for value and Jacobian at that point only, so the heavy function is compiled once, apart from the
     optimiser.
@@ -92,19 +92,19 @@ def _step(solver: Any, unknowns: Unknowns, state: Any, factor: Array) -> tuple[U
 
 
 def _largest(tree: Any) -> Array:
-    """The largest absolute element; optimistix's own norm cannot take empty arrays."""
+    """Return the largest absolute element; optimistix's own norm cannot take empty arrays."""
     leaves = [jnp.max(jnp.abs(leaf)) for leaf in jax.tree.leaves(tree) if leaf.size]
     return jnp.max(jnp.stack(leaves)) if leaves else jnp.zeros(())
 
 
 class Solved(NamedTuple):
-    """Where Levenberg-Marquardt came to rest.
+    """The solution at which Levenberg-Marquardt ended.
 
     Attributes:
         unknowns: there.
         factor: the triangular factor there.
         cost: half the sum of squares.
-        steps: how many were tried.
+        steps: number of steps tried.
         converged: whether steps and residual stopped changing, rather than the number of steps running out.
         pulled: whether a parameter was left on its bound although the data pull it inwards.
     """
@@ -123,6 +123,8 @@ def solve(
     """Minimise the sum of squares.
 
     Args:
+        unknowns: to begin at.
+        arguments: of the residual.
         tolerance: relative change of unknowns and residual below which it stops.
         most: steps to try.
         progress: called with a line of text after every step.

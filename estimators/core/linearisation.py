@@ -1,4 +1,4 @@
-"""The problem that a fit solved, set up again at its solution, for what is asked of it afterwards."""
+"""Linearisation of a fit at its solution, set up again for what is asked of it afterwards."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -22,7 +22,7 @@ from rtac_jax.measurement import Experiment, Recording
 
 
 class Problem(NamedTuple):
-    """A residual and the point at which it is looked at.
+    """A residual and the point at which it is linearised.
 
     Attributes:
         arguments: of the residual.
@@ -38,7 +38,7 @@ class Problem(NamedTuple):
 
 
 def at_fit(fit: Fit, recording: Recording) -> Problem:
-    """The problem that gave this fit, at its solution.
+    """Return the problem that gave this fit, at its solution.
 
     Raises:
         ValueError: the recording is not the one that was fitted.
@@ -67,10 +67,14 @@ def problem_of(
     substeps: int,
     start: Mapping[str, np.ndarray] | None = None,
 ) -> Problem:
-    """The simulation error of a model at its own values, and at these states at the start.
+    """Return the simulation error of a model at its own values, and at these states at the start.
 
     Args:
+        model: at its values.
+        experiments: or pieces of them.
         deviation: standard deviation of each output, SI units.
+        substeps: of the integrator in each sample.
+        start: states at the start by experiment, SI units; by default as the first samples show them.
     """
     free = [n for n in model.free if n not in model.per_experiment]
     space = space_of(model, experiments, free=free)
@@ -86,7 +90,7 @@ def problem_of(
 
 
 class Rows(NamedTuple):
-    """Whitened residual and its Jacobian by the shared parameters, what each experiment has for itself projected away.
+    """The whitened residual and its Jacobian by the shared parameters, with each experiment's own unknowns projected away.
 
     Attributes:
         jacobian: by physical parameters.
@@ -99,7 +103,7 @@ class Rows(NamedTuple):
 
 @eqx.filter_jit
 def _columns(unknowns: Unknowns, arguments: Arguments) -> tuple[Array, Array]:
-    """Derivatives of the residual, and of what is known of the starts, along each unknown of all experiments at once."""
+    """Return derivatives of the residual and of the starts' prior along each unknown of all experiments at once."""
     a = arguments
     edges = np.cumsum([0, *(leaf.shape[0] for leaf in unknowns)])
 
@@ -118,7 +122,7 @@ def _columns(unknowns: Unknowns, arguments: Arguments) -> tuple[Array, Array]:
 
 
 def rows_at(problem: Problem) -> Rows:
-    """Residual and Jacobian of every sample, in physical parameters.
+    """Return residual and Jacobian of every sample, in physical parameters.
 
     The Jacobian is held whole: samples times outputs times experiments times parameters numbers.
     """
@@ -142,6 +146,6 @@ def rows_at(problem: Problem) -> Rows:
 
 
 def with_outputs(problem: Problem, values: Array) -> Arguments:
-    """The same problem for other measurements [sample output experiment]."""
+    """Return the same problem for other measurements [sample output experiment]."""
     data = dataclasses.replace(problem.arguments.data, values=values * problem.arguments.data.present)
     return dataclasses.replace(problem.arguments, data=data)

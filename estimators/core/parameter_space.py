@@ -1,4 +1,4 @@
-"""The unknowns of a fit: which parameters are free, between which bounds, at which scale."""
+"""The parameter space of a fit: which parameters are free, between which bounds, at which scale."""
 
 from typing import NamedTuple
 
@@ -11,7 +11,7 @@ from estimators.core.bound_transform import to_physical, to_unconstrained
 
 
 class Unknowns(NamedTuple):
-    """What a fit varies, scaled to order one: shared parameters, parameters of each experiment, states at the start."""
+    """The unknowns of a fit, scaled to order one: shared parameters, parameters of each experiment, states at the start."""
 
     shared: Float[Array, " shared"]
     each: Float[Array, "each experiment"]
@@ -19,7 +19,7 @@ class Unknowns(NamedTuple):
 
 
 class Space(eqx.Module):
-    """Where the unknowns live: which parameters of the model they are, between which bounds, at which scale.
+    """The space of the unknowns: which parameters of the model they are, between which bounds, at which scale.
 
     Attributes:
         values: all shared parameters of the model.
@@ -52,7 +52,7 @@ class Space(eqx.Module):
 
     @eqx.filter_jit
     def physical(self, unknowns: Unknowns) -> tuple[Array, Array, Array]:
-        """All shared parameters, those of each experiment, and the states at the start, in SI units."""
+        """Return all shared parameters, those of each experiment, and the states at the start, in SI units."""
 
         def of_free(values: Array) -> Array:
             return values.at[self.active].get(mode="fill", fill_value=1.0)
@@ -70,9 +70,10 @@ class Space(eqx.Module):
         return shared, each, self.start + (1.0 - self.start_held) * self.start_scale * unknowns.start
 
     def unconstrained(self, *, start: bool = True, off_bounds: float = 0.0) -> Unknowns:
-        """The unknowns at the present values; without `start` the states at the start are not among them.
+        """Return the unknowns at the present values; without `start` the states at the start are not among them.
 
         Args:
+            start: whether the states at the start are among the unknowns.
             off_bounds: share of its scale by which a parameter exactly on a bound is moved inside, for a fit that begins
                 there. On the bound itself a reparametrised parameter has next to no slope, and would stay.
         """

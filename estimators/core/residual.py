@@ -1,4 +1,4 @@
-"""Model, recording, noise and free parameters make one residual, in units of its standard deviation."""
+"""The residual of model, recording, noise and free parameters, in units of its standard deviation."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -15,7 +15,7 @@ from rtac_jax.simulation import Steps, trajectories
 
 
 def states_at_start(model: RTAC, start: Array, excitation: Excitation) -> tuple[Any, ...]:
-    """The model's whole state from the estimated part of it: the rigid body's, and effects' offsets from equilibrium."""
+    """Return the model's whole state from its estimated part: the rigid body's, and effects' offsets from equilibrium."""
     state = list(model.start(tuple(start[:4]), excitation.first_current()))
     row, place = 4, 4
     for effect in model.effects:
@@ -28,7 +28,7 @@ def states_at_start(model: RTAC, start: Array, excitation: Excitation) -> tuple[
 
 
 def start_rows(model: RTAC) -> tuple[str, ...]:
-    """Names of the states at the start that a fit estimates."""
+    """Return the names of the states at the start that a fit estimates."""
     names = tuple(model.states)
     return names[:4] + tuple(
         f"{effect.id}.{state}" for effect in model.effects if effect.free_start for state in effect.states
@@ -45,7 +45,7 @@ def predict(
     gain: Array | None = None,
     impulses: Array | None = None,
 ) -> Outputs3:
-    """Outputs of the model with these parameters: simulated, or predicted one sample ahead where there is a gain.
+    """Return the outputs of the model with these parameters, simulated or, with a gain, predicted one sample ahead.
 
     Impulses strike what is simulated; see `trajectories`.
     """
@@ -66,7 +66,7 @@ def predict(
 
 
 def whitened(whitener: Array, error: Array) -> Array:
-    """The error in units of its standard deviation: whitener [sample or 1, row, output, experiment] times error."""
+    """Return the error in units of its standard deviation: whitener [sample or 1, row, output, experiment] times error."""
     return sum(whitener[:, :, j] * error[:, None, j] for j in range(error.shape[1]))  # type: ignore[return-value] - sum begins with 0
 
 
@@ -80,7 +80,7 @@ def residual(
     substeps: Steps,
     gain: Array | None = None,
 ) -> tuple[Outputs3, Float[Array, "start experiment"]]:
-    """The one residual: whitened output errors, and how far the start is from what is known of it."""
+    """Return the residual: whitened output errors, and the starts' deviation from what is known of them."""
     physical = space.physical(unknowns)
     error = (data.values - predict(model, data, space, physical, substeps=substeps, gain=gain)) * data.present
     if unknowns.start.shape[0] == 0:
@@ -99,7 +99,7 @@ def triangle(
     substeps: Steps,
     gain: Array | None = None,
 ) -> Float[Array, "experiment row column"]:
-    """Residual and Jacobian of each experiment, compressed without loss to the triangular factor of [J, r].
+    """Compress residual and Jacobian of each experiment without loss to the triangular factor of [J, r].
 
     Its columns are the shared unknowns, the experiment's own, its start, and last the residual. Sums of squares, gradients
     and Gauss-Newton matrices are those of the whole residual. Because experiments do not depend on each other's unknowns, one
@@ -132,7 +132,10 @@ def triangle(
 
 
 def _triangular(rows: Float[Array, "experiment row column"]) -> Float[Array, "experiment column column"]:
-    """The triangular factor of each block, block by block: LAPACK on a tall matrix starts threads that fight for cores."""
+    """Return the triangular factor of each block, computed block by block.
+
+    LAPACK on a tall matrix starts threads that fight for cores.
+    """
     count, _, width = rows.shape
     height = max(256, 4 * width)
     while rows.shape[1] > 2 * height:
@@ -144,19 +147,20 @@ def _triangular(rows: Float[Array, "experiment row column"]) -> Float[Array, "ex
 
 
 def _each_r(rows: Float[Array, "block row column"]) -> Float[Array, "block column column"]:
-    """The triangular factors of blocks, one after the other: a batch waits within XLA's threads for others of these.
+    """Return the triangular factors of blocks, computed one after the other.
 
-    Two threads that factor batches at the same time would wait for each other for ever.
+    A batch waits within XLA's threads for others of these. Two threads that factor batches at the same time would wait
+    for each other for ever.
     """
     return jax.lax.map(lambda block: jnp.linalg.qr(block, mode="r"), rows)
 
 
 def no_gain(model: RTAC, data: Data) -> Array:
-    """The gain of a predictor that does not correct: a free simulation."""
+    """Return the gain of a predictor that does not correct: a free simulation."""
     return jnp.asarray(np.zeros((data.room, len(model.states), len(CHANNELS), data.experiments)))
 
 
 def diagonal_whitener(deviation: np.ndarray, data: Data) -> Array:
-    """Divides each output by its standard deviation; [1 row output experiment]."""
+    """Return the whitener that divides each output by its standard deviation; [1 row output experiment]."""
     inverse = np.diag(1.0 / np.asarray(deviation))[None, :, :, None]
     return jnp.asarray(np.broadcast_to(inverse, (1, len(CHANNELS), len(CHANNELS), data.experiments)))

@@ -1,10 +1,10 @@
-"""How a numerical method ended: a sentence that says what happened and what to try."""
+"""Outcomes of numerical methods: a sentence that says what happened and what to try."""
 
 import equinox as eqx
 
 
 class RESULTS(eqx.Enumeration):
-    """Outcomes of fits and diagnoses; `str` of a member is its sentence."""
+    """The outcomes of fits and diagnoses; `str` of a member is its sentence."""
 
     successful = "The fit converged."
     steps_exhausted = (
@@ -21,8 +21,8 @@ class RESULTS(eqx.Enumeration):
 
 
 class NotIdentifiableError(ValueError):
-    """The data leave combinations of parameters free; the message names them and what would fix them."""
+    """Data that leave combinations of parameters free; the message names them and what would fix them."""
 
 
 class DivergedError(ArithmeticError):
-    """The model left all bounds; the message says where and what to try."""
+    """A model that left all bounds; the message says where and what to try."""

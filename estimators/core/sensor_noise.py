@@ -1,4 +1,4 @@
-"""How noisy each sensor is: seen at rest, stated in the file, or read off the quietest part of the spectrum."""
+"""Sensor noise levels: seen at rest, stated in the file, or read off the quietest part of the spectrum."""
 
 from collections.abc import Sequence
 
@@ -13,7 +13,7 @@ Values = Float[np.ndarray, " sample"]
 
 
 def noise_levels(experiments: Sequence[Experiment]) -> dict[str, float]:
-    """Standard deviation of the noise of every recorded channel, SI units.
+    """Return the standard deviation of the noise of every recorded channel, SI units.
 
     In this order: the standard deviation at rest; `noise_std` of the file; the quietest fifth of the spectrum, which is
     right where the motion leaves some band empty. Never below a twelfth of a quantisation step squared.
@@ -39,7 +39,10 @@ def noise_levels(experiments: Sequence[Experiment]) -> dict[str, float]:
 
 
 def quantisation_step(values: Values) -> float:
-    """The smallest difference between two recorded values, if most differences are whole multiples of it, else zero."""
+    """Return the smallest difference between two recorded values.
+
+    Zero unless most differences are whole multiples of it.
+    """
     present = np.unique(values[np.isfinite(values)])
     steps = np.diff(present)
     steps = steps[steps > 1e-9 * max(np.max(np.abs(present), initial=0.0), 1e-300)]
@@ -51,7 +54,7 @@ def quantisation_step(values: Values) -> float:
 
 
 def spectral_floor(values: Values) -> float:
-    """Standard deviation of the white noise that would fill the quietest fifth of the spectrum."""
+    """Return the standard deviation of the white noise that would fill the quietest fifth of the spectrum."""
     length = int(min(len(values), max(64, len(values) // 16)))
     # A window of low side lobes, or a strong resonance would leak over the whole spectrum.
     frequency, density = welch(filled(values), fs=1.0, window="blackmanharris", nperseg=length, detrend="linear")

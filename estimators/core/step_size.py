@@ -1,4 +1,4 @@
-"""How many integration steps a sample needs."""
+"""Step size: the number of integration steps that a sample needs."""
 
 import numpy as np
 
@@ -14,7 +14,10 @@ _MOST_SUBSTEPS = 32
 
 
 def accurate_substeps(model: RTAC, data: Data, space: Space, unknowns: Unknowns, noise: np.ndarray) -> int:
-    """The fewest Runge-Kutta steps per sample with which halving them changes outputs by less than a fiftieth of the noise."""
+    """Return the fewest Runge-Kutta steps per sample that are accurate enough.
+
+    Halving them changes outputs by less than a fiftieth of the noise.
+    """
     white = diagonal_whitener(noise, data)
     nothing = no_gain(model, data)
     count = np.asarray(data.present).sum(axis=0)

@@ -1,4 +1,4 @@
-"""Independent work on several cores: compiled code hardly uses more than one of them, a step of time being so small."""
+"""Threads for independent work: compiled code hardly uses more than one core, a step of time being so small."""
 
 import os
 import threading
@@ -14,18 +14,20 @@ _here = threading.local()
 
 
 def threads() -> int:
-    """How many threads compute at the same time: at least two, so that one may wait for what another compiles."""
+    """Return the number of threads that compute at the same time: at least two, so that one may wait for a compiler."""
     return max(2, min(_MOST, os.cpu_count() or 1))
 
 
 def at_once(work: Callable[[One], Result], several: Sequence[One]) -> list[Result]:
-    """`[work(one) for one in several]`, on a few threads; where one raises, those that have not begun are left out.
+    """Return `[work(one) for one in several]`, computed on a few threads.
 
-    Work that itself asks for more at once is done one after the other.
+    Where one raises, those that have not begun are left out. Work that itself asks for more at once is done one after
+    the other.
 
-    Compiled code that is run so must not factor large batches of matrices by LAPACK: jaxlib lets the threads that XLA has, as
-    many as there are cores, wait within such a batch for others of them, so that two batches can wait for each other for ever.
-    One matrix after the other, as by `jax.lax.map`, does not, nor does a batch of less than 2e5 operations.
+    Compiled code that is run so must not factor large batches of matrices by LAPACK: jaxlib lets the threads that XLA
+    has, as many as there are cores, wait within such a batch for others of them, so that two batches can wait for each
+    other for ever. One matrix after the other, as by `jax.lax.map`, does not, nor does a batch of less than 2e5
+    operations.
     """
     if len(several) < 2 or getattr(_here, "at_work", False):
         return [work(one) for one in several]

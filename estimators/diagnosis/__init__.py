@@ -1,1 +1,1 @@
-"""Which physical effect is missing: evidence, verdict, and the loop that adds it."""
+"""Diagnosis of the missing physical effect: evidence, verdict, and the loop that adds it."""

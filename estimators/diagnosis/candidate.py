@@ -1,4 +1,4 @@
-"""What a diagnosis says of one effect of the catalogue, and of each effect that it named."""
+"""The record of one candidate of a diagnosis, and of each effect that it named."""
 
 import dataclasses
 from collections.abc import Callable, Mapping
@@ -11,12 +11,12 @@ from estimators.misspecification.candidate_screening import Screened
 
 @dataclasses.dataclass(frozen=True)
 class Candidate:
-    """What the data say of one effect of the catalogue.
+    """The evidence on one effect of the candidate set.
 
     Attributes:
         id: of the effect.
         score: chi-square gained on the innovations of the base model, less the price of its amplitudes.
-        chi_square: the same without that price; 20 and more, if not by the scatter of a few seconds, raise the alarm.
+        chi_square: the same without that price; 20 and more, if not by the scatter of a few seconds, reject its absence.
         p_value: probability of so large a score by chance among all that were tried.
         detection_limit: amplitude that would be found, in the unit of its first amplitude parameter.
         unit: of it.
@@ -24,7 +24,7 @@ class Candidate:
         refitted: whether it was fitted together with the base model, and with effects named before it.
         bic_gain: by that; positive speaks for the effect.
         held_out_gain: in the log-likelihood of experiments that did not take part in estimating it; NaN where only one shows it.
-        error_reduction: share of the misfit that it removes.
+        error_reduction: fraction of the misfit that it removes.
         parameters: of the effect after refitting.
         confusable_with: ids of accepted candidates that the data cannot tell from it.
         correlation: of its template with those of the others, by id.

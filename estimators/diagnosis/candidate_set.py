@@ -1,4 +1,4 @@
-"""Which effects a diagnosis tries, and whether each is declared so that it can."""
+"""The candidate set of a diagnosis, and the checks that each effect is declared well enough to be looked for."""
 
 from collections.abc import Iterable, Sequence
 
@@ -10,7 +10,7 @@ from rtac_jax.parameters import Scales, declarations
 
 
 def offered(model: RTAC, candidates: Sequence[type[Effect]] | None) -> list[type[Effect]]:
-    """The whole catalogue or these candidates, without what the model has already.
+    """Return the candidate set: the whole catalogue or these candidates, without what the model has already.
 
     Raises:
         ValueError: what is no class of effects, or one that is not declared well enough to be looked for.
@@ -20,7 +20,11 @@ def offered(model: RTAC, candidates: Sequence[type[Effect]] | None) -> list[type
 
 
 def require_distinct(classes: Iterable[type[Effect]]) -> list[type[Effect]]:
-    """The same classes; raises `ValueError` if one cannot be looked for, or two have one id."""
+    """Return the classes, after checking that each can be looked for and has an id of its own.
+
+    Raises:
+        ValueError: one cannot be looked for, or two have one id.
+    """
     found = list(classes)
     for c in found:
         require_declared(c)
@@ -32,7 +36,11 @@ def require_distinct(classes: Iterable[type[Effect]]) -> list[type[Effect]]:
 
 
 def require_declared(c: object) -> None:
-    """Raises `ValueError` for what is no class of effects, or one that cannot be looked for."""
+    """Refuse what is no class of effects, or one that cannot be looked for.
+
+    Raises:
+        ValueError: names what is missing.
+    """
     if not (isinstance(c, type) and issubclass(c, Effect)):
         raise ValueError(f"candidates: {c!r} is no class of effects; give the class, such as rtac.effects.CubicSpring.")
     for name in ("id", "equation", "source", "port"):
@@ -55,7 +63,7 @@ def require_declared(c: object) -> None:
 
 
 def plausible(c: type[Effect], scales: Scales) -> tuple[Effect, ...]:
-    """Instances of plausible size on a rig of these scales.
+    """Return instances of plausible size on a rig of these scales.
 
     Raises:
         ValueError: a size of an effect outside the catalogue that is no size.

@@ -1,4 +1,4 @@
-"""Which of several refits the data prefer, and the same asked again once all effects are in the model."""
+"""Choice among several refits, and the same once more when all effects are in the model."""
 
 import contextlib
 import dataclasses
@@ -15,17 +15,17 @@ from estimators.validation.model_comparison import vuong
 
 
 def gain(before: Refit, after: Refit) -> float:
-    """Gain in log-likelihood."""
+    """Return the gain in log-likelihood."""
     return after.predictor.log_likelihood - before.predictor.log_likelihood
 
 
 def bic_gain(search: Search, before: Refit, after: Refit) -> float:
-    """Twice the gain in log-likelihood less the price of the parameters added."""
+    """Return twice the gain in log-likelihood less the price of the parameters added."""
     return 2 * gain(before, after) - (len(after.free) - len(before.free)) * float(np.log(search.samples))
 
 
 def chosen(search: Search, before: Refit, tried: Mapping[str, tuple[Screened, Refit]]) -> Step | None:
-    """The best of the refits as the next step; None if none improves the model."""
+    """Return the best of the refits as the next step; None if none improves the model."""
     refits = {i: refit for i, (_, refit) in tried.items()}
     gains = {i: bic_gain(search, before, refit) for i, refit in refits.items()}
     held_out = {i: search.held_out_gain(before, refit) for i, refit in refits.items()}
@@ -43,7 +43,7 @@ def chosen(search: Search, before: Refit, tried: Mapping[str, tuple[Screened, Re
 def _untold(
     search: Search, before: Refit, tried: Mapping[str, Refit], gains: Mapping[str, float], best: str, other: str
 ) -> bool:
-    """Whether the data cannot tell a candidate from the best."""
+    """Return whether the data cannot tell a candidate from the best."""
     if best in search.classes[other].contains:
         more = len(tried[other].free) - len(tried[best].free)
         return 2 * gain(tried[best], tried[other]) > float(chi2.isf(search.policy.nested_level, max(more, 1)))
@@ -56,7 +56,7 @@ def _untold(
 
 
 def reconsidered(search: Search, base: Refit, steps: list[Step]) -> list[Step]:
-    """The steps with every earlier effect held against those that were refitted beside it, now that the later ones are there.
+    """Compare every earlier effect with those refitted beside it, now that the later ones are there; return the steps.
 
     What improves a model most while another effect is missing may only mend what that one does. An effect that is not needed
     any more goes, and one that another replaces better goes for it; rivals are those that the data cannot tell from it now.
@@ -71,7 +71,7 @@ def reconsidered(search: Search, base: Refit, steps: list[Step]) -> list[Step]:
 
 
 def _once_more(search: Search, base: Refit, steps: list[Step], effect: str) -> list[Step]:
-    """The steps with one earlier effect held against those that were refitted beside it."""
+    """Return the steps with one earlier effect compared with those that were refitted beside it."""
     place = next(i for i, step in enumerate(steps) if step.id == effect)
     if place == len(steps) - 1:
         return steps
@@ -89,7 +89,7 @@ def _once_more(search: Search, base: Refit, steps: list[Step], effect: str) -> l
 
 
 def _rebuilt(search: Search, base: Refit, steps: Sequence[Step], place: int, last: Refit) -> list[Step]:
-    """The steps without one of them, the refit with all the others being known."""
+    """Return the steps without one of them, the refit with all the others being known."""
     found = list(steps[:place])
     fits = {steps[-1].id: last}
     for step, later in zip(reversed(steps[place + 1 : -1]), reversed(steps[place + 2 :]), strict=True):

@@ -1,4 +1,4 @@
-"""The maximum of the likelihood without derivatives, for effects on which it depends by steps."""
+"""Maximisation of the likelihood without derivatives, for effects on which it depends by steps."""
 
 import dataclasses
 from collections.abc import Callable, Sequence
@@ -19,30 +19,33 @@ from rtac_jax.effects import Effect
 from rtac_jax.parameters import declarations
 from rtac_jax.simulation import Steps
 
-# Logarithm of the variance of random forces, in shares of the rms forces, above which they take over what they should not.
+# Logarithm of the variance of random forces, in fractions of the rms forces, above which they take over what they should not.
 _FEW = -4.0
-_SOME = -2.0  # likewise, once trials have come near
+_SOME = -2.0  # the same, once trials have come near
 _TRIALS = 150
 _SIDES = (0.6, 0.3, 0.2, 0.1, 0.05)  # of the first simplex of trials, one sweep after the other
-_WORTH_A_SWEEP = (10.0, 0.003)  # gain in log-likelihood, and share of what all have gained, that make a sweep worth it
+_WORTH_A_SWEEP = (10.0, 0.003)  # gain in log-likelihood, and fraction of all that was gained, worth a sweep
 _SIZES = tuple(2.0 ** (power / 2) for power in range(-2, 7))  # of what is plausible, from which trials may begin
-_SHAPES = (1 / 3, 2 / 3, 3 / 2, 2.0, 8 / 3)  # likewise of a parameter that only shapes the effect
+_SHAPES = (1 / 3, 2 / 3, 3 / 2, 2.0, 8 / 3)  # the same of a parameter that only shapes the effect
 _LITTLE = 0.5  # change in log-likelihood that is not worth another trial
 _FINE = 0.01  # of unconstrained numbers: half a percent of a size
 _DIVERGED = 1e12  # negative log-likelihood: a simplex cannot compare infinities
-_SMALL = 0.05  # of its scale, the least size of a parameter that steps are a share of
+_SMALL = 0.05  # of its scale, the least size of a parameter that steps are a fraction of
 _REACH = 3.0  # of unconstrained numbers: from a parameter at its bound, infinitely far, no step leads away
 _ARM = ("arm_inertia", "torque_constant")
 
 
 def acting_on_arm(model: RTAC, free: Sequence[str]) -> tuple[str, ...]:
-    """Those of some parameters that move when a contact begins and ends: an `Impact` strikes the arm, which the motor drives."""
+    """Return those of some parameters that move when a contact begins and ends.
+
+    An `Impact` strikes the arm, which the motor drives.
+    """
     effects = {effect.id for effect in model.effects if "arm" in effect.port or effect.port == "actuator"}
     return tuple(name for name in free if name in _ARM or name.split(".")[0] in effects)
 
 
 def begins_of(effect: Effect, amplitudes: Sequence[str]) -> list[dict[str, float]]:
-    """Values of an effect's parameters that trials may begin from: several sizes, each with several values of each shape."""
+    """Return starting values of an effect's parameters for trials: several sizes, each with several values of each shape."""
     declared = declarations(effect)
     plausible = {name: float(np.asarray(getattr(effect, name))) for name in declared}
     shapes = [plausible]
@@ -62,7 +65,7 @@ def likeliest_begin(
     noise: Float[np.ndarray, " noise"],
     substeps: Steps,
 ) -> Space:
-    """That of several spaces whose values make the data likeliest with a given noise; it is not fitted.
+    """Return that of several spaces whose values make the data likeliest with a given noise; it is not fitted.
 
     With its likeliest noise a model without the contact does better than one with the right play and a rotor a little too
     heavy: large random forces make good for what is left out, and none for what comes at the wrong time.
@@ -84,14 +87,18 @@ def climbed_by_trial(
     *,
     side: float,
 ) -> tuple[Space, Float[np.ndarray, " noise"]]:
-    """The free shared parameters moved by the simplex of Nelder and Mead, which asks only how likely the data are.
+    """Move the free shared parameters by the simplex of Nelder and Mead, which asks only how likely the data are.
 
     The noise stays meanwhile, for a pass of the filter costs a tenth of what fitting it does, and is fitted at the end.
 
     Args:
+        model: of the physics.
+        data: of all experiments.
         space: with the values to begin at.
+        prior: of the noise.
         noise: logarithms of the process variances and of the sensors' variance ratios.
-        side: of the first simplex, in unconstrained numbers: half of that is the share by which a parameter with one bound moves.
+        substeps: of the integrator in each sample.
+        side: of the first simplex, in unconstrained numbers: half of that is the relative change of a parameter with one bound.
 
     Returns:
         The space with other values, and the noise that is likeliest with them.
@@ -123,9 +130,10 @@ def in_turn(
     climbed: Callable[[Space, Float[np.ndarray, " noise"], float], tuple[Space, Float[np.ndarray, " noise"]]],
     fitted: Callable[[Space, Float[np.ndarray, " noise"]], tuple[Refit, Space]],
 ) -> Refit:
-    """The likeliest of the fits that follow trials, each of which begins where the likeliest fit before it ended.
+    """Return the likeliest of the fits that follow trials, each begun where the likeliest fit before it ended.
 
     Args:
+        space: with the values to begin at.
         before: the model before, from whose noise it begins.
         climbed: moves a space by trials from a noise, with a first simplex of a given side.
         fitted: a fit from there, and the space with its values.
@@ -160,7 +168,10 @@ def in_turn(
 
 
 def few_random_forces(noise: Float[np.ndarray, " noise"], most: float = _FEW) -> Float[np.ndarray, " noise"]:
-    """The same with no more random force and torque than where physics that is wrong may still be mended."""
+    """Return the noise with limited random force and torque.
+
+    They are no more than where physics that is wrong may still be mended.
+    """
     return np.concatenate([np.minimum(noise[:2], most), noise[2:]])
 
 

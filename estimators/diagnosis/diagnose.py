@@ -1,4 +1,4 @@
-"""Which physical effect is missing: candidates ranked on the innovations of a predictor, refitted, judged, and added."""
+"""Diagnosis of the missing effect: candidates ranked on a predictor's innovations, refitted, judged, and added."""
 
 import dataclasses
 import time
@@ -48,7 +48,7 @@ from rtac_jax.parameters import declarations
 
 @dataclasses.dataclass(frozen=True)
 class Diagnosis:
-    """Result of `diagnose`.
+    """The result of `diagnose`.
 
     Attributes:
         verdict: "adequate", "missing", "ambiguous" or "unknown".
@@ -58,12 +58,12 @@ class Diagnosis:
         candidates: all, best first.
         tests: of whether anything is missing in the base model.
         left: the same tests after the additions.
-        removed: share of the misfit that the additions remove.
+        removed: fraction of the misfit that the additions remove.
         curves: missing force at each port against each variable, best first.
         latent: missing force at each port in time, where the verdict is unknown.
         places: where the innovations are too large, worst first.
         lines: innovations by class of spectral line, where an input is periodic.
-        random_force, random_torque: what the predictor of the base model needs, as shares of the rms forces.
+        random_force, random_torque: what the predictor of the base model needs, as fractions of the rms forces.
         explanation: in plain words.
         seconds: how long it took.
         simulation: what the error of the fitted simulation means, where no test rejects and no effect is named; None elsewhere.
@@ -110,7 +110,7 @@ class Diagnosis:
         return "\n".join(lines)
 
     def plot(self) -> Any:
-        """Bar chart of the candidates and the missing-force curve, as a matplotlib figure."""
+        """Draw a bar chart of the candidates and the missing-force curve, as a matplotlib figure."""
         return draw(self)
 
 
@@ -127,6 +127,7 @@ def diagnose(
 
     Args:
         fit: of the base model to this recording.
+        recording: that the model was fitted to.
         candidates: classes of effects to try; by default the whole catalogue. Those of the model are passed over.
         thorough: where the verdict would be unknown, look again at what raised no alarm; that may take minutes.
         policy: the thresholds; see `DiagnosisPolicy`.
@@ -167,7 +168,7 @@ def diagnose(
 
 @dataclasses.dataclass(frozen=True)
 class _Found:
-    """What a search came to."""
+    """The outcome of a search."""
 
     search: Search
     base: Refit
@@ -203,7 +204,7 @@ def _searched(search: Search, thorough: bool) -> _Found:
 
 
 def _told(found: _Found, unshown: Sequence[type[Effect]], fit: Fit) -> Diagnosis:
-    """The verdict and its reasons; of candidates that nothing in the recording could show, that."""
+    """Return the verdict and its reasons, also of candidates that nothing in the recording could show."""
     search, base, tests = found.search, found.base, found.tested.tests
     verdict, count, removed = judge(found.steps, tests, search.samples, search.policy)
     simulation = search.simulation(fit, base, found.tested.screened) if verdict == "adequate" else None
@@ -243,7 +244,7 @@ def _told(found: _Found, unshown: Sequence[type[Effect]], fit: Fit) -> Diagnosis
 
 
 def _explanation(told: Diagnosis, steps: Sequence[Step], found: _Found, further: Sequence[Step]) -> str:
-    """The verdict in plain words, with what it rests on and what would make it surer."""
+    """Return the verdict in plain words, with what it rests on and what would make it surer."""
     search = found.search
     text = words(
         told.verdict, told.effects, told.candidates, steps, told.tests, told.left, told.removed, told.curves, told.latent,
@@ -276,7 +277,7 @@ def compile_diagnosis(model: RTAC, recording: Recording, candidates: Sequence[ty
 
 
 def _not_testable(c: type[Effect], price: float) -> Candidate:
-    """A candidate that gains nothing, whatever its size."""
+    """Return a candidate that gains nothing, whatever its size."""
     names = c.amplitudes()
     return Candidate(
         id=c.id, score=-len(names) * price, chi_square=0.0, p_value=1.0, detection_limit=float("inf"),
@@ -292,7 +293,7 @@ def _candidates(
     named: int,
     refits: Tried,
 ) -> list[Candidate]:
-    """All candidates, those that improved the model first; the first `named` steps stand in the verdict."""
+    """Return all candidates, those that improved the model first; the first `named` steps stand in the verdict."""
     price = float(np.log(search.samples))
     best = {s.id: s for s in by_size(tested.screened, price)}
     alike = correlations(best)
@@ -338,7 +339,7 @@ def _most(
     tests: Sequence[Evidence],
     samples: int,
 ) -> float:
-    """Share of the base model's squared prediction error that is known to be avoidable."""
+    """Return the fraction of the base model's squared prediction error that is known to be avoidable."""
     single = [gain(base, refit) for before, refit in refits.values() if before is base]
     least = [np.exp(-2 * max(single, default=0.0) / samples), 1 - min(excess_of(tests) / samples, 1.0)]
     if steps:

@@ -1,4 +1,4 @@
-"""What the innovations of a fitted predictor are asked: which candidates they speak for, and whether anything is left."""
+"""Evidence from the innovations of a fitted predictor: which candidates they speak for, and whether anything is left."""
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
@@ -46,10 +46,10 @@ QUIET = np.log(1e-3**2)  # variance of random forces, in shares of the rms force
 
 
 class Probing(Setting):
-    """Tests of the innovations of models with some of the candidates."""
+    """The tests of the innovations of models with some of the candidates."""
 
     def pieces_of_tests(self, added: Sequence[str] = (), free: Sequence[str] | None = None) -> list[Callable[[], None]]:
-        """What compiles the code of `tested`, in the order in which that runs it, so that another thread can go before it.
+        """Return what compiles the code of `tested`, in the order in which that runs it, for another thread.
 
         Args:
             added: effects that the model has beside those of the base model.
@@ -66,7 +66,7 @@ class Probing(Setting):
         ]
 
     def _grouped(self, added: Sequence[str]) -> list[list[str]]:
-        """Candidates that were not added, as they are simulated together.
+        """Return the candidates that were not added, as they are simulated together.
 
         A model with all of them costs one compilation, and every probe the effort of all effects; where there are many
         samples, a few smaller models are faster. The group of an effect that was added stays a model that is compiled.
@@ -76,11 +76,11 @@ class Probing(Setting):
         return [group for group in groups if group]
 
     def _with(self, added: Sequence[str], others: Sequence[str]) -> RTAC:
-        """The base model with effects at null: what was added, then others."""
+        """Return the base model with effects at null: what was added, then others."""
         return self.with_effects([self.absent[i] for i in self.absent if i in added or i in others])
 
     def _unfitted(self, model: RTAC, free: Sequence[str]) -> Innovations:
-        """Innovations for compiling only: the shapes are right, gains and whiteners are nothing."""
+        """Return innovations for compiling only: the shapes are right, gains and whiteners are nothing."""
         gain, whitener = (
             jnp.asarray(np.zeros((self.data.room, count, len(CHANNELS), self.data.experiments)))
             for count in (len(model.states), len(CHANNELS))
@@ -88,7 +88,7 @@ class Probing(Setting):
         return Innovations(model, self.data, self.padded(model, free), whitener, gain, self.substeps)
 
     def tested(self, refit: Refit, ahead: Ahead | None = None) -> Tested:
-        """Everything that the innovations of a model are asked; `ahead` compiles `pieces_of_tests`."""
+        """Run all tests of the innovations of a model; `ahead` compiles `pieces_of_tests`."""
         ready = _nothing if ahead is None else ahead.next
         probed = self._innovations(refit, [], refit.free)
         ready()
@@ -110,7 +110,7 @@ class Probing(Setting):
         return Tested(tuple(screened), tuple(curves), evidence(screened, curves, delayed, line, repeats))
 
     def quietly(self, refit: Refit) -> list[Screened]:
-        """Candidates held against a predictor that allows for little random force.
+        """Score candidates against a predictor with low process noise.
 
         Random forces that stand for a missing effect make the predictor follow the sensors, and hide from it what moves
         slowly beside the samples. Such statistics only rank: the innovations are not white.
@@ -163,17 +163,17 @@ class Probing(Setting):
         )
 
     def places(self, refit: Refit) -> tuple[Place, ...]:
-        """Where the innovations are too large."""
+        """Return the parts of the data by the size of their innovations, the largest excess first."""
         whitened, present = self._told(refit)
         return tuple(where(whitened, present, self.experiments))
 
     def lines(self, refit: Refit) -> tuple[LineClass, ...]:
-        """Innovations by class of spectral line."""
+        """Return the innovations by class of spectral line."""
         whitened, present = self._told(refit)
         return tuple(line_classes(whitened, present, self.experiments))
 
     def latent(self, refit: Refit) -> tuple[LatentForce, ...]:
-        """The missing force in time."""
+        """Return the missing force in time."""
         probed = self._innovations(refit, [], [])
         scales = scales_of(self.model, self.experiments)
         physical = (probed.space.values, refit.predictor.physical[1], probed.space.start)
@@ -193,7 +193,7 @@ class Probing(Setting):
         basis: Rows,
         ready: Callable[[], None] | None = None,
     ) -> list[Screened]:
-        """Candidates that were not added to a fitted model, against its innovations.
+        """Score candidates that were not added to a fitted model, against its innovations.
 
         Raises:
             ValueError: a candidate that is not nothing where its parameters are at null.
@@ -218,7 +218,7 @@ class Probing(Setting):
         ]
 
     def limits(self, refit: Refit, best: Mapping[str, Screened]) -> dict[str, float]:
-        """From which size on each candidate would be found beside a fitted model."""
+        """Return the size from which on each candidate would be found beside a fitted model."""
         probed = self._innovations(refit, [], refit.free)
         basis = orthonormal(probed.jacobian())
 
@@ -233,12 +233,12 @@ class Probing(Setting):
         return probed.rows(self._told(refit)[0][None])[:, 0]
 
     def _error(self, refit: Refit, probed: Innovations, basis: Rows) -> np.ndarray:
-        """Innovations of a fitted model, without their share in the basis."""
+        """Return the innovations of a fitted model, without their part in the basis."""
         raw = self._raw(refit, probed)
         return raw - basis @ (basis.T @ raw)
 
     def _innovations(self, refit: Refit, others: Sequence[str], free: Sequence[str]) -> Innovations:
-        """Innovations of a fitted model with some of the candidates at null."""
+        """Return the innovations of a fitted model with some of the candidates at null."""
         model = self._with(refit.added, others)
         space = self.padded(model, free)
         predictor = refit.predictor
@@ -254,7 +254,7 @@ class Probing(Setting):
         return Innovations(model, self.data, space, predictor.filtered.whitener * sure, placed, self.substeps)
 
     def _told(self, refit: Refit) -> tuple[np.ndarray, np.ndarray]:
-        """Innovations, and where there are any, but for samples at which dry friction is shaken loose.
+        """Return the innovations, and 1 where there are any, but for stick-slip ambiguous samples.
 
         There the model's own rest is in doubt, and what it predicts says nothing of what it lacks.
         """
@@ -263,7 +263,7 @@ class Probing(Setting):
         return np.asarray(filtered.innovations) * sure, np.asarray(self.data.present) * sure
 
     def _ranges(self) -> dict[str, tuple[float, float]]:
-        """Between which values each variable moves."""
+        """Return the values between which each variable moves."""
 
         def between(values: list[np.ndarray]) -> tuple[float, float]:
             if not values:
@@ -291,4 +291,4 @@ def _compile(innovations: Callable[[], Innovations]) -> None:
 
 
 def _nothing() -> None:
-    """Where no code is compiled ahead, there is nothing to wait for."""
+    """Do nothing: where no code is compiled ahead, there is nothing to wait for."""

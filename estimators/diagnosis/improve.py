@@ -20,7 +20,7 @@ from rtac_jax.measurement import Recording
 
 @dataclasses.dataclass(frozen=True)
 class Improvement:
-    """Result of `improve`.
+    """The result of `improve`.
 
     Attributes:
         fits: of the base model and of every model after it, in order.
@@ -36,7 +36,7 @@ class Improvement:
         foreseen: added effects that do not clearly lower the held-out error of simulation, but make the held-out experiments
             likelier one sample ahead.
         stopped: why the loop ended.
-        seconds: how long it took.
+        seconds: duration [s].
     """
 
     fits: tuple[Fit, ...]
@@ -63,7 +63,7 @@ class Improvement:
 
     @property
     def ending(self) -> str:
-        """What was held, or kept for its predictions, if anything, and why the loop ended."""
+        """The effects that were held, or kept for their predictions, if any, and why the loop ended."""
         said = [str(one) for one in self.foreseen]
         if self.predicted:
             said.append(
@@ -93,7 +93,7 @@ class Improvement:
         return "\n".join(lines)
 
     def plot(self) -> Any:
-        """Error before and after, as a matplotlib figure."""
+        """Draw the error before and after, as a matplotlib figure."""
         return draw(self)
 
 
@@ -111,14 +111,16 @@ def improve(
 
     An effect is kept if the error of the held-out experiments falls clearly in the channels together: by a twentieth, or,
     near the noise, at all. Where it does not, or where the effect cannot be fitted by simulation, as on a rig that random
-    forces shake, the effect is held at the estimate of the diagnosis, which foresees one sample at a time, and asked again;
+    forces shake, the effect is held at the estimate of the diagnosis, which predicts one sample at a time, and asked again;
     then the whole model is fitted by such predictions (`prediction_error_nonlinear`), with the effect and without. Where
-    none of the three tells, the one is kept that foresees the held-out experiments best one sample at a time, if better than
+    none of the three tells, the one is kept that predicts the held-out experiments best one sample at a time, if better than
     any model without the effect: where random forces shake the rig, or the arm tumbles, no simulation can follow it, however
     right the model is. Last, an error that falls a little is enough, if predictions do not speak against it. The held-out
     experiments choose the models by that, so their last error is a little too good.
 
     Args:
+        model: the base model.
+        recording: with enough moving experiments to hold some out.
         validation: names of the experiments to hold out; by default every fourth of each kind.
         candidates: classes of effects to try; by default the whole catalogue.
         most: effects to add at most.

@@ -1,4 +1,4 @@
-"""One effect more in a model: fitted in three ways, of which held-out experiments choose one, or none."""
+"""Extension of a model by one effect: fitted by three estimators, of which held-out experiments choose one, or none."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -17,7 +17,7 @@ from rtac_jax import RTAC
 from rtac_jax.effects import Effect
 from rtac_jax.measurement import Recording
 
-_CLEAR = 0.05  # share by which the held-out error has to fall for a simulation to tell
+_CLEAR = 0.05  # fraction by which the held-out error has to fall for a simulation to tell
 _NEAR = 1.5  # error of simulation in units of the noise below which any fall will do where the effect is simply fitted
 
 
@@ -38,7 +38,7 @@ class Foreseen:
 
     @property
     def channel(self) -> str:
-        """Where the predictions gain most."""
+        """The channel in which the predictions gain most."""
         return max(self.before, key=lambda c: self.before[c] / self.after[c])
 
     def __str__(self) -> str:
@@ -71,13 +71,16 @@ class Added:
 def add_effect(
     before: Fit, tested: Compared, effect: Effect, label: str, train: Recording, held_out: Recording, *, progress: bool
 ) -> Added | str:
-    """The model with an effect more that serves the held-out experiments better, or why there is none.
+    """Return the model with an effect more that serves the held-out experiments better, or why there is none.
 
     Args:
         before: the model without it.
         tested: that against the held-out experiments.
         effect: at the estimate of the diagnosis.
         label: for the comparison.
+        train: the recording that is fitted.
+        held_out: the recording that validates.
+        progress: show bars.
     """
     extended = before.model + effect
     bases = [Added(before, tested, "simulated")]
@@ -86,7 +89,7 @@ def add_effect(
     for way in ("simulated", "held", "predicted"):
         try:
             if way == "predicted":
-                # The model without the effect is fitted so too, or the effect would be credited with what the way of fitting does.
+                # The model without the effect is fitted so too, or the effect would be credited with what the estimator does.
                 base = _predicted(before.model, before, train, progress=progress)
                 bases.append(Added(base, compare(base, held_out).models[0], way))
                 fit = _predicted(extended, before, train, progress=progress)
@@ -112,7 +115,10 @@ def add_effect(
 def _foreseen(
     effect: Effect, bases: Sequence[Added], steps: Sequence[Added], train: Recording, held_out: Recording
 ) -> Added | None:
-    """Of models whose simulation does not tell, the one that foresees the held-out experiments best; None if none is better."""
+    """Return the model that predicts the held-out experiments best one sample ahead; None if none is better.
+
+    For models whose simulation does not tell.
+    """
     tested = bases[0].tested
     first = one_step_ahead(bases[0].fit, train, held_out, tested.start)
 
@@ -136,7 +142,7 @@ def _likelihood(one: OneStepAhead) -> float:
 
 
 def _predicted(model: RTAC, before: Fit, train: Recording, *, progress: bool) -> Fit:
-    """A model fitted by its predictions one sample ahead, with the starts from which its simulation follows best."""
+    """Fit a model by its predictions one sample ahead, with the starts from which its simulation follows best."""
     found = prediction_error_nonlinear(model, train, from_model=True, progress=progress)
     experiments, space = found.problem.experiments, found.problem.arguments.space
     states = np.asarray(space.physical(found.problem.unknowns)[2])
@@ -165,22 +171,28 @@ def _predicted(model: RTAC, before: Fit, train: Recording, *, progress: bool) ->
 
 
 def holding(model: RTAC, effects: Sequence[str]) -> RTAC:
-    """The model with all parameters of these effects, by id, held at their values."""
+    """Return the model with all parameters of these effects, by id, held at their values."""
     return model.fix(*parameters_of(model, effects))
 
 
 def parameters_of(model: RTAC, effects: Sequence[str]) -> list[str]:
-    """Names of the parameters of these effects, by id."""
+    """Return the names of the parameters of these effects, by id."""
     return [name for name in model.parameters if name.split(".")[0] in effects]
 
 
 def _falls_clearly(before: Compared, after: Compared, way: str) -> bool:
-    """By a twentieth; near the noise, where the effect is simply fitted, any fall will do."""
+    """Return whether the error falls by a twentieth.
+
+    Near the noise, where the effect is simply fitted, any fall will do.
+    """
     error, first = _misfit(after), _misfit(before)
     return error <= (1 - _CLEAR) * first or (way == "simulated" and error <= first and error < _NEAR)
 
 
 def _misfit(compared: Any) -> float:
-    """Mean over the channels of the error in units of the noise, where no channel can hide another."""
+    """Return the mean over the channels of the error in units of the noise.
+
+    In a mean no channel can hide another.
+    """
     errors = [e.rms_over_noise for e in compared.errors.values()]
     return sum(errors) / len(errors)

@@ -5,6 +5,6 @@ from estimators.diagnosis.diagnose import Diagnosis
 
 
 def ranked(diagnosis: Diagnosis) -> list[Candidate]:
-    """What was accepted, then all others by their score."""
+    """Return the accepted candidates, then all others by their score."""
     place = {c.id: number for number, c in enumerate(diagnosis.effects)}
     return sorted(diagnosis.candidates, key=lambda c: (place.get(c.id, len(place)), -c.score))

@@ -1,4 +1,4 @@
-"""A fitted predictor with some of the candidates added, and what its innovations say."""
+"""A fitted predictor with some of the candidates added, and the tests of its innovations."""
 
 import dataclasses
 
@@ -48,7 +48,7 @@ class Refit:
 
 @dataclasses.dataclass(frozen=True)
 class Tested:
-    """What the innovations of one model say.
+    """The tests of the innovations of one model.
 
     Attributes:
         screened: named candidates, every shape of them.

@@ -1,4 +1,4 @@
-"""The work of a diagnosis: predictor of the base model, and refits with candidates added or taken away."""
+"""Refitting: the predictor of the base model, and refits with candidates added or taken away."""
 
 import contextlib
 import dataclasses
@@ -49,7 +49,7 @@ Way = Callable[[Refit, Screened], Refit]
 
 
 class Search(Probing):
-    """Fitted models of one diagnosis."""
+    """The fitted models of one diagnosis."""
 
     @classmethod
     def of(cls, fit: Fit, recording: Recording, classes: Sequence[type[Effect]], bar: Any) -> "Search":
@@ -69,11 +69,11 @@ class Search(Probing):
         self._compile_fit(self.with_effects([]), tuple(shared(self.model)), noise=False)
 
     def base(self) -> Refit:
-        """The base model."""
+        """Fit the base model."""
         return self._fitted((), self.with_effects([]), tuple(shared(self.model)), None, {})
 
     def recoloured(self, base: Refit) -> "tuple[Search, Refit]":
-        """The same search with the colour of the noise that rest and motion make likeliest, and the base model fitted again.
+        """Return the search with the noise colour that rest and motion make likeliest, and the base model fitted again.
 
         A rest record of a second or two leaves the correlation time open by a tenth or more, and motion shows that. What the
         model leaves out must not be taken for colour, so the colour stays where the rest records do not speak against it;
@@ -109,9 +109,10 @@ class Search(Probing):
         return (search, refit) if refit.predictor.log_likelihood > base.predictor.log_likelihood else (self, base)
 
     def trusting(self, base: Refit) -> "tuple[Search, Refit]":
-        """The same search, and the base model fitted again, where no sample counts at which dry friction is shaken loose.
+        """Return the search, and the base model fitted again, where no stick-slip ambiguous sample counts.
 
-        The samples are those of the base model, for all models: likelihoods compare only where they count the same data.
+        The samples are those of the base model, for all models: likelihoods compare only where they count the same
+        data.
         """
         if not np.any(base.predictor.filtered.shaken):
             return self, base
@@ -120,12 +121,12 @@ class Search(Probing):
         return search, search._fitted((), model, base.free, base.predictor.noise, base.start)
 
     def with_effect(self, before: Refit, s: Screened) -> Refit:
-        """A model with one candidate more, all parameters fitted together."""
+        """Fit a model with one candidate more, all parameters together."""
         model, free, added = self._beginning(before, s)
         return self._fitted(added, model, free, before.predictor.noise, before.start)
 
     def thoroughly(self, before: Refit, s: Screened) -> Refit:
-        """The likelier of `with_effect` and, of what works by contact, `by_trial`; of anything else, `by_simulation`.
+        """Return the likelier of `with_effect` and, for a contact, `by_trial`, or, for any other effect, `by_simulation`.
 
         Raises:
             ArithmeticError: the model diverges, or leaves parameters free, in both.
@@ -142,7 +143,7 @@ class Search(Probing):
         return max(refits, key=lambda one: one.predictor.log_likelihood)
 
     def by_simulation(self, before: Refit, s: Screened, filtered: Refit | None) -> Refit:
-        """A refit from where a free simulation ends.
+        """Refit from where a free simulation ends.
 
         What swings fast misleads the start that the first samples show. The filter takes it for a large random torque, and the
         fit to its innovations ends there. So the refit begins again from parameters and starts with which a simulation follows
@@ -151,7 +152,9 @@ class Search(Probing):
         farther away.
 
         Args:
-            filtered: what the filter found.
+            before: the model without the candidate.
+            s: the candidate.
+            filtered: the refit by the filter, if there is one.
 
         Raises:
             ArithmeticError: the model diverges, or leaves parameters free, from every simulation.
@@ -171,7 +174,7 @@ class Search(Probing):
         raise FloatingPointError(f"with {s.id} the model diverges in a simulation.")
 
     def by_trial(self, before: Refit, s: Screened) -> Refit:
-        """A refit of what works by contact: trials of what moves it, a fit of all else, and a fit of all, in turn.
+        """Refit what works by contact: trials of what moves it, a fit of all else, and a fit of all, in turn.
 
         When a contact begins and ends moves by whole samples as a parameter changes, so the likelihood has steps, and the
         derivative of the innovations says nothing of them: a fit alone ends a few percent from the truth, with random forces
@@ -216,7 +219,7 @@ class Search(Probing):
         return self._fitted(added, model.with_values(values), free, noise, starts)
 
     def without(self, refit: Refit, effect: str) -> Refit:
-        """A model with one of its added effects less, all parameters fitted together."""
+        """Fit a model with one of its added effects less, all parameters together."""
         added = tuple(i for i in refit.added if i != effect)
         model = self.with_effects([e for i, e in self.absent.items() if i in added])
         model = model.with_values({n: v for n, v in refit.values.items() if n in model.parameters})
@@ -224,20 +227,20 @@ class Search(Probing):
         return self._fitted(added, model, free, refit.predictor.noise, refit.start)
 
     def refitted(self, before: Refit, s: Screened, way: Way | None = None) -> Refit | None:
-        """A model with one candidate more, by default `with_effect`; None if the model diverges with it."""
+        """Fit a model with one candidate more, by default `with_effect`; None if the model diverges with it."""
         self.bar.set_description(f"diagnose: refit with {s.id}")
         with contextlib.suppress(ArithmeticError, NotIdentifiableError):
             return (way or self.with_effect)(before, s)
         return None
 
     def refits(self, before: Refit, several: Sequence[Screened], way: Way | None = None) -> dict[str, Refit]:
-        """With each of several candidates, but for those with which the model diverges."""
+        """Refit with each of several candidates, but for those with which the model diverges."""
         return _refits(several, at_once(lambda s: self.refitted(before, s, way), several))
 
     def first_refits(
         self, before: Refit, first: Screened, near: Sequence[Screened], way: Way | None = None
     ) -> tuple[dict[str, Refit], Tested | None]:
-        """Likewise with the first candidate and those near it, and what is asked of the first.
+        """Refit with the first candidate and those near it, and test the first.
 
         Its tests are compiled while it is fitted, the others fitted while it is tested.
         """
@@ -260,7 +263,7 @@ class Search(Probing):
         return _refits([first, *near], [refit, *found]), tested
 
     def coloured(self, base: Refit) -> "Search | None":
-        """The same with coloured sensor noise, if that makes the data of the base model more likely; None otherwise.
+        """Return the search with coloured sensor noise, if that makes the base model's data more likely; else None.
 
         Rest records would tell; without them the likelihood has to.
         """
@@ -276,7 +279,7 @@ class Search(Probing):
         return dataclasses.replace(self, colour=ColouredNoise.of(best)) if best else None
 
     def _likelihood_with(self, colours: Colours, base: Refit) -> float:
-        """Log-likelihood of the base model with coloured noise."""
+        """Return the log-likelihood of the base model with coloured noise."""
         trial = dataclasses.replace(self, colour=ColouredNoise.of(colours))
         model = trial.with_effects([])
         space = trial.space(model, base.free)
@@ -291,7 +294,10 @@ class Search(Probing):
         )
 
     def held_out_gain(self, before: Refit, after: Refit) -> float:
-        """Gain in the log-likelihood of experiments that did not take part in estimating the effect; NaN if none can tell."""
+        """Return the gain in the log-likelihood of experiments that did not take part in estimating the effect.
+
+        NaN if none can tell.
+        """
         added = [place for place, name in enumerate(after.free) if name not in before.free]
         change = held_out(after.triangles, len(after.predictor.unknowns.shared), added)
         gains = np.asarray(after.predictor.filtered.log_likelihood) - np.asarray(
@@ -301,7 +307,7 @@ class Search(Probing):
         return float(np.sum(gains[known] + change[known])) if known.any() else np.nan
 
     def parameters(self, effect: str, refit: Refit) -> dict[str, Parameter]:
-        """Parameters of an added effect with standard deviations."""
+        """Return the parameters of an added effect with standard deviations."""
         found = refit.predictor
         known = information(refit.triangles, refit.space, found.unknowns)
         deviations = dict(zip(known.names, np.sqrt(np.diagonal(known.covariance)), strict=True))
@@ -314,7 +320,7 @@ class Search(Probing):
         }
 
     def loose(self, effect: str, refit: Refit) -> bool:
-        """Whether the data leave a parameter of an added effect free."""
+        """Return whether the data leave a parameter of an added effect free."""
         known = information(refit.triangles, refit.space, refit.predictor.unknowns)
         return any(f"{effect}." in said for said in known.undetermined())
 
@@ -323,7 +329,10 @@ class Search(Probing):
         compile_predictor(model, self.data, space, self.prior.starting(space), self.substeps, noise=noise)
 
     def _beginning(self, before: Refit, s: Screened) -> tuple[RTAC, tuple[str, ...], tuple[str, ...]]:
-        """A model with one candidate more where its refit begins, its free parameters, and what was added to the base model."""
+        """Return a model with one candidate more where its refit begins.
+
+        Returned beside it are its free parameters, and the ids of what was added to the base model.
+        """
         declared = declarations(s.instance)
         values = before.values
         for name in declared:
@@ -338,7 +347,7 @@ class Search(Probing):
         return model.with_values({n: v for n, v in values.items() if n in model.parameters}), free, added
 
     def _extended(self, before: Refit, s: Screened) -> tuple[RTAC, tuple[str, ...], tuple[str, ...]]:
-        """A model with one candidate more at null, its free parameters, and what was added to the base model."""
+        """Return a model with one candidate more at null, its free parameters, and the ids of what was added."""
         added = (*before.added, s.id)
         declared = declarations(s.instance)
         model = self.with_effects([effect for i, effect in self.absent.items() if i in added])

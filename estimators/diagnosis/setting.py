@@ -1,4 +1,4 @@
-"""What stays the same over one diagnosis: the data, the candidates, and how models with some of them are made."""
+"""The setting of one diagnosis: the data, the candidates, and how models with some of them are made."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -103,28 +103,28 @@ class Setting:
 
     @property
     def left_out(self) -> float:
-        """Share of the measured values that do not count."""
+        """Fraction of the measured values that do not count."""
         return 1.0 - self.samples / float(np.sum(np.asarray(self.data.present)))
 
     def stretches(self) -> np.ndarray:
-        """For every sample and experiment the number of the second that it belongs to."""
+        """Return for every sample and experiment the number of the second that it belongs to."""
         return stretches(self.data)
 
     def effect(self, effect: str, refit: Refit) -> Effect:
-        """An added effect at its estimated parameters."""
+        """Return an added effect at its estimated parameters."""
         cls = self.classes[effect]
         return cls(**{name: refit.values[f"{effect}.{name}"] for name in declarations(cls)})
 
     def with_effects(self, effects: Sequence[Effect]) -> RTAC:
-        """The model with these effects, and with the colour of the sensors' noise."""
+        """Return the model with these effects, and with the colour of the sensors' noise."""
         return reduce(RTAC.__add__, [*effects, *([self.colour] if self.colour is not None else [])], self.model)
 
     def space(self, model: RTAC, free: Sequence[str]) -> Space:
-        """The unknowns of a model with these parameters free."""
+        """Return the unknowns of a model with these parameters free."""
         return space_of(model, self.experiments, free=free, start=self.start)
 
     def padded(self, model: RTAC, free: Sequence[str]) -> Space:
-        """With places past the end, so that a model with a few parameters more needs no new compilation."""
+        """Return the unknowns with places past the end, so that a few parameters more need no new compilation."""
         space = self.space(model, free)
         active = np.full(max(-(-len(free) // _ROOM), 1) * _ROOM, len(space.names))
         active[: len(space.active)] = np.asarray(space.active)
@@ -132,24 +132,24 @@ class Setting:
 
 
 def by_name(space: Space, other: Space, values: Any) -> Any:
-    """Values of one space where another has a parameter of that name."""
+    """Return the values of one space where another has a parameter of that name."""
     known = dict(zip(other.names, np.asarray(values), strict=True))
     return jnp.asarray([known.get(n, v) for n, v in zip(space.names, np.asarray(space.values), strict=True)])
 
 
 def begun(space: Space, model: RTAC, start: Mapping[str, np.ndarray]) -> Space:
-    """With states at the start where they are known by name."""
+    """Return the space with states at the start where they are known by name."""
     known = zip(start_rows(model), np.asarray(space.start), strict=True)
     return dataclasses.replace(space, start=jnp.asarray(np.stack([start.get(row, first) for row, first in known])))
 
 
 def shared(model: RTAC) -> list[str]:
-    """Names of the free parameters that all experiments have in common."""
+    """Return the names of the free parameters that all experiments have in common."""
     return [name for name in model.free if name not in model.per_experiment]
 
 
 def absent_like(instance: Effect) -> Effect:
-    """The effect at its null value with the shape of an instance."""
+    """Return the effect at its null value with the shape of an instance."""
     shape = {
         name: float(np.asarray(getattr(instance, name)))
         for name, declared in declarations(instance).items()

@@ -1,4 +1,4 @@
-"""Effects that improve a model one after the other, and second looks where these leave the misfit unknown."""
+"""Stepwise selection of effects that improve a model, and second looks where these leave the misfit unknown."""
 
 import dataclasses
 from collections.abc import Callable, Sequence
@@ -20,7 +20,7 @@ Tried = dict[str, tuple[Refit, Refit]]
 
 @dataclasses.dataclass(frozen=True)
 class _Look:
-    """Candidates of a first step, whether they alarm or not, in the order of how strongly they are suspected.
+    """The candidates of a first step, rejecting or not, in the order of how strongly they are suspected.
 
     Attributes:
         ranked: those to be refitted, all but the first and what is near it only if the first leaves something.
@@ -46,13 +46,13 @@ def _near(ranked: Sequence[Screened], strength: Callable[[Screened], float], clo
 
 
 def _unalarmed(search: Search, base: Refit, tested: Tested) -> _Look:
-    """Candidates that are large, but act at a few instants only."""
+    """Return candidates that are large, but act at a few instants only."""
     found = by_size(suspects(tested.screened, tested.tests), float(np.log(search.samples)))[: search.policy.refits]
     return _Look(found, _near(found, _statistic, search.policy.close), search.with_effect)
 
 
 def _hidden(search: Search, base: Refit, tested: Tested) -> _Look:
-    """Candidates that random forces of the predictor may hide.
+    """Return candidates that random forces of the predictor may hide.
 
     Where the innovations are far from white, what is alike in every second tells more than what is large. And where the most that
     is left is a line of the spectrum that neither input nor state explains, something rings: what has a resonance comes first, and
@@ -75,14 +75,14 @@ def _hidden(search: Search, base: Refit, tested: Tested) -> _Look:
 
 
 def _rings(effect: type[Effect]) -> bool:
-    """Whether an effect has a resonance: two states of its own, which are not those of a play."""
+    """Return whether an effect has a resonance: two states of its own, which are not those of a play."""
     return len(effect.states) > 1 and not issubclass(effect, Impact)
 
 
 def second_looks(
     search: Search, base: Refit, tested: Tested, steps: list[Step], refits: Tried
 ) -> tuple[list[Step], Tried]:
-    """The same steps, or, where these leave the misfit unknown, others that explain it; and all that was tried."""
+    """Return the steps or, where these leave the misfit unknown, others that explain it; and all that was tried."""
     if judge(steps, tested.tests, search.samples, search.policy)[0] != "unknown":
         return steps, refits
     for look in (_unalarmed, _hidden):
@@ -97,9 +97,9 @@ def second_looks(
 
 
 def improvements(search: Search, base: Refit, tested: Tested, look: _Look | None = None) -> tuple[list[Step], Tried]:
-    """Effects that improve the model one after the other, and what was tried.
+    """Select effects that improve the model one after the other; return them and what was tried.
 
-    The candidates of every step are those that alarm, and those that overshadow them; of the first, those of a look.
+    The candidates of every step are those that reject, and those that overshadow them; of the first, those of a look.
     """
     steps: list[Step] = []
     refits: Tried = {}
@@ -156,7 +156,7 @@ def improvements(search: Search, base: Refit, tested: Tested, look: _Look | None
 
 
 def by_size(screened: Sequence[Screened], price: float) -> list[Screened]:
-    """The best shape of every effect, by what it explains less the price of its amplitudes."""
+    """Return the best shape of every effect, by what it explains less the price of its amplitudes."""
     best: dict[str, Screened] = {}
     for s in screened:
         if s.id not in best or s.statistic > best[s.id].statistic:

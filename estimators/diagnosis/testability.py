@@ -1,4 +1,4 @@
-"""Which effects a recording could show at all."""
+"""Testability: which effects a recording could show at all."""
 
 from collections.abc import Sequence
 
@@ -12,7 +12,7 @@ _NEEDS = {"tacho": "arm_velocity", "encoder": "arm_angle", "lvdt": "cart_positio
 
 
 def can_show(effect: type[Effect], experiments: Sequence[Experiment]) -> bool:
-    """Whether what the effect acts on moves, or is measured, in any experiment."""
+    """Return whether what the effect acts on moves, or is measured, in any experiment."""
     arm = any(e.arm == "free" for e in experiments)
     cart = any(e.cart == "free" for e in experiments)
     driven = {name for e in experiments for name, signal in e.inputs.items() if np.any(signal.values)}

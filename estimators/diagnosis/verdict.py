@@ -1,4 +1,4 @@
-"""What follows from a diagnosis: adequate, missing, ambiguous or unknown, and the same in plain words."""
+"""The verdict of a diagnosis: adequate, missing, ambiguous or unknown, and the same in plain words."""
 
 import dataclasses
 import math
@@ -26,7 +26,7 @@ _STRAYED = 3.0  # rms of what a simulation leaves over the noise, from which it 
 def judge(
     steps: Sequence[Step], tests: Sequence[Evidence], samples: int, policy: DiagnosisPolicy = STANDARD
 ) -> tuple[Verdict, int, float]:
-    """The verdict, how many of the steps it names, and the share of the misfit that they remove.
+    """Return the verdict, the number of steps that it names, and the fraction of the misfit that they remove.
 
     The best of a bad set is never named: an effect is, if together with those named after it, it removes nearly
     everything that was wrong before it. So a strong effect does not carry a doubtful one along.
@@ -42,13 +42,19 @@ def judge(
 
 
 def without_named_rivals(steps: Sequence[Step]) -> list[Step]:
-    """The steps without those rivals that were named as well: they act beside each other, not instead of each other."""
+    """Return the steps without those rivals that were named as well.
+
+    They act beside each other, not instead of each other.
+    """
     named = {step.id for step in steps}
     return [dataclasses.replace(step, rivals=tuple(r for r in step.rivals if r not in named)) for step in steps]
 
 
 def share_removed(steps: Sequence[Step], tests: Sequence[Evidence], samples: int) -> float:
-    """Share of the excess squared prediction error that steps remove, of which the tests before the first are given."""
+    """Return the fraction of the excess squared prediction error that steps remove.
+
+    The tests given are those before the first step.
+    """
     left = steps[-1].left
     gain = sum(step.gain for step in steps)
     after = math.exp(-gain / samples)
@@ -56,7 +62,10 @@ def share_removed(steps: Sequence[Step], tests: Sequence[Evidence], samples: int
 
 
 def floor(steps: Sequence[Step], samples: int) -> float:
-    """Squared prediction error that would be left if also what the tests still find were explained, in shares of the first."""
+    """Return the squared prediction error that would be left if what the tests still find were explained too.
+
+    It is a fraction of the first model's.
+    """
     after = math.exp(-sum(step.gain for step in steps) / samples)
     return after * (1 - min(excess_of(steps[-1].left) / samples, 1.0))
 
@@ -80,7 +89,7 @@ def words(
     simulation: SimulationResidual | None = None,
     policy: DiagnosisPolicy = STANDARD,
 ) -> str:
-    """A paragraph: what is missing, how big, where it shows, how sure, and what would make it surer."""
+    """Describe in a paragraph what is missing, how big, where it shows, how sure, and what would make it surer."""
     if verdict == "adequate":
         limits = sorted((c for c in candidates if c.testable), key=lambda c: c.id)
         text = ", ".join(f"{c.id} {c.detection_limit:.2g} {c.unit}".removesuffix(" 1") for c in limits)
@@ -149,7 +158,7 @@ def _size(one: Parameter) -> str:
 def static_force(
     curves: Sequence[ForceCurve], tests: Sequence[Evidence], policy: DiagnosisPolicy = STANDARD
 ) -> tuple[ForceCurve | None, bool]:
-    """The curve that explains most of what is missing, if one does; and whether any explains more than chance."""
+    """Return the curve that explains most of what is missing, if one does; and whether any explains more than chance."""
     rejecting = next((test for test in tests if test.test == "static force" and test.rejects), None)
     if rejecting is None:
         return None, False
@@ -160,7 +169,7 @@ def static_force(
 
 
 def not_named(further: Sequence[Step], left: Sequence[Evidence], samples: int) -> str:
-    """What would explain a part of what the named effects leave, but too little of it."""
+    """Say what would explain a part of what the named effects leave, but too little of it."""
     first = further[0]
     share = share_removed([first], left, samples)
     choice = " or ".join([first.id, *first.rivals])
@@ -168,7 +177,7 @@ def not_named(further: Sequence[Step], left: Sequence[Evidence], samples: int) -
 
 
 def surer(verdict: Verdict, recording: Recording) -> str:
-    """What would make the verdict surer: records that this recording lacks."""
+    """Say what would make the verdict surer: records that this recording lacks."""
     lacking = []
     if not any(e.kind == "rest" for e in recording.experiments):
         lacking.append("a rest record of two seconds, which tells the noise and its colour apart from the motion")
@@ -181,11 +190,12 @@ def surer(verdict: Verdict, recording: Recording) -> str:
 
 
 def shaken(random_force: float, random_torque: float, left_out: float) -> str:
-    """What random forces mean for the verdict and for the fit that follows; nothing where they are small.
+    """Say what random forces mean for the verdict and for the fit that follows; nothing where they are small.
 
     Args:
-        random_force, random_torque: in one sample, as shares of the rms spring force and motor torque.
-        left_out: share of the samples at which they may shake loose what dry friction holds.
+        random_force: in one sample, as a fraction of the rms spring force.
+        random_torque: in one sample, as a fraction of the rms motor torque.
+        left_out: fraction of the samples that are stick-slip ambiguous.
     """
     said = ""
     if left_out > _LEFT_OUT:
@@ -203,9 +213,10 @@ def shaken(random_force: float, random_torque: float, left_out: float) -> str:
 
 
 def strayed(residual_std: Mapping[str, float], noise: Mapping[str, float], recording: Recording) -> str:
-    """What it means that a simulation leaves the recording although no prediction shows why; nothing where it stays.
+    """Say what it means that a simulation leaves the recording although no prediction shows why; nothing where it stays.
 
-    Of sensors whose noise is stated or recorded at rest: that of others is taken from fast changes, and is more where it is slow.
+    Of sensors whose noise is stated or recorded at rest: that of others is taken from fast changes, and is more where
+    it is slow.
     """
     at_rest = known_noise(recording)
     known = [c for c in noise if c in at_rest and c in residual_std]

@@ -1,1 +1,1 @@
-"""The next experiment: which feasible one tells the remaining hypotheses apart."""
+"""Experiment design: the feasible experiment that tells the remaining hypotheses apart."""

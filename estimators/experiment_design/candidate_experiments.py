@@ -1,4 +1,4 @@
-"""Experiments that a rig could do next, kept by simulation within its travel, torque and speed."""
+"""Candidate experiments that a rig could do next, kept by simulation within its travel, torque and speed."""
 
 import dataclasses
 import itertools
@@ -11,7 +11,7 @@ from jaxtyping import Float
 from rtac_jax import RTAC, Simulation, simulate
 from rtac_jax.measurement import Experiment, Plan, multisine
 
-_MARGIN = 0.85  # share of travel and speed that the model may use: the rig departs from it
+_MARGIN = 0.85  # fraction of travel and speed that the model may use: the rig departs from it
 _ROUNDS = 8  # in which a current is lowered until the limits hold
 _FEWER = 0.9
 
@@ -27,7 +27,7 @@ _SPEEDS = (4.0, 12.0, 30.0)  # rad/s, at which friction balances a steady curren
 
 @dataclasses.dataclass(frozen=True)
 class Limits:
-    """What an experiment must respect: travel of the cart to each side [m], torque [N m], speed of the arm [rad/s].
+    """The limits of an experiment: travel of the cart to each side [m], torque [N m], speed of the arm [rad/s].
 
     Raises:
         ValueError: one is not a positive number.
@@ -45,7 +45,7 @@ class Limits:
 
 
 class Feasible(NamedTuple):
-    """Plans within the limits, what the model does in each, and why the others were refused."""
+    """The plans within the limits, the model's motion in each, and why the others were refused."""
 
     plans: tuple[Plan, ...]
     shown: tuple[Simulation, ...]
@@ -53,7 +53,7 @@ class Feasible(NamedTuple):
 
 
 def default_menu(model: RTAC, limits: Limits, *, sample_time: float, duration: float) -> list[Plan]:
-    """Free decays, square waves, multisines, steady currents, steps and chirps, slow and fast, at several arm angles.
+    """Return free decays, square waves, multisines, steady currents, steps and chirps, slow and fast, at several arm angles.
 
     Currents are sized by what they do to the arm, J theta'' = K_m i, and cut at the torque limit.
     """
@@ -111,9 +111,12 @@ def default_menu(model: RTAC, limits: Limits, *, sample_time: float, duration: f
 
 
 def feasible(model: RTAC, plans: Sequence[Plan], limits: Limits, *, lower: bool) -> Feasible:
-    """Plans that stay within the limits on the model.
+    """Return the plans that stay within the limits on the model.
 
     Args:
+        model: that the plans are simulated with.
+        plans: to choose from.
+        limits: of travel, torque and speed.
         lower: whether currents may be lowered until they do.
     """
     plans, asked = list(plans), {plan.name: plan for plan in plans}
@@ -146,17 +149,17 @@ def feasible(model: RTAC, plans: Sequence[Plan], limits: Limits, *, lower: bool)
 
 
 def predicted(plan: Plan, shown: Simulation, channels: Sequence[str]) -> Experiment:
-    """A plan as the experiment that the model expects of it; a channel in which nothing moves is left out."""
+    """Return a plan as the experiment that the model expects of it; a channel in which nothing moves is left out."""
     return _experiment(plan, {c: getattr(shown, c) for c in _shows(plan, shown, channels)})
 
 
 def start_of(plan: Plan) -> tuple[float, float, float, float]:
-    """Cart position [m], cart velocity [m/s], arm angle [rad] and arm velocity [rad/s] at the start."""
+    """Return cart position [m], cart velocity [m/s], arm angle [rad] and arm velocity [rad/s] at the start."""
     return plan.initial_position, plan.initial_velocity, plan.initial_angle, plan.initial_arm_velocity
 
 
 def _shows(plan: Plan, shown: Simulation, channels: Sequence[str]) -> list[str]:
-    """The channels in which something moves."""
+    """Return the channels in which something moves."""
     held = {
         "cart_position": plan.cart == "clamped",
         "arm_velocity": plan.arm == "locked",

@@ -1,4 +1,4 @@
-"""Effects that a diagnosis could not tell apart, at their estimated sizes, and the model and noise to tell them apart with."""
+"""Rival hypotheses: effects that a diagnosis could not tell apart, with the model and noise to tell them apart with."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -28,7 +28,7 @@ MODEL = "the model alone"
 
 @dataclasses.dataclass(frozen=True)
 class Contest:
-    """What is to be told apart.
+    """The hypotheses to be told apart.
 
     Attributes:
         effects: ids.
@@ -134,7 +134,7 @@ def contest_of(
 
 
 def _hidden(instance: Effect, known: Candidate) -> Effect:
-    """An instance of plausible size, made as small as the recording says: larger it would have been seen."""
+    """Return an instance of plausible size, made as small as the recording says: larger it would have been seen."""
     names = type(instance).amplitudes()
     values = {n: float(np.asarray(getattr(instance, n))) for n in declarations(instance)}
     largest = known.detection_limit * np.sqrt(max(known.score / ALARM, 1.0))

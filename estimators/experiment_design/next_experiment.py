@@ -30,7 +30,7 @@ Pair = tuple[str, str]
 
 @dataclasses.dataclass(frozen=True)
 class PlannedExperiment:
-    """One experiment of the menu.
+    """One experiment of the candidate set.
 
     Attributes:
         plan: what to do; `rtac_jax.virtual_rig.record` can do it too.
@@ -39,7 +39,7 @@ class PlannedExperiment:
         travel: of the cart to each side, as the model predicts [m].
         torque: largest [N m].
         speed: of the arm, largest [rad/s].
-        effort: the largest of these as a share of its limit [1].
+        effort: the largest of these as a fraction of its limit [1].
     """
 
     plan: Plan
@@ -57,7 +57,7 @@ class PlannedExperiment:
 
 @dataclasses.dataclass(frozen=True)
 class NextExperiment:
-    """Result of `next_experiment`.
+    """The result of `next_experiment`.
 
     Attributes:
         effects: ids of those to be told apart.
@@ -89,7 +89,7 @@ class NextExperiment:
 
     @property
     def plan(self) -> Plan:
-        """What to do: the plan of the recommended experiment."""
+        """The plan of the recommended experiment."""
         return self.best.plan
 
     @property
@@ -103,7 +103,7 @@ class NextExperiment:
         self.recording.save(path)
 
     def as_dict(self, most: int = 5) -> dict[str, Any]:
-        """The recommendation and the experiments next to it, for a report; SI units."""
+        """Return the recommendation and the experiments next to it, for a report; SI units."""
         plan = self.plan
 
         def pairs(separation: Mapping[Pair, float]) -> list[dict[str, Any]]:
@@ -146,7 +146,7 @@ class NextExperiment:
         return "\n".join([*lines, *(f"refused: {reason}" for reason in self.refused)])
 
     def plot(self) -> Any:
-        """Separation by every experiment, and the recommended one, as a matplotlib figure."""
+        """Draw the separation by every experiment, and the recommended one, as a matplotlib figure."""
         return draw(self)
 
 
@@ -164,7 +164,7 @@ def next_experiment(
     duration: float | None = None,
     progress: bool = True,
 ) -> NextExperiment:
-    """The experiment that best tells apart the effects between which a diagnosis could not decide.
+    """Choose the experiment that best tells apart the effects between which a diagnosis could not decide.
 
     For each pair the separation is |(I - P) (t_i - t_j)|^2, with t what an effect at its estimated size changes in the
     innovations, and P the projection on what the parameters of the model and of the second effect can change: twice the
@@ -176,6 +176,7 @@ def next_experiment(
 
     Args:
         fit: of the base model to the recording.
+        recording: that was fitted and diagnosed.
         found: the diagnosis of this fit.
         between: ids of the effects to tell apart, or of one, to be told from nothing; by default those that the diagnosis
             calls ambiguous, else what it found and the nearest rivals.
@@ -185,7 +186,7 @@ def next_experiment(
         travel: largest cart position to each side [m].
         torque_limit: largest |K_m i| [N m].
         speed_limit: largest speed of the arm [rad/s].
-        duration: of the experiments of the default menu [s]; by default as the longest of the recording, at most 20 s.
+        duration: of the experiments of the default candidate set [s]; by default as the longest of the recording, at most 20 s.
         progress: show a bar.
 
     Raises:

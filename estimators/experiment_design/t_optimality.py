@@ -1,4 +1,4 @@
-"""How well experiments would tell effects apart: what one changes in the innovations and another cannot imitate."""
+"""T-optimality: separation of effects by experiments, as the change by one that another cannot imitate."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -22,7 +22,7 @@ from rtac_jax.measurement import Experiment, Plan
 from rtac_jax.parameters import declarations
 
 _OWN = 6  # parameters that an effect may have
-_ROUNDING = 1e-10  # share of the largest eigenvalue below which a direction is rounding
+_ROUNDING = 1e-10  # fraction of the largest eigenvalue below which a direction is rounding
 
 Separation = dict[tuple[str, str], float]
 
@@ -30,7 +30,7 @@ Separation = dict[tuple[str, str], float]
 def separations(
     contest: Contest, recorded: Sequence[Experiment], plans: Sequence[Plan], planned: Sequence[Experiment]
 ) -> tuple[Separation, list[Separation]]:
-    """Separation of each pair by what was recorded alone, and together with each planned experiment.
+    """Return the separation of each pair by the recorded experiments alone, and together with each planned one.
 
     Everything is computed for all experiments at once, as products of columns that add up over experiments. What the
     second effect of a pair cannot imitate is linearised where that effect is at its estimate, nearer to the first than the
@@ -72,7 +72,10 @@ def separations(
 def _products(
     innovations: Innovations, differences: Rows, at: np.ndarray, own: np.ndarray, experiments: int
 ) -> Float[np.ndarray, "experiment term term"]:
-    """Products of the differences and of the derivatives by base and own parameters at a point, for each experiment."""
+    """Return products of columns for each experiment.
+
+    The columns are the differences, and the derivatives by base and own parameters at a point.
+    """
     space = innovations.space
     active = np.asarray(space.active).copy()
     active[-_OWN : len(active) - _OWN + len(own)] = own
@@ -86,7 +89,7 @@ def _products(
 
 
 def _left(product: Float[np.ndarray, "term term"], number: int, first: int) -> float:
-    """Square of what is left of one column when those from `first` on have been projected out of it."""
+    """Return the square of what is left of one column when those from `first` on have been projected out of it."""
     here = np.array([number, *range(first, len(product))])
     part = product[here][:, here]
     if not np.all(np.isfinite(part)):
@@ -102,7 +105,7 @@ def _left(product: Float[np.ndarray, "term term"], number: int, first: int) -> f
 
 
 def _innovations(contest: Contest, experiments: Sequence[Experiment], start: Mapping[str, np.ndarray]) -> Innovations:
-    """Innovations of the base model's predictor, with all effects in it at null."""
+    """Return the innovations of the base model's predictor, with all effects in it at null."""
     data = Data.of(experiments)
     free = [name for name in contest.base.free if name not in contest.base.per_experiment]
     space = space_of(contest.base, experiments, free=free, start=start)

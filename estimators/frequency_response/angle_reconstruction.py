@@ -1,4 +1,4 @@
-"""The arm's angle over an experiment, from whatever tells it."""
+"""Reconstruction of the arm's angle over an experiment, from whatever tells it."""
 
 from collections.abc import Mapping, Sequence
 
@@ -16,7 +16,7 @@ def arm_angles(
     given: Mapping[str, Float64[np.ndarray, " sample"]] | None = None,
     model: RTAC | None = None,
 ) -> dict[str, Float64[np.ndarray, " sample"]]:
-    """theta(t) [rad] of the named experiments: given, else measured, else of a model, else integrated.
+    """Return theta(t) [rad] of the named experiments: given, else measured, else of a model, else integrated.
 
     Integration starts from `initial_arm_angle`. A tachometer's bias would turn the integral away by a radian in ten
     seconds, so its mean over the experiments at rest is taken off first; without any at rest it is taken as it is, and a

@@ -38,7 +38,7 @@ def frequency_responses(
     angles: Mapping[str, Float64[np.ndarray, " sample"]] | None = None,
     model: RTAC | None = None,
 ) -> FrequencyResponses:
-    """The frequency response of every forced experiment, with its standard deviation at each frequency.
+    """Estimate the frequency response of every forced experiment, with its standard deviation at each frequency.
 
     With `compensate` the response is that of Fig. 3, from x = input * cos(theta) to the output, which does not depend on
     where the arm stands; `FrequencyResponse.actual` puts cos(theta_0) back. The angle is measured, or else given, or from
@@ -49,14 +49,19 @@ def frequency_responses(
     fractions over neighbouring lines, with the transient as a part of its own; noise and distortion are not told apart.
 
     Args:
-        input, output: names of channels.
+        recording: with forced experiments.
+        input: name of the input channel.
+        output: name of the output channel.
+        compensate: count cos(theta) as part of the input.
         method: by default "periodic" where `period` is given and the input, compensated or not, repeats.
         period: of the input, in samples.
         discard: samples at the start that are left out.
         band: [Hz]; by default where the input has lines.
         frequency: [rad/s] the frequencies of the result, for "local"; by default every line in the band.
-        half_width, degree, poles: of the local fit; see `local_response`. The window spans `2 half_width + 1` lines of
+        half_width: of the local fit, see `local_response`. The window spans `2 half_width + 1` lines of
             1 / duration.
+        degree: of the local fit's polynomials, or of the transient's.
+        poles: of the local fit.
         realisations: experiments that show one condition with different multisines, by name of the condition; their mean
             is the response and their scatter the distortion. By default each forced experiment is a condition.
         angles: theta(t) [rad] by name of experiment.
@@ -131,12 +136,12 @@ def _signals(experiment: Experiment, into: str, out: str, discard: int) -> tuple
 
 
 def _between(cosine: np.ndarray) -> np.ndarray:
-    """Mean over the interval that follows each sample, in which the input is held."""
+    """Return the mean over the interval that follows each sample, in which the input is held."""
     return 0.5 * (cosine + np.append(cosine[1:], cosine[-1]))
 
 
 def _repeated(values: np.ndarray, period: int) -> np.ndarray | None:
-    """What repeats with this period; None where nothing does.
+    """Return the signal that repeats with this period; None where nothing does.
 
     Samples that are zero may be left out of some periods, as the current is where the arm has no grip.
     """
@@ -223,7 +228,7 @@ class DrownedError(ValueError):
 
 
 def check_shown(one: FrequencyResponse) -> None:
-    """Refuse what is noise: of that hardly a line has a standard deviation that is much smaller than the response."""
+    """Refuse a response that is noise, of which hardly a line has a standard deviation much smaller than the response."""
     count, most = _SHOWN
     surest = np.sort(one.std / np.maximum(np.abs(one.response), 1e-300))[:count]
     if surest[-1] > most:
@@ -235,7 +240,7 @@ def check_shown(one: FrequencyResponse) -> None:
 
 
 def _continuous(lines: Lines, experiment: Experiment, channel: str) -> Lines:
-    """The response of the continuous-time system: the hold between samples is taken out.
+    """Return the response of the continuous-time system: the hold between samples is taken out.
 
     What the hold puts beyond half the sampling rate is neglected, as the rig does not follow that fast.
     """

@@ -11,7 +11,7 @@ _NOTHING = 1e-9  # of the largest line, below which an input is rounding
 
 
 class VanishingError(ValueError):
-    """The input around a line cannot show the response there; `line` is its place in the spectrum."""
+    """An input that cannot show the response around a line; `line` is its place in the spectrum."""
 
     def __init__(self, line: float) -> None:
         super().__init__(f"the excitation vanishes around line {line:g} of the spectrum; excite it or leave it out.")
@@ -19,7 +19,7 @@ class VanishingError(ValueError):
 
 
 class LocalFit(NamedTuple):
-    """What the lines around each line tell.
+    """The estimates from the lines around each line.
 
     Attributes:
         response: [unit of output / unit of input].
@@ -43,7 +43,7 @@ def local_response(
     degree: int = 2,
     poles: int = 2,
 ) -> LocalFit:
-    """The response at some lines of two spectra, with transients and leakage as a smooth part of their own.
+    """Estimate the response at some lines of two spectra, with transients and leakage as a smooth part of their own.
 
     Around each line, with r the distance from it in half widths,
 
@@ -54,7 +54,8 @@ def local_response(
     refined by two Gauss-Newton steps on the residual of Y itself.
 
     Args:
-        into, out: discrete Fourier transforms of input and output, from zero frequency on.
+        into: discrete Fourier transform of the input, from zero frequency on.
+        out: discrete Fourier transform of the output.
         lines: numbers of the lines asked for; places between lines are allowed.
         half_width: lines to each side; near the ends of the spectrum the window is moved.
         degree: of the polynomials g and t.
@@ -114,7 +115,7 @@ def local_response(
 
 
 def _least_squares(matrix: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Solutions of many problems [problem, equation, unknown], root of the first unknown's variance, and residuals."""
+    """Solve many problems [problem, equation, unknown]: solutions, root of the first unknown's variance, and residuals."""
     orthogonal, upper = np.linalg.qr(matrix)
     projected = np.einsum("fwp,fw->fp", orthogonal.conj(), target)
     inverse = np.linalg.inv(upper)
@@ -125,7 +126,7 @@ def _least_squares(matrix: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, 
 def _refined(
     unknowns: np.ndarray, target: np.ndarray, regressors: np.ndarray, scale: np.ndarray, powers: np.ndarray, linear: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Gauss-Newton for Y = (g U + t) / (1 + d): scaled unknowns, root of the first one's variance, and residuals.
+    """Refine Y = (g U + t) / (1 + d) by Gauss-Newton: scaled unknowns, root of the first one's variance, and residuals.
 
     A step that does not lower the residual of its line is not taken there.
     """
@@ -155,7 +156,7 @@ def _refined(
 
 
 class Transient(NamedTuple):
-    """The smooth part at some lines, by the lines beside them, and what these leave.
+    """The smooth part at some lines, by the lines beside them, and the residuals of these.
 
     Attributes:
         smooth: at the line itself.
@@ -178,7 +179,7 @@ def local_transient(
     neighbours: int,
     degree: int = 2,
 ) -> Transient:
-    """Transient and noise at harmonics of a record of whole periods, from the lines between the harmonics.
+    """Estimate transient and noise at harmonics of a record of whole periods, from the lines between the harmonics.
 
     A periodic steady state has only every `periods`-th line, so what lies between is transient, which is smooth, and
     noise, which is not (Pintelon and Schoukens 2012, section 7.3).

@@ -38,7 +38,7 @@ def periodic_response(
     degree: int = 2,
     band: tuple[float | int, float | int] | None = None,
 ) -> Lines:
-    """The response at the excited harmonics; `played` is the periodic input that tells which these are.
+    """Estimate the response at the excited harmonics; `played` is the periodic input that tells which these are.
 
     Transients are taken off by the lines between the harmonics, so both transient and steady state are used. What those
     lines leave is noise. At harmonics that were not excited a periodic distortion is left over: even ones show

@@ -22,11 +22,11 @@ class FrequencyResponse:
         frequency: [rad/s].
         response: from x = input * cos(theta) where `compensated`, else from the input, in units of output / input.
         std: root of the mean squared magnitude of the response's error, by noise and distortion together.
-        noise_std: likewise by noise alone; equal to `std` where the method cannot tell them apart.
+        noise_std: the same by noise alone; equal to `std` where the method cannot tell them apart.
         freedom: complex degrees of freedom of `std`.
         odd_distortion, even_distortion: root mean square of what nonlinearities of odd and even order add at a line, in
             units of the response; None where no harmonic was left out to show it.
-        coherence: share of the output's power that follows the input [1].
+        coherence: fraction of the output's power that follows the input [1].
         input_rms: [unit of the input].
         arm_angle: mean over the experiment, or at its start [rad]; None where nothing tells.
         compensated: whether cos(theta) is part of the input.
@@ -48,11 +48,11 @@ class FrequencyResponse:
     output: str = "cart_position"
 
     def frd(self) -> ct.FrequencyResponseData:
-        """As python-control's `FRD`."""
+        """Return the response as python-control's `FRD`."""
         return ct.frd(self.response, self.frequency, name=self.name)
 
     def radius(self, confidence: float = 0.95) -> Curve:
-        """Radius of the disc about the response that holds the truth with this probability, at each frequency.
+        """Return the radius of the disc about the response that holds the truth with this probability, at each frequency.
 
         The error is circular complex, so its squared magnitude over the estimated variance has the F distribution with 2
         and 2 `freedom` degrees.
@@ -60,7 +60,7 @@ class FrequencyResponse:
         return self.std * np.sqrt(scipy.stats.f.ppf(confidence, 2, 2 * self.freedom))
 
     def actual(self, angle: float | None = None) -> Complex128[np.ndarray, " frequency"]:
-        """The response from the input itself at an arm angle [rad]: cos(theta_0) is put back (paper, Fig. 3).
+        """Return the response from the input itself at an arm angle [rad]: cos(theta_0) is put back (paper, Fig. 3).
 
         Args:
             angle: by default that of the condition.
@@ -138,7 +138,7 @@ class FrequencyResponses:
                 )
 
     def frd(self) -> list[ct.FrequencyResponseData]:
-        """As python-control's `FRD`, one for each condition."""
+        """Return the responses as python-control's `FRD`, one for each condition."""
         return [one.frd() for one in self.conditions]
 
     def __str__(self) -> str:
@@ -154,5 +154,5 @@ class FrequencyResponses:
         return "\n".join(rows)
 
     def plot(self) -> Any:
-        """Magnitude and phase of all conditions, with what is uncertain."""
+        """Draw magnitude and phase of all conditions, with their uncertainty."""
         return draw(self)

@@ -1,1 +1,1 @@
-"""How far estimates can be trusted: covariances, profiles, bounds, and estimators held against each other."""
+"""Inference: covariances, profiles, bounds, and estimators held against each other."""

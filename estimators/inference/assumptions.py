@@ -1,4 +1,4 @@
-"""What the paper's model assumes of each quantity that is estimated, and the effects that break it."""
+"""Assumptions of the paper's model about each estimated quantity, and the effects that break them."""
 
 _LINEAR_SPRING = (
     "the spring is linear and all of the mass moves with the cart",

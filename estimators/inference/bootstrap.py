@@ -1,4 +1,4 @@
-"""Recordings as they might have come out too, around a fit: its own residual in another order, or random forces anew."""
+"""Bootstrap replicates of a recording around a fit: its own residual in another order, or random forces anew."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -24,7 +24,7 @@ _EXCESS = 1.5
 
 @dataclasses.dataclass(frozen=True)
 class Shuffled:
-    """Simulated measurements of a fit, and its residual to be put in another order.
+    """The simulated measurements of a fit, and its residual to be put in another order.
 
     Attributes:
         problem: of the fit.
@@ -40,7 +40,7 @@ class Shuffled:
 
     @classmethod
     def of(cls, fit: Fit, recording: Recording, *, block: float) -> "Shuffled":
-        """Around a fit and the recording that it was made from, in blocks of this many seconds.
+        """Build replicates around a fit and the recording that it was made from, in blocks of this many seconds.
 
         Where the sensors' noise was recorded at rest or stated and the residual is clearly above it, the residual is made
         as large as the noise: were the model right, there would be no more.
@@ -64,16 +64,16 @@ class Shuffled:
 
     @property
     def experiments(self) -> tuple[Experiment, ...]:
-        """Those of the fit."""
+        """The experiments of the fit."""
         return self.problem.experiments
 
     @property
     def measured(self) -> Outputs:
-        """What was recorded."""
+        """The recorded measurements."""
         return _measured(self.problem)
 
     def draw(self, random: np.random.Generator) -> Outputs:
-        """Blocks of the residual, all channels together, in random order on a circle.
+        """Draw blocks of the residual, all channels together, in random order on a circle.
 
         Source: Politis and Romano, in Exploring the Limits of Bootstrap (1992): circular blocks.
         """
@@ -106,7 +106,7 @@ class Shaken:
 
     @classmethod
     def of(cls, fit: PredictorFit) -> "Shaken":
-        """At the fit's parameters and noise, and at its smoothed starts."""
+        """Build replicates at the fit's parameters and noise, and at its smoothed starts."""
         start = smoothed_start(fit)
         interval = np.asarray(fit.problem.arguments.data.excitation.sample_time)
         density = np.array([fit.force_noise, fit.torque_noise])
@@ -115,16 +115,16 @@ class Shaken:
 
     @property
     def experiments(self) -> tuple[Experiment, ...]:
-        """Those of the fit."""
+        """The experiments of the fit."""
         return self.problem.experiments
 
     @property
     def measured(self) -> Outputs:
-        """What was recorded."""
+        """The recorded measurements."""
         return _measured(self.problem)
 
     def draw(self, random: np.random.Generator) -> Outputs:
-        """Simulated with white impulses and white sensor noise."""
+        """Simulate with white impulses and white sensor noise."""
         data = self.problem.arguments.data
         struck = np.zeros((data.room, 2, *self.impulse.shape))
         struck[: data.samples] = random.normal(size=struck[: data.samples].shape) * self.impulse
@@ -150,7 +150,7 @@ Source = Shuffled | Shaken
 
 
 def measured_again(experiments: Sequence[Experiment], source: Source, values: Outputs) -> list[Experiment]:
-    """The experiments with other measurements; pieces of a long experiment are put together again."""
+    """Return the experiments with other measurements; pieces of a long experiment are put together again."""
     columns: dict[str, list[np.ndarray]] = {}
     for i, piece in enumerate(source.experiments):
         columns.setdefault(piece.name.split("[")[0], []).append(values[: piece.samples, :, i])

@@ -1,4 +1,4 @@
-"""How well an experiment would determine the parameters, before it is run: the Cramér-Rao bound."""
+"""The Cramér-Rao bound: the standard deviations to expect of an experiment before it is run."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -21,7 +21,7 @@ _FREE = 1e3  # times its value from which on a standard deviation says no more t
 
 @dataclasses.dataclass(frozen=True)
 class Expected:
-    """Result of `expected_std`.
+    """The result of `expected_std`.
 
     Attributes:
         information: covariance and directions, as of a fit to the planned experiments.
@@ -54,7 +54,7 @@ class Expected:
 def expected_std(
     model: RTAC, planned: Recording | Sequence[Experiment | Plan], *, noise: Mapping[str, float] | None = None
 ) -> Expected:
-    """Standard deviations to expect of output error from planned experiments, with the model's values as the truth.
+    """Compute the standard deviations to expect of output error from planned experiments; the model's values are the truth.
 
     Args:
         model: its free parameters are to be estimated.
@@ -101,7 +101,7 @@ def expected_std(
 
 
 def _experiment(model: RTAC, plan: Plan) -> Experiment:
-    """A plan as the experiment that the model expects of it."""
+    """Return a plan as the experiment that the model expects of it."""
 
     def of(position: np.ndarray | None, arm: np.ndarray | None) -> Experiment:
         return Experiment.of(

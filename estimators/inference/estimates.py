@@ -1,4 +1,4 @@
-"""Ways to estimate the same physics from one recording, each as a function of what was measured."""
+"""Estimators of the same physics from one recording, each as a function of the measurements."""
 
 import dataclasses
 from collections.abc import Callable, Sequence
@@ -34,10 +34,10 @@ _UNITS = dict(zip(MODAL, ("rad/s", "1"), strict=True))
 
 @dataclasses.dataclass(frozen=True)
 class Way:
-    """One way to estimate.
+    """An estimator with its result and its dependence on the measurements.
 
     Attributes:
-        label: what it is called.
+        label: its name.
         asks: what the model must be right for, in words.
         names: of the quantities that it estimates: parameters, and `MODAL` where a linear model takes part.
         units: of those.
@@ -56,7 +56,7 @@ class Way:
 
 
 def label_of(result: Result) -> str:
-    """What this kind of estimate is called."""
+    """Return the name of this kind of estimate."""
     return {
         ClosedForm: "closed form",
         Fit: "output error",
@@ -66,11 +66,15 @@ def label_of(result: Result) -> str:
 
 
 def way_of(result: Result, label: str, source: Source, recording: Recording, *, modal: bool) -> Way:
-    """A result as a function of the measurements.
+    """Return an estimator as a function of the measurements.
 
     A closed form is computed anew; the others take one Gauss-Newton step from where they are.
 
     Args:
+        result: of one of the estimators.
+        label: the estimator's name.
+        source: of the replicates.
+        recording: that the result was made from.
         modal: give natural frequency and damping ratio of the cart beside the parameters.
 
     Raises:
@@ -114,7 +118,7 @@ def _closed(
 
 
 def _simulated(problem: Problem, here: Vector) -> Callable[[Outputs], Vector]:
-    """A Gauss-Newton step; the Jacobian of a simulation does not depend on what was measured."""
+    """Return a Gauss-Newton step; the Jacobian of a simulation does not depend on what was measured."""
     flat = (jacobian := rows_at(problem).jacobian).reshape(-1, jacobian.shape[-1])
     step = -np.linalg.solve(flat.T @ flat, flat.T)
 
@@ -126,7 +130,7 @@ def _simulated(problem: Problem, here: Vector) -> Callable[[Outputs], Vector]:
 
 
 def _predicted(fit: PredictorFit, here: Vector) -> Callable[[Outputs], Vector]:
-    """A Gauss-Newton step with gains along the new measurements, which the arm reaches by another way."""
+    """Return a Gauss-Newton step with gains along the new measurements, on which the arm may take another path."""
     problem, space = fit.problem, fit.problem.arguments.space
     physical = space.physical(problem.unknowns)
 
@@ -145,7 +149,7 @@ def _predicted(fit: PredictorFit, here: Vector) -> Callable[[Outputs], Vector]:
 
 
 def _with_modal(model: RTAC, names: Sequence[str], values: Vector) -> np.ndarray:
-    """The values, and the natural frequency [rad/s] and damping ratio of a cart that is coupled to no arm and slides."""
+    """Return the values, and the natural frequency [rad/s] and damping ratio of a cart coupled to no arm, that slides."""
     at = dict(zip(names, values, strict=True))
 
     def of(name: str) -> float:
@@ -157,7 +161,10 @@ def _with_modal(model: RTAC, names: Sequence[str], values: Vector) -> np.ndarray
 
 
 def _linear(result: LinearModels, label: str, source: Source, recording: Recording) -> Way:
-    """The cart's mode, as the median over conditions: a fit that ends without damping is sure of it, and wrong."""
+    """Return the estimator of the cart's mode, as the median over conditions.
+
+    A mean would not do: a fit that ends without damping is sure of it, and wrong.
+    """
     structure, modes = result.structure, result.structure.modes
     theta = np.stack([one.unknowns.theta for one in result.models])
     scale = Scale(*(jnp.asarray([part[i] for part in (m.unknowns.scale for m in result.models)]) for i in range(3)))

@@ -1,4 +1,4 @@
-"""Do different ways to estimate the same physics agree? Hausman's test, and what a disagreement means."""
+"""Hausman's test of whether estimators of the same physics agree, and what a disagreement means."""
 
 import dataclasses
 import itertools
@@ -40,7 +40,7 @@ _ASK = " Add est.prediction_error_nonlinear's result, which estimates random for
 
 @dataclasses.dataclass(frozen=True)
 class Disagreement:
-    """Two ways held against each other.
+    """The difference between two estimators.
 
     Attributes:
         labels: of the two.
@@ -62,17 +62,17 @@ class Disagreement:
 
 @dataclasses.dataclass(frozen=True)
 class Agreement:
-    """Result of `agreement`.
+    """The result of `agreement`.
 
     Attributes:
-        names: of the quantities that two ways or more estimate: parameters, and natural frequency and damping ratio of
+        names: of the quantities that two estimators or more give: parameters, and natural frequency and damping ratio of
             the cart where a linear fit takes part.
         units: SI units.
-        labels: of the ways.
-        asks: what the model must be right for so that this way is, in words.
-        values: estimates [way quantity]; NaN where a way does not estimate it.
-        std: their standard deviations, were the model right [way quantity].
-        pairs: every two ways held against each other.
+        labels: of the estimators.
+        asks: what the model must be right for so that this estimator is, in words.
+        values: estimates [estimator quantity]; NaN where one does not give it.
+        std: their standard deviations, were the model right [estimator quantity].
+        pairs: every two estimators compared.
         level: at which a disagreement is called one.
         draws: replicates that the distribution of the differences was taken from.
         disturbed: whether the replicates hold random forces and torques.
@@ -100,7 +100,7 @@ class Agreement:
 
     @property
     def worst(self) -> Disagreement:
-        """The two ways that disagree most clearly."""
+        """The two estimators that disagree most clearly."""
         return min(self.pairs, key=lambda pair: pair.p_value)
 
     @property
@@ -115,7 +115,7 @@ class Agreement:
 
     @property
     def suspects(self) -> tuple[str, ...]:
-        """Ids of effects that break what these quantities rest on; the most often named first.
+        """Ids of effects that break the assumptions of these quantities; the most often named first.
 
         Where to look first, and no list to choose from: a fit of the whole motion hands an error on to other quantities too.
         """
@@ -125,7 +125,7 @@ class Agreement:
 
     @property
     def verdict(self) -> str:
-        """In words: whether they agree, which assumption fails, and what to look at next."""
+        """The verdict in words: whether they agree, which assumption fails, and what to look at next."""
         smallest = self.worst.p_value
         if not self.rejected:
             chance = f"differences as large as these come about by chance (p = {smallest:.2g})."
@@ -153,7 +153,7 @@ class Agreement:
         )
 
     def _but(self) -> str:
-        """What else than the model could be wrong with a disagreement."""
+        """Say what else than the model could be wrong with a disagreement."""
         if not self.disturbed:
             return (
                 " A random force or torque on the rig makes them disagree too: add est.prediction_error_nonlinear's result, "
@@ -192,7 +192,7 @@ class Agreement:
         return "\n".join([*lines, "", self.verdict])
 
     def plot(self) -> Any:
-        """Differences in standard deviations, as a matplotlib figure."""
+        """Draw the differences in standard deviations, as a matplotlib figure."""
         return draw(self)
 
 
@@ -207,12 +207,12 @@ def agreement(
     seed: int = 0,
     progress: bool = True,
 ) -> Agreement:
-    """Hold estimates of the same physics, made in different ways from the same recording, against each other.
+    """Compare estimates of the same physics, made by different estimators from the same recording.
 
     Hausman's idea: two estimators that are both right when the model is right differ only by chance, so a difference that
     is large beside its own standard deviation shows that the model is wrong. Neither estimator need be efficient: the
-    distribution of the difference comes from replicates, from each of which every way estimates anew (a fit by one
-    Gauss-Newton step), so that their common errors cancel, and the bias that a way has on such data is taken off. That also
+    distribution of the difference comes from replicates, from each of which every estimator estimates anew (a fit by one
+    Gauss-Newton step), so that their common errors cancel, and the bias that an estimator has on such data is taken off. That also
     lets a linear fit take part, whose natural frequency and damping are those of the cart with dry friction and arm; pairs
     with it, and the joint verdict over pairs that depend on each other, reject more rarely than the level says.
 
@@ -228,7 +228,7 @@ def agreement(
         labels: of the results, each another.
         level: of the test.
         draws: replicates; more than three times as many as there are quantities.
-        block: duration that stays together when the residual is put in another order [s]; longer than its memory.
+        block: duration that stays together when the residual is put in another order [s]; longer than its correlation time.
         seed: of the replicates.
         progress: show a bar.
 
@@ -276,7 +276,7 @@ def agreement(
         for row, way in enumerate(ways):
             found[number, row] = _in_order(way, way.again(measured), names)
     # The estimates by the same step as in the replicates: what an optimiser left undone is large beside the difference of
-    # two ways that almost agree.
+    # two estimators that almost agree.
     measured = source.measured
     observed = np.array([_in_order(way, way.again(measured), names) for way in ways])
     values = np.array([_in_order(way, way.values, names) for way in ways])
@@ -323,7 +323,7 @@ def _simulation(fit: Fit, recording: Recording, predictors: Sequence[PredictorFi
 
 
 def _common(one: Way, other: Way) -> tuple[str, ...]:
-    """What both estimate; between two of the physics its parameters, of which the modal quantities are functions."""
+    """Return what both estimate; between two of the physics its parameters, of which the modal quantities are functions."""
     skipped = MODAL if one.physical and other.physical else ()
     return tuple(n for n in one.names if n in other.names and n not in skipped)
 

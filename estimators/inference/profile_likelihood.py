@@ -1,4 +1,4 @@
-"""Profile likelihood: how the fit worsens as one parameter is held at other values and all the rest is fitted again."""
+"""Profile likelihood: the fall of the likelihood as one parameter is held and all the rest is fitted again."""
 
 import dataclasses
 from typing import Any
@@ -20,7 +20,7 @@ from rtac_jax.measurement import Recording
 
 @dataclasses.dataclass(frozen=True)
 class Profile:
-    """Result of `profile`.
+    """The result of `profile`.
 
     Attributes:
         name: of the parameter.
@@ -53,7 +53,7 @@ class Profile:
         return text + (", not that of a parabola: trust it rather than the standard deviation." if skewed else ".")
 
     def plot(self) -> Any:
-        """The profile beside the parabola of the standard deviation, as a matplotlib figure."""
+        """Draw the profile beside the parabola of the standard deviation, as a matplotlib figure."""
         return draw(self)
 
 
@@ -67,12 +67,14 @@ def profile(
     level: float = 0.95,
     steps: int = 30,
 ) -> Profile:
-    """Profile likelihood of one parameter of a fit, with its interval.
+    """Compute the profile likelihood of one parameter of a fit, with its interval.
 
     Args:
+        fit: of output error.
         recording: the one that was fitted.
         name: of the parameter.
         points: values at which it is held, spread evenly over `reach` standard deviations to both sides.
+        reach: in standard deviations, to each side of the estimate.
         level: of the interval.
         steps: optimiser steps at each point.
 
@@ -140,7 +142,7 @@ def _inside(fit: Fit, name: str) -> tuple[float, float]:
 
 
 def _interval(value: float, offsets: np.ndarray, rise: np.ndarray, level: float) -> tuple[float, float]:
-    """Where the signed root of the rise, which is nearly a straight line, crosses the quantile's root."""
+    """Return where the signed root of the rise, which is nearly a straight line, crosses the quantile's root."""
     root = np.sign(offsets) * np.sqrt(np.maximum(rise, 0.0))
     bound = float(np.sqrt(chi2.ppf(level, 1)))
     ends = []

@@ -20,7 +20,7 @@ Matrix = Float[np.ndarray, "parameter parameter"]
 
 @dataclasses.dataclass(frozen=True)
 class Covariances:
-    """Result of `covariances`: how sure the parameters of one fit are, by three sets of assumptions.
+    """The result of `covariances`: the uncertainty of one fit's parameters by three sets of assumptions.
 
     Attributes:
         names: of the parameters.
@@ -41,11 +41,14 @@ class Covariances:
     degrees: Mapping[str, Float[np.ndarray, " parameter"]]
 
     def std(self, kind: Kind) -> dict[str, float]:
-        """Standard deviation of each parameter; NaN where only one experiment shows it and there is nothing to compare."""
+        """Return the standard deviation of each parameter, SI units.
+
+        NaN where only one experiment shows it and there is nothing to compare.
+        """
         return dict(zip(self.names, (float(x) for x in np.sqrt(np.diagonal(getattr(self, kind)))), strict=True))
 
     def interval(self, kind: Kind, level: float = 0.95) -> dict[str, tuple[float, float]]:
-        """Confidence interval of each parameter."""
+        """Return the confidence interval of each parameter."""
         reach = student.ppf(0.5 + 0.5 * level, self.degrees[kind]) * np.array(list(self.std(kind).values()))
         return {n: (float(v - r), float(v + r)) for n, v, r in zip(self.names, self.values, reach, strict=True)}
 
@@ -61,7 +64,7 @@ class Covariances:
 
 
 def covariances(fit: Fit, recording: Recording) -> Covariances:
-    """Plain, sandwich and clustered covariance of a fit.
+    """Compute plain, sandwich and clustered covariance of a fit.
 
     The sandwich sums the autocovariance of the scores within each experiment under Bartlett's window, as wide as their
     correlation asks, and makes up for what fitting took from the residual; the clustered one takes each experiment's whole
@@ -69,6 +72,7 @@ def covariances(fit: Fit, recording: Recording) -> Covariances:
     freedom as then match its variance.
 
     Args:
+        fit: of output error.
         recording: the one that was fitted.
 
     Raises:
@@ -121,7 +125,10 @@ def _coloured(rows: Rows, problem: Problem) -> tuple[Matrix, Matrix, float]:
 
 
 def _spent(rows: Rows, problem: Problem) -> float:
-    """By how much fitting made the residual smaller: a coloured one of n samples is worth fewer, and all unknowns fit it."""
+    """Return the factor by which fitting made the squared residual smaller.
+
+    A coloured residual of n samples is worth fewer, and all unknowns fit it.
+    """
     power = float(np.sum(rows.residual**2))
     rho = float(np.clip(np.sum(rows.residual[1:] * rows.residual[:-1]) / power, 0.0, 0.99)) if power > 0 else 0.0
     worth = float(np.sum(np.asarray(problem.arguments.data.present))) * (1 - rho) / (1 + rho)
@@ -131,7 +138,10 @@ def _spent(rows: Rows, problem: Problem) -> float:
 
 
 def _bandwidth(scores: Float[np.ndarray, "experiment sample parameter"]) -> int:
-    """Andrews' choice for Bartlett's window, from the correlation of neighbouring scores; the largest of all parameters."""
+    """Return Andrews' bandwidth for Bartlett's window, from the correlation of neighbouring scores.
+
+    It is the largest of all parameters'.
+    """
     power = np.sum(scores**2, axis=(0, 1))
     near = np.sum(scores[:, 1:] * scores[:, :-1], axis=(0, 1)) / np.where(power > 0, power, 1.0)
     rho = float(np.clip(np.max(near, initial=0.0), 0.0, 0.99))
@@ -141,9 +151,10 @@ def _bandwidth(scores: Float[np.ndarray, "experiment sample parameter"]) -> int:
 
 
 def clustered(information: Information, clusters: list[str]) -> tuple[Matrix, Float[np.ndarray, " parameter"]]:
-    """Covariance from the scores of independent clusters, and degrees of freedom per parameter.
+    """Return the covariance from the scores of independent clusters, and degrees of freedom per parameter.
 
     Args:
+        information: with scores and parts of every experiment.
         clusters: to which cluster each of the information's experiments belongs.
 
     Raises:

@@ -27,8 +27,13 @@ def simulation_deviation(
     starts that are known. NaN for an output that nobody measured. A fit of starts and parameters absorbs a part of this.
 
     Args:
+        model: that is simulated.
+        data: whose inputs act on it.
+        space: of its unknowns.
         physical: all parameters and the states at the start, along which to linearise.
+        prior: noise to which `noise` is relative.
         noise: as `run_filter` takes it.
+        substeps: Runge-Kutta steps per sample.
 
     Source: Jazwinski, Stochastic Processes and Filtering Theory (1970), chapter 8, prediction without measurement update.
     """
@@ -49,6 +54,7 @@ def shaken_by(
     """Return `simulation_deviation` of a predictor, and its random force and torque in one sample as shares of the rms forces.
 
     Args:
+        fit: the predictor.
         start: states at the start, along whose simulation to linearise.
     """
     a = fit.problem.arguments

@@ -38,10 +38,12 @@ class _State(NamedTuple):
 def gauss_newton(
     residual: Callable[[Any], Any], theta: Float[Array, " unknown"], *, most: int | Int[Array, ""] = 60
 ) -> tuple[Point, Bool[Array, ""]]:
-    """Where half the sum of squares is least, and whether it came to rest; made to be vmapped.
+    """Minimise half the sum of squares; return the last point and whether it converged. Made to be vmapped.
 
     Args:
         residual: of the unknowns, in units of its standard deviation.
+        theta: the unknowns at the start.
+        most: number of steps at most.
 
     Source: Nocedal and Wright, Numerical Optimization (2006), section 10.3; Marquardt's scaling.
     """

@@ -30,7 +30,7 @@ _FREE = 1e-12  # eigenvalue of the scaled information, relative to the largest, 
 
 @dataclass(frozen=True, eq=False)
 class LinearModels:
-    """Result of `prediction_error`: one linear model for each condition; iteration and `[name or number]` give one.
+    """The result of `prediction_error`: one linear model for each condition; iteration and `[name or number]` give one.
 
     Attributes:
         models: in the order of the recording.
@@ -61,15 +61,15 @@ class LinearModels:
         raise KeyError(f"no condition {which!r}; there are {', '.join(one.name for one in self.models)}")
 
     def transfer_functions(self) -> list[ct.TransferFunction]:
-        """G of each condition, in continuous time; `envelope` takes them with a grid."""
+        """Return G of each condition, in continuous time; `envelope` takes them with a grid."""
         return [one.transfer_function() for one in self.models]
 
     def responses(self, omega: Float[np.ndarray, " frequency"]) -> FrequencyResponses:
-        """G of each condition on a grid [rad/s] with standard deviations, as `envelope` takes them."""
+        """Return G of each condition on a grid [rad/s] with standard deviations, as `envelope` takes them."""
         return FrequencyResponses(tuple(one.frequency_response(omega) for one in self.models))
 
     def equality(self, *, level: float = 0.01) -> Equality:
-        """Whether all conditions have the same parameters; if not, which one drifts, and with what.
+        """Test whether all conditions have the same parameters; if not, name what drifts, and with which covariate.
 
         Args:
             level: of significance.
@@ -81,7 +81,7 @@ class LinearModels:
 
     @property
     def verdict(self) -> str:
-        """How many conditions the model set suits, and what is wrong with the others."""
+        """The number of conditions that the model set suits, and what is wrong with the others."""
         said: dict[str, list[str]] = {}
         for one in self.models:
             said.setdefault(one.verdict, []).append(one.name)
@@ -110,7 +110,7 @@ class LinearModels:
         return "\n".join([*lines, self.verdict])
 
     def plot(self, omega: Float[np.ndarray, " frequency"] | None = None) -> Any:
-        """Responses of all conditions with what is uncertain, and how their residuals are."""
+        """Draw the responses of all conditions with their uncertainty, and the tests of their residuals."""
         return draw(self, omega)
 
 
@@ -140,11 +140,14 @@ def prediction_error(
     With `compensate` the input is x = input * cos(theta) of Fig. 3; `FrequencyResponse.actual` puts cos(theta_0) back.
 
     Args:
+        recording: with forced experiments.
         structure: "output_error", "armax", "box_jenkins" or "state_space"; see `Structure`.
         modes: pairs of poles of G, or "search": the number up to 3 with the least BIC summed over conditions.
         zeros: of G, 2 modes - 2, 2 modes - 1 (the default) or 2 modes; in a search those of one mode.
         noise_order: of C and D; 2 by default, and twice the modes in state space.
-        input, output: names of channels.
+        input: name of the input channel.
+        output: name of the output channel.
+        compensate: count cos(theta) as part of the input.
         start: a model whose poles are tried first, the rig's own linearised about theta = 0, as equation (4), or a
             linear one; beside them poles are searched.
         detrend: take the means off input and output first. The paper advises against it.
@@ -192,7 +195,11 @@ def prediction_error(
 
 
 def structure_of(kind: str, modes: Any, zeros: int | None, noise_order: int | None) -> Structure:
-    """Raises `ValueError` that names the option."""
+    """Return the model set that the options ask for.
+
+    Raises:
+        ValueError: an option is out of range; the message names it.
+    """
     if kind not in STRUCTURES:
         raise ValueError(f"structure: is {kind!r}; use one of {', '.join(STRUCTURES)}.")
     if not isinstance(modes, int) or not 1 <= modes <= 6:
@@ -224,7 +231,7 @@ def _candidates(start: RTAC | ct.TransferFunction | ct.StateSpace | None) -> lis
 
 
 def _criteria(stage: Stage) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """FPE, AIC and BIC of each condition."""
+    """Return FPE, AIC and BIC of each condition."""
     count = np.sum(np.asarray(stage.data.present), axis=1)
     d, value = stage.structure.count, stage.mean_square
     likelihood = count * np.log(np.maximum(value, 1e-300))
@@ -281,7 +288,7 @@ def _covariance(
     colour: Colour,
     structure: Structure,
 ) -> tuple[Float[np.ndarray, "unknown unknown"], int]:
-    """Of the unknowns, and how many combinations of them the data leave free.
+    """Return the covariance of the unknowns, and the number of their combinations that the data leave free.
 
     For output error, whose errors may be coloured, by Ljung's (9.42) with the colour of an autoregression (`whitened`).
     """

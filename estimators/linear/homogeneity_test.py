@@ -1,4 +1,4 @@
-"""Are the parameters of a linear model the same in all conditions? Which one drifts, and with what?"""
+"""Test of homogeneity: whether the parameters of a linear model are the same in all conditions, and what drifts."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -22,14 +22,14 @@ _WORDS = {
 
 @dataclass(frozen=True)
 class Trend:
-    """Weighted regression of one quantity on one covariate.
+    """The weighted regression of one quantity on one covariate.
 
     Attributes:
         covariate: "amplitude", the rms of the output; "angle", cos^2 of the mean arm angle; "time", the order of the
             conditions.
         slope, slope_std: change of the quantity over the range of the covariate. The deviation counts what scatters
             beyond the estimates' own uncertainty.
-        share: of the scatter's chi-square that the regression removes [1].
+        share: fraction of the scatter's chi-square that the regression removes [1].
         p_value: of no slope.
     """
 
@@ -42,7 +42,7 @@ class Trend:
 
 @dataclass(frozen=True, eq=False)
 class Equality:
-    """Result of `LinearModels.equality`.
+    """The result of `LinearModels.equality`.
 
     Attributes:
         names, units: of the quantities.
@@ -89,7 +89,7 @@ class Equality:
         return tuple(self.names[i] for i in order if self.p_values[i] < bound) or (self.names[order[0]],)
 
     def best_trend(self, name: str) -> Trend | None:
-        """The covariate that explains most of this quantity's scatter, where one does beyond chance."""
+        """Return the covariate that explains most of this quantity's scatter, where one does beyond chance."""
         each = self.trends[self.names.index(name)]
         if not each:
             return None
@@ -98,7 +98,7 @@ class Equality:
 
     @property
     def verdict(self) -> str:
-        """In words: equal or not, which quantity drifts, and with what."""
+        """The verdict in words: equal or not, which quantity drifts, and with what."""
         if self.equal:
             return (
                 f"The {len(self.conditions)} conditions have one set of parameters, as far as these data tell "
@@ -134,12 +134,16 @@ class Equality:
         return "\n".join([*rows, self.verdict])
 
     def plot(self) -> Any:
-        """Each quantity over the conditions, or over what it drifts with."""
+        """Draw each quantity over the conditions, or over the covariate with which it drifts."""
         return draw(self)
 
 
 def equality_of(models: Sequence[LinearModel], level: float) -> Equality:
-    """Raises `ValueError` for fewer than three conditions that determine their modes."""
+    """Test whether the models of all conditions have the same parameters, at this level of significance.
+
+    Raises:
+        ValueError: fewer than three conditions determine their modes.
+    """
     everyone = models
     models = [m for m in everyone if not m.undetermined and _known(m)]
     if len(models) < 3:

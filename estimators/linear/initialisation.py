@@ -1,4 +1,4 @@
-"""Where a linear fit begins: poles from the linearised model or a search over spectra, noise from a long autoregression."""
+"""Initialisation of a linear fit: poles from the linearised model or a search over spectra, noise from a long autoregression."""
 
 from collections.abc import Sequence
 
@@ -22,7 +22,9 @@ _LARGEST_REFLECTION = 0.98
 
 
 def pole_pairs(poles: Complex128[np.ndarray, " pole"]) -> list[Pair]:
-    """Pairs of stable poles as coefficients; of an odd number of real ones the last is paired with one ten times as fast.
+    """Return pairs of stable poles as coefficients.
+
+    Of an odd number of real ones the fastest is paired with one ten times as fast.
 
     Raises:
         ValueError: a pole is not in the left half plane.
@@ -52,12 +54,18 @@ def next_pair(
     *,
     direct: bool,
 ) -> Pair:
-    """The pair of poles that explains most of the output's spectrum beside the known ones.
+    """Return the pair of poles that explains most of the output's spectrum beside the known ones.
 
     Each trial solves linear least squares for the numerator and for the transient, which over a finite record has the same
     denominator.
 
     Args:
+        signal: the input.
+        output: measured, with gaps bridged.
+        interval: between samples [s].
+        intersample: how the input runs between samples, "zoh", "foh" or "bl".
+        known: pairs that the model has already.
+        candidates: pairs to be tried beside those of the search.
         direct: whether the input goes straight into the output too.
 
     Source: Pintelon and Schoukens, System Identification (2012), section 2.6, for the transient in the spectrum.
@@ -87,7 +95,7 @@ def next_pair(
 
 
 def _columns(pairs: Float[np.ndarray, "pair 2"], omega: Lines, into: ComplexLines) -> ComplexColumns:
-    """Of each pair of poles the numerator's c and b, and the same two of the transient."""
+    """Return, for each pair of poles, the numerator's columns for c and b and the same two of the transient."""
     a0, a1 = pairs.T[:, :, None]
     section = a0 / (a0 - omega**2 + 1j * a1 * omega)
     slope = 1j * omega / np.sqrt(a0) * section
@@ -101,7 +109,7 @@ def _explained(
     target: ComplexLines,
     beside: Complex128[np.ndarray, "known line"] | None,
 ) -> Float[np.ndarray, " pair"]:
-    """Square of the target that `_columns` of each pair explain with real factors, beside columns that are there anyway.
+    """Return the square of the target that `_columns` of each pair explain with real factors, beside the known columns.
 
     The columns themselves are never formed: their products are sums over lines of the section's real part, imaginary part and
     square with weights that do not depend on the pair.
@@ -151,7 +159,7 @@ def _explained(
 
 
 def with_poles(structure: Structure, pairs: Sequence[Sequence[Pair]]) -> Float[np.ndarray, "condition unknown"]:
-    """Unknowns with these pairs for each condition, and all else zero."""
+    """Return unknowns with these pairs for each condition, and all else zero."""
     theta = np.zeros((len(pairs), structure.count))
     for row, each in zip(theta, pairs, strict=True):
         a0, a1 = np.array(each).T
@@ -163,7 +171,7 @@ def with_poles(structure: Structure, pairs: Sequence[Sequence[Pair]]) -> Float[n
 def with_residues(
     structure: Structure, theta: Float[np.ndarray, "condition unknown"], at: Rows
 ) -> Float[np.ndarray, "condition unknown"]:
-    """Numerators and starts by linear least squares; `at` is where these are zero."""
+    """Solve for numerators and starts by linear least squares; `at` is where these are zero."""
     linear = np.r_[2 * structure.modes : structure.dynamics, structure.dynamics + structure.noise : structure.count]
     found = theta.copy()
     for number, (error, jacobian) in enumerate(zip(np.asarray(at.error), np.asarray(at.jacobian), strict=True)):
@@ -177,7 +185,7 @@ def noise_starts(
     present: Float[np.ndarray, "condition sample"],
     denominators: Float[np.ndarray, "condition order"],
 ) -> list[Float[np.ndarray, "condition noise"]]:
-    """Places to begin for H, from the errors of the simulation.
+    """Return starting values of H, from the errors of the simulation.
 
     For Box-Jenkins by Hannan and Rissanen's regression on the residuals of a long autoregression; for ARMAX, whose D is
     given by G, once with H nearly 1 and once with C nearly 1.
@@ -194,7 +202,7 @@ def noise_starts(
 
 
 def reflections(coefficients: Float[np.ndarray, " order"]) -> Float[np.ndarray, " order"]:
-    """Inverse of `monic`; roots on or outside the unit circle are mirrored into it first.
+    """Invert `monic`; roots on or outside the unit circle are mirrored into it first.
 
     Source: Barndorff-Nielsen and Schou, J. Multivariate Analysis 3 (1973).
     """
@@ -212,14 +220,14 @@ def reflections(coefficients: Float[np.ndarray, " order"]) -> Float[np.ndarray, 
 
 
 def autocovariance(values: Float[np.ndarray, " sample"], lags: int) -> Float[np.ndarray, " lag"]:
-    """Sum of products at lags 0 ... `lags`, over the number of values."""
+    """Return the sum of products at lags 0 ... `lags`, over the number of values."""
     spectrum = np.fft.rfft(values, scipy.fft.next_fast_len(len(values) + lags, real=True))
     length = scipy.fft.next_fast_len(len(values) + lags, real=True)
     return np.fft.irfft(np.abs(spectrum) ** 2, length)[: lags + 1] / len(values)
 
 
 def autoregression(covariance: Float[np.ndarray, " lag"], order: int) -> Float[np.ndarray, " order"]:
-    """Coefficients of q^-1 ... of the stable autoregression with this autocovariance (Yule and Walker)."""
+    """Return the coefficients of q^-1 ... of the stable autoregression with this autocovariance (Yule and Walker)."""
     return -scipy.linalg.solve_toeplitz(covariance[:order], covariance[1 : order + 1])
 
 

@@ -22,7 +22,7 @@ _UNDAMPED = 1e-6  # damping ratio of a mode that only the bound on stability kee
 
 @dataclass(frozen=True, eq=False)
 class LinearModel:
-    """G and H of one condition.
+    """The G and H of one condition, with their uncertainty.
 
     Attributes:
         name: of the condition.
@@ -36,7 +36,7 @@ class LinearModel:
         static_gain, static_gain_std: G(0).
         noise_numerator, noise_denominator: C and D of H in powers of q^-1.
         innovation_std: standard deviation of e, in the output's unit.
-        undetermined: how many combinations of unknowns the data leave free.
+        undetermined: number of combinations of unknowns that the data leave free.
         converged: whether the fit came to rest.
         fpe, aic, bic: Akaike's final prediction error [unit of the output squared] and criterion, and the Bayesian one.
         residuals: tests of the prediction errors.
@@ -88,11 +88,11 @@ class LinearModel:
 
     @property
     def input_rms(self) -> float:
-        """Of the input that drove G."""
+        """Root mean square of the input that drove G."""
         return float(np.sqrt(np.mean(self.signal**2)))
 
     def state_space(self) -> ct.StateSpace:
-        """G in continuous time, one block for each mode with its response and the response's slope as states."""
+        """Return G in continuous time, one block for each mode with its response and the response's slope as states."""
         of = self.unknowns.sections()
         m = len(of.a0)
         a, b, c = np.zeros((2 * m, 2 * m)), np.zeros((2 * m, 1)), np.zeros((1, 2 * m))
@@ -104,7 +104,7 @@ class LinearModel:
         return ct.StateSpace(a, b, c, np.reshape(of.feedthrough, (1, 1)), name=self.name)
 
     def transfer_function(self) -> ct.TransferFunction:
-        """G in continuous time."""
+        """Return G in continuous time."""
         of = self.unknowns.sections()
         denominator = np.ones(1)
         for a0, a1 in zip(of.a0, of.a1, strict=True):
@@ -114,11 +114,11 @@ class LinearModel:
         return found
 
     def noise_model(self) -> ct.TransferFunction:
-        """H, in discrete time."""
+        """Return H, in discrete time."""
         return ct.TransferFunction(self.noise_numerator, self.noise_denominator, self.sample_time)
 
     def frequency_response(self, omega: Curve) -> FrequencyResponse:
-        """G on a grid [rad/s], with the standard deviation that the parameters' covariance gives it."""
+        """Return G on a grid [rad/s], with the standard deviation that the parameters' covariance gives it."""
         value, slope = self.unknowns.response(omega)
         std = np.sqrt(np.einsum("rfp,pq,rfq->f", slope, self.unknowns.covariance, slope))
         found = value[0] + 1j * value[1]
@@ -140,7 +140,7 @@ class LinearModel:
         )  # fmt: skip
 
     def predict(self, horizon: int | None = 1) -> Float[np.ndarray, " sample"]:
-        """The output at each sample from the input and from outputs that are at least `horizon` samples old; None: from none.
+        """Predict the output from the input and outputs at least `horizon` samples old; with None from the input alone.
 
         Raises:
             ValueError: the horizon is not positive.
@@ -160,14 +160,14 @@ class LinearModel:
         return found
 
     def fit_percent(self, horizon: int | None = None) -> float:
-        """100 (1 - |y - yhat| / |y - mean y|) of the prediction; of simulation by default."""
+        """Return 100 (1 - |y - yhat| / |y - mean y|) of the prediction; of simulation by default."""
         here = np.isfinite(self.output)
         error = (self.output - self.predict(horizon))[here]
         return 100 * float(1 - np.linalg.norm(error) / np.linalg.norm(self.output[here] - np.mean(self.output[here])))
 
     @property
     def verdict(self) -> str:
-        """What the residuals say, and what else is wrong with the fit."""
+        """The verdict of the residual tests, and what else is wrong with the fit."""
         said = self.residuals.verdict(self.structure.noise > 0)
         if self.undetermined:
             said += f"; the data leave {self.undetermined} combination(s) of unknowns free: fewer modes or noise_order would do"
@@ -197,22 +197,22 @@ class Unknown:
     scale: Scale
 
     def sections(self) -> Any:
-        """G's `Sections`, as NumPy arrays."""
+        """Return G's `Sections`, as NumPy arrays."""
         return jax.tree.map(np.asarray, _sections(self.structure, jnp.asarray(self.theta), self.scale))
 
     def numerator(self) -> Float[np.ndarray, " power"]:
-        """Falling powers; the leading coefficients that are zero by structure are left out."""
+        """Return G's numerator in falling powers; leading coefficients that are zero by structure are left out."""
         return np.asarray(_numerator(self.structure, jnp.asarray(self.theta), self.scale)[0])
 
     def response(
         self, omega: Curve
     ) -> tuple[Float[np.ndarray, "2 frequency"], Float[np.ndarray, "2 frequency unknown"]]:
-        """Real and imaginary part, and their derivatives."""
+        """Return real and imaginary part of G, and their derivatives."""
         value, slope = _response(self.structure, jnp.asarray(self.theta), self.scale, jnp.asarray(omega))
         return np.asarray(value), np.asarray(slope)
 
     def roots(self) -> tuple[Any, Any, Any, Any]:
-        """Poles and zeros, and standard deviations of their real and imaginary parts."""
+        """Return poles and zeros, and standard deviations of their real and imaginary parts."""
         (top, below), (d_top, d_below) = (
             [np.asarray(x) for x in part]
             for part in _numerator_and_denominator(self.structure, jnp.asarray(self.theta), self.scale)
@@ -228,7 +228,7 @@ class Unknown:
         return found[0], found[1], found[2], found[3]
 
     def quantities(self) -> tuple[Float[np.ndarray, " quantity"], Float[np.ndarray, "quantity unknown"]]:
-        """Natural frequencies, damping ratios, gains, feedthrough, modes by rising frequency; and their derivatives."""
+        """Return natural frequencies, damping ratios, gains, feedthrough, modes by rising frequency; and their derivatives."""
         value, slope = (np.asarray(x) for x in _quantities(self.structure, jnp.asarray(self.theta), self.scale))
         m = self.structure.modes
         order = np.argsort(value[:m])

@@ -1,4 +1,4 @@
-"""Linear model sets y = G u + H e: what their parameters are, and the predictor that goes with them."""
+"""Linear model sets y = G u + H e: their parameters, and the predictor that goes with them."""
 
 import math
 from dataclasses import dataclass
@@ -71,13 +71,13 @@ class Structure:
         return self.dynamics + self.noise + 2 * self.modes + self.noise_starts
 
     def with_modes(self, modes: int) -> "Structure":
-        """The same set with another number of modes."""
+        """Return the same set with another number of modes."""
         order = 2 * modes if self.kind == "state_space" else self.noise_order
         return Structure(self.kind, modes, self.zeros + 2 * (modes - self.modes), order)
 
 
 class Scale(NamedTuple):
-    """Sizes of a condition that make unknowns and errors of order one: output, output over input, prediction error."""
+    """The sizes of a condition that make unknowns and errors of order one: output, output over input, prediction error."""
 
     output: Float[Array, "*condition"]
     gain: Float[Array, "*condition"]
@@ -85,7 +85,7 @@ class Scale(NamedTuple):
 
 
 class Sections(NamedTuple):
-    """G in continuous time, a sum of sections (b s + c) / (s^2 + a_1 s + a_0), and a feedthrough."""
+    """The sections (b s + c) / (s^2 + a_1 s + a_0) whose sum is G in continuous time, and a feedthrough."""
 
     a0: Float[Array, " mode"]
     a1: Float[Array, " mode"]
@@ -95,7 +95,7 @@ class Sections(NamedTuple):
 
 
 class Sampled(NamedTuple):
-    """The predictor's coefficients.
+    """The coefficients of the predictor.
 
     Attributes:
         transition: of the states (y_k, slope of y_k) of each section over one sample.
@@ -116,7 +116,7 @@ class Sampled(NamedTuple):
 
 
 def sections(structure: Structure, theta: Float[Array, " unknown"], scale: Scale) -> Sections:
-    """G in physical units from the unknowns."""
+    """Return G in physical units from the unknowns."""
     m = structure.modes
     rate = jnp.exp(jnp.clip(theta[:m], -_RATES, _RATES))
     a1 = jnp.exp(jnp.clip(theta[m : 2 * m], -_RATES, _RATES))
@@ -135,7 +135,7 @@ def sections(structure: Structure, theta: Float[Array, " unknown"], scale: Scale
 def sampled(
     structure: Structure, theta: Float[Array, " unknown"], scale: Scale, interval: Float[Array, ""], powers: int
 ) -> Sampled:
-    """Exact discretisation for an input that is a polynomial between samples; one power is a held input.
+    """Discretise G exactly for an input that is a polynomial between samples; one power is a held input.
 
     Source: Van Loan, IEEE Trans. Automatic Control 23 (1978), for the integral of the matrix exponential.
     """
@@ -168,7 +168,10 @@ def sampled(
 
 
 def numerator(of: Sections) -> Float[Array, " power"]:
-    """Coefficients of G's numerator over the product of all sections' denominators, falling powers, without leading zeros."""
+    """Return the coefficients of G's numerator over the product of all sections' denominators.
+
+    They are in falling powers, without leading zeros.
+    """
     modes = len(of.a0)
     each = [jnp.stack([jnp.ones(()), of.a1[k], of.a0[k]]) for k in range(modes)]
     whole = jnp.ones(1)
@@ -185,14 +188,14 @@ def numerator(of: Sections) -> Float[Array, " power"]:
 
 
 def response(of: Sections, omega: Float[Array, " frequency"]) -> Float[Array, "2 frequency"]:
-    """Real and imaginary part of G(j omega)."""
+    """Return real and imaginary part of G(j omega)."""
     s = 1j * omega[:, None]
     found = jnp.sum((of.b * s + of.c) / (s * s + of.a1 * s + of.a0), axis=1) + of.feedthrough
     return jnp.stack([found.real, found.imag])
 
 
 def monic(reflections: Float[Array, " order"]) -> Float[Array, " order"]:
-    """Coefficients of q^-1 ... q^-n of a stable monic polynomial; tanh of each number is a reflection coefficient.
+    """Return coefficients of q^-1 ... q^-n of a stable monic polynomial; tanh of each number is a reflection coefficient.
 
     Every stable polynomial is reached, by one set of numbers only.
     Source: Barndorff-Nielsen and Schou, J. Multivariate Analysis 3 (1973).
@@ -205,7 +208,7 @@ def monic(reflections: Float[Array, " order"]) -> Float[Array, " order"]:
 
 
 def _characteristic(transition: Float[Array, "mode 2 2"]) -> Float[Array, " order"]:
-    """Coefficients of q^-1 ... of the product of all sections' characteristic polynomials."""
+    """Return the coefficients of q^-1 ... of the product of all sections' characteristic polynomials."""
     found = jnp.ones(1)
     for each in transition:
         found = jnp.convolve(found, jnp.stack([jnp.ones(()), -jnp.trace(each), jnp.linalg.det(each)]))

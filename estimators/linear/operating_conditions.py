@@ -29,7 +29,7 @@ def conditions(
     angles: Mapping[str, Float64[np.ndarray, " sample"]] | None,
     model: RTAC | None,
 ) -> tuple[list[Experiment], list[Raw], list[float | None], list[np.ndarray]]:
-    """Forced experiments, their signals, their mean arm angles, and where the output was measured.
+    """Return forced experiments, their signals, their mean arm angles, and where the output was measured.
 
     Raises:
         ValueError: nothing is forced, a channel is missing or constant, or the input vanishes.
@@ -79,7 +79,11 @@ def conditions(
 def require_enough(
     structure: Structure, names: Sequence[str], raw: Sequence[Raw], present: Sequence[np.ndarray]
 ) -> None:
-    """Raises `ValueError` where samples are fewer than unknowns, or the input has too few frequencies for G."""
+    """Refuse conditions that cannot determine the unknowns.
+
+    Raises:
+        ValueError: samples are fewer than unknowns, or the input has too few frequencies for G.
+    """
     for name, one, here in zip(names, raw, present, strict=True):
         count = int(np.sum(here))
         if count <= structure.count:
@@ -98,7 +102,7 @@ def require_enough(
 
 
 def stacked(raw: Sequence[Raw], present: Sequence[np.ndarray]) -> Signals:
-    """All conditions padded to one length."""
+    """Stack all conditions, padded to one length."""
     longest = -(-max(len(one.output) for one in raw) // _STRIDE) * _STRIDE
     parts = [coefficients(Signal(one.input, "A", one.intersample)) for one in raw]
     powers = max(part.shape[1] for part in parts)

@@ -31,7 +31,7 @@ class Signals(eqx.Module):
 
 
 class Track(NamedTuple):
-    """What a predictor shows at each sample.
+    """The output of a predictor at each sample.
 
     Attributes:
         error: output less its prediction from the past; zero where there is no output.
@@ -79,7 +79,7 @@ def _sampled(structure: Structure, theta: Array, one: Signals) -> Sampled:
 
 
 def _errors(structure: Structure, theta: Float[Array, " unknown"], one: Signals) -> Float[Array, " sample"]:
-    """Prediction errors over their size."""
+    """Return prediction errors over their size."""
     return track(_sampled(structure, theta, one), one).error / one.scale.error
 
 
@@ -92,7 +92,7 @@ class Rows(NamedTuple):
 
 @eqx.filter_jit
 def rows(structure: Structure, theta: Float[Array | np.ndarray, "condition unknown"], data: Signals) -> Rows:
-    """Prediction errors and Jacobian at these unknowns."""
+    """Return prediction errors and Jacobian at these unknowns."""
 
     def of_one(at: Array, one: Signals) -> Rows:
         return Rows(_errors(structure, at, one), jax.jacfwd(lambda t: _errors(structure, t, one))(at))
@@ -104,7 +104,7 @@ def rows(structure: Structure, theta: Float[Array | np.ndarray, "condition unkno
 def tracks(
     structure: Structure, theta: Float[Array | np.ndarray, "condition unknown"], data: Signals
 ) -> tuple[Track, Sampled]:
-    """The predictors and what they show, in the output's unit."""
+    """Return the predictors and their outputs, in the output's unit."""
 
     def of_one(at: Array, one: Signals) -> tuple[Track, Sampled]:
         model = _sampled(structure, at, one)
@@ -114,7 +114,7 @@ def tracks(
 
 
 class Solved(NamedTuple):
-    """Where each condition came to rest: unknowns, half the sum of squares, whether it converged."""
+    """The solution of each condition: unknowns, half the sum of squares, whether it converged."""
 
     theta: Float[np.ndarray, "condition unknown"]
     cost: Float[np.ndarray, " condition"]

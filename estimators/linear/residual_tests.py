@@ -1,4 +1,4 @@
-"""Are prediction errors white, and independent of the input? Tests with 99 % bands, and what a failure means."""
+"""Tests of whether prediction errors are white and independent of the input, with 99 % bands and what a failure means."""
 
 from dataclasses import dataclass
 
@@ -19,15 +19,15 @@ _LONGEST = 20  # order of the autoregression that stands for the colour of the e
 
 @dataclass(frozen=True, eq=False)
 class ResidualTest:
-    """Correlations of a condition's prediction errors.
+    """The correlations of a condition's prediction errors.
 
     Attributes:
         autocorrelation: at lags 1, 2, ... samples [1].
         white_band: 99 % of each of them lie within plus and minus this if the errors are white.
         cross_correlation: with the input, at lags 0, 1, 2, ... samples [1].
-        cross_band: likewise if the errors are independent of the input, whatever their colour; one for each lag.
+        cross_band: the same if the errors are independent of the input, whatever their colour; one for each lag.
         white_p: probability of autocorrelations as large by chance, all lags together.
-        cross_p: likewise of the cross-correlations.
+        cross_p: the same for the cross-correlations.
     """
 
     autocorrelation: Float[np.ndarray, " lag"]
@@ -48,7 +48,7 @@ class ResidualTest:
         return self.cross_p >= _LEVEL
 
     def verdict(self, noise_modelled: bool) -> str:
-        """In words, with what to do."""
+        """Return the outcome in words, with what to do."""
         if not self.independent:
             return (
                 "the errors still hold a response to the input, so G lacks dynamics or the plant is not linear: raise modes, or "
@@ -71,16 +71,20 @@ def residual_test(
     noise_parameters: int,
     lags: int = 25,
 ) -> ResidualTest:
-    """Ljung and Box's test of whiteness, and a quadratic form in the cross-correlations.
+    """Compute Ljung and Box's test of whiteness, and a quadratic form in the cross-correlations.
 
-    What the fit took out of the errors, which were e before it, is J (J'J)^-1 J'e: the cross-correlations count what is left
-    of the shifted inputs when their share in J is taken out likewise. With coloured errors and output error, that matters.
+    What the fit took out of the errors, which were e before it, is J (J'J)^-1 J'e: the cross-correlations count what is
+    left of the shifted inputs when their part in J is taken out too. With coloured errors and output error, that
+    matters.
 
     Args:
         error: zero where the output is not present.
+        signal: the input.
+        present: 1 where the output was measured, else 0.
         jacobian: J, of the errors by what was fitted.
         colour: of the error, by `whitened`.
         noise_parameters: of H, which cost degrees of freedom.
+        lags: largest lag [samples].
 
     Source: Ljung, System Identification (1999), section 16.6; Ljung and Box, Biometrika 65 (1978).
     """
@@ -121,7 +125,10 @@ def residual_test(
 
 
 def whitened(error: Float[np.ndarray, " sample"]) -> Colour:
-    """The autoregression that whitens the errors, leading one included, of the order with the least AIC, and the variance left."""
+    """Return the autoregression that whitens the errors, leading one included, and the variance left.
+
+    Its order is the one of least AIC among 0, 1, 2, 4, 8 and the longest.
+    """
     count = len(error)
     covariance = autocovariance(error, min(_LONGEST, count // 10))
     best, least = (np.ones(1), float(covariance[0])), np.inf
@@ -139,5 +146,5 @@ def whitened(error: Float[np.ndarray, " sample"]) -> Colour:
 def backward_coloured(
     columns: Float[np.ndarray, "sample *column"], whitening: Float[np.ndarray, " order"]
 ) -> Float[np.ndarray, "sample *column"]:
-    """The transpose of the colouring filter 1 / whitening applied: backwards in time."""
+    """Apply the transpose of the colouring filter 1 / whitening: backwards in time."""
     return np.asarray(scipy.signal.lfilter([1.0], whitening, columns[::-1], axis=0))[::-1]

@@ -43,7 +43,7 @@ class Stage(NamedTuple):
 
     @property
     def mean_square(self) -> Float[np.ndarray, " condition"]:
-        """Of the prediction errors, squared unit of the output."""
+        """Mean square of the prediction errors, squared unit of the output."""
         count = np.sum(np.asarray(self.data.present), axis=1)
         return np.sum(np.asarray(self.rows.error) ** 2, axis=1) / count * np.asarray(self.data.scale.error) ** 2
 
@@ -51,7 +51,7 @@ class Stage(NamedTuple):
 def simulation_stages(
     structure: Structure, data: Signals, raw: Sequence[Raw], candidates: Sequence[Pair], most: int
 ) -> Iterator[Stage]:
-    """Output error with 1, 2, ... `most` modes, each begun from the one before and the best further pair of poles."""
+    """Fit output error with 1, 2, ... `most` modes, each begun from the one before and the best further pair of poles."""
     pairs: list[list[Pair]] = [[] for _ in raw]
     for modes in range(1, most + 1):
         zeros = structure.zeros - 2 * (structure.modes - modes)
@@ -73,7 +73,7 @@ def simulation_stages(
 
 
 def predictor_stage(structure: Structure, simulation: Stage) -> Stage:
-    """The same dynamics with H beside them."""
+    """Fit the same dynamics with H beside them."""
     if not structure.noise:
         return simulation
     data, theta, modes = simulation.data, simulation.theta, structure.modes
@@ -105,14 +105,17 @@ def descend(
 
 
 def poles_of(stage: Stage) -> list[list[Pair]]:
-    """Pairs of poles of each condition."""
+    """Return the pairs of poles of each condition."""
     m = stage.structure.modes
     a0, a1 = np.exp(2 * stage.theta[:, :m]), np.exp(stage.theta[:, m : 2 * m])
     return [[(float(x), float(y)) for x, y in zip(*each, strict=True)] for each in zip(a0, a1, strict=True)]
 
 
 def _scaled(data: Signals, at: Rows) -> Signals:
-    """With errors as they are here at a root mean square of one, so that damping and tolerance are those of statistics."""
+    """Return the data scaled so that these errors have a root mean square of one.
+
+    Damping and tolerance are then those of statistics.
+    """
     count = np.sum(np.asarray(data.present), axis=1)
     size = np.sqrt(np.sum(np.asarray(at.error) ** 2, axis=1) / count) * np.asarray(data.scale.error)
     floor = 1e-12 * np.asarray(data.scale.output)
@@ -121,7 +124,7 @@ def _scaled(data: Signals, at: Rows) -> Signals:
 
 
 def _better(one: Stage, other: Stage) -> Stage:
-    """For each condition the stage with the smaller errors; both have one structure."""
+    """Return for each condition the stage with the smaller errors; both have one structure."""
     take = other.mean_square < one.mean_square
     theta = np.where(take[:, None], other.theta, one.theta)
     data = _scaled(one.data, rows(one.structure, theta, one.data))

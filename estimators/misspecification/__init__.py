@@ -1,1 +1,1 @@
-"""Statistics of what a model leaves unexplained; they compute and do not judge."""
+"""Statistics of misspecification, of what a model leaves unexplained; they compute and do not judge."""

@@ -1,4 +1,4 @@
-"""Is anything missing? Every test that the innovations of a predictor must pass, each with its p-value."""
+"""Tests of adequacy: every test that the innovations of a predictor must pass, each with its p-value."""
 
 import dataclasses
 import math
@@ -19,14 +19,14 @@ Missing = TypeVar("Missing", ForceCurve, DelayedForce)
 
 @dataclasses.dataclass(frozen=True)
 class Evidence:
-    """One test of whether anything is missing.
+    """The result of one test of whether anything is missing.
 
     Attributes:
         test: "repeats", "named effects", "static force", "delayed force" or "spectral line".
         p_value: by chance, with everything counted that the test tried.
         excess: what the test finds beyond chance, in units of twice the log-likelihood; repeats give a ratio instead.
         level: p-value below which it rejects.
-        words: what it says.
+        words: its statement, for a reader.
         power: mean square of what repeats share, where the model states one; NaN for other tests.
         shared: what they share beyond chance, in units of twice the log-likelihood, of all data if it is as large in each; zero for
             other tests.
@@ -47,20 +47,20 @@ class Evidence:
 
 
 def p_by_chance(one: Screened, tried: int) -> float:
-    """Probability of so large a statistic for any of the candidates that were tried."""
+    """Return the probability of so large a statistic for any of the candidates that were tried."""
     return min(1.0, tried * one.p_value)
 
 
 def alarming(screened: Sequence[Screened]) -> list[Screened]:
-    """The candidates that the innovations speak for, whatever the colour of the noise."""
+    """Return the candidates that the innovations speak for, whatever the colour of the noise: rejections of absence."""
     return [s for s in screened if s.statistic >= ALARM and p_by_chance(s, len(screened)) < CHANCE]
 
 
 def overshadowing(screened: Sequence[Screened]) -> list[Screened]:
-    """Candidates that do not alarm in any shape, and are larger than all that do.
+    """Return candidates that reject in no shape, and are larger than all that do.
 
-    What is large at few instants scatters over stretches of time as much as it shows. Once something alarms, what would
-    explain more than all that does is not passed over for it.
+    What is large at few instants scatters over stretches of time as much as it shows. Once something rejects, what
+    would explain more than all that does is not passed over for it.
     """
     alarms = alarming(screened)
     ids = {s.id for s in alarms}
@@ -69,7 +69,7 @@ def overshadowing(screened: Sequence[Screened]) -> list[Screened]:
 
 
 def suspects(screened: Sequence[Screened], tests: Sequence[Evidence]) -> list[Screened]:
-    """The candidates to refit where none alarms and another test rejects: all that reach the alarm's size.
+    """Return the candidates to refit where none rejects and another test does: all that reach the critical size.
 
     What acts at a few instants, as a stop that is hit once, scatters over stretches of time as much as it shows.
     """
@@ -79,7 +79,10 @@ def suspects(screened: Sequence[Screened], tests: Sequence[Evidence]) -> list[Sc
 
 
 def line_left(tests: Sequence[Evidence]) -> float:
-    """What a line of the spectrum that neither input nor state explains has beyond chance; zero where there is none."""
+    """Return the excess beyond chance of a spectral line that neither input nor state explains.
+
+    Zero where no test of a line rejects.
+    """
     return max((test.excess for test in tests if test.test == "spectral line" and test.rejects), default=0.0)
 
 
@@ -90,7 +93,7 @@ def evidence(
     line: SpectralLine | None,
     repeats: RepeatTest | None,
 ) -> tuple[Evidence, ...]:
-    """All tests, in the order in which a reader asks; those without data are left out."""
+    """Return all tests, in the order in which a reader asks; those without data are left out."""
     level = LEVEL / max(sum(bool(known) for known in (screened, curves, delayed, line, repeats)), 1)
     found: list[tuple[str, float, float, str]] = []
     if repeats is not None:
@@ -148,30 +151,34 @@ def evidence(
 
 
 def significant(several: Sequence[Missing], level: float) -> list[Missing]:
-    """Those of several forces that explain more than chance does, all of them counted."""
+    """Return those of several forces that explain more than chance does, all of them counted."""
     return [one for one in several if one.p_value * len(several) < level]
 
 
 def _strongest(several: Sequence[Missing], level: float) -> tuple[float, Missing]:
-    """The p-value of several forces together, and of those that explain more than chance the one that explains most."""
+    """Return the joint p-value of several forces, and of the significant ones the one that explains most."""
     surest = min(several, key=lambda one: (one.p_value, -one.excess))
     strongest = max(significant(several, level), key=lambda one: one.excess, default=surest)
     return min(1.0, surest.p_value * len(several)), strongest
 
 
 def excess_of(tests: Sequence[Evidence]) -> float:
-    """The most that any rejecting test finds beyond chance; zero where none rejects."""
+    """Return the most that any rejecting test finds beyond chance; zero where none rejects."""
     return max((e.excess for e in tests if e.rejects), default=0.0)
 
 
 def removed_by_repeats(before: Sequence[Evidence], after: Sequence[Evidence], gain: float, samples: int) -> float:
-    """Share of the squared model error that repeats show before and no longer after; 1 where they show none after.
+    """Return the fraction of the squared model error that repeats show before and no longer after.
+
+    One where they show none after.
 
     The tests count in the unit that each model states, and what helps makes that smaller. Where repeats show none before, what is
     missing need not be in the experiment that is repeated, or random forces hide it there: then what they show after is held
     against what was removed from all data.
 
     Args:
+        before: tests before the addition.
+        after: tests after it.
         gain: in twice the log-likelihood, of what was added.
         samples: that it is the gain of.
     """

@@ -1,4 +1,4 @@
-"""Named candidates held against innovations: what each would have changed, beyond what the base parameters explain."""
+"""Screening of the candidate set: what each candidate would change in the innovations, beyond the base parameters."""
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
@@ -16,7 +16,7 @@ from rtac_jax.parameters import declarations
 
 
 class NotNothingError(ValueError):
-    """Some of these candidates change what the model predicts although they are at null, or make it diverge."""
+    """Candidates that change what the model predicts although they are at null, or make it diverge."""
 
     def __init__(self, ids: Sequence[str]) -> None:
         super().__init__(ids)
@@ -24,24 +24,26 @@ class NotNothingError(ValueError):
 
 
 def same(innovations: np.ndarray, others: np.ndarray) -> bool:
-    """Whether innovations are the same but for rounding."""
+    """Return whether innovations are the same but for rounding."""
     return bool(np.linalg.norm(innovations - others) <= _ROUNDING * np.linalg.norm(others))
 
 
 class Group(NamedTuple):
-    """Candidates that are simulated together: a model that has all of them at null, their instances, and the innovations
-    without them."""
+    """Candidates that are simulated together.
+
+    A model that has all of them at null, their instances, and the innovations without them.
+    """
 
     innovations: Innovations
     instances: Sequence[Effect]
     base: np.ndarray
 
     def switched_on(self, instances: Sequence[Effect], amplitudes: Sequence[str]) -> Rows:
-        """Innovations where of each instance one amplitude is switched on; one column each."""
+        """Return innovations where of each instance one amplitude is switched on; one column each."""
         return self.innovations.at(np.array([*map(self._placed, instances, amplitudes)]))
 
     def changes(self, instances: Sequence[Effect], amplitudes: Sequence[str]) -> Rows:
-        """What that changes.
+        """Return the change of the innovations by switching on of each instance one amplitude; one column each.
 
         Raises:
             NotNothingError: the candidates change something although all of them are at null.
@@ -54,7 +56,7 @@ class Group(NamedTuple):
         return found[:, 1:] - found[:, :1]
 
     def _placed(self, instance: Effect, amplitude: str) -> np.ndarray:
-        """Shared values with this amplitude switched on and no other."""
+        """Return shared values with this amplitude switched on and no other."""
         space = self.innovations.space
         values = np.asarray(space.values).copy()
         for name, declared in declarations(instance).items():
@@ -65,7 +67,7 @@ class Group(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Screened:
-    """One candidate of one shape against the innovations.
+    """The score of one candidate of one shape against the innovations.
 
     Attributes:
         id: of the effect.
@@ -74,7 +76,7 @@ class Screened:
         begin: values at which to begin to fit them.
         statistic: chi-square distributed when the effect is absent; zero where the sign is unphysical.
         p_value: by the model's variance or by the scatter over seconds of data, whichever is larger.
-        limit: size of the amplitudes at which an effect alone would raise the alarm on average.
+        limit: size of the amplitudes at which an effect alone would reject on average.
         templates: projected change of the innovations per unit of each amplitude.
     """
 
@@ -90,21 +92,21 @@ class Screened:
 
 _ROUNDING = 1e-2  # what the filter's own pass and a simulation with its gains differ by is far less
 ALARM = 20.0
-CHANCE = 2e-3  # of an alarm by any of the candidates that are tried, if nothing is missing
+CHANCE = 2e-3  # of a rejection by any of the candidates that are tried, if nothing is missing
 _SIZES = (0.1, 0.2, 0.35, 0.5, 0.7, 1.0, 1.5)  # of the plausible amplitude, that are tried
 _THRESHOLD = 0.1  # of what proportion would ask of the smallest size, below which there is a threshold
 _TRIED = 3  # candidates whose size is looked for so
 
 
 def screen(groups: Sequence[Group], error: np.ndarray, basis: Rows, ready: Callable[[], None]) -> list[Screened]:
-    """Hold candidates against the innovations.
+    """Score all candidates against the innovations.
 
     Args:
-        error: innovations of the base model, without their share in the basis.
+        groups: of the candidate set.
+        error: innovations of the base model, without their part in the basis.
         basis: orthonormal columns that the base model's parameters explain already.
         ready: called before each group is simulated.
     """
-
     tried = sum(len(group.instances) for group in groups)
 
     def held(group: Group) -> list[Screened]:
@@ -121,7 +123,7 @@ def screen(groups: Sequence[Group], error: np.ndarray, basis: Rows, ready: Calla
 
 
 def _each(group: Group) -> Rows:
-    """What each amplitude of each instance of a group changes by itself, per unit."""
+    """Return the change by each amplitude of each instance of a group by itself, per unit."""
     owners = [(i, amplitude) for i in group.instances for amplitude in type(i).amplitudes()]
     columns = group.changes(*zip(*owners, strict=True))
     return columns / [float(np.asarray(getattr(instance, amplitude))) for instance, amplitude in owners]
@@ -130,7 +132,7 @@ def _each(group: Group) -> Rows:
 def _one_by_one(
     group: Group, columns: Rows, error: np.ndarray, basis: Float[np.ndarray, "row explained"], tried: int
 ) -> list[Screened]:
-    """Each instance of a group by itself."""
+    """Score each instance of a group by itself."""
     sound = np.isfinite(columns).all(axis=0)  # a candidate at its plausible size may make the model diverge
     columns[:, sound] -= basis @ (basis.T @ columns[:, sound])
     blocks = group.innovations.blocks()
@@ -144,7 +146,7 @@ def _one_by_one(
 
 
 def _sized(group: Group, error: np.ndarray, basis: Rows, s: Screened) -> Screened:
-    """For what has a threshold: begin at the size that leaves least, beyond what the base parameters explain.
+    """Return a candidate with a threshold at the size that leaves least, beyond what the base parameters explain.
 
     A drive that saturates changes nothing up to a size and is far from linear beyond. What changes in proportion at small
     sizes begins where that leads.
@@ -205,7 +207,7 @@ def few_for(s: Screened, stretches: int, tried: int) -> bool:
 
 
 def _alarm(stretches: int, tried: int) -> float:
-    """Chi-square at which one amplitude raises the alarm: fewer stretches of time tell their scatter less well."""
+    """Return the critical chi-square of one amplitude: fewer stretches of time tell their scatter less well."""
     if stretches < 3:
         return ALARM
     least = float(fisher.isf(CHANCE / tried, 1, stretches - 1)) * stretches / (stretches - 1)
@@ -213,7 +215,7 @@ def _alarm(stretches: int, tried: int) -> float:
 
 
 def correlations(screened: Mapping[str, Screened]) -> dict[str, dict[str, float]]:
-    """Largest cosine between what each two candidates would change."""
+    """Return the largest cosine between what each two candidates would change."""
     bases = {name: orthonormal(s.templates) for name, s in screened.items() if np.any(s.templates)}
     edges = np.cumsum([0, *(basis.shape[1] for basis in bases.values())])
     whole = np.concatenate(list(bases.values()), axis=1) if bases else np.zeros((0, 0))

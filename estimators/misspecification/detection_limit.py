@@ -1,4 +1,4 @@
-"""From which size on a candidate raises the alarm by itself, where what it changes is not in proportion to its size."""
+"""Detection limits: the size at which a candidate rejects by itself, where its change is not in proportion to its size."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -18,14 +18,14 @@ _ROUNDS = 2
 
 
 def main_amplitude(s: Screened) -> str:
-    """The amplitude whose limit is stated: the first, or one of the same unit that shows sooner."""
+    """Return the amplitude whose limit is stated: the first, or one of the same unit that shows sooner."""
     declared = declarations(s.instance)
     alike = [i for i, name in enumerate(s.amplitudes) if declared[name].unit == declared[s.amplitudes[0]].unit]
     return s.amplitudes[min(alike, key=lambda i: float(s.limit[i]))]
 
 
 def detection_limits(group: Group, several: Sequence[Screened], basis: Rows) -> dict[str, float]:
-    """Of every candidate the size of its main amplitude at which screening would raise the alarm.
+    """Return for every candidate the size of its main amplitude at which screening would reject.
 
     A template of a plausible size says so by proportion. At that limit the innovations are computed once more, and where the
     template explains more or less of their change, the size is looked for. Infinite where no size up to `TESTABLE` times the
@@ -40,7 +40,7 @@ def detection_limits(group: Group, several: Sequence[Screened], basis: Rows) -> 
 
 
 def _as_foreseen(s: Screened, there: float) -> bool:
-    """Whether what the limit by proportion would show is about the alarm."""
+    """Return whether the limit by proportion predicts the statistic at that size."""
     return bool(_alarm(s) / _NEAR < there < _alarm(s) * _NEAR)
 
 
@@ -49,13 +49,13 @@ def _by_proportion(s: Screened) -> float:
 
 
 def _most(s: Screened) -> float:
-    """The largest size that is looked at: beyond its bounds no estimate may go."""
+    """Return the largest size that is looked at: beyond its bounds no estimate may go."""
     low, high = declarations(s.instance)[main_amplitude(s)].bounds
     return min(TESTABLE * abs(_plausible(s)), high if _plausible(s) > 0 else -low)
 
 
 def _alarm(s: Screened) -> float:
-    """Chi-square of the change at the limit by proportion."""
+    """Return the chi-square of the change at the limit by proportion."""
     place = s.amplitudes.index(main_amplitude(s))
     return float((s.limit[place] * np.linalg.norm(s.templates[:, place])) ** 2)
 
@@ -65,7 +65,7 @@ def _plausible(s: Screened) -> float:
 
 
 def _scores(group: Group, basis: Rows, several: Sequence[Screened], sizes: Any) -> np.ndarray:
-    """Chi-square that screening would find of each candidate at a size: of what it changes, what its templates explain."""
+    """Return the chi-square of each candidate at a size: of its change, the part that its templates explain."""
     if not several:
         return np.zeros(0)
     names = [main_amplitude(s) for s in several]
@@ -79,7 +79,7 @@ def _scores(group: Group, basis: Rows, several: Sequence[Screened], sizes: Any) 
 
 
 def _explained(s: Screened, change: np.ndarray) -> float:
-    """Nothing if the estimate has the wrong sign; a change that makes the model diverge is seen."""
+    """Return the explained chi-square; zero if the estimate has the wrong sign, infinite if the model diverges."""
     if not np.all(np.isfinite(change)):
         return np.inf
     along = float(s.templates[:, s.amplitudes.index(main_amplitude(s))] @ change) * _plausible(s)
@@ -87,7 +87,7 @@ def _explained(s: Screened, change: np.ndarray) -> float:
 
 
 def _looked_for(group: Group, basis: Rows, s: Screened, *, more: bool) -> float:
-    """The smallest size on finer and finer grids that raises the alarm, larger or smaller than by proportion."""
+    """Search the smallest size on finer and finer grids that rejects, larger or smaller than by proportion."""
     linear, alarm = _by_proportion(s), _alarm(s)
     low, high = (linear, _most(s)) if more else (_LEAST * linear, linear)
     if not low < high:

@@ -1,4 +1,4 @@
-"""A force that remembers: innovations held against forces that follow past motion or current with a lag.
+"""Test of a lagged force: innovations held against forces that follow past motion or current with a lag.
 
 A static function of the present state cannot show hysteresis, viscoelasticity or an unknown mode; these can.
 """
@@ -15,13 +15,13 @@ from estimators.misspecification.score_test import score_test
 from estimators.prediction_error.innovations import Innovations, Rows
 from rtac_jax.measurement import Experiment
 
-# Time constants as shares of the period of the motion.
+# Time constants as fractions of the period of the motion.
 _LAGS = (0.02, 0.06, 0.2, 0.6, 2.0)
 
 
 @dataclasses.dataclass(frozen=True)
 class DelayedForce:
-    """What a force that lags behind one signal would explain.
+    """The explanation that a force lagging behind one signal would give.
 
     Attributes:
         port: "cart" or "arm".
@@ -50,6 +50,10 @@ def delayed_forces(
     """Test forces that follow the cart's position, the arm's velocity and the current with lags, best first.
 
     Args:
+        innovations: of the base model, with its derivatives.
+        error: the innovations as rows, without their part in the basis.
+        basis: orthonormal columns that the base model's parameters explain already.
+        experiments: whose measurements the forces follow.
         frequency: of the motion [rad/s].
         stiffness: that turns a position into a force of plausible size [N/m].
 
@@ -81,7 +85,7 @@ def delayed_forces(
 def _lagged(
     experiments: Sequence[Experiment], group: str, channel: str, lags: Sequence[float], innovations: Innovations
 ) -> np.ndarray:
-    """The signal behind first-order lags, [lag sample experiment]; zero where it was not recorded."""
+    """Return the signal behind first-order lags, [lag sample experiment]; zero where it was not recorded."""
     found = np.zeros((len(lags), innovations.data.room, len(experiments)))
     for column, e in enumerate(experiments):
         signals = getattr(e, group)

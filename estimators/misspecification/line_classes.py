@@ -19,7 +19,7 @@ _SHOWS = {
 
 @dataclasses.dataclass(frozen=True)
 class LineClass:
-    """Power of the innovations on one class of lines of a periodic input.
+    """The power of the innovations on one class of lines of a periodic input.
 
     Attributes:
         lines: "excited", "odd" or "even"; the last two are harmonics that the input leaves out.
@@ -35,16 +35,17 @@ class LineClass:
 
     @property
     def shows(self) -> str:
-        """What is missing if the ratio is large."""
+        """The kind of model error that a large ratio shows."""
         return _SHOWS[self.lines]
 
 
 def line_classes(innovations: np.ndarray, present: np.ndarray, experiments: Sequence[Experiment]) -> list[LineClass]:
-    """Ratios for each class and channel; empty unless an experiment repeats its input at least twice.
+    """Return ratios for each class and channel; empty unless an experiment repeats its input at least twice.
 
     Args:
         innovations: [sample output experiment].
         present: 1 where measured.
+        experiments: in the order of the innovations.
 
     Source: Schoukens, Vaes and Pintelon, IEEE Control Systems Magazine 36 (2016).
     """
@@ -79,7 +80,7 @@ def line_classes(innovations: np.ndarray, present: np.ndarray, experiments: Sequ
 
 
 def period(values: np.ndarray) -> int | None:
-    """Samples after which a signal repeats itself exactly, at least twice; None where it does not."""
+    """Return the samples after which a signal repeats itself exactly, at least twice; None where it does not."""
     size = float(np.max(np.abs(values), initial=0.0))
     if size == 0.0:
         return None

@@ -1,4 +1,4 @@
-"""Repeats of one experiment: what comes back in every repeat is not noise, whatever the colour of the noise."""
+"""Replication test: what comes back in every repeat of one experiment is not noise, whatever the colour of the noise."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -14,7 +14,7 @@ _AVERAGE = 5  # samples of the moving average that leaves out what no mechanism 
 
 @dataclasses.dataclass(frozen=True)
 class RepeatTest:
-    """Result of `repeat_test`.
+    """The result of `repeat_test`.
 
     Attributes:
         ratio: mean square of what all repeats share over that of their differences; one where the model is right.
@@ -41,11 +41,12 @@ class RepeatTest:
 
 
 def repeat_test(innovations: np.ndarray, present: np.ndarray, experiments: Sequence[Experiment]) -> RepeatTest | None:
-    """F test of model error against noise from experiments that repeat each other; None where none does.
+    """Test model error against noise from experiments that repeat each other (F test); None where none does.
 
     Args:
         innovations: [sample output experiment], of unit variance where the model is right.
         present: 1 where measured.
+        experiments: in the order of the innovations.
 
     Source: Ljung, System Identification (1999), section 16.5, for model error against noise; degrees of freedom after
     Bartlett, Supplement to the Journal of the Royal Statistical Society 8 (1946).
@@ -88,7 +89,7 @@ def repeat_test(innovations: np.ndarray, present: np.ndarray, experiments: Seque
 
 
 def _effective(apart: np.ndarray) -> float:
-    """Number of independent values that have as uncertain a mean square as these."""
+    """Return the number of independent values that have as uncertain a mean square as these."""
     count = len(apart)
     power = np.abs(np.fft.rfft(apart, 2 * count, axis=0)) ** 2
     autocovariance = np.fft.irfft(power, axis=0)[: count // 2].sum(axis=1)

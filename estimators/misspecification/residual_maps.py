@@ -1,4 +1,4 @@
-"""Where the innovations are larger than they should be: by experiment, time, frequency and state."""
+"""Maps of the innovations' size: by experiment, time, frequency and state."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -14,7 +14,7 @@ _PARTS = 4
 
 @dataclasses.dataclass(frozen=True)
 class Place:
-    """Mean squared innovation in one part of the data; one where the model is right.
+    """The mean squared innovation in one part of the data; one where the model is right.
 
     Attributes:
         by: "experiment", "time", "frequency" or a channel whose size sorted the samples.
@@ -34,16 +34,17 @@ class Place:
 
     @property
     def excess(self) -> float:
-        """How many times the bound it reaches."""
+        """The mean square over its bound."""
         return self.value / self.high
 
 
 def where(innovations: np.ndarray, present: np.ndarray, experiments: Sequence[Experiment]) -> list[Place]:
-    """Mean squared innovations by part of the data, worst first.
+    """Return mean squared innovations by part of the data, worst first.
 
     Args:
         innovations: [sample output experiment].
         present: 1 where measured.
+        experiments: in the order of the innovations.
     """
     found = []
     squares = np.where(present > 0, innovations**2, 0.0)

@@ -1,4 +1,4 @@
-"""Do innovations contain what some columns would add to them? A score test, with the model's variance and with the data's."""
+"""Score test of whether innovations contain what some columns would add, by the model's variance and by the data's."""
 
 import dataclasses
 
@@ -9,17 +9,17 @@ from scipy.stats import f as fisher
 
 from estimators.prediction_error.innovations import Rows
 
-_SMALLEST = 1e-3  # singular values below this share of the largest belong to directions that the data do not show
+_SMALLEST = 1e-3  # singular values below this fraction of the largest belong to directions that the data do not show
 _FEWEST = 2  # stretches that scatter
 
 
 @dataclasses.dataclass(frozen=True)
 class ScoreTest:
-    """Result of `score_test`.
+    """The result of `score_test`.
 
     Attributes:
         explained: twice the gain in log-likelihood.
-        freedom: how many directions the data show.
+        freedom: number of directions that the data show.
         p_value: the larger of two: by the model's variance, and by the scatter over stretches of time, which holds when the
             noise is coloured or heavier than the model thinks.
         coefficients: of the columns.
@@ -40,7 +40,7 @@ class ScoreTest:
 
     @property
     def excess(self) -> float:
-        """What is explained beyond what chance explains."""
+        """The explained part beyond what chance explains."""
         return self.explained - self.freedom
 
 
@@ -51,7 +51,7 @@ def score_test(
 
     Args:
         columns: derivatives of the innovations.
-        error: innovations, without their share in the basis.
+        error: innovations, without their part in the basis.
         basis: orthonormal columns that the base model's parameters explain already.
         blocks: number of the stretch of time that each row belongs to; rows of one stretch are neighbours.
 
@@ -92,9 +92,10 @@ def score_test(
 def _p_by_scatter(
     score: Float[np.ndarray, " direction"], scatter: Float[np.ndarray, "direction direction"], count: int
 ) -> float:
-    """Of so large a score by what it scatters over so many stretches; one stretch does not scatter, and rejects nothing more.
+    """Return the p-value of a score by its scatter over so many stretches.
 
-    Where these are too few to tell how all directions scatter together, of the largest of them one by one.
+    One stretch does not scatter, and rejects nothing more. Where stretches are too few to tell how all directions
+    scatter together, it is that of the largest of them one by one.
     """
     freedom = len(score)
     if count > freedom + 1:

@@ -1,4 +1,4 @@
-"""A line in the spectrum of the innovations: a vibration that neither the input nor the state explains."""
+"""Spectral line test: a vibration in the innovations that neither the input nor the state explains."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -21,7 +21,7 @@ _BLIND = 8  # lowest lines, where transients of the start end up
 
 @dataclasses.dataclass(frozen=True)
 class SpectralLine:
-    """The strongest line.
+    """The strongest line of the innovations' spectrum.
 
     Attributes:
         channel: where it shows.
@@ -41,13 +41,14 @@ class SpectralLine:
 def spectral_line(
     innovations: np.ndarray, present: np.ndarray, experiments: Sequence[Experiment]
 ) -> SpectralLine | None:
-    """The strongest line over all experiments together; None where they are too short.
+    """Return the strongest line over all experiments together; None where they are too short.
 
     The noise around it is measured on the same spectrum, so that smooth colour of the noise is no line.
 
     Args:
         innovations: [sample output experiment].
         present: 1 where measured.
+        experiments: in the order of the innovations.
 
     Source: Fisher, Proceedings of the Royal Society A 125 (1929), with a local estimate of the noise.
     """
@@ -97,7 +98,10 @@ def _alike(experiments: Sequence[Experiment]) -> list[list[int]]:
 
 
 def _trend(power: np.ndarray) -> np.ndarray:
-    """How the power of coloured noise rises or falls with frequency; at the ends of a spectrum no neighbours would tell."""
+    """Return the trend of coloured noise's power over frequency.
+
+    At the ends of a spectrum no neighbours would tell it.
+    """
     line = np.log(_BLIND + np.arange(len(power)))
     level = np.log(np.maximum(power, 1e-9 * np.median(power)))
     return np.exp(np.polynomial.Chebyshev.fit(line, level, 5)(line))

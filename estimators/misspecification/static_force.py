@@ -43,6 +43,7 @@ class Probe(Force):
     slow: Array
 
     def force(self, motion: Motion, own: States) -> tuple[Any, Any]:
+        """Return force on the cart [N] and torque on the arm [N m] at the present value of the variable."""
         # At zero heights it does not matter how the hats change with the motion, and stopping that saves half the time.
         at, rubs = jax.lax.stop_gradient(on_curve(motion, self.variable, self.first, self.spacing, self.slow))
         at = jnp.clip(at, 0.0, KNOTS - 1.0)
@@ -61,7 +62,7 @@ def _derivatives(
     gain: Array,
     substeps: Steps,
 ) -> Array:
-    """Derivatives of the innovations by the heights of a probe at zero."""
+    """Return derivatives of the innovations by the heights of a probe at zero."""
 
     def function(heights: Array) -> Array:
         probed = model + eqx.tree_at(lambda p: p.heights, probe, heights)
@@ -73,12 +74,12 @@ def _derivatives(
 
 @dataclasses.dataclass(frozen=True)
 class ForceCurve:
-    """What is missing at one port, as a function of one variable.
+    """The missing force at one port, as a function of one variable.
 
     Attributes:
         port: "cart" [N] or "arm" [N m].
         variable: of `rtac_jax.effects.spline_force.VARIABLES`.
-        score: how much of the innovations it explains beyond chance and its price; negative for nothing.
+        score: explained part of the innovations beyond chance and its price; negative for nothing.
         at: values of the variable.
         force: the missing force there.
         std: its standard deviation; infinite where the variable never was.
@@ -109,7 +110,7 @@ class ForceCurve:
         return f"ForceCurve(on the {self.port} against {self.variable}: {told})"
 
     def effect(self) -> SplineForce:
-        """The missing force as an effect that can be added to the model: it makes the error fall, whatever it is."""
+        """Return the missing force as an effect that can be added to the model: it makes the error fall, whatever it is."""
         size = np.max(np.abs(self.shapes[:SHAPES] * self.amounts[:SHAPES, None]), axis=1)
         size = np.where(size > 0, size, 1.0)
         between = (float(self.at[0]), float(self.at[-1]))
@@ -127,9 +128,10 @@ def force_curves(
     ranges: Mapping[str, tuple[float, float]],
     slow: tuple[float, float],
 ) -> list[ForceCurve]:
-    """Missing force at each port against each variable, with bands, best score first.
+    """Estimate the missing force at each port against each variable, with bands, best score first.
 
     Args:
+        innovations: of the base model, with its derivatives.
         error: the innovations of the base model.
         basis: orthonormal columns that its parameters explain already.
         ranges: between which values each variable moves.
@@ -165,7 +167,7 @@ def force_curves(
 
 
 def _places(ranges: Mapping[str, tuple[float, float]]) -> list[tuple[int, int]]:
-    """Numbers of port and variable between which a force is looked for."""
+    """Return the numbers of port and variable between which a force is looked for."""
     found = []
     for place, port in enumerate(PORTS):
         for index, variable in enumerate(VARIABLES):

@@ -1,1 +1,1 @@
-"""The fit by simulation error."""
+"""The output-error method: the fit by simulation error."""

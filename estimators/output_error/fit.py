@@ -29,11 +29,11 @@ from rtac_jax.measurement import Experiment, Recording
 
 # A second start agrees with the best one when its log-likelihood is within this much for each sample.
 _AGREES = 1e-3
-# Random force and torque of the predictor, as shares of the rms ones: from strong to weak correction.
+# Random force and torque of the predictor, as fractions of the rms ones: from strong to weak correction.
 _CORRECTION = (0.3, 0.03)
 # Times the noise from which on a start is led to the simulation by predictions with correction.
 _GUIDED = 5.0
-# An experiment begins at rest where that leaves less than this share of what is left from where its first samples begin.
+# An experiment begins at rest where that leaves less than this fraction of what is left from where its first samples begin.
 _AT_REST = 0.5
 # Share of its plausible size with which a parameter begins that is given exactly on a bound; the refits of a diagnosis
 # begin no nearer to null either.
@@ -58,7 +58,9 @@ def output_error(
     From each it goes by one-step-ahead predictions with ever weaker correction to the free simulation.
 
     Args:
-        starts: how many starts to try.
+        model: gives the free parameters and the values of the second start.
+        recording: with moving experiments; those at rest tell the sensors' noise.
+        starts: number of starts to try.
         tolerance: relative change at which the optimiser stops.
         steps: optimiser steps in each stage.
         from_model: begin at the model's values only, as after adding an effect to a model that was fitted.
@@ -145,7 +147,7 @@ def _starts(model: RTAC, recording: Recording, experiments: Sequence[Experiment]
 
 
 def _same(end: "_Stage", best: "_Stage", samples: float) -> bool:
-    """Whether a descent ended where the best one did: at the same likelihood, or at the same parameters."""
+    """Return whether a descent ended where the best one did: at the same likelihood, or at the same parameters."""
     if end.cost <= best.cost + _AGREES * samples:
         return True
     there, here = (np.asarray(s.space.physical(s.solved.unknowns)[0]) for s in (end, best))
@@ -176,7 +178,7 @@ class _Run:
     nearest: float = np.inf
 
     def descend(self, model: RTAC, *, best: float) -> _Stage | None:
-        """From predictions with strong correction to the free simulation; None where that leads nowhere."""
+        """Descend from predictions with strong correction to the free simulation; None where that leads nowhere."""
         space = space_of(model, self.experiments, free=[n for n in model.free if n not in model.per_experiment])
         unknowns = space.unconstrained(off_bounds=_OFF_BOUNDS)
         noise = np.array([self.levels.get(channel, 1.0) for channel in CHANNELS])
@@ -225,7 +227,10 @@ class _Run:
         return solve_bounded(unknowns, arguments, tolerance=tolerance, most=most, progress=show)
 
     def _require_determined(self, space: Space, unknowns: Unknowns, arguments: Arguments) -> None:
-        """Before the first step: along directions that the data leave free it would wander until the model breaks."""
+        """Refuse data that leave parameters free, before the first step.
+
+        Along directions that are free the descent would wander until the model breaks.
+        """
         if self.taken == 0:
             first = factor(unknowns, arguments)
             if not diverged(first):
@@ -271,6 +276,6 @@ def _settled(whitener: np.ndarray, data: Data) -> Float[np.ndarray, "1 row outpu
 
 
 def _concentrated(deviation: np.ndarray, data: Data) -> float:
-    """Negative log-likelihood with the noise levels at their best values, less a constant."""
+    """Return the negative log-likelihood with the noise levels at their best values, less a constant."""
     count = np.asarray(data.present).sum(axis=(0, 2))
     return float(np.sum(count * np.log(np.where(count > 0, deviation, 1.0))))

@@ -1,4 +1,4 @@
-"""How far estimates of the same physics lie apart, in standard deviations of their difference."""
+"""The differences between estimates of the same physics, in their standard deviations."""
 
 import numpy as np
 from scipy.stats import t as student
@@ -8,7 +8,7 @@ from estimators.plots.style import MARKERS, MODELS, NOISE, SMALL, Picture, pictu
 
 
 def plot_agreement(found: Agreement) -> Picture:
-    """Differences of every two ways beside what chance allows."""
+    """Draw the differences of every two estimators beside what chance allows."""
     figure = picture(8.4, 0.45 * len(found.names) + 2.0)
     axes = figure.subplots()
     places = np.arange(len(found.names))

@@ -1,4 +1,4 @@
-"""Where in frequency the error of simulation lies, before and after."""
+"""The error of simulation by frequency, before and after."""
 
 from typing import Any
 
@@ -19,7 +19,7 @@ Edges = Float[np.ndarray, " edge"]
 
 
 def plot_bands(comparison: Comparison) -> Picture:
-    """Error of each channel in bands of frequency, in units of what white noise of the sensor has there.
+    """Draw the error of each channel in bands of frequency, in units of what white noise of the sensor has there.
 
     The first and the last model are shown, over all experiments.
     """
@@ -39,9 +39,11 @@ def plot_bands(comparison: Comparison) -> Picture:
 
 
 def band_errors(compared: Compared, channel: str, edges: Edges) -> Float[np.ndarray, " band"]:
-    """Root mean square of the residual in each band over that of white noise with the sensor's standard deviation.
+    """Return the rms of the residual in each band over that of white noise with the sensor's standard deviation.
 
     Args:
+        compared: a model against the measurements.
+        channel: whose residuals.
         edges: of the bands [Hz].
     """
     power, noise = np.zeros(len(edges) - 1), np.zeros(len(edges) - 1)
@@ -58,7 +60,7 @@ def band_errors(compared: Compared, channel: str, edges: Edges) -> Float[np.ndar
 
 
 def _edges(traces: tuple[Trace, ...]) -> Edges:
-    """Bands of equal width on a log scale, up to half the slowest sampling rate [Hz]."""
+    """Return edges of bands of equal width on a log scale, up to half the slowest sampling rate [Hz]."""
     longest = min(float(t.time[-1] - t.time[0]) for t in traces)
     rate = min(1 / float(t.time[1] - t.time[0]) for t in traces)
     return np.geomspace(min(_LONGEST / longest, rate / 8), 0.5 * rate * (1 + 1e-9), _BANDS + 1)

@@ -1,4 +1,4 @@
-"""Measured against one or several models, where they fail most."""
+"""The measurements against one or several models, where these fail most."""
 
 from typing import Any
 
@@ -29,9 +29,10 @@ _MOST_MODELS = 4
 
 
 def plot_comparison(comparison: Comparison, *, worst: int | None = None) -> Picture:
-    """Measurements and simulations of the worst experiments of every channel, with the residuals and the noise below.
+    """Draw measurements and simulations of every channel's worst experiments, with residuals and noise below.
 
     Args:
+        comparison: of one or several models.
         worst: experiments to show of each channel; by default two, or one where there are three channels.
     """
     models = _shown(comparison)
@@ -53,7 +54,7 @@ def plot_comparison(comparison: Comparison, *, worst: int | None = None) -> Pict
 
 
 def draw_pair(top: Any, below: Any, traces: list[Trace], labels: list[str]) -> None:
-    """One channel of one experiment: measured and simulated above, residuals and noise below."""
+    """Draw one channel of one experiment: measured and simulated above, residuals and noise below."""
     first = traces[0]
     near = worst_stretch(first.residual)
     whole = near.stop - near.start == len(first.time)
@@ -80,7 +81,7 @@ def draw_pair(top: Any, below: Any, traces: list[Trace], labels: list[str]) -> N
 
 
 def _shown(comparison: Comparison) -> list[Any]:
-    """The first models and always the last one."""
+    """Return the first models and always the last one."""
     models = list(comparison.models)
     return models if len(models) <= _MOST_MODELS else [*models[: _MOST_MODELS - 1], models[-1]]
 

@@ -1,4 +1,4 @@
-"""Which candidates look alike in these data."""
+"""Confusion between candidates that look alike in these data."""
 
 import numpy as np
 
@@ -13,7 +13,7 @@ _ALIKE = 0.9  # correlation from which on two effects are hard to tell apart
 
 
 def plot_confusion(diagnosis: Diagnosis) -> Picture:
-    """Correlation between what the candidates would change, as a heat map.
+    """Draw the correlation between what the candidates would change, as a heat map.
 
     Shown are the testable ones with a positive score; where these are fewer than three, the best twelve.
     """
@@ -44,7 +44,7 @@ def plot_confusion(diagnosis: Diagnosis) -> Picture:
 
 
 def confusable(diagnosis: Diagnosis) -> list[Candidate]:
-    """The candidates worth comparing, best first."""
+    """Return the candidates worth comparing, best first."""
     accepted = {c.id for c in diagnosis.effects}
     testable = [c for c in ranked(diagnosis) if c.testable or c.id in accepted]
     positive = [c for c in testable if c.score > 0 or c.id in accepted]

@@ -15,7 +15,7 @@ _BOUND: dict[str, Any] = {"color": "black", "linewidth": 1.0, "linestyle": "--"}
 
 
 def plot_closed_loop(free: ClosedLoop, closed: dict[str, ClosedLoop], *, plant: int = 0) -> Picture:
-    """Open against closed loop: cart position, arm angle and torque of one plant (Fig. 8 of the paper).
+    """Draw open against closed loop: cart position, arm angle and torque of one plant (Fig. 8 of the paper).
 
     Args:
         free: without a controller.
@@ -53,7 +53,7 @@ def plot_closed_loop(free: ClosedLoop, closed: dict[str, ClosedLoop], *, plant: 
 
 
 def plot_synthesis(synthesis: Synthesis) -> Picture:
-    """S, T and C S under what their weights allow for this gamma."""
+    """Draw S, T and C S under what their weights allow for this gamma."""
     figure = picture(9.6, 3.8)
     w, weights = synthesis.frequency, synthesis.weights
     rows = (
@@ -86,7 +86,7 @@ def plot_synthesis(synthesis: Synthesis) -> Picture:
 
 
 def plot_margins(found: Margins) -> Picture:
-    """Robust stability and robust performance over frequency."""
+    """Draw robust stability and robust performance over frequency."""
     figure = picture(7.4, 3.8)
     axis = figure.subplots()
     (stability, _), (performance, at) = found.worst_stability, found.worst_performance
@@ -109,7 +109,7 @@ def plot_margins(found: Margins) -> Picture:
 
 
 def plot_batch(batch: ClosedLoop, *, free: ClosedLoop | None = None, within: float = 3.0) -> Picture:
-    """Responses of many plants: the band that holds 98 % of them, all of them, and when they settle."""
+    """Draw responses of many plants: the band that holds 98 % of them, all of them, and when they settle."""
     figure = picture(9.6, 4.2)
     left, right = figure.subplots(1, 2, width_ratios=(3, 2))
     for response, style, name in ((free, _OPEN, "open loop"), (batch, MODELS[1], "closed loop")):
@@ -146,7 +146,7 @@ def plot_batch(batch: ClosedLoop, *, free: ClosedLoop | None = None, within: flo
 
 
 def _band(synthesis: Synthesis) -> tuple[float, float]:
-    """A decade and a half on either side of the sensitivity's deepest place."""
+    """Return a decade and a half on either side of the sensitivity's deepest place."""
     centre = float(synthesis.frequency[np.argmin(np.abs(synthesis.sensitivity))])
     return centre / 30, 30 * centre
 

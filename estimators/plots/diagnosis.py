@@ -1,4 +1,4 @@
-"""Which effect is missing: the candidates beside each other, and the missing force as a curve and in time."""
+"""The missing effect: the candidates beside each other, and the missing force as a curve and in time."""
 
 from typing import Any
 
@@ -29,19 +29,20 @@ from estimators.prediction_error.latent_force import LatentForce
 from rtac_jax.measurement import Recording
 
 _MOST_BARS = 14
-_NEAR = 0.05  # share of the misfit that makes a rival worth naming
+_NEAR = 0.05  # fraction of the misfit that makes a rival worth naming
 _FORCE = {"cart": ("force", "N"), "arm": ("torque", "N m")}
 _ALWAYS = ("cart_position", "cart_velocity", "arm_angle")
 
 
 def plot_diagnosis(diagnosis: Diagnosis, *, recording: Recording | None = None) -> Picture:
-    """Scores of the candidates with what would have been found of each, and the missing force as curves.
+    """Draw the scores of the candidates with what would have been found of each, and the missing force as curves.
 
     The curves are those of the port where most is missing: against position, velocity and angle, as far as the data have
     them, and against what the force depends on most. Where no effect of the catalogue explains what is missing, the
     missing force is also drawn in time.
 
     Args:
+        diagnosis: to be drawn.
         recording: that was diagnosed, for the time axis of that force; without it samples are counted.
     """
     latent = diagnosis.latent[0] if diagnosis.verdict == "unknown" and diagnosis.latent else None
@@ -67,7 +68,7 @@ def plot_diagnosis(diagnosis: Diagnosis, *, recording: Recording | None = None) 
 
 
 def finding(diagnosis: Diagnosis) -> str:
-    """The verdict in one line, with the numbers that carry it."""
+    """Say the verdict in one line, with the numbers that carry it."""
     accepted = diagnosis.effects
     if diagnosis.simulation is not None and diagnosis.simulation.words:
         return diagnosis.simulation.headline
@@ -105,7 +106,7 @@ def finding(diagnosis: Diagnosis) -> str:
 
 
 def _alarms(c: Candidate) -> bool:
-    """Whether a candidate is large, and not by the scatter of a few seconds."""
+    """Return whether a candidate rejects: it is large, and not by the scatter of a few seconds."""
     return c.chi_square >= ALARM and c.p_value < CHANCE
 
 
@@ -167,7 +168,7 @@ def _remark(c: Candidate, accepted: bool) -> str:
 
 
 def _chosen(diagnosis: Diagnosis) -> tuple[list[ForceCurve], ForceCurve | None]:
-    """Curves of the deficient port against position, velocity and angle, and the best one where it is another."""
+    """Return curves of the deficient port against position, velocity and angle, and the best one where it is another."""
     if not diagnosis.curves:
         return [], None
     best, port = diagnosis.curves[0], _deficient(diagnosis)
@@ -177,7 +178,10 @@ def _chosen(diagnosis: Diagnosis) -> tuple[list[ForceCurve], ForceCurve | None]:
 
 
 def _deficient(diagnosis: Diagnosis) -> str:
-    """The port where most is missing: by the curves or, where what is missing is no function of them, by what was found."""
+    """Return the port where most is missing.
+
+    By the curves or, where what is missing is no function of them, by what was found.
+    """
     best = diagnosis.curves[0]
     if _beyond_chance(best, diagnosis):
         return best.port
@@ -186,13 +190,13 @@ def _deficient(diagnosis: Diagnosis) -> str:
 
 
 def _beyond_chance(curve: ForceCurve, diagnosis: Diagnosis) -> bool:
-    """Whether a curve explains more than the best of all curves does by chance."""
+    """Return whether a curve explains more than the best of all curves does by chance."""
     level = min((test.level for test in diagnosis.tests if test.test == "static force"), default=0.0)
     return curve.p_value * len(diagnosis.curves) < level
 
 
 def _in_time(axes: Any, latent: LatentForce, recording: Recording | None) -> None:
-    """The missing force over the experiment that carries most of it, or its strongest stretch."""
+    """Draw the missing force over the experiment that carries most of it, or its strongest stretch."""
     most = max(latent.by_experiment, key=lambda name: latent.by_experiment[name])
     column = latent.experiments.index(most)
     force, std = latent.force[:, column], latent.std[:, column]
@@ -224,7 +228,10 @@ def _in_time(axes: Any, latent: LatentForce, recording: Recording | None) -> Non
 
 
 def _reach(curve: ForceCurve) -> float:
-    """The largest force with its band, but at the ends of its range a variable is seldom, and a band is too wide to show."""
+    """Return the largest force with its band.
+
+    At the ends of its range a variable is seldom, and a band there is too wide to show.
+    """
     sound = curve.std <= 6 * np.median(curve.std[np.isfinite(curve.std)])
     return float(np.max(np.abs(curve.force[sound]) + 2 * curve.std[sound], initial=0.0)) or 1.0
 

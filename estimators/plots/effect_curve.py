@@ -23,7 +23,7 @@ Curve = Float[np.ndarray, " point"]
 
 
 def effect_curve(effect: Effect, curve: ForceCurve) -> tuple[Curve, Curve] | None:
-    """The variable and the effect's force there [SI units]; None where it is no static force in this variable.
+    """Return the variable and the effect's force there [SI units]; None where it is no static force in this variable.
 
     What the model's own parameters would take up of it, such as the slope of a spring, is taken off, as the data cannot
     show that part of a missing force either: its amount is that for which the rest comes nearest to the curve.
@@ -49,7 +49,7 @@ def _own(curve: ForceCurve, at: Curve) -> Float[np.ndarray, "point part"]:
 
 
 def _static(effect: Force | DryFriction, curve: ForceCurve, at: Curve) -> Curve | None:
-    """The force over the variable; None if it depends on anything else, or does not act at this port."""
+    """Return the force over the variable; None if it depends on anything else, or does not act at this port."""
     variable, _, against = curve.variable.partition(", ")
     port = ("cart", "arm").index(curve.port)
     found = []

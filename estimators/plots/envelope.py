@@ -1,4 +1,4 @@
-"""Frequency responses of all conditions, the nominal model among them, and the weight above their gaps."""
+"""Frequency responses of all conditions, the nominal model among them, and the weight above their model errors."""
 
 from typing import Any
 
@@ -28,7 +28,7 @@ _MOST_LINES = 60
 
 
 def plot_responses(responses: FrequencyResponses) -> Picture:
-    """Magnitude and phase of every condition; the band is the 95 % disc of the worst known one at each frequency."""
+    """Draw magnitude and phase of every condition; the band is the 95 % disc of the least certain one."""
     figure = picture(8.0, 5.4)
     top, below = figure.subplots(2, 1, sharex=True, height_ratios=[2, 1])
     for one in responses:
@@ -64,7 +64,7 @@ def plot_responses(responses: FrequencyResponses) -> Picture:
 
 
 def plot_envelope(envelope: Envelope) -> Picture:
-    """Fig. 6: responses with the nominal model, the gaps with the weight, and what the gaps come from."""
+    """Draw Fig. 6: responses with the nominal model, the model errors with the weight, and the sources of the errors."""
     figure = picture(8.0, 8.6)
     axes = figure.subplots(4, 1, sharex=True, height_ratios=[2.0, 1.0, 1.7, 1.0])
     draw_responses(axes[0], envelope)
@@ -86,7 +86,7 @@ def plot_envelope(envelope: Envelope) -> Picture:
 
 
 def plot_effect_cost(cost: EffectCost) -> Picture:
-    """The largest gaps of the same conditions about both models, under the weights that cover them."""
+    """Draw the largest model errors of the same conditions about both models, under the weights that cover them."""
     figure = picture(8.0, 4.2)
     axes = figure.subplots()
     for word, found, colour in (("before", cost.before, _WEIGHT["color"]), ("after", cost.after, _NOMINAL["color"])):
@@ -119,7 +119,7 @@ def plot_effect_cost(cost: EffectCost) -> Picture:
 
 
 def finding(envelope: Envelope) -> str:
-    """What the envelope covers and where it is useful, in one line."""
+    """Say in one line what the envelope covers and where it is useful."""
     at = int(np.argmax(envelope.profile))
     orders = (len(envelope.nominal.poles()), len(envelope.weight.poles()))
     text = f"One model of order {orders[0]} and a weight of order {orders[1]} cover {len(envelope.plants)} conditions"
@@ -131,14 +131,14 @@ def finding(envelope: Envelope) -> str:
 
 
 def gain_label(response: FrequencyResponse) -> str:
-    """Of an axis that shows the magnitude of a response."""
+    """Return the label of an axis that shows the magnitude of a response."""
     ratio = f"{UNITS[response.output]} / {UNITS[response.input]}"
     name = response.input.replace("_", " ") + (" × cos θ" if response.compensated else "")
     return f"|{response.output.replace('_', ' ')} / ({name})|\n[dB above 1 {ratio}]"
 
 
 def draw_responses(axes: Any, envelope: Envelope) -> None:
-    """Magnitudes of the conditions and of the nominal model, as in Figs. 5 and 6(a)."""
+    """Draw magnitudes of the conditions and of the nominal model, as in Figs. 5 and 6(a)."""
     named: set[bool] = set()
     for plant, held in _shown(envelope, envelope.plants):
         text = None if held in named else ("held out" if held else f"{len(envelope.plants)} conditions")
@@ -151,7 +151,7 @@ def draw_responses(axes: Any, envelope: Envelope) -> None:
 
 
 def draw_profile(axes: Any, envelope: Envelope) -> None:
-    """Gaps of the conditions, their largest and the weight, as in Fig. 6(b)."""
+    """Draw the model errors of the conditions, their largest and the weight, as in Fig. 6(b)."""
     for gap, held in _shown(envelope, envelope.gaps):
         axes.semilogx(
             envelope.frequency, _decibel(np.maximum(gap, 1e-3 * envelope.profile.max())), **(_HELD if held else _PLANT)
@@ -184,7 +184,7 @@ def _draw_sources(axes: Any, envelope: Envelope) -> None:
 
 
 def _shown(envelope: Envelope, rows: Any) -> list[tuple[Any, bool]]:
-    """Some of many rows, spread over all."""
+    """Return some of many rows, spread over all."""
     step = max(1, len(rows) // _MOST_LINES)
     return [(rows[i], bool(envelope.held_out[i])) for i in range(0, len(rows), step)]
 
@@ -203,6 +203,6 @@ def _decibel(values: Float64[np.ndarray, " frequency"]) -> Float64[np.ndarray, "
 
 
 def _degrees(values: Any) -> Any:
-    """Phase in degrees; a jump by a whole turn is not drawn."""
+    """Return the phase in degrees; a jump by a whole turn is not drawn."""
     phase = np.degrees(np.angle(values))
     return np.where(np.abs(np.diff(phase, prepend=phase[0])) > 180, np.nan, phase)

@@ -13,7 +13,7 @@ _TONES = ("#08306b", "#e6550d", "#31a354")
 
 
 def plot_improvement(improvement: Improvement) -> Picture:
-    """The fall of the error from effect to effect, and the worst held-out experiment before and after."""
+    """Draw the fall of the error from effect to effect, and the worst held-out experiment before and after."""
     figure = picture(9.6, 5.6)
     grid = figure.add_gridspec(2, 2, width_ratios=[1, 1.25], height_ratios=[2, 1])
     _ladder(figure.add_subplot(grid[:, 0]), improvement)
@@ -30,7 +30,7 @@ def plot_improvement(improvement: Improvement) -> Picture:
 
 
 def finding(improvement: Improvement) -> str:
-    """What was added and what it did to the held-out error of the worst channel, in one line."""
+    """Say in one line what was added and what it did to the held-out error of the worst channel."""
     first, last = improvement.validation.models[0].errors, improvement.validation.models[-1].errors
     channel = max(first, key=lambda c: first[c].rms_over_noise)
     before, after = first[channel].rms_over_noise, last[channel].rms_over_noise
@@ -89,7 +89,7 @@ def _ladder(axes: Any, improvement: Improvement) -> None:
 
 
 def _numbers(axes: Any, step: int, ratios: list[float], *, left: bool) -> None:
-    """Values beside their markers, moved apart where they would cover each other."""
+    """Write values beside their markers, moved apart where they would cover each other."""
     low, high = axes.get_ylim()
     gap = (high / low) ** 0.045
     place = 0.0

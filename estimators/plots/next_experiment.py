@@ -1,4 +1,4 @@
-"""The next experiment: how far each of the menu tells the effects apart, and what the recommended one looks like."""
+"""The next experiment: the separation by each of the candidate set, and the course of the recommended one."""
 
 from typing import Any
 
@@ -12,7 +12,7 @@ _SHOWN = ("current", "cart_position", "arm_velocity")
 
 
 def plot_next_experiment(found: NextExperiment) -> Picture:
-    """Smallest separation by experiment, beside the inputs of the recommended one and what the model predicts of it."""
+    """Draw the smallest separation by experiment, beside inputs and predicted outputs of the recommended one."""
     figure = picture(9.6, 5.4)
     recommended = found.recording.experiments[0]
     signals = {**recommended.inputs, **recommended.outputs}
@@ -40,7 +40,7 @@ def plot_next_experiment(found: NextExperiment) -> Picture:
 
 
 def finding(found: NextExperiment) -> str:
-    """The recommendation in one line, with the numbers that carry it."""
+    """Say in one line what is recommended, with the numbers that carry it."""
     effects = " and ".join(found.effects) if len(found.effects) < 4 else f"{len(found.effects)} effects"
     now, then = min(found.already.values()), found.best.smallest
     if then < CONFUSABLE:

@@ -20,7 +20,7 @@ _WORDS = {"amplitude": "Output rms", "angle": "cos² of the mean arm angle [1]",
 
 
 def plot_prediction_error(found: LinearModels, omega: Float[np.ndarray, " frequency"] | None = None) -> Picture:
-    """Magnitude and phase of every condition with 95 % bands, and the correlations of their residuals."""
+    """Draw magnitude and phase of every condition with 95 % bands, and the correlations of their residuals."""
     grid = _grid(found) if omega is None else omega
     responses = found.responses(grid)
     figure = picture(8.0, 7.0)
@@ -59,7 +59,7 @@ def plot_prediction_error(found: LinearModels, omega: Float[np.ndarray, " freque
 
 
 def _correlations(left: Any, right: Any, found: LinearModels) -> None:
-    """In units of the 99 % band of each condition."""
+    """Draw the correlations in units of the 99 % band of each condition."""
     for one in found:
         tests = one.residuals
         lags = np.arange(1, len(tests.autocorrelation) + 1)
@@ -78,7 +78,7 @@ def _correlations(left: Any, right: Any, found: LinearModels) -> None:
 
 
 def plot_equality(found: Equality) -> Picture:
-    """Each quantity of each condition with 95 % bars, beside the common value, over what it drifts with."""
+    """Draw each quantity of each condition with 95 % bars, beside the common value, over what it drifts with."""
     figure = picture(8.4, 1.75 * len(found.names) + 0.7)
     for i, (axes, name) in enumerate(
         zip(np.atleast_1d(figure.subplots(len(found.names), 1)), found.names, strict=True)
@@ -111,7 +111,7 @@ def plot_equality(found: Equality) -> Picture:
 
 
 def plot_innovations(found: PredictorFit) -> Picture:
-    """Autocorrelation of the innovations of each channel, all experiments on top of each other."""
+    """Draw the autocorrelation of the innovations of each channel, all experiments on top of each other."""
     channels = list(dict.fromkeys(w.channel for w in found.whiteness))
     figure = picture(8.0, 1.7 * len(channels) + 0.9)
     for axes, channel in zip(np.atleast_1d(figure.subplots(len(channels), 1, sharex=True)), channels, strict=True):
@@ -133,7 +133,7 @@ def plot_innovations(found: PredictorFit) -> Picture:
 
 
 def _grid(found: LinearModels) -> Float[np.ndarray, " frequency"]:
-    """Half a decade beyond the modes, as far as the samples reach."""
+    """Return frequencies from half a decade below the modes to half a decade above, as far as the samples reach."""
     rates = np.concatenate([np.abs(one.poles) for one in found])
     nyquist = np.pi / max(one.sample_time for one in found)
     return np.geomspace(0.3 * np.quantile(rates, 0.05), min(3 * np.quantile(rates, 0.95), nyquist), 300)

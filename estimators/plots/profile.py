@@ -8,7 +8,7 @@ from estimators.plots.style import MODELS, SMALL, Picture, picture, prefixed, ti
 
 
 def plot_profile(found: Profile) -> Picture:
-    """Rise of twice the negative log-likelihood, with the interval of the level."""
+    """Draw the rise of twice the negative log-likelihood, with the interval of the level."""
     figure = picture(6.4, 4.0)
     axes = figure.subplots()
     scale = prefixed(float(np.max(np.abs(found.held))), found.unit)

@@ -24,7 +24,7 @@ _MOST = 4
 
 
 def plot_recording(recording: Recording) -> Picture:
-    """The raw channels of up to four experiments, of every kind and spread over the recording."""
+    """Draw the raw channels of up to four experiments, of every kind and spread over the recording."""
     shown = _chosen(recording)
     channels = [c for c in (*INPUTS, *OUTPUTS) if any(c in _signals(e) for e in shown)]
     figure = picture(max(8.0, 2.4 * len(shown)), 1.4 + 1.35 * len(channels))
@@ -69,7 +69,7 @@ def _signals(experiment: Experiment) -> dict[str, Any]:
 
 
 def _chosen(recording: Recording) -> list[Experiment]:
-    """One of every kind first, then more in the order of the recording."""
+    """Return one experiment of every kind first, then more, in the order of the recording."""
     everything = list(recording.experiments)
     found = [next(e for e in everything if e.kind == kind) for kind in dict.fromkeys(e.kind for e in everything)]
     found += [e for e in everything if e not in found and e.kind != "rest"]

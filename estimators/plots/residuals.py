@@ -1,4 +1,4 @@
-"""What is left of the measurements: in time, in correlation, in frequency, and by experiment."""
+"""The residuals of a simulation: in time, in correlation, in frequency, and by experiment."""
 
 from typing import Any
 
@@ -30,7 +30,7 @@ _INK = RESIDUALS[1]
 
 
 def plot_residuals(compared: Compared) -> Picture:
-    """Residual tests of the worst channel of the worst experiment, and the error of all experiments."""
+    """Draw residual tests of the worst channel of the worst experiment, and the error of all experiments."""
     trace = compared.worst(1)[0]
     figure = picture(9.6, 6.0)
     grid = figure.add_gridspec(2, 3)
@@ -118,7 +118,7 @@ def _stems(axes: Any, found: np.ndarray, band: float, *, first: int) -> None:
 
 
 def _spectrum(axes: Any, trace: Trace) -> float | None:
-    """Draws the spectrum; where it has a peak far above the noise, its frequency in hertz."""
+    """Draw the spectrum, and return the frequency of a peak far above the noise [Hz], or None."""
     dt = float(trace.time[1] - trace.time[0])
     residual = filled(trace.residual[np.argmax(np.isfinite(trace.residual)) :])
     frequency, density = welch(residual, 1 / dt, window="hann", nperseg=min(len(residual), 512))

@@ -1,4 +1,4 @@
-"""What all pictures share: units with prefixes, line styles that differ in print, thinning of long signals."""
+"""The common style of all pictures: units with prefixes, line styles that differ in print, thinning of long signals."""
 
 import io
 import textwrap
@@ -58,14 +58,14 @@ class Picture(Figure):
 
 
 class Scaled(NamedTuple):
-    """What to multiply SI values with, and the unit that they then have."""
+    """The factor for SI values, and the unit that they then have."""
 
     factor: float
     unit: str
 
 
 def image_bytes(figure: Figure, kind: Literal["png", "svg"]) -> bytes:
-    """The figure as the contents of an image file; the same figure gives the same bytes."""
+    """Return the figure as the contents of an image file; the same figure gives the same bytes."""
     kept = io.BytesIO()
     metadata = {"Date": None} if kind == "svg" else {}
     figure.savefig(kept, format=kind, dpi=_DPI, metadata=metadata)
@@ -74,14 +74,14 @@ def image_bytes(figure: Figure, kind: Literal["png", "svg"]) -> bytes:
 
 
 def picture(width: float, height: float) -> Picture:
-    """An empty figure of this size in inches, laid out so that labels do not overlap."""
+    """Return an empty figure of this size in inches, laid out so that labels do not overlap."""
     figure = Picture(figsize=(width, height), layout="constrained")
     figure.get_layout_engine().set(w_pad=0.06, h_pad=0.06)  # type: ignore[union-attr] - figures here have an engine
     return figure
 
 
 def prefixed(largest: float, unit: str) -> Scaled:
-    """The SI prefix with which the largest value is between 1 and 1000; none before a unit such as 1/A."""
+    """Return the SI prefix with which the largest value is between 1 and 1000; none before a unit such as 1/A."""
     if not np.isfinite(largest) or largest <= 0 or unit in ("1", "") or unit.startswith("1/"):
         return Scaled(1.0, unit)
     if unit == "kg":
@@ -95,24 +95,24 @@ def prefixed(largest: float, unit: str) -> Scaled:
 
 
 def axis(channel: str, *signals: Any) -> Scaled:
-    """The scale for one channel that fits all these signals."""
+    """Return the scale for one channel that fits all these signals."""
     return prefixed(max((largest(s) for s in signals), default=1.0), UNITS[channel])
 
 
 def largest(values: Any) -> float:
-    """The largest absolute value that is finite, or zero."""
+    """Return the largest absolute value that is finite, or zero."""
     found = np.abs(np.asarray(values, dtype=float))
     return float(np.max(found, where=np.isfinite(found), initial=0.0))
 
 
 def label(channel: str, unit: str) -> str:
-    """Name and unit for an axis."""
+    """Return name and unit for an axis."""
     name = NAMES[channel]
     return f"{name[0].upper()}{name[1:]} [{unit}]"
 
 
 def thin(time: Values, values: Values) -> tuple[np.ndarray, np.ndarray]:
-    """Fewer points that look the same: of each stretch the smallest and the largest value, in their order."""
+    """Return fewer points that look the same: of each stretch the smallest and the largest value, in their order."""
     if len(values) <= _MOST_POINTS:
         return time, values
     width = int(np.ceil(2 * len(values) / _MOST_POINTS))
@@ -127,7 +127,7 @@ def thin(time: Values, values: Values) -> tuple[np.ndarray, np.ndarray]:
 
 
 def worst_stretch(residual: Values, most: int = 1200) -> slice:
-    """The samples to look at closely in a long experiment: where the residual is largest."""
+    """Return the samples to look at closely in a long experiment: where the residual is largest."""
     if len(residual) <= _MOST_POINTS:
         return slice(0, len(residual))
     power = np.cumsum(np.concatenate([[0.0], np.nan_to_num(residual) ** 2]))
@@ -146,7 +146,7 @@ def title(figure: Figure, text: str) -> None:
 
 
 def tidy(axes: Any) -> None:
-    """Light grid, small tick labels, no frame where nothing is read off."""
+    """Give axes a light grid, small tick labels, and no frame where nothing is read off."""
     axes.grid(True, color="0.9", linewidth=0.6)
     axes.set_axisbelow(True)
     axes.tick_params(labelsize=SMALL)
@@ -154,12 +154,12 @@ def tidy(axes: Any) -> None:
 
 
 def quantity(value: float, unit: str) -> str:
-    """A number in two figures with its unit, as one reads it."""
+    """Format a number in two figures with its unit, as one reads it."""
     scale = prefixed(abs(value), unit)
     number = f"{float(f'{scale.factor * value:.2g}'):.6g}"
     return number if scale.unit in ("1", "") else f"{number} {scale.unit}".replace("^2", "²").replace("^3", "³")
 
 
 def times(ratio: float) -> str:
-    """A ratio in three figures."""
+    """Format a ratio in three figures."""
     return f"{ratio:.0f}" if ratio >= 100 else f"{ratio:.1f}" if ratio >= 10 else f"{ratio:.2f}"

@@ -9,7 +9,7 @@ _RULE = 30.0  # percent; the paper's
 
 
 def plot_table_1(found: ClosedForm) -> Picture:
-    """Each experiment's estimate beside the mean, in percent of it, and the scatter beside the paper's.
+    """Draw each experiment's estimate beside the mean, in percent of it, and the scatter beside the paper's.
 
     Raises:
         ValueError: nothing was estimated from any experiment.

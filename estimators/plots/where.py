@@ -1,4 +1,4 @@
-"""Where the innovations of the base model are larger than they should be, as maps."""
+"""Maps of where the innovations of the base model are larger than they should be."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -15,7 +15,7 @@ _DARK = 10.0  # times the bound of chance that are drawn black
 
 
 def plot_where(diagnosis: Diagnosis) -> Picture:
-    """Mean squared innovations by experiment, time, frequency and size of the motion: 1 is the noise.
+    """Draw mean squared innovations by experiment, time, frequency and size of the motion: 1 is the noise.
 
     A cell is the darker the further its value lies beyond what chance exceeds in one of a hundred; these have bold numbers.
 
@@ -44,12 +44,12 @@ def plot_where(diagnosis: Diagnosis) -> Picture:
 
 
 def _order(place: Place) -> int:
-    """The order of the panels, which that of the places, worst first, is not."""
+    """Return the place of a panel in their order; the places themselves are sorted worst first."""
     return ["experiment", "time", "frequency", *NAMES].index(place.by)
 
 
 def _experiments(places: Sequence[Place]) -> tuple[list[Place], int]:
-    """Of many experiments the worst, and how many there are."""
+    """Return the worst of many experiments, and how many there are."""
     own = [place for place in places if place.by == "experiment"]
     names = list(dict.fromkeys(place.label for place in own))
     return [place for place in own if place.label in names[:_MOST_EXPERIMENTS]], len(names)
@@ -81,7 +81,7 @@ def _map(axes: Any, places: Sequence[Place], channels: list[str], kind: str, *, 
 
 
 def _sizes(label: str) -> tuple[float, float]:
-    """Between which sizes of a motion a part lies, from its label."""
+    """Return the sizes of a motion between which a part lies, from its label."""
     low, high = label.split("| ")[-1].split(" to ")
     return float(low), float(high)
 
@@ -91,7 +91,7 @@ def _between(low: float, high: float) -> str:
 
 
 def _short(label: str) -> str:
-    """A part by what tells it from the others of its kind, which the axis names."""
+    """Return a part's name by what tells it from the others of its kind, which the axis names."""
     if label.startswith("quarter"):
         return label.split()[1]
     return label.removesuffix(" rad/s").replace(" to ", "\nto ")

@@ -1,4 +1,4 @@
-"""Sensor noise with a memory: how much of it, and how long, as rest records show it, and what the filter makes of it.
+"""Coloured sensor noise: its fraction and correlation time, as rest records show them, and its states in the filter.
 
 Noise that wanders looks like a random force to a filter that expects it to be white, and then almost every effect of the
 catalogue seems to help. So does noise whose colour is a little wrong: the colour of rest records comes from the likelihood of
@@ -30,8 +30,8 @@ _SHORTEST = 160  # samples of a rest record that tells anything
 _MEMORIES = (1.5, 5.0, 20.0)  # correlation times from which the likeliest is looked for, in samples
 _RANGE = ((-6.0, 6.0), (-1.0, 6.0))  # of the logarithms of share over rest, and of the correlation time in samples
 _REACH = (1.0, 0.3)  # first steps in the logarithms of share over rest, and of correlation time
-_CLOSER = 0.5 ** np.arange(6)  # shares of a step, tried where it leads to what cannot be
-_LITTLE = 0.05  # share of coloured noise that is not worth a state
+_CLOSER = 0.5 ** np.arange(6)  # fractions of a step, tried where it leads to what cannot be
+_LITTLE = 0.05  # fraction of coloured noise that is not worth a state
 _DOUBT = 1e-4  # p-value below which the noise of a rest record is not white
 _MOST = 0.98  # the rest is white: quantisation at least
 
@@ -62,7 +62,7 @@ class ColouredNoise(Sensor):
 
     @classmethod
     def of(cls, colours: dict[str, tuple[float, float]]) -> "ColouredNoise":
-        """From share and correlation time [s] by channel; channels that are not named are white."""
+        """Build the noise from fraction and correlation time [s] by channel; channels that are not named are white."""
         values = {}
         for channel, (share, memory) in colours.items():
             values |= {f"{channel}_share": min(share, _MOST), f"{channel}_memory": memory}
@@ -70,13 +70,13 @@ class ColouredNoise(Sensor):
 
     @property
     def colours(self) -> dict[str, tuple[float, float]]:
-        """Share and correlation time [s] of the channels that are not white."""
+        """Fraction and correlation time [s] of the channels that are not white."""
         found = {c: (float(getattr(self, f"{c}_share")), float(getattr(self, f"{c}_memory"))) for c in self.states}
         return {channel: colour for channel, colour in found.items() if colour[0] > 0}
 
     @property
     def share(self) -> Any:
-        """Share of the variance of each output's noise, in the order of `CHANNELS`."""
+        """Fraction of the variance of each output's noise that is coloured, in the order of `CHANNELS`."""
         return jnp.stack([getattr(self, f"{channel}_share") for channel in CHANNELS])
 
     @property
@@ -85,16 +85,20 @@ class ColouredNoise(Sensor):
         return jnp.stack([getattr(self, f"{channel}_memory") for channel in CHANNELS])
 
     def read(self, outputs: Outputs, own: States) -> Outputs:
+        """Add the coloured noise to each output."""
         return Outputs(*(getattr(outputs, c) + own[list(self.states).index(c)] for c in Outputs._fields))
 
     def start(self, motion: Motion) -> States:
+        """Return noise states of zero."""
         return (0.0 * motion.cart_position,) * len(self.states)
 
     def rate(self, motion: Motion, own: States) -> States:
+        """Return the decay of each noise at its correlation time."""
         memory = {c: getattr(self, f"{c}_memory") for c in self.states}
         return tuple(-n / memory[c] for c, n in zip(self.states, own, strict=True))
 
     def follow(self, motion: Motion, own: States) -> States:
+        """Return the states after a step, decayed exactly."""
         return tuple(
             n * jnp.exp(-motion.step / getattr(self, f"{c}_memory")) for c, n in zip(self.states, own, strict=True)
         )
@@ -102,7 +106,7 @@ class ColouredNoise(Sensor):
 
 @dataclasses.dataclass(frozen=True)
 class RestSpectrum:
-    """Periodograms of the rest records of a channel, which tell the colour of its noise.
+    """The periodograms of the rest records of a channel, which tell the colour of its noise.
 
     Attributes:
         angle: of each line, 2 pi frequency times sample time [rad].
@@ -116,7 +120,7 @@ class RestSpectrum:
 
     @classmethod
     def of(cls, experiments: Sequence[Experiment], channel: str) -> "RestSpectrum | None":
-        """Of records that are long enough and show a noise that is not white; else nothing."""
+        """Compute them for records that are long enough and show a noise that is not white; None where there is none."""
         angle, power, products, count, interval = [], [], np.zeros(_LAGS + 1), 0, 0.0
         for e in experiments:
             if e.kind != "rest" or channel not in e.outputs or (interval and e.sample_time != interval):
@@ -137,13 +141,13 @@ class RestSpectrum:
         return cls(np.concatenate(angle), np.concatenate(power), interval)
 
     def log_likelihood(self, share: float, memory: float) -> float:
-        """Of a share of coloured noise with this correlation time [s], at the level that fits best."""
+        """Return the log-likelihood of a fraction of coloured noise with this correlation time [s], at its best level."""
         keep = np.exp(-self.interval / memory)
         shape = share * (1 - keep**2) / (1 - 2 * keep * np.cos(self.angle) + keep**2) + 1 - share
         return -float(len(shape) * np.log(np.mean(self.power / shape)) + np.sum(np.log(shape)))
 
     def colour(self) -> tuple[float, float]:
-        """The likeliest share and correlation time [s]."""
+        """Return the likeliest fraction and correlation time [s]."""
 
         def cost(at: np.ndarray) -> float:
             return -self.log_likelihood(float(expit(at[0])), self.interval * float(np.exp(at[1])))
@@ -156,19 +160,22 @@ class RestSpectrum:
 
 
 def rest_spectra(experiments: Sequence[Experiment]) -> dict[str, RestSpectrum]:
-    """Of the channels whose rest records are not white."""
+    """Return the periodograms of the channels whose rest records are not white."""
     found = {channel: RestSpectrum.of(experiments, channel) for channel in CHANNELS}
     return {channel: one for channel, one in found.items() if one is not None}
 
 
 def colours_at_rest(experiments: Sequence[Experiment]) -> Colours:
-    """Share of coloured noise and its correlation time [s], for channels whose rest records are not white."""
+    """Estimate fraction and correlation time [s] of coloured noise, for channels whose rest records are not white."""
     found = {channel: one.colour() for channel, one in rest_spectra(experiments).items()}
     return {channel: (share, memory) for channel, (share, memory) in found.items() if share > _LITTLE}
 
 
 def likeliest_colours(first: Colours, likelihood: Callable[[Colours], float]) -> tuple[Colours, float]:
-    """By parabolas through three points along each share and correlation time in turn, and what the log-likelihood gains."""
+    """Climb the likelihood by parabolas through three points along each fraction and correlation time in turn.
+
+    Returns the likeliest colours, and the log-likelihood that they gain over the first.
+    """
     best, value = dict(first), likelihood(first)
     began = value
     for scale, channel, which in itertools.product((1.0, 0.5), first, (1, 0)):
@@ -193,7 +200,7 @@ def likeliest_colours(first: Colours, likelihood: Callable[[Colours], float]) ->
 
 
 def _moved(colours: Colours, channel: str, which: int, by: float) -> Colours:
-    """With the logarithm of share over rest (0) or of the correlation time (1) of a channel moved."""
+    """Return the colours with the logit of a channel's fraction (0) or the logarithm of its correlation time (1) moved."""
     share, memory = colours[channel]
     if which:
         return {**colours, channel: (share, memory * float(np.exp(by)))}

@@ -19,7 +19,7 @@ from rtac_jax.time_loop import time_loop
 
 OUTPUTS = len(CHANNELS)
 _VELOCITIES = (1, 3)  # places of the velocities of cart and arm in the state
-# Of what parts move in a sample, the share by which they may be farther on or behind. Where they hit each other near the end of a
+# Fraction of their motion in a sample by which parts may be farther on or behind. Where they hit each other near the end of a
 # sample, an error of a tenth of a sample decides which of two samples shows it, and that one would count for a hundred others.
 _EARLY = 0.5
 _SURE = 1e-6  # deviation of such states below which dividing by it would magnify rounding
@@ -27,16 +27,16 @@ _SMALL = 1e-9  # velocities [m/s, rad/s] below which a difference is lost in rou
 
 
 class Filtered(NamedTuple):
-    """A pass of the filter.
+    """The result of a pass of the filter.
 
     Attributes:
         gain: correction of the state by the prediction error at each sample.
         whitener: lower triangular; times the prediction error it is white with unit variance. Zero where samples are not
-            trusted, and so are the innovations and their share of the likelihood.
+            trusted, and so are the innovations and their part of the likelihood.
         innovations: prediction errors in units of their standard deviation.
         log_likelihood: of each experiment, less the constant.
-        shaken: 1 at the sample after one where random forces may shake loose what dry friction holds, so that neither the
-            model's rest nor its motion is to be believed; else 0.
+        shaken: 1 at the sample after one that is stick-slip ambiguous, where random forces may overcome dry friction and neither
+            the model's rest nor its motion is to be believed; else 0.
     """
 
     gain: Float[Array, "sample state output experiment"]
@@ -58,12 +58,17 @@ def kalman(
     substeps: Steps,
     by_noise: bool = False,
 ) -> tuple[Filtered, ByNoise | None]:
-    """Run the filter.
+    """Run the extended Kalman filter along all experiments.
 
     Args:
+        model: with random force and torque beside its own forces.
+        data: of all experiments.
+        space: of the model's parameters and starts.
+        physical: shared parameters, those of each experiment, and states at the start, SI units.
         sensor_variance: of each output's noise, SI units squared.
         process: spectral densities of a random force on the cart [N^2 s] and of a random torque on the arm [(N m)^2 s].
         start_variance: of the states at the start.
+        substeps: of the integrator in each sample.
         by_noise: carry the derivatives by the logarithm of each noise beside it.
 
     Source: Jazwinski, Stochastic Processes and Filtering Theory (1970), chapter 8.
@@ -164,12 +169,12 @@ def kalman(
 
 @eqx.filter_jit
 def filtered(*arguments: Any, **known: Any) -> Filtered:
-    """The filter alone, compiled; see `kalman`."""
+    """Run the filter alone, compiled; see `kalman`."""
     return kalman(*arguments, **known)[0]
 
 
 class Wander(NamedTuple):
-    """Sensor noise of a model, white and coloured.
+    """The sensor noise of a model, white and coloured.
 
     Attributes:
         white: variance of what is white.
@@ -184,7 +189,7 @@ class Wander(NamedTuple):
     places: tuple[int, ...]
 
     def by_noise(self, own: Float[Array, "state experiment"]) -> Float[Array, "noise state experiment"]:
-        """Of what states have of their own, what is in proportion to each noise: to none but that of their sensor."""
+        """Return the part of the states' own variance that is in proportion to each noise: to none but that of their sensor."""
         found = jnp.zeros((2 + len(CHANNELS), *own.shape))
         for sensor, place in enumerate(self.places):
             found = found.at[2 + sensor, place].set(own[place])
@@ -207,7 +212,7 @@ def wandering(
 
 
 def start_places(model: RTAC) -> tuple[int, ...]:
-    """Which states of a model have a start of their own that an experiment may leave open."""
+    """Return the places of the states whose initial value an experiment may leave open."""
     places, place = [0, 1, 2, 3], 4
     for effect in model.effects:
         for _ in effect.states:
@@ -218,7 +223,7 @@ def start_places(model: RTAC) -> tuple[int, ...]:
 
 
 def impact_places(model: RTAC) -> tuple[int, ...]:
-    """Which states of a model say how far parts that hit each other are apart: those in units of length or angle."""
+    """Return the places of the states that tell how far parts that hit each other are apart: those of length or angle."""
     owners = [(effect, unit) for effect in model.effects for unit in effect.states.values()]
     return tuple(
         4 + row for row, (effect, unit) in enumerate(owners) if isinstance(effect, Impact) and unit in ("m", "rad")
@@ -226,7 +231,7 @@ def impact_places(model: RTAC) -> tuple[int, ...]:
 
 
 def _with_slopes(function: Any, state: Any, unit: Any) -> tuple[Array, Array]:
-    """Value [row experiment], and its derivatives by every state [row state experiment]."""
+    """Return the value [row experiment], and its derivatives by every state [row state experiment]."""
     value, slopes = jax.vmap(lambda t: jax.jvp(function, (state,), (t,)), out_axes=(None, 0))(unit)
     return jnp.stack(value), jnp.stack(slopes)
 
@@ -234,7 +239,10 @@ def _with_slopes(function: Any, state: Any, unit: Any) -> tuple[Array, Array]:
 def _shaken(
     model: RTAC, state: Any, spread: Array, process: Any, pushes: Any, interval: Array
 ) -> Float[Array, " experiment"]:
-    """1 where the cart or the arm may rest, and three standard deviations of the random force exceed its dry friction."""
+    """Return 1 where an experiment is stick-slip ambiguous, else 0.
+
+    The cart or the arm may rest there, and three standard deviations of the random force exceed its dry friction.
+    """
     levels = model.friction_levels(state)
     found = jnp.zeros_like(state[0])
     for body, place in enumerate(_VELOCITIES):
@@ -250,15 +258,19 @@ def _shaken(
 def _linearised(
     function: Any, state: Any, spread: Float[Array, "state state experiment"], wide: tuple[int, ...]
 ) -> tuple[Float[Array, "row experiment"], Float[Array, "row state experiment"]]:
-    """The next state and its derivatives, those by some states over one standard deviation to either side.
+    """Return the next state and its derivatives, those by some states over one standard deviation to either side.
 
-    Where dry friction holds a body at rest the derivative by its velocity is zero, and a filter that believes it would never
-    doubt again that the body rests, while random forces shake it loose. Likewise of parts that are about to hit each other: a
-    filter that believes the derivative never doubts whether they have by the next sample.
+    Where dry friction holds a body at rest the derivative by its velocity is zero, and a filter that believes it would
+    never doubt again that the body rests, while random forces shake it loose. The same holds for parts that are about
+    to hit each other: a filter that believes the derivative never doubts whether they have by the next sample.
 
-    Every derivative has its own copy of the state: arrays of one shape become few loops, and these cost more than their work.
+    Every derivative has its own copy of the state: arrays of one shape become few loops, and these cost more than their
+    work.
 
     Args:
+        function: from one state to the next.
+        state: the present one.
+        spread: covariance of the state.
         wide: places of these states.
 
     Source: statistical linearisation; Gelb, Applied Optimal Estimation (1974), section 6.2.

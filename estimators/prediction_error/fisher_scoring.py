@@ -1,4 +1,4 @@
-"""The maximum of the likelihood itself, in which the gains of the filter follow the physics."""
+"""Fisher scoring to the maximum of the likelihood itself, in which the gains of the filter follow the physics."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -16,8 +16,8 @@ from estimators.prediction_error.noise_estimation import Noise, NoiseModel, Pred
 from rtac_jax import RTAC
 from rtac_jax.simulation import Steps
 
-# The likelihood is differenced over this share of a standard deviation to either side: dry friction has steps, which a
-# derivative at a point would see, or miss. A parameter that is hardly known moves by a share of its size.
+# The likelihood is differenced over this fraction of a standard deviation to either side: dry friction has steps, which a
+# derivative at a point would see, or miss. A parameter that is hardly known moves by a fraction of its size.
 _REACH, _SHARE = 0.25, 0.1
 # Gain in log-likelihood that a step must promise; less moves nothing by more than a fifth of its deviation.
 _WORTH = 0.02
@@ -27,14 +27,14 @@ _INSIDE = 1e-9  # of its scale, how near to a bound a parameter may end
 
 
 class _Point(NamedTuple):
-    """Free shared parameters, and those of each experiment, SI units."""
+    """The free shared parameters, and those of each experiment, SI units."""
 
     shared: Float[np.ndarray, " shared"]
     each: Float[np.ndarray, "each experiment"]
 
 
 class _Seen(NamedTuple):
-    """What the filter foresees: errors in units of their standard deviation, and the inverse of that; zero where none count."""
+    """The prediction errors in units of their standard deviation, and the inverse of that; zero where none count."""
 
     white: Float[np.ndarray, "sample output experiment"]
     weight: Float[np.ndarray, "sample output experiment"]
@@ -47,12 +47,19 @@ def most_likely(
     """Go on from a fit with frozen gains to the maximum of the likelihood, by Fisher's scoring.
 
     With the gains frozen, a parameter that changes them, as the gain of a sensor does, seems better known than it is: part of
-    its slope is random, and vanishes once the gains follow. On shaken rigs its standard deviation came out at half of what it
-    was, and the estimate was not the likeliest.
+    its slope is random, and vanishes once the gains follow. On rigs with large random forces its standard
+    deviation came out at half of what it was, and the estimate was not the likeliest.
 
     Args:
+        found: the predictor with frozen gains.
+        model: of the physics.
+        data: of all experiments.
+        space: of the parameters.
+        prior: of the noise.
         known: of the shared parameters, with frozen gains; it sets the steps of the differences.
-        each_std: likewise of the parameters of each experiment.
+        each_std: standard deviations of the parameters of each experiment, for the same use.
+        substeps: of the integrator in each sample.
+        progress: called with a line of text at each step.
 
     Returns:
         The predictor there, and triangular factors as `information` takes them. The noise counts as known in these: that
@@ -121,15 +128,15 @@ def most_likely(
 def _triangles(
     seen: Callable[[_Point], _Seen], at: _Point, reach: _Point, lower: _Point, upper: _Point, names: tuple[str, ...]
 ) -> Float[np.ndarray, "experiment row column"]:
-    """Slopes and residual of the likelihood by each experiment, by central differences, in triangular form.
+    """Return slopes and residual of the likelihood by each experiment, by central differences, in triangular form.
 
-    The rows are those of the errors foreseen and those of the logarithms of their variances, so that the squares of the
-    columns are Fisher's information and their products with the last are the slope of the negative log-likelihood.
+    The rows are those of the prediction errors and those of the logarithms of their variances, so that the squares of
+    the columns are Fisher's information and their products with the last are the slope of the negative log-likelihood.
     """
     centre = seen(at)
 
     def beside(part: str, row: int, distance: Any) -> tuple[_Seen, Any]:
-        """What is seen there and the value there, within the bounds; where the model diverges, what is seen here."""
+        """Return the prediction and the value beside, within the bounds; where the model diverges, those of the centre."""
         here, low, high = (getattr(point, part)[row] for point in (at, lower, upper))
         values = getattr(at, part).copy()
         values[row] = np.clip(here + distance, low, high)
@@ -154,7 +161,7 @@ def _triangles(
 
 
 def _along(ahead: _Seen, behind: _Seen, centre: _Seen) -> Float[np.ndarray, "sample output experiment"]:
-    """Change of the errors foreseen, in units of their standard deviation, above that of the logarithms of their variances."""
+    """Stack the change of the standardised prediction errors above that of the logarithms of their variances."""
     count = centre.weight > 0
     errors, logarithms = (
         np.stack([np.where(count, of(side), 0.0) for side in (ahead, behind)])
@@ -169,7 +176,7 @@ def _along(ahead: _Seen, behind: _Seen, centre: _Seen) -> Float[np.ndarray, "sam
 def _scoring(
     blocks: Float[np.ndarray, "experiment row column"], at: _Point, lower: _Point, upper: _Point
 ) -> tuple[_Point, float]:
-    """Fisher's step within the bounds, and the gain in log-likelihood that it promises."""
+    """Return Fisher's step within the bounds, and the gain in log-likelihood that it promises."""
     shared, each, count = len(at.shared), len(at.each), len(blocks)
     whole = np.zeros((shared + each * count + 1,) * 2)
     for k, block in enumerate(blocks):
@@ -188,7 +195,7 @@ def _scoring(
 
 
 def _unknowns(before: Unknowns, space: Space, inside: np.ndarray, at: _Point) -> Unknowns:
-    """The point as unknowns of the space."""
+    """Return the point as unknowns of the space."""
     places = np.asarray(space.active)[inside]
     bounds = (np.asarray(x)[places] for x in (space.lower, space.upper, space.scale))
     shared = np.asarray(before.shared).copy()

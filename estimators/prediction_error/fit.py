@@ -35,10 +35,10 @@ _LEVEL = 0.01
 
 @dataclasses.dataclass(frozen=True)
 class Whiteness:
-    """Whether the innovations of a channel in one experiment are white.
+    """The whiteness of the innovations of a channel in one experiment.
 
     Attributes:
-        experiment, channel: where.
+        experiment, channel: names of both.
         rms: of the innovations over their expected size; 1 where the predictor's noise is right.
         autocorrelation: at lags 1, 2, ... samples [1].
         band: 99 % of each lie within plus and minus this by chance.
@@ -55,14 +55,14 @@ class Whiteness:
 
 @dataclasses.dataclass(frozen=True)
 class PredictorFit:
-    """Result of `prediction_error_nonlinear`.
+    """The result of `prediction_error_nonlinear`.
 
     Attributes:
         model: with the estimated values; parameters of each experiment as arrays in the order of `experiments`.
         information: covariance and identifiability of the free shared parameters.
         each_std: standard deviations of the parameters of each experiment, the others integrated out.
         force_noise: square root of the two-sided spectral density of the random force on the cart [N/sqrt(Hz)].
-        torque_noise: likewise of the random torque on the arm [N m/sqrt(Hz)].
+        torque_noise: the same of the random torque on the arm [N m/sqrt(Hz)].
         noise: standard deviation of each channel's sensor.
         whiteness: of the innovations, by experiment and channel.
         log_likelihood: of all data, less a constant.
@@ -99,7 +99,7 @@ class PredictorFit:
 
     @property
     def verdict(self) -> str:
-        """What the innovations say of the model."""
+        """The verdict of the whiteness tests on the model."""
         bound = _LEVEL / len(self.whiteness)
         coloured = sorted((w for w in self.whiteness if w.p_value < bound), key=lambda w: w.p_value)
         if not coloured:
@@ -127,7 +127,7 @@ class PredictorFit:
         return "\n".join([*lines, self.verdict])
 
     def plot(self) -> Any:
-        """Autocorrelation of the innovations with its band."""
+        """Draw the autocorrelation of the innovations with its band."""
         return draw(self)
 
 
@@ -152,7 +152,8 @@ def prediction_error_nonlinear(
     dry friction holds do not count.
 
     Args:
-        model: parameters released with `per_condition` are estimated for each experiment, the other free ones for all.
+        model: parameters released for each experiment (`model.per_experiment`) have a value there, other free ones one for all.
+        recording: with moving experiments; those at rest tell the sensors' noise.
         rounds: at most, of physics and noise in turn.
         from_model: begin at the model's values instead of the closed form.
         progress: show a bar.
@@ -236,7 +237,7 @@ def _arguments_at(found: Predictor, model: RTAC, data: Data, space: Space, subst
 
 
 def _each_std(triangles: np.ndarray, space: Space, found: Predictor) -> Float[np.ndarray, "each experiment"]:
-    """Standard deviations of what each experiment has for itself, with the doubt about the shared parameters in it."""
+    """Return standard deviations of the parameters of each experiment, the doubt about the shared ones included."""
     shared, own = len(found.unknowns.shared), len(space.each)
     if not own:
         return np.zeros((0, len(triangles)))

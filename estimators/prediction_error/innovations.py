@@ -1,4 +1,4 @@
-"""Innovations of a predictor with frozen gains, and what they would have been had something been otherwise."""
+"""Innovations of a predictor with frozen gains, and how they would change with parameters or added inputs."""
 
 import dataclasses
 from typing import Any
@@ -31,7 +31,7 @@ class Innovations:
         self.weight = np.asarray(data.present)[: data.samples, self.used]
 
     def at(self, values: Float[np.ndarray, "point parameter"]) -> Rows:
-        """Innovations for several sets of shared parameter values, one column each."""
+        """Return innovations for several sets of shared parameter values, one column each."""
 
         def some(first: int) -> Rows:
             part = values[first : first + AT_ONCE]
@@ -41,11 +41,11 @@ class Innovations:
         return np.concatenate(at_once(some, range(0, len(values), AT_ONCE)), axis=1)
 
     def jacobian(self) -> Rows:
-        """Derivatives by the free shared parameters, scaled."""
+        """Return derivatives by the free shared parameters, scaled."""
         return self.rows(np.asarray(_jacobian(*self._arguments(self._directions()))))
 
     def pushed(self, current: np.ndarray, force: np.ndarray) -> Rows:
-        """Derivatives by currents [A] and cart forces [N] added to the inputs, each [direction sample experiment]."""
+        """Return derivatives by currents [A] and cart forces [N] added to the inputs, each [direction sample experiment]."""
         columns = []
         for first in range(0, len(current), AT_ONCE):
             parts = [added[first : first + AT_ONCE] for added in (current, force)]
@@ -61,11 +61,11 @@ class Innovations:
         compile_only(_innovations, *self._arguments(several))
 
     def compile_jacobian(self) -> None:
-        """Likewise `jacobian`."""
+        """Compile `jacobian`, and run nothing."""
         compile_only(_jacobian, *self._arguments(self._directions()))
 
     def compile_pushed(self) -> None:
-        """Likewise `pushed`."""
+        """Compile `pushed`, and run nothing."""
         nothing = np.zeros((AT_ONCE, self.data.room, self.data.experiments))
         compile_only(_pushed, *self._arguments(nothing, nothing))
 
@@ -79,7 +79,7 @@ class Innovations:
         return unit * np.asarray(self.space.scale)
 
     def rows(self, found: np.ndarray) -> Rows:
-        """Whitened samples [direction sample output experiment] as columns, channels that nobody measured left out.
+        """Return whitened samples [direction sample output experiment] as columns, channels that nobody measured left out.
 
         Rows of an experiment, and within it of a stretch of time, are neighbours.
         """
@@ -87,12 +87,12 @@ class Innovations:
         return np.moveaxis(there, 3, 1).reshape(len(found), -1).T
 
     def blocks(self) -> np.ndarray:
-        """For every row the number of the stretch of time that it belongs to; it never falls."""
+        """Return for every row the number of the stretch of time that it belongs to; it never falls."""
         return np.repeat(stretches(self.data)[: self.data.samples].T.reshape(-1), int(self.used.sum()))
 
 
 def stretches(data: Data, seconds: float = 1.0) -> Int[np.ndarray, "sample experiment"]:
-    """For every sample and experiment the number of the stretch of time that it belongs to.
+    """Return for every sample and experiment the number of the stretch of time that it belongs to.
 
     Those of an experiment are equally long, and as near to so many seconds as they can be. Where nothing counts, as beyond the
     end of a short experiment or in a gap, no stretch begins: it would be one that never scatters.
@@ -115,7 +115,7 @@ def stretches(data: Data, seconds: float = 1.0) -> Int[np.ndarray, "sample exper
 def error_at(
     model: RTAC, data: Data, space: Space, whitener: Array, gain: Array, values: Array, substeps: Steps
 ) -> Array:
-    """Whitened innovations at values of all shared parameters."""
+    """Return whitened innovations at values of all shared parameters."""
     predicted = predict(model, data, space, (values, space.each_values, space.start), substeps=substeps, gain=gain)
     return whitened(whitener, (data.values - predicted) * data.present)
 
@@ -158,7 +158,7 @@ def _pushed(
 
 
 def orthonormal(columns: Rows) -> Float[np.ndarray, "row basis"]:
-    """An orthonormal basis of what the columns span."""
+    """Return an orthonormal basis of the columns' span."""
     if columns.shape[1] == 0:
         return columns
     size = np.sqrt(np.sum(columns**2, axis=0))

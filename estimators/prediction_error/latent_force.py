@@ -26,16 +26,16 @@ _MEMORIES = (
     0.1,
     0.3,
     1.0,
-)  # correlation times of the force that are tried, as shares of the period of the motion
-# Standard deviations of the force that are tried, as shares of the rms spring force or motor torque.
+)  # correlation times of the force that are tried, as fractions of the period of the motion
+# Standard deviations of the force that are tried, as fractions of the rms spring force or motor torque.
 _SHARES = (1e-4, 1e-3, 3e-3, 1e-2, 3e-2, 1e-1, 3e-1)
-_STILL = 1e-7  # share of the force that stands for none
+_STILL = 1e-7  # fraction of the force that stands for none
 _RINGING = (1.0, 3.0, 10.0)  # correlation times that are tried of a force that swings, in its periods
 
 
 @dataclasses.dataclass(frozen=True)
 class LatentForce:
-    """A force at one port as a function of time.
+    """A smoothed force at one port as a function of time.
 
     Attributes:
         port: "cart" [N] or "arm" [N m].
@@ -58,7 +58,7 @@ class LatentForce:
 
     @property
     def unit(self) -> str:
-        """N or N m."""
+        """Unit of the force, N or N m."""
         return _UNITS[self.port]
 
     @property
@@ -98,9 +98,17 @@ def latent_forces(
     the price of a parameter.
 
     Args:
+        model: that leaves the force out.
+        data: of all experiments.
+        space: of the model's parameters.
         physical: parameters and starts of the predictor with this gain.
+        gain: of the predictor, [sample state output experiment].
+        substeps: of the integrator in each sample.
+        experiments: that the data were made from.
+        sensor_variance: of each output's noise, SI units squared.
         start_variance: of the states at the start; what they are off by is no force.
-        force, torque: sizes that scale the forces [N, N m].
+        force: size that scales the force on the cart [N].
+        torque: size that scales the torque on the arm [N m].
         frequency: of the motion [rad/s].
 
     Returns:
@@ -115,7 +123,7 @@ def latent_forces(
     linear = _linearised(model, data, space, physical, gain, variance, start_variance, jnp.asarray(substeps))
 
     def likelihood(shares: np.ndarray, memory: float, swing: float) -> tuple[float, np.ndarray]:
-        """Without a force, and with one at each port of each size (a row of shares for each port)."""
+        """Return the log-likelihood without a force, and with one at each port of each size (a row of fractions a port)."""
         trials = np.broadcast_to(still, (1 + shares.size, 2)).copy()
         for port in range(2):
             trials[1 + port * shares.shape[1] :, port][: shares.shape[1]] = shares[port] * scale[port]
@@ -172,7 +180,7 @@ def latent_forces(
 
 
 class _Likeliest(NamedTuple):
-    """Forces of one kind of spectrum.
+    """The likeliest forces of one kind of spectrum.
 
     Attributes:
         gained: log-likelihood by a force at each port.
@@ -196,7 +204,7 @@ def _strongest(force: np.ndarray, experiments: Sequence[Experiment]) -> float:
 
 
 class _Linear(eqx.Module):
-    """The model along the predicted motion: arrays with sample first and experiment last."""
+    """The model linearised along the predicted motion: arrays with sample first and experiment last."""
 
     transition: Float[Array, "sample state state experiment"]
     push: Float[Array, "sample state port experiment"]
@@ -260,7 +268,7 @@ def _linearised(
 
 
 def _filter(linear: _Linear, data: Data, gain: Array, size: Array, memory: Any, swing: Any) -> Any:
-    """Kalman filter of what the prediction missed, with the two forces as further states, and what the smoother needs.
+    """Filter the prediction errors with the two forces as further states, and keep what the smoother needs.
 
     A force is the real part of a phasor that turns at `swing` [rad/s] and forgets within `memory` [s].
     """
@@ -318,7 +326,7 @@ def _likelihoods(linear: _Linear, data: Data, gain: Array, sizes: Array, memory:
 
 @eqx.filter_jit
 def _smoothed(linear: _Linear, data: Data, gain: Array, size: Array, memory: Any, swing: Any) -> tuple[Array, Array]:
-    """Mean and variance of the two forces, [sample port experiment]."""
+    """Return mean and variance of the two forces, [sample port experiment]."""
     last, (before, filtered, back, _) = _filter(linear, data, gain, size, memory, swing)
 
     def one(carry: Any, row: Any) -> Any:

@@ -19,7 +19,7 @@ from rtac_jax import RTAC, Scales
 from rtac_jax.measurement import Experiment
 from rtac_jax.simulation import Steps
 
-# Random force and torque between these shares of the rms forces, as powers of e of their variance.
+# Random force and torque between these fractions of the rms forces, as powers of e of their variance.
 # A force beyond the rms force comes from wrong physics and would keep it wrong; a motor's torque is small beside what can
 # shake it.
 _LEAST, _FIRST = np.log(1e-5**2), np.log(3e-3**2)
@@ -37,7 +37,7 @@ _SHOWN = 10.0  # how much wider the cart's position at the start is taken to lie
 
 @dataclasses.dataclass(frozen=True)
 class NoiseModel:
-    """What is known of the noise before the fit.
+    """The prior knowledge of the noise before a fit.
 
     Attributes:
         sensor: standard deviation of each channel, SI units.
@@ -58,7 +58,7 @@ class NoiseModel:
     def of(
         cls, levels: Mapping[str, float], experiments: Sequence[Experiment], scales: Scales, space: Space
     ) -> "NoiseModel":
-        """From noise levels; a rest record or a stated level is trusted as far as its length allows."""
+        """Build the prior from noise levels; a rest record or a stated level is trusted as far as its length allows."""
         resting = {c: sum(e.samples for e in experiments if e.kind == "rest" and c in e.outputs) for c in CHANNELS}
         doubt = [np.sqrt(2.0 / n) + 0.03 if (n := resting[c]) > 0 else 0.5 for c in CHANNELS]
         return cls(
@@ -71,12 +71,12 @@ class NoiseModel:
         )
 
     def starting(self, space: Space) -> "NoiseModel":
-        """The same for a model with other states."""
+        """Return the same prior for a model with other states."""
         return dataclasses.replace(self, start_variance=start_variance(space))
 
 
 def start_variance(space: Space) -> Float[Array, "start experiment"]:
-    """Variance of the states at the start; none where they are held.
+    """Return the variance of the states at the start; none where they are held.
 
     The cart's position, the first of them, is taken from the first samples of a sensor whose gain or offset may be unknown. If
     that held the position, where an experiment begins would make up for a wrong gain, and half of it would be estimated.
@@ -93,7 +93,7 @@ class Predictor:
     Attributes:
         unknowns: the free parameters.
         physical: all parameters and starts.
-        noise: logarithms of the process variances (shares of force and torque) and of the sensors' variance ratios.
+        noise: logarithms of the process variances (fractions of force and torque) and of the sensors' variance ratios.
         filtered: gains, whiteners and innovations.
         log_likelihood: of all data that count.
     """
@@ -106,17 +106,17 @@ class Predictor:
 
     @property
     def random_force(self) -> float:
-        """Rms of the random force that the predictor needs, as a share of the rms spring force, in one sample."""
+        """Rms of the random force that the predictor needs, as a fraction of the rms spring force, in one sample."""
         return float(np.exp(0.5 * self.noise[0]))
 
     @property
     def random_torque(self) -> float:
-        """Likewise of the random torque on the arm."""
+        """Rms of the random torque on the arm, in the same way."""
         return float(np.exp(0.5 * self.noise[1]))
 
 
 class Passed(NamedTuple):
-    """A pass of the filter, and how the likelihood changes with the noise.
+    """A pass of the filter, and the derivatives of the likelihood by the noise.
 
     Attributes:
         value: negative log-likelihood.
@@ -136,8 +136,7 @@ def _pass(
     model: RTAC, data: Data, space: Space, physical: Any, noise: Array, scale: Array, sensor: Array, start: Array,
     substeps: Steps,
 ) -> Passed:  # fmt: skip
-    """One compiled function for the pass and its derivatives."""
-
+    """Run the filter and its derivatives as one compiled function."""
     density = jnp.exp(noise[:2]) * scale
     variance = jnp.broadcast_to((jnp.exp(noise[2:]) * sensor**2)[:, None], (len(CHANNELS), data.experiments))
     found, slopes = kalman(
@@ -151,7 +150,7 @@ def _pass(
 def run_filter(
     model: RTAC, data: Data, space: Space, physical: Any, prior: NoiseModel, noise: np.ndarray, substeps: Steps
 ) -> Passed:
-    """The filter's pass at given noise."""
+    """Run the filter's pass at given noise."""
     return _pass(*_arguments(model, data, space, physical, prior, noise, substeps))
 
 
@@ -166,7 +165,7 @@ def _arguments(
 def compile_predictor(
     model: RTAC, data: Data, space: Space, prior: NoiseModel, substeps: Steps, *, noise: bool = True
 ) -> None:
-    """Compile what `fit_predictor` will run, with or without what it runs first, the filter; and run nothing."""
+    """Compile what `fit_predictor` will run, with or without the filter that it runs first; and run nothing."""
     unknowns = space.unconstrained(start=False)
     if noise:
         physical = (space.values, space.each_values, space.start)  # of the shapes that space.physical computes
@@ -183,11 +182,11 @@ def _begin() -> np.ndarray:
 
 
 class Noise(NamedTuple):
-    """Noise of the greatest likelihood.
+    """The noise of the greatest likelihood.
 
     Attributes:
         exponents: logarithms of the process variances and of the sensors' variance ratios.
-        log_likelihood: there, without the prior's share.
+        log_likelihood: there, without the prior's part.
         filtered: the pass of the filter there.
     """
 
@@ -199,7 +198,7 @@ class Noise(NamedTuple):
 def fit_noise(
     model: RTAC, data: Data, space: Space, physical: Any, prior: NoiseModel, first: np.ndarray | None, substeps: Steps
 ) -> Noise:
-    """Noise by maximum likelihood: Newton's steps with the expected curvature, damped where they lead uphill.
+    """Fit the noise by maximum likelihood: Newton's steps with the expected curvature, damped where they lead uphill.
 
     A pass of the filter costs far more than a step, and gives the expected curvature with the slope; so few passes do. Where
     the noise is far off, most of these are over the beginning of all experiments only.
@@ -230,7 +229,7 @@ def fit_noise(
 
 
 class _Scored(NamedTuple):
-    """Noise, and what the filter and what was known beforehand say of it: negative log-likelihood, slope and curvature."""
+    """A point of the noise, with the negative log-likelihood, slope and curvature there, prior included."""
 
     at: Float[np.ndarray, " noise"]
     value: float
@@ -239,12 +238,12 @@ class _Scored(NamedTuple):
     passed: Passed
 
     def promised(self, trial: np.ndarray) -> float:
-        """Gain in log-likelihood that the slope promises there."""
+        """Return the gain in log-likelihood that the slope promises there."""
         return -float(self.slope @ (trial - self.at))
 
 
 def _moved(here: _Scored, damping: float) -> Float[np.ndarray, " noise"]:
-    """A Newton step within the bounds."""
+    """Return the noise after a Newton step within the bounds."""
     low = np.array([_LEAST] * 2 + [-6.0] * 3)
     high = np.array([*_MOST, 6.0, 6.0, 6.0])
     at, slope = here.at, here.slope
@@ -257,7 +256,7 @@ def _moved(here: _Scored, damping: float) -> Float[np.ndarray, " noise"]:
 
 
 def _climbed(scored: Callable[[np.ndarray], _Scored], here: _Scored) -> _Scored:
-    """Where Newton's steps lead."""
+    """Climb by Newton's steps, and return the last point."""
     damping = 0.0
     for _ in range(_PASSES if np.isfinite(here.value) else 0):
         trial = _moved(here, damping)
@@ -276,7 +275,7 @@ def _climbed(scored: Callable[[np.ndarray], _Scored], here: _Scored) -> _Scored:
 
 
 def without_shaken(data: Data, filtered: Filtered) -> Data:
-    """The data, of which no sample counts at which random forces shake loose what dry friction holds.
+    """Return the data without the stick-slip ambiguous samples, at which random forces may overcome dry friction.
 
     There the filter takes for a straight line what is a step, and how likely it finds the data changes more with the level of
     the friction than with the rest of the physics: counted, such samples make the level too low.
@@ -285,14 +284,14 @@ def without_shaken(data: Data, filtered: Filtered) -> Data:
 
 
 def all_trusted(data: Data) -> Data:
-    """The data, of which every sample counts."""
+    """Return the data, of which every sample counts."""
     return dataclasses.replace(data, trusted=jnp.ones_like(data.trusted))
 
 
 def fit_trusted(
     model: RTAC, data: Data, space: Space, prior: NoiseModel, *, substeps: Steps, rounds: int = 10, progress: Any = None
 ) -> tuple[Predictor, Data]:
-    """`fit_predictor`, and again from there `without_shaken` samples; and the data that counted."""
+    """Fit the predictor, and again from there `without_shaken` samples; return it and the data that counted."""
     found = fit_predictor(model, data, space, prior, substeps=substeps, rounds=rounds, progress=progress)
     if not np.any(found.filtered.shaken):
         return found, data
@@ -313,11 +312,11 @@ def fit_predictor(
     rounds: int = 10,
     progress: Any = None,
 ) -> Predictor:
-    """Physics and noise in turn: gains are frozen while the physics is fitted to the innovations, then refreshed.
+    """Fit physics and noise in turn: gains are frozen while the physics is fitted to the innovations, then refreshed.
 
     Process noise that is large because the physics was wrong hides from the physics what it should mend. So where a
-    round gains nothing, gains for less noise are tried, and kept if they make the data more likely.
-    The states at the start are the filter's to mend, not the fit's: fitted with frozen gains they led astray.
+    round gains nothing, gains for less noise are tried, and kept if they make the data more likely. The states at the
+    start are the filter's to mend, not the fit's: fitted with frozen gains they led astray.
 
     Source: Kristensen, Madsen and Jorgensen, Automatica 40 (2004); Ljung, System Identification (1999), section 7.
     """

@@ -1,4 +1,4 @@
-"""How the likelihood of a Kalman filter changes with its noise, carried along beside the filter."""
+"""Derivatives of a Kalman filter's likelihood by its noise, carried along beside the filter."""
 
 from typing import NamedTuple
 
@@ -7,7 +7,7 @@ from jaxtyping import Array, Float
 
 
 class ByNoise(NamedTuple):
-    """Derivatives by the logarithm of each noise: the random force and torque, then each sensor.
+    """The derivatives by the logarithm of each noise: the random force and torque, then each sensor.
 
     Attributes:
         state: of the predicted state.
@@ -23,7 +23,7 @@ class ByNoise(NamedTuple):
 
     @classmethod
     def at_start(cls, own: Float[Array, "noise state experiment"]) -> "ByNoise":
-        """Of a start whose variance is in proportion to the noise as far as `own` says."""
+        """Return the derivatives at a start whose variance is in proportion to the noise as far as `own` says."""
         count, states, experiments = own.shape
         return cls(
             jnp.zeros((count, states, experiments)),
@@ -44,13 +44,14 @@ class ByNoise(NamedTuple):
         pushed: Float[Array, "process state state experiment"],
         fresh: Float[Array, "noise state experiment"],
     ) -> "ByNoise":
-        """One sample later.
+        """Return the derivatives one sample later.
 
         The linearised model is taken as it is: its own change with the noise would cost far more and matters far less.
 
         Args:
             shown: derivatives of the outputs by the state; zero where nothing is measured.
             whitener: triangular; times the prediction error it is `white`.
+            white: whitened prediction error of the sample.
             gain: of the filter.
             variance: of each sensor.
             counts: 1 where the sample's likelihood counts, else 0.

@@ -1,4 +1,4 @@
-"""Where each experiment most likely began, random forces counted."""
+"""Smoothed initial states: the most likely start of each experiment, random forces counted."""
 
 import dataclasses
 from typing import Any
@@ -14,12 +14,12 @@ _STEPS = 12
 _FIRST = 0.1  # standard deviations beforehand, over which the first slopes are taken
 _SPAN = 0.5  # standard deviations afterwards, over which the others are
 _DAMPING = (1e-2, 10.0)  # at first, and by how much it grows or falls
-_ENOUGH = 1e-2  # gain in log-likelihood, foreseen or made, that is worth another step
+_ENOUGH = 1e-2  # gain in log-likelihood, predicted or made, that is worth another step
 _STALLED = 3  # steps without such a gain, each more damped than the one before, after which it stops
 
 
 def smoothed_start(fit: PredictorFit) -> Float[np.ndarray, "start experiment"]:
-    """States at the start of each experiment, SI units, of largest probability given all of its measurements.
+    """Return the states at the start of each experiment, SI units, of largest probability given all measurements.
 
     Damped Gauss-Newton steps on the innovations of filters that know their start for sure, for all experiments side by side.
     Slopes are differences over a finite span: a body that dry friction holds shows no derivative, but it does show where it
@@ -34,7 +34,7 @@ def smoothed_start(fit: PredictorFit) -> Float[np.ndarray, "start experiment"]:
     sure = dataclasses.replace(fit.prior, start_variance=jnp.zeros_like(fit.prior.start_variance))
 
     def looked_at(moved: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Log of the probability, and the innovations, after moves in standard deviations beforehand."""
+        """Return the log of the probability, and the innovations, after moves in standard deviations beforehand."""
         physical: Any = (jnp.asarray(shared), jnp.asarray(each), jnp.asarray(first + deviation * moved))
         passed = run_filter(a.model, data, a.space, physical, sure, fit.noise_exponents, a.substeps).filtered
         likelihood = np.asarray(passed.log_likelihood) - 0.5 * np.sum(moved**2, axis=0)

@@ -1,4 +1,4 @@
-"""What `rtac control` writes: dictionaries for JSON and MAT, tables and sentences."""
+"""The output of `rtac control`: dictionaries for JSON and MAT, tables and sentences."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -16,7 +16,7 @@ WEIGHTED = "P0 keeps closest to the responses where they are large, as limited t
 
 
 def design_dict(found: ControlDesign, fit_parameters: Mapping[str, Any], *, seconds: float) -> dict[str, Any]:
-    """A controller and what it achieves, ready for `write_json`."""
+    """Return a controller and what it achieves, ready for `write_json`."""
     synthesis = found.synthesis
     return {
         "format": FORMAT,
@@ -69,7 +69,7 @@ def design_dict(found: ControlDesign, fit_parameters: Mapping[str, Any], *, seco
 
 
 def design_mat(found: ControlDesign) -> dict[str, Any]:
-    """The same controllers as matrices, for `scipy.io.savemat`."""
+    """Return the same controllers as matrices, for `scipy.io.savemat`."""
     sampled = {**_arrays(found.sampled), "sample_time": float(found.sampled.dt or 0.0)}
     actuation = found.actuation
     return {
@@ -83,7 +83,7 @@ def design_mat(found: ControlDesign) -> dict[str, Any]:
 
 
 def design_table(found: ControlDesign) -> Table:
-    """Open against closed loop."""
+    """Return a table of open against closed loop."""
     rows = []
     for name, one in (("without controller", found.free), ("with controller", found.closed)):
         rows.append(
@@ -104,7 +104,7 @@ def design_table(found: ControlDesign) -> Table:
 
 
 def controller_table(found: ControlDesign) -> Table:
-    """The sampled controller as poles, zeros and gain."""
+    """Return a table of the sampled controller as poles, zeros and gain."""
     system = found.sampled
     rows = (
         ("order", str(system.nstates)),

@@ -1,4 +1,4 @@
-"""What `rtac envelope` writes: a dictionary for JSON, tables and sentences."""
+"""The output of `rtac envelope`: a dictionary for JSON, tables and sentences."""
 
 from itertools import pairwise
 from typing import Any
@@ -19,7 +19,7 @@ _BANDS = 4
 
 
 def envelope_dict(found: Envelope, used: UsableConditions, *, seconds: float) -> dict[str, Any]:
-    """An envelope, ready for `write_json`; complex numbers are pairs of real and imaginary part."""
+    """Return an envelope, ready for `write_json`; complex numbers are pairs of real and imaginary part."""
     distance = found.distance(used.responses)
     inside = distance <= 1
     conditions = [
@@ -61,7 +61,7 @@ def envelope_dict(found: Envelope, used: UsableConditions, *, seconds: float) ->
 
 
 def coverage_dict(coverage: Coverage) -> dict[str, Any]:
-    """What may be said of a new condition."""
+    """Return the statement about a new condition."""
     return {
         "probability": coverage.probability,
         "confidence": coverage.confidence,
@@ -72,7 +72,7 @@ def coverage_dict(coverage: Coverage) -> dict[str, Any]:
 
 
 def system_dict(system: ct.TransferFunction) -> dict[str, Any]:
-    """Zeros, poles and gain, and numerator and denominator in falling powers of s [rad/s]."""
+    """Return zeros, poles and gain, and numerator and denominator in falling powers of s [rad/s]."""
     top, low = (np.trim_zeros(np.asarray(part[0][0], dtype=float), "f") for part in (system.num, system.den))
     return {
         "zeros": pairs(np.asarray(system.zeros())),
@@ -84,7 +84,7 @@ def system_dict(system: ct.TransferFunction) -> dict[str, Any]:
 
 
 def models_table(found: Envelope) -> Table:
-    """Nominal model and weight."""
+    """Return a table of nominal model and weight."""
     rows = []
     for name, system in (("P0, nominal model [m/A]", found.nominal), ("W, weight", found.weight)):
         told = system_dict(system)
@@ -97,13 +97,13 @@ def models_table(found: Envelope) -> Table:
 
 
 def roots(values: Any) -> str:
-    """Roots in text; a pair is one entry."""
+    """Format roots as text; a pair is one entry."""
     shown = [v for v in np.sort_complex(np.asarray(values)) if v.imag >= 0]
     return ", ".join(f"{v.real:.4g}" + (f" ± j{v.imag:.4g}" if v.imag > 0 else "") for v in shown) or "none"
 
 
 def conditions_table(found: Envelope, responses: FrequencyResponses) -> Table:
-    """What each condition was and how far it lies from the nominal model."""
+    """Return a table of the conditions and their distances from the nominal model."""
     distance = found.distance(responses)
     rows = []
     for i, one in enumerate(responses):
@@ -129,7 +129,7 @@ def conditions_table(found: Envelope, responses: FrequencyResponses) -> Table:
 
 
 def sources_table(found: Envelope) -> Table:
-    """What the gaps come from, in bands of equal width on a log scale."""
+    """Return a table of the model errors' sources, in bands of equal width on a log scale."""
     edges = np.geomspace(found.frequency[0], found.frequency[-1], _BANDS + 1)
     rows = []
     for low, high in pairwise(edges):
@@ -142,7 +142,7 @@ def sources_table(found: Envelope) -> Table:
 
 
 def remarks(found: Envelope, used: UsableConditions) -> list[str]:
-    """What a reader must know of an envelope beside its numbers."""
+    """State what a reader must know of an envelope beside its numbers."""
     said = [f"Coverage: {found.coverage}."]
     if np.all(found.weight_magnitude() >= 1) and found.kind != "additive":
         said.append(
@@ -169,7 +169,7 @@ def remarks(found: Envelope, used: UsableConditions) -> list[str]:
 
 
 def models_said(models: LinearModels) -> list[str]:
-    """What the residuals of linear models say, and whether all conditions have the same parameters."""
+    """State the verdict on the residuals of linear models, and whether all conditions have the same parameters."""
     return [*models.verdict.splitlines(), _equality(models)]
 
 
@@ -181,5 +181,5 @@ def _equality(models: LinearModels) -> str:
 
 
 def pairs(values: Any) -> list[list[float]]:
-    """Complex numbers for JSON: real and imaginary part."""
+    """Convert complex numbers for JSON: real and imaginary part."""
     return [[float(v.real), float(v.imag)] for v in np.asarray(values, dtype=complex)]

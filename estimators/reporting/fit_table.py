@@ -1,4 +1,4 @@
-"""All that is known of the parameters after a fit, as one text: what `rtac fit` prints."""
+"""The parameters after a fit with all that is known of them, as one text: what `rtac fit` prints."""
 
 import numpy as np
 
@@ -17,7 +17,7 @@ def fit_table(
     agreed: Agreement | None = None,
     spread: Covariances | None = None,
 ) -> str:
-    """Closed form, output error and prediction error side by side, with standard deviations, and what they differ by.
+    """Format closed form, output error and prediction error side by side, with standard deviations and differences.
 
     Args:
         closed: estimates in closed form.
@@ -68,7 +68,7 @@ def fit_table(
 
 
 def _apart(agreed: Agreement | None, fit: Fit) -> dict[str, float]:
-    """The largest difference of any two ways, in its standard deviations."""
+    """Return the largest difference of any two estimators, in its standard deviations."""
     if agreed is None:
         return {}
     sigmas = np.max([np.nan_to_num(np.abs(pair.difference / pair.std)) for pair in agreed.pairs], axis=0)

@@ -23,7 +23,7 @@ _PACKAGES = ("rtac-jax", "jax", "optimistix", "numpy", "scipy", "matplotlib")
 
 @dataclasses.dataclass(frozen=True)
 class Table:
-    """Rows of text under a header; columns of numbers are set to the right."""
+    """The rows of a table as text, under a header; columns of numbers are set to the right."""
 
     header: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
@@ -41,14 +41,14 @@ class Table:
         return "\n".join(lines)
 
     def numeric(self, column: int) -> bool:
-        """Whether the column holds numbers, as far as it holds anything."""
+        """Return whether the column holds numbers, as far as it holds anything."""
         cells = [row[column] for row in self.rows if row[column] not in ("", *_WORDS)]
         return bool(cells) and all(cell[0].isdigit() or cell[0] in "-+<" for cell in cells)
 
 
 @dataclasses.dataclass(frozen=True)
 class Shown:
-    """A figure and what it shows."""
+    """A figure and its caption."""
 
     figure: Figure
     caption: str
@@ -70,7 +70,7 @@ def write_json(path: str | os.PathLike[str], content: Mapping[str, Any]) -> None
 
 
 def cleaned(value: Any) -> Any:
-    """Only what JSON knows: it has neither NaN nor infinity, and no arrays."""
+    """Reduce a value to what JSON knows: it has neither NaN nor infinity, and no arrays."""
     if isinstance(value, Mapping):
         return {str(key): cleaned(part) for key, part in value.items()}
     if isinstance(value, (list, tuple)):
@@ -97,7 +97,7 @@ def write_figures(folder: str | os.PathLike[str], figures: Mapping[str, Figure])
 
 
 def versions() -> Table:
-    """What the numbers were computed with."""
+    """Return a table of the versions of Python and packages that computed the numbers."""
     rows = [("python", platform.python_version())]
     for name in _PACKAGES:
         try:
@@ -117,6 +117,7 @@ def write_report(
     """Write one HTML file with style and figures inside.
 
     Args:
+        path: of the file.
         title: heading of the page.
         sections: headings, each with paragraphs, tables and figures in their order; the first is the summary.
         images: figures that were rendered before, as PNG; drawing them again takes a second each.
@@ -136,7 +137,7 @@ def write_report(
 
 
 def _marked(text: str) -> str:
-    """Text for HTML, with the signs that a terminal may not have."""
+    """Escape text for HTML, with the signs that a terminal may not have."""
     for plain, sign in ((" +- ", " ± "), ("^2", "²"), ("^3", "³")):
         text = text.replace(plain, sign)
     return html.escape(text)

@@ -34,13 +34,15 @@ def report_dict(
     planned: NextExperiment | None = None,
     seconds: float | None = None,
 ) -> dict[str, Any]:
-    """What a diagnosis or an improvement found, ready for `write_json`.
+    """Return what a diagnosis or an improvement found, ready for `write_json`.
 
     Args:
+        found: a diagnosis or an improvement.
         fit: whose parameters to give; of an improvement by default the last one.
-        train, validation: the base model and, after it, the model with the effect; an improvement brings its own.
+        train: the base model and, after it, the model with the effect, on the fitted data; an improvement brings its own.
+        validation: the same on the held-out data.
         planned: the experiment that would tell the rest apart.
-        seconds: how long everything took; by default what the result says of itself.
+        seconds: duration of everything; by default what the result says of itself.
     """
     if isinstance(found, Improvement):
         fit = fit or found.final
@@ -79,7 +81,7 @@ def fit_dict(
     agreed: Agreement | None = None,
     spread: Covariances | None = None,
 ) -> dict[str, Any]:
-    """The parameters and errors of a fit; beside it other ways to estimate, whether they agree, and other deviations."""
+    """Return parameters and errors of a fit, and beside it other estimators, their agreement, and other deviations."""
     found: dict[str, Any] = {
         "format": FORMAT,
         "version": VERSION,
@@ -117,7 +119,7 @@ def fit_dict(
 
 
 def comparison_rows(comparison: Comparison) -> list[dict[str, Any]]:
-    """Error of every channel of every experiment, worst first."""
+    """Return the error of every channel of every experiment, worst first."""
     return cleaned(
         [
             {
@@ -136,7 +138,7 @@ def comparison_rows(comparison: Comparison) -> list[dict[str, Any]]:
 
 
 def _effect(candidate: Candidate, known: Mapping[str, Parameter]) -> dict[str, Any]:
-    """An effect at the parameters of the last fit where there is one, else at those of the diagnosis."""
+    """Return an effect at the parameters of the last fit where there is one, else at those of the diagnosis."""
     parameters = {n: known.get(f"{candidate.id}.{n}", found) for n, found in candidate.parameters.items()}
     return {
         "id": candidate.id,
@@ -168,14 +170,17 @@ def _parameters(parameters: Mapping[str, Parameter]) -> dict[str, Any]:
 
 
 def _with_held(fit: Fit, candidates: Sequence[Candidate]) -> dict[str, Parameter]:
-    """All parameters of a fit; of effects that are held in it as the diagnosis estimated them."""
+    """Return all parameters of a fit; of effects that are held in it as the diagnosis estimated them."""
     found = _every(fit)
     told = {f"{c.id}.{name}": p for c in candidates for name, p in c.parameters.items()}
     return found | {name: p for name, p in told.items() if name in found and name not in fit.information.names}
 
 
 def _every(fit: Fit) -> dict[str, Parameter]:
-    """The shared parameters, and as NAME[EXPERIMENT] those that each experiment has for itself, which have no deviation."""
+    """Return the shared parameters, and those that each experiment has for itself as NAME[EXPERIMENT].
+
+    The latter have no deviation.
+    """
     found = dict(fit.parameters)
     for name in sorted(fit.model.per_experiment):
         unit = fit.model.parameters[name].unit
@@ -186,7 +191,10 @@ def _every(fit: Fit) -> dict[str, Parameter]:
 
 
 def _before_after(comparison: Comparison | None) -> dict[str, Any] | None:
-    """Of the first model and of the last, which is the same where nothing was added; None where nothing was held out."""
+    """Return the errors of the first model and of the last, which is the same where nothing was added.
+
+    None where nothing was held out.
+    """
     if comparison is None:
         return None
     return {"before": _errors(comparison.models[0]), "after": _errors(comparison.models[-1])}
@@ -200,7 +208,7 @@ def _errors(compared: Compared) -> dict[str, Any]:
 
 
 def error_table(train: Comparison, validation: Comparison | None) -> Table:
-    """Error of every channel before and after, for both sides of the split."""
+    """Return a table of the error of every channel before and after, for both sides of the split."""
     rows = []
     two = len(train.models) > 1
     for which, comparison in (("train", train), ("validation", validation)):
@@ -219,7 +227,7 @@ def error_table(train: Comparison, validation: Comparison | None) -> Table:
 
 
 def parameter_table(fit: Fit, *, base: Fit | None = None) -> Table:
-    """Parameters with standard deviations; with a base fit its values before them."""
+    """Return a table of parameters with standard deviations; with a base fit its values before them."""
     rows = []
     known = _every(base) if base is not None else {}
     for name, p in _every(fit).items():
@@ -235,7 +243,7 @@ def parameter_table(fit: Fit, *, base: Fit | None = None) -> Table:
 
 
 def side_by_side(closed: ClosedForm, fit: Fit) -> Table:
-    """Closed form and output error."""
+    """Return a table of closed form and output error."""
     rows = []
     for name, p in fit.parameters.items():
         e = closed.estimates.get(name)
@@ -247,7 +255,7 @@ def side_by_side(closed: ClosedForm, fit: Fit) -> Table:
 
 
 def comparison_table(rows: Sequence[Mapping[str, Any]]) -> Table:
-    """Error of every channel of every experiment, as `comparison_rows` gives it."""
+    """Return a table of the error of every channel of every experiment, as `comparison_rows` gives it."""
     header = ("experiment", "channel", "fit [%]", "rms [SI]", "rms/noise", "residual")
     return Table(
         header,
@@ -266,7 +274,7 @@ def comparison_table(rows: Sequence[Mapping[str, Any]]) -> Table:
 
 
 def evidence_table(diagnosis: Diagnosis) -> Table:
-    """The tests of whether anything is missing, before and after what was added."""
+    """Return a table of the tests of whether anything is missing, before and after what was added."""
     after = {test.test: test for test in diagnosis.left} if diagnosis.additions else {}
     rows = []
     for test in diagnosis.tests:
@@ -284,7 +292,7 @@ def evidence_table(diagnosis: Diagnosis) -> Table:
 
 
 def place_table(diagnosis: Diagnosis, most: int = 8) -> Table:
-    """Where the innovations of the base model are too large."""
+    """Return a table of the parts of the data where the innovations of the base model are too large."""
     rows = [
         (p.by, p.label, p.channel, f"{p.value:.2f}", f"{p.high:.2f}") for p in diagnosis.places[:most] if p.excess > 1
     ]
@@ -293,7 +301,7 @@ def place_table(diagnosis: Diagnosis, most: int = 8) -> Table:
 
 
 def candidate_table(diagnosis: Diagnosis) -> Table:
-    """All candidates: what was accepted, then the others by their score."""
+    """Return a table of all candidates: what was accepted, then the others by their score."""
     accepted = {c.id for c in diagnosis.effects}
     rows = []
     for c in ranked(diagnosis):

@@ -1,1 +1,1 @@
-"""Nominal model, uncertainty weight and what makes the weight as large as it is."""
+"""Uncertainty: nominal model, weight, and what makes the weight as large as it is."""

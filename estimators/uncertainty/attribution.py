@@ -1,4 +1,4 @@
-"""What the gaps between plants and nominal model come from, at each frequency."""
+"""Attribution of the model error between plants and nominal model, at each frequency."""
 
 from dataclasses import dataclass
 
@@ -13,7 +13,7 @@ SOURCES = ("unmodelled", "amplitude", "scatter", "estimation")
 
 @dataclass(frozen=True, eq=False)
 class Attribution:
-    """Root mean squares over the conditions, in the unit of the gap; their squares add up to the mean squared gap.
+    """The root mean squares over conditions, in the unit of the model error; their squares sum to its mean square.
 
     Attributes:
         unmodelled: of the mean condition: what the nominal model's order, or its minimax compromise, leaves.
@@ -29,12 +29,12 @@ class Attribution:
 
     @property
     def shares(self) -> Float64[np.ndarray, "source frequency"]:
-        """Share of the mean squared gap [1] in the order of `SOURCES`."""
+        """Fraction of the mean squared model error [1] in the order of `SOURCES`."""
         squares = np.stack([getattr(self, name) ** 2 for name in SOURCES])
         return squares / np.maximum(squares.sum(axis=0), 1e-300)
 
     def largest(self) -> tuple[str, ...]:
-        """The name of the largest source at each frequency."""
+        """Return the name of the largest source at each frequency."""
         return tuple(SOURCES[i] for i in np.argmax(self.shares, axis=0))
 
 
@@ -46,9 +46,9 @@ def attribute(
     std: Float64[np.ndarray, "condition frequency"] | None = None,
     amplitude: Float64[np.ndarray, " condition"] | None = None,
 ) -> Attribution:
-    """Split the mean squared gap.
+    """Split the mean squared model error by its sources.
 
-    The mean is unmodelled dynamics; of the scatter about it, a straight line in the amplitude takes its share, less what
+    The mean is unmodelled dynamics; of the scatter about it, a straight line in the amplitude takes its part, less what
     it would take by chance; of the rest, the estimation's variance is taken off, and scatter is what remains.
     """
     gap = errors(plants, nominal, kind)
@@ -64,7 +64,7 @@ def attribute(
         by_amplitude = np.maximum(explained - chance, 0.0)
     estimation = np.zeros_like(spread)
     if std is not None:
-        # To first order an error of the plant shifts the gap by its relative size times what a shift of the nominal does.
+        # To first order an error of the plant shifts the model error by its relative size times what a shift of the nominal does.
         estimation = np.mean((np.abs(slopes(plants, nominal, kind)) * std / np.abs(plants)) ** 2, axis=0)
         if kind == "additive":
             estimation = np.mean(std**2, axis=0)

@@ -1,4 +1,4 @@
-"""The frequency responses of those experiments of a recording that show one, on one grid."""
+"""Selection of the experiments that show a frequency response, all on one grid."""
 
 import re
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ _LEAST, _MOST = 12, 40  # lines to each side of that fit
 
 @dataclass(frozen=True, eq=False)
 class UsableConditions:
-    """Responses from current times cos(theta) [A] to cart position [m].
+    """The responses from current times cos(theta) [A] to cart position [m].
 
     Attributes:
         responses: of the conditions that could be used.
@@ -38,9 +38,12 @@ class UsableConditions:
 def usable_conditions(
     recording: Recording, *, band: tuple[float, float] | None = None, modes: int | None = None, progress: bool = False
 ) -> UsableConditions:
-    """Every forced experiment with a current and a cart position is a condition, unless it repeats another.
+    """Return the frequency responses of all usable conditions on one grid.
+
+    Every forced experiment with a current and a cart position is a condition, unless it repeats another.
 
     Args:
+        recording: with forced experiments.
         band: [Hz]; by default where all currents have energy.
         modes: of linear models fitted by the prediction error method, whose responses are taken; by default there are no
             models, and the responses are by local polynomials.
@@ -95,7 +98,7 @@ def usable_conditions(
 
 
 def _unfit(experiment: Experiment) -> str:
-    """Why an experiment shows no response from the current to the cart; empty where it does."""
+    """Return why an experiment shows no response from the current to the cart; empty where it does."""
     if experiment.repeat_of is not None:
         return f"repeats {experiment.repeat_of}, so it is no further condition"
     if _INPUT not in experiment.inputs or not np.any(experiment.inputs[_INPUT].values):
@@ -120,7 +123,7 @@ def _too_few(names: list[str], left_out: dict[str, str]) -> str:
 
 
 def _grid(experiments: list[Experiment], band: tuple[float, float] | None) -> np.ndarray:
-    """Common frequencies [rad/s], as far apart as the lines of the shortest record or further."""
+    """Return common frequencies [rad/s], as far apart as the lines of the shortest record or further."""
     if band is None:
         edges = np.array([_band(e) for e in experiments])
         low, high = float(edges[:, 0].max()), float(edges[:, 1].min())
@@ -142,7 +145,7 @@ def _grid(experiments: list[Experiment], band: tuple[float, float] | None) -> np
 
 
 def _band(experiment: Experiment) -> tuple[float, float]:
-    """Where the current has its energy [Hz]."""
+    """Return the band in which the current has its energy [Hz]."""
     power = np.abs(np.fft.rfft(experiment.inputs[_INPUT].values)[1:]) ** 2
     share = np.cumsum(power) / np.sum(power)
     low, high = (1 + int(np.searchsorted(share, edge)) for edge in _EDGES)

@@ -1,4 +1,4 @@
-"""How probably a new condition lies inside an envelope, from how many were inside so far."""
+"""Coverage: the probability that a new condition lies inside an envelope, from how many were inside so far."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -9,9 +9,10 @@ import scipy.special
 
 @dataclass(frozen=True)
 class Coverage:
-    """With `confidence`, a new condition lies inside with at least `probability`, at all frequencies of the grid at once.
+    """A statement of coverage at all frequencies of the grid at once.
 
-    The statement holds for conditions drawn independently from the same population as those of the envelope.
+    With `confidence`, a new condition lies inside with at least `probability`. The statement holds for conditions drawn
+    independently from the same population as those of the envelope.
 
     Attributes:
         conditions: that the statement rests on.
@@ -41,16 +42,17 @@ class Coverage:
 
 
 def held_out_coverage(count: int, *, confidence: float = 0.95, raised: float = 1.0) -> Coverage:
-    """From conditions that took no part in the fit, and all lie inside a weight that was raised where it had to be.
+    """State the coverage from conditions that took no part in the fit.
 
-    How far each lies out is one number, and the weight covers at least the largest of `count` independent ones; the
-    probability below the largest of n draws exceeds p with probability 1 - p^n, whatever the distribution (Wilks 1941).
+    All of them lie inside a weight that was raised where it had to be. How far each lies out is one number, and the
+    weight covers at least the largest of `count` independent ones; the probability below the largest of n draws exceeds
+    p with probability 1 - p^n, whatever the distribution (Wilks 1941).
     """
     return Coverage(count, confidence, float((1 - confidence) ** (1 / count)), "held out", raised=raised)
 
 
 def scenario_coverage(count: int, supports: int, *, confidence: float = 0.95) -> Coverage:
-    """From the fitted conditions alone, `supports` of which would give the same envelope without the others.
+    """State the coverage from the fitted conditions alone, `supports` of which would give the same envelope.
 
     Source: Campi, Garatti and Ramponi (2018), A general scenario theory for nonconvex optimization and decision making,
     IEEE Transactions on Automatic Control 63, theorem 1.

@@ -1,4 +1,4 @@
-"""The weight that covers given plants, between the points of their grid too."""
+"""A weight that covers given plants, between the points of their grid too."""
 
 from collections.abc import Callable
 
@@ -16,16 +16,16 @@ _DENSE = 10  # points between two of the grid, at which the weight is checked
 _FEWEST = 200  # points to which a coarse grid is filled up for the fit of the weight
 _NEAR = 0.05  # logarithm of weight over profile, below which the neighbourhood is looked at more closely
 _CLOSER = 20  # points between two of the dense grid there
-_FLOOR = 1e-6  # of the largest gap: a profile that touches zero has no logarithm
-_CLEAR = 1e-6  # by which the weight clears the gaps, for what lies between even the closest points
-_EQUAL = 1e-9  # of the plant, below which gaps are rounding
+_FLOOR = 1e-6  # of the largest model error: a profile that touches zero has no logarithm
+_CLEAR = 1e-6  # by which the weight clears the model errors, for what lies between even the closest points
+_EQUAL = 1e-9  # of the plant, below which model errors are rounding
 
 
 def cover(
     found: PlantSet, held: Bool[np.ndarray, " condition"], model: ct.TransferFunction, kind: Kind, order: int,
     minimise: Minimise, done: Callable[[], object],
 ) -> tuple[Shape, float, Curve]:  # fmt: skip
-    """The weight, by how much those held out raised it, and the profile on the grid without zeros."""
+    """Return the weight, the factor by which those held out raised it, and the profile on the grid without zeros."""
     between = max(_DENSE, -(-2 * _FEWEST // (len(found.omega) - 1)))
     dense = _filled(found.omega, between)
     fitting = dense[:: max(1, len(dense) // max(_FEWEST, len(found.omega)))]
@@ -49,7 +49,10 @@ def _shortfall(
     found: PlantSet, which: Bool[np.ndarray, " condition"], model: ct.TransferFunction, kind: Kind, shape: Shape,
     dense: Curve, floor: float,
 ) -> float:  # fmt: skip
-    """Logarithm of the factor that lifts the weight above the gaps of some plants; closer points where it is near."""
+    """Return the logarithm of the factor that lifts the weight above the model errors of some plants.
+
+    Points are closer where the weight is near.
+    """
     gaps = np.maximum(_profile(found, which, model, kind, dense), floor)
     margin = shape.log_magnitude(dense) - np.log(gaps)
     worst = float(np.max(-margin))
@@ -61,7 +64,7 @@ def _shortfall(
 
 
 def _filled(omega: Curve, between: int) -> Float64[np.ndarray, " dense"]:
-    """The grid with so many steps, equal on a log scale, in place of each of its own; its own points stay as they are."""
+    """Return the grid with so many steps, equal on a log scale, in place of each of its own; its own points stay."""
     steps = np.linspace(np.log(omega[:-1]), np.log(omega[1:]), between, endpoint=False, axis=1)
     dense = np.exp(np.append(steps.ravel(), np.log(omega[-1])))
     dense[::between] = omega

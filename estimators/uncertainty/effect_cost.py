@@ -1,4 +1,4 @@
-"""What a missing effect costs: the envelope about the model without it and with it, and what can be promised of each."""
+"""The cost of a missing effect: envelopes about the model without and with it, and the gamma that each allows."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -17,7 +17,7 @@ _LITTLE = 0.3  # |W T| that adds less than 5 % to a norm of 1
 
 @dataclass(frozen=True, eq=False)
 class EffectCost:
-    """Two envelopes of the same responses, about a model without and with some effects; result of `effect_cost`.
+    """The envelopes of the same responses about a model without and with some effects; the result of `effect_cost`.
 
     Attributes:
         effects: names of the effects that only the second model has.
@@ -32,7 +32,7 @@ class EffectCost:
 
     @property
     def gain(self) -> tuple[float, float, float]:
-        """Where the effects take most off the profile [rad/s], the gap there before, and |T| there of the loop before."""
+        """Frequency of the largest fall of the profile [rad/s], the model error there before, and |T| of the loop before."""
         at = int(np.argmax(self.before.profile - self.after.profile))
         omega, loop = float(self.before.frequency[at]), self.price.syntheses["before"]
         size = np.interp(omega, loop.frequency, np.abs(loop.complementary))
@@ -54,7 +54,7 @@ class EffectCost:
         return "\n".join(lines)
 
     def plot(self) -> Any:
-        """Both profiles under their weights."""
+        """Draw both profiles under their weights."""
         return draw(self)
 
 
@@ -67,7 +67,7 @@ def effect_cost(
     displacement: float = 0.015,
     torque_limit: float = 0.1,
 ) -> EffectCost:
-    """The envelope before and after an effect is added to a model, and the gamma of the same control problem for both.
+    """Compute the envelope before and after an effect is added to a model, and gamma of one control problem for both.
 
     Each model, linearised about theta = 0, is the nominal one of an envelope about the same measured responses: what the
     model leaves out lies in the profile, and a controller has to be robust against it. What neither has, dry friction for
@@ -75,7 +75,8 @@ def effect_cost(
     envelope allows.
 
     Args:
-        before, after: without and with the effect, fitted to the same recording.
+        before: without the effect.
+        after: with the effect, fitted to the same recording.
         responses: from current times cos(theta) [A] to cart position [m].
         order_weight: of both weights.
         displacement: from which the cart is to be brought to rest [m].

@@ -33,17 +33,17 @@ class Envelope:
     Attributes:
         nominal: P_0, stable.
         weight: W, stable and minimum-phase.
-        kind: what Delta W does to P_0; see `envelope`.
+        kind: of uncertainty, how Delta W enters; see `envelope`.
         names: of the conditions.
         frequency: [rad/s].
         plants: the responses covered, [condition, frequency].
-        gaps: how far each lies from P_0, in the unit of W, [condition, frequency].
-        profile: the largest gap at each frequency, over the conditions that were fitted and those held out.
+        gaps: model error of each about P_0, in the unit of W, [condition, frequency].
+        profile: the largest model error at each frequency, over the conditions that were fitted and those held out.
         held_out: which conditions took no part in the fit.
-        excess_db: how far W lies above the profile, mean over log frequency [dB].
-        largest_excess_db: likewise, where it is farthest.
-        coverage: what may be said of a new condition.
-        attribution: where the gaps come from.
+        excess_db: distance of W above the profile, mean over log frequency [dB].
+        largest_excess_db: the largest distance of W above the profile [dB].
+        coverage: statement about a new condition.
+        attribution: sources of the model errors.
         minimise: which distance of W from the profile was made least, "mean" or "largest".
     """
 
@@ -63,15 +63,15 @@ class Envelope:
     minimise: str = "mean"
 
     def nominal_response(self, omega: Curve | None = None) -> Complex128[np.ndarray, " frequency"]:
-        """P_0(j omega); on the envelope's grid by default."""
+        """Return P_0(j omega); on the envelope's grid by default."""
         return evaluate([self.nominal], self.frequency if omega is None else omega)[0]
 
     def weight_magnitude(self, omega: Curve | None = None) -> Curve:
-        """|W(j omega)|; on the envelope's grid by default."""
+        """Return |W(j omega)|; on the envelope's grid by default."""
         return np.abs(evaluate([self.weight], self.frequency if omega is None else omega)[0])
 
     def distance(self, responses: Responses, omega: Curve | None = None) -> Float64[np.ndarray, " condition"]:
-        """The largest |Delta| that each plant needs, over the frequencies; at most 1 for those inside.
+        """Return the largest |Delta| that each plant needs, over the frequencies; at most 1 for those inside.
 
         Raises:
             ValueError: as `envelope` does for its responses.
@@ -81,7 +81,7 @@ class Envelope:
         return np.max(gap / self.weight_magnitude(found.omega), axis=1)
 
     def covers(self, responses: Responses, omega: Curve | None = None) -> Bool[np.ndarray, " condition"]:
-        """Whether each plant lies inside at every frequency."""
+        """Return whether each plant lies inside at every frequency."""
         return self.distance(responses, omega) <= 1.0
 
     def save_mat(self, path: str | PathLike[str]) -> None:
@@ -129,7 +129,7 @@ class Envelope:
         return "\n".join(line for line in lines if line)
 
     def plot(self) -> Any:
-        """Fig. 6 of the paper: responses and nominal model, profile and weight, and where the gaps come from."""
+        """Draw Fig. 6 of the paper: responses and nominal model, profile and weight, and the sources of the model errors."""
         return draw(self)
 
 
@@ -151,20 +151,22 @@ def envelope(
     confidence: float = 0.95,
     progress: bool = True,
 ) -> Envelope:
-    """The stable nominal model that is least far from all plants, and a weight above all gaps (paper, equation (7)).
+    """Fit the stable nominal model that is least far from all plants, and a weight above all model errors (equation (7)).
 
-    A scalar plant P is written with |Delta| <= 1 as (1 + Delta W) P_0, "multiplicative_output" or, the same for a scalar
-    plant, "multiplicative_input", as P_0 + Delta W, "additive", or as P_0 / (1 + Delta W), "inverse_multiplicative".
+    A scalar plant P is written with |Delta| <= 1 as (1 + Delta W) P_0, "multiplicative_output" or, the same for a
+    scalar plant, "multiplicative_input", as P_0 + Delta W, "additive", or as P_0 / (1 + Delta W),
+    "inverse_multiplicative".
 
-    P_0 makes the largest gap over conditions and frequencies as small as possible; its zeros may lie in the right half
-    plane. W lies above the largest gap at every frequency, also between the points of the grid, where parametric plants
-    are evaluated and others interpolated on logarithmic scales; its distance above, in decibels over log frequency, is
-    as small as possible, on the mean or at most. Both searches are local, from several starts.
+    P_0 makes the largest model error over conditions and frequencies as small as possible; its zeros may lie in the
+    right half plane. W lies above the largest model error at every frequency, also between the points of the grid,
+    where parametric plants are evaluated and others interpolated on logarithmic scales; its distance above, in decibels
+    over log frequency, is as small as possible, on the mean or at most. Both searches are local, from several starts.
 
     Args:
         responses: frequency responses of the conditions, python-control systems, or numbers [condition, frequency]; of
             stable plants unless the kind is inverse, which is checked where systems are given.
         omega: [rad/s], for numbers and for parametric systems.
+        kind: of uncertainty, one of the four names above.
         order_nominal: poles of P_0.
         zeros: of P_0; by default as many as poles.
         order_weight: poles and zeros of W.
@@ -173,7 +175,8 @@ def envelope(
         nominal: given instead of fitted.
         held_out: numbers or names of conditions that take no part in the fit. W is raised where they ask for it, and the statement
             of coverage rests on them alone; without any it rests on the fitted ones, which says little for few.
-        importance: factor on the gap at each frequency that P_0 minimises, for instance below 1 where control does nothing.
+        importance: factor on the model error at each frequency that P_0 minimises, for instance below 1 where control does
+            nothing.
         std: of the responses; by default theirs.
         amplitude: of each condition's input; by default theirs.
         within_db: largest mean excess of W over the profile that is still called covering.
@@ -269,7 +272,11 @@ def envelope(
 
 
 def _representable(responses: Responses, omega: Any, kind: Kind) -> PlantSet:
-    """Raises `ValueError` as `gather` does, and for plants that this kind of uncertainty cannot be."""
+    """Gather the responses on one grid, and check that this kind of uncertainty can represent them.
+
+    Raises:
+        ValueError: as `gather`, or a plant is not stable although the kind is not inverse.
+    """
     found = gather(responses, omega)
     if kind != "inverse_multiplicative":  # 1 / (1 + Delta W) may be unstable
         require_stable(found)

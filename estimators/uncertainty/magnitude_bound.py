@@ -24,7 +24,7 @@ _POSITIVE = 1e-9  # of the sum of the absolute terms
 
 
 class Roots(NamedTuple):
-    """Quadratic factors s^2 + c s + d and linear factors s + q of a polynomial without its gain.
+    """The quadratic factors s^2 + c s + d and linear factors s + q of a polynomial without its gain.
 
     Attributes:
         pairs: rows of c, d.
@@ -36,7 +36,7 @@ class Roots(NamedTuple):
 
 
 def magnitude_bound(omega: Curve, profile: Curve, order: int) -> tuple[Roots, Roots] | None:
-    """Zeros and poles of the bound; nothing where the programmes cannot be solved in double precision.
+    """Return zeros and poles of the bound; None where the programmes cannot be solved in double precision.
 
     Args:
         omega: [rad/s], rising.
@@ -65,7 +65,7 @@ def magnitude_bound(omega: Curve, profile: Curve, order: int) -> tuple[Roots, Ro
 def _feasible(
     at: Curve, squared: Curve, level: float, powers: Int64[np.ndarray, " term"], more: Float64[np.ndarray, " wide"]
 ) -> tuple[Terms, Terms] | None:
-    """Coefficients of N and D, rising powers of x, with squared <= N / D <= level * squared, or nothing."""
+    """Return coefficients of N and D, rising powers of x, with squared <= N / D <= level * squared, or None."""
 
     def rows(frequency: Float64[np.ndarray, " row"]) -> Float64[np.ndarray, "row term"]:
         terms = frequency[:, None] ** (2 * powers)
@@ -90,7 +90,7 @@ def _feasible(
 
 
 def _factors(coefficients: Terms, middle: float) -> Roots | None:
-    """Of the spectral factor: x = -s^2, and of each s the root in the left half plane."""
+    """Return the roots of the spectral factor: x = -s^2, and of each s the root in the left half plane."""
     squares: Any = np.roots(coefficients[::-1]).astype(complex)
     if len(squares) != len(coefficients) - 1:
         return None

@@ -13,8 +13,8 @@ from estimators.uncertainty.vector_fitting import Rational, vector_fit
 _ROUNDS = 40
 _ENOUGH = 1e-4  # relative gain of a round, below which it is the last
 _CORNERS = 4  # farthest plants of each frequency that bound a step
-_SLACK = 1.01  # by which the largest gap may grow where that makes the others smaller
-_PENALTY = 10.0  # of the mean gap, for what lies above that
+_SLACK = 1.01  # by which the largest model error may grow where that makes the others smaller
+_PENALTY = 10.0  # of the mean model error, for what lies above that
 _STARTS = 2  # of the fits, the best ones are refined
 
 Plants = Complex128[np.ndarray, "corner frequency"]
@@ -26,12 +26,12 @@ NOMINAL_STEPS = 2 * _STARTS + 1
 def nominal_fit(
     omega: Curve, plants: Plants, kind: Kind, *, order: int, zeros: int, importance: Curve, done: Callable[[], object]
 ) -> Rational:
-    """The stable rational function whose largest gap to the plants, times importance, is smallest.
+    """Fit the stable rational function whose largest model error about the plants, times importance, is smallest.
 
-    Vector fits through the centres of the smallest discs about the plants, and through their means, are starts; from the
-    best, a sequence of linear programmes inside a trust region lowers the largest gap until it stays. Then, with that
-    held within 1 %, the mean over log frequency is lowered, as the largest gap alone says nothing about the rest. `done` is
-    called after each search.
+    Vector fits through the centres of the smallest discs about the plants, and through their means, are starts; from
+    the best, a sequence of linear programmes inside a trust region lowers the largest model error until it stays. Then,
+    with that held within 1 %, the mean over log frequency is lowered, as the largest error alone says nothing about the
+    rest. `done` is called after each search.
     """
     middle = centres(plants, kind)
     starts = []
@@ -55,14 +55,14 @@ def nominal_fit(
 
 
 def log_measure(omega: Curve) -> Curve:
-    """Weights that make a sum over the grid a mean over log frequency."""
+    """Return weights that make a sum over the grid a mean over log frequency."""
     edges = np.log(omega)
     width = np.gradient(edges) if len(omega) > 1 else np.ones(1)
     return width / width.sum()
 
 
 def _mean_log(plants: Plants) -> Complex128[np.ndarray, " frequency"]:
-    """Logarithm of the geometric mean, phases unwrapped about that of the sum."""
+    """Return the logarithm of the geometric mean, phases unwrapped about that of the sum."""
     turn = np.exp(1j * np.angle(plants.sum(axis=0)))
     return np.log(plants / turn).mean(axis=0) + np.log(turn)
 
@@ -80,7 +80,7 @@ def _largest(fit: Rational, omega: Curve, plants: Plants, kind: Kind, importance
 def _descend(
     fit: Rational, omega: Curve, plants: Plants, kind: Kind, importance: Curve, ceiling: float | None
 ) -> Rational:
-    """Lower the largest gap, or below a ceiling the mean one, by linear programmes within a trust region."""
+    """Lower the largest model error, or below a ceiling the mean one, by linear programmes within a trust region."""
     measure = log_measure(omega)
 
     def merit(candidate: Rational) -> float:
@@ -115,7 +115,7 @@ def _merit(gaps: Float64[np.ndarray, "corner frequency"], measure: Curve, ceilin
 
 
 def _sensitivity(fit: Rational, omega: Curve) -> tuple[Complex128[np.ndarray, "parameter frequency"], np.ndarray]:
-    """Derivative of the logarithm of the response by the parameters, and the size of a unit step in each."""
+    """Return the derivative of the response's logarithm by the parameters, and the size of a unit step in each."""
     s = 1j * omega / fit.scale
     pairs, single = fit.denominator_factors(s)
     numerator = np.polynomial.polynomial.polyval(s, fit.numerator)
@@ -140,7 +140,7 @@ def _programme(
     fit: Rational, omega: Curve, plants: Plants, kind: Kind, importance: Curve, reach: float, measure: Curve,
     ceiling: float | None,
 ) -> np.ndarray | None:  # fmt: skip
-    """The step that lowers the merit most where gaps are replaced by their tangents."""
+    """Return the step that lowers the merit most where model errors are replaced by their tangents."""
     nominal = fit(omega)
     error = errors(plants, nominal, kind)
     size = np.abs(error)

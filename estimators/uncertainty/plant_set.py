@@ -1,4 +1,4 @@
-"""Plants from wherever they come, as complex numbers on one grid of frequencies."""
+"""A set of plants, wherever they come from, as complex numbers on one grid of frequencies."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -16,7 +16,7 @@ _DEFECTIVE = 1e10  # condition of the eigenvectors beyond which they are not use
 
 
 class PlantSet(NamedTuple):
-    """Responses on a grid, what else is known of them, and the systems themselves where there are any.
+    """The responses on a grid, what else is known of them, and the systems themselves where there are any.
 
     Attributes:
         names: of the conditions.
@@ -36,7 +36,11 @@ class PlantSet(NamedTuple):
 
 
 def gather(responses: Responses, omega: Any) -> PlantSet:
-    """Raises `ValueError` for grids that differ, a grid that is missing, out of order or not positive, or bad values."""
+    """Gather responses on one grid.
+
+    Raises:
+        ValueError: grids differ, a grid is missing, out of order or not positive, or a value is bad.
+    """
     systems: tuple[Any, ...] | None = None
     std = amplitude = None
     if isinstance(responses, FrequencyResponses):
@@ -78,10 +82,13 @@ def gather(responses: Responses, omega: Any) -> PlantSet:
 
 
 def require_stable(found: PlantSet) -> None:
-    """Raises `ValueError` for a parametric plant that is not stable: with P_0, W and Delta stable, no P_0 + Delta W and no
-    (1 + Delta W) P_0 is it, so that what small gain promises would not hold for it.
+    """Refuse a parametric plant that is not stable.
 
-    Responses do not show whether a plant is stable; of them it is taken for granted.
+    With P_0, W and Delta stable, no P_0 + Delta W and no (1 + Delta W) P_0 is it, so that what small gain promises
+    would not hold for it. Responses do not show whether a plant is stable; of them it is taken for granted.
+
+    Raises:
+        ValueError: a plant has a pole that is not in the left half plane.
     """
     for name, system in zip(found.names, found.systems or (), strict=False):
         poles: Any = np.asarray(system.poles())
@@ -95,7 +102,7 @@ def require_stable(found: PlantSet) -> None:
 def evaluate(
     systems: Sequence[Any], omega: Float64[np.ndarray, " frequency"]
 ) -> Complex128[np.ndarray, "condition frequency"]:
-    """Responses of many scalar systems at once; those of one order together."""
+    """Return the responses of many scalar systems at once; those of one order together."""
     s = 1j * omega
     result = np.empty((len(systems), len(omega)), dtype=np.complex128)
     orders: dict[int, list[int]] = {}

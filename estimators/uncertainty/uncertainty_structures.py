@@ -1,4 +1,4 @@
-"""How far plants lie from a nominal one: the kinds of unstructured uncertainty, and which plants matter."""
+"""Structures of unstructured uncertainty: the model error of plants about a nominal one, and which plants matter."""
 
 from typing import Any, Literal
 
@@ -17,7 +17,7 @@ _FARTHEST = 10.0  # times the largest plant, where a centre may lie when the pla
 
 
 def errors(plants: Plants, nominal: Nominal, kind: Kind) -> Plants:
-    """Delta W as a complex number: what has to be at most |W| in magnitude.
+    """Return Delta W as a complex number: what has to be at most |W| in magnitude.
 
     P = (1 + Delta W) P_0 for "multiplicative_output" and "multiplicative_input", which are one for a scalar plant,
     P = P_0 + Delta W for "additive" and P = P_0 / (1 + Delta W) for "inverse_multiplicative".
@@ -30,7 +30,7 @@ def errors(plants: Plants, nominal: Nominal, kind: Kind) -> Plants:
 
 
 def slopes(plants: Plants, nominal: Nominal, kind: Kind) -> Plants:
-    """Derivative of `errors` by the logarithm of the nominal response."""
+    """Return the derivative of `errors` by the logarithm of the nominal response."""
     if kind == "additive":
         return np.broadcast_to(-nominal, plants.shape)
     if kind == "inverse_multiplicative":
@@ -39,9 +39,9 @@ def slopes(plants: Plants, nominal: Nominal, kind: Kind) -> Plants:
 
 
 def corners(plants: Plants, kind: Kind) -> Bool[np.ndarray, "condition frequency"]:
-    """Which plants are corners of the convex hull at each frequency: whatever the nominal, the largest gap is at one.
+    """Return which plants are corners of the convex hull at each frequency.
 
-    For the inverse kind the hull is that of 1 / P.
+    Whatever the nominal, the largest model error is at one of them. For the inverse kind the hull is that of 1 / P.
     """
     points = 1.0 / plants if kind == "inverse_multiplicative" else plants
     found = np.zeros(points.shape, dtype=bool)
@@ -61,7 +61,7 @@ def corners(plants: Plants, kind: Kind) -> Bool[np.ndarray, "condition frequency
 
 
 def packed(plants: Plants, kept: Bool[np.ndarray, "condition frequency"]) -> Complex128[np.ndarray, "corner frequency"]:
-    """The kept plants of each frequency on top of each other; where there are fewer, the last is repeated."""
+    """Stack the kept plants of each frequency on top of each other; where there are fewer, the last is repeated."""
     order = np.argsort(~kept, axis=0, kind="stable")
     count = kept.sum(axis=0)
     rows = np.minimum(np.arange(int(count.max()))[:, None], count - 1)
@@ -70,9 +70,10 @@ def packed(plants: Plants, kept: Bool[np.ndarray, "condition frequency"]) -> Com
 
 
 def centres(plants: Complex128[np.ndarray, "corner frequency"], kind: Kind) -> Nominal:
-    """The nominal response with the smallest largest gap at each frequency by itself, which no rational one can beat.
+    """Return the nominal response with the smallest largest model error at each frequency by itself.
 
-    Lawson's reweighted least squares; the gap is a convex function of P_0, 1 / P_0 or both, so there is one minimum.
+    No rational one can beat it. By Lawson's reweighted least squares; the model error is a convex function of P_0, 1 /
+    P_0 or both, so there is one minimum.
     """
     # |P z - 1| with z = 1 / P_0; |P_0 a - 1| with a = 1 / P; |P - P_0|.
     a = {"additive": np.ones_like(plants), "inverse_multiplicative": 1.0 / plants}.get(kind, plants)

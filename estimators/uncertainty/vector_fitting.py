@@ -10,7 +10,7 @@ _DAMPED = 1e-4  # smallest damping ratio of a pole
 
 
 class Rational(NamedTuple):
-    """N(s) / D(s) in a scaled s, with D in factors that are stable for any value of the logarithms.
+    """A function N(s) / D(s) in a scaled s, with D in factors that are stable for any value of the logarithms.
 
     Attributes:
         numerator: coefficients, rising powers of s / scale.
@@ -25,18 +25,18 @@ class Rational(NamedTuple):
     scale: float
 
     def denominator_factors(self, s: Complex128[np.ndarray, " frequency"]) -> tuple[np.ndarray, np.ndarray]:
-        """Values of the factors at the scaled s, [pair, frequency] and [single, frequency]."""
+        """Return values of the factors at the scaled s, [pair, frequency] and [single, frequency]."""
         a, b = np.exp(self.pairs[:, :1]), np.exp(self.pairs[:, 1:])
         return s * s + a * s + b, s + np.exp(self.single)[:, None]
 
     def __call__(self, omega: Float64[np.ndarray, " frequency"]) -> Complex128[np.ndarray, " frequency"]:
-        """The response at frequencies [rad/s]."""
+        """Return the response at frequencies [rad/s]."""
         s = 1j * omega / self.scale
         pairs, single = self.denominator_factors(s)
         return np.polynomial.polynomial.polyval(s, self.numerator) / (pairs.prod(axis=0) * single.prod(axis=0))
 
     def coefficients(self) -> tuple[np.ndarray, np.ndarray]:
-        """Numerator and denominator in s itself, falling powers, denominator monic."""
+        """Return numerator and denominator in s itself, falling powers, denominator monic."""
         denominator = np.ones(1)
         for a, b in np.exp(self.pairs):
             denominator = np.polymul(denominator, [1.0, a * self.scale, b * self.scale**2])
@@ -56,7 +56,7 @@ def vector_fit(
     order: int,
     zeros: int,
 ) -> Rational:
-    """The stable rational function of this order with so many zeros that fits the data in weighted least squares.
+    """Fit the stable rational function of this order with so many zeros to the data by weighted least squares.
 
     Poles start lightly damped and spread over the band; each sweep moves them to the zeros of a common denominator and
     reflects those that came out unstable.
@@ -90,7 +90,7 @@ def vector_fit(
 
 
 def _half(poles: Any) -> Any:
-    """One of each conjugate pair, then real ones; of an odd number of real ones the last stands alone."""
+    """Return one of each conjugate pair, then real ones; of an odd number of real ones the last stands alone."""
     upper = poles[poles.imag > 1e-12 * np.abs(poles)]
     real = np.sort(poles[np.abs(poles.imag) <= 1e-12 * np.abs(poles)].real)
     return np.concatenate([upper, real.astype(np.complex128)])
@@ -127,7 +127,7 @@ def _factors(poles: Any, order: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _real_least_squares(matrix: Any, target: Any) -> np.ndarray:
-    """Real unknowns of complex equations, columns scaled."""
+    """Solve complex equations for real unknowns, columns scaled."""
     stacked = np.concatenate([matrix.real, matrix.imag])
     scale = np.linalg.norm(stacked, axis=0)
     scale[scale == 0] = 1.0

@@ -24,7 +24,7 @@ _ABOVE = 1e-9  # by which the weight clears the profile, for rounding
 
 
 class Shape(NamedTuple):
-    """gain * prod (s^2 + c s + d) / (s^2 + a s + b) * (s + q) / (s + p), everything as a logarithm.
+    """The weight gain * prod (s^2 + c s + d) / (s^2 + a s + b) * (s + q) / (s + p), everything as a logarithm.
 
     Attributes:
         gain: logarithm.
@@ -37,11 +37,11 @@ class Shape(NamedTuple):
     single: Float64[np.ndarray, "single two"]
 
     def log_magnitude(self, omega: Curve) -> Curve:
-        """log |W(j omega)|."""
+        """Return log |W(j omega)|."""
         return self.gain + self._parts(omega)[0]
 
     def _parts(self, omega: Curve) -> tuple[Curve, Float64[np.ndarray, "parameter frequency"]]:
-        """log |W| less the gain, and its derivative by the logarithms, pairs first."""
+        """Return log |W| less the gain, and its derivative by the logarithms, pairs first."""
         value, rows = np.zeros(len(omega)), []
         s = 1j * omega
         for c, d, a, b in np.exp(self.pairs):
@@ -54,7 +54,7 @@ class Shape(NamedTuple):
         return value, np.array(rows).reshape(-1, len(omega))
 
     def coefficients(self) -> tuple[np.ndarray, np.ndarray]:
-        """Numerator and denominator, falling powers of s [rad/s]; all roots have negative real parts."""
+        """Return numerator and denominator, falling powers of s [rad/s]; all roots have negative real parts."""
         top, low = np.array([np.exp(self.gain)]), np.ones(1)
         for c, d, a, b in np.exp(self.pairs):
             top, low = np.polymul(top, [1.0, c, d]), np.polymul(low, [1.0, a, b])
@@ -66,7 +66,7 @@ class Shape(NamedTuple):
 def fit_weight(
     omega: Curve, profile: Curve, *, order: int, minimise: Minimise, done: Callable[[], object], seed: int = 0
 ) -> Shape:
-    """The weight above the profile whose excess in decibels, on the mean over log frequency or at most, is smallest.
+    """Fit the weight above the profile whose excess in decibels, its mean over log frequency or its largest, is smallest.
 
     The gain always lifts the weight onto the profile, so only its shape is searched: by linear programmes in the
     logarithms of its coefficients, which make it stable and minimum-phase whatever their values, within a trust region
@@ -79,6 +79,7 @@ def fit_weight(
         order: zero or more.
         minimise: the mean or the largest excess.
         done: called after each search.
+        seed: of the random starts.
     """
     target = np.log(profile)
     measure = log_measure(omega) if minimise == "mean" else None
@@ -94,7 +95,7 @@ def fit_weight(
 
 
 def lift(shape: Shape, by: float) -> Shape:
-    """The weight times exp(`by`)."""
+    """Return the weight times exp(`by`)."""
     return shape._replace(gain=shape.gain + by)
 
 
@@ -103,7 +104,7 @@ def _lifted(shape: Shape, omega: Curve, target: Curve) -> Shape:
 
 
 def _starts(omega: Curve, profile: Curve, order: int, seed: int) -> Iterator[Shape]:
-    """As many as `WEIGHT_STEPS`."""
+    """Yield `WEIGHT_STEPS` starts."""
     random = np.random.default_rng(seed)
     yield _start(omega, order, None)
     bound = magnitude_bound(omega, profile, order)
@@ -113,7 +114,7 @@ def _starts(omega: Curve, profile: Curve, order: int, seed: int) -> Iterator[Sha
 
 
 def _from_roots(zeros: Roots, poles: Roots, omega: Curve) -> Shape:
-    """Within the limits of damping and corners."""
+    """Return the weight of these roots, moved within the limits of damping and corners."""
     lowest, highest = _limits(omega, len(poles.pairs), len(poles.single))
     pairs = np.log(np.concatenate([zeros.pairs, poles.pairs], axis=1))
     single = np.log(np.stack([zeros.single, poles.single], axis=1))
@@ -145,7 +146,7 @@ def _excess(shape: Shape, omega: Curve, target: Curve, measure: Curve | None) ->
 
 
 def _descend(shape: Shape, omega: Curve, target: Curve, measure: Curve | None) -> tuple[Shape, float]:
-    """Of the mean with this measure, or without one of the largest excess."""
+    """Lower the mean excess with this measure, or without one the largest excess."""
     value = _excess(shape, omega, target, measure)
     reach = _REACH[0]
     limits = _limits(omega, len(shape.pairs), len(shape.single))
@@ -172,7 +173,7 @@ def _descend(shape: Shape, omega: Curve, target: Curve, measure: Curve | None) -
 
 
 def _limits(omega: Curve, pairs: int, single: int) -> tuple[np.ndarray, np.ndarray]:
-    """Smallest and largest logarithms of all coefficients; the damping has a bound of its own."""
+    """Return smallest and largest logarithms of all coefficients; the damping has a bound of its own."""
     low, high = np.log(omega[0] / _BEYOND), np.log(omega[-1] * _BEYOND)
     lowest = np.tile([low + np.log(2 * _DAMPING), 2 * low], 2 * pairs)
     highest = np.tile([high + np.log(20.0), 2 * high], 2 * pairs)
@@ -183,7 +184,10 @@ def _programme(
     shape: Shape, omega: Curve, target: Curve, measure: Curve | None, reach: float,
     limits: tuple[np.ndarray, np.ndarray],
 ) -> np.ndarray | None:  # fmt: skip
-    """The step that lowers the mean or largest excess of the tangent of log |W| most while it stays above the profile."""
+    """Return the step that lowers the excess of the tangent of log |W| most while it stays above the profile.
+
+    It is the mean excess with a measure, else the largest.
+    """
     value, slope = shape._parts(omega)
     now = np.concatenate([shape.pairs.ravel(), shape.single.ravel()])
     # Unknown are the step, the change of the gain, and the largest excess where that is made small.

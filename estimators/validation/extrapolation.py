@@ -1,4 +1,4 @@
-"""Where a simulation asks a learned force for values beyond its range."""
+"""Detection of extrapolation: where a simulation asks a learned force for values beyond its range."""
 
 from collections.abc import Mapping
 
@@ -9,17 +9,19 @@ from rtac_jax import RTAC
 from rtac_jax.effects import SplineForce
 from rtac_jax.measurement import Experiment
 
-_WORTH = 0.05  # share of the samples from which it is worth a word: ranges leave out the outermost of what was recorded
+_WORTH = 0.05  # fraction of the samples that is worth a word: ranges leave out the outermost of what was recorded
 
 
 def beyond(
     model: RTAC, experiment: Experiment, simulated: Mapping[str, Float[np.ndarray, " sample"]]
 ) -> tuple[str, float] | None:
-    """The variable of a learned force of the model, and the share of samples at which it lies beyond the force's range.
+    """Return the variable of a learned force and the fraction of samples at which it lies beyond the force's range.
 
     None where it seldom does, where the model has no such force, or where no channel shows the variable.
 
     Args:
+        model: with or without a learned force.
+        experiment: that was simulated.
         simulated: of each channel, SI units; NaN where nothing was measured.
     """
     for effect in model.effects:
@@ -38,7 +40,7 @@ def beyond(
 def _values(
     variable: str, experiment: Experiment, simulated: Mapping[str, Float[np.ndarray, " sample"]]
 ) -> Float[np.ndarray, " value"]:
-    """Of a variable in a simulation; empty where no channel shows it."""
+    """Return the values of a variable in a simulation; empty where no channel shows it."""
     nothing = np.zeros(0)
     if variable == "cart_velocity":
         position = simulated.get("cart_position", nothing)

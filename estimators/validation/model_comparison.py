@@ -1,4 +1,4 @@
-"""Which of several fitted models the data prefer: on experiments left out, and stretch of time by stretch of time."""
+"""Comparison of fitted models: on experiments left out, and stretch of time by stretch of time."""
 
 from collections.abc import Sequence
 
@@ -7,13 +7,13 @@ from jaxtyping import Float
 
 from estimators.prediction_error.ekf import Filtered
 
-_KNOWN = 0.02  # share of what all know of an effect that the other experiments must know
+_KNOWN = 0.02  # fraction of what all know of an effect that the other experiments must know
 
 
 def held_out(
     factor: Float[np.ndarray, "experiment row column"], shared: int, added: Sequence[int]
 ) -> Float[np.ndarray, " experiment"]:
-    """Change of each experiment's log-likelihood when an effect is estimated from the other experiments only.
+    """Return the change of each experiment's log-likelihood when an effect is estimated from the other experiments only.
 
     The fit to the others is one Gauss-Newton step away from the fit to all, so no experiment is simulated again. The model's
     other parameters follow as they do in the fit to all: an experiment is seldom the only one that tells of the effect, but
@@ -55,7 +55,7 @@ def held_out(
 
 
 def by_sample(filtered: Filtered) -> Float[np.ndarray, "sample experiment"]:
-    """Log-likelihood of each sample given those before it, less a constant."""
+    """Return the log-likelihood of each sample given those before it, less a constant."""
     scale = np.diagonal(np.asarray(filtered.whitener), axis1=1, axis2=2)  # [sample experiment output]
     counts = scale > 0
     errors = np.swapaxes(np.asarray(filtered.innovations), 1, 2)
@@ -63,10 +63,11 @@ def by_sample(filtered: Filtered) -> Float[np.ndarray, "sample experiment"]:
 
 
 def vuong(better: np.ndarray, other: np.ndarray, blocks: np.ndarray, price: float) -> float:
-    """Standard normal statistic for the better of two models that need not contain each other.
+    """Return the standard normal statistic for the better of two models that need not contain each other.
 
     Args:
-        better, other: log-likelihoods by sample.
+        better: log-likelihoods by sample of the better model.
+        other: log-likelihoods by sample of the other model.
         blocks: number of the stretch of time that each sample belongs to.
         price: of the parameters that the better model has more, in log-likelihood.
 

@@ -1,4 +1,4 @@
-"""Held-out experiments foreseen one sample at a time: what tells of a model where no simulation can follow the rig."""
+"""Predictive likelihood of held-out experiments, one sample ahead, for rigs that no simulation can follow."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -27,14 +27,13 @@ _FEWEST = 5  # seconds of data, below which their scatter says nothing
 
 @dataclasses.dataclass(frozen=True)
 class OneStepAhead:
-    """Experiments as a model foresees them, each sample from all before it.
+    """The predictions of experiments by a model, each sample from all before it.
 
     Attributes:
         by_sample: log-likelihood of each sample that counts, less a constant.
         stretches: number of the second that each sample belongs to.
-        errors: rms of what was foreseen wrongly over the sensor's noise, by channel.
-        shaken: 1 at samples at which random forces may shake loose what dry friction holds, of the recording that was fitted and
-            of this one.
+        errors: rms of the prediction errors over the sensor's noise, by channel.
+        shaken: 1 at stick-slip ambiguous samples, of the recording that was fitted and of this one.
     """
 
     by_sample: Float[np.ndarray, "sample experiment"]
@@ -44,13 +43,14 @@ class OneStepAhead:
 
     @property
     def log_likelihood(self) -> float:
-        """Of all samples, less a constant."""
+        """Log-likelihood of all samples, less a constant."""
         return float(np.sum(self.by_sample))
 
     def surpasses(self, other: "OneStepAhead", *, of: int = 1) -> bool:
-        """Whether this makes the same samples likelier, by more than chance does in one of twenty cases.
+        """Return whether this makes the same samples likelier, by more than chance does in one of twenty cases.
 
         Args:
+            other: predictions of the same samples by another model.
             of: number of models of which this is the likeliest.
 
         Source: Vuong, Econometrica 57 (1989), on sums over seconds, with Student's t for few of them.
@@ -70,18 +70,19 @@ def one_step_ahead(
     *,
     like: OneStepAhead | None = None,
 ) -> OneStepAhead:
-    """Foresee a recording with a model that was fitted to another one.
+    """Predict a recording, one sample ahead, with a model that was fitted to another one.
 
     A Kalman filter mends the state at each sample, as far as a random force and a random torque make it doubtful. How large
     these are is estimated where the model was fitted.
 
     Args:
+        fit: to `fitted`.
         fitted: the recording of the fit.
         recording: another one of the same rig.
         starts: states at the start, by experiment, for those in which nobody measured where the arm was; the same for all
             models that are compared.
-        like: of another model: what is shaken there does not count here either, as likelihoods compare only where they count
-            the same samples, and those at which friction is shaken loose tell more of its level than of the rest.
+        like: of another model: what is ambiguous there does not count here either, as likelihoods compare only where they count
+            the same samples, and the ambiguous ones tell more of its level than of the rest.
 
     Source: Ljung, System Identification (1999), section 16.6, on cross-validation by predictions.
     """

@@ -1,4 +1,4 @@
-"""Where a model fails: its free simulation against the measurements, per channel and experiment, and residual tests."""
+"""Simulation error: a model's free simulation against the measurements, per channel and experiment, and residual tests."""
 
 import contextlib
 import dataclasses
@@ -38,7 +38,7 @@ Values = Float[np.ndarray, " sample"]
 
 @dataclasses.dataclass(frozen=True)
 class Trace:
-    """One channel of one experiment beside its simulation.
+    """The measurement of one channel of one experiment beside its simulation.
 
     Attributes:
         experiment, channel: names.
@@ -65,7 +65,7 @@ class Trace:
 
     @property
     def rms(self) -> float:
-        """Of the residual, SI units."""
+        """Root mean square of the residual, SI units."""
         return float(np.sqrt(np.nanmean(self.residual**2)))
 
     @property
@@ -76,11 +76,13 @@ class Trace:
         return float(100 * (1 - self.rms / spread)) if spread > 0 else float("-inf")
 
     def autocorrelation(self, lags: int = 50) -> tuple[Float[np.ndarray, " lag"], float]:
-        """Of the residual at lags 0 to `lags`, and the 99 % band for white noise."""
+        """Return the residual's autocorrelation at lags 0 to `lags`, and the 99 % band for white noise."""
         return _correlation(self.residual, self.residual, lags)
 
     def cross_correlation(self, lags: int = 50) -> tuple[Float[np.ndarray, " lag"], float]:
-        """Of the residual with the input 0 to `lags` samples before, and the 99 % band for independence, whatever their colours.
+        """Return the correlation of the residual with the input 0 to `lags` samples before, and its 99 % band.
+
+        The band is that of independence, whatever the colours of both.
 
         Source: Bartlett, J. R. Statist. Soc. Suppl. 8 (1946); Ljung, System Identification (1999), section 16.6.
         """
@@ -100,7 +102,7 @@ class Trace:
 
 
 def _correlation(a: Values, b: Values, lags: int) -> tuple[np.ndarray, float]:
-    """Cross-correlation, and the 99 % band if one of the two is white."""
+    """Return the cross-correlation, and the 99 % band if one of the two is white."""
     x, z = _centred(a), _centred(b)
     lags = min(lags, len(x) - 1)
     size = np.sqrt(np.sum(x**2) * np.sum(z**2))
@@ -109,7 +111,10 @@ def _correlation(a: Values, b: Values, lags: int) -> tuple[np.ndarray, float]:
 
 
 def _independence_band(a: Values, b: Values) -> float:
-    """99 % band of the cross-correlation of independent signals: its variance is sum_k R_a(k) R_b(k) / N."""
+    """Return the 99 % band of the cross-correlation of independent signals.
+
+    Its variance is sum_k R_a(k) R_b(k) / N.
+    """
     own = _autocorrelation(_centred(a)) * _autocorrelation(_centred(b))
     # Over all lags the sum would be the mean square of the correlations themselves, and nothing could stand out of it;
     # and Parzen's window keeps it positive, which a cut would not.
@@ -120,20 +125,20 @@ def _independence_band(a: Values, b: Values) -> float:
 
 
 def _autocorrelation(x: Values) -> Float[np.ndarray, " lag"]:
-    """At all lags; one at lag zero also where there is no signal."""
+    """Return the autocorrelation at all lags; one at lag zero also where there is no signal."""
     length = next_fast_len(2 * len(x))
     found = np.fft.irfft(np.abs(np.fft.rfft(x, length)) ** 2, length)[: len(x)]
     return found / found[0] if found[0] > 0 else np.eye(1, len(x))[0]
 
 
 def _centred(a: Values) -> Values:
-    """Without its mean, and zero where nothing was measured."""
+    """Return the signal without its mean, and zero where nothing was measured."""
     return np.nan_to_num(a - np.nanmean(a)) if np.isfinite(a).any() else np.zeros_like(a)
 
 
 @dataclasses.dataclass(frozen=True)
 class ChannelError:
-    """Error of one channel over several experiments."""
+    """The error of one channel over several experiments."""
 
     fit_percent: float
     rms: float
@@ -142,14 +147,14 @@ class ChannelError:
 
 @dataclasses.dataclass(frozen=True)
 class Compared:
-    """One model against the measurements.
+    """The simulations of one model against the measurements.
 
     Attributes:
         label: for pictures and tables.
         model: the model.
         traces: one for every channel of every experiment.
         start: states at the start that were used, by experiment.
-        beyond: experiments in which a learned force of the model is asked beyond its range; the variable, and at which share
+        beyond: experiments in which a learned force of the model is asked beyond its range; the variable, and at which fraction
             of the samples.
     """
 
@@ -161,7 +166,7 @@ class Compared:
 
     @property
     def errors(self) -> dict[str, ChannelError]:
-        """Per channel over all experiments."""
+        """Errors per channel over all experiments."""
         found = {}
         for channel in CHANNELS:
             traces = [t for t in self.traces if t.channel == channel]
@@ -176,13 +181,13 @@ class Compared:
         return found
 
     def worst(self, count: int = 3) -> list[Trace]:
-        """The traces with the largest error in units of their noise."""
+        """Return the traces with the largest error in units of their noise."""
         return sorted(self.traces, key=lambda t: -t.rms / t.noise)[:count]
 
 
 @dataclasses.dataclass(frozen=True)
 class Comparison:
-    """Result of `compare`: one or several models against the same measurements."""
+    """The result of `compare`: one or several models against the same measurements."""
 
     models: tuple[Compared, ...]
 
@@ -210,7 +215,7 @@ class Comparison:
         return "\n".join(lines)
 
     def plot(self) -> Any:
-        """Measured against model, as a matplotlib figure."""
+        """Draw measured against model, as a matplotlib figure."""
         return draw(self)
 
 
@@ -228,6 +233,7 @@ def compare(
 
     Args:
         fits: one or several fits or models.
+        recording: that is simulated; those experiments that move count.
         labels: one for each of them.
         start_samples: use only so many samples to set the start, and leave them out of the error; by default the whole
             experiment sets its start, or its beginning where it is very long and the arm cannot wander.
@@ -317,7 +323,7 @@ def _simulated(
     start_samples: int | None,
     substeps: int | None,
 ) -> tuple[np.ndarray, dict[str, np.ndarray], int]:
-    """Outputs with the best start, the starts, and from which sample on the error counts."""
+    """Return the outputs with the best start, the starts, and the sample from which on the error counts."""
     space = space_of(model, experiments, free=[], start=known)
     unknowns = space.unconstrained()
     noise = np.array([levels.get(channel, 1.0) for channel in CHANNELS])
@@ -356,7 +362,7 @@ def _simulated(
 
 
 def _started(unknowns: Unknowns, arguments: Arguments) -> Unknowns | None:
-    """The start from which the simulation follows best what was measured; None where it diverges from every one.
+    """Return the start from which the simulation follows the measurements best; None where it diverges from every one.
 
     It is sought from the first samples. Where that leaves more than noise of an experiment, and something may swing beside cart
     and arm, it is sought from rest too: a state that the first samples do not show, as the speed of an arm behind a soft shaft,
@@ -375,7 +381,7 @@ def _started(unknowns: Unknowns, arguments: Arguments) -> Unknowns | None:
 
 
 def _outputs(unknowns: Unknowns, arguments: Arguments, label: str, experiments: Sequence[Experiment]) -> np.ndarray:
-    """What the model shows of these experiments.
+    """Return the model's outputs in these experiments.
 
     Raises:
         DivergedError: it leaves all bounds in one of them.

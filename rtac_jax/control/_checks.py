@@ -1,4 +1,4 @@
-"""What every function of this package asks of a linear system that it is given."""
+"""Checks of the linear systems that the functions of this package are given."""
 
 import control as ct
 import numpy as np
@@ -9,11 +9,11 @@ Poles = Complex[np.ndarray, " pole"]
 
 
 class InfeasibleError(ValueError):
-    """No controller meets what is asked; the message says where and what to relax."""
+    """A demand that no controller meets; the message says where and what to relax."""
 
 
 def state_space(system: object) -> ct.StateSpace:
-    """What python-control returns, which it declares wider than it is.
+    """Return a system as state space; python-control declares its results wider than they are.
 
     Raises:
         TypeError: it is not a linear system.
@@ -25,32 +25,32 @@ def state_space(system: object) -> ct.StateSpace:
 
 
 def poles_of(system: Linear) -> Poles:
-    """Poles [rad/s]."""
+    """Return the poles [rad/s]."""
     return np.array(system.poles(), dtype=complex)
 
 
 def zeros_of(system: Linear) -> Poles:
-    """Zeros [rad/s]."""
+    """Return the zeros [rad/s]."""
     return np.array(system.zeros(), dtype=complex)
 
 
 def is_stable(system: Linear) -> bool:
-    """Whether all poles lie in the left half plane."""
+    """Return whether all poles lie in the left half plane."""
     return bool(np.all(np.real(poles_of(system)) < 0))
 
 
 def closed(plant: ct.StateSpace, controller: ct.StateSpace) -> ct.StateSpace:
-    """The loop u = -C y, as complementary sensitivity."""
+    """Return the closed loop u = -C y, as complementary sensitivity."""
     return state_space(ct.feedback(plant * controller, 1))
 
 
 def coefficients(system: ct.TransferFunction) -> tuple[Float[np.ndarray, " zeros"], Float[np.ndarray, " poles"]]:
-    """Numerator and denominator, falling powers."""
+    """Return numerator and denominator, falling powers."""
     return np.array(system.num[0][0], dtype=float), np.array(system.den[0][0], dtype=float)
 
 
 def plant_of(system: Linear) -> ct.StateSpace:
-    """A nominal plant as state space.
+    """Return a nominal plant as state space.
 
     Raises:
         ValueError: it is not a continuous, one-to-one, proper and finite linear system.
@@ -60,7 +60,7 @@ def plant_of(system: Linear) -> ct.StateSpace:
 
 
 def recursion_of(system: Linear) -> tuple[ct.StateSpace, float]:
-    """A sampled controller as state space, and its sample time [s].
+    """Return a sampled controller as state space, and its sample time [s].
 
     Raises:
         ValueError: it is not a one-to-one, proper and finite linear system with a sample time.
@@ -72,7 +72,7 @@ def recursion_of(system: Linear) -> tuple[ct.StateSpace, float]:
 
 
 def weight_of(system: Linear, name: str) -> ct.TransferFunction:
-    """A weight as a transfer function.
+    """Return a weight as a transfer function.
 
     Raises:
         ValueError: it is not a continuous, one-to-one, proper, stable and finite linear system.
@@ -88,7 +88,7 @@ def weight_of(system: Linear, name: str) -> ct.TransferFunction:
 
 
 def finite_response(system: Linear, frequency: Float[np.ndarray, " w"], name: str) -> Complex[np.ndarray, " w"]:
-    """Frequency response over rad/s.
+    """Return the frequency response over rad/s.
 
     Raises:
         ValueError: it is not finite everywhere.

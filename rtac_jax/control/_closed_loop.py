@@ -23,7 +23,7 @@ _FINE = 5e-4  # s, step of a continuous controller
 
 
 class _Loop(eqx.Module):
-    """What one step of the loop needs; arrays have one element per plant or one for all.
+    """The constants of one step of the loop; arrays have one element per plant or one for all.
 
     The controller is z' = a z + b y, u = c z + d y with its own states z + lead y.
     """
@@ -44,12 +44,12 @@ class _Loop(eqx.Module):
     ramps: bool = eqx.field(static=True)
 
     def measured(self, plant: tuple[Any, ...], noise: Any) -> tuple[Any, Any]:
-        """Cart position in the controller's units, and arm angle."""
+        """Return the cart position in the controller's units, and the arm angle [rad]."""
         shown = self.model.outputs(plant)
         return self.position * (shown.cart_position + noise[0]), shown.arm_angle + noise[1]
 
     def respond(self, own: Array, plant: tuple[Any, ...], noise: Any) -> tuple[Array, Array]:
-        """Torque [N m] that the sensors' readings call for, and the controller's next states."""
+        """Return the torque [N m] that the sensors' readings call for, and the controller's next states."""
         error, angle = self.measured(plant, noise)
         cosine = jnp.cos(angle)
         dead = jnp.abs(cosine) <= self.dead_band
@@ -101,7 +101,8 @@ def closed_loop(
         duration: [s].
         sample_time: of a discrete controller, of the noise and of what is returned [s].
         torque_constant: with which the drive turns torque into current [N m/A]; by default each plant's own.
-        position_noise, angle_noise: standard deviations of white noise, held over each sample [m, rad].
+        position_noise: standard deviation of white noise on the cart position, held over each sample [m].
+        angle_noise: standard deviation of white noise on the arm angle, held over each sample [rad].
         seed: of the noise.
         substeps: Runge-Kutta steps for each step of the controller; by default as the plant's fastest mode asks.
 
@@ -189,7 +190,7 @@ def _run(
 def _matrices(
     controller: ct.StateSpace | ct.TransferFunction | None, sample_time: float
 ) -> tuple[tuple[np.ndarray, ...], int]:
-    """a, b, c, d and lead of the controller as a recursion, and its steps in each sample."""
+    """Return a, b, c, d and lead of the controller as a recursion, and its steps in each sample."""
     if controller is None:
         return (np.zeros((0, 0)), np.zeros(0), np.zeros(0), np.zeros(()), np.zeros(0)), 1
     if not isinstance(controller, (ct.StateSpace, ct.TransferFunction)):
@@ -217,9 +218,11 @@ def _matrices(
 def _first_order_hold(
     a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray, step: float
 ) -> tuple[np.ndarray, ...]:
-    """Exact for an input that runs straight within each step; Franklin, Powell and Workman (1998), section 6.3.2.
+    """Discretise state-space matrices, exactly for an input that runs straight within each step.
 
     SciPy's `cont2discrete` gives the same matrices, but not `lead`, without which the states cannot start at rest.
+
+    Source: Franklin, Powell and Workman, Digital Control of Dynamic Systems (1998), section 6.3.2.
     """
     count = len(a)
     block = np.zeros((count + 2, count + 2))
@@ -237,7 +240,7 @@ def _check(*, positive: dict[str, float], others: dict[str, float]) -> None:
 
 
 def _plants(model: RTAC, displacement: Any, arm_angle: Any) -> int:
-    """How many plants run side by side."""
+    """Return the number of plants that run side by side."""
     shapes = {name: np.shape(model[name]) for name in model.parameters}
     shapes |= {"displacement": np.shape(displacement), "arm_angle": np.shape(arm_angle)}
     several = {name: shape for name, shape in shapes.items() if shape not in {(), (1,)}}

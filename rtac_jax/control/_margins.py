@@ -1,4 +1,4 @@
-"""What a controller guarantees over the envelope: robust stability and robust performance over frequency."""
+"""Guarantees of a controller over the envelope: robust stability and robust performance over frequency."""
 
 import dataclasses
 
@@ -59,7 +59,7 @@ class Margins:
 
 
 def margins(nominal: Linear, controller: Linear, weights: Weights) -> Margins:
-    """Robust stability and performance of the loop u = -C y with multiplicative uncertainty.
+    """Return robust stability and performance of the loop u = -C y with multiplicative uncertainty.
 
     Args:
         nominal: continuous.

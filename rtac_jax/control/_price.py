@@ -1,4 +1,4 @@
-"""What an envelope costs: the same demands, met as well as each envelope lets them be."""
+"""The price of an envelope: the same demands, met as well as each envelope lets them be."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -32,14 +32,15 @@ class Price:
 
 
 def price(envelopes: Mapping[str, tuple[Linear, Linear]], torque_limit: float, *, displacement: float) -> Price:
-    """What a missing effect costs: gamma before and after it is added to the model.
+    """Compare gamma over envelopes, for instance before and after a missing effect is added to the model.
 
     The demands on performance and effort are those that `propose_weights` makes of the last envelope; each envelope
     brings its own P_0 and W.
 
     Args:
         envelopes: nominal plant and multiplicative weight by name, for instance "without" and "with" an effect.
-        torque_limit, displacement: as in `propose_weights`.
+        torque_limit: as in `propose_weights`.
+        displacement: as in `propose_weights`.
 
     Raises:
         ValueError: fewer than two envelopes, or as `propose_weights` and `mixed_sensitivity`.

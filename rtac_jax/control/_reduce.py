@@ -1,4 +1,4 @@
-"""From the controller of the synthesis to one that a rig can run: fewer states, and samples instead of time."""
+"""Reduction of the synthesised controller to one that a rig can run: fewer states, and samples instead of time."""
 
 import dataclasses
 from typing import Literal
@@ -37,11 +37,12 @@ class Reduction:
 
 
 def reduce_controller(synthesis: Synthesis, *, order: int | None = None, loss: float = 0.02) -> Reduction:
-    """Balanced truncation of the controller, each time checked on the closed loop.
+    """Reduce the controller by balanced truncation, each order checked on the closed loop.
 
     Args:
+        synthesis: of the full controller.
         order: wanted; by default the lowest that loses no more than `loss`.
-        loss: of gamma, as a share.
+        loss: of gamma, as a fraction.
 
     Raises:
         ValueError: the order is not between 1 and the controller's, the loss is negative, or the controller itself is not
@@ -76,7 +77,7 @@ def discretise(
     *,
     method: Literal["tustin", "foh", "zoh"] = "tustin",
 ) -> ct.StateSpace:
-    """The controller as a recursion for the rig's sample time.
+    """Return the controller as a recursion for the rig's sample time.
 
     Args:
         controller: continuous.
@@ -113,13 +114,13 @@ def discretise(
 
 
 def _resonance(plant: ct.StateSpace) -> float:
-    """Of the plant's resonances the one with the largest response [rad/s]; 0 where it has none."""
+    """Return the frequency of the plant's resonance with the largest response [rad/s]; 0 where it has none."""
     places = np.array([p.imag for p in poles_of(plant) if p.imag > abs(p.real)])
     return float(places[np.argmax(np.abs(plant(1j * places)))]) if places.size else 0.0
 
 
 def _crossing(plant: ct.StateSpace, controller: ct.StateSpace) -> float:
-    """The highest frequency at which the loop gain is 1 [rad/s]; that of the fastest pole where it never is."""
+    """Return the highest frequency at which the loop gain is 1 [rad/s]; that of the fastest pole where it never is."""
     places = np.abs(plant.poles())
     frequency = np.geomspace(0.01 * np.min(places[places > 0]), 1e3 * np.max(places), 4000)
     above = np.flatnonzero(np.abs(plant(1j * frequency) * controller(1j * frequency)) >= 1)

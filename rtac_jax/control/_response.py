@@ -1,4 +1,4 @@
-"""Trajectories of closed loops and what they are judged by."""
+"""Trajectories of closed loops and the metrics by which they are judged."""
 
 import dataclasses
 
@@ -30,7 +30,7 @@ class ClosedLoop:
     torque_limit: float
 
     def settling_time(self, fraction: float = 0.1) -> Plants:
-        """From when on |q| stays under this fraction of its first value [s]; infinite if it does not within the record.
+        """Return the time from when on |q| stays under this fraction of its first value [s]; infinite if it never does.
 
         Raises:
             ValueError: the fraction is not between 0 and 1, or a cart starts at zero.
@@ -52,12 +52,12 @@ class ClosedLoop:
 
     @property
     def peak_torque(self) -> Plants:
-        """[N m]"""
+        """Largest torque [N m]."""
         return np.max(np.abs(self.torque), axis=0)
 
     @property
     def saturated(self) -> Plants:
-        """Share of the time at the torque limit, between 0 and 1."""
+        """Fraction of the time at the torque limit, between 0 and 1."""
         return np.mean(np.abs(self.torque) >= self.torque_limit * (1 - 1e-9), axis=0)
 
     @property
@@ -71,5 +71,5 @@ class ClosedLoop:
         return ~(self.arm_swing <= 0.5 * np.pi)
 
     def holds(self, *, within: float = 3.0, fraction: float = 0.1) -> Bool[np.ndarray, " plant"]:
-        """Whether each plant settles in this time [s] without winding up its arm; the torque is limited anyway."""
+        """Return whether each plant settles in this time [s] without winding up its arm; the torque is limited anyway."""
         return (self.settling_time(fraction) <= within) & ~self.wound_up

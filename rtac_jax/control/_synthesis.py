@@ -55,7 +55,7 @@ class Synthesis:
 
     @property
     def robustness(self) -> float:
-        """max |W T|: below 1 every plant of the envelope is stable under this controller."""
+        """Largest |W T|: below 1 every plant of the envelope is stable under this controller."""
         return float(np.max(np.abs(self.weights.uncertainty(1j * self.frequency) * self.complementary)))
 
     def __str__(self) -> str:
@@ -67,7 +67,7 @@ class Synthesis:
 
 
 def mixed_sensitivity(nominal: Linear, weights: Weights, *, relax: float = 1.15, limit: float = 1.0) -> Synthesis:
-    """The controller that makes the norm of [W_1 W_d C S; W_2 W_d T; W_3 W_d S] small, equation (9).
+    """Return the controller that makes the norm of [W_1 W_d C S; W_2 W_d T; W_3 W_d S] small, equation (9).
 
     Gamma is found by bisection over suboptimal problems, each solved by slycot's SB10FD and then checked: the closed loop
     must be stable and its norm, computed from it, no larger than asked for. The single call behind python-control's
@@ -123,19 +123,22 @@ def mixed_sensitivity(nominal: Linear, weights: Weights, *, relax: float = 1.15,
 def loop_functions(
     plant: Linear, controller: Linear, frequency: Float[np.ndarray, " frequency"]
 ) -> tuple[Complex[np.ndarray, " frequency"], Complex[np.ndarray, " frequency"], Complex[np.ndarray, " frequency"]]:
-    """S, T and C S of the loop u = -C y."""
+    """Return S, T and C S of the loop u = -C y."""
     c = finite_response(controller, frequency, "the controller")
     loop = c * finite_response(plant, frequency, "the nominal plant")
     return 1 / (1 + loop), loop / (1 + loop), c / (1 + loop)
 
 
 def closed_gamma(plant: Linear, controller: Linear, weights: Weights) -> float:
-    """The norm (9) of any controller's closed loop; infinite where that is not stable."""
+    """Return the norm (9) of any controller's closed loop; infinite where that is not stable."""
     return _norm(_generalised(plant_of(plant), weights), plant_of(controller))
 
 
 def frequencies(plant: ct.StateSpace, weights: Weights) -> Float[np.ndarray, " frequency"]:
-    """From well below the slowest to well above the fastest pole or zero, and close about each resonance [rad/s]."""
+    """Return frequencies that cover plant and weights [rad/s].
+
+    They run from well below the slowest to well above the fastest pole or zero, and lie close about each resonance.
+    """
     systems = (plant, weights.effort, weights.uncertainty, weights.performance)
     places = np.concatenate([part(system) for system in systems for part in (poles_of, zeros_of)])
     places = places[np.abs(places) > 1e-6]
@@ -147,7 +150,7 @@ def frequencies(plant: ct.StateSpace, weights: Weights) -> Float[np.ndarray, " f
 
 
 def _generalised(plant: ct.StateSpace, weights: Weights) -> ct.StateSpace:
-    """From (w, u) to (effort u, uncertainty y, performance (w - y), w - y) with y = P_0 u."""
+    """Return the system from (w, u) to (effort u, uncertainty y, performance (w - y), w - y) with y = P_0 u."""
     parts = [
         ct.ss(system, inputs=[into], outputs=[out], name=f"part_{out}")
         for system, into, out in (
@@ -162,7 +165,7 @@ def _generalised(plant: ct.StateSpace, weights: Weights) -> ct.StateSpace:
 
 
 def _attempt(problem: ct.StateSpace, gamma: float) -> tuple[ct.StateSpace, float] | None:
-    """A controller with this gamma, and the norm of its closed loop; None where there is none that keeps its promise."""
+    """Return a controller with this gamma and the norm of its closed loop; None where there is none that keeps its promise."""
     matrices = (np.array(x) for x in (problem.A, problem.B, problem.C, problem.D))
     try:
         found = sb10fd(problem.nstates, 2, 4, 1, 1, gamma, *matrices, tol=0.0)
@@ -181,7 +184,7 @@ def _norm(problem: ct.StateSpace, controller: ct.StateSpace) -> float:
 
 
 def _bound(weights: Weights, frequency: Float[np.ndarray, " frequency"]) -> tuple[float, float]:
-    """The least of |(W T, W_3 W_d S)| over all S and T with S + T = 1, at the frequency where it is largest."""
+    """Return the least of |(W T, W_3 W_d S)| over all S and T with S + T = 1, at the frequency where it is largest."""
     robust, fast = (
         np.abs(finite_response(w, frequency, name))
         for w, name in ((weights.uncertainty, "uncertainty"), (weights.performance, "performance"))

@@ -1,4 +1,4 @@
-"""Between the rig's SI units and the units in which a controller was designed, and how its output becomes torque."""
+"""Conversion between SI units and the units of a controller's design, and of its output into torque."""
 
 import dataclasses
 
@@ -15,7 +15,7 @@ _ARM_FREQUENCY = 1 / 3  # of the arm on its electric spring, over that of the ca
 
 @dataclasses.dataclass(frozen=True)
 class Units:
-    """How a linear plant counts cart position and motor torque; its time is always in seconds.
+    """The units in which a linear plant counts cart position and motor torque; its time is always in seconds.
 
     Attributes:
         position: of the plant's output in one metre.
@@ -36,15 +36,16 @@ class Units:
 
     @classmethod
     def si(cls) -> "Units":
-        """Metres and newton metres."""
+        """Return metres and newton metres."""
         return cls(1.0, 1.0)
 
     @classmethod
     def nondimensional(cls, model: RTAC) -> "Units":
-        """xi and u of equation (3): xi = sqrt((M+m)/(I+me^2)) q and u = (M+m)/(k (I+me^2)) N; paper, reference [2].
+        """Return the units of equation (3)'s scaling.
 
-        At small coupling theta'' = w_0^2 u, so that at the natural frequency w_0 an amplitude u swings the arm by as
-        many radians.
+        They are those of xi = sqrt((M+m)/(I+me^2)) q and u = (M+m)/(k (I+me^2)) N; paper, reference [2]. At small
+        coupling theta'' = w_0^2 u, so that at the natural frequency w_0 an amplitude u swings the arm by as many
+        radians.
 
         Raises:
             ValueError: the model is a batch of plants.
@@ -63,10 +64,10 @@ class Units:
 
 @dataclasses.dataclass(frozen=True)
 class Actuation:
-    """How the controller's output becomes the motor's torque: torque = clip(u / cos(theta)) - stiffness theta.
+    """The conversion of the controller's output into the motor's torque: torque = clip(u / cos(theta)) - stiffness theta.
 
     The division is that of Fig. 3 of the paper. The rest keeps the arm within its half of the circle, beyond which its push
-    on the cart turns round: a limit on the share of the controller limits the swing, and a weak electric spring brings the
+    on the cart turns round: a limit on the controller's part limits the swing, and a weak electric spring brings the
     arm back to where it started, which nothing else on a level rig does.
 
     Attributes:
@@ -93,12 +94,15 @@ class Actuation:
 
     @classmethod
     def proposed(cls, model: RTAC, *, motor_limit: float = 0.1, arm_swing: float = _SWING) -> "Actuation":
-        """For a rig with these parameters.
+        """Propose the actuation for a rig with these parameters.
 
-        A square wave of torque at the cart's natural frequency w_0 swings the arm by 4 N / (pi J w_0^2); the controller's limit
-        is the N that swings it by `arm_swing` [rad]. The electric spring puts the arm at a third of w_0: well below, so
-        that the plant near w_0 stays what it is, and fast enough to undo within the settling time what asymmetric friction
-        makes of the swing.
+        A square wave of torque at the cart's natural frequency w_0 swings the arm by 4 N / (pi J w_0^2); the
+        controller's limit is the N that swings it by `arm_swing` [rad]. The electric spring puts the arm at a third of
+        w_0: well below, so that the plant near w_0 stays what it is, and fast enough to undo within the settling time
+        what asymmetric friction makes of the swing.
+
+        Raises:
+            ValueError: `arm_swing` does not lie between 0 and pi/2.
         """
         if not (np.isfinite(arm_swing) and 0 < arm_swing < 0.5 * np.pi):
             raise ValueError(f"arm_swing is {arm_swing}, but must lie between 0 and pi/2 rad.")
@@ -111,12 +115,13 @@ class Actuation:
 
 
 def nominal_plant(model: RTAC, *, units: Units | None = None, actuation: Actuation | None = None) -> ct.StateSpace:
-    """The model linearised about theta = 0, from the controller's torque to the cart's position, as small as it can be.
+    """Linearise the model about theta = 0, from the controller's torque to the cart's position, with as few states as it takes.
 
-    About another angle the plant has cos(theta) as a factor, which the controller divides out. An arm that nothing pulls
-    back has a neutral angle that the cart does not show; it is left out.
+    About another angle the plant has cos(theta) as a factor, which the controller divides out. An arm that nothing
+    pulls back has a neutral angle that the cart does not show; it is left out.
 
     Args:
+        model: to be linearised.
         units: of the result; by default the nondimensional ones of the model.
         actuation: with the electric spring that acts on the arm; by default none.
 

@@ -29,7 +29,7 @@ _LEAST, _MOST = 0.05, 0.95  # |S| at the resonance that is worth aiming at
 
 @dataclasses.dataclass(frozen=True)
 class Weights:
-    """What the three rows of (9) weigh, each with W_d multiplied in and common factors cancelled.
+    """The weights of the three rows of (9), each with W_d multiplied in and common factors cancelled.
 
     The norm of (9) is that of [effort C S; uncertainty T; performance S]. W_1 and W_2 have 1/W_d as a factor, so they are
     never needed by themselves: `effort` = W_1 W_d and `uncertainty` = W_2 W_d = W have neither its poles nor its zeros.
@@ -73,7 +73,7 @@ class Weights:
 
 
 def paper_nominal() -> ct.TransferFunction:
-    """P_0 of section 5.3: from nondimensional torque to nondimensional position, time in seconds."""
+    """Return P_0 of section 5.3: from nondimensional torque to nondimensional position, time in seconds."""
     zeros = [175.7, -32.7, -14.5 + 26.6j, -14.5 - 26.6j]
     poles = [-2.7 + 12.9j, -2.7 - 12.9j, -4.1 + 37.4j, -4.1 - 37.4j]
     return ct.TransferFunction(
@@ -82,12 +82,12 @@ def paper_nominal() -> ct.TransferFunction:
 
 
 def paper_uncertainty() -> ct.TransferFunction:
-    """W of equation (8)."""
+    """Return W of equation (8)."""
     return ct.TransferFunction(0.55 * np.polymul([1 / 2, 1], [1 / 80, 1]), np.polymul([1 / 5, 1], [1 / 1000, 1]))
 
 
 def paper_weights() -> Weights:
-    """The weights of section 5.4 as printed: W_1 W_d is the band-stop filter alone, W_2 W_d is W, W_3 = 0.17."""
+    """Return the weights of section 5.4 as printed: W_1 W_d is the band-stop filter alone, W_2 W_d is W, W_3 = 0.17."""
     band_stop = ct.TransferFunction(
         0.15 * np.polymul([1, 2.4, 8**2], [1, 4.2, 14**2]),
         np.polymul(np.polymul([1 / 1.4, 8], [1 / 1.4, 8]), np.polymul([1 / 0.7, 14], [1 / 0.7, 14])),
@@ -104,7 +104,7 @@ def propose_weights(
     displacement: float,
     band: tuple[float, float] = (0.0, np.inf),
 ) -> Weights:
-    """Weights that spend the torque on the damping of the plant's dominant mode, for any nominal plant and envelope.
+    """Propose weights that spend the torque on the damping of the plant's dominant mode, for any plant and envelope.
 
     - W_d moves the dominant poles, those of the highest resonance, from damping l_0 to l_d = l_0 + |R| c: R is their
       residue, c the controller's gain there that uses the whole torque at a third of the displacement. From
@@ -152,7 +152,7 @@ def propose_weights(
 
 
 def _dominant(plant: ct.StateSpace, band: tuple[float, float]) -> tuple[complex, complex]:
-    """The oscillatory pole with the highest resonance in the band, and the plant's residue there."""
+    """Return the oscillatory pole with the highest resonance in the band, and the plant's residue there."""
     poles, left = (np.array(x, dtype=complex) for x in np.linalg.eig(np.array(plant.A)))
     if not is_stable(plant):
         raise ValueError("the nominal plant is not stable; weights are proposed for stable plants only.")
@@ -172,7 +172,7 @@ def _dominant(plant: ct.StateSpace, band: tuple[float, float]) -> tuple[complex,
 
 
 def _moved_poles(pole: complex, damping: float) -> ct.TransferFunction:
-    """Replaces the pole and its conjugate by ones of the same frequency with this damping [rad/s]."""
+    """Return a filter that replaces the pole and its conjugate by ones of the same frequency with this damping [rad/s]."""
     return ct.TransferFunction([1.0, 2 * damping, damping**2 + pole.imag**2], [1.0, -2 * pole.real, abs(pole) ** 2])
 
 
@@ -182,7 +182,7 @@ def _scaled(system: ct.TransferFunction, factor: float) -> ct.TransferFunction:
 
 
 def _quotient(over: ct.TransferFunction, under: ct.TransferFunction) -> ct.TransferFunction:
-    """over / under, without the factors that both have."""
+    """Return over / under, without the factors that both have."""
     zeros, poles = (
         list(np.concatenate([zeros_of(over), poles_of(under)])),
         list(np.concatenate([poles_of(over), zeros_of(under)])),

@@ -87,7 +87,7 @@ CATALOGUE: dict[str, type[Effect]] = {
 
 
 def effect_class(name: str) -> type[Effect]:
-    """The effect of the catalogue with this id.
+    """Return the effect class of the catalogue with this id.
 
     Raises:
         ValueError: there is none.

@@ -1,4 +1,4 @@
-"""What an effect is: a force, an input, actuator or sensor stage with its own parameters, and states where it needs them.
+"""The interface of an effect: a force, an input, actuator or sensor stage with its own parameters and, if needed, states.
 
 An effect is final, immutable and knows nothing of data, optimisers or pictures. It is absent at the null value of its
 parameters, and it declares how large it may plausibly be on a rig of given scales, so that the diagnosis can look for it.
@@ -24,7 +24,7 @@ Pieces = Float[Array, "sample _ experiment"]
 
 
 class Motion(NamedTuple):
-    """What acts at one instant; arrays of one shape, one element per trajectory.
+    """The motion of the rig at one instant; arrays of one shape, one element per trajectory.
 
     Attributes:
         cart_position: q [m].
@@ -35,7 +35,7 @@ class Motion(NamedTuple):
         current: what reaches the motor, after the actuator effects [A]; for an actuator effect, what reaches it.
         body: the rigid body, for effects that need a mass.
         began: the motion at the beginning of the integration step; None where no step is being taken.
-        elapsed: share of the step that has gone by.
+        elapsed: fraction of the step that has gone by.
         step: its length [s].
         last: the current at its end [A].
         cart_acceleration, arm_acceleration: [m/s^2, rad/s^2]; known to sensors only.
@@ -58,7 +58,7 @@ class Motion(NamedTuple):
 
 
 class Outputs(NamedTuple):
-    """What the sensors show: cart position [m], arm velocity [rad/s], arm angle [rad]."""
+    """The outputs of the sensors: cart position [m], arm velocity [rad/s], arm angle [rad]."""
 
     cart_position: Any
     arm_velocity: Any
@@ -95,29 +95,29 @@ class Effect(eqx.Module):
                 raise ValueError(f"effect {self.id}: parameter {name} needs a symbol and a unit.")
 
     def start(self, motion: Motion) -> States:
-        """The effect's own states at the start of a recording that begins in equilibrium; none unless it has states."""
+        """Return the effect's own states at the start of a recording that begins in equilibrium; none by default."""
         del motion
         return ()
 
     def rate(self, motion: Motion, own: States) -> States:
-        """Time derivatives of the effect's own states; none unless the effect has states."""
+        """Return the time derivatives of the effect's own states; none by default."""
         del motion, own
         return ()
 
     def follow(self, motion: Motion, own: States) -> States:
-        """The states of a `closed` effect at the end of a step, from those at its beginning, `motion.began`."""
+        """Return the states of a `closed` effect at the end of a step, from those at its beginning, `motion.began`."""
         del motion
         return own
 
     def during(self, motion: Motion, own: States) -> States:
-        """What a `closed` effect acts with within a step, when `motion.elapsed` of it has gone by.
+        """Return the states that a `closed` effect acts with when `motion.elapsed` of a step has gone by.
 
         Runge-Kutta steps sample it at 0, 1/2 and 1. What changes faster than that has to be smoothed with its mean kept.
         """
         return self.follow(motion, own)
 
     def read(self, outputs: Outputs, own: States) -> Outputs:
-        """The outputs after this effect; unchanged unless the effect acts on what the sensors see."""
+        """Return the outputs after this effect; unchanged unless the effect acts on what the sensors see."""
         del own
         return outputs
 
@@ -128,12 +128,12 @@ class Effect(eqx.Module):
 
     @classmethod
     def amplitudes(cls) -> tuple[str, ...]:
-        """The parameters whose null values together switch the effect off."""
+        """Return the names of the parameters whose null values together switch the effect off."""
         return tuple(name for name, declared in declarations(cls).items() if declared.null is not None)
 
     @classmethod
     def absent(cls, **shape: float) -> "Effect":
-        """The effect at its null value, with the shape parameters given."""
+        """Return the effect at its null value, with the shape parameters given."""
         values = {}
         for name, declared in declarations(cls).items():
             if declared.null is not None:
@@ -144,7 +144,7 @@ class Effect(eqx.Module):
 
     @classmethod
     def candidates(cls, scales: Scales) -> tuple["Effect", ...]:
-        """Instances of plausible size on a rig of these scales, one for each point of the grid of shapes.
+        """Return instances of plausible size on a rig of these scales, one for each point of the grid of shapes.
 
         Raises:
             ValueError: a parameter has neither a plausible size nor a default.
@@ -158,7 +158,9 @@ class Effect(eqx.Module):
 
 
 def in_parts(told: Any, effect: Effect, method: str, parts: Sequence[str]) -> tuple[Any, ...]:
-    """What a method of an effect returns, which may be a user's own, one value for each part.
+    """Return the values that a method of an effect returned, one for each part, after checking their number.
+
+    The method may be a user's own.
 
     Raises:
         ValueError: it returns something else; one array with as many rows as there are parts would be taken apart unseen.
@@ -191,14 +193,14 @@ class Force(Effect):
 
     @abstractmethod
     def force(self, motion: Motion, own: States) -> tuple[Any, Any]:
-        """Force on the cart [N] and torque on the arm [N m]."""
+        """Return the force on the cart [N] and the torque on the arm [N m]."""
 
     def cart_mass(self) -> Any:
-        """Mass that the effect adds to the cart [kg]; negative where it takes some away."""
+        """Return the mass that the effect adds to the cart [kg]; negative where it takes some away."""
         return 0.0
 
     def arm_inertia(self, body: RigidBody) -> Any:
-        """Inertia that the effect adds to the arm [kg m^2]; negative where it takes some away."""
+        """Return the inertia that the effect adds to the arm [kg m^2]; negative where it takes some away."""
         del body
         return 0.0
 
@@ -214,7 +216,7 @@ class DryFriction(Effect):
 
     @abstractmethod
     def levels(self, motion: Motion, own: States) -> tuple[Any, Any]:
-        """Largest friction force on the cart [N] and torque on the arm [N m], neither negative."""
+        """Return the largest friction force on the cart [N] and torque on the arm [N m], neither negative."""
 
 
 class Impact(Effect):
@@ -226,13 +228,13 @@ class Impact(Effect):
     nature: ClassVar[str] = "dissipative"
 
     def rate(self, motion: Motion, own: States) -> States:
-        """Nothing happens between impacts that the step does not know."""
+        """Return zero rates: between impacts nothing happens that the step does not know."""
         del motion
         return tuple(0.0 * x for x in own)
 
     @abstractmethod
     def strike(self, motion: Motion, own: States, mobility: Any) -> tuple[States, Any, Any]:
-        """What happened in the step that ends with this motion.
+        """Return the states and the impulse after the step that ends with this motion.
 
         Args:
             motion: at the end of the step, which was taken without the effect; `began` and `elapsed` are set.
@@ -252,7 +254,7 @@ class Actuator(Effect):
 
     @abstractmethod
     def current(self, current: Any, own: States) -> Any:
-        """The current after this stage [A], from the current before it [A]."""
+        """Return the current after this stage [A], from the current before it [A]."""
 
 
 class Input(Effect):
@@ -262,7 +264,7 @@ class Input(Effect):
 
     @abstractmethod
     def transform(self, coefficients: Pieces, channel: str, sample_time: Any) -> Pieces:
-        """An input after this stage, as polynomials in the fraction of each interval, rising powers.
+        """Return an input after this stage, as polynomials in the fraction of each interval, rising powers.
 
         Args:
             coefficients: of the input before this stage.
@@ -278,4 +280,4 @@ class Sensor(Effect):
 
     @abstractmethod
     def read(self, outputs: Outputs, own: States) -> Outputs:
-        """The outputs after this stage."""
+        """Return the outputs after this stage."""

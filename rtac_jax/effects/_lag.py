@@ -6,15 +6,15 @@ import jax.numpy as jnp
 
 
 def decay(ratio: Any) -> Any:
-    """exp(-1 / ratio) for a time constant in units of the step; 0, with derivative 0, where there is no lag."""
+    """Return exp(-1 / ratio) for a time constant in units of the step; 0, with derivative 0, where there is no lag."""
     return jnp.exp(-1.0 / jnp.maximum(ratio, 1e-3))
 
 
 def behind(by: Any, ratio: Any, change: Any, bend: Any = 0.0) -> Any:
-    """How far a lag's output is ahead of its input after a step, for an input that is straight or a parabola.
+    """Return the lead of a lag's output over its input after a step, for an input that is straight or a parabola.
 
     Args:
-        by: how far it was ahead before the step.
+        by: lead of the output over the input before the step.
         ratio: time constant in units of the step.
         change: of the input in the step.
         bend: half the change of its slope in the step, per step.
@@ -25,10 +25,11 @@ def behind(by: Any, ratio: Any, change: Any, bend: Any = 0.0) -> Any:
 
 
 def averaged(by: Any, ratio: Any, change: Any, elapsed: Any) -> Any:
-    """The same within the step, as the straight line over the step with the same mean and the same first moment.
+    """Return the lead within the step, as the straight line over the step with the same mean and the same first moment.
 
     A lag that is much shorter than the step would be missed, or taken for longer than it is, by the few instants at
-    which a Runge-Kutta step looks; what it does to velocity and position in the step is in these two moments.
+    which a Runge-Kutta step looks; what it does to velocity and position in the step is in these two moments. The
+    arguments are those of `behind`.
     """
     left = decay(ratio)
     mean = ratio * (1.0 - left)

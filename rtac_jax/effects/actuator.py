@@ -1,4 +1,4 @@
-"""What may stand between the recorded current and the current that makes torque."""
+"""Actuator effects: what may stand between the recorded current and the current that makes torque."""
 
 from typing import Any, ClassVar
 
@@ -13,7 +13,7 @@ _TAO = "Tao and Kokotovic, Adaptive Control of Systems with Actuator and Sensor 
 
 
 class Saturation(Actuator):
-    """The drive delivers no more than a largest current; its reciprocal is the parameter, so that 0 means no limit."""
+    """A drive that delivers no more than a largest current; its reciprocal is the parameter, so that 0 means no limit."""
 
     id: ClassVar[str] = "saturation"
     equation: ClassVar[str] = "clip(i, -1/g, 1/g)"
@@ -29,7 +29,7 @@ class Saturation(Actuator):
 
 
 class CurrentLag(Actuator):
-    """The current drive follows its command with a first-order lag; in equilibrium the current is its command.
+    """A first-order lag between the drive's command and its current; in equilibrium the current is its command.
 
     The command is taken as straight over an integration step, for which the lag is exact, be it as short as it likes.
     """
@@ -66,7 +66,7 @@ class CurrentLag(Actuator):
 
 
 class CurrentOffset(Actuator):
-    """The drive adds a constant to its command."""
+    """A constant that the drive adds to its command."""
 
     id: ClassVar[str] = "current_offset"
     equation: ClassVar[str] = "i + i_offset"
@@ -82,7 +82,7 @@ class CurrentOffset(Actuator):
 
 
 class DeadZone(Actuator):
-    """No torque until the current exceeds a threshold, and the excess beyond it."""
+    """A current without torque up to a threshold; beyond it only the excess makes torque."""
 
     id: ClassVar[str] = "dead_zone"
     equation: ClassVar[str] = "i - clip(i, -i_0, i_0)"
@@ -98,7 +98,7 @@ class DeadZone(Actuator):
 
 
 class TorqueDroop(Actuator):
-    """The torque per ampere falls as the current saturates the iron; i is the current that would make the same torque."""
+    """A torque per ampere that falls as the current saturates the iron; i is the current that would make the same torque."""
 
     id: ClassVar[str] = "torque_droop"
     equation: ClassVar[str] = "i / (1 + c |i|)"

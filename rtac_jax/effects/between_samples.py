@@ -1,4 +1,4 @@
-"""What the inputs do between and across their samples, other than was declared.
+"""Input effects: a behaviour of the inputs between and across their samples other than was declared.
 
 Inputs are known before anything moves, so these effects change their polynomials and cost the time loop nothing.
 """
@@ -18,7 +18,7 @@ _WEIGHTS = 0.5 * np.sqrt(3.0) * (1.0 - _POLE**2) * _POLE ** np.arange(_REACH)
 
 
 class InputHold(Input):
-    """The inputs are not held between samples as declared, but in another way, or partly so.
+    """A behaviour of the inputs between samples other than declared, in whole or in part.
 
     Order 0 is a staircase, 1 straight lines, 3 the cubic spline that stands for a band-limited signal. It acts on
     current and disturbance force alike.
@@ -68,7 +68,7 @@ _NODES, _NODE_WEIGHTS = (
 
 
 class InputDelay(Input):
-    """The current follows its command after a transport delay, a fraction of a sample or many of them.
+    """A transport delay of the current behind its command, a fraction of a sample or many of them.
 
     The delayed command has a jump or a kink within each interval. It is replaced by the polynomial with the same mean
     and the same higher moments over the interval, which moves arm and cart alike and is continuous in the delay.
@@ -108,12 +108,14 @@ class InputDelay(Input):
 
 
 def _moments(length: Any, begin: Any, source: Any, powers: int, degree: int) -> Any:
-    """[power of the result, power of the source, experiment]: projection of a stretch of an interval on polynomials.
+    """Return the projection of a stretch of an interval on polynomials: [power of result, power of source, experiment].
 
     Args:
-        length: of the stretch, as a share of the interval.
+        length: of the stretch, as a fraction of the interval.
         begin: where it begins.
         source: where in its own interval the source begins there.
+        powers: number of powers of the source.
+        degree: number of powers of the result.
     """
     total = 0.0
     legendre = [np.polynomial.Legendre.basis(k, domain=[0, 1]) for k in range(degree)]

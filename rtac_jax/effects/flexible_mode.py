@@ -9,7 +9,7 @@ from rtac_jax.parameters import Scalar, parameter
 
 
 class FlexibleMode(Force):
-    """Part of the total mass hangs on the cart by its own spring and damper.
+    """A part of the total mass that hangs on the cart by its own spring and damper.
 
     With r the displacement of the part relative to the cart and w, z its frequency and damping on a clamped cart,
     q'' + r'' = -w^2 r - 2 z w r'. The states are r and the part's absolute velocity, so that no acceleration is needed.

@@ -1,4 +1,4 @@
-"""Errors of a sensor that repeat with what it measures: once or several times in a turn, or along a pitch."""
+"""Sensor errors that repeat with the measured quantity: once or several times in a turn, or along a pitch."""
 
 from typing import Any, ClassVar
 
@@ -10,7 +10,7 @@ from rtac_jax.parameters import Scalar, parameter
 
 
 class TachoRipple(Sensor):
-    """The tachometer's scale changes with the arm's angle: an eccentric rotor once a turn, commutator bars more often."""
+    """A tachometer scale that changes with the arm's angle: an eccentric rotor once a turn, commutator bars more often."""
 
     id: ClassVar[str] = "tacho_ripple"
     equation: ClassVar[str] = "theta' (1 + a sin(n theta) + b cos(n theta))"
@@ -29,7 +29,7 @@ class TachoRipple(Sensor):
 
 
 class EncoderRipple(Sensor):
-    """The encoder's error repeats with the turn: an eccentric disc once, an oval one twice."""
+    """An encoder error that repeats with the turn: an eccentric disc once, an oval one twice."""
 
     id: ClassVar[str] = "encoder_ripple"
     equation: ClassVar[str] = "theta + a sin(n theta) + b cos(n theta)"
@@ -47,7 +47,7 @@ class EncoderRipple(Sensor):
 
 
 class LvdtRipple(Sensor):
-    """The LVDT's error repeats along the travel with the pitch of its winding."""
+    """An LVDT error that repeats along the travel with the pitch of the winding."""
 
     id: ClassVar[str] = "lvdt_ripple"
     equation: ClassVar[str] = "q + a sin(2 pi q / p) + b cos(2 pi q / p)"

@@ -1,4 +1,4 @@
-"""What may stand between the motion and what is recorded of it, however the sensor works: gain, offset, lag, delay.
+"""Sensor effects, between the motion and what is recorded of it, however the sensor works: gain, offset, lag, delay.
 
 A lag's state is how far the sensor shows more than there is. So it is zero where there is no lag, and a random force
 that moves the rig is seen at once, as it should be through a lag that vanishes.
@@ -29,14 +29,14 @@ def _lag_rate(time_constant: Any, ahead: Any, speed: Any) -> States:
 
 
 def _ahead(by: Any, time_constant: Any, motion: Motion, place: str, speed: str) -> Any:
-    """How far the lag of a place that is measured is ahead after the step, with the speeds at both ends of the step."""
+    """Return the lead of a lagged position or angle after the step, with the speeds at both ends of the step."""
     change = getattr(motion, place) - getattr(motion.began, place)
     bend = 0.5 * motion.step * (getattr(motion, speed) - getattr(motion.began, speed))
     return behind(by, time_constant / motion.step, change, bend)
 
 
 class TachoGain(Sensor):
-    """The tachometer's scale is wrong. It shows because the arm's angle acts on the cart through its sine and cosine."""
+    """A wrong scale of the tachometer. It shows because the arm's angle acts on the cart through its sine and cosine."""
 
     id: ClassVar[str] = "tacho_gain"
     equation: ClassVar[str] = "(1 + g) theta'"
@@ -65,7 +65,7 @@ class TachoBias(Sensor):
 
 
 class TachoLag(Sensor):
-    """The tachometer's filter follows the arm's velocity with a first-order lag."""
+    """A first-order lag of the tachometer's filter behind the arm's velocity."""
 
     id: ClassVar[str] = "tacho_lag"
     equation: ClassVar[str] = "tau y' = theta' - y"
@@ -93,7 +93,7 @@ class TachoLag(Sensor):
 
 
 class LvdtGain(Sensor):
-    """The LVDT's scale is wrong.
+    """A wrong scale of the LVDT.
 
     To be told from the other parameters it needs a second scale for the cart: with the arm free, the eccentric moment,
     the total mass or the disturbance force have to be known.
@@ -110,7 +110,7 @@ class LvdtGain(Sensor):
 
 
 class LvdtOffset(Sensor):
-    """The LVDT's zero is not where the spring is at rest.
+    """An LVDT whose zero is not where the spring is at rest.
 
     On a linear spring it is the same as `force_offset`; only a spring that is not linear can tell them apart.
     """
@@ -129,7 +129,7 @@ class LvdtOffset(Sensor):
 
 
 class LvdtNonlinearity(Sensor):
-    """The LVDT's scale changes towards the ends of its travel."""
+    """An LVDT scale that changes towards the ends of the travel."""
 
     id: ClassVar[str] = "lvdt_nonlinearity"
     equation: ClassVar[str] = "q + c q^3"
@@ -146,7 +146,7 @@ class LvdtNonlinearity(Sensor):
 
 
 class LvdtLag(Sensor):
-    """The LVDT's demodulator follows the cart's position with a first-order lag."""
+    """A first-order lag of the LVDT's demodulator behind the cart's position."""
 
     id: ClassVar[str] = "lvdt_lag"
     equation: ClassVar[str] = "tau y' = q - y"
@@ -173,7 +173,7 @@ class LvdtLag(Sensor):
 
 
 class ChannelDelay(Sensor):
-    """The cart's position is sampled later than the arm's channels, as behind a multiplexer.
+    """A cart position that is sampled later than the arm's channels, as behind a multiplexer.
 
     The delay is Pade's approximation of first order, whose error is (w tau)^3 / 12 at the frequency w: under 1e-4 for
     the cart's oscillation and ten milliseconds. A delay of all channels alike is an `input_delay`.
@@ -204,7 +204,7 @@ class ChannelDelay(Sensor):
 
 
 class EncoderGain(Sensor):
-    """The encoder's scale is wrong, as with a belt between encoder and arm."""
+    """A wrong scale of the encoder, as with a belt between encoder and arm."""
 
     id: ClassVar[str] = "encoder_gain"
     equation: ClassVar[str] = "(1 + g) theta"
@@ -217,7 +217,7 @@ class EncoderGain(Sensor):
 
 
 class EncoderOffset(Sensor):
-    """The encoder's zero is not where the arm points across the travel; it shows in the phase of the arm's pull."""
+    """An encoder whose zero is not where the arm points across the travel; it shows in the phase of the arm's pull."""
 
     id: ClassVar[str] = "encoder_offset"
     equation: ClassVar[str] = "theta + theta_0"
@@ -232,7 +232,7 @@ class EncoderOffset(Sensor):
 
 
 class EncoderLag(Sensor):
-    """The encoder's counter is read late, or filtered, with a first-order lag."""
+    """An encoder counter that is read late, or filtered, with a first-order lag."""
 
     id: ClassVar[str] = "encoder_lag"
     equation: ClassVar[str] = "tau y' = theta - y"

@@ -21,7 +21,7 @@ def _rotor_share(grid: tuple[float, ...]) -> Any:
 
 
 class FlexibleShaft(Force):
-    """The rotor drives the arm through a shaft of some compliance; their twist has a resonance.
+    """A shaft of some compliance through which the rotor drives the arm; their twist has a resonance.
 
     With d the twist (rotor less arm), a = J / k_s and J_r = r J,
     J theta'' + J_r d'' = K_m i + ... and J_r theta'' + J_r d'' = K_m i - k_s d - damping.
@@ -56,7 +56,7 @@ class FlexibleShaft(Force):
     )  # fmt: skip
 
     def _sizes(self) -> tuple[Any, Any, Any]:
-        """Square of the time scale of the twist, its inertia over its stiffness, and what of the arm it carries."""
+        """Return the twist's time scale squared, its inertia over its stiffness, and the fraction of the arm it carries."""
         square = jnp.maximum(self.compliance * self.rotor * (1.0 - self.rotor), self.fastest**-2.0)
         inertia = square + self.compliance * self.rotor**2
         return square, inertia, self.compliance * self.rotor / inertia
@@ -85,7 +85,7 @@ class FlexibleShaft(Force):
 
 
 class Backlash(Impact):
-    """Rotor and arm turn freely against each other within a gap, and together where one pushes the other.
+    """A gap within which rotor and arm turn freely against each other; beyond it one pushes the other.
 
     A step is taken as if they were one; then the rotor gets what the motor gave it alone, until the gap is crossed, and
     what it gains the arm loses. They do not bounce. The gap starts in its middle.

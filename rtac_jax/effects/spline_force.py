@@ -31,7 +31,7 @@ Curve = Float[Array, " knot"]
 def curve_value(
     heights: Any, motion: Motion, variable: Float[Array, " variable"], first: Any, spacing: Any, slow: Any
 ) -> Any:
-    """Piecewise linear curve through heights at equally spaced knots, at the present value of a variable.
+    """Return the piecewise linear curve through heights at equally spaced knots, at the present value of a variable.
 
     See `on_curve` for the arguments.
 
@@ -46,11 +46,13 @@ def curve_value(
 def on_curve(
     motion: Motion, variable: Float[Array, " variable"], first: Any, spacing: Any, slow: Any
 ) -> tuple[Any, Any]:
-    """Where the present value of a variable lies, in knots from the first, and what the curve there is multiplied by.
+    """Return the present place of a variable on a curve, in knots from the first, and the factor of the curve there.
 
     Args:
+        motion: at the present instant.
         variable: one at the place of the variable in `VARIABLES`, else zero.
-        first, spacing: of the knots.
+        first: place of the first knot, SI units.
+        spacing: of the knots, SI units.
         slow: speed below which friction fades [m/s or rad/s].
     """
     turns = motion.arm_angle / (2 * jnp.pi)
@@ -106,7 +108,7 @@ class SplineForce(Force):
 
     @property
     def depends_on(self) -> str:
-        """Which of `VARIABLES`."""
+        """The variable, one of `VARIABLES`."""
         return VARIABLES[int(np.argmax([float(x) for x in self.variable]))]
 
     @property
@@ -126,7 +128,7 @@ class SplineForce(Force):
         amounts: np.ndarray | None = None,
         slow: float = 1e-4,
     ) -> "SplineForce":
-        """A learned force over a range of a variable; beyond it the force keeps its last value.
+        """Return a learned force over a range of a variable; beyond it the force keeps its last value.
 
         Args:
             variable: of `VARIABLES`.

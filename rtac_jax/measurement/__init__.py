@@ -1,4 +1,4 @@
-"""What was recorded: experiments, files, and the signals in them."""
+"""Measurements: experiments, files, and the signals in them."""
 
 from ._concerns import concerns
 from ._errors import RecordingError

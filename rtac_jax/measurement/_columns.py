@@ -1,4 +1,4 @@
-"""From named columns of a foreign file to one experiment: what the MAT and CSV importers share."""
+"""Conversion of named columns of a foreign file to one experiment, shared by the MAT and CSV importers."""
 
 from collections.abc import Collection, Mapping
 from typing import Any
@@ -28,9 +28,10 @@ def check_options(
     sample_time: float | None,
     by_channel: Mapping[str, Collection[str] | None],
 ) -> list[str]:
-    """The columns to read.
+    """Return the columns to read.
 
-    Raises `RecordingError` for an unknown channel or when the time is given twice or not.
+    Raises:
+        RecordingError: a channel is unknown, or the time is given twice or not.
     """
     if not channels:
         raise RecordingError(f"channels: is empty; map at least one of {', '.join(UNITS)} to a name in the file.")
@@ -61,7 +62,11 @@ def assemble(
     first_row: int = 0,
     **conditions: Any,
 ) -> Experiment:
-    """The experiment in samples `start` to `stop` of the columns, in the units of the layout."""
+    """Return the experiment in samples `start` to `stop` of the columns, in the units of the layout.
+
+    Raises:
+        RecordingError: lengths differ, the samples do not exist, or the times are not uniform.
+    """
     lengths = {column: len(values) for column, values in columns.items()}
     total = min(lengths.values())
     if total != max(lengths.values()):
@@ -83,9 +88,10 @@ def assemble(
 
 
 def uniform_step(times: Float64[np.ndarray, " sample"], column: str, offset: int) -> float:
-    """The common distance of `times` [s].
+    """Return the common distance of `times` [s].
 
-    Raises `RecordingError` naming the first index (plus `offset`) off it.
+    Raises:
+        RecordingError: the times are not uniform; names the first index (plus `offset`) off it.
     """
     steps = np.diff(times)
     bad = ~(steps > 0)

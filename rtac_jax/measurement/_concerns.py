@@ -1,4 +1,4 @@
-"""What looks wrong with a recording. Every judgement is a guess from the data; nothing is changed by it."""
+"""Concerns about a recording. Every judgement is a guess from the data; nothing is changed by it."""
 
 from collections.abc import Iterator
 
@@ -21,7 +21,7 @@ MEDIAN_TO_STD = 1.4826
 
 
 def concerns(recording: Recording) -> list[str]:
-    """What looks wrong with `recording`, one sentence each; empty when nothing does."""
+    """Return what looks wrong with `recording`, one sentence each; empty when nothing does."""
     found = list(_about_recording(recording))
     # The same concern about many experiments is one sentence that lists them.
     places: dict[str, list[str]] = {}
@@ -127,7 +127,7 @@ def _about_sampling(signal: Signal, experiment: Experiment) -> Iterator[str]:
 
 
 def _level_distance(values: Float64[np.ndarray, " sample"], spread: float) -> float | None:
-    """The distance of neighbouring levels [unit] if values recur so much that they must be quantised."""
+    """Return the distance of neighbouring levels [unit] if values recur so much that they must be quantised."""
     gaps = np.diff(np.unique(values))
     gaps = gaps[gaps > 1e-9 * spread]
     if not len(gaps) or len(gaps) > 0.2 * len(values):
@@ -159,7 +159,7 @@ def _clipped(values: Float64[np.ndarray, " sample"]) -> bool:
 
 
 def _spikes(values: Float64[np.ndarray, " sample"], floor: float) -> np.ndarray:
-    """Indices of single samples far off the line through their neighbours, compared with how it is nearby."""
+    """Return indices of single samples far off the line through their neighbours, compared with how it is nearby."""
     bend = np.diff(values, 2)
     size = np.abs(bend)
     if len(bend) < 5:
@@ -173,7 +173,7 @@ def _spikes(values: Float64[np.ndarray, " sample"], floor: float) -> np.ndarray:
 
 
 def _dominant_frequency(values: Float64[np.ndarray, " sample"], sample_time: float) -> float:
-    """The frequency [Hz] of the largest peak of the spectrum."""
+    """Return the frequency [Hz] of the largest peak of the spectrum."""
     present = np.flatnonzero(~np.isnan(values))
     filled = np.interp(np.arange(len(values)), present, values[present])
     power = np.abs(np.fft.rfft((filled - filled.mean()) * np.hanning(len(filled)))) ** 2

@@ -41,7 +41,7 @@ def from_csv(
     cart: str = "free",
     rig: Mapping[str, float] | None = None,
 ) -> "Recording":
-    """A recording of one experiment from the columns of a CSV file whose first row names them.
+    """Import a recording of one experiment from the columns of a CSV file whose first row names them.
 
     `channels` maps channels to columns, as in `{"current": "i_motor", "cart_position": "x"}`. Either `time`,
     the column with the times [s], or `sample_time` [s] is given. An empty cell and "nan" mean a missing
@@ -79,7 +79,7 @@ def from_csv(
 
 
 def write(path: str | os.PathLike[str], recording: "Recording") -> None:
-    """Writes the one experiment of `recording` as CSV; see `Recording.save`."""
+    """Write the one experiment of `recording` as CSV; see `Recording.save`."""
     if len(recording) != 1:
         raise RecordingError(
             f"{os.fspath(path)}: a CSV file holds one experiment, and this recording has {len(recording)}; save it as .h5."

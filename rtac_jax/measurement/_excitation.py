@@ -39,7 +39,7 @@ def multisine(
     amplitudes: Sequence[float] | Float64[np.ndarray, " harmonic"] | None = None,
     crest_iterations: int = 0,
 ) -> Float64[np.ndarray, " sample"]:
-    """A sum of cosines with root mean square `rms` [A] over a period.
+    """Return a sum of cosines with root mean square `rms` [A] over a period, shape [samples].
 
     The frequencies are `harmonics` of 1 / (period * sample_time), or all of these within `band` [Hz].
     `period` is in samples, and is all of them where it is not given. The cosines are equally large, or in the
@@ -95,7 +95,7 @@ def _wave(harmonics: np.ndarray, sizes: np.ndarray, phases: np.ndarray, period: 
 
 
 def crest_factor(wave: Float64[np.ndarray, " sample"]) -> float:
-    """The peak over the root mean square [1]: 1 for a square wave, 1.414 for a sine.
+    """Return the peak over the root mean square [1]: 1 for a square wave, 1.414 for a sine.
 
     Raises:
         ValueError: the wave is zero throughout.
@@ -114,7 +114,7 @@ def harmonic_grid(
     seed: int = 0,
     group: int = 4,
 ) -> Int64[np.ndarray, " harmonic"]:
-    """Numbers of the harmonics of 1 / (period * sample_time) within `band` [Hz] that a multisine excites.
+    """Return the harmonics of 1 / (period * sample_time) within `band` [Hz] that a multisine excites, as numbers.
 
     "all" of them, the "odd" ones, which leave the even ones to show even nonlinearities, or "random_odd": of every
     `group` odd ones in a row, one by chance is left out and shows odd nonlinearities (Pintelon and Schoukens 2012,
@@ -139,7 +139,7 @@ def harmonic_grid(
 
 
 def positive_negative(wave: Float64[np.ndarray, " sample"]) -> Float64[np.ndarray, " two_samples"]:
-    """`wave` and then its negative, so that what pushes one way pushes the other way as well (paper, section 5.2).
+    """Return `wave` and then its negative, so that what pushes one way pushes the other as well (paper, section 5.2).
 
     As a period of its own the pair has odd harmonics only.
     """
@@ -147,7 +147,7 @@ def positive_negative(wave: Float64[np.ndarray, " sample"]) -> Float64[np.ndarra
 
 
 def from_rest(wave: Float64[np.ndarray, " sample"]) -> Float64[np.ndarray, " sample"]:
-    """One period of a wave without mean, begun where its running sum passes its own mean.
+    """Return one period of a wave without mean, begun where its running sum passes its own mean.
 
     A free body that such a torque drives from rest swings about where it stood; begun elsewhere, it would drift away
     with the velocity that the periodic motion has there. Raises `ValueError` for a wave with a mean.
@@ -160,7 +160,7 @@ def from_rest(wave: Float64[np.ndarray, " sample"]) -> Float64[np.ndarray, " sam
 
 
 def steps(*, samples: int, hold: int, levels: Sequence[float]) -> Float64[np.ndarray, " sample"]:
-    """Each of `levels` [A] in turn for `hold` samples, again from the first where they end.
+    """Return each of `levels` [A] in turn for `hold` samples, again from the first where they end, shape [samples].
 
     Raises `ValueError` naming the option that is wrong.
     """
@@ -174,7 +174,7 @@ def steps(*, samples: int, hold: int, levels: Sequence[float]) -> Float64[np.nda
 def square_wave(
     *, samples: int, sample_time: float, amplitude: float, frequency: float
 ) -> Float64[np.ndarray, " sample"]:
-    """+amplitude and -amplitude [A] in turn at `frequency` [Hz].
+    """Return +amplitude and -amplitude [A] in turn at `frequency` [Hz], shape [samples].
 
     Raises `ValueError` naming the option that is wrong.
     """
@@ -188,7 +188,7 @@ def square_wave(
 def chirp(
     *, samples: int, sample_time: float, amplitude: float, band: tuple[float, float]
 ) -> Float64[np.ndarray, " sample"]:
-    """A sine of `amplitude` [A] whose frequency runs linearly through `band` [Hz].
+    """Return a sine of `amplitude` [A] whose frequency runs linearly through `band` [Hz], shape [samples].
 
     Raises `ValueError` naming the option that is wrong.
     """
@@ -201,7 +201,7 @@ def chirp(
 
 
 def prbs(*, samples: int, hold: int, amplitude: float, seed: int) -> Float64[np.ndarray, " sample"]:
-    """A pseudo-random binary sequence of +-amplitude [A] that may change every `hold` samples.
+    """Return a pseudo-random binary sequence of +-amplitude [A] that may change every `hold` samples, shape [samples].
 
     It is the shortest maximum-length sequence that does not repeat within `samples`, started at a place
     chosen by `seed`. Raises `ValueError` naming the option that is wrong.

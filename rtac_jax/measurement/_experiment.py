@@ -1,4 +1,4 @@
-"""One experiment on the rig: what went in, what was measured, under which conditions."""
+"""An experiment on the rig: its inputs, its measured outputs, and its conditions."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -118,7 +118,7 @@ class Experiment:
         cart: str = "free",
         repeat_of: str | None = None,
     ) -> "Experiment":
-        """An experiment from arrays of shape [N] in SI units (A, N, m, rad/s, rad).
+        """Build an experiment from arrays of shape [N] in SI units (A, N, m, rad/s, rad).
 
         `intersample` is for all inputs, or a mapping by input; `noise_std` maps outputs to standard
         deviations. Raises `RecordingError` as the class does.
@@ -183,7 +183,7 @@ class Experiment:
         return self.samples * self.sample_time
 
     def cut(self, start: int, stop: int, name: str | None = None, *, kind: str | None = None) -> "Experiment":
-        """Samples `start` to `stop` (exclusive) as an experiment of its own.
+        """Return samples `start` to `stop` (exclusive) as an experiment of its own.
 
         The initial arm angle is kept only if `start` is 0, and `repeat_of` is dropped. `kind` is given when
         the part is of another kind, as the decay after a forced start. Raises `RecordingError` for samples
@@ -214,7 +214,11 @@ class Experiment:
 
 
 def check_name(name: Any) -> None:
-    """Raises `RecordingError` unless `name` can name an experiment, in memory and in a file."""
+    """Refuse what cannot name an experiment, in memory and in a file.
+
+    Raises:
+        RecordingError: `name` is not printable text, or holds a slash, or is a single dot.
+    """
     if not isinstance(name, str) or not name or name == "." or "/" in name or not name.isprintable():
         raise RecordingError(
             f"/experiments: an experiment is named {name!r}; use printable text without '/', and not '.' alone."

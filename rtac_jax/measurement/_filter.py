@@ -30,7 +30,7 @@ def zero_phase_lowpass(
     order: int = 9,
     ripple_db: float = 0.05,
 ) -> Float64[np.ndarray, " sample"]:
-    """`values` below `cutoff` [Hz], without delay: a Chebyshev filter of type I run forwards and backwards.
+    """Return `values` below `cutoff` [Hz], without delay: a Chebyshev filter of type I run forwards and backwards.
 
     `sample_time` is in seconds; the pass band ripples by `ripple_db` in each direction. The result has the
     shape of `values`. Raises `ValueError` for a cutoff at or above half the sampling rate, NaN, or too few
@@ -59,7 +59,7 @@ def zero_phase_lowpass(
 def central_difference(
     values: Float64[np.ndarray, " sample"], *, sample_time: float
 ) -> Float64[np.ndarray, " sample-2"]:
-    """The derivative [unit/s] of `values` at the interior samples, (x[n+1] - x[n-1]) / (2 sample_time).
+    """Return the derivative [unit/s] of `values` at interior samples, (x[n+1] - x[n-1]) / (2 sample_time).
 
     The result has N - 2 samples, so its first belongs to sample 1. Raises `ValueError` for NaN or fewer than
     3 samples.

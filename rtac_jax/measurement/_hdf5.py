@@ -32,7 +32,7 @@ LIBRARY_VERSION = "v108"
 
 
 def write(path: str | os.PathLike[str], recording: "Recording") -> None:
-    """Writes `recording` to `path`; an interrupted write leaves an earlier file as it was.
+    """Write `recording` to `path`; an interrupted write leaves an earlier file as it was.
 
     Every data set carries HDF5's checksum, and the root a digest of everything, which `read` verifies.
     """
@@ -64,7 +64,7 @@ def _fill(file: h5py.File, recording: "Recording") -> None:
 
 
 def read(path: str | os.PathLike[str]) -> "Recording":
-    """The recording in the file.
+    """Read the recording in the file.
 
     Raises `FileNotFoundError`, or `RecordingError` saying where and how the file departs from the layout.
     """
@@ -160,7 +160,7 @@ def _channel(dataset: Any, unit: str, budget: "Budget") -> tuple[Float64[np.ndar
 
 @contextmanager
 def guarded(place: str) -> Iterator[None]:
-    """Turns whatever h5py raises inside into a `RecordingError` at `place`."""
+    """Turn whatever h5py raises inside into a `RecordingError` at `place`."""
     try:
         yield
     except RecordingError:
@@ -176,7 +176,12 @@ def guarded(place: str) -> Iterator[None]:
 
 @contextmanager
 def open_hdf5(path: str | os.PathLike[str]) -> Iterator[h5py.File]:
-    """The file, open for reading; `FileNotFoundError` or `RecordingError`."""
+    """Yield the file, open for reading.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        RecordingError: it cannot be opened as HDF5.
+    """
     if not os.path.exists(path):
         raise FileNotFoundError(f"{os.fspath(path)}: there is no such file; check the path.")
     if not (os.path.isfile(path) and os.access(path, os.R_OK)):
@@ -197,7 +202,7 @@ def open_hdf5(path: str | os.PathLike[str]) -> Iterator[h5py.File]:
 
 
 def children(group: h5py.Group, known: tuple[str, ...] | None) -> dict[str, Any]:
-    """Members of `group` by name, in order of creation where the file keeps it.
+    """Return the members of `group` by name, in order of creation where the file keeps it.
 
     Raises `RecordingError` for a link to elsewhere and for a name that is not `known`.
     """
@@ -224,14 +229,14 @@ def _group(member: Any, children_allowed: tuple[str, ...] | None = None) -> h5py
 
 
 class Budget:
-    """What a file may make us allocate: bounded by its size, and over all datasets together."""
+    """The memory that a file may make us allocate: bounded by its size, and over all datasets together."""
 
     def __init__(self, file_bytes: int) -> None:
         self.largest = MOST_EXPANSION * file_bytes + SLACK_BYTES
         self.elements = MOST_ELEMENTS
 
     def values(self, dataset: Any) -> Float64[np.ndarray, "..."]:
-        """The dataset as float64, read-only, exactly.
+        """Return the dataset as float64, read-only, exactly.
 
         Raises `RecordingError` for anything but plain real numbers inside the file.
         """
@@ -288,7 +293,7 @@ def _attribute(item: Any, name: str, expected: str, required: bool) -> Any:
 
 
 def text(item: Any, name: str, *, required: bool = False) -> Any:
-    """A string attribute; None where it is absent and not required."""
+    """Return a string attribute; None where it is absent and not required."""
     value = _attribute(item, name, "a string", required)
     if isinstance(value, bytes):
         with guarded(f"{item.name}: attribute {name}"):
@@ -299,7 +304,7 @@ def text(item: Any, name: str, *, required: bool = False) -> Any:
 
 
 def number(item: Any, name: str, *, required: bool = False) -> Any:
-    """A numeric attribute as float; None where it is absent and not required."""
+    """Return a numeric attribute as float; None where it is absent and not required."""
     value = _attribute(item, name, "a number", required)
     if isinstance(value, (str, bytes)):
         raise RecordingError(f"{item.name}: the attribute {name} is {value!r}; store it as a number.")

@@ -1,4 +1,4 @@
-"""What is in a recording, in words."""
+"""Description of a recording in words."""
 
 from collections.abc import Mapping, Sequence
 
@@ -20,7 +20,7 @@ HEADER = ("channel", "unit", "rms", "missing", "noise std", "between samples")
 
 
 def describe(recording: Recording) -> str:
-    """A readable table of the experiments, their conditions, and the unit, rms and noise of each channel."""
+    """Describe the experiments in a readable table: their conditions, and the unit, rms and noise of each channel."""
     total = sum(experiment.samples for experiment in recording)
     length = sum(experiment.duration for experiment in recording)
     kinds = [experiment.kind for experiment in recording]

@@ -41,7 +41,7 @@ def from_mat(
     cart: str = "free",
     rig: Mapping[str, float] | None = None,
 ) -> "Recording":
-    """A recording of one experiment from the variables of a MAT file (v5 or v7.3).
+    """Import a recording of one experiment from the variables of a MAT file (v5 or v7.3).
 
     `channels` maps channels to variables, as in `{"disturbance_force": "V1", "cart_position": "V2"}`; each
     variable is a vector. Either `sample_time` [s] or `time`, the variable with the times [s], is given.

@@ -79,7 +79,7 @@ class Mat5:
             raise RecordingError("this is not a MAT file, or it is damaged; save it again with save -v7.") from error
 
     def values(self, variable: Variable) -> np.ndarray:
-        """The numbers of a variable, in its shape and class.
+        """Return the numbers of a variable, in its shape and class.
 
         Raises:
             RecordingError: there are fewer or more of them than the shape declares, or they are damaged.
@@ -134,7 +134,7 @@ class Mat5:
         return Variable(_text(name), label, dimensions, bool(word & COMPLEX), dtype, body, packed, at)
 
     def _element(self, content: memoryview, at: int, expected: int | None = None) -> tuple[memoryview, int]:
-        """An element's bytes, and where the next one begins."""
+        """Return an element's bytes, and where the next one begins."""
         kind, data, after = self._any_element(content, at)
         if kind != expected:
             raise Damaged("another kind of element was expected")

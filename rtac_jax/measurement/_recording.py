@@ -63,7 +63,7 @@ class Recording:
 
     @staticmethod
     def load(path: str | PathLike[str]) -> "Recording":
-        """The recording in an HDF5 file.
+        """Load the recording in an HDF5 file.
 
         Raises `FileNotFoundError`, or `RecordingError` naming the path inside the file that departs from the
         layout.
@@ -71,7 +71,7 @@ class Recording:
         return _hdf5.read(path)
 
     def save(self, path: str | PathLike[str]) -> None:
-        """Writes an HDF5 file, which loses nothing; or what a rig plays and a spreadsheet opens, a CSV file.
+        """Write an HDF5 file, which loses nothing, or a CSV file, which a rig plays and a spreadsheet opens.
 
         The ending says which: ".h5" and ".hdf5", or ".csv" for a single experiment, with its times and channels in
         columns that the first row names and gives units. A file that was there is replaced only when the new one is
@@ -96,7 +96,7 @@ class Recording:
 
     @staticmethod
     def join(*recordings: "Recording") -> "Recording":
-        """One recording with the experiments of all, in order, and the rig constants of all.
+        """Return one recording with the experiments of all, in order, and the rig constants of all.
 
         Raises `RecordingError` when a name occurs twice, or two recordings disagree about the rig.
         """
@@ -139,7 +139,7 @@ class Recording:
         return tuple(experiment.name for experiment in self.experiments)
 
     def select(self, names: Iterable[str]) -> "Recording":
-        """The named experiments, in the order of this recording.
+        """Return the named experiments, in the order of this recording.
 
         A repeat whose original is not selected stands alone (`repeat_of` is None).
         Raises `RecordingError` for a name that is not there, and when nothing is selected.
@@ -150,7 +150,7 @@ class Recording:
         return replace(self, experiments=alone)
 
     def split(self, validation: Sequence[str] | None = None) -> "tuple[Recording, Recording]":
-        """`(train, validation)`, by experiment.
+        """Return `(train, validation)`, split by experiment.
 
         Without names, every fourth free and every fourth forced experiment is held out, or the last where
         there are two or three of a kind. Repeats go where their original goes, and experiments at rest are

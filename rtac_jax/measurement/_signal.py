@@ -1,4 +1,4 @@
-"""One sampled channel, and what is allowed in it."""
+"""A sampled channel, and the checks of what it may hold."""
 
 import math
 from collections.abc import Mapping
@@ -18,6 +18,7 @@ INTERSAMPLE = ("zoh", "foh", "bl")
 
 
 def rebuild(record: Any) -> tuple[Any, ...]:
+    """Return the class and the field values of a frozen record, as pickling needs them."""
     # A read-only mapping cannot be pickled, so a record is rebuilt from its fields, which checks it again.
     values = (getattr(record, field.name) for field in fields(record))
     plain = (dict(value) if isinstance(value, MappingProxyType) else value for value in values)
@@ -25,7 +26,11 @@ def rebuild(record: Any) -> tuple[Any, ...]:
 
 
 def finite(place: str, value: Any, meaning: str) -> float:
-    """`value` as a finite float; `RecordingError` naming `place` otherwise."""
+    """Return `value` as a finite float.
+
+    Raises:
+        RecordingError: it is not; names `place`.
+    """
     if isinstance(value, (bool, np.bool_, str, bytes)):
         raise RecordingError(f"{place}: {meaning} is {value!r}, but must be a finite number; give it as a float.")
     try:
@@ -38,6 +43,11 @@ def finite(place: str, value: Any, meaning: str) -> float:
 
 
 def positive(place: str, value: Any, meaning: str) -> float:
+    """Return `value` as a positive float.
+
+    Raises:
+        RecordingError: it is not; names `place`.
+    """
     number = finite(place, value, meaning)
     if number <= 0:
         raise RecordingError(f"{place}: {meaning} is {number:g}, but must be positive; correct its value or sign.")
@@ -45,6 +55,11 @@ def positive(place: str, value: Any, meaning: str) -> float:
 
 
 def one_of(place: str, value: Any, meaning: str, allowed: tuple[str, ...]) -> None:
+    """Refuse a value that is not one of the allowed ones.
+
+    Raises:
+        RecordingError: it is not; names `place`.
+    """
     if not isinstance(value, str) or value not in allowed:
         names = ", ".join(repr(name) for name in allowed)
         raise RecordingError(f"{place}: {meaning} is {value!r}, but must be one of {names}; choose one of them.")
@@ -105,6 +120,11 @@ def _check_unit(place: str, signal: Signal, unit: str) -> None:
 
 
 def check_input(place: str, signal: Signal, unit: str) -> None:
+    """Refuse an input of another unit, without a declared hold, or with a value that is not finite.
+
+    Raises:
+        RecordingError: names `place` and the sample.
+    """
     _check_unit(place, signal, unit)
     one_of(place, signal.intersample, "intersample", INTERSAMPLE)
     if signal.noise_std is not None:
@@ -119,6 +139,11 @@ def check_input(place: str, signal: Signal, unit: str) -> None:
 
 
 def check_output(place: str, signal: Signal, unit: str, *, still: bool) -> None:
+    """Refuse an output of another unit, with infinite values, or that never moves unless it is `still`.
+
+    Raises:
+        RecordingError: names `place` and the sample.
+    """
     _check_unit(place, signal, unit)
     if signal.intersample is not None:
         raise RecordingError(f"{place}: an output has no intersample; leave it out.")

@@ -1,4 +1,4 @@
-"""A file takes the place of another only when it is complete."""
+"""Atomic writing: a file takes the place of another only when it is complete."""
 
 import os
 import secrets
@@ -12,9 +12,12 @@ unfinished: set[Path] = set()
 
 @contextmanager
 def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """A path to write to, which takes the place of the other at the end; an interrupted write leaves an earlier file as it was.
+    """Yield a path to write to, which takes the place of the other at the end.
 
-    Raises `FileNotFoundError` when there is no such folder.
+    An interrupted write leaves an earlier file as it was.
+
+    Raises:
+        FileNotFoundError: there is no such folder.
     """
     path = Path(path).resolve()
     if not path.parent.is_dir():

@@ -1,4 +1,4 @@
-"""An experiment to be carried out."""
+"""The plan of an experiment to be carried out."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -11,7 +11,7 @@ HOLDS = ("zoh", "foh", "bl")
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """One experiment to be carried out: the inputs, the start, and how it is sampled.
+    """The plan of one experiment: the inputs, the start, and how it is sampled.
 
     There are N = round(duration / sample_time) samples, at t = n sample_time. Between samples the inputs are held
     ("zoh"), straight ("foh") or as smooth as the samples allow ("bl"); the recording says which, and says it wrongly
@@ -73,7 +73,7 @@ class Plan:
 
     @property
     def hold(self) -> str:
-        """What the inputs really do between samples."""
+        """The true behaviour of the inputs between samples."""
         return self.played or self.intersample
 
     @property

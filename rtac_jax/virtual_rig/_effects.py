@@ -14,7 +14,7 @@ Act = Callable[[], None]
 
 
 class Batch:
-    """What effects read and write; B is the number of trajectories, row 0 the cart, row 1 the arm."""
+    """The state of a batch that effects read and write; B is the number of trajectories, row 0 the cart, row 1 the arm."""
 
     def __init__(self, rigs: Sequence[Rig], start: np.ndarray, speed: np.ndarray, step: float) -> None:
         self.rigs = rigs
@@ -37,15 +37,17 @@ class Batch:
         """(B,) angle of the rotor, in the middle of a step while effects act, and its speed at the beginning."""
 
     def column(self, name: str) -> np.ndarray:
+        """Return a parameter of every rig, (B,)."""
         return np.array([getattr(rig, name) for rig in self.rigs], dtype=float)
 
     def rows(self, name: str, null: float = 0.0) -> slice | None:
-        """The slice of the batch that holds every trajectory with this effect."""
+        """Return the slice of the batch that holds every trajectory with this effect, or None."""
         there = np.flatnonzero(self.column(name) != null)
         return slice(int(there[0]), int(there[-1]) + 1) if there.size else None
 
 
 def springs(batch: Batch) -> Act | None:
+    """Build the cubic and the quadratic spring of the cart."""
     cubic, quadratic = batch.rows("cubic_spring"), batch.rows("quadratic_spring")
     if cubic is None and quadratic is None:
         return None
@@ -59,6 +61,7 @@ def springs(batch: Batch) -> Act | None:
 
 
 def offset(batch: Batch) -> Act | None:
+    """Build the constant force on the cart."""
     if batch.rows("force_offset") is None:
         return None
     push, impulse = batch.column("force_offset") * batch.step, batch.impulse[0]
@@ -70,6 +73,7 @@ def offset(batch: Batch) -> Act | None:
 
 
 def hysteresis(batch: Batch) -> Act | None:
+    """Build the Bouc-Wen spring of the cart, integrated by the midpoint rule."""
     rows = batch.rows("hysteresis_stiffness")
     if rows is None:
         return None
@@ -87,7 +91,7 @@ def hysteresis(batch: Batch) -> Act | None:
 
 
 def flexible_mode(batch: Batch) -> Act | None:
-    """A second body, in absolute coordinates: what accelerates it is taken from the cart."""
+    """Build a second body, in absolute coordinates: what accelerates it is taken from the cart."""
     rows = batch.rows("flexible_mass")
     if rows is None:
         return None
@@ -108,6 +112,7 @@ def flexible_mode(batch: Batch) -> Act | None:
 
 
 def quadratic_drag(batch: Batch) -> Act | None:
+    """Build the quadratic drag of cart and arm."""
     if batch.rows("cart_quadratic_drag") is None and batch.rows("arm_quadratic_drag") is None:
         return None
     drag = batch.step * np.stack([batch.column("cart_quadratic_drag"), batch.column("arm_quadratic_drag")])
@@ -119,6 +124,7 @@ def quadratic_drag(batch: Batch) -> Act | None:
 
 
 def end_stop(batch: Batch) -> Act | None:
+    """Build the elastic stops at both ends of the travel."""
     rows = batch.rows("end_stop_travel", null=np.inf)
     if rows is None:
         return None
@@ -135,7 +141,7 @@ def end_stop(batch: Batch) -> Act | None:
 
 
 def gravity(batch: Batch) -> Act | None:
-    """Potential -(M+m) g_x q - me g_x sin(theta) - me g_y cos(theta)."""
+    """Build gravity on a tilted plane, of potential -(M+m) g_x q - me g_x sin(theta) - me g_y cos(theta)."""
     along, across = batch.rows("tilt_along"), batch.rows("tilt_across")
     if along is None and across is None:
         return None
@@ -152,6 +158,7 @@ def gravity(batch: Batch) -> Act | None:
 
 
 def cogging(batch: Batch) -> Act | None:
+    """Build the cogging torque of the motor."""
     rows = batch.rows("cogging_torque")
     if rows is None:
         return None
@@ -166,6 +173,7 @@ def cogging(batch: Batch) -> Act | None:
 
 
 def cable_spring(batch: Batch) -> Act | None:
+    """Build the spring of a cable on the arm."""
     rows = batch.rows("cable_stiffness")
     if rows is None:
         return None
@@ -179,7 +187,7 @@ def cable_spring(batch: Batch) -> Act | None:
 
 
 def shaft(batch: Batch) -> Act | None:
-    """The rotor as a body of its own: it takes the motor's impulse and hands on what the shaft or the contact takes."""
+    """Build the rotor as a body of its own: it takes the motor's impulse and hands on what the shaft or the contact takes."""
     there = np.array([rig.apart for rig in batch.rigs])
     if not there.any():
         return None
@@ -215,6 +223,7 @@ def shaft(batch: Batch) -> Act | None:
 
 
 def eddy_brake(batch: Batch) -> Act | None:
+    """Build an eddy-current brake of the arm."""
     rows = batch.rows("eddy_torque")
     if rows is None:
         return None
@@ -229,6 +238,7 @@ def eddy_brake(batch: Batch) -> Act | None:
 
 
 def detent(batch: Batch) -> Act | None:
+    """Build a detent of the cart."""
     rows = batch.rows("detent_force")
     if rows is None:
         return None
@@ -247,6 +257,7 @@ def detent(batch: Batch) -> Act | None:
 
 
 def vibration(batch: Batch) -> Act | None:
+    """Build the vibration of the floor, as a force on the cart."""
     rows = batch.rows("vibration_force")
     if rows is None:
         return None
@@ -260,6 +271,7 @@ def vibration(batch: Batch) -> Act | None:
 
 
 def maxwell_spring(batch: Batch) -> Act | None:
+    """Build a spring and a damper in series, between cart and ground."""
     rows = batch.rows("maxwell_stiffness")
     if rows is None:
         return None

@@ -27,7 +27,7 @@ _HOLD = 1e-3  # random forces are held for about this long [s]
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """What really happened in one experiment, at the N sample instants; no noise. Each is (N,)."""
+    """The true motion in one experiment, at the N sample instants; no noise. Each is (N,)."""
 
     position: np.ndarray
     """Cart position [m]."""
@@ -49,9 +49,9 @@ Job = tuple[Rig, Plan, np.random.SeedSequence]
 
 
 def integrate(jobs: Sequence[Job], step: float) -> list[Track]:
-    """The motion of each job, in order; jobs of equal sample time and length are integrated together.
+    """Return the motion of each job, in order; jobs of equal sample time and length are integrated together.
 
-    Arguments:
+    Args:
         jobs: a rig, a plan, and the seed of the random forces.
         step: upper bound of the integration step [s].
     """
@@ -73,14 +73,14 @@ def integrate(jobs: Sequence[Job], step: float) -> list[Track]:
 
 
 def _motor(rig: Rig, current: np.ndarray) -> np.ndarray:
-    """Torque of the motor for the current that flows in it."""
+    """Return the torque of the motor [N m] for the current that flows in it [A]."""
     current = current + rig.current_offset
     current = np.sign(current) * np.maximum(abs(current) - rig.dead_zone, 0.0)
     return rig.torque_constant * current / (1 + rig.torque_droop * abs(current))
 
 
 def _charge(values: np.ndarray, hold: str, period: float, times: np.ndarray) -> np.ndarray:
-    """Integral of an input from the beginning to each of the times; before the beginning it was zero."""
+    """Return the integral of an input from the beginning to each of the times; before the beginning it was zero."""
     knots = period * np.arange(values.size + 1)
     if hold == "zoh":
         return np.interp(times, knots, np.append(0.0, period * np.cumsum(values)))
@@ -90,7 +90,7 @@ def _charge(values: np.ndarray, hold: str, period: float, times: np.ndarray) -> 
 
 
 def _late_drives(jobs: Sequence[Job], period: float, substeps: int) -> np.ndarray:
-    """(steps, 2, B) mean force and motor torque in each step, behind hold, transport delay, saturation and lag."""
+    """Return mean force and motor torque in each step, (steps, 2, B), behind hold, transport delay, saturation and lag."""
     samples, step = jobs[0][1].samples, period / substeps
     fine = step * np.arange(samples * substeps + 1)
     mean = np.zeros((samples * substeps, 2, len(jobs)))
@@ -114,7 +114,7 @@ def _late_drives(jobs: Sequence[Job], period: float, substeps: int) -> np.ndarra
 
 
 def _random_impulses(jobs: Sequence[Job], holds: int, samples: int, period: float, step: float) -> np.ndarray | None:
-    """(N * holds, 2, B) impulses per step of the white random force and torque, or None."""
+    """Return the impulses per step of the white random force and torque, (N * holds, 2, B), or None."""
     if not any(rig.force_noise or rig.torque_noise for rig, _, _ in jobs):
         return None
     impulses = np.zeros((samples * holds, 2, len(jobs)))
@@ -162,7 +162,7 @@ class _Friction:
                 self._hold(body, old, new)
 
     def _hold(self, body: int, old: np.ndarray, new: np.ndarray) -> None:
-        """Friction on one body, given the other: it takes all of the velocity, or as much as it can."""
+        """Apply friction to one body, given the other: it takes all of the velocity, or as much as it can."""
         free, taken, kept = new[body], self.work[body], self.product
         np.maximum(free, self.low[body], out=taken)
         np.minimum(taken, self.reach[body], out=taken)
@@ -224,7 +224,7 @@ def _integrate(jobs: Sequence[Job], longest: float) -> list[Track]:
     seen_out = np.empty((samples, 3, count))
 
     def shown() -> np.ndarray:
-        """What the sensors look at between two steps: cart position, and velocity and angle of the rotor."""
+        """Return what the sensors look at between two steps: cart position, and velocity and angle of the rotor."""
         angle, speed = batch.rotor
         rotor = np.where(there, [speed, angle - half * speed], [v[1], x[1]])
         return np.stack([x[0], *rotor])

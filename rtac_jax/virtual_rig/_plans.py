@@ -13,7 +13,7 @@ _RESONANCE = (1.5, 1.8)  # [Hz], where lines are larger, so that the cart moves 
 
 
 def multisine_current(random: np.random.Generator, samples: int, sample_time: float) -> np.ndarray:
-    """A multisine of unit root mean square, (N,), with random phases between 0.3 and 8 Hz.
+    """Return a multisine of unit root mean square, (N,), with random phases between 0.3 and 8 Hz.
 
     The arm has no spring, so a line of amplitude a at angular frequency w swings it by a K_m / (J w^2):
     amplitudes grow with w^2, so that all lines swing the arm alike, up to the resonance of the cart, where
@@ -31,7 +31,7 @@ def multisine_current(random: np.random.Generator, samples: int, sample_time: fl
 
 
 def square_current(random: np.random.Generator, samples: int, sample_time: float) -> np.ndarray:
-    """A square wave of unit amplitude, (N,), between 1.3 and 2.2 Hz by chance, starting in mid half-wave."""
+    """Return a square wave of unit amplitude, (N,), between 1.3 and 2.2 Hz by chance, starting in mid half-wave."""
     frequency = random.uniform(1.3, 2.2)
     return np.where((frequency * sample_time * np.arange(samples) + 0.25) % 1 < 0.5, 1.0, -1.0)
 
@@ -50,18 +50,20 @@ def standard_plans(
     intersample: Literal["zoh", "foh", "bl"] = "zoh",
     played: Literal["zoh", "foh", "bl"] | None = None,
 ) -> list[Plan]:
-    """Free decays, forced runs, repeats of the first forced run, and rests, in this order.
+    """Return free decays, forced runs, repeats of the first forced run, and rests, in this order.
 
     Free decays start at 5 to 15 mm, on alternating sides, the arm free at various angles. Forced runs start
     at various places of cart and arm; three of four are multisines, the fourth a square wave; their amplitude
     goes from 50 to 100 % of the largest (section 5.3). On the paper's rig the cart stays within 15 mm, the
     arm below 60 rad/s and the torque below 0.1 N m.
 
-    Arguments:
+    Args:
         seed: of starting places and phases.
         sample_time: [s].
         duration: of each free or forced run [s]; a rest takes 2 s, or this if it is shorter.
-        free, forced, rest: number of plans of each kind.
+        free: number of free decays.
+        forced: number of forced runs.
+        rest: number of rests.
         repeats: number of further runs with the first forced run's input and start.
         current_rms: of the largest multisine [A]; it is the amplitude of the largest square wave too.
         largest_current: multisines are clipped there [A]; the default is 0.1 N m on the paper's rig.

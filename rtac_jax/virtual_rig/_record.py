@@ -15,7 +15,7 @@ from ._rig import Rig
 def record(rig: Rig, plans: Sequence[Plan], *, seed: int, step: float = 2e-4, write_noise: bool = False) -> Recording:
     """Carry out plans on a rig.
 
-    Arguments:
+    Args:
         rig: the truth.
         plans: the experiments, with names of their own.
         seed: of all noise; each plan has its own stream, by its place in the list.
@@ -38,7 +38,7 @@ def record_many(
 ) -> list[Recording]:
     """Carry out the plans of many rigs at once; `record`'s results, in a fraction of the time.
 
-    Arguments:
+    Args:
         jobs: rig, plans and seed of each recording; the noise of a recording depends on its own seed alone.
         step: upper bound of the integration step [s].
         write_noise: also write the standard deviation of each output.
@@ -79,7 +79,7 @@ def record_many(
 
 
 def measure(rig: Rig, track: Track, random: np.random.Generator) -> dict[str, np.ndarray]:
-    """What the sensors show of a motion.
+    """Return what the sensors show of a motion.
 
     Returns:
         cart_position [m], arm_velocity [rad/s] and, with an encoder, arm_angle [rad], each (N,).
@@ -108,7 +108,7 @@ def measure(rig: Rig, track: Track, random: np.random.Generator) -> dict[str, np
 
 
 def _convert(value: np.ndarray, limit: float, bits: int | None) -> np.ndarray:
-    """Analogue to digital: whole multiples of the least significant bit, within the range."""
+    """Convert analogue to digital: whole multiples of the least significant bit, within the range."""
     if bits is None:
         return value
     levels = 2 ** (bits - 1)

@@ -1,4 +1,4 @@
-"""What a virtual rig is made of, and what is done with it: plain numbers in SI units."""
+"""The virtual rig, hidden effects included: plain numbers in SI units."""
 
 import math
 from dataclasses import dataclass, fields, replace
@@ -303,9 +303,9 @@ class Rig:
         return self.arm_inertia * (1 - self.rotor_share if self.apart else 1)
 
     def drawn(self, seed: int, spread: float = 0.15) -> "Rig":
-        """A rig whose nine parameters of the paper's model lie uniformly within a fraction of these.
+        """Return a rig whose nine parameters of the paper's model lie uniformly within a fraction of these.
 
-        Arguments:
+        Args:
             seed: the draw depends on it alone.
             spread: largest relative deviation [1], at least 0 and below 1.
 

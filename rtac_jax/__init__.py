@@ -1,5 +1,7 @@
 """The rig: what was recorded, what physics may act on it, and how it moves."""
 
+import importlib.metadata
+
 from rtac_jax import control, effects, virtual_rig
 from rtac_jax._configure import configure, require_configured
 from rtac_jax._design import design_excitation
@@ -11,6 +13,9 @@ from rtac_jax.measurement import Experiment, Recording, RecordingError, concerns
 from rtac_jax.parameters import Declaration, Scales, parameter
 from rtac_jax.simulation import Simulation, simulate
 
+__version__ = importlib.metadata.version("rtac-jax")
+"""Version of the installed distribution, which holds `rtac_jax` and `estimators`."""
+
 __all__ = [
     "RTAC",
     "Declaration",
@@ -21,6 +26,7 @@ __all__ = [
     "RigidBody",
     "Scales",
     "Simulation",
+    "__version__",
     "concerns",
     "configure",
     "control",

@@ -1,5 +1,6 @@
 """The documentation keeps up with the code: the reference names every public name, and every effect has a place on its page."""
 
+import ast
 import re
 from pathlib import Path
 from types import ModuleType
@@ -34,3 +35,27 @@ def test_links_of_the_root_lead_somewhere(page: Path) -> None:
     links = re.findall(r"\]\(([^)#:]+)", page.read_text())
     assert links
     assert not [link for link in links if not ROOT.joinpath(link).exists()]
+
+
+GUIDE = ROOT / "docs" / "guide"
+
+
+def examples(page: Path) -> list[str]:
+    return re.findall(r"```python\n(.*?)```", page.read_text(), re.DOTALL)
+
+
+@pytest.mark.parametrize("page", sorted(GUIDE.glob("*.md")), ids=lambda page: page.stem)
+def test_examples_of_the_guide_are_python_and_call_what_there_is(page: Path) -> None:
+    for block in examples(page):
+        for node in ast.walk(ast.parse(block)):
+            if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
+                package = {"est": estimators, "rtac": rtac_jax, "virtual_rig": rtac_jax.virtual_rig}.get(node.value.id)
+                assert package is None or hasattr(package, node.attr), f"{node.value.id}.{node.attr}"
+
+
+def test_cheap_examples_of_the_guide_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("your_rig", "your_csv", "own_effect"):  # in order: the second reads what the first has written
+        for block in examples(GUIDE / f"{name}.md"):
+            exec(block, {})
+    assert rtac_jax.Recording.load("rig.h5").rig["total_mass"] == 1.23

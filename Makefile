@@ -3,6 +3,7 @@ PYTHON ?= $(shell command -v python3.11 || command -v python3.12 || command -v p
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
+DOCS_STAMP := $(VENV)/.installed-docs
 
 # Two workers share the cores: threads of linear algebra beside them only wait for each other.
 PYTEST := OMP_NUM_THREADS=1 MPLBACKEND=agg $(BIN)/python -m pytest -n 2 --dist loadfile
@@ -11,12 +12,16 @@ PYTEST := OMP_NUM_THREADS=1 MPLBACKEND=agg $(BIN)/python -m pytest -n 2 --dist l
 # simulation is slower, by a third; the slow tests are compiled as a user's code is. The pinned version of XLA knows the flag.
 COMPILED_SOON := XLA_FLAGS="--xla_cpu_use_fusion_emitters=false $$XLA_FLAGS"
 
-.PHONY: demo test test-slow lint bench notebooks clean
+.PHONY: demo test test-slow lint docs bench notebooks clean
 
 $(STAMP): pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[test]'
 	touch $(STAMP)
+
+$(DOCS_STAMP): $(STAMP)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[docs]'
+	touch $(DOCS_STAMP)
 
 demo: $(STAMP)
 	$(BIN)/rtac demo --out demo
@@ -37,6 +42,9 @@ lint: $(STAMP)
 	$(BIN)/lint-imports --no-logo
 	$(BIN)/pyright
 
+docs: $(DOCS_STAMP)
+	$(BIN)/mkdocs build --strict
+
 bench: $(STAMP)
 	$(BIN)/python benchmarks/bench_simulation.py
 	$(BIN)/python benchmarks/bench_prediction_error.py
@@ -48,4 +56,4 @@ notebooks: $(STAMP)
 	for f in notebooks/*.ipynb; do $(BIN)/python -m jupyter execute --inplace $$f || exit 1; done
 
 clean:
-	rm -rf $(VENV) .cache demo
+	rm -rf $(VENV) .cache demo site

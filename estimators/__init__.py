@@ -27,6 +27,7 @@ from estimators.uncertainty.attribution import SOURCES, Attribution
 from estimators.uncertainty.effect_cost import EffectCost, effect_cost
 from estimators.uncertainty.envelope import Envelope, envelope
 from estimators.validation.simulation_error import Comparison, compare
+from rtac_jax import __version__
 
 __all__ = [
     "AS_IN_PAPER",
@@ -59,6 +60,7 @@ __all__ = [
     "Profile",
     "ResidualTest",
     "Trend",
+    "__version__",
     "agreement",
     "compare",
     "control",

@@ -1,5 +1,7 @@
 """The rig: its recordings, the physics that may act on it, and its motion."""
 
+import importlib.metadata
+
 from rtac_jax import control, effects, virtual_rig
 from rtac_jax._configure import configure, require_configured
 from rtac_jax._design import design_excitation
@@ -13,6 +15,9 @@ from rtac_jax.linearisation import equation_4, linearise
 from rtac_jax.measurement import Experiment, Recording, RecordingError, concerns, describe
 from rtac_jax.parameters import Declaration, Scales, parameter
 
+__version__ = importlib.metadata.version("rtac-jax")
+"""Version of the installed distribution, which holds `rtac_jax` and `estimators`."""
+
 __all__ = [
     "RTAC",
     "Declaration",
@@ -23,6 +28,7 @@ __all__ = [
     "RigidBody",
     "Scales",
     "Simulation",
+    "__version__",
     "concerns",
     "configure",
     "control",

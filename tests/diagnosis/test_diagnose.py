@@ -36,7 +36,7 @@ PAPERS_OWN = ("cart_viscous", "cart_coulomb", "arm_viscous")
 
 
 SHAKEN_SEED = (
-    41_414_382_410  # of the rig in the study of docs/diagnosis.md, draw 13, on which the wrong effect was named
+    41_414_382_410  # of the rig in the study of docs/study_log.md, draw 13, on which the wrong effect was named
 )
 
 

@@ -2,6 +2,7 @@
 
 import os
 import secrets
+import stat
 import sys
 import time
 from collections.abc import Iterator, Sequence
@@ -10,6 +11,8 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 import typer
+
+from estimators._environment import note_cache, platform_fault, reason
 
 NOT_POSSIBLE, WRONG_USE, INTERRUPTED = 1, 2, 130
 
@@ -82,6 +85,11 @@ class Job:
 
         try:
             yield
+        except NotIdentifiableError as error:
+            unmeasured = [said for said in concerns(self.recording) if "cart_position was not measured" in said]
+            if unmeasured:
+                raise NotIdentifiableError(f"{error} {unmeasured[0]}") from error
+            raise
         except DivergedError as error:
             scale = [said for said in concerns(self.recording) if said.startswith("The scale is not fixed")]
             if scale:
@@ -131,9 +139,7 @@ def job(file: Path, validation: str | None = None, out: Path | None = None, json
     with answering():
         folder = None if out is None else writable_folder(out)
         if json is not None:
-            if json.is_dir():
-                stop(WRONG_USE, f"{json}: is a folder; name a file for --json.")
-            writable_folder(json.parent)
+            writable_file(json, "--json")
         recording = load(file)
         prepare()
         yield Job(file.name, recording, validation, folder, json, began)
@@ -150,7 +156,7 @@ def answering() -> Iterator[None]:
         yield
     except (RecordingError, OSError) as error:
         stop(WRONG_USE, _sentence(error))
-    except (ValueError, DivergedError, FloatingPointError) as error:
+    except (ValueError, DivergedError, ArithmeticError) as error:
         stop(NOT_POSSIBLE, _sentence(error))
     except KeyboardInterrupt:
         stop(INTERRUPTED, "interrupted; nothing that was not complete has been written.")
@@ -178,7 +184,9 @@ def prepare() -> None:
     import rtac_jax
 
     matplotlib.use("Agg")
-    rtac_jax.configure()
+    note_cache(rtac_jax.configure())
+    if missing := platform_fault():
+        stop(WRONG_USE, missing)
 
 
 def progress() -> bool:
@@ -203,9 +211,23 @@ def writable_folder(folder: Path) -> Path:
     return folder
 
 
+def writable_file(file: Path, option: str) -> None:
+    """Try, before anything is computed, whether a file can be written; its folder is made if need be."""
+    if file.parent.is_dir():
+        try:
+            is_folder = stat.S_ISDIR(os.stat(file).st_mode)
+        except FileNotFoundError:
+            is_folder = False
+        except OSError as error:
+            stop(WRONG_USE, f"{file}: cannot be written to ({error.strerror}); name another file for {option}.")
+        if is_folder:
+            stop(WRONG_USE, f"{file}: is a folder; name a file for {option}.")
+    writable_folder(file.parent)
+
+
 def _sentence(error: Exception) -> str:
-    if isinstance(error, OSError) and error.filename is not None and error.strerror:
-        return f"{error.filename}: {error.strerror}."
+    if isinstance(error, OSError) and error.errno is not None:
+        return reason(error)
     return " ".join(str(error).split())
 
 

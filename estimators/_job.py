@@ -5,6 +5,7 @@ import secrets
 import stat
 import sys
 import time
+import traceback
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -164,8 +165,18 @@ def answering() -> Iterator[None]:
         stop(INTERRUPTED, "there is not enough memory for this recording; cut it with Experiment.cut.")
 
 
+_shown = {"tracebacks": False}
+
+
+def show_tracebacks(asked: bool) -> None:
+    """Let every refusal come with the traceback of its cause, or not."""
+    _shown["tracebacks"] = asked
+
+
 def stop(status: int, sentence: str) -> NoReturn:
-    """Say one sentence and end with a status."""
+    """Say one sentence and end with a status; after the traceback, where `--debug` asked for it."""
+    if _shown["tracebacks"] and sys.exc_info()[1] is not None:
+        typer.echo(traceback.format_exc(), err=True)
     typer.echo(f"rtac: {sentence}", err=True)
     raise typer.Exit(status)
 

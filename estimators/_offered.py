@@ -4,6 +4,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
+from estimators._effect_contract import explained, require_working
 from rtac_jax import RTAC
 from rtac_jax._parameter import Scales, declarations
 from rtac_jax.effects import CATALOGUE, Effect
@@ -20,10 +21,12 @@ def offered(model: RTAC, candidates: Sequence[type[Effect]] | None) -> list[type
 
 
 def require_distinct(classes: Iterable[type[Effect]]) -> list[type[Effect]]:
-    """The same classes; raises `ValueError` if one cannot be looked for, or two have one id."""
+    """The same classes; raises `ValueError` if one cannot be looked for or does not keep its contract, or two have one id."""
     found = list(classes)
     for c in found:
         require_declared(c)
+        if CATALOGUE.get(c.id) is not c:
+            require_working(c)
     ids = [c.id for c in found]
     twice = sorted({i for i in ids if ids.count(i) > 1})
     if twice:
@@ -60,8 +63,10 @@ def plausible(c: type[Effect], scales: Scales) -> tuple[Effect, ...]:
     Raises:
         ValueError: a size of an effect outside the catalogue that is no size.
     """
-    found = c.candidates(scales)
-    for instance in found if CATALOGUE.get(c.id) is not c else ():
+    if CATALOGUE.get(c.id) is c:
+        return c.candidates(scales)
+    found = explained(c, "plausible", lambda: c.candidates(scales))
+    for instance in found:
         for name in c.amplitudes():
             size = float(np.asarray(getattr(instance, name)))
             if not (np.isfinite(size) and size != 0.0):

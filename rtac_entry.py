@@ -72,15 +72,18 @@ def outlive_closed_pipes() -> None:
 
 
 class _Patient(io.FileIO):
-    """A file that takes what is written to it even when its reader has gone."""
+    """A file that takes what is written to it even when its reader has gone, and that fails once where there is no room."""
 
     def write(self, content: Any, /) -> int:
         try:
             return super().write(content)
-        except BrokenPipeError:
+        except OSError as error:
+            # What is still buffered would fail again when the process ends, with a traceback that nobody can catch.
             nowhere = os.open(os.devnull, os.O_WRONLY)
             os.dup2(nowhere, self.fileno())
             os.close(nowhere)
+            if not isinstance(error, BrokenPipeError):
+                raise
             return len(content)
 
 

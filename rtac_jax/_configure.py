@@ -1,6 +1,7 @@
 """One explicit call that prepares JAX for estimation; importing the package changes nothing."""
 
 import os
+import tempfile
 import warnings
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import jax
 # xla_backend_extra_options, so a JAX that drops them only loses speed.
 _CPU_OPTIONS = "xla_cpu_use_multi_output_fusion=true,xla_cpu_prefer_vector_width=512"
 _FLAG = "--xla_backend_extra_options="
+NO_CACHE = "no compile cache"
 _CACHE = os.environ.get("JAX_COMPILATION_CACHE_DIR") or "~/.cache/rtac-jax"
 
 
@@ -35,8 +37,15 @@ def configure(*, fast: bool = True, cache: str | Path | None = _CACHE) -> str:
         folder = Path(cache).expanduser()
         try:
             folder.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryFile(dir=folder):
+                pass  # a folder may be there and not take anything
         except OSError as error:
-            said.append(f"no compile cache ({error})")
+            # JAX may have taken the folder from the environment by itself, and would complain at every function it compiles.
+            jax.config.update("jax_compilation_cache_dir", None)
+            said.append(
+                f"{NO_CACHE} in {folder} ({error.strerror}), so every run compiles anew; let JAX_COMPILATION_CACHE_DIR name a "
+                "folder that can be written to"
+            )
         else:
             jax.config.update("jax_compilation_cache_dir", str(folder))
             jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.05)

@@ -44,6 +44,10 @@ _PAPER = {
     "torque_constant": 8.04e-2,
 }  # paper, Table 1
 
+# How far a known constant may be from the paper's, up or down. A rig as large as a building has 10^9 times the inertia;
+# beyond this, what is squared and divided in a fit overflows.
+FARTHEST = 1e15
+
 
 class RTAC(eqx.Module):
     """A rigid body with effects.
@@ -88,9 +92,14 @@ class RTAC(eqx.Module):
         The other parameters start at the paper's values; an estimator finds better ones from the data.
 
         Raises:
-            ValueError: the recording names a constant that the model does not have.
+            ValueError: nothing moves in the recording, or it names a constant that the model does not have or that no rig
+                has.
         """
         moves = [e for e in recording.experiments if e.kind != "rest"]
+        if not moves:
+            raise ValueError("the recording holds rest records only; add an experiment in which the rig moves.")
+        if all(e.arm == "locked" and e.cart == "clamped" for e in moves):
+            raise ValueError("arm and cart are both held in every experiment; add one in which either moves.")
         arm = any(e.arm == "free" for e in moves)
         cart = any(e.cart == "free" for e in moves)
         driven = any("current" in e.inputs and np.any(e.inputs["current"].values != 0) for e in moves)
@@ -113,6 +122,13 @@ class RTAC(eqx.Module):
             raise ValueError(
                 f"/rig names {', '.join(unknown)}, which this model does not have; it has {', '.join(model.parameters)}."
             )
+        for name, value in known.items():
+            paper = float(model[name])
+            if not 1 / FARTHEST < abs(value / paper) < FARTHEST and value != 0:
+                raise ValueError(
+                    f"/rig: {name} is {value:g} {model.parameters[name].unit}, which no rig has (the paper's is {paper:g}); "
+                    "correct the value or its unit."
+                )
         return model.with_values(known).fix(*(fixed & set(model.parameters)))
 
     # -- composition -------------------------------------------------------------------------------------------------

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from typer.core import TyperGroup
 
 from estimators.cli.control import control, envelope
 from estimators.cli.job import (
@@ -21,12 +22,23 @@ from estimators.cli.job import (
     prepare,
     progress,
     say,
+    show_tracebacks,
     stop,
     writable_folder,
 )
 from estimators.cli.options import Effects, File, Json, Out, Validation
 
+
+class _Group(TyperGroup):
+    """Takes `--debug` anywhere on the line."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        asked = "--debug" in args
+        return super().parse_args(ctx, ["--debug"] * asked + [a for a in args if a != "--debug"])
+
+
 app = typer.Typer(
+    cls=_Group,
     help="Find the physics that a model of a rotational/translational actuator leaves out.",
     no_args_is_help=True,
     add_completion=False,
@@ -52,8 +64,10 @@ def _options(
     version: Annotated[
         bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and leave.")
     ] = False,
+    debug: Annotated[bool, typer.Option("--debug", help="Show where in the code what goes wrong goes wrong.")] = False,
 ) -> None:
     """Take the options that stand before a command."""
+    show_tracebacks(debug)
 
 
 @app.command()

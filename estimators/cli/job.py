@@ -2,14 +2,18 @@
 
 import os
 import secrets
+import stat
 import sys
 import time
+import traceback
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NoReturn
 
 import typer
+
+from estimators.cli.environment import note_cache, platform_fault, reason
 
 NOT_POSSIBLE, WRONG_USE, INTERRUPTED = 1, 2, 130
 
@@ -82,6 +86,11 @@ class Job:
 
         try:
             yield
+        except NotIdentifiableError as error:
+            unmeasured = [said for said in concerns(self.recording) if "cart_position was not measured" in said]
+            if unmeasured:
+                raise NotIdentifiableError(f"{error} {unmeasured[0]}") from error
+            raise
         except DivergedError as error:
             scale = [said for said in concerns(self.recording) if said.startswith("The scale is not fixed")]
             if scale:
@@ -131,9 +140,7 @@ def job(file: Path, validation: str | None = None, out: Path | None = None, json
     with answering():
         folder = None if out is None else writable_folder(out)
         if json is not None:
-            if json.is_dir():
-                stop(WRONG_USE, f"{json}: is a folder; name a file for --json.")
-            writable_folder(json.parent)
+            writable_file(json, "--json")
         recording = load(file)
         prepare()
         yield Job(file.name, recording, validation, folder, json, began)
@@ -150,7 +157,7 @@ def answering() -> Iterator[None]:
         yield
     except (RecordingError, OSError) as error:
         stop(WRONG_USE, _sentence(error))
-    except (ValueError, DivergedError, FloatingPointError) as error:
+    except (ValueError, DivergedError, ArithmeticError) as error:
         stop(NOT_POSSIBLE, _sentence(error))
     except KeyboardInterrupt:
         stop(INTERRUPTED, "interrupted; nothing that was not complete has been written.")
@@ -158,8 +165,18 @@ def answering() -> Iterator[None]:
         stop(INTERRUPTED, "there is not enough memory for this recording; cut it with Experiment.cut.")
 
 
+_shown = {"tracebacks": False}
+
+
+def show_tracebacks(asked: bool) -> None:
+    """Let every refusal come with the traceback of its cause, or not."""
+    _shown["tracebacks"] = asked
+
+
 def stop(status: int, sentence: str) -> NoReturn:
-    """Say one sentence and end with a status."""
+    """Say one sentence and end with a status; after the traceback, where `--debug` asked for it."""
+    if _shown["tracebacks"] and sys.exc_info()[1] is not None:
+        typer.echo(traceback.format_exc(), err=True)
     typer.echo(f"rtac: {sentence}", err=True)
     raise typer.Exit(status)
 
@@ -178,7 +195,9 @@ def prepare() -> None:
     import rtac_jax
 
     matplotlib.use("Agg")
-    rtac_jax.configure()
+    note_cache(rtac_jax.configure())
+    if missing := platform_fault():
+        stop(WRONG_USE, missing)
 
 
 def progress() -> bool:
@@ -203,9 +222,23 @@ def writable_folder(folder: Path) -> Path:
     return folder
 
 
+def writable_file(file: Path, option: str) -> None:
+    """Try, before anything is computed, whether a file can be written; its folder is made if need be."""
+    if file.parent.is_dir():
+        try:
+            is_folder = stat.S_ISDIR(os.stat(file).st_mode)
+        except FileNotFoundError:
+            is_folder = False
+        except OSError as error:
+            stop(WRONG_USE, f"{file}: cannot be written to ({error.strerror}); name another file for {option}.")
+        if is_folder:
+            stop(WRONG_USE, f"{file}: is a folder; name a file for {option}.")
+    writable_folder(file.parent)
+
+
 def _sentence(error: Exception) -> str:
-    if isinstance(error, OSError) and error.filename is not None and error.strerror:
-        return f"{error.filename}: {error.strerror}."
+    if isinstance(error, OSError) and error.errno is not None:
+        return reason(error)
     return " ".join(str(error).split())
 
 

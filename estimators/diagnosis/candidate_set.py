@@ -4,6 +4,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
+from estimators.diagnosis.effect_contract import explained, require_working
 from rtac_jax import RTAC
 from rtac_jax.effects import CATALOGUE, Effect
 from rtac_jax.parameters import Scales, declarations
@@ -23,11 +24,13 @@ def require_distinct(classes: Iterable[type[Effect]]) -> list[type[Effect]]:
     """Return the classes, after checking that each can be looked for and has an id of its own.
 
     Raises:
-        ValueError: one cannot be looked for, or two have one id.
+        ValueError: one cannot be looked for or does not keep its contract, or two have one id.
     """
     found = list(classes)
     for c in found:
         require_declared(c)
+        if CATALOGUE.get(c.id) is not c:
+            require_working(c)
     ids = [c.id for c in found]
     twice = sorted({i for i in ids if ids.count(i) > 1})
     if twice:
@@ -68,8 +71,10 @@ def plausible(c: type[Effect], scales: Scales) -> tuple[Effect, ...]:
     Raises:
         ValueError: a size of an effect outside the catalogue that is no size.
     """
-    found = c.candidates(scales)
-    for instance in found if CATALOGUE.get(c.id) is not c else ():
+    if CATALOGUE.get(c.id) is c:
+        return c.candidates(scales)
+    found = explained(c, "plausible", lambda: c.candidates(scales))
+    for instance in found:
         for name in c.amplitudes():
             size = float(np.asarray(getattr(instance, name)))
             if not (np.isfinite(size) and size != 0.0):

@@ -72,6 +72,11 @@ def _about_experiment(experiment: Experiment) -> Iterator[str]:
         yield "the current cannot move a locked arm, so it cannot be used as forced; set its kind to free."
     elif not at_rest and all(_held(name, experiment) for name in experiment.outputs):
         yield "only what is held was measured, so it cannot be used; leave it out."
+    if not at_rest and not clamped and "cart_position" not in experiment.outputs:
+        yield (
+            "cart_position was not measured, so the cart's friction, the spring and the mass show only through the arm; "
+            "record it."
+        )
     if not at_rest and not locked and "arm_angle" not in experiment.outputs:
         yield ("arm_angle was not measured, so the angle comes from the model and depends on where the arm started.")
         if experiment.initial_arm_angle is None:

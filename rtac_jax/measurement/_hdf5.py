@@ -1,5 +1,6 @@
 """Recordings in HDF5, layout "rtac-measurement", version 1. Nothing is guessed, and no file is trusted."""
 
+import io
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -37,8 +38,12 @@ def write(path: str | os.PathLike[str], recording: "Recording") -> None:
     Every data set carries HDF5's checksum, and the root a digest of everything, which `read` verifies.
     """
     options: dict[str, Any] = {"track_order": True, "libver": (LIBRARY_VERSION, LIBRARY_VERSION)}
-    with replacing(path) as temporary, h5py.File(temporary, "x", **options) as file:
-        _fill(file, recording)
+    # In memory first: when the disk is full, HDF5 fails again on every attempt to close, and can end the process.
+    content = io.BytesIO()
+    with replacing(path) as temporary:
+        with h5py.File(content, "w", **options) as file:
+            _fill(file, recording)
+        temporary.write_bytes(content.getbuffer())
 
 
 def _fill(file: h5py.File, recording: "Recording") -> None:

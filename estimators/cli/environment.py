@@ -1,0 +1,51 @@
+"""What the machine may lack: a platform for JAX, room on a disk, a folder that can be written to; each as one sentence."""
+
+import errno
+import os
+
+import typer
+
+# What usually helps, by the system's number of the error.
+MENDS = {
+    errno.ENOSPC: "make room there, or name another place",
+    errno.EDQUOT: "make room there, or name another place",
+    errno.EFBIG: "raise the limit on the size of files (ulimit -f), or name another place",
+    errno.ENAMETOOLONG: "choose a shorter name",
+    errno.EISDIR: "name a file, not a folder",
+    errno.ENOTDIR: "name a folder, not a file",
+    errno.EACCES: "name another place, or ask for the right to use this one",
+    errno.EPERM: "name another place, or ask for the right to use this one",
+    errno.EROFS: "name a place that can be written to",
+    errno.EIO: "check the disk, and copy what is on it",
+    errno.EMFILE: "raise the limit on open files (ulimit -n)",
+    errno.ENOMEM: "cut the recording with Experiment.cut",
+}
+_ELSEWHERE = "name another place"
+
+
+def reason(error: OSError) -> str:
+    """Return one sentence with the place, what the system says, and what helps."""
+    place = error.filename if error.filename is not None else "the output"
+    return f"{os.fspath(place)}: {error.strerror or error}; {MENDS.get(error.errno or 0, _ELSEWHERE)}."
+
+
+def platform_fault() -> str:
+    """Return why JAX cannot compute here, as one sentence with the mend; empty where it can."""
+    import jax  # deferred, so that the help comes up without it
+
+    try:
+        jax.devices()
+    except Exception as error:  # RuntimeError, or an AssertionError without a word where a driver is absent
+        asked = os.environ.get("JAX_PLATFORMS") or getattr(jax.config, "jax_platforms", None) or "none"
+        said = (str(error).splitlines() or [type(error).__name__])[0]
+        said = said.partition(" (set JAX_PLATFORMS")[0].rstrip(".")
+        return f"JAX_PLATFORMS is {asked!r}, and JAX cannot start ({said}); set JAX_PLATFORMS=cpu, or leave it unset."
+    return ""
+
+
+def note_cache(configured: str) -> None:
+    """Say on stderr when compiled code cannot be kept, which costs time and nothing else."""
+    from rtac_jax._configure import NO_CACHE
+
+    if NO_CACHE in configured:  # which comes last
+        typer.echo(f"rtac: {configured[configured.index(NO_CACHE) :]}", err=True)

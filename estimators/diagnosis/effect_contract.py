@@ -1,0 +1,159 @@
+"""Whether a user's own effect keeps its contract: every method is traced once, which computes nothing, and a fault is explained."""
+
+import inspect
+import traceback
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rtac_jax import RigidBody
+from rtac_jax.effects import Actuator, DryFriction, Effect, Force, Impact, Input, Motion, Outputs, Sensor
+from rtac_jax.effects._interface import in_parts
+from rtac_jax.parameters import Scales, declarations
+
+# A rig as the paper's, swinging some millimetres: sizes for which `plausible` must answer.
+TYPICAL = Scales(
+    position=5e-3,
+    velocity=5e-2,
+    arm_velocity=10.0,
+    current=0.1,
+    force=0.7,
+    torque=1e-2,
+    frequency=10.4,
+    mass=1.23,
+    sample_time=5e-3,
+)
+# One trajectory for each element; not 1, so that a reduction over all of them shows.
+TRAJECTORIES = (3,)
+_PORTS = ("on the cart", "on the arm")
+
+
+def require_working(c: type[Effect]) -> None:
+    """Call every method of a class of effects on traced values.
+
+    Raises:
+        ValueError: one fails, or returns what the model cannot use; it names the effect, the method, the line and the mend.
+    """
+    for name, declared in declarations(c).items():
+        if declared.plausible is not None:
+            sizes = explained(c, f"plausible of {name}", lambda size=declared.plausible: size(TYPICAL))
+            for size in sizes if isinstance(sizes, tuple) else (sizes,):
+                _require_number(c, f"plausible of {name}", size)
+    effect = explained(c, "making an instance of plausible size", lambda: c.candidates(TYPICAL)[0])
+
+    def called(method: str, *arguments: Any) -> Any:
+        return explained(
+            c, method, lambda: eqx.filter_eval_shape(lambda e, given: getattr(e, method)(*given), effect, arguments)
+        )
+
+    motion, own = _motion(), ()
+    names = tuple(effect.states)
+    own = in_parts(called("start", motion), effect, "start", names)
+    _require_shapes(effect, "start", own)
+    if effect.closed:
+        _require_shapes(effect, "follow", in_parts(called("follow", motion, own), effect, "follow", names))
+    else:
+        _require_shapes(effect, "rate", in_parts(called("rate", motion, own), effect, "rate", names))
+    if isinstance(effect, Force):
+        _require_shapes(effect, "force", in_parts(called("force", motion, own), effect, "force", _PORTS))
+        _require_shapes(effect, "cart_mass", (called("cart_mass"),))
+        _require_shapes(effect, "arm_inertia", (called("arm_inertia", motion.body),))
+    elif isinstance(effect, DryFriction):
+        _require_shapes(effect, "levels", in_parts(called("levels", motion, own), effect, "levels", _PORTS))
+    elif isinstance(effect, Impact):
+        parts = ("states", "impulse", "moment")
+        after, *pushed = in_parts(called("strike", motion, own, _values()), effect, "strike", parts)
+        _require_shapes(effect, "strike", (*in_parts(after, effect, "strike", names), *pushed))
+    elif isinstance(effect, Actuator):
+        _require_shapes(effect, "current", (called("current", _values(), own),))
+    elif isinstance(effect, Input):
+        pieces = jnp.ones((5, 2, *TRAJECTORIES))
+        told = called("transform", pieces, "current", jnp.full(TRAJECTORIES, 5e-3))
+        if len(getattr(told, "shape", ())) != 3 or (told.shape[0], told.shape[2]) != (5, *TRAJECTORIES):
+            raise ValueError(
+                f"effect {effect.id}: transform returns {_what(told)} for pieces of shape {pieces.shape}; "
+                "return one polynomial for each interval and experiment: [sample, power, experiment]."
+            )
+    if isinstance(effect, Sensor) or type(effect).read is not Effect.read:
+        told = called("read", Outputs(_values(), _values(), _values()), own)
+        _require_shapes(effect, "read", in_parts(told, effect, "read", Outputs._fields))
+
+
+def explained(c: type[Effect], method: str, call: Callable[[], Any]) -> Any:
+    """Return what a call into an effect returns; whatever the user's code raises becomes a sentence.
+
+    Raises:
+        ValueError: the call fails.
+    """
+    try:
+        return call()
+    except Exception as error:
+        raise ValueError(f"effect {c.id}: {method}{_line(c, error)} {_fault(error)}.") from error
+
+
+def _fault(error: Exception) -> str:
+    """Return what usually is behind an error in a traced function, and the usual mend."""
+    said = (str(error).splitlines() or [""])[0].rstrip(".")
+    if isinstance(error, jax.errors.TracerBoolConversionError) or "truth value of an array" in said.lower():
+        return "decides with a Python if, while, and, or or not on a value that is known only later; use jnp.where instead of if"
+    if isinstance(error, jax.errors.TracerArrayConversionError):
+        return "calls NumPy on a value that is known only later; use jax.numpy (jnp) in place of numpy (np)"
+    if isinstance(error, ZeroDivisionError):
+        return "divides by zero; keep the divisor away from 0, for which jnp.where or a small constant helps"
+    if isinstance(error, jax.errors.ConcretizationTypeError) or (isinstance(error, TypeError) and "scalar" in said):
+        return "turns a value that is known only later into a Python number; use jnp.sin instead of math.sin, and no float()"
+    if isinstance(error, TypeError) and "immutable" in said:
+        return "writes into an array; use x.at[i].set(value), which returns another one"
+    return f"fails: {type(error).__name__}: {said}; mend it, or see the whole traceback with --debug"
+
+
+def _line(c: type[Effect], error: Exception) -> str:
+    """Where in the user's file it failed."""
+    try:
+        file = inspect.getfile(c)
+    except (TypeError, OSError):  # typed in, without a file
+        return ""
+    lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == file]
+    return f" ({Path(file).name}, line {lines[-1]})" if lines else ""
+
+
+def _require_number(c: type[Effect], method: str, told: Any) -> None:
+    try:
+        good = bool(np.isfinite(np.asarray(told, dtype=float)).all())
+    except (TypeError, ValueError):
+        good = False
+    if not good:
+        raise ValueError(f"effect {c.id}: {method} returns {told!r}; return a finite number, or a tuple of them.")
+
+
+def _require_shapes(effect: Effect, method: str, told: tuple[Any, ...]) -> None:
+    for part in told:
+        shape = getattr(part, "shape", () if isinstance(part, (int, float)) else None)
+        kind = getattr(getattr(part, "dtype", None), "kind", "f")
+        if shape is None or kind not in "fiu" or shape not in ((), TRAJECTORIES):
+            raise ValueError(
+                f"effect {effect.id}: {method} returns {_what(part)} where one number for each trajectory was expected "
+                f"(shape {TRAJECTORIES}, as motion.cart_position has it, or none); compute element by element with jnp."
+            )
+
+
+def _what(told: Any) -> str:
+    shape = getattr(told, "shape", None)
+    return f"the value {told!r}"[:60] if shape is None else f"an array of shape {shape} and type {told.dtype}"
+
+
+def _values() -> jax.Array:
+    return jnp.linspace(0.1, 0.3, *TRAJECTORIES)
+
+
+def _motion() -> Motion:
+    value = _values()
+    body = jax.tree.map(jnp.asarray, RigidBody(1.23, 9.5e-5, 1.06e-3, 132.6, 8.04e-2))
+    sides = (value, value, value, value, jnp.sin(value), jnp.cos(value), value, body)
+    began = Motion(*sides)
+    return Motion(*sides, began, 0.5, 5e-3, value, value, value)

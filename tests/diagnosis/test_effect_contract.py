@@ -1,0 +1,110 @@
+"""A user's own effect with a fault: which effect, which method, which line, what is wrong, and the usual mend."""
+
+import pytest
+from command_line import call, refused
+from small_experiments import forced, free
+
+from estimators.cli.own_effects import with_own
+from estimators.diagnosis.effect_contract import require_working
+from rtac_jax.effects import CATALOGUE
+from rtac_jax.measurement import Recording
+
+OWN = """
+import math
+
+import jax.numpy as jnp
+import numpy as np
+
+from rtac_jax import parameter
+from rtac_jax.effects import Actuator, DryFriction, Force, Sensor
+
+
+class Magnet(Force):
+    id, equation, source, port, nature = "magnet", "-k q", "own rig", "cart", "conservative"
+    states = {}
+    k: object = parameter(symbol="k", unit="N/m", meaning="stiffness", null=0.0, plausible=1.0)
+
+    def force(self, motion, own):
+        x = motion.cart_position
+        return -self.k * x, 0.0
+"""
+LINE = "return -self.k * x, 0.0"
+FORCE = r"effect magnet: force \(mine\.py, line 18\) "
+FAULTS = {
+    "text": (
+        'return "much", 0.0',
+        "effect magnet: force returns the value 'much' where one number for each trajectory",
+    ),
+    "nothing": ("pass", "effect magnet: force returns one NoneType; return a tuple of 2: on the cart, on the arm"),
+    "one": ("return -self.k * x", "effect magnet: force returns one .*; return a tuple of 2"),
+    "shape": ("return -self.k * jnp.ones(7), 0.0", r"effect magnet: force returns an array of shape \(7,\) and type"),
+    "matrix": ("return -self.k * x[:, None], 0.0", r"effect magnet: force returns an array of shape \(3, 1\) and type"),
+    "truth": ("return x > 0, 0.0", r"effect magnet: force returns an array of shape \(3,\) and type bool"),
+    "numpy": ("return -self.k * np.sin(x), 0.0", FORCE + r"calls NumPy .*; use jax.numpy \(jnp\) in place of numpy"),
+    "math": ("return -self.k * math.sin(x), 0.0", FORCE + r"turns .*; use jnp\.sin instead of math\.sin"),
+    "float": ("return float(self.k), 0.0", FORCE + r"turns .*no float\(\)"),
+    "if": ("return (1.0 if x > 0 else 0.0), 0.0", FORCE + r"decides with a Python if.*; use jnp\.where instead of if"),
+    "if parameter": ("return (1.0 if self.k > 0 else 0.0), 0.0", FORCE + r"decides .*; use jnp\.where instead of if"),
+    "zero": ("return 1 / 0, 0.0", FORCE + r"divides by zero; keep the divisor away from 0"),
+    "writes": ("x[0] = 1.0; return x, 0.0", FORCE + r"writes into an array; use x\.at\[i\]\.set"),
+    "name": ("return motion.position, 0.0", FORCE + r"fails: AttributeError: .*no attribute 'position'.*--debug"),
+}
+SIZE = "plausible=1.0"
+ELSEWHERE = {
+    "plausible fails": (SIZE, "plausible=lambda scales: scales.mass / 0", r"plausible of k \(mine\.py, line 14\) div"),
+    "plausible text": (SIZE, 'plausible=lambda scales: "big"', "effect magnet: plausible of k returns 'big'; return a finite"),
+    "plausible nan": (SIZE, 'plausible=float("nan")', "effect magnet: plausible of k returns nan; return a finite number"),
+    "plausible name": (SIZE, "plausible=lambda scales: scales.size", r"plausible of k \(mine\.py, line 14\) fails: AttributeError"),
+    "no id": ("id, equation, source, port, nature = \"magnet\",", "equation, source, port, nature =", "Magnet has no id"),
+    "odd id": ('"magnet"', '"my magnet"', "has the id 'my magnet'; use letters"),
+    "state without start": ("states = {}", 'states = {"z": "m"}', "effect magnet: start returns 0 value"),
+    "sensor": (
+        "def force(self, motion, own):", "def read(self, outputs, own):\n        return 1.0\n\n    def force(self, motion, own):",
+        "effect magnet: read returns one float; return a tuple of 3: cart_position, arm_velocity, arm_angle",
+    ),
+    "mass": ("def force(self", 'def cart_mass(self):\n        return "1 kg"\n\n    def force(self', "cart_mass returns the value"),
+}  # fmt: skip
+
+
+def written(tmp_path, text):
+    (tmp_path / "mine.py").write_text(text)
+    return tmp_path / "mine.py"
+
+
+def test_what_is_right_passes(tmp_path):
+    assert [c.id for c in with_own(written(tmp_path, OWN))] == [*CATALOGUE, "magnet"]
+
+
+@pytest.mark.parametrize("effect", CATALOGUE.values(), ids=CATALOGUE)
+def test_every_effect_of_the_catalogue_keeps_the_contract(effect):
+    require_working(effect)
+
+
+@pytest.mark.parametrize(("line", "said"), FAULTS.values(), ids=FAULTS)
+def test_a_fault_in_a_method_is_named_with_its_mend(tmp_path, line, said):
+    with pytest.raises(ValueError, match=said) as caught:
+        with_own(written(tmp_path, OWN.replace(LINE, line)))
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(("old", "new", "said"), ELSEWHERE.values(), ids=ELSEWHERE)
+def test_a_fault_elsewhere_is_named_with_its_mend(tmp_path, old, new, said):
+    assert old in OWN
+    with pytest.raises(ValueError, match=said) as caught:
+        with_own(written(tmp_path, OWN.replace(old, new)))
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("before", [True, False])
+def test_the_command_line_keeps_the_traceback_for_those_who_ask(tmp_path, before, monkeypatch):
+    monkeypatch.setattr("estimators.output_error", lambda *_, **__: None)
+    Recording((free(), forced()), {"total_mass": 1.23}).save(tmp_path / "rig.h5")
+    mine = written(tmp_path, OWN.replace(LINE, FAULTS["numpy"][0]))
+    arguments = ["diagnose", tmp_path / "rig.h5", "--effects", mine]
+    refused(call(*arguments), 2, "magnet", "in place of numpy")
+    told = call(*(["--debug", *arguments] if before else [*arguments, "--debug"]))
+    assert told.exit_code == 2
+    assert "Traceback" in told.stderr
+    assert "np.sin(x)" in told.stderr
+    assert "in place of numpy" in told.stderr.splitlines()[-1]
+    refused(call(*arguments), 2, "magnet")  # the next command is not asked for one

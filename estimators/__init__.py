@@ -23,6 +23,7 @@ from estimators._profile import Profile, profile
 from estimators._response_record import FrequencyResponse, FrequencyResponses
 from estimators._results import RESULTS, DivergedError, NotIdentifiableError
 from estimators._sandwich import Covariances, covariances
+from estimators.study import StudyResults, StudySpec, study
 
 __all__ = [
     "AS_IN_PAPER",
@@ -53,6 +54,8 @@ __all__ = [
     "PredictorFit",
     "Profile",
     "ResidualTest",
+    "StudyResults",
+    "StudySpec",
     "Trend",
     "agreement",
     "compare",
@@ -70,4 +73,5 @@ __all__ = [
     "prediction_error",
     "prediction_error_nonlinear",
     "profile",
+    "study",
 ]

@@ -11,6 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from estimators._commands_control import control, envelope
+from estimators._commands_study import study
 from estimators._job import (
     NOT_POSSIBLE,
     WRONG_USE,
@@ -361,6 +362,7 @@ def _show_planned(planned: Any, work: Job, figures: dict[str, Any], captions: di
 
 app.command()(envelope)
 app.command()(control)
+app.add_typer(study, name="study")
 
 _DIAGNOSIS = (
     "The bars: what every candidate gains on the one-step predictions of the base model, and from which size on it would "

@@ -24,7 +24,7 @@ def plot_estimates(found: StudyResults) -> Picture:
     rows = [(e, n) for e, n in enumerate(found.estimators) if any(_errors(found, e, p) is not None for p, _ in names)]
     figure = picture(1.2 + 1.9 * len(names), 0.8 + 1.7 * len(rows))
     panels = figure.subplots(len(rows), len(names), squeeze=False)
-    for panel_row, (e, estimator) in zip(panels, rows, strict=True):
+    for at, (panel_row, (e, estimator)) in enumerate(zip(panels, rows, strict=True)):
         for axes, (p, name) in zip(panel_row, names, strict=True):
             tidy(axes)
             axes.set_yticks([])
@@ -43,9 +43,9 @@ def plot_estimates(found: StudyResults) -> Picture:
                 grid = np.linspace(np.mean(error) - reach, np.mean(error) + reach, 300)
                 axes.plot(grid, scipy.stats.norm.pdf(grid, np.mean(error), stated), **MODELS[1])
             axes.axvline(0.0, color=MODELS[0]["color"], linewidth=1.0, linestyle="--")
-            if panel_row is panels[0]:
+            if at == 0:
                 axes.set_title(_broken(name), fontsize=SMALL)
-            if panel_row is panels[-1]:
+            if at == len(rows) - 1:
                 axes.set_xlabel("Error [% of truth]", fontsize=SMALL)
         panel_row[0].text(
             -0.08,
@@ -86,7 +86,8 @@ def plot_coverage(found: StudyResults) -> Picture:
     axes.axvline(100 * _NOMINAL, color="black", linewidth=0.8, linestyle="--")
     axes.set_yticks(range(len(names)), [name for _, name in names], fontsize=SMALL)
     axes.invert_yaxis()
-    axes.set_xlim(-2, 102)
+    least = np.nanmin(summary["coverage_low"].values[:, [p for p, _ in names]], initial=0.9)
+    axes.set_xlim(100 * least - 5, 101)
     axes.set_xlabel("Intervals that hold the truth [%], dashed: 95 %", fontsize=SMALL)
     tidy(axes)
     axes.legend(fontsize=SMALL, loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
@@ -94,39 +95,39 @@ def plot_coverage(found: StudyResults) -> Picture:
     return figure
 
 
-def plot_pairs(found: StudyResults) -> Picture:
-    """Errors of two parameters of one repetition against each other, for the first parameters."""
+def plot_pairs(found: StudyResults, estimator: str | None = None) -> Picture:
+    """Errors of two parameters of one repetition against each other, for the first parameters.
+
+    Args:
+        estimator: by default the last that estimates parameters.
+    """
     names = _shown(found)[:_MOST_PAIRS]
+    able = [n for e, n in enumerate(found.estimators) if any(_errors(found, e, p) is not None for p, _ in names)]
+    chosen = estimator or able[-1]
+    e = found.estimators.index(chosen)
+    names = [(p, name) for p, name in names if _errors(found, e, p) is not None]
     count = len(names)
     figure = picture(2.0 + 1.9 * count, 1.4 + 1.7 * count)
     panels = figure.subplots(count, count, squeeze=False)
     for row, (below, name) in enumerate(names):
         for column, (beside, other) in enumerate(names):
             axes = panels[row][column]
-            if column > row:
+            x, y = _errors(found, e, beside, all_rows=True), _errors(found, e, below, all_rows=True)
+            if column > row or x is None or y is None:
                 axes.set_axis_off()
                 continue
             tidy(axes)
-            for e, estimator in enumerate(found.estimators):
-                x, y = _errors(found, e, beside, all_rows=True), _errors(found, e, below, all_rows=True)
-                if x is None or y is None:
-                    continue
-                style = MODELS[e % len(MODELS)]
-                if row == column:
-                    known = np.sort(x[np.isfinite(x)])
-                    axes.plot(known, np.linspace(0, 1, len(known)), label=estimator, **style)
-                else:
-                    axes.plot(x, y, MARKERS[e % len(MARKERS)], color=style["color"], markersize=2.5, alpha=0.6)
             if row == column:
+                known = np.sort(x[np.isfinite(x)])
+                axes.plot(known, np.linspace(0, 1, len(known)), **MODELS[1])
                 axes.set_ylabel("Fraction below [1]", fontsize=SMALL)
-            elif column == 0:
-                axes.set_ylabel(f"{_broken(name)} [%]", fontsize=SMALL)
+            else:
+                axes.plot(x, y, "o", color=MODELS[1]["color"], markersize=2.5, alpha=0.6)
+                if column == 0:
+                    axes.set_ylabel(f"{_broken(name)} [%]", fontsize=SMALL)
             if row == count - 1:
                 axes.set_xlabel(f"{_broken(other)} [%]", fontsize=SMALL)
-    handles, labels = panels[0][0].get_legend_handles_labels()
-    if handles:
-        figure.legend(handles, labels, loc="upper right", fontsize=SMALL, frameon=False)
-    title(figure, _pairs_say(found, names))
+    title(figure, _pairs_say(found, e, names))
     return figure
 
 
@@ -262,21 +263,20 @@ def _coverage_says(found: StudyResults) -> str:
     return f"intervals do not cover as they say: {', '.join(bad)}"
 
 
-def _pairs_say(found: StudyResults, names: list[tuple[int, str]]) -> str:
+def _pairs_say(found: StudyResults, e: int, names: list[tuple[int, str]]) -> str:
     best: tuple[float, str] = (0.0, "")
-    for e, estimator in enumerate(found.estimators):
-        for row, (below, name) in enumerate(names):
-            for beside, other in names[:row]:
-                x, y = _errors(found, e, beside, all_rows=True), _errors(found, e, below, all_rows=True)
-                if x is None or y is None:
-                    continue
-                known = np.isfinite(x) & np.isfinite(y)
-                if known.sum() < 3 or np.ptp(x[known]) == 0 or np.ptp(y[known]) == 0:
-                    continue
-                r = float(np.corrcoef(x[known], y[known])[0, 1])
-                if abs(r) > abs(best[0]):
-                    best = r, f"errors of {name} and {other} go together most, by {estimator} (correlation {r:.2f})"
-    return best[1] or "errors of the estimates"
+    for row, (below, name) in enumerate(names):
+        for beside, other in names[:row]:
+            x, y = _errors(found, e, beside, all_rows=True), _errors(found, e, below, all_rows=True)
+            if x is None or y is None:
+                continue
+            known = np.isfinite(x) & np.isfinite(y)
+            if known.sum() < 3 or np.ptp(x[known]) == 0 or np.ptp(y[known]) == 0:
+                continue
+            r = float(np.corrcoef(x[known], y[known])[0, 1])
+            if abs(r) > abs(best[0]):
+                best = r, f"of {found.estimators[e]}, {name} and {other} err together most (correlation {r:.2f})"
+    return best[1] or f"errors of {found.estimators[e]}"
 
 
 def _confusion_says(found: StudyResults) -> str:

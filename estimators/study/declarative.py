@@ -84,14 +84,14 @@ def from_table(record: type[Record], table: Mapping[str, Any], place: str) -> Re
     return record(**given)
 
 
-def to_table(record: Any) -> dict[str, Any]:
+def to_table(record: Any) -> Any:
     """The record as plain dictionaries, lists and scalars, every field stated."""
     if dataclasses.is_dataclass(record):
         return {field.name: to_table(getattr(record, field.name)) for field in dataclasses.fields(record)}
     if isinstance(record, Mapping):
         return {key: to_table(value) for key, value in record.items()}
     if isinstance(record, tuple):
-        return cast(Any, [to_table(part) for part in record])
+        return [to_table(part) for part in record]
     return record
 
 

@@ -120,7 +120,8 @@ def _from_model(function: Callable[..., Any], options: Mapping[str, Any], start:
 def _closed_form(prepared: Prepared, options: Mapping[str, Any], weak: bool) -> Outcome:
     import estimators as est
 
-    found = est.least_squares(prepared.model, prepared.recording, **({"weak": weak} | dict(options)))
+    chosen: dict[str, Any] = {"weak": weak} | dict(options)
+    found = est.least_squares(prepared.model, prepared.recording, **chosen)
     estimates = {**found.ratios, **found.estimates}
     if not estimates:
         raise ValueError(next(iter(found.skipped.values()), "no experiment serves the closed form."))

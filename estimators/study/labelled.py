@@ -35,7 +35,7 @@ class Labelled:
             known = self.coordinates[axis]
             if place not in known:
                 raise KeyError(f"{axis}: there is no {place!r}; there are {', '.join(map(str, known))}.")
-            values = np.take(values, known.index(place), axis=axes.index(axis))
+            values = np.asarray(np.take(values, known.index(place), axis=axes.index(axis)))
             axes.remove(axis)
         return Labelled(values, tuple(axes), {axis: self.coordinates[axis] for axis in axes})
 

@@ -96,7 +96,7 @@ def _simulated(spec: StudySpec, index: int, model: RTAC, plans: Sequence[virtual
             "disturbance_force": plan.disturbance_force, "intersample": plan.intersample,
             "initial_arm_angle": plan.initial_angle, "arm": plan.arm, "cart": plan.cart, "repeat_of": plan.repeat_of,
         }  # fmt: skip
-        noise = {name: level * random.standard_normal(plan.samples) for name, level in levels.items()}
+        noise: dict[str, Any] = {name: level * random.standard_normal(plan.samples) for name, level in levels.items()}
         bare.append(Experiment.of(plan.name, **fields, **noise))
     starts = {p.name: [p.initial_position, p.initial_velocity, p.initial_angle, p.initial_arm_velocity] for p in plans}
     shown = simulate(model, [e for e in bare if e.kind != "rest"], start=starts)

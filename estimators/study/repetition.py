@@ -8,10 +8,11 @@ from estimators.study.layout import Arrays, Layout
 from estimators.study.recordings import recordings
 from estimators.study.spec import StudySpec
 from estimators.study.truth import Truth, true_for
+from estimators.study.work import Work
 
 
 @dataclasses.dataclass(frozen=True)
-class Repetitions:
+class Repetitions(Work):
     """The work of a study, which any process can do a part of.
 
     Attributes:

@@ -37,6 +37,22 @@ class StudyResults:
     layout: Layout
     arrays: Arrays
 
+    @classmethod
+    def load(cls, folder: str | os.PathLike[str]) -> "StudyResults":
+        """What is finished of the study in a folder.
+
+        Raises:
+            StorageError: the folder holds no study, or a damaged file.
+        """
+        from estimators.study.repetition import layout_of
+        from estimators.study.storage import Storage, description_in
+
+        text = description_in(folder)
+        spec = StudySpec.from_toml(text)
+        layout = layout_of(spec)
+        index, arrays = Storage(folder, spec.digest, layout).read(below=spec.repetitions)
+        return cls(spec, index, layout, arrays)
+
     def __getitem__(self, variable: str) -> Labelled:
         """One variable with the names of its axes: "truth", "estimate", "std", "reason", ...
 
@@ -147,7 +163,8 @@ class StudyResults:
 
         Returns:
             `stated`: mean probability; `inside`: mean fraction of new conditions; `kept`: fraction of envelopes of which at
-            least the stated fraction of new conditions lies inside, with `kept_low` and `kept_high`; `confidence`: what `kept` should reach.
+            least the stated fraction of new conditions lies inside, with `kept_low` and `kept_high`; `confidence`: what it should
+            reach.
 
         Raises:
             ValueError: the study made no envelopes.
@@ -214,7 +231,7 @@ class StudyResults:
             raise ValueError("this study made no diagnosis.")
         return self.estimators.index(estimator or names[0])
 
-    def _outcome(self, row: int, column: int) -> str:
+    def _outcome(self, row: Any, column: int) -> str:
         if self.arrays["reason"][row, column]:
             return "failed"
         return outcome(
@@ -336,14 +353,17 @@ class StudyResults:
                     "density with the stated standard deviation."
                 ),
             )
-            if "std" in self.arrays:
+            if np.any(np.isfinite(self.summary()["coverage"].values)):
                 found["coverage"] = (
                     plot_coverage(self),
                     (
                         "How often the stated 95 % interval holds the truth, with the 95 % interval of Clopper and Pearson."
                     ),
                 )
-            found["pairs"] = plot_pairs(self), "Errors of two estimates of one repetition against each other."
+            found["pairs"] = (
+                plot_pairs(self),
+                "Errors of two estimates of one repetition against each other, by the last estimator.",
+            )
         if any(one.method == "diagnosis" for one in self.spec.estimate):
             found["confusion"] = (
                 plot_confusions(self),

@@ -8,15 +8,16 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, ProcessPoolExecutor, wait
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import jax
 
-from estimators.study.layout import Arrays, Layout
+from estimators.study.layout import Arrays
 from estimators.study.repetition import Repetitions
 from estimators.study.results import StudyResults
 from estimators.study.spec import StudySpec
 from estimators.study.storage import Storage
+from estimators.study.work import Work
 from rtac_jax import configure, require_configured
 
 ATTEMPTS = 3
@@ -25,25 +26,6 @@ ATTEMPTS = 3
 
 class WorkerError(RuntimeError):
     """Workers die again and again; finished chunks are kept."""
-
-
-class Work(Protocol):
-    """What is repeated: pickled to workers, which compute any part of it."""
-
-    @property
-    def name(self) -> str: ...
-    @property
-    def count(self) -> int: ...
-    @property
-    def digest(self) -> str: ...
-    @property
-    def per_chunk(self) -> int: ...
-    @property
-    def layout(self) -> Layout: ...
-
-    def compute(self, indices: Sequence[int]) -> Arrays:
-        """The repetitions with these numbers."""
-        ...
 
 
 def study(
@@ -101,7 +83,8 @@ def repeated(
         raise ValueError(f"chunk: is {chunk}; give at least 1.")
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory())) if out is None else Path(out)
-        storage = Storage(folder, work.digest, work.layout, description)
+        storage = Storage(folder, work.digest, work.layout)
+        storage.begin(description)
         stack.enter_context(storage.locked())
         done = storage.done()
         gone = set(done)
@@ -141,7 +124,7 @@ class _Setting(NamedTuple):
 
     @classmethod
     def here(cls) -> "_Setting":
-        return cls(os.environ.get("XLA_FLAGS", ""), jax.config.jax_compilation_cache_dir)
+        return cls(os.environ.get("XLA_FLAGS", ""), jax.config.values["jax_compilation_cache_dir"])
 
 
 def _in_worker(work: Work, indices: Sequence[int], setting: _Setting, attempt: int) -> Arrays:

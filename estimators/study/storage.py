@@ -32,24 +32,30 @@ class Storage:
     whatever ends the process. What is left is found from the files that are there.
 
     Args:
-        folder: made where there is none.
+        folder: of the study.
         digest: of the study; results of another are refused.
         layout: of its variables.
-        description: text that tells what is computed, kept beside the results.
-
-    Raises:
-        StorageError: the folder holds results of another study.
-        OSError: the folder cannot be written to.
     """
 
-    def __init__(self, folder: str | os.PathLike[str], digest: str, layout: Layout, description: str) -> None:
+    def __init__(self, folder: str | os.PathLike[str], digest: str, layout: Layout) -> None:
         self.folder, self.digest, self.layout = Path(folder), digest, layout
         self._chunks = self.folder / _CHUNKS
+
+    def begin(self, description: str) -> None:
+        """Make the folder, or see that it is this study's.
+
+        Args:
+            description: text that tells what is computed, kept beside the results.
+
+        Raises:
+            StorageError: the folder holds results of another study.
+            OSError: the folder cannot be written to.
+        """
         self._chunks.mkdir(parents=True, exist_ok=True)
         files = self._files()
-        if files and (other := _attributes(files[0])["digest"]) != digest:
+        if files and (other := _attributes(files[0])["digest"]) != self.digest:
             raise StorageError(
-                f"{self.folder}: holds results of another study (its hash is {other}, that of this one {digest}), and the two "
+                f"{self.folder}: holds results of another study (its hash is {other}, that of this one {self.digest}), and the two "
                 "are never mixed; name another folder, or remove this one."
             )
         _write(self.folder / _DESCRIPTION, description.encode())

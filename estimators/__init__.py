@@ -23,7 +23,7 @@ from estimators._profile import Profile, profile
 from estimators._response_record import FrequencyResponse, FrequencyResponses
 from estimators._results import RESULTS, DivergedError, NotIdentifiableError
 from estimators._sandwich import Covariances, covariances
-from estimators.study import StudyResults, StudySpec, study
+from estimators.study import Bootstrap, StudyResults, StudySpec, bootstrap, study
 
 __all__ = [
     "AS_IN_PAPER",
@@ -31,6 +31,7 @@ __all__ = [
     "SOURCES",
     "Agreement",
     "Attribution",
+    "Bootstrap",
     "Candidate",
     "ClosedForm",
     "Comparison",
@@ -58,6 +59,7 @@ __all__ = [
     "StudySpec",
     "Trend",
     "agreement",
+    "bootstrap",
     "compare",
     "control",
     "covariances",

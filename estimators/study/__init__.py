@@ -1,5 +1,6 @@
 """Monte Carlo studies: repeat drawing, recording and estimating, and see whether what is stated is true."""
 
+from estimators.study.bootstrap import Bootstrap, bootstrap
 from estimators.study.declarative import SpecError, Values
 from estimators.study.results import StudyResults
 from estimators.study.run import WorkerError, study
@@ -7,6 +8,7 @@ from estimators.study.spec import Estimate, Excitation, Fitted, Hidden, Noise, P
 from estimators.study.storage import StorageError
 
 __all__ = [
+    "Bootstrap",
     "Estimate",
     "Excitation",
     "Fitted",
@@ -19,5 +21,6 @@ __all__ = [
     "StudySpec",
     "Values",
     "WorkerError",
+    "bootstrap",
     "study",
 ]

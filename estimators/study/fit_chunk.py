@@ -175,7 +175,7 @@ def _prediction_error_nonlinear(prepared: Prepared, options: Mapping[str, Any], 
 
 
 def _prediction_error(prepared: Prepared, options: Mapping[str, Any], start: str) -> Outcome:
-    """The mean over the conditions of a repetition."""
+    """The mean over the conditions of a repetition, each counting by its stated precision."""
     import estimators as est
 
     recording = prepared.recording
@@ -188,7 +188,8 @@ def _prediction_error(prepared: Prepared, options: Mapping[str, Any], start: str
         place = found.models[0].names.index(own)
         each = np.array([one.values[place] for one in found.models])
         stds = np.array([one.std[place] for one in found.models])
-        values[name] = Value(float(np.mean(each)), float(np.sqrt(np.sum(stds**2)) / len(stds)))
+        weights = 1 / stds**2
+        values[name] = Value(float(np.sum(weights * each) / np.sum(weights)), float(1 / np.sqrt(np.sum(weights))))
     return Outcome(values, verdict="converged" if all(one.converged for one in found.models) else "not converged")
 
 

@@ -40,7 +40,8 @@ class Hidden:
 
     Attributes:
         effect: id of the effect that a diagnosis should name, several joined by " + ", or "nothing".
-        values: of fields of the virtual rig, each a number or [low, high], between which it is drawn uniformly.
+        values: of fields of the virtual rig, each a number or [low, high], between which it is drawn uniformly;
+            `encoder = true` where only a measured angle could show it.
         played: how inputs really run between samples; empty for what the recording says.
     """
 
@@ -372,6 +373,8 @@ def _options_of(function: Callable[..., Any]) -> list[str]:
 
 def _check_value(place: str, value: Any) -> None:
     """A number or an interval to draw from."""
+    if isinstance(value, bool) and place.endswith(".encoder"):
+        return
     parts = value if isinstance(value, tuple) else (value,)
     numbers = all(isinstance(part, int | float) and not isinstance(part, bool) for part in parts)
     if not numbers or len(parts) not in (1, 2) or (len(parts) == 2 and not parts[0] <= parts[1]):
@@ -384,6 +387,4 @@ def _middle(value: Any) -> Any:
 
 # What `Noise` says is not said twice.
 _NOISES = ("position_noise", "velocity_noise", "angle_noise", "noise_correlation", "force_noise", "torque_noise")
-_RIG = tuple(
-    field.name for field in dataclasses.fields(Rig) if field.name not in (*_NOISES, "encoder", "quantisation_bits")
-)
+_RIG = tuple(field.name for field in dataclasses.fields(Rig) if field.name not in (*_NOISES, "quantisation_bits"))

@@ -9,7 +9,7 @@ import scipy.stats
 from estimators.plots._style import MARKERS, MODELS, SMALL, Picture, picture, tidy, title
 from estimators.study.results import StudyResults
 
-_MOST_PARAMETERS = 8
+_MOST_PARAMETERS = 9
 _MOST_PAIRS = 4
 _NOMINAL = 0.95
 
@@ -138,7 +138,7 @@ def plot_confusions(found: StudyResults) -> Picture:
         ValueError: the study made no diagnosis.
     """
     hidden, named, share = found.confusion()
-    figure = picture(2.6 + 0.34 * len(named), 2.2 + 0.3 * len(hidden))
+    figure = picture(max(5.6, 2.6 + 0.34 * len(named)), 2.2 + 0.3 * len(hidden))
     axes = figure.subplots()
     image = axes.imshow(100 * share, cmap="Greys", vmin=0.0, vmax=100.0, aspect="auto")
     axes.set_xticks(range(len(named)), list(named), rotation=45, ha="right", rotation_mode="anchor", fontsize=SMALL)
@@ -163,6 +163,7 @@ def plot_envelopes(found: StudyResults) -> Picture:
         ValueError: the study made no envelopes.
     """
     said = found.envelope_coverage()
+    said_of = next(e.name for e in found.spec.estimate if e.method == "envelope")
     figure = picture(6.4, 5.0)
     axes = figure.subplots()
     random = np.random.default_rng(0)  # stated probabilities are often one number: points are set beside each other
@@ -175,15 +176,16 @@ def plot_envelopes(found: StudyResults) -> Picture:
             alpha=0.7, label=estimate.name,
         )  # fmt: skip
     axes.plot([0, 100], [0, 100], color="black", linewidth=0.8, linestyle="--")
-    axes.set_xlim(0, 100)
-    axes.set_ylim(0, 102)
+    axes.set_xlim(-2, 100)
+    axes.set_ylim(-2, 102)
     axes.set_xlabel("Stated: least probability of a new condition inside [%]", fontsize=SMALL)
     axes.set_ylabel("New conditions inside [%]", fontsize=SMALL)
     tidy(axes)
     axes.legend(fontsize=SMALL)
     title(
         figure,
-        f"{100 * said['kept']:.0f} % of the envelopes hold at least what they state; {100 * said['confidence']:.0f} % is promised",
+        f"{said_of}: {100 * said['kept']:.0f} % of the envelopes hold at least what they state; "
+        f"{100 * said['confidence']:.0f} % is promised",
     )
     return figure
 
@@ -243,7 +245,7 @@ def _estimates_say(found: StudyResults) -> str:
                     abs(bias) / size,
                     f"{estimator} is biased most: {parameter} by {100 * bias / size:+.2g} % of its value",
                 )
-    return worst[1] or f"no estimate is biased beyond what {len(found.index)} repetitions can show"
+    return worst[1] or f"No estimate is biased beyond what {len(found.index)} repetitions can show"
 
 
 def _coverage_says(found: StudyResults) -> str:
@@ -256,11 +258,11 @@ def _coverage_says(found: StudyResults) -> str:
         outside = not s["coverage_low"].values[e, p] <= _NOMINAL <= s["coverage_high"].values[e, p]
         wrong[estimator] = wrong.get(estimator, 0) + outside
     if not counts:
-        return "no estimator states an interval"
+        return "No estimator states an interval"
     bad = [f"{name} for {wrong[name]} of {counts[name]} parameters" for name in counts if wrong[name]]
     if not bad:
-        return "every stated interval covers as it says, as far as these repetitions show"
-    return f"intervals do not cover as they say: {', '.join(bad)}"
+        return "Every stated interval covers as it says, as far as these repetitions show"
+    return f"Intervals do not cover as they say: {', '.join(bad)}"
 
 
 def _pairs_say(found: StudyResults, e: int, names: list[tuple[int, str]]) -> str:
@@ -275,8 +277,8 @@ def _pairs_say(found: StudyResults, e: int, names: list[tuple[int, str]]) -> str
                 continue
             r = float(np.corrcoef(x[known], y[known])[0, 1])
             if abs(r) > abs(best[0]):
-                best = r, f"of {found.estimators[e]}, {name} and {other} err together most (correlation {r:.2f})"
-    return best[1] or f"errors of {found.estimators[e]}"
+                best = r, f"With {found.estimators[e]}, {name} and {other} err together most (correlation {r:.2f})"
+    return best[1] or f"Errors of {found.estimators[e]}"
 
 
 def _confusion_says(found: StudyResults) -> str:
@@ -285,7 +287,7 @@ def _confusion_says(found: StudyResults) -> str:
     effects = [h for h in hidden if h != "nothing"]
     hits = sum(share[hidden.index(h), named.index(h)] * totals[h] for h in effects if h in named)
     count = sum(totals[h] for h in effects)
-    said = f"the hidden effect is named in {hits:.0f} of {count} repetitions" if count else ""
+    said = f"The hidden effect is named in {hits:.0f} of {count} repetitions" if count else ""
     if "nothing" in hidden:
         adequate = share[hidden.index("nothing"), named.index("adequate")] if "adequate" in named else 0.0
         alarms = round((1 - adequate) * totals["nothing"])

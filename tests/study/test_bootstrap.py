@@ -44,8 +44,8 @@ def test_the_parametric_bootstrap_agrees_with_cramer_and_rao(white, tmp_path):
 
 def test_blocks_see_a_coloured_residual_that_cramer_and_rao_do_not():
     fit, recording = fitted(noise_correlation=0.9)
-    blocks = est.bootstrap(fit, recording, repetitions=30, method="blocks", progress=False)
-    plain = est.bootstrap(fit, recording, repetitions=30, progress=False)
+    blocks = est.bootstrap(fit, recording, repetitions=24, method="blocks", progress=False)
+    plain = est.bootstrap(fit, recording, repetitions=24, progress=False)
     stated = np.array([fit.parameters[name].std for name in blocks.names])
     # Noise that remembers ten samples makes slow parameters more uncertain than white noise of the same size.
     assert np.all(np.array(list(blocks.std.values())) > 1.5 * stated)

@@ -44,7 +44,7 @@ def test_wrong_use_is_refused_in_one_sentence(tmp_path):
     assert call("study", "run", file, "--out", out).exit_code == 0
     small(repetitions=2, seed=9).save(file)
     refused(call("study", "run", file, "--out", out), 2, "holds results of another study")
-    file.write_text("name = 3")
+    file.write_text("name = 3\nrepetitions = 1\nestimate = []")
     refused(call("study", "run", file, "--out", out), 2, "little.toml: name: is 3")
     refused(call("study", "run", tmp_path / "none.toml"), 2, "No such file")
     refused(call("study", "show", tmp_path), 2, "holds no study")

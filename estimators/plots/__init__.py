@@ -13,6 +13,7 @@ from estimators.plots._prediction_error import plot_equality, plot_innovations, 
 from estimators.plots._profile import plot_profile
 from estimators.plots._recording import plot_recording
 from estimators.plots._residuals import plot_residuals
+from estimators.plots._study import plot_confusions, plot_coverage, plot_envelopes, plot_estimates, plot_pairs
 from estimators.plots._table1 import plot_table_1
 from estimators.plots._where import plot_where
 
@@ -23,14 +24,19 @@ __all__ = [
     "plot_closed_loop",
     "plot_comparison",
     "plot_confusion",
+    "plot_confusions",
+    "plot_coverage",
     "plot_diagnosis",
     "plot_effect_cost",
     "plot_envelope",
+    "plot_envelopes",
     "plot_equality",
+    "plot_estimates",
     "plot_improvement",
     "plot_innovations",
     "plot_margins",
     "plot_next_experiment",
+    "plot_pairs",
     "plot_prediction_error",
     "plot_profile",
     "plot_recording",

@@ -85,7 +85,7 @@ def plot_coverage(found: StudyResults) -> Picture:
         )  # fmt: skip
     axes.axvline(100 * _NOMINAL, color="black", linewidth=0.8, linestyle="--")
     axes.set_yticks(range(len(names)), [name for _, name in names], fontsize=SMALL)
-    axes.invert_yaxis()
+    axes.set_ylim(len(names) - 0.5, -0.5)
     least = np.nanmin(summary["coverage_low"].values[:, [p for p, _ in names]], initial=0.9)
     axes.set_xlim(100 * least - 5, 101)
     axes.set_xlabel("Intervals that hold the truth [%], dashed: 95 %", fontsize=SMALL)

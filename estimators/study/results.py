@@ -5,7 +5,7 @@ import csv
 import dataclasses
 import io
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -336,48 +336,57 @@ class StudyResults:
         blocks += [table for table in (self.quantity_table(), self.failure_table()) if table.rows]
         return "\n\n".join(str(block) for block in blocks)
 
-    def plot(self) -> Any:
-        """Picture of the estimates with stated and found density, or of the confusion where effects were named."""
-        return next(iter(self.figures().values()))[0]
+    def plot(self, which: str | None = None) -> Any:
+        """One picture: "estimates", "coverage", "pairs", "confusion" or "envelopes"; by default the first that suits the study.
+
+        Raises:
+            ValueError: the study has no such picture.
+        """
+        known = self._pictures()
+        if not known or (which is not None and which not in known):
+            raise ValueError(f"there is no picture {which!r} of this study; there are {', '.join(known) or 'none'}.")
+        draw, _ = known[which or next(iter(known))]
+        return draw(self)
 
     def figures(self) -> dict[str, tuple[Any, str]]:
         """Every picture that suits the study, with a caption."""
+        return {name: (draw(self), caption) for name, (draw, caption) in self._pictures().items()}
+
+    def _pictures(self) -> dict[str, tuple[Callable[..., Any], str]]:
         from estimators.plots._study import plot_confusions, plot_coverage, plot_envelopes, plot_estimates, plot_pairs
 
-        found: dict[str, tuple[Any, str]] = {}
-        if self.has_estimates:
-            found["estimates"] = (
-                plot_estimates(self),
-                (
-                    "Error of every estimate in percent of the truth: bars are the repetitions, the line is the normal "
-                    "density with the stated standard deviation."
-                ),
-            )
-            if np.any(np.isfinite(self.summary()["coverage"].values)):
-                found["coverage"] = (
-                    plot_coverage(self),
-                    (
-                        "How often the stated 95 % interval holds the truth, with the 95 % interval of Clopper and Pearson."
-                    ),
-                )
-            found["pairs"] = (
-                plot_pairs(self),
+        methods = {one.method for one in self.spec.estimate}
+        suits = {
+            "estimates": self.has_estimates,
+            "coverage": bool(np.any(np.isfinite(self.summary()["coverage"].values))),
+            "pairs": self.has_estimates,
+            "confusion": "diagnosis" in methods and len(self.index) > 0,
+            "envelopes": "quantity" in self.arrays
+            and "envelope" in methods
+            and bool(np.any(np.isfinite(self.arrays["quantity"]))),
+        }
+        pictures: dict[str, tuple[Callable[..., Any], str]] = {
+            "estimates": (
+                plot_estimates,
+                "Error of every estimate in percent of the truth: bars are the repetitions, the line is the normal density with "
+                "the stated standard deviation.",
+            ),
+            "coverage": (
+                plot_coverage,
+                "How often the stated 95 % interval holds the truth, with the 95 % interval of Clopper and Pearson.",
+            ),
+            "pairs": (
+                plot_pairs,
                 "Errors of two estimates of one repetition against each other, by the last estimator.",
-            )
-        if any(one.method == "diagnosis" for one in self.spec.estimate):
-            found["confusion"] = (
-                plot_confusions(self),
-                (
-                    "Rows: what was hidden. Columns: what was named; of a group that the data cannot tell apart the "
-                    "hidden effect counts."
-                ),
-            )
-        if any(one.method == "envelope" for one in self.spec.estimate):
-            found["envelopes"] = (
-                plot_envelopes(self),
-                "Each point is one envelope; above the line it holds what it states.",
-            )
-        return found
+            ),
+            "confusion": (
+                plot_confusions,
+                "Rows: what was hidden. Columns: what was named; of a group that the data cannot tell apart the hidden "
+                "effect counts.",
+            ),
+            "envelopes": (plot_envelopes, "Each point is one envelope; above the line it holds what it states."),
+        }
+        return {name: picture for name, picture in pictures.items() if suits[name]}
 
     def to_csv(self, path: str | os.PathLike[str]) -> None:
         """Write the summary: one row for each estimator and parameter."""

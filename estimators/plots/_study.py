@@ -168,7 +168,7 @@ def plot_envelopes(found: StudyResults) -> Picture:
     axes = figure.subplots()
     random = np.random.default_rng(0)  # stated probabilities are often one number: points are set beside each other
     for n, estimate in enumerate(e for e in found.spec.estimate if e.method == "envelope"):
-        column = found["quantity"].sel(estimator=estimate.name)
+        column = found["quantities"].sel(estimator=estimate.name)
         stated, inside = column.sel(quantity="stated").values, column.sel(quantity="inside").values
         beside = 100 * stated + random.uniform(-0.6, 0.6, len(stated))
         axes.plot(

@@ -94,9 +94,9 @@ def _keep(outcome: Outcome, kept: Arrays, row: int, column: int, place: dict[str
         ):  # fmt: skip
             if variable in kept:
                 kept[variable][at] = number
-    if "quantity" in kept:
+    if "quantities" in kept:
         for name, number in outcome.quantities.items():
-            kept["quantity"][row, column, place["quantity"][name]] = number
+            kept["quantities"][row, column, place["quantity"][name]] = number
 
 
 def layout_of(spec: StudySpec) -> Layout:
@@ -106,7 +106,7 @@ def layout_of(spec: StudySpec) -> Layout:
         "estimate": {"estimate": each},
         "std": {"std": each, "freedom": each},
         "consistency": {"consistency": each},
-        "quantity": {"quantity": ("estimator", "quantity")},
+        "quantities": {"quantities": ("estimator", "quantity")},
     }
     numbers: dict[str, tuple[str, ...]] = {"truth": ("parameter",)}
     for statistic in spec.keep:

@@ -149,7 +149,7 @@ class StudyResults:
     def quantities(self) -> dict[str, Labelled]:
         """Mean and standard deviation over the repetitions of what methods give besides parameters."""
         axes = ("estimator", "quantity")
-        values = self.arrays.get("quantity")
+        values = self.arrays.get("quantities")
         if values is None:
             return {}
         known = np.isfinite(values)
@@ -170,9 +170,9 @@ class StudyResults:
             ValueError: the study made no envelopes.
         """
         names = [one.name for one in self.spec.estimate if one.method == "envelope"]
-        if not names or "quantity" not in self.arrays:
+        if not names or "quantities" not in self.arrays:
             raise ValueError("this study kept no envelopes.")
-        column = self["quantity"].sel(estimator=estimator or names[0])
+        column = self["quantities"].sel(estimator=estimator or names[0])
         stated, inside, confidence = (column.sel(quantity=q).values for q in ("stated", "inside", "confidence"))
         known = np.isfinite(inside)
         kept = np.sum(inside[known] >= stated[known])
@@ -361,9 +361,9 @@ class StudyResults:
             "coverage": bool(np.any(np.isfinite(self.summary()["coverage"].values))),
             "pairs": self.has_estimates,
             "confusion": "diagnosis" in methods and len(self.index) > 0,
-            "envelopes": "quantity" in self.arrays
+            "envelopes": "quantities" in self.arrays
             and "envelope" in methods
-            and bool(np.any(np.isfinite(self.arrays["quantity"]))),
+            and bool(np.any(np.isfinite(self.arrays["quantities"]))),
         }
         pictures: dict[str, tuple[Callable[..., Any], str]] = {
             "estimates": (
@@ -403,9 +403,9 @@ class StudyResults:
         columns: list[tuple[str, Mapping[str, Any]]] = []
         names = self.layout.coordinates
         header = ["repetition", "hidden", "excitation", "estimator", "verdict", "named", "reason"]
-        for variable in ("truth", "estimate", "std", "quantity"):
+        for variable in ("truth", "estimate", "std", "quantities"):
             if variable in self.arrays:
-                axis = "quantity" if variable == "quantity" else "parameter"
+                axis = "quantity" if variable == "quantities" else "parameter"
                 columns.append((variable, dict(enumerate(names[axis]))))  # type: ignore[arg-type] - keys are places
                 header += [name if axis == "quantity" else f"{variable} of {name}" for name in names[axis]]
         rows: list[list[Any]] = [header]

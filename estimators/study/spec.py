@@ -26,8 +26,8 @@ Method = Literal[
     "envelope",
     "diagnosis",
 ]
-Statistic = Literal["estimate", "std", "consistency", "quantity"]
-STATISTICS: tuple[Statistic, ...] = ("estimate", "std", "consistency", "quantity")
+Statistic = Literal["estimate", "std", "consistency", "quantities"]
+STATISTICS: tuple[Statistic, ...] = ("estimate", "std", "consistency", "quantities")
 
 _FORMAT = 1  # of what a repetition keeps: raised when the same study would give other numbers
 _PER_CHUNK = {"diagnosis": 1, "envelope": 2}  # these take minutes and seconds; a kill loses one chunk

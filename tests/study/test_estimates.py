@@ -62,6 +62,9 @@ def test_results_have_names_and_are_written(tmp_path):
     with pytest.raises(KeyError, match="there is no variable 'estimates'"):
         found["estimates"]
     assert set(found.dataset) == set(found.arrays)
+    assert not set(found.layout.variables) & {"repetition", *found.layout.coordinates}, (
+        "xarray allows no variable of an axis's name"
+    )
     found.to_csv(tmp_path / "summary.csv")
     rows = list(csv.DictReader((tmp_path / "summary.csv").read_text().splitlines()))
     assert [(row["estimator"], row["parameter"]) for row in rows] == [("output_error", "spring_stiffness")]

@@ -80,6 +80,7 @@ est.study({str(file)!r}, out={str(out)!r}, chunk=2, progress=False)
         process.stdout.readline()
         chunks = out / "chunks"
         while not chunks.is_dir() or len(list(chunks.glob("*.h5"))) <= len(kept):  # it has begun to keep its own
+            assert process.poll() is None, "it ended by itself"
             time.sleep(0.005)
         time.sleep(float(random.uniform(0.0, 0.3)))
         process.send_signal(signal.SIGKILL)

@@ -181,7 +181,7 @@ def plot_envelopes(found: StudyResults) -> Picture:
     axes.set_xlabel("Stated: least probability of a new condition inside [%]", fontsize=SMALL)
     axes.set_ylabel("New conditions inside [%]", fontsize=SMALL)
     tidy(axes)
-    axes.legend(fontsize=SMALL)
+    axes.legend(fontsize=SMALL, loc="lower right")
     title(
         figure,
         f"{said_of}: {100 * said['kept']:.0f} % of the envelopes hold at least what they state; "

@@ -23,6 +23,7 @@ from estimators.linear.model import LinearModel
 from estimators.linear.residual_tests import ResidualTest
 from estimators.output_error.fit import output_error
 from estimators.prediction_error.fit import PredictorFit, prediction_error_nonlinear
+from estimators.study import Bootstrap, StudyResults, StudySpec, bootstrap, study
 from estimators.uncertainty.attribution import SOURCES, Attribution
 from estimators.uncertainty.effect_cost import EffectCost, effect_cost
 from estimators.uncertainty.envelope import Envelope, envelope
@@ -35,6 +36,7 @@ __all__ = [
     "SOURCES",
     "Agreement",
     "Attribution",
+    "Bootstrap",
     "Candidate",
     "ClosedForm",
     "Comparison",
@@ -59,9 +61,12 @@ __all__ = [
     "PredictorFit",
     "Profile",
     "ResidualTest",
+    "StudyResults",
+    "StudySpec",
     "Trend",
     "__version__",
     "agreement",
+    "bootstrap",
     "compare",
     "control",
     "covariances",
@@ -77,4 +82,5 @@ __all__ = [
     "prediction_error",
     "prediction_error_nonlinear",
     "profile",
+    "study",
 ]

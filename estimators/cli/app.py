@@ -27,6 +27,7 @@ from estimators.cli.job import (
     writable_folder,
 )
 from estimators.cli.options import Effects, File, Json, Out, Validation
+from estimators.cli.study import study
 
 
 class _Group(TyperGroup):
@@ -396,6 +397,7 @@ def _show_planned(planned: Any, work: Job, figures: dict[str, Any], captions: di
 
 app.command()(envelope)
 app.command()(control)
+app.add_typer(study, name="study")
 
 _GUARDED = "checksums: the file is as it was written."
 _UNGUARDED = "checksums: none, so nothing guards the numbers against damage to the file; Recording.load(...).save(...) adds them."

@@ -12,8 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rtac_jax import RigidBody
-from rtac_jax.effects import Actuator, DryFriction, Effect, Force, Impact, Input, Motion, Outputs, Sensor
-from rtac_jax.effects._interface import in_parts
+from rtac_jax.effects import Actuator, DryFriction, Effect, Force, Impact, Input, Motion, Outputs, Sensor, in_parts
 from rtac_jax.parameters import Scales, declarations
 
 # A rig as the paper's, swinging some millimetres: sizes for which `plausible` must answer.

@@ -26,6 +26,7 @@ from estimators.plots.prediction_error import plot_equality, plot_innovations, p
 from estimators.plots.profile import plot_profile
 from estimators.plots.recording import plot_recording
 from estimators.plots.residuals import plot_residuals
+from estimators.plots.study import plot_confusions, plot_coverage, plot_envelopes, plot_estimates, plot_pairs
 from estimators.plots.table1 import plot_table_1
 from estimators.plots.where import plot_where
 from estimators.prediction_error.fit import PredictorFit
@@ -77,14 +78,19 @@ __all__ = [
     "plot_closed_loop",
     "plot_comparison",
     "plot_confusion",
+    "plot_confusions",
+    "plot_coverage",
     "plot_diagnosis",
     "plot_effect_cost",
     "plot_envelope",
+    "plot_envelopes",
     "plot_equality",
+    "plot_estimates",
     "plot_improvement",
     "plot_innovations",
     "plot_margins",
     "plot_next_experiment",
+    "plot_pairs",
     "plot_prediction_error",
     "plot_profile",
     "plot_recording",

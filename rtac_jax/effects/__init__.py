@@ -11,6 +11,7 @@ from rtac_jax.effects._interface import (
     Outputs,
     Sensor,
     States,
+    in_parts,
 )
 from rtac_jax.effects.actuator import CurrentLag, CurrentOffset, DeadZone, Saturation, TorqueDroop
 from rtac_jax.effects.arm_friction import ArmCoulomb, ArmQuadraticDrag, ArmStribeck, ArmViscous

@@ -1,0 +1,239 @@
+"""What is estimated from the recordings of one chunk, by one method."""
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from estimators.core.initial_state import scales_of
+from estimators.core.results import RESULTS
+from estimators.study.recordings import NEW
+from estimators.study.spec import Estimate, StudySpec, options_for
+from estimators.study.truth import RATIOS, Truth
+from rtac_jax import RTAC
+from rtac_jax.effects import CATALOGUE
+from rtac_jax.measurement import Recording
+
+LINEAR = ("natural frequency", "damping ratio")
+"""What the linear prediction error estimates; the truth is that of the model about theta = 0, without dry friction."""
+
+QUANTITIES: Mapping[str, tuple[str, ...]] = {
+    "least_squares": (),
+    "weak_form": (),
+    "output_error": ("residual",),
+    "prediction_error_nonlinear": ("residual", "force_noise", "torque_noise"),
+    "prediction_error": (),
+    "envelope": ("stated", "confidence", "inside", "largest_gap", "excess_db"),
+    "diagnosis": ("residual", "removed", "likeness"),
+}
+"""Numbers that a method gives besides parameters: largest residual over noise; random force and torque as spectral densities;
+the probability that an envelope states, with which confidence, the fraction of new conditions inside, its largest gap and how far
+it lies above it; the fraction of misfit that named effects remove, and how much the hidden effect looks like its nearest rival."""
+
+
+class Value(NamedTuple):
+    """An estimate: value, stated standard deviation, degrees of freedom of Student's distribution, Table 1's consistency."""
+
+    value: float
+    std: float = np.nan
+    freedom: float = np.inf
+    consistency: float = np.nan
+
+
+@dataclasses.dataclass(frozen=True)
+class Outcome:
+    """What one method makes of one recording.
+
+    Attributes:
+        values: by name of the parameter.
+        quantities: by name, see `QUANTITIES`.
+        verdict: how the fit ended, or what a diagnosis says.
+        named: effects that a diagnosis named, those that it cannot tell apart joined by "|", several by " + ".
+    """
+
+    values: Mapping[str, Value] = dataclasses.field(default_factory=dict)
+    quantities: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    verdict: str = ""
+    named: str = ""
+
+
+class Prepared(NamedTuple):
+    """A recording, the model to be fitted to it, and the truth."""
+
+    model: RTAC
+    recording: Recording
+    truth: Truth
+
+
+def fit_chunk(estimate: Estimate, chunk: Sequence[Prepared], start: str) -> list[Outcome | str]:
+    """Estimate from every recording of a chunk; where that fails, the reason.
+
+    This is the place for a batched fit: one compiled call for all recordings of a chunk, with a status for each. So that results
+    do not depend on how repetitions are cut into chunks, a batch must give each the same bits in any company, such as by
+    filling it up to one fixed size.
+    """
+    function = _METHODS[estimate.method]
+    options = dict(estimate.options)
+    found: list[Outcome | str] = []
+    for prepared in chunk:
+        try:
+            found.append(function(prepared, options, start))
+        except MemoryError:
+            raise  # says nothing of the repetition: the chunk is tried again
+        except Exception as error:  # whatever it is, it is a result of the study, and kept with its reason
+            found.append(f"{type(error).__name__}: {' '.join(str(error).split())}")
+    return found
+
+
+def model_for(spec: StudySpec, truth: Truth, recording: Recording) -> RTAC:
+    """Return the model to be fitted, at the values where the fit begins."""
+    model = RTAC.from_rig(recording)
+    for effect in spec.model.effects:
+        model = model + CATALOGUE[effect].candidates(scales_of(model, [e for e in recording if e.kind != "rest"]))[0]
+    if spec.model.start == "truth":
+        model = model.with_values({name: truth.values[name] for name in model.free if name in truth.values})
+    if spec.model.free:
+        held = [name for name in model.free if name not in spec.model.free]
+        model = model.with_values({name: truth.values[name] for name in held if name in truth.values}).fix(*held)
+    return model
+
+
+def parameters_of(spec: StudySpec) -> tuple[str, ...]:
+    """All that the estimators of a study may estimate, and a few besides."""
+    from estimators.study.spec import parameter_names
+
+    methods = {estimate.method for estimate in spec.estimate}
+    own = [n for n in parameter_names(spec.model.effects) if n not in ("total_mass", "arm_inertia")]
+    names = [n for n in own if not spec.model.free or n in spec.model.free]
+    if methods & {"least_squares", "weak_form"} and not spec.model.free:
+        names += list(RATIOS)
+    return (*names, *(LINEAR if "prediction_error" in methods else ()))
+
+
+def _from_model(function: Callable[..., Any], options: Mapping[str, Any], start: str) -> dict[str, Any]:
+    """Return the function's options; a study that begins at the truth begins at the model."""
+    first = {"from_model": True} if start == "truth" else {}
+    return first | options_for(function, options) | {"progress": False}
+
+
+def _closed_form(prepared: Prepared, options: Mapping[str, Any], weak: bool) -> Outcome:
+    import estimators as est
+
+    chosen: dict[str, Any] = {"weak": weak} | dict(options)
+    found = est.least_squares(prepared.model, prepared.recording, **chosen)
+    estimates = {**found.ratios, **found.estimates}
+    if not estimates:
+        raise ValueError(next(iter(found.skipped.values()), "no experiment serves the closed form."))
+    return Outcome(
+        {n: Value(e.value, e.std, max(len(e.each) - 1.0, 0.0), e.consistency) for n, e in estimates.items()},
+        verdict="consistent" if found.consistent else "not consistent",
+    )
+
+
+def _least_squares(prepared: Prepared, options: Mapping[str, Any], start: str) -> Outcome:
+    return _closed_form(prepared, options, weak=False)
+
+
+def _weak_form(prepared: Prepared, options: Mapping[str, Any], start: str) -> Outcome:
+    return _closed_form(prepared, options, weak=True)
+
+
+def _shared(found: Any) -> dict[str, Value]:
+    return {n: Value(found.parameters[n].value, found.parameters[n].std) for n in found.information.names}
+
+
+def _output_error(prepared: Prepared, options: Mapping[str, Any], start: str) -> Outcome:
+    import estimators as est
+
+    found = est.output_error(prepared.model, prepared.recording, **_from_model(est.output_error, options, start))
+    return Outcome(_shared(found), {"residual": _residual(found)}, _ended(found))
+
+
+def _residual(fit: Any) -> float:
+    return max(rms / fit.noise[channel] for channel, rms in fit.residual_std.items())
+
+
+def _ended(fit: Any) -> str:
+    return next(
+        n for n in ("successful", "steps_exhausted", "starts_disagree") if bool(fit.result == getattr(RESULTS, n))
+    )
+
+
+def _prediction_error_nonlinear(prepared: Prepared, options: Mapping[str, Any], start: str) -> Outcome:
+    import estimators as est
+
+    function = est.prediction_error_nonlinear
+    found = function(prepared.model, prepared.recording, **_from_model(function, options, start))
+    quantities = {
+        "residual": max(w.rms for w in found.whiteness),
+        "force_noise": found.force_noise,
+        "torque_noise": found.torque_noise,
+    }
+    white = "white" if found.verdict.startswith("The innovations are white") else "coloured"
+    return Outcome(_shared(found), quantities, white)
+
+
+def _prediction_error(prepared: Prepared, options: Mapping[str, Any], start: str) -> Outcome:
+    """Return the mean over the conditions of a repetition, each counting by its stated precision."""
+    import estimators as est
+
+    recording = prepared.recording
+    angle = all("arm_angle" in e.outputs for e in recording if e.kind == "forced")
+    model = None if angle else est.output_error(prepared.model, recording, progress=False).model
+    found = est.prediction_error(recording, model=model, progress=False, **dict(options))
+    values = {}
+    for name in LINEAR:
+        own = next(n for n in found.models[0].names if n.startswith(name))  # of the first mode, where there are several
+        place = found.models[0].names.index(own)
+        each = np.array([one.values[place] for one in found.models])
+        stds = np.array([one.std[place] for one in found.models])
+        weights = 1 / stds**2
+        values[name] = Value(float(np.sum(weights * each) / np.sum(weights)), float(1 / np.sqrt(np.sum(weights))))
+    return Outcome(values, verdict="converged" if all(one.converged for one in found.models) else "not converged")
+
+
+def _envelope(prepared: Prepared, options: Mapping[str, Any], start: str) -> Outcome:
+    import estimators as est
+
+    recording = prepared.recording
+    new = [name for name in recording.names if name.startswith(NEW)]
+    chosen = options_for(est.frequency_responses, options)
+    responses = est.frequency_responses(recording.select([n for n in recording.names if n not in new]), **chosen)
+    made = est.envelope(responses, progress=False, **options_for(est.envelope, options))
+    inside = made.covers(est.frequency_responses(recording.select(new), **chosen)) if new else np.zeros(0)
+    quantities = {
+        "stated": made.coverage.probability,
+        "confidence": made.coverage.confidence,
+        "inside": float(np.mean(inside)) if new else np.nan,
+        "largest_gap": float(np.max(made.profile)),
+        "excess_db": made.excess_db,
+    }
+    return Outcome(quantities=quantities, verdict=made.coverage.method)
+
+
+def _diagnosis(prepared: Prepared, options: Mapping[str, Any], start: str) -> Outcome:
+    import estimators as est
+
+    fit = est.output_error(prepared.model, prepared.recording, **_from_model(est.output_error, {}, start))
+    chosen = dict(options)
+    if "candidates" in chosen:
+        chosen["candidates"] = [CATALOGUE[name] for name in chosen["candidates"]]
+    found = est.diagnose(fit, prepared.recording, progress=False, **chosen)
+    groups = {c.id: c.confusable_with for c in found.effects}
+    named = ["|".join((effect.id, *groups.get(effect.id, ()))) for effect in found.additions]
+    own = [c for c in found.candidates if c.id == prepared.truth.hidden.effect]
+    likeness = max((abs(x) for x in own[0].correlation.values()), default=np.nan) if own else np.nan
+    quantities = {"residual": _residual(fit), "removed": found.removed, "likeness": float(likeness)}
+    return Outcome(quantities=quantities, verdict=found.verdict, named=" + ".join(named))
+
+
+_METHODS: Mapping[str, Callable[[Prepared, Mapping[str, Any], str], Outcome]] = {
+    "least_squares": _least_squares,
+    "weak_form": _weak_form,
+    "output_error": _output_error,
+    "prediction_error_nonlinear": _prediction_error_nonlinear,
+    "prediction_error": _prediction_error,
+    "envelope": _envelope,
+    "diagnosis": _diagnosis,
+}

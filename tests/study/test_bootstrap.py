@@ -1,0 +1,65 @@
+"""Intervals from replicates beside those that a fit states."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import estimators as est
+import rtac_jax as rtac
+from estimators.study import StorageError
+from rtac_jax import virtual_rig
+
+PLANS = virtual_rig.standard_plans(seed=1, duration=2.0, free=2, forced=0, rest=1)
+
+
+def fitted(**changes):
+    rig = dataclasses.replace(virtual_rig.Rig(), quantisation_bits=None, **changes)
+    recording = virtual_rig.record(rig, PLANS, seed=2)
+    model = rtac.RTAC.from_rig(recording).fix("arm_viscous.positive", "arm_viscous.negative", "eccentric_moment")
+    return est.output_error(model, recording, from_model=True, progress=False), recording
+
+
+@pytest.fixture(scope="module")
+def white():
+    return fitted()
+
+
+def test_the_parametric_bootstrap_agrees_with_cramer_and_rao(white, tmp_path):
+    fit, recording = white
+    found = est.bootstrap(fit, recording, repetitions=60, seed=3, out=tmp_path, progress=False)
+    for name, std in found.std.items():
+        # The standard deviation of a standard deviation from 60 normal numbers is 9 %; three of them and what is not linear.
+        assert std == pytest.approx(fit.parameters[name].std, rel=0.35)
+        low, high = found.interval()[name]
+        assert low < fit.parameters[name].value < high
+        assert high - low == pytest.approx(2 * 1.96 * std, rel=0.35)
+        assert abs(found.bias[name]) < std
+    assert "60 replicates, parametric." in str(found)
+    again = est.bootstrap(fit, recording, repetitions=60, seed=3, out=tmp_path, progress=False)
+    assert again.samples.tobytes() == found.samples.tobytes()
+    with pytest.raises(StorageError, match="holds results of another study"):
+        est.bootstrap(fit, recording, repetitions=60, seed=4, out=tmp_path, progress=False)
+
+
+def test_blocks_see_a_coloured_residual_that_cramer_and_rao_do_not():
+    fit, recording = fitted(noise_correlation=0.9)
+    blocks = est.bootstrap(fit, recording, repetitions=24, method="blocks", progress=False)
+    plain = est.bootstrap(fit, recording, repetitions=24, progress=False)
+    stated = np.array([fit.parameters[name].std for name in blocks.names])
+    # Noise that remembers ten samples makes slow parameters more uncertain than white noise of the same size.
+    assert np.all(np.array(list(blocks.std.values())) > 1.5 * stated)
+    assert np.all(np.array(list(plain.std.values())) < 1.5 * stated)
+
+
+def test_what_cannot_be_drawn_is_refused(white):
+    fit, recording = white
+    with pytest.raises(ValueError, match="give the recording that was fitted"):
+        est.bootstrap(fit, virtual_rig.record(virtual_rig.Rig(), PLANS, seed=9), progress=False)
+    for options, words in (
+        ({"method": "jackknife"}, "use 'parametric'"),
+        ({"repetitions": 1}, "at least 2"),
+        ({"block": 0}, "block is 0"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            est.bootstrap(fit, recording, progress=False, **options)

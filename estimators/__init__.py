@@ -2,6 +2,7 @@
 
 from estimators._agreement import Agreement, agreement
 from estimators._attribution import SOURCES, Attribution
+from estimators._batched_output_error import BatchFit, output_error_batch
 from estimators._candidate import Candidate
 from estimators._compare import Comparison, compare
 from estimators._control_design import ControlDesign, control
@@ -30,6 +31,7 @@ __all__ = [
     "SOURCES",
     "Agreement",
     "Attribution",
+    "BatchFit",
     "Candidate",
     "ClosedForm",
     "Comparison",
@@ -67,6 +69,7 @@ __all__ = [
     "least_squares",
     "next_experiment",
     "output_error",
+    "output_error_batch",
     "prediction_error",
     "prediction_error_nonlinear",
     "profile",

@@ -21,6 +21,7 @@ from estimators.linear.fit import LinearModels, prediction_error
 from estimators.linear.homogeneity_test import Equality, Trend
 from estimators.linear.model import LinearModel
 from estimators.linear.residual_tests import ResidualTest
+from estimators.output_error.batch import BatchFit, output_error_batch
 from estimators.output_error.fit import output_error
 from estimators.prediction_error.fit import PredictorFit, prediction_error_nonlinear
 from estimators.study import Bootstrap, StudyResults, StudySpec, bootstrap, study
@@ -36,6 +37,7 @@ __all__ = [
     "SOURCES",
     "Agreement",
     "Attribution",
+    "BatchFit",
     "Bootstrap",
     "Candidate",
     "ClosedForm",
@@ -79,6 +81,7 @@ __all__ = [
     "least_squares",
     "next_experiment",
     "output_error",
+    "output_error_batch",
     "prediction_error",
     "prediction_error_nonlinear",
     "profile",

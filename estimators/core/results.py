@@ -18,6 +18,8 @@ class RESULTS(eqx.Enumeration):
         "The fit converged, but no second start reached the same place; it may be a local minimum, "
         "so compare the model with the data before trusting it."
     )
+    diverged = "The model diverges at the start values; give start values nearer to the rig, or check the units."
+    undetermined = "The data leave combinations of parameters free; fix a parameter (model.fix), or add an experiment."
 
 
 class NotIdentifiableError(ValueError):

@@ -31,7 +31,7 @@ def _lines(table: Mapping[str, Any], path: tuple[str, ...]) -> list[str]:
 
 
 def _is_section(value: Any) -> bool:
-    """Return whether a value has a header: a table of tables or of many values, or a list of tables; a table of scalars stands in its line."""
+    """Return whether a value has a header, as tables of tables and lists of tables have; a table of scalars stands in its line."""
     if isinstance(value, list):
         return bool(value) and all(isinstance(part, Mapping) for part in value)
     return isinstance(value, Mapping) and any(isinstance(part, Mapping | list) for part in value.values())

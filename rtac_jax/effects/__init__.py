@@ -152,4 +152,5 @@ __all__ = [
     "TachoRipple",
     "TorqueDroop",
     "effect_class",
+    "in_parts",
 ]

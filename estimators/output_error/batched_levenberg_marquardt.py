@@ -1,0 +1,242 @@
+"""Levenberg-Marquardt on many data sets of one shape in one compiled loop, each with damping and an end of its own."""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from estimators.core.data import Data
+from estimators.output_error.normal_equations import Columns, normal_equations
+from rtac_jax import RTAC
+from rtac_jax.simulation import Steps
+
+# Distance to the minimum of the linearised problem, in standard deviations, at which a stage ends. The first two give the
+# weights of the channels, whose relative errors are about as many times smaller as there are samples, and the last one ends
+# where repetitions agree with single fits to a millionth.
+_CLOSE = (1e-2, 1e-4, 1e-7)
+# A gain in log-likelihood that moves no parameter by a fiftieth of its standard deviation, as for a single fit.
+_NOTHING = 2e-4
+# Dry friction makes kinks, at which no step gains what the linearised problem promises: so many steps in a row that gain
+# nothing end a stage. A single fit ends after two.
+_TRIES = (2, 2, 6)
+_DAMPING, _LEAST_DAMPING = 1e-4, 1e-12  # relative to the diagonal, as Marquardt (1963) takes it
+_EASE, _TIGHTEN = 0.01, 10.0
+_ROUNDING = 1e-12  # of a sum of squares
+
+
+class Batch(NamedTuple):
+    """Where the descents stand; R data sets of E experiments, in columns one data set after the other.
+
+    Attributes:
+        unknowns: scaled to order one.
+        products: of Jacobian and error, at the unknowns.
+        deviation: standard deviation by which each output is divided, SI units.
+        damping: of Marquardt.
+        stage: how often the deviations have been set to what is left; 3 where the descent has ended.
+        failed: steps in a row that gained nothing.
+        steps: how many were tried.
+    """
+
+    unknowns: Float[Array, "unknown column"]
+    products: Float[Array, "output row row column"]
+    deviation: Float[Array, "output set"]
+    damping: Float[Array, " set"]
+    stage: Int[Array, " set"]
+    failed: Int[Array, " set"]
+    steps: Int[Array, " set"]
+
+
+@eqx.filter_jit
+def descend(
+    model: RTAC,
+    names: tuple[str, ...],
+    shared: int,
+    outputs: tuple[int, ...],
+    data: Data,
+    columns: Columns,
+    unknowns: Float[Array, "unknown column"],
+    noise: Float[Array, "output set"],
+    substeps: Steps,
+    most: Int[Array, ""],
+) -> tuple[Batch, Bool[Array, " set"]]:
+    """Return where each data set came to rest, and which began with a simulation that is not finite.
+
+    Args:
+        model: that is fitted.
+        names: of the parameters.
+        shared: how many of them, the first, all experiments of a data set have in common.
+        outputs: places of those that were measured, which `noise` has too.
+        data: of all data sets, whose experiments stand side by side as columns.
+        columns: of which data set each experiment is, and how its unknowns are placed and scaled.
+        unknowns: at which to begin.
+        noise: of the sensors, which weights the channels at first.
+        substeps: Runge-Kutta steps per sample.
+        most: steps to try.
+
+    Source: Marquardt (1963); the starts are eliminated as in the variable projection of Golub and Pereyra (1973).
+    """
+    sets = noise.shape[1]
+
+    def products_at(at: Array) -> Array:
+        return normal_equations(model, names, outputs, data, columns, at, substeps=substeps)
+
+    def each_finite(products: Array) -> Array:
+        return jnp.all(jnp.isfinite(products).reshape(-1, sets, products.shape[-1] // sets), axis=(0, 2))
+
+    def one_step(carry: tuple[Any, Batch]) -> tuple[Any, Batch]:
+        count, batch = carry
+        matrix = weighted(batch, columns)
+        step, _ = _newton(matrix, shared, batch.damping)
+        trial = batch.unknowns + jnp.where(_per_column(batch.stage < len(_CLOSE), batch), step, 0.0)
+        products = products_at(trial)
+        there = weighted(batch._replace(unknowns=trial, products=products), columns)
+        now, then = (0.5 * jnp.sum(x[-1, -1], axis=-1) for x in (matrix, there))
+        active = batch.stage < len(_CLOSE)
+        better = active & each_finite(products) & (then <= now * (1.0 + _ROUNDING))
+        take = _per_column(better, batch)
+        gained = better & (now - then > _NOTHING)
+        after = batch._replace(
+            unknowns=jnp.where(take, trial, batch.unknowns),
+            products=jnp.where(take, products, batch.products),
+            damping=jnp.where(
+                better,
+                jnp.maximum(_EASE * batch.damping, _LEAST_DAMPING),
+                jnp.where(active, _TIGHTEN, 1.0) * batch.damping,
+            ),
+            failed=jnp.where(gained, 0, batch.failed + active),
+            steps=batch.steps + active,
+        )
+        stuck = active & (after.failed >= jnp.asarray(_TRIES)[jnp.minimum(batch.stage, 2)])
+        after = next_stage(after, stuck)
+        for _ in _CLOSE:  # new weights may leave it as close, which costs no simulation to see
+            after = next_stage(after, active & close(after))
+        return count + 1, after
+
+    def close(batch: Batch) -> Array:
+        """Whether the minimum of the linearised problem is near."""
+        _, left = _newton(weighted(batch, columns), shared, batch.damping)
+        near = jnp.asarray(_CLOSE)[jnp.minimum(batch.stage, len(_CLOSE) - 1)]
+        return jnp.sqrt(2.0 * jnp.maximum(left, 0.0)) < near
+
+    def next_stage(batch: Batch, ended: Array) -> Batch:
+        ended = ended & (batch.stage < len(_CLOSE))
+        rms = left_over(batch, data.present[:, jnp.asarray(outputs)], noise)
+        return batch._replace(
+            stage=batch.stage + ended,
+            failed=jnp.where(ended, 0, batch.failed),
+            deviation=jnp.where(ended & (batch.stage < len(_CLOSE) - 1), rms, batch.deviation),
+        )
+
+    def goes_on(carry: tuple[Any, Batch]) -> Any:
+        count, batch = carry
+        return (count < most) & jnp.any(batch.stage < len(_CLOSE))
+
+    first = products_at(unknowns)
+    begins = each_finite(first)
+    none = jnp.zeros(sets, dtype=int)
+    batch = Batch(unknowns, first, noise, jnp.full(sets, _DAMPING), jnp.where(begins, 0, len(_CLOSE)), none, none)
+    return jax.lax.while_loop(goes_on, one_step, (0, batch))[1], ~begins
+
+
+def left_over(batch: Batch, present: Array, noise: Array) -> Float[Array, "output set"]:
+    """Return the rms error of each output of each data set; where nothing is left, the sensor's noise."""
+    outputs, sets = noise.shape
+    squares = batch.products[:, -1, -1].reshape(outputs, sets, -1).sum(axis=2)
+    count = present.sum(axis=0).reshape(outputs, sets, -1).sum(axis=2)
+    rms = jnp.sqrt(squares / jnp.maximum(count, 1.0))
+    # A channel cannot be trusted beyond its sensor, or one that happens to fit would drown the others.
+    return jnp.where(rms > 0, jnp.maximum(rms, 1e-12 * noise), noise)
+
+
+def weighted(batch: Batch, columns: Columns) -> Float[Array, "row row set experiment"]:
+    """Return the products in units of the deviations, with what is known of the starts."""
+    outputs, sets = batch.deviation.shape
+    width = batch.products.shape[1]
+    products = batch.products.reshape(outputs, width, width, sets, -1)
+    matrix = jnp.sum(products / (batch.deviation**2)[:, None, None, :, None], axis=0)
+    count = len(columns.lower)
+    start = batch.unknowns[count:]
+    slope = jnp.where(columns.start_held > 0, 1.0, columns.start_scale / columns.start_spread)
+    known = jnp.concatenate([jnp.zeros_like(batch.unknowns[:count]), slope]).reshape(width - 1, sets, -1)
+    error = jnp.concatenate([jnp.zeros_like(batch.unknowns[:count]), slope * start]).reshape(width - 1, sets, -1)
+    place = jnp.arange(width - 1)
+    matrix = matrix.at[place, place].add(known**2)
+    matrix = matrix.at[place, -1].add(known * error).at[-1, place].add(known * error)
+    return matrix.at[-1, -1].add(jnp.sum(error**2, axis=0))
+
+
+def eliminated(
+    matrix: Float[Array, "row row set experiment"], shared: int, damping: Float[Array, " set"]
+) -> tuple[Float[Array, "kept kept set"], Array, Array]:
+    """Return the normal equations of the shared unknowns and the error, and of the others coupling and solution."""
+    own = matrix[shared:-1, shared:-1]
+    kept = [*range(shared), matrix.shape[0] - 1]
+    coupling = matrix[shared:-1][:, jnp.asarray(kept)]
+    lower = _cholesky(_damped(own, damping[:, None]))
+    solved = _solve(lower, coupling)
+    index = jnp.asarray(kept)
+    rest = matrix[index][:, index] - jnp.einsum("oi...,oj...->ij...", coupling, solved)
+    return jnp.sum(rest, axis=-1), coupling, solved
+
+
+def _newton(matrix: Array, shared: int, damping: Array) -> tuple[Array, Array]:
+    """Return the damped step [unknown column], and by how much the undamped one lowers the linearised cost."""
+    whole, coupling, solved = eliminated(matrix, shared, jnp.zeros_like(damping))
+    lower = _cholesky(_damped(whole[:-1, :-1], jnp.zeros_like(damping)))
+    by_shared = jnp.sum(whole[:-1, -1] * _solve(lower, whole[:-1, -1:])[:, 0], axis=0) if shared else 0.0
+    own = jnp.sum(coupling[:, -1] * solved[:, -1], axis=(0, -1))
+    left = 0.5 * (by_shared + own)
+
+    reduced, _, solved = eliminated(matrix, shared, damping)
+    diagonal = jnp.sum(jnp.stack([matrix[i, i] for i in range(shared)]), axis=-1) if shared else None
+    lower = _cholesky(_damped(reduced[:-1, :-1], damping, diagonal))
+    common = -_solve(lower, reduced[:-1, -1:])[:, 0]
+    others = -solved[:, -1] - jnp.einsum("oi...,i...->o...", solved[:, :-1], common[..., None])
+    step = jnp.concatenate([jnp.broadcast_to(common[..., None], (shared, *others.shape[1:])), others])
+    return step.reshape(len(step), -1), left
+
+
+def _damped(matrix: Array, damping: Array, diagonal: Array | None = None) -> Array:
+    """Return the matrix with its diagonal raised; what has no influence at all is held."""
+    place = jnp.arange(len(matrix))
+    own = matrix[place, place]
+    extra = damping * (own if diagonal is None else diagonal)
+    return matrix.at[place, place].set(jnp.where(own > 0, own + extra, 1.0))
+
+
+def _cholesky(matrix: Float[Array, "row row *batch"]) -> list[list[Array]]:
+    """Return the lower factor, by rows.
+
+    The matrices are small and many: written out, the batch is what is vectorised, and LAPACK's threads are left alone.
+    """
+    size = len(matrix)
+    lower: list[list[Array]] = []
+    for i in range(size):
+        row: list[Array] = []
+        for j in range(i + 1):
+            rest = matrix[i, j] - sum((row[k] * lower[j][k] if j < i else row[k] ** 2 for k in range(j)), start=0.0)
+            # A pivot lost to rounding belongs to a direction that the data leave free: it is not moved along.
+            floor = 1e-14 * matrix[i, i]
+            row.append(rest / lower[j][j] if j < i else jnp.sqrt(jnp.where(rest > floor, rest, jnp.inf)))
+        lower.append(row)
+    return lower
+
+
+def _solve(lower: Sequence[Sequence[Array]], right: Float[Array, "row side *batch"]) -> Array:
+    forwards: list[Array] = []
+    for i in range(len(lower)):
+        rest = right[i] - sum((lower[i][k] * forwards[k] for k in range(i)), start=0.0)
+        forwards.append(rest / lower[i][i])
+    found: list[Array] = [*forwards]
+    for i in reversed(range(len(lower))):
+        rest = forwards[i] - sum((lower[k][i] * found[k] for k in range(i + 1, len(lower))), start=0.0)
+        found[i] = rest / lower[i][i]
+    return jnp.stack(found) if found else right
+
+
+def _per_column(of_set: Array, batch: Batch) -> Array:
+    columns = batch.unknowns.shape[1]
+    return jnp.repeat(of_set, columns // len(of_set), total_repeat_length=columns)

@@ -290,15 +290,16 @@ def all_trusted(data: Data) -> Data:
 
 
 def fit_trusted(
-    model: RTAC, data: Data, space: Space, prior: NoiseModel, *, substeps: Steps, rounds: int = 10, progress: Any = None
-) -> tuple[Predictor, Data]:
+    model: RTAC, data: Data, space: Space, prior: NoiseModel, *, substeps: Steps, rounds: int = 10, off_bounds: float = 0.0,
+    progress: Any = None,
+) -> tuple[Predictor, Data]:  # fmt: skip
     """`fit_predictor`, and again from there `without_shaken` samples; and the data that counted."""
-    found = fit_predictor(model, data, space, prior, substeps=substeps, rounds=rounds, progress=progress)
+    options = {"substeps": substeps, "rounds": rounds, "progress": progress}
+    found = fit_predictor(model, data, space, prior, off_bounds=off_bounds, **options)
     if not np.any(found.filtered.shaken):
         return found, data
     data = without_shaken(data, found.filtered)
     space = dataclasses.replace(space, values=found.physical[0], each_values=found.physical[1])
-    options = {"substeps": substeps, "rounds": rounds, "progress": progress}
     return fit_predictor(model, data, space, prior, first=found.noise, **options), data
 
 
@@ -311,6 +312,7 @@ def fit_predictor(
     substeps: Steps,
     first: np.ndarray | None = None,
     rounds: int = 10,
+    off_bounds: float = 0.0,
     progress: Any = None,
 ) -> Predictor:
     """Physics and noise in turn: gains are frozen while the physics is fitted to the innovations, then refreshed.
@@ -319,9 +321,12 @@ def fit_predictor(
     round gains nothing, gains for less noise are tried, and kept if they make the data more likely.
     The states at the start are the filter's to mend, not the fit's: fitted with frozen gains they led astray.
 
+    Args:
+        off_bounds: as `Space.unconstrained` takes it.
+
     Source: Kristensen, Madsen and Jorgensen, Automatica 40 (2004); Ljung, System Identification (1999), section 7.
     """
-    unknowns = space.unconstrained(start=False)
+    unknowns = space.unconstrained(start=False, off_bounds=off_bounds)
     physical = space.physical(unknowns)
     noise = fit_noise(model, data, space, physical, prior, first, substeps)
     failed = 0

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from estimators.core.bound_transform import to_unconstrained
-from estimators.core.fisher_information import information, slope_of
+from estimators.core.fisher_information import each_deviations, each_slope, information, slope_of
 from estimators.core.levenberg_marquardt import Arguments, Solved, factor, solve
 from estimators.core.parameter_space import Space, Unknowns
 
@@ -16,7 +16,12 @@ _FLAT = 0.01  # of the slope that it has amid its range, below which a parameter
 # How far inside a parameter begins again that the data pull off its bound, as shares of its scale: where a straight line
 # leads, but neither back to where its slope is lost, nor beyond a plausible size.
 _INSIDE = (0.05, 1.0)
-_AT = 1e5  # unconstrained value that is as good as the bound
+# Unconstrained values that are as good as the bound, 1e-5 of the scale from a single one and 2e-9 of the width from one of two,
+# and where the slope is still a number: a parameter without any would look as if nothing pulled it.
+_AT_ONE, _AT_TWO = 1e5, 20.0
+OFF_BOUNDS = 0.05
+"""Share of its plausible size with which a parameter begins that is given exactly on a bound; the refits of a diagnosis begin
+no nearer to null either."""
 
 
 def solve_bounded(
@@ -40,17 +45,21 @@ def solve_bounded(
         full = np.asarray(factor(unknowns, dataclasses.replace(arguments, space=whole))) if held else solved.factor
         before = dict(held)
         held, inside = _on_bounds(whole, unknowns, full, held)
-        solved = solved._replace(factor=full, pulled=bool(inside))
+        apart = _each_pulled(whole, unknowns, full)
+        solved = solved._replace(factor=full, pulled=bool(inside or apart))
         if best is None or solved.cost <= best.cost:
             best = solved
-        if (held == before and not inside) or turn == _TURNS:
+        if (held == before and not inside and not apart) or turn == _TURNS:
             return best
         shared = np.asarray(unknowns.shared).copy()
         released = [place for place in before if place not in held]
         shared[released] = 3.0 * np.sign(shared[released])
         for place, value in inside.items():
             shared[place] = value
-        unknowns = unknowns._replace(shared=jnp.asarray(shared))
+        each = np.asarray(unknowns.each).copy()
+        for where, value in apart.items():
+            each[where] = value
+        unknowns = unknowns._replace(shared=jnp.asarray(shared), each=jnp.asarray(each))
 
 
 def _holding(space: Space, unknowns: Unknowns, held: dict[int, float]) -> tuple[Space, Unknowns]:
@@ -91,25 +100,76 @@ def _on_bounds(
     for place, index in enumerate(np.asarray(space.active)):
         if index >= len(space.names):
             continue
-        value, low, high = shared[index], lower[index], upper[index]
-        deviation = deviations[found.names.index(space.names[index])]
+        value, low, high = (float(x[index]) for x in (shared, lower, upper))
+        deviation = float(deviations[found.names.index(space.names[index])])
         if place in held:
             # It leaves the bound only if that lowers the cost by more than chance would.
             inward = downhill[place] * np.sign(-held[place]) > 0
             if not inward:
                 result[place] = held[place]
         elif value - low < _NEAR * deviation and downhill[place] <= 0:
-            result[place] = -_AT
+            result[place] = -_end(low, high)
         elif high - value < _NEAR * deviation and downhill[place] >= 0:
-            result[place] = _AT
-        elif np.isfinite(low) or np.isfinite(high):
-            width = high - low
-            amid = 0.25 * width if np.isfinite(width) else scale[index]
+            result[place] = _end(low, high)
+        else:
             # Where it would go with all others following, by a straight line in physical units.
-            move = downhill[place] / slope[place] * deviation**2
-            inward = move if value - low < high - value else -move
-            if abs(slope[place]) < _FLAT * amid and inward > _NEAR * deviation:
-                by = min(np.clip(inward, *(share * scale[index] for share in _INSIDE)), 0.5 * width)
-                target = low + by if value - low < high - value else high - by
-                inside[place] = float(to_unconstrained(*(np.asarray(x) for x in (target, low, high, scale[index]))))
+            move = float(downhill[place] / slope[place]) * deviation**2
+            begin = _released(value, (low, high), float(scale[index]), float(slope[place]), move, deviation)
+            if begin is not None:
+                inside[place] = begin
     return result, inside
+
+
+def _each_pulled(space: Space, unknowns: Unknowns, full: np.ndarray) -> dict[tuple[int, int], float]:
+    """Return the parameters of single experiments on a bound that the data pull inwards, by place, with one inside to go on from.
+
+    They are not held on their bounds: a creep there costs nothing, as what each experiment has for itself is eliminated.
+    """
+    if not space.each:
+        return {}
+    values = np.asarray(space.physical(unknowns)[1])
+    slope, deviation = each_slope(space, unknowns), each_deviations(full, space, unknowns)
+    first = len(unknowns.shared)
+    downhill = -np.einsum("bre,br->eb", full[:, :, first : first + len(space.each)], full[:, :, -1])
+    move = downhill / slope * deviation**2
+    result = {}
+    for row, column in np.ndindex(values.shape):
+        bounds = float(space.each_lower[row]), float(space.each_upper[row])
+        at = (row, column)
+        here = (float(x[at]) for x in (slope, move, deviation))
+        begin = _released(float(values[at]), bounds, float(space.each_scale[row]), *here)
+        if begin is not None:
+            result[at] = begin
+    return result
+
+
+def _released(
+    value: float, bounds: tuple[float, float], scale: float, slope: float, move: float, deviation: float
+) -> float | None:
+    """Return the unconstrained value inside from which a parameter goes on that the data pull off its bound; else None.
+
+    Args:
+        value: where the parameter is, in physical units.
+        bounds: lower and upper, infinite where there is none.
+        scale: size of the parameter.
+        slope: of the value by its unconstrained stand-in.
+        move: where a straight line leads from here, in physical units.
+        deviation: standard deviation of the value.
+    """
+    low, high = bounds
+    if not (np.isfinite(low) or np.isfinite(high)):
+        return None
+    width = high - low
+    amid = 0.25 * width if np.isfinite(width) else scale
+    inward = move if value - low < high - value else -move
+    if slope >= _FLAT * amid or inward <= _NEAR * deviation:
+        return None
+    least, most = (share * scale for share in _INSIDE)
+    by = min(max(inward, least), most, 0.5 * width)
+    target = low + by if value - low < high - value else high - by
+    return float(to_unconstrained(*(np.asarray(x) for x in (target, low, high, scale))))
+
+
+def _end(low: float, high: float) -> float:
+    """Return the unconstrained value that stands for the upper bound, and less it for the lower one."""
+    return _AT_TWO if np.isfinite(low) and np.isfinite(high) else _AT_ONE

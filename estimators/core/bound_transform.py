@@ -14,8 +14,10 @@ def to_physical(z: Vector, lower: Vector, upper: Vector, scale: Vector) -> Vecto
     Without bounds scale * z; with one bound the bound plus scale * (z + sqrt(z^2 + 4)) / 2, which is linear far from
     the bound and reaches it only at infinity; with two a logistic curve between them.
     """
-    positive = 0.5 * (z + jnp.sqrt(z * z + 4.0))
-    negative = 0.5 * (-z + jnp.sqrt(z * z + 4.0))
+    # The sum and its slope are formed without cancellation, so that neither is lost close to the bound.
+    root = jnp.sqrt(z * z + 4.0)
+    far, near = 0.5 * (root + jnp.abs(z)), 2.0 / (root + jnp.abs(z))
+    positive, negative = jnp.where(z < 0, near, far), jnp.where(z < 0, far, near)
     low, high = jnp.isfinite(lower), jnp.isfinite(upper)
     finite_low, finite_high = jnp.where(low, lower, 0.0), jnp.where(high, upper, 0.0)
     between = finite_low + (finite_high - finite_low) * jax.nn.sigmoid(z)
@@ -42,5 +44,15 @@ def to_unconstrained(
         )
 
 
-slopes = jax.jit(jax.vmap(jax.grad(to_physical)))
-"""Derivatives of the physical values by the unconstrained ones."""
+def slopes(z: np.ndarray, lower: np.ndarray, upper: np.ndarray, scale: np.ndarray) -> np.ndarray:
+    """Return the derivatives of the physical values by the unconstrained ones, exact however close to a bound."""
+    z, lower, upper, scale = np.broadcast_arrays(*(np.asarray(x, dtype=float) for x in (z, lower, upper, scale)))
+    low, high = np.isfinite(lower), np.isfinite(upper)
+    size = np.abs(z)
+    root = np.sqrt(z * z + 4.0)
+    falling = 2.0 / (root * (root + size))  # of the part that goes to the bound
+    toward = np.where(low, z < 0, z > 0)
+    one_sided = scale * np.where(toward, falling, 1.0 - falling)
+    tail = np.exp(-size)
+    width = np.where(low & high, upper, 0.0) - np.where(low & high, lower, 0.0)
+    return np.where(low & high, width * tail / (1.0 + tail) ** 2, np.where(low | high, one_sided, scale))

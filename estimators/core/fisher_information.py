@@ -3,7 +3,6 @@
 import dataclasses
 from collections.abc import Sequence
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -15,7 +14,9 @@ from estimators.core.results import NotIdentifiableError
 # deviation is not determined by the data.
 _UNDETERMINED = 10.0
 
-_ROOM = 32  # parameters are padded to a multiple of this, so that one compiled function serves most models
+# The least that a parameter is taken to show, and the least slope of its stand-in as a share of its size: far below whatever
+# rounding leaves, and of squares that are still numbers. What shows nothing at all gets a deviation of 1e100 times its size.
+_LEAST = 1e-100
 
 
 @dataclasses.dataclass(frozen=True)
@@ -124,7 +125,7 @@ def information_of(matrix: np.ndarray, names: Sequence[str], size: np.ndarray) -
     _, singular, directions = np.linalg.svd(matrix * size, full_matrices=True)
     singular = np.concatenate([singular, np.zeros(len(names) - len(singular))])
     # Numbers below the rounding of the factors say nothing.
-    floor = 1e-13 * max(singular[0], 1e-300)
+    floor = max(1e-13 * singular[0], _LEAST)
     deviations = 1.0 / np.maximum(singular, floor)
     half = directions.T * deviations
     covariance = (half @ half.T) * np.outer(size, size)
@@ -135,24 +136,52 @@ def slope_of(space: Space, unknowns: Unknowns) -> np.ndarray:
     """Return the derivative of each free physical parameter by its unconstrained stand-in, kept off zero at a bound."""
     index = np.asarray(space.active)
     place = np.where(index < len(space.names), index, 0)
-    count = len(index)
-    shared = np.zeros(-(-count // _ROOM) * _ROOM)
-    at = [
-        np.concatenate([np.asarray(x)[place], np.ones(len(shared) - count)])
-        for x in (space.lower, space.upper, space.scale)
-    ]
-    shared[:count] = np.asarray(unknowns.shared)
-    slope = np.asarray(slopes(*(jnp.asarray(x) for x in (shared, *at))))[:count]
-    return np.where(np.abs(slope) > 1e-12 * sizes_of(space, unknowns), slope, 1e-12 * sizes_of(space, unknowns))
+    bounds = (np.asarray(x)[place] for x in (space.lower, space.upper, space.scale))
+    return np.maximum(slopes(np.asarray(unknowns.shared), *bounds), _LEAST * sizes_of(space, unknowns))
 
 
 def each_slope(space: Space, unknowns: Unknowns) -> Float[np.ndarray, "each experiment"]:
-    """Return the same derivative for the parameters of each experiment, by central differences of the exact map."""
-    step = 1e-6
-    ahead, behind = (
-        np.asarray(space.physical(unknowns._replace(each=unknowns.each + side))[1]) for side in (step, -step)
-    )
-    return (ahead - behind) / (2 * step)
+    """Return the same derivative for the parameters of each experiment."""
+    bounds = (np.asarray(x)[:, None] for x in (space.each_lower, space.each_upper, space.each_scale))
+    scale = np.asarray(space.each_scale)[:, None]
+    return np.maximum(slopes(np.asarray(unknowns.each), *bounds), _LEAST * scale)
+
+
+def each_deviations(factor: np.ndarray, space: Space, unknowns: Unknowns) -> Float[np.ndarray, "each experiment"]:
+    """Return the standard deviations of the parameters of each experiment, all other unknowns following.
+
+    Args:
+        factor: [experiment row column], as `information` takes it.
+        space: of the unknowns.
+        unknowns: at the optimum.
+    """
+    inside = np.asarray(space.active) < len(space.names)
+    shared, own = int(np.sum(inside)), len(space.each)
+    if not own:
+        return np.zeros((0, len(factor)))
+    slope = each_slope(space, unknowns)
+    of_shared = slope_of(space, unknowns)[inside] / sizes_of(space, unknowns)[inside]
+    parts = []
+    for column, block in enumerate(np.asarray(factor)):
+        rest = block[:, len(inside) : -1].copy()
+        rest[:, :own] /= slope[:, column] / np.asarray(space.each_scale)
+        whole = np.concatenate([block[:, : len(inside)][:, inside] / of_shared, rest], axis=1)
+        parts.append(whole.T @ whole)
+    inner = [_inverse(p[shared:, shared:]) for p in parts]
+    through = [i @ p[shared:, :shared] for i, p in zip(inner, parts, strict=True)]
+    between = sum(p[:shared, :shared] - p[:shared, shared:] @ t for p, t in zip(parts, through, strict=True))
+    common = _inverse(np.asarray(between))
+    variance = [np.diagonal(i + t @ common @ t.T)[:own] for i, t in zip(inner, through, strict=True)]
+    return np.sqrt(np.stack(variance, axis=1)) * np.asarray(space.each_scale)[:, None]
+
+
+def _inverse(matrix: np.ndarray) -> np.ndarray:
+    """Return the inverse of a symmetric matrix without negative eigenvalues; directions that show nothing become very doubtful."""
+    if not len(matrix):
+        return matrix
+    size = np.sqrt(np.maximum(np.diagonal(matrix), _LEAST))
+    values, vectors = np.linalg.eigh(matrix / np.outer(size, size))
+    return (vectors / np.maximum(values, 1e-15 * len(values))) @ vectors.T / np.outer(size, size)
 
 
 def sizes_of(space: Space, unknowns: Unknowns) -> np.ndarray:

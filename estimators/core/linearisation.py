@@ -37,8 +37,13 @@ class Problem(NamedTuple):
     names: tuple[str, ...]
 
 
-def at_fit(fit: Fit, recording: Recording) -> Problem:
+def at_fit(fit: Fit, recording: Recording, *, off_bounds: float = 0.0) -> Problem:
     """Return the problem that gave this fit, at its solution.
+
+    Args:
+        fit: of `output_error`.
+        recording: that was fitted.
+        off_bounds: as `Space.unconstrained` takes it, for a fit that goes on from there.
 
     Raises:
         ValueError: the recording is not the one that was fitted.
@@ -56,7 +61,8 @@ def at_fit(fit: Fit, recording: Recording) -> Problem:
             f"{other[0]} was fitted with other measurements than this recording holds; give the recording that was fitted."
         )
     deviation = np.array([fit.residual_std.get(channel, 1.0) for channel in CHANNELS])
-    return problem_of(fit.model, experiments, deviation, substeps=int(fit.statistics["substeps"]), start=fit.start)
+    substeps = int(fit.statistics["substeps"])
+    return problem_of(fit.model, experiments, deviation, substeps=substeps, start=fit.start, off_bounds=off_bounds)
 
 
 def problem_of(
@@ -66,6 +72,7 @@ def problem_of(
     *,
     substeps: int,
     start: Mapping[str, np.ndarray] | None = None,
+    off_bounds: float = 0.0,
 ) -> Problem:
     """Return the simulation error of a model at its own values, and at these states at the start.
 
@@ -75,11 +82,12 @@ def problem_of(
         deviation: standard deviation of each output, SI units.
         substeps: of the integrator in each sample.
         start: states at the start by experiment, SI units; by default as the first samples show them.
+        off_bounds: as `Space.unconstrained` takes it.
     """
     free = [n for n in model.free if n not in model.per_experiment]
     space = space_of(model, experiments, free=free)
     data = Data.of(experiments)
-    unknowns = space.unconstrained()
+    unknowns = space.unconstrained(off_bounds=off_bounds)
     if start is not None:
         wanted = np.stack([np.asarray(start[e.name]) for e in experiments], axis=1)
         moved = (wanted - np.asarray(space.start)) / np.asarray(space.start_scale)

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from scipy.optimize import brentq
 from scipy.stats import chi2
 
-from estimators.core.active_bounds import solve_bounded
+from estimators.core.active_bounds import OFF_BOUNDS, solve_bounded
 from estimators.core.data import CHANNELS
 from estimators.core.drawing import draw
 from estimators.core.fit import Fit
@@ -94,7 +94,7 @@ def profile(
         raise ValueError(f"reach is {reach:g}; an interval at {100 * level:g} % needs {needed:.2f} or more.")
     value, std = fit.parameters[name].value, fit.parameters[name].std
     lower, upper = fit.model.parameters[name].bounds
-    whole = at_fit(fit, recording)
+    whole = at_fit(fit, recording, off_bounds=OFF_BOUNDS)
     deviation = np.array([fit.residual_std.get(channel, 1.0) for channel in CHANNELS])
     best = solve_bounded(whole.unknowns, whole.arguments, tolerance=1e-8, most=steps)
     offsets = np.linspace(-reach, reach, points + (points + 1) % 2) * std
@@ -107,13 +107,14 @@ def profile(
                 continue
             # The others begin where the ridge of the likelihood leads, as its curvature has it.
             moved = {
-                n: float(np.clip(fit.parameters[n].value + c * offsets[place], *_inside(fit, n)))
+                n: float(np.clip(fit.parameters[n].value + c * offsets[place], *fit.model.parameters[n].bounds))
                 for n, c in zip(fit.information.names, correlated, strict=True)
             }
             model = fit.model.with_values(moved | {name: value + offsets[place]})
             problem = problem_of(
-                model, whole.experiments, deviation, substeps=int(fit.statistics["substeps"]), start=fit.start
-            )
+                model, whole.experiments, deviation, substeps=int(fit.statistics["substeps"]), start=fit.start,
+                off_bounds=OFF_BOUNDS,
+            )  # fmt: skip
             # A place past the end holds the parameter at the space's value; the fit's compiled function serves again.
             space = problem.arguments.space
             active = np.asarray(space.active).copy()
@@ -133,12 +134,6 @@ def profile(
         _interval(value, offsets, rise, level),
         level,
     )
-
-
-def _inside(fit: Fit, name: str) -> tuple[float, float]:
-    lower, upper = fit.model.parameters[name].bounds
-    room = 1e-6 * abs(fit.parameters[name].value)
-    return lower + room, upper - room
 
 
 def _interval(value: float, offsets: np.ndarray, rise: np.ndarray, level: float) -> tuple[float, float]:

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from tqdm import tqdm
 
 from estimators.closed_form.fit import least_squares
-from estimators.core.active_bounds import solve_bounded
+from estimators.core.active_bounds import OFF_BOUNDS, solve_bounded
 from estimators.core.data import CHANNELS, Data, mark_of, moving, pieces
 from estimators.core.fisher_information import information
 from estimators.core.fit import Fit
@@ -35,9 +35,6 @@ _CORRECTION = (0.3, 0.03)
 _GUIDED = 5.0
 # An experiment begins at rest where that leaves less than this fraction of what is left from where its first samples begin.
 _AT_REST = 0.5
-# Share of its plausible size with which a parameter begins that is given exactly on a bound; the refits of a diagnosis
-# begin no nearer to null either.
-_OFF_BOUNDS = 0.05
 # A start whose short predictions stay this many times worse than another's is given up.
 _HOPELESS = 5.0
 
@@ -180,7 +177,7 @@ class _Run:
     def descend(self, model: RTAC, *, best: float) -> _Stage | None:
         """Descend from predictions with strong correction to the free simulation; None where that leads nowhere."""
         space = space_of(model, self.experiments, free=[n for n in model.free if n not in model.per_experiment])
-        unknowns = space.unconstrained(off_bounds=_OFF_BOUNDS)
+        unknowns = space.unconstrained(off_bounds=OFF_BOUNDS)
         noise = np.array([self.levels.get(channel, 1.0) for channel in CHANNELS])
         scales = scales_of(model, self.experiments)
         nothing = no_gain(model, self.data)

@@ -12,9 +12,10 @@ from jaxtyping import Float
 from tqdm import tqdm
 
 from estimators.closed_form.fit import least_squares
+from estimators.core.active_bounds import OFF_BOUNDS
 from estimators.core.data import CHANNELS, Data, moving, pieces
 from estimators.core.drawing import draw
-from estimators.core.fisher_information import Information, each_slope, information
+from estimators.core.fisher_information import Information, each_deviations, information
 from estimators.core.fit import Parameter
 from estimators.core.initial_state import scales_of, space_of
 from estimators.core.levenberg_marquardt import Arguments, diverged, factor
@@ -179,7 +180,7 @@ def prediction_error_nonlinear(
     scales = scales_of(start, experiments)
     prior = NoiseModel.of(levels, recording.experiments, scales, space)
     sensors = np.array([levels.get(channel, 1.0) for channel in CHANNELS])
-    substeps = accurate_substeps(start, data, space, space.unconstrained(), sensors)
+    substeps = accurate_substeps(start, data, space, space.unconstrained(off_bounds=OFF_BOUNDS), sensors)
     bar = tqdm(total=None, disable=not progress, desc="prediction error", unit=" steps", leave=False)
 
     def show(text: str) -> None:
@@ -188,7 +189,9 @@ def prediction_error_nonlinear(
 
     try:
         steps = jnp.asarray(substeps)
-        found, data = fit_trusted(start, data, space, prior, substeps=steps, rounds=rounds, progress=show)
+        found, data = fit_trusted(
+            start, data, space, prior, substeps=steps, rounds=rounds, off_bounds=OFF_BOUNDS, progress=show
+        )
         factors = factor(found.unknowns, _arguments_at(found, start, data, space, substeps))
         if diverged(factors):
             raise DivergedError(
@@ -197,7 +200,7 @@ def prediction_error_nonlinear(
         frozen = np.asarray(factors)
         known = information(frozen, space, found.unknowns)
         known.require_determined()
-        each_std = _each_std(frozen, space, found)
+        each_std = each_deviations(frozen, space, found.unknowns)
         found, triangles = most_likely(found, start, data, space, prior, known, each_std, substeps=steps, progress=show)
     except FloatingPointError as error:
         raise DivergedError(str(error)) from None
@@ -214,7 +217,7 @@ def prediction_error_nonlinear(
     return PredictorFit(
         model=start.with_values(values),
         information=known,
-        each_std=dict(zip(space.each, _each_std(triangles, space, found), strict=True)),
+        each_std=dict(zip(space.each, each_deviations(triangles, space, found.unknowns), strict=True)),
         force_noise=float(force),
         torque_noise=float(torque),
         noise={c: float(s) for c, s in zip(CHANNELS, sensor, strict=True) if c in levels},
@@ -234,26 +237,6 @@ def prediction_error_nonlinear(
 
 def _arguments_at(found: Predictor, model: RTAC, data: Data, space: Space, substeps: Any) -> Arguments:
     return Arguments(model, data, space, found.filtered.whitener, found.filtered.gain, substeps)
-
-
-def _each_std(triangles: np.ndarray, space: Space, found: Predictor) -> Float[np.ndarray, "each experiment"]:
-    """Return standard deviations of the parameters of each experiment, the doubt about the shared ones included."""
-    shared, own = len(found.unknowns.shared), len(space.each)
-    if not own:
-        return np.zeros((0, len(triangles)))
-    parts = [block[:, :-1].T @ block[:, :-1] for block in triangles]
-    between = sum(
-        p[:shared, :shared] - p[:shared, shared:] @ np.linalg.solve(p[shared:, shared:], p[shared:, :shared])
-        for p in parts
-    )
-    common = np.linalg.pinv(np.asarray(between), hermitian=True)
-    slope = each_slope(space, found.unknowns)
-    result = np.zeros((own, len(parts)))
-    for column, p in enumerate(parts):
-        inner = np.linalg.inv(p[shared:, shared:])
-        through = inner @ p[shared:, :shared]
-        result[:, column] = np.sqrt(np.diagonal(inner + through @ common @ through.T)[:own])
-    return result * np.abs(slope)
 
 
 def _whiteness(found: Predictor, data: Data, experiments: list[Experiment]) -> tuple[Whiteness, ...]:

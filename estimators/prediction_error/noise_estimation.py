@@ -289,15 +289,16 @@ def all_trusted(data: Data) -> Data:
 
 
 def fit_trusted(
-    model: RTAC, data: Data, space: Space, prior: NoiseModel, *, substeps: Steps, rounds: int = 10, progress: Any = None
-) -> tuple[Predictor, Data]:
+    model: RTAC, data: Data, space: Space, prior: NoiseModel, *, substeps: Steps, rounds: int = 10, off_bounds: float = 0.0,
+    progress: Any = None,
+) -> tuple[Predictor, Data]:  # fmt: skip
     """Fit the predictor, and again from there `without_shaken` samples; return it and the data that counted."""
-    found = fit_predictor(model, data, space, prior, substeps=substeps, rounds=rounds, progress=progress)
+    options = {"substeps": substeps, "rounds": rounds, "progress": progress}
+    found = fit_predictor(model, data, space, prior, off_bounds=off_bounds, **options)
     if not np.any(found.filtered.shaken):
         return found, data
     data = without_shaken(data, found.filtered)
     space = dataclasses.replace(space, values=found.physical[0], each_values=found.physical[1])
-    options = {"substeps": substeps, "rounds": rounds, "progress": progress}
     return fit_predictor(model, data, space, prior, first=found.noise, **options), data
 
 
@@ -310,6 +311,7 @@ def fit_predictor(
     substeps: Steps,
     first: np.ndarray | None = None,
     rounds: int = 10,
+    off_bounds: float = 0.0,
     progress: Any = None,
 ) -> Predictor:
     """Fit physics and noise in turn: gains are frozen while the physics is fitted to the innovations, then refreshed.
@@ -318,9 +320,20 @@ def fit_predictor(
     round gains nothing, gains for less noise are tried, and kept if they make the data more likely. The states at the
     start are the filter's to mend, not the fit's: fitted with frozen gains they led astray.
 
+    Args:
+        model: that is fitted.
+        data: that it predicts.
+        space: of its unknowns, at the values to begin from.
+        prior: noise to which the estimated noise is relative.
+        substeps: Runge-Kutta steps per sample.
+        first: exponents of the noise to begin from; by default the prior's.
+        rounds: of physics and noise, at most.
+        off_bounds: as `Space.unconstrained` takes it.
+        progress: called with a line of text after every step.
+
     Source: Kristensen, Madsen and Jorgensen, Automatica 40 (2004); Ljung, System Identification (1999), section 7.
     """
-    unknowns = space.unconstrained(start=False)
+    unknowns = space.unconstrained(start=False, off_bounds=off_bounds)
     physical = space.physical(unknowns)
     noise = fit_noise(model, data, space, physical, prior, first, substeps)
     failed = 0

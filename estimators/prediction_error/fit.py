@@ -152,7 +152,7 @@ def prediction_error_nonlinear(
     dry friction holds do not count.
 
     Args:
-        model: parameters released with `per_condition` are estimated for each experiment, the other free ones for all.
+        model: those of its free parameters named with `RTAC.each_experiment` are estimated for each experiment, the others for all.
         rounds: at most, of physics and noise in turn.
         from_model: begin at the model's values instead of the closed form.
         progress: show a bar.

@@ -41,7 +41,7 @@ from estimators.misspecification.residual_maps import Place
 from estimators.misspecification.static_force import ForceCurve
 from estimators.prediction_error.latent_force import LatentForce
 from rtac_jax import RTAC, require_configured
-from rtac_jax.effects import Effect, Impact
+from rtac_jax.effects import Effect
 from rtac_jax.measurement import Recording
 from rtac_jax.parameters import declarations
 
@@ -253,7 +253,7 @@ def _explanation(told: Diagnosis, steps: Sequence[Step], found: _Found, further:
         text += not_named(further, told.left, search.samples)
     if steps and steps[0].id not in {s.id for s in alarming(found.tested.screened)}:
         text += f" {steps[0].id} raised no alarm by itself: it was tried because what did explains less, or nothing."
-    if struck := [effect.id for effect in told.additions if isinstance(effect, Impact)]:
+    if struck := [effect.id for effect in told.additions if effect.acts_by_contact]:
         text += (
             f" The intervals of {', '.join(struck)} may be far too narrow: they leave out when parts hit each other."
         )

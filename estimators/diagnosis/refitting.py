@@ -36,7 +36,7 @@ from estimators.prediction_error.coloured_noise import ColouredNoise, Colours, l
 from estimators.prediction_error.noise_estimation import compile_predictor, fit_noise, fit_predictor, without_shaken
 from estimators.validation.model_comparison import by_sample, held_out
 from rtac_jax import RTAC
-from rtac_jax.effects import Effect, Impact
+from rtac_jax.effects import Effect
 from rtac_jax.measurement import Recording
 from rtac_jax.parameters import declarations
 
@@ -134,7 +134,7 @@ class Search(Probing):
         filtered = other = None
         with contextlib.suppress(ArithmeticError):
             filtered = self.with_effect(before, s)
-        contact = issubclass(self.classes[s.id], Impact)
+        contact = self.classes[s.id].acts_by_contact
         with contextlib.suppress(ArithmeticError):
             other = self.by_trial(before, s) if contact else self.by_simulation(before, s, filtered)
         refits = [refit for refit in (filtered, other) if refit is not None]

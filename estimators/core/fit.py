@@ -33,7 +33,8 @@ class Fit:
         residual_std: rms of each channel's residual, which weighted the channels.
         start: states at the start of each experiment, SI units.
         experiments: names of the experiments.
-        statistics: cost, steps, seconds, starts and how many agreed, substeps.
+        statistics: cost, or log_likelihood where predictions one sample ahead were fitted; steps, seconds, starts and how many
+            agreed, substeps.
         marks: of each experiment's measurements, which tell it from another of the same name.
     """
 

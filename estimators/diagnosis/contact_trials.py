@@ -38,7 +38,7 @@ _ARM = ("arm_inertia", "torque_constant")
 def acting_on_arm(model: RTAC, free: Sequence[str]) -> tuple[str, ...]:
     """Return those of some parameters that move when a contact begins and ends.
 
-    An `Impact` strikes the arm, which the motor drives.
+    A contact strikes the arm, which the motor drives.
     """
     effects = {effect.id for effect in model.effects if "arm" in effect.port or effect.port == "actuator"}
     return tuple(name for name in free if name in _ARM or name.split(".")[0] in effects)

@@ -30,6 +30,7 @@ from estimators.diagnosis.verdict import (
     strayed,
     surer,
     without_named_rivals,
+    without_the_physics,
     words,
 )
 from estimators.inference.simulation_residual import SimulationResidual
@@ -41,7 +42,7 @@ from estimators.misspecification.residual_maps import Place
 from estimators.misspecification.static_force import ForceCurve
 from estimators.prediction_error.latent_force import LatentForce
 from rtac_jax import RTAC, require_configured
-from rtac_jax.effects import Effect, Impact
+from rtac_jax.effects import Effect
 from rtac_jax.measurement import Recording
 from rtac_jax.parameters import declarations
 
@@ -66,7 +67,8 @@ class Diagnosis:
         random_force, random_torque: what the predictor of the base model needs, as fractions of the rms forces.
         explanation: in plain words.
         seconds: how long it took.
-        simulation: what the error of the fitted simulation means, where no test rejects and no effect is named; None elsewhere.
+        simulation: what the error of the fitted simulation means, where no test rejects and no effect is named, or where beside
+            the effects that would be named random forces still stand in for the physics, so that none is; None elsewhere.
         policy: the thresholds that it was judged by.
     """
 
@@ -209,8 +211,10 @@ def _told(found: _Found, unshown: Sequence[type[Effect]], fit: Fit) -> Diagnosis
     verdict, count, removed = judge(found.steps, tests, search.samples, search.policy)
     simulation = search.simulation(fit, base, found.tested.screened) if verdict == "adequate" else None
     latent = search.latent(base) if verdict == "unknown" else ()
+    if count:
+        simulation = search.stand_in(fit, found.steps[count - 1].refit)
     if simulation is not None and simulation.vetoes:
-        verdict = "unknown"
+        verdict, count = "unknown", 0
     candidates = _candidates(search, base, found.tested, found.steps, count, found.refits)
     candidates += [_not_testable(c, float(np.log(search.samples))) for c in unshown]
     steps = without_named_rivals(found.steps[:count])
@@ -250,11 +254,13 @@ def _explanation(told: Diagnosis, steps: Sequence[Step], found: _Found, further:
         told.verdict, told.effects, told.candidates, steps, told.tests, told.left, told.removed, told.curves, told.latent,
         told.places, told.lines, told.simulation, told.policy,
     )  # fmt: skip
+    if told.simulation is not None and further and not steps:
+        text += without_the_physics(further)
     if steps and further:
         text += not_named(further, told.left, search.samples)
     if steps and steps[0].id not in {s.id for s in alarming(found.tested.screened)}:
         text += f" {steps[0].id} raised no alarm by itself: it was tried because what did explains less, or nothing."
-    if struck := [effect.id for effect in told.additions if isinstance(effect, Impact)]:
+    if struck := [effect.id for effect in told.additions if effect.acts_by_contact]:
         text += (
             f" The intervals of {', '.join(struck)} may be far too narrow: they leave out when parts hit each other."
         )

@@ -16,7 +16,11 @@ from estimators.core.threads import at_once
 from estimators.diagnosis.refit import Refit, Tested
 from estimators.diagnosis.setting import Setting, begun, by_name, shared
 from estimators.inference.shaken_simulation import signal_rms, simulation_deviation
-from estimators.inference.simulation_residual import SimulationResidual, known_noise, simulation_residual
+from estimators.inference.simulation_residual import (
+    SimulationResidual,
+    known_noise,
+    simulation_residual,
+)
 from estimators.misspecification.adequacy import alarming, evidence
 from estimators.misspecification.candidate_screening import (
     ALARM,
@@ -147,7 +151,6 @@ class Probing(Setting):
         )
         signal = signal_rms(self.data)
         rows = {c: CHANNELS.index(c) for c in known}
-        scales = scales_of(self.model, self.experiments)
         stretches = int(np.max(self.stretches())) + 1
         few = [s for s in screened if few_for(s, stretches, len(screened))] if not alarming(screened) else []
         loudest = max(few, key=lambda s: s.statistic, default=None)
@@ -156,11 +159,17 @@ class Probing(Setting):
             {c: float(deviation[row]) / fit.noise[c] for c, row in rows.items() if np.isfinite(deviation[row])},
             {c: float(signal[row]) / fit.noise[c] for c, row in rows.items()},
             random=(base.predictor.random_force, base.predictor.random_torque),
-            samples_per_radian=1.0 / (scales.frequency * scales.sample_time),
+            samples_per_radian=self.samples_per_radian,
             experiments=len(self.experiments),
             suspect="" if loudest is None else f"{loudest.id} ({loudest.statistic:.0f}, the alarm is at {ALARM:.0f})",
             seconds=stretches,
         )
+
+    @property
+    def samples_per_radian(self) -> float:
+        """Samples in a radian of the cart's natural swing, over which random forces average."""
+        scales = scales_of(self.model, self.experiments)
+        return 1.0 / (scales.frequency * scales.sample_time)
 
     def places(self, refit: Refit) -> tuple[Place, ...]:
         """Return the parts of the data by the size of their innovations, the largest excess first."""

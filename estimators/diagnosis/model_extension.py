@@ -157,7 +157,7 @@ def _predicted(model: RTAC, before: Fit, train: Recording, *, progress: bool) ->
         start=start,
         experiments=found.experiments,
         statistics={
-            "cost": -found.log_likelihood,
+            "log_likelihood": found.log_likelihood,
             "steps": 0,
             "starts": 1,
             "agreed": 1,

@@ -29,13 +29,14 @@ from estimators.diagnosis.contact_trials import (
 from estimators.diagnosis.evidence import QUIET, Probing
 from estimators.diagnosis.refit import Refit, Tested
 from estimators.diagnosis.setting import begun, by_name, shared
+from estimators.inference.simulation_residual import SimulationResidual, known_noise, random_forces_are_large
 from estimators.misspecification.candidate_screening import Screened
 from estimators.output_error.fit import output_error
 from estimators.prediction_error.coloured_noise import ColouredNoise, Colours, likeliest_colours, rest_spectra
 from estimators.prediction_error.noise_estimation import compile_predictor, fit_noise, fit_predictor, without_shaken
 from estimators.validation.model_comparison import by_sample, held_out
 from rtac_jax import RTAC
-from rtac_jax.effects import Effect, Impact
+from rtac_jax.effects import Effect
 from rtac_jax.measurement import Recording
 from rtac_jax.parameters import declarations
 
@@ -134,7 +135,7 @@ class Search(Probing):
         filtered = other = None
         with contextlib.suppress(ArithmeticError):
             filtered = self.with_effect(before, s)
-        contact = issubclass(self.classes[s.id], Impact)
+        contact = self.classes[s.id].acts_by_contact
         with contextlib.suppress(ArithmeticError):
             other = self.by_trial(before, s) if contact else self.by_simulation(before, s, filtered)
         refits = [refit for refit in (filtered, other) if refit is not None]
@@ -217,6 +218,34 @@ class Search(Probing):
         start = np.stack([found.start[e.name] for e in self.experiments], axis=1)
         starts = dict(zip(start_rows(found.model), start, strict=True))
         return self._fitted(added, model.with_values(values), free, noise, starts)
+
+    def stand_in(self, fit: Fit, final: Refit) -> SimulationResidual | None:
+        """Return what the simulation of a model with effects added misses, where random forces stand in for the physics.
+
+        An effect of the catalogue may take the best part of what another mistake leaves, and random forces the rest, so that
+        nothing rejects any more. A simulation is fitted only where the random forces are large; where none can be, the one
+        without the effects says what is known.
+
+        Args:
+            fit: that is diagnosed.
+            final: the predictor of the model with the effects.
+
+        Returns:
+            None where the random forces are modest, no noise is known, or the simulation follows.
+        """
+        random = (final.predictor.random_force, final.predictor.random_torque)
+        known = known_noise(self.recording) & set(fit.residual_std)
+        if not known or not random_forces_are_large(random, self.samples_per_radian):
+            return None
+        self.bar.set_description("diagnose: simulation with what was added")
+        extended = reduce(RTAC.__add__, [self.effect(i, final) for i in final.added], fit.model)
+        extended = extended.with_values({n: v for n, v in final.values.items() if n in extended.parameters})
+        try:
+            simulated = output_error(extended, self.recording, from_model=True, progress=False)
+            found = self.simulation(simulated, final, ())
+        except (ArithmeticError, NotIdentifiableError):
+            found = self.simulation(fit, final, ())
+        return found if found.cause == "stand-in" else None
 
     def without(self, refit: Refit, effect: str) -> Refit:
         """Fit a model with one of its added effects less, all parameters together."""

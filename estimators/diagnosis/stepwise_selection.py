@@ -12,7 +12,7 @@ from estimators.diagnosis.refitting import Search, Way
 from estimators.diagnosis.verdict import judge
 from estimators.misspecification.adequacy import alarming, excess_of, line_left, overshadowing, suspects
 from estimators.misspecification.candidate_screening import ALARM, Screened
-from rtac_jax.effects import Effect, Impact
+from rtac_jax.effects import Effect
 
 Tried = dict[str, tuple[Refit, Refit]]
 """Of every candidate that was tried the model before and after."""
@@ -64,7 +64,7 @@ def _hidden(search: Search, base: Refit, tested: Tested) -> _Look:
     if 0 < line_left(tested.tests) == excess_of(tested.tests):
         together = [*(s for s in alike if _rings(search.classes[s.id]) and s.statistic > ALARM), *together]
     # What works by contact shows nowhere until the filter follows it.
-    contacts = [s for s in large if issubclass(search.classes[s.id], Impact)]
+    contacts = [s for s in large if search.classes[s.id].acts_by_contact]
     ranked = list(
         {
             s.id: s for s in (*together, *alike[: search.policy.hidden], *large[: search.policy.hidden], *contacts)
@@ -76,7 +76,7 @@ def _hidden(search: Search, base: Refit, tested: Tested) -> _Look:
 
 def _rings(effect: type[Effect]) -> bool:
     """Return whether an effect has a resonance: two states of its own, which are not those of a play."""
-    return len(effect.states) > 1 and not issubclass(effect, Impact)
+    return len(effect.states) > 1 and not effect.acts_by_contact
 
 
 def second_looks(

@@ -176,6 +176,15 @@ def not_named(further: Sequence[Step], left: Sequence[Evidence], samples: int) -
     return f" Of what is then left {choice} would remove {100 * share:.0f} %, too little to be named."
 
 
+def without_the_physics(steps: Sequence[Step]) -> str:
+    """Return what the predictions speak for where random forces stand in for the physics beside it, so that it is not named."""
+    names = " and ".join(" or ".join([step.id, *step.rivals]) for step in without_named_rivals(steps))
+    return (
+        f" {names} would improve the predictions, but random forces stand in for the physics beside it too: it may make up for"
+        " a part of another mistake, so it is not named."
+    )
+
+
 def surer(verdict: Verdict, recording: Recording) -> str:
     """Say what would make the verdict surer: records that this recording lacks."""
     lacking = []

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from estimators.core.data import CHANNELS
+from estimators.core.data import CHANNELS, origins
 from estimators.core.fit import Fit
 from estimators.core.levenberg_marquardt import Arguments, plain_residual
 from estimators.core.linearisation import Problem, at_fit
@@ -152,8 +152,9 @@ Source = Shuffled | Shaken
 def measured_again(experiments: Sequence[Experiment], source: Source, values: Outputs) -> list[Experiment]:
     """Return the experiments with other measurements; pieces of a long experiment are put together again."""
     columns: dict[str, list[np.ndarray]] = {}
+    origin = origins(experiments)
     for i, piece in enumerate(source.experiments):
-        columns.setdefault(piece.name.split("[")[0], []).append(values[: piece.samples, :, i])
+        columns.setdefault(origin.get(piece.name, piece.name), []).append(values[: piece.samples, :, i])
     tables: Mapping[str, np.ndarray] = {name: np.concatenate(parts) for name, parts in columns.items()}
     found = []
     for e in experiments:

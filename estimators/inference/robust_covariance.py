@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.stats import t as student
 
+from estimators.core.data import moving, origins
 from estimators.core.fisher_information import Information
 from estimators.core.fit import Fit
 from estimators.core.linearisation import Problem, Rows, at_fit, rows_at
@@ -86,7 +87,8 @@ def covariances(fit: Fit, recording: Recording) -> Covariances:
     rows = rows_at(problem)
     meat, bread, independent = _coloured(rows, problem)
     meat = meat * _spent(rows, problem)
-    clusters = [name.split("[")[0] for name in fit.experiments]
+    origin = origins(moving(recording))
+    clusters = [origin[name] for name in fit.experiments]
     by_cluster, degrees = clustered(fit.information, clusters)
     names = fit.information.names
     many = np.full(len(names), np.inf)

@@ -76,6 +76,16 @@ def known_noise(recording: Recording) -> frozenset[str]:
     )
 
 
+def random_forces_are_large(random: tuple[float, float], samples_per_radian: float) -> bool:
+    """Return whether random forces, averaged over a radian of the cart's swing, are no small disturbance any more.
+
+    Args:
+        random: force and torque in one sample as shares of the rms forces; False if NaN.
+        samples_per_radian: of the cart's natural swing.
+    """
+    return max(random) / samples_per_radian**0.5 > _LARGE
+
+
 def simulation_residual(
     error: Mapping[str, float],
     shaken: Mapping[str, float],
@@ -119,7 +129,7 @@ def simulation_residual(
         return said("noise", max(error, key=lambda c: error[c]))
     farthest = max(beyond, key=lambda c: beyond[c])
     poorest = max(beyond, key=lambda c: beyond[c] / signal[c])
-    if max(random) / samples_per_radian**0.5 > _LARGE and beyond[poorest] > _POOR * signal[poorest]:
+    if random_forces_are_large(random, samples_per_radian) and beyond[poorest] > _POOR * signal[poorest]:
         return said("stand-in", poorest)
     scatter = float(chi2.isf(_LEVEL, 2 * experiments)) / (2 * experiments)
     least = max(beyond, key=lambda c: beyond[c] / shaken.get(c, nothing) if c in shaken else float("inf"))

@@ -3,7 +3,7 @@
 import dataclasses
 import math
 from collections.abc import Sequence
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -30,6 +30,8 @@ class Evidence:
         power: mean square of what repeats share, where the model states one; NaN for other tests.
         shared: what they share beyond chance, in units of twice the log-likelihood, of all data if it is as large in each; zero for
             other tests.
+        alarmed: whether what the test asks for beside a small p-value is there: of named effects that one of them raises the
+            alarm.
     """
 
     test: str
@@ -39,11 +41,12 @@ class Evidence:
     words: str
     power: float = float("nan")
     shared: float = 0.0
+    alarmed: bool = True
 
     @property
     def rejects(self) -> bool:
         """Whether it says that something is missing."""
-        return self.p_value < self.level
+        return self.alarmed and self.p_value < self.level
 
 
 def p_by_chance(one: Screened, tried: int) -> float:
@@ -111,9 +114,9 @@ def evidence(
         found.append(
             (
                 "named effects",
-                p_by_chance(best, len(screened)) if alarms else 1.0,
+                p_by_chance(best, len(screened)),
                 best.statistic - len(best.amplitudes),
-                f"{best.id} reaches {best.statistic:.0f}, the alarm is at {ALARM:.0f}",
+                f"{best.id} reaches {best.statistic:.0f}, the alarm is at {ALARM:.0f}{_scattered(best, alarms)}",
             )
         )
     if curves:
@@ -146,8 +149,17 @@ def evidence(
                 "around it",
             )
         )
-    told = {"repeats": (repeats.power, repeats.excess)} if repeats is not None else {}
-    return tuple(Evidence(name, p, excess, level, words, *told.get(name, ())) for name, p, excess, words in found)
+    told: dict[str, dict[str, Any]] = {"named effects": {"alarmed": bool(alarming(screened))}}
+    if repeats is not None:
+        told["repeats"] = {"power": repeats.power, "shared": repeats.excess}
+    return tuple(Evidence(name, p, excess, level, words, **told.get(name, {})) for name, p, excess, words in found)
+
+
+def _scattered(best: Screened, alarms: Sequence[Screened]) -> str:
+    """Return why a candidate as large as the alarm raises none; nothing where one does, or none is so large."""
+    if alarms or best.statistic < ALARM:
+        return ""
+    return f", but it scatters over the seconds of data so that by itself it has p = {best.p_value:.2g}"
 
 
 def significant(several: Sequence[Missing], level: float) -> list[Missing]:

@@ -13,7 +13,6 @@ from estimators.core.residual import states_at_start
 from estimators.prediction_error.coloured_noise import ColouredNoise
 from estimators.prediction_error.noise_quadrature import ByNoise
 from rtac_jax import RTAC
-from rtac_jax.effects import Impact
 from rtac_jax.simulation import Steps, advance, unit_pushes
 from rtac_jax.time_loop import time_loop
 
@@ -226,7 +225,7 @@ def impact_places(model: RTAC) -> tuple[int, ...]:
     """Return the places of the states that tell how far parts that hit each other are apart: those of length or angle."""
     owners = [(effect, unit) for effect in model.effects for unit in effect.states.values()]
     return tuple(
-        4 + row for row, (effect, unit) in enumerate(owners) if isinstance(effect, Impact) and unit in ("m", "rad")
+        4 + row for row, (effect, unit) in enumerate(owners) if effect.acts_by_contact and unit in ("m", "rad")
     )
 
 

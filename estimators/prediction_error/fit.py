@@ -153,7 +153,7 @@ def prediction_error_nonlinear(
     dry friction holds do not count.
 
     Args:
-        model: parameters released for each experiment (`model.per_experiment`) have a value there, other free ones one for all.
+        model: those of its free parameters named with `RTAC.each_experiment` are estimated for each experiment, the others for all.
         recording: with moving experiments; those at rest tell the sensors' noise.
         rounds: at most, of physics and noise in turn.
         from_model: begin at the model's values instead of the closed form.

@@ -72,12 +72,16 @@ class Effect(eqx.Module):
         id: the name in the catalogue.
         equation: the formula, in plain text.
         source: where it comes from.
-        port: the part of the rig on which it acts.
+        port: the part of the rig on which it acts: "cart", "arm", "arm and cart", "actuator" (the current), "input" (any input) or
+            "sensor". An effect on a part that never moves, or is never driven, cannot be seen.
+        needs_channel: name of the output without which it cannot be seen either, as that of a sensor; None if there is none.
         states: names of its own states, with units.
         contains: ids of simpler effects that it becomes at the edge of its shape.
         free_start: whether a recording may begin with these states away from `start`, so that a fit estimates them.
         closed: whether the states follow in closed form over a step (`follow`) instead of by integrating `rate`. A lag
             is exact in this way and may be as short as it likes without asking for small steps.
+        acts_by_contact: whether parts hit each other, so that it acts at instants that move by whole steps as a parameter changes
+            and derivatives do not tell of them.
     """
 
     id: ClassVar[str]
@@ -88,6 +92,8 @@ class Effect(eqx.Module):
     contains: ClassVar[tuple[str, ...]] = ()
     free_start: ClassVar[bool] = False
     closed: ClassVar[bool] = False
+    needs_channel: ClassVar[str | None] = None
+    acts_by_contact: ClassVar[bool] = False
 
     def __check_init__(self) -> None:
         for name, declared in declarations(self).items():
@@ -226,6 +232,7 @@ class Impact(Effect):
     """
 
     nature: ClassVar[str] = "dissipative"
+    acts_by_contact: ClassVar[bool] = True
 
     def rate(self, motion: Motion, own: States) -> States:
         """Return zero rates: between impacts nothing happens that the step does not know."""

@@ -15,6 +15,7 @@ class TachoRipple(Sensor):
     id: ClassVar[str] = "tacho_ripple"
     equation: ClassVar[str] = "theta' (1 + a sin(n theta) + b cos(n theta))"
     source: ClassVar[str] = "Doebelin, Measurement Systems (2004), section 4.5, ripple of a direct-current tachometer"
+    needs_channel: ClassVar[str | None] = "arm_velocity"
 
     sine: Scalar = parameter(symbol="a", unit="1", meaning="relative ripple, sine", null=0.0, plausible=0.01)
     cosine: Scalar = parameter(symbol="b", unit="1", meaning="relative ripple, cosine", null=0.0, plausible=0.01)
@@ -34,6 +35,7 @@ class EncoderRipple(Sensor):
     id: ClassVar[str] = "encoder_ripple"
     equation: ClassVar[str] = "theta + a sin(n theta) + b cos(n theta)"
     source: ClassVar[str] = "Doebelin, Measurement Systems (2004), section 4.3, eccentricity of a disc"
+    needs_channel: ClassVar[str | None] = "arm_angle"
 
     sine: Scalar = parameter(symbol="a", unit="rad", meaning="ripple, sine", null=0.0, plausible=0.01)
     cosine: Scalar = parameter(symbol="b", unit="rad", meaning="ripple, cosine", null=0.0, plausible=0.01)
@@ -52,6 +54,7 @@ class LvdtRipple(Sensor):
     id: ClassVar[str] = "lvdt_ripple"
     equation: ClassVar[str] = "q + a sin(2 pi q / p) + b cos(2 pi q / p)"
     source: ClassVar[str] = "Doebelin, Measurement Systems (2004), section 4.3"
+    needs_channel: ClassVar[str | None] = "cart_position"
 
     sine: Scalar = parameter(
         symbol="a", unit="m", meaning="ripple, sine", null=0.0, plausible=lambda s: 0.01 * s.position

@@ -41,6 +41,7 @@ class TachoGain(Sensor):
     id: ClassVar[str] = "tacho_gain"
     equation: ClassVar[str] = "(1 + g) theta'"
     source: ClassVar[str] = _AMPLIFIER
+    needs_channel: ClassVar[str | None] = "arm_velocity"
 
     error: Scalar = _gain("tachometer's scale")
 
@@ -54,6 +55,7 @@ class TachoBias(Sensor):
     id: ClassVar[str] = "tacho_bias"
     equation: ClassVar[str] = "theta' + b"
     source: ClassVar[str] = "offset of an analogue amplifier"
+    needs_channel: ClassVar[str | None] = "arm_velocity"
 
     bias: Scalar = parameter(
         symbol="b", unit="rad/s", meaning="tachometer reading at rest", null=0.0,
@@ -70,6 +72,7 @@ class TachoLag(Sensor):
     id: ClassVar[str] = "tacho_lag"
     equation: ClassVar[str] = "tau y' = theta' - y"
     source: ClassVar[str] = _FIRST_ORDER
+    needs_channel: ClassVar[str | None] = "arm_velocity"
     states: ClassVar[dict[str, str]] = {"ahead": "rad/s"}
     closed: ClassVar[bool] = True
 
@@ -102,6 +105,7 @@ class LvdtGain(Sensor):
     id: ClassVar[str] = "lvdt_gain"
     equation: ClassVar[str] = "(1 + g) q"
     source: ClassVar[str] = _AMPLIFIER
+    needs_channel: ClassVar[str | None] = "cart_position"
 
     error: Scalar = _gain("LVDT's scale")
 
@@ -118,6 +122,7 @@ class LvdtOffset(Sensor):
     id: ClassVar[str] = "lvdt_offset"
     equation: ClassVar[str] = "q + q_0"
     source: ClassVar[str] = _AMPLIFIER
+    needs_channel: ClassVar[str | None] = "cart_position"
 
     offset: Scalar = parameter(
         symbol="q_0", unit="m", meaning="LVDT reading at the spring's rest", null=0.0,
@@ -134,6 +139,7 @@ class LvdtNonlinearity(Sensor):
     id: ClassVar[str] = "lvdt_nonlinearity"
     equation: ClassVar[str] = "q + c q^3"
     source: ClassVar[str] = "Doebelin, Measurement Systems (2004), section 4.3"
+    needs_channel: ClassVar[str | None] = "cart_position"
 
     cubic: Scalar = parameter(
         symbol="c", unit="1/m^2", meaning="cubic error of the LVDT", null=0.0,
@@ -151,6 +157,7 @@ class LvdtLag(Sensor):
     id: ClassVar[str] = "lvdt_lag"
     equation: ClassVar[str] = "tau y' = q - y"
     source: ClassVar[str] = _FIRST_ORDER
+    needs_channel: ClassVar[str | None] = "cart_position"
     states: ClassVar[dict[str, str]] = {"ahead": "m"}
     closed: ClassVar[bool] = True
 
@@ -182,6 +189,7 @@ class ChannelDelay(Sensor):
     id: ClassVar[str] = "channel_delay"
     equation: ClassVar[str] = "q(t - tau)"
     source: ClassVar[str] = "Golub and Van Loan, Matrix Computations (2013), section 9.3, Pade approximation of exp"
+    needs_channel: ClassVar[str | None] = "cart_position"
     states: ClassVar[dict[str, str]] = {"ahead": "m"}
     closed: ClassVar[bool] = True
 
@@ -209,6 +217,7 @@ class EncoderGain(Sensor):
     id: ClassVar[str] = "encoder_gain"
     equation: ClassVar[str] = "(1 + g) theta"
     source: ClassVar[str] = _AMPLIFIER
+    needs_channel: ClassVar[str | None] = "arm_angle"
 
     error: Scalar = _gain("encoder's scale")
 
@@ -222,6 +231,7 @@ class EncoderOffset(Sensor):
     id: ClassVar[str] = "encoder_offset"
     equation: ClassVar[str] = "theta + theta_0"
     source: ClassVar[str] = "mounting of an incremental encoder"
+    needs_channel: ClassVar[str | None] = "arm_angle"
 
     offset: Scalar = parameter(
         symbol="theta_0", unit="rad", meaning="encoder reading at theta = 0", null=0.0, plausible=0.03
@@ -237,6 +247,7 @@ class EncoderLag(Sensor):
     id: ClassVar[str] = "encoder_lag"
     equation: ClassVar[str] = "tau y' = theta - y"
     source: ClassVar[str] = _FIRST_ORDER
+    needs_channel: ClassVar[str | None] = "arm_angle"
     states: ClassVar[dict[str, str]] = {"ahead": "rad"}
     closed: ClassVar[bool] = True
 

@@ -241,3 +241,20 @@ def test_what_is_named_on_a_shaken_rig_is_added(effect: str, hidden: dict[str, A
     found = improved(f"a shaken rig with {effect}", hidden)
     assert found.verdict == "missing", found
     assert [c.id for c in found.added] == [effect], found
+
+
+def test_a_fit_by_predictions_tells_its_likelihood_and_calls_nothing_a_cost(monkeypatch: pytest.MonkeyPatch) -> None:
+    model = rtac.RTAC.paper()
+    before = fit_of(model, ("total_mass",), cost=7.0)
+    experiment = Experiment.of("free_1", kind="free", sample_time=0.01, cart_position=np.cos(np.arange(99)))
+    space = SimpleNamespace(physical=lambda _: ((), (), np.zeros((4, 1))))
+    problem = SimpleNamespace(experiments=(experiment,), arguments=SimpleNamespace(space=space), unknowns=())
+    predicted = SimpleNamespace(
+        model=model, problem=problem, information=before.information, log_likelihood=1234.0, experiments=("free_1",),
+        statistics={"substeps": 2, "seconds": 1.0},
+    )  # fmt: skip
+    monkeypatch.setattr(_add_effect, "prediction_error_nonlinear", lambda *_, **__: predicted)
+    monkeypatch.setattr(_add_effect, "compare", lambda *_: est.Comparison((made(Known, known={}, start={}),)))
+    found = _add_effect._predicted(model, before, rtac.Recording((experiment,)), progress=False)
+    assert found.statistics["log_likelihood"] == 1234.0
+    assert "cost" not in found.statistics

@@ -79,6 +79,24 @@ def white() -> tuple[rtac.Recording, est.Fit, Covariances]:
     return recording, *fitted(recording)
 
 
+def test_experiments_with_brackets_in_their_names_stay_apart(
+    white: tuple[rtac.Recording, est.Fit, Covariances],
+) -> None:
+    recording, fit, found = white
+    names = {e.name: f"run[{i}]" for i, e in enumerate(recording)}
+    renamed = dataclasses.replace(
+        recording, experiments=tuple(dataclasses.replace(e, name=names[e.name]) for e in recording)
+    )
+    same = dataclasses.replace(
+        fit,
+        experiments=tuple(names[n] for n in fit.experiments),
+        start={names[n]: start for n, start in fit.start.items()},
+        marks={names[n]: mark for n, mark in fit.marks.items()},
+    )
+    # One cluster for all experiments would leave nothing: the scores of a fit add up to zero.
+    assert covariances(same, renamed).clustered == pytest.approx(found.clustered, rel=1e-6)
+
+
 def test_with_white_noise_all_covariances_say_the_same(white: tuple[rtac.Recording, est.Fit, Covariances]) -> None:
     _, fit, found = white
     plain, sandwich, by_cluster = (found.std(kind) for kind in ("plain", "sandwich", "clustered"))

@@ -8,6 +8,10 @@ import pytest
 
 import estimators as est
 import rtac_jax as rtac
+from estimators.diagnosis import diagnose, refit, refitting
+from estimators.diagnosis.candidate import Step
+from estimators.diagnosis.refitting import Search
+from estimators.diagnosis.stepwise_selection import Tried
 from estimators.inference.simulation_residual import SimulationResidual, known_noise, simulation_residual
 from rtac_jax import virtual_rig
 from rtac_jax.measurement import Recording
@@ -138,6 +142,30 @@ def test_random_forces_in_place_of_the_physics_are_not_called_adequate(millimetr
 def test_a_current_of_the_wrong_sign_is_not_called_adequate(seed: int) -> None:
     recording = spoilt(train(seed, 3.0, 2, 3), "current of the wrong sign")
     assert est.diagnose(fitted(recording), recording, progress=False, thorough=False).verdict != "adequate"
+
+
+@pytest.mark.slow
+def test_no_effect_is_named_beside_which_random_forces_stand_in_for_the_physics(
+    millimetres: tuple[est.Fit, Recording], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An effect may take a part of what another mistake leaves, and random forces the rest, so that nothing rejects any more."""
+
+    def named(search: Search, base: refit.Refit, tested: refit.Tested) -> tuple[list[Step], Tried]:
+        s = next(s for s in tested.screened if s.id == "tacho_gain")
+        extended = search.with_effect(base, s)
+        return [Step(s.id, (), 100.0, 100.0, 100.0, extended, tested.tests)], {s.id: (base, extended)}
+
+    monkeypatch.setattr(diagnose, "improvements", named)
+    found = est.diagnose(*millimetres, progress=False, thorough=False)
+    assert found.verdict == "unknown", found
+    assert found.simulation is not None
+    assert found.simulation.cause == "stand-in"
+    assert found.effects == found.additions == ()
+    assert "tacho_gain would improve the predictions" in found.explanation
+    assert "not named" in found.explanation
+    # Were the random forces modest, no simulation would be asked.
+    monkeypatch.setattr(refitting, "random_forces_are_large", lambda *_: False)
+    assert est.diagnose(*millimetres, progress=False, thorough=False).verdict == "missing"
 
 
 @pytest.fixture(scope="module")

@@ -364,3 +364,19 @@ def test_only_a_line_that_rejects_is_left() -> None:
 
     assert line_left([line(1e-18), Evidence("static force", 1e-9, 400.0, 0.002, "")]) == 128.0
     assert line_left([line(0.1)]) == 0.0
+
+
+def test_a_large_candidate_that_raises_no_alarm_keeps_its_own_p_value() -> None:
+    """Beside an alarm of 20, "127 passes, p = 1" would be no number that anybody can use."""
+    (scattering,) = evidence([one("arm_coulomb", 127.0, 4e-3), one("cogging", 3.0, 0.1)], [], [], None, None)
+    assert scattering.p_value == pytest.approx(8e-3)  # of any of the two
+    assert "arm_coulomb reaches 127, the alarm is at 20, but it scatters" in scattering.words
+    assert "p = 0.004" in scattering.words
+    assert scattering.p_value < scattering.level
+    assert not scattering.rejects  # for lack of an alarm, not of a small p-value
+    (alarming,) = evidence([one("arm_coulomb", 127.0, 1e-9), one("cogging", 3.0, 0.1)], [], [], None, None)
+    assert alarming.rejects
+    assert alarming.words == "arm_coulomb reaches 127, the alarm is at 20"
+    (small,) = evidence([one("arm_coulomb", 19.0, 1e-5)], [], [], None, None)
+    assert small.p_value == 1e-5
+    assert not small.rejects

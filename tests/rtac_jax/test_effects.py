@@ -29,6 +29,9 @@ NAMES = frozenset(
 )
 """Names that the catalogue may use."""
 
+PORTS = frozenset({"cart", "arm", "arm and cart", "actuator", "input", "sensor"})
+"""Parts of the rig by which a diagnosis decides whether an effect could be seen."""
+
 SAMPLES, SAMPLE_TIME = 400, 0.005
 TIME = SAMPLE_TIME * np.arange(SAMPLES)
 EXPERIMENT = Experiment.of(
@@ -146,6 +149,8 @@ def test_says_what_it_is(effect_id):
     assert issubclass(cls, (Force, DryFriction, Impact, Actuator, Input, Sensor))
     if issubclass(cls, (Force, DryFriction, Impact)):
         assert cls.nature in {"dissipative", "conservative", "source"}
+    assert cls.port in PORTS
+    assert cls.acts_by_contact == issubclass(cls, Impact)
     assert all(is_unit(unit) for unit in cls.states.values())
     assert cls.amplitudes(), "nothing switches the effect off"
     assert set(cls.contains) <= set(CATALOGUE) - {effect_id}
@@ -220,6 +225,18 @@ def test_dissipative_force_takes_energy(effect_id):
             powers.append(float(on_cart * motion.cart_velocity + on_arm * motion.arm_velocity))
         assert max(powers) <= 0
         assert min(powers) < 0
+
+
+@pytest.mark.parametrize("effect_id", IDS)
+def test_a_sensor_needs_the_channel_that_it_changes_and_nothing_else_needs_one(effect_id):
+    cls = CATALOGUE[effect_id]
+    if not issubclass(cls, Sensor):
+        assert cls.needs_channel is None
+        return
+    before, after = base(None)[1], run(RTAC.paper() + plausible(effect_id)[0])
+    names = ("cart_position", "arm_velocity", "arm_angle")
+    changed = [name for name in names if not np.array_equal(getattr(after, name), getattr(before, name))]
+    assert changed == [cls.needs_channel]
 
 
 @pytest.mark.parametrize("effect_id", [name for name, cls in CATALOGUE.items() if issubclass(cls, DryFriction)])

@@ -1,0 +1,78 @@
+"""Which effects a recording could show is read off what they declare, never off their names."""
+
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+from small_experiments import DECAY, T, free
+
+from estimators.diagnosis.testability import can_show
+from rtac_jax.effects import CATALOGUE, Force, Motion, Outputs, Sensor, States
+from rtac_jax.measurement import Experiment
+from rtac_jax.parameters import Scalar, parameter
+
+LOCKED = free("locked", arm="locked")
+CLAMPED = Experiment.of(
+    "clamped", kind="forced", sample_time=float(T[1]), cart="clamped", current=np.sin(8 * T), arm_velocity=np.sin(8 * T)
+)
+
+
+class ArmRest(Force):
+    """A user's force on the cart whose name begins like those of the arm."""
+
+    id: ClassVar[str] = "arm_rest"
+    equation: ClassVar[str] = "-k q^5"
+    source: ClassVar[str] = "own rig"
+    port: ClassVar[str] = "cart"
+    nature: ClassVar[str] = "conservative"
+
+    stiffness: Scalar = parameter(symbol="k", unit="N/m^5", meaning="stiffness", null=0.0, plausible=1e9)
+
+    def force(self, motion: Motion, own: States) -> tuple[Any, Any]:
+        return -self.stiffness * motion.cart_position**5, 0.0
+
+
+class Camera(Sensor):
+    """A user's sensor of the arm's angle whose name says nothing of it."""
+
+    id: ClassVar[str] = "camera"
+    equation: ClassVar[str] = "(1 + g) theta"
+    source: ClassVar[str] = "own rig"
+    needs_channel: ClassVar[str | None] = "arm_angle"
+
+    error: Scalar = parameter(symbol="g", unit="1", meaning="relative error", null=0.0, plausible=0.03)
+
+    def read(self, outputs: Outputs, own: States) -> Outputs:
+        return outputs._replace(arm_angle=outputs.arm_angle * (1.0 + self.error))
+
+
+def test_a_force_on_the_cart_is_seen_whatever_its_name() -> None:
+    assert can_show(ArmRest, [LOCKED])
+    assert not can_show(ArmRest, [CLAMPED])
+
+
+def test_a_sensor_is_seen_where_its_channel_is_measured() -> None:
+    angle = free("angle", arm_angle=50 * DECAY)
+    assert can_show(Camera, [angle])
+    assert not can_show(Camera, [free()])
+
+
+@pytest.mark.parametrize(
+    ("experiment", "seen", "unseen"),
+    [
+        (
+            LOCKED,
+            {"cart_coulomb", "lvdt_gain", "channel_delay", "gravity_tilt"},
+            {"arm_coulomb", "backlash", "saturation"},
+        ),
+        (
+            CLAMPED,
+            {"arm_coulomb", "backlash", "saturation", "tacho_gain"},
+            {"cart_coulomb", "lvdt_gain", "encoder_gain"},
+        ),
+    ],
+)
+def test_what_is_held_hides_the_effects_on_it(experiment: Experiment, seen: set[str], unseen: set[str]) -> None:
+    shown = {name for name, cls in CATALOGUE.items() if can_show(cls, [experiment])}
+    assert seen <= shown
+    assert not unseen & shown

@@ -3,13 +3,13 @@
 import importlib.metadata
 
 from rtac_jax import control, effects, virtual_rig
-from rtac_jax._configure import configure, require_configured
 from rtac_jax._design import design_excitation
 from rtac_jax._rigid_body import RigidBody
 from rtac_jax._rtac import RTAC
 from rtac_jax._simulate_experiments import simulate
 from rtac_jax._simulate_inputs import simulate_inputs
 from rtac_jax._simulation_record import Simulation
+from rtac_jax.configuration import configure, require_configured
 from rtac_jax.excitation import Excitation
 from rtac_jax.linearisation import equation_4, linearise
 from rtac_jax.measurement import Experiment, Recording, RecordingError, concerns, describe

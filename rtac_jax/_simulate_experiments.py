@@ -6,10 +6,10 @@ from typing import Any, overload
 import numpy as np
 from jaxtyping import Array
 
-from rtac_jax._configure import warn_single_precision
 from rtac_jax._rtac import RTAC
 from rtac_jax._run import run, whole_starts
 from rtac_jax._simulation_record import Simulation, simulation_of
+from rtac_jax.configuration import warn_single_precision
 from rtac_jax.excitation import BEYOND, Excitation
 from rtac_jax.measurement import Experiment
 from rtac_jax.time_loop import room_for

@@ -7,11 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from rtac_jax._configure import warn_single_precision
 from rtac_jax._rtac import RTAC
 from rtac_jax._run import is_traced, run, whole_starts
 from rtac_jax._simulation_record import Simulation, simulation_of
 from rtac_jax._spline import FEWEST, spline_coefficients
+from rtac_jax.configuration import warn_single_precision
 from rtac_jax.excitation import BEYOND, Excitation
 from rtac_jax.time_loop import room_for
 

@@ -11,8 +11,8 @@ import numpy as np
 from jaxtyping import Array, Float
 from scipy.optimize import root
 
-from rtac_jax._configure import require_configured
 from rtac_jax._rtac import RTAC
+from rtac_jax.configuration import require_configured
 
 OUTPUTS = ("cart_position", "arm_velocity", "arm_angle")
 _NUDGE = 1e-12  # small against any velocity of interest, so that its square vanishes

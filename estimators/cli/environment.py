@@ -45,7 +45,7 @@ def platform_fault() -> str:
 
 def note_cache(configured: str) -> None:
     """Say on stderr when compiled code cannot be kept, which costs time and nothing else."""
-    from rtac_jax._configure import NO_CACHE
+    from rtac_jax.configuration import NO_CACHE
 
     if NO_CACHE in configured:  # which comes last
         typer.echo(f"rtac: {configured[configured.index(NO_CACHE) :]}", err=True)

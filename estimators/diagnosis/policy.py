@@ -7,7 +7,7 @@ _PROTOTYPE = "prototype study of 42 cases a setting"
 _UNSTUDIED = "set when the rule was added; never studied by itself"
 
 
-def _threshold(default: float, meaning: str, source: str) -> Any:
+def _threshold(default: float | int, meaning: str, source: str) -> Any:
     """Declare a threshold: its value, what it decides, and where the value comes from."""
     return dataclasses.field(default=default, metadata={"meaning": meaning, "source": source})
 

@@ -263,7 +263,7 @@ class _Job:
         rms = left_over(batch, data.present[:, jnp.asarray(self.outputs)], jnp.asarray(noise.T))
         reduced, _, _ = eliminated(weighted(batch, columns), shared, jnp.zeros(sets))
         slope = np.asarray(
-            slopes(*(jnp.ravel(jnp.broadcast_to(x, (sets, shared))) for x in (
+            slopes(*(np.ravel(np.broadcast_to(np.asarray(x), (sets, shared))) for x in (
                 by_set(batch.unknowns)[:, :shared, 0], *(bound[:shared] for bound in self.bounds)
             )))
         ).reshape(sets, shared)  # fmt: skip

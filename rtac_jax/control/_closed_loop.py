@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Array, Float
 from scipy.linalg import expm
 
-from rtac_jax._configure import require_configured
 from rtac_jax._rtac import RTAC
+from rtac_jax.configuration import require_configured
 from rtac_jax.control._checks import state_space
 from rtac_jax.control._response import ClosedLoop
 from rtac_jax.control._units import Actuation, Units

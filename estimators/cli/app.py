@@ -52,12 +52,13 @@ def main() -> None:
     app()
 
 
-def _print_version(wanted: bool) -> None:
+def _print_version(wanted: bool) -> bool:
     if wanted:
         from rtac_jax import __version__
 
         typer.echo(f"rtac-jax {__version__}")
         raise typer.Exit
+    return wanted
 
 
 @app.callback()

@@ -170,7 +170,7 @@ def test_processes_agree_bit_by_bit_and_a_worker_that_dies_is_replaced(tmp_path,
     deaths.mkdir()
     (deaths / "1").touch()
     monkeypatch.setenv("RTAC_DEADLY", str(deaths))
-    monkeypatch.setenv("PYTHONPATH", _environment()["PYTHONPATH"] + os.pathsep + str(Path(__file__).parent))
+    monkeypatch.setenv("PYTHONPATH", _environment()["PYTHONPATH"] + os.pathsep + str(Path(__file__).parents[1]))
     work = Deadly(small())
     with run._Pool(1) as pool:  # one process: starting it is what takes the time
         index, arrays = run.repeated(work, "", executor=pool, out=None, chunk=4, progress=False)
@@ -237,7 +237,7 @@ def test_a_dask_cluster_gives_the_same_bits_although_a_worker_is_killed(tmp_path
     deaths.mkdir()
     (deaths / "1").touch()
     monkeypatch.setenv("RTAC_DEADLY", str(deaths))
-    monkeypatch.setenv("PYTHONPATH", _environment()["PYTHONPATH"] + os.pathsep + str(Path(__file__).parent))
+    monkeypatch.setenv("PYTHONPATH", _environment()["PYTHONPATH"] + os.pathsep + str(Path(__file__).parents[1]))
     work = Deadly(small())
     with (
         dask.config.set({"distributed.worker.daemon": False}),

@@ -64,8 +64,8 @@ def report_dict(
             "parameters": _parameters(_with_held(fit, named)) if fit is not None else {},
             "error": {"train": _before_after(train), "validation": _before_after(validation)},
             "next_experiment": planned.as_dict() if planned is not None else None,
-            "policy": first.policy.as_dict(),
             "seconds": found.seconds if seconds is None else seconds,
+            "policy": first.policy.as_dict(),
         }
     )
 

@@ -163,7 +163,7 @@ def test_the_report_needs_nothing_else(ran, command):
 def test_the_json_has_the_form_that_was_agreed(ran, command):
     content = ran[command][2]
     assert set(content) == {
-        "format", "version", "verdict", "effects", "candidates", "parameters", "error", "next_experiment", "seconds",
+        "format", "version", "verdict", "effects", "candidates", "parameters", "error", "next_experiment", "seconds", "policy",
     }  # fmt: skip
     assert content["verdict"] == "missing"
     assert content["next_experiment"] is None

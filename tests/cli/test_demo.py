@@ -5,8 +5,8 @@ import json
 import pytest
 from typer.testing import CliRunner
 
+from estimators.cli import app as cli
 from estimators.cli import demo_recording
-from estimators.cli import main as cli
 
 
 @pytest.fixture(scope="module")

@@ -14,6 +14,7 @@ import estimators as est
 import estimators.diagnosis.candidate_set
 from estimators import Improvement
 from estimators.cli import job
+from estimators.output_error.fit import output_error
 from estimators.reporting.html import Table, write_json, write_report
 from rtac_jax import RTAC
 from rtac_jax.effects import CATALOGUE
@@ -90,7 +91,7 @@ def ran(file, tmp_path_factory):
                 return remembered(model, *arguments, **options)
             if "flexible_mode.frequency" in model.free:
                 raise estimators.NotIdentifiableError("The data leave it free.")
-            return remembered(model, *arguments, **options)
+            return output_error(model, *arguments, **options)
 
         target = tmp_path_factory.mktemp("refused") / "result.json"
         patch.setattr(estimators, "output_error", refusing)

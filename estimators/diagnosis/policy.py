@@ -1,4 +1,4 @@
-"""The thresholds of a diagnosis, in one place: each with its meaning and its source."""
+"""The thresholds by which a diagnosis chooses and judges refits: each with its meaning and its source."""
 
 import dataclasses
 from typing import Any
@@ -16,8 +16,9 @@ def _threshold(default: float | int, meaning: str, source: str) -> Any:
 class DiagnosisPolicy:
     """What a diagnosis calls found, adequate and not to be told apart.
 
-    Evidence is computed without it; `judge` and the choice among refits read nothing else. A policy of one's own is passed
-    to `est.diagnose`, and stands in its result, in the report and in the JSON.
+    `judge`, the choice among refits and the steps of a selection read it. The alarm of a candidate and the levels of the tests are
+    constants of `estimators.misspecification`, those of the simulation's error of `estimators.inference.simulation_residual`, and
+    change a verdict too. A policy of one's own is passed to `est.diagnose`, and stands in its result and in the JSON.
 
     Raises:
         ValueError: a threshold is negative, or a fraction is above one.

@@ -53,7 +53,9 @@ def experiments(*, current: bool = True, velocity: bool = True, later: float = 0
 def noise(random: np.random.Generator, linear: Linear, colour: float = 0.0) -> np.ndarray:
     """Rows of unit variance, first-order coloured in time."""
     shape = (1, linear.data.room + 200, 3, COUNT)
-    return linear.rows(lfilter([np.sqrt(1 - colour**2)], [1, -colour], random.normal(size=shape), axis=1)[:, 200:])[:, 0]
+    return linear.rows(lfilter([np.sqrt(1 - colour**2)], [1, -colour], random.normal(size=shape), axis=1)[:, 200:])[
+        :, 0
+    ]
 
 
 def found(linear: Linear, error: np.ndarray, several: list[Experiment]) -> dict[str, DelayedForce]:

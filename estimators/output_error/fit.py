@@ -37,6 +37,9 @@ _GUIDED = 5.0
 _AT_REST = 0.5
 # A start whose short predictions stay this many times worse than another's is given up.
 _HOPELESS = 5.0
+# A start leads where another one did if, once both were guided, the rms of what sets their simulations apart is less than this
+# many times the noise of every sensor: no measurement could tell them from each other.
+_ALIKE = 0.3
 
 
 def output_error(
@@ -173,9 +176,13 @@ class _Run:
     bar: Any
     taken: int = 0
     nearest: float = np.inf
+    followed: list[tuple[np.ndarray, "_Stage"]] = dataclasses.field(default_factory=list)
 
     def descend(self, model: RTAC, *, best: float) -> _Stage | None:
-        """Descend from predictions with strong correction to the free simulation; None where that leads nowhere."""
+        """Descend from predictions with strong correction to the free simulation; None where that leads nowhere.
+
+        Where the guided start simulates what that of an earlier descent did, the rest would be the same: its end is returned.
+        """
         space = space_of(model, self.experiments, free=[n for n in model.free if n not in model.per_experiment])
         unknowns = space.unconstrained(off_bounds=OFF_BOUNDS)
         noise = np.array([self.levels.get(channel, 1.0) for channel in CHANNELS])
@@ -198,6 +205,9 @@ class _Run:
                 if near.cost > _HOPELESS * self.nearest:
                     return None
                 self.nearest = min(self.nearest, near.cost)
+        guided = self._simulated(model, space, unknowns, substeps)
+        if (same := self._followed(guided, noise)) is not None:
+            return same
         deviation = noise
         cost, solved = np.inf, None
         for last in (False, False, True):
@@ -213,7 +223,18 @@ class _Run:
                 break  # hopeless beside another start: not worth the last digits
             whitener = diagonal_whitener(deviation, self.data)
         assert solved is not None
-        return _Stage(model, space, solved, deviation, cost, substeps)
+        end = _Stage(model, space, solved, deviation, cost, substeps)
+        self.followed.append((guided, end))
+        return end
+
+    def _followed(self, guided: np.ndarray, noise: np.ndarray) -> _Stage | None:
+        """Return the end of an earlier descent that went through the same simulation; None if none did."""
+        count = np.maximum(np.asarray(self.data.present).sum(axis=(0, 2)), 1.0)
+        for earlier, end in self.followed:
+            apart = np.sqrt(((guided - earlier) ** 2).sum(axis=(0, 2)) / count)
+            if np.all(apart < _ALIKE * noise):
+                return end
+        return None
 
     def _solve(self, unknowns: Unknowns, arguments: Arguments, *, tolerance: float, most: int) -> Solved:
         def show(text: str) -> None:
@@ -245,12 +266,18 @@ class _Run:
         # One whitener for all samples: enough for a start, and the same compiled function as for the simulation.
         return result.gain, jnp.asarray(_settled(np.asarray(result.whitener), self.data))
 
-    def _deviation(self, model: RTAC, space: Space, unknowns: Unknowns, substeps: int, noise: np.ndarray) -> np.ndarray:
+    def _simulated(
+        self, model: RTAC, space: Space, unknowns: Unknowns, substeps: int
+    ) -> Float[np.ndarray, "sample output experiment"]:
+        """Return what a free simulation leaves of the measurements; zero where there is none."""
         whitener = diagonal_whitener(np.ones(len(CHANNELS)), self.data)
         arguments = Arguments(model, self.data, space, whitener, no_gain(model, self.data), substeps)
-        error, _ = plain_residual(unknowns, arguments)
+        return np.asarray(plain_residual(unknowns, arguments)[0])
+
+    def _deviation(self, model: RTAC, space: Space, unknowns: Unknowns, substeps: int, noise: np.ndarray) -> np.ndarray:
+        error = self._simulated(model, space, unknowns, substeps)
         count = np.maximum(np.asarray(self.data.present).sum(axis=(0, 2)), 1.0)
-        rms = np.sqrt((np.asarray(error) ** 2).sum(axis=(0, 2)) / count)
+        rms = np.sqrt((error**2).sum(axis=(0, 2)) / count)
         # A channel cannot be trusted beyond its sensor, or one that happens to fit would drown the others.
         return np.where(rms > 0, np.maximum(rms, 1e-12 * noise), noise)
 

@@ -54,6 +54,29 @@ def test_noisy_estimates_agree_with_the_truth_within_their_deviations(
     assert train.errors["arm_velocity"].fit_percent > 95.0
 
 
+def test_starts_that_no_sensor_could_tell_apart_are_followed_once(noisy: rtac.Recording, noisy_fit: est.Fit) -> None:
+    """Every start is guided by predictions; where it then simulates what another one did, the rest would be the same."""
+    four = est.output_error(rtac.RTAC.from_rig(noisy), noisy, starts=4, progress=False)
+    assert four.statistics["agreed"] == four.statistics["starts"] == 4
+    assert four.result == est.RESULTS.successful
+    assert four.statistics["cost"] == noisy_fit.statistics["cost"]
+    more = four.statistics["steps"] - noisy_fit.statistics["steps"]
+    alone = est.output_error(rtac.RTAC.from_rig(noisy), noisy, starts=1, progress=False).statistics["steps"]
+    assert more < 1.2 * alone, (more, alone)  # twice that if both further starts went all the way
+
+
+def test_starts_that_simulate_something_else_are_followed_to_their_ends(noisy: rtac.Recording) -> None:
+    """As on a rig that random forces shake: what a simulation leaves has many valleys."""
+    plans = virtual_rig.standard_plans(seed=11, sample_time=0.005, duration=6.0, free=2, forced=4, rest=1)
+    shaken = virtual_rig.record(virtual_rig.Rig(force_noise=0.1), plans, seed=12)
+    one, two = (
+        est.output_error(rtac.RTAC.from_rig(shaken), shaken, starts=starts, progress=False).statistics
+        for starts in (1, 2)
+    )
+    assert two["steps"] > 1.4 * one["steps"], (one, two)
+    assert two["cost"] <= one["cost"]
+
+
 def test_with_noise_weak_closed_form_output_error_and_truth_agree(noisy: rtac.Recording, noisy_fit: est.Fit) -> None:
     """Within four of their standard deviations, which are small enough to say something: a hundredth and a thousandth.
 

@@ -97,7 +97,11 @@ def finding(diagnosis: Diagnosis) -> str:
     if diagnosis.verdict == "ambiguous":
         others = ", ".join(c.id for c in accepted[1:])
         return f"{best.id} explains {share}, but the data cannot tell it from {others}"
-    rest = [c for c in diagnosis.candidates if c.id not in {a.id for a in accepted} and c.chi_square > diagnosis.policy.alarm]
+    rest = [
+        c
+        for c in diagnosis.candidates
+        if c.id not in {a.id for a in accepted} and c.chi_square > diagnosis.policy.alarm
+    ]
     rest = [c for c in rest if c.refitted and c.error_reduction > _NEAR]
     if not rest:
         return f"{best.id} explains {share}; nothing else comes near"

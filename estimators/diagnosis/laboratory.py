@@ -1,7 +1,7 @@
 """The laboratory of a diagnosis: what a selection may ask to be computed, answered from saved evidence here."""
 
 from collections.abc import Sequence
-from typing import Literal, Protocol
+from typing import Literal, Protocol, runtime_checkable
 
 from estimators.diagnosis.evidence import Evidence, Facts, FittedModel, HeldOut, SimulationError
 from estimators.misspecification.findings import Findings, Score
@@ -10,6 +10,7 @@ Way = Literal["filter", "thorough"]
 """To refit a model with a candidate: from the shape that was screened, or from wherever a refit may begin."""
 
 
+@runtime_checkable
 class Laboratory(Protocol):
     """What answers the questions of a selection; None, or a refit left out, where a model diverges or no answer is known."""
 

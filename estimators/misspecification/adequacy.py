@@ -3,13 +3,14 @@
 import dataclasses
 import math
 from collections.abc import Sequence
-from typing import Any, Protocol, TypeVar
+from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
 from estimators.misspecification.findings import CriticalValues, Findings, Scored
 
 
+@runtime_checkable
 class _Force(Protocol):
     @property
     def p_value(self) -> float: ...

@@ -4,11 +4,12 @@ Nothing here or in what reads these records needs a model, so that what was comp
 """
 
 import dataclasses
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from scipy.stats import f as fisher
 
 
+@runtime_checkable
 class Scored(Protocol):
     """A candidate of one shape with its score."""
 

@@ -57,7 +57,8 @@ def chosen(
     good = [i for i in good if not loose(i, models[i], policy)] or good
     best = max(good, key=lambda i: gains[i])
     rivals = tuple(i for i in good if i != best and _untold(laboratory, before, models, gains, best, i, policy))
-    asked = {i: tried[i][0] for i in sorted(gains, key=lambda i: -gains[i])[: policy.reconsidered]}
+    foremost = sorted(gains, key=lambda i: -gains[i])[: policy.reconsidered]
+    asked = {i: tried[i][0] for i in dict.fromkeys((*foremost, best))}
     return Step(best, rivals, 2 * gain(before, models[best]), gains[best], held_out[best], models[best], (), asked)
 
 
@@ -90,7 +91,7 @@ def reconsidered(laboratory: Laboratory, base: FittedModel, steps: list[Step], p
 
     Source: stepwise selection with replacement, as in Miller, Subset Selection in Regression (2002), section 3.
     """
-    for effect in [step.id for step in steps[:-1]]:
+    for effect in [step.id for step in steps[:-1]] if policy.reconsidered else []:
         steps = _once_more(laboratory, base, steps, effect, policy)
     return steps
 

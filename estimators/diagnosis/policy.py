@@ -61,7 +61,7 @@ class DiagnosisPolicy:
     rival: float = _threshold(0.5, "fraction of the best gain that a rival must reach", _UNSTUDIED)
     reconsidered: int = _threshold(
         4,
-        "candidates of a step that are held against its effect again",
+        "candidates of a step that are held against its effect again; none at 0",
         _UNSTUDIED,
     )
     refits: int = _threshold(4, "candidates refitted at least", _PROTOTYPE)

@@ -12,7 +12,8 @@ from known_search import known
 from estimators.core.compilation import Ahead
 from estimators.core.results import DivergedError
 from estimators.diagnosis import refitting
-from estimators.diagnosis.refit import Refit, Tested
+from estimators.diagnosis.refit import Refit
+from estimators.diagnosis.refit import Tested as Answers
 from estimators.diagnosis.refitting import Search
 from estimators.misspecification.candidate_screening import Screened
 from estimators.misspecification.findings import Findings
@@ -43,7 +44,7 @@ class Known(Search):
         return self.refit(*before.added, s.id)
 
     def tested(self, refit: Refit, ahead: Ahead | None = None) -> Any:
-        return Tested((), (), Findings())
+        return Answers((), (), Findings())
 
     def pieces_of_tests(self, added: Sequence[str] = (), free: Sequence[str] | None = None) -> list[Any]:
         return []

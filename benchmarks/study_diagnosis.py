@@ -4,6 +4,7 @@
     python benchmarks/study_diagnosis.py run results.jsonl --first 70 --draws 25 --only nothing    # more of one kind
     python benchmarks/study_diagnosis.py run results.jsonl --kinds effects outside      # these kinds of case only
     python benchmarks/study_diagnosis.py run results.jsonl --part 0/2                   # one of two processes side by side
+    python benchmarks/study_diagnosis.py run --evidence DIR --first 96 --draws 2    # fit, diagnose, keep the evidence only
     python benchmarks/study_diagnosis.py table results.jsonl
     python benchmarks/study_diagnosis.py table benchmarks/diagnosis.jsonl               # from draw 34 on
 
@@ -19,6 +20,9 @@ learned force are also fitted by predictions one sample ahead, which random forc
 second recording without random forces: "base, still" and "learned, still". Cases named "twice the limit of" and "a
 third of the limit of" hide an effect at that multiple of the detection limit which the diagnosis of the same rig states
 with nothing hidden; they run once that is known.
+
+With `--evidence` no second recording is made: the evidence of every diagnosis is kept as a file, all kinds of case in
+turn, to be judged again by any policy (benchmarks/ablate_policy.py). `--short` makes recordings of 4 s at 250 Hz.
 """
 
 import argparse
@@ -31,6 +35,7 @@ import time
 import zlib
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from diagnosis_cases import (
@@ -54,7 +59,9 @@ import estimators as est
 import rtac_jax as rtac
 from estimators.core.data import moving
 from estimators.core.initial_state import scales_of
+from estimators.diagnosis.evidence import Evidence
 from estimators.diagnosis.model_extension import holding
+from estimators.diagnosis.verdict import Judgement, judge
 from rtac_jax import virtual_rig
 from rtac_jax.effects import Effect
 
@@ -67,8 +74,7 @@ def one(name: str, draw: int, case: Case) -> dict[str, object]:
     """Record and diagnose one rig, and hold what comes of it against a second recording."""
     # A limit holds for the rig and the plans of which it was stated; the noise is another.
     seed, noise = (10 * zlib.crc32(f"{draw} {n}".encode()) for n in (NULL if "limit of" in name else name, name))
-    rotor = {"rotor_share": float(np.random.default_rng([seed, 1]).uniform(*ROTOR_SHARES))}
-    rig = dataclasses.replace(virtual_rig.Rig().drawn(seed), **rotor, **(SHAKEN if draw % 2 else {}), **case.hidden)
+    rig = drawn(case, seed, draw)
     ahead = {"sample_time": 0.002, "duration": 5.0, "played": case.played}
     plans = virtual_rig.standard_plans(seed=seed + 1, free=2, forced=4, rest=case.rest, repeats=case.repeats, **ahead)
     checks = virtual_rig.standard_plans(seed=seed + 3, free=1, forced=2, rest=1, **ahead)
@@ -110,6 +116,76 @@ def one(name: str, draw: int, case: Case) -> dict[str, object]:
         "seconds": seconds,
         "commit": _COMMIT,
     }
+
+
+def keep(directory: Path, draws: range, kinds: Sequence[str], only: str, part: tuple[int, int], *, short: bool) -> None:
+    """Diagnose what has no evidence yet, one kind of case after the other, and print how often the verdicts are right."""
+    rtac.configure()
+    directory.mkdir(parents=True, exist_ok=True)
+    several = [(name, draw, case) for name, draw, case in cases(draws, {}, kinds) if only in name]
+    counts: dict[str, collections.Counter] = collections.defaultdict(collections.Counter)
+    for name, draw, case in sorted(several, key=lambda one: zlib.crc32(f"{one[0]} {one[1]}".encode())):
+        path = evidence_path(directory, name, draw)
+        if zlib.crc32(name.encode()) % part[1] != part[0]:
+            continue
+        seconds = ""
+        if not path.exists():
+            began = time.perf_counter()
+            try:
+                evidence_of(name, draw, case, short=short).save(path)
+            except (ArithmeticError, ValueError) as error:
+                print(f"draw {draw}, {name}: failed: {error}", flush=True)
+                continue
+            seconds = f", {time.perf_counter() - began:.0f} s"
+        found = judge(Evidence.load(path))
+        counts[kind_of(name)][outcome(as_result(name, found))] += 1
+        print(f"draw {draw}, {name}: {found.verdict} {list(found.effects)}{seconds}", flush=True)
+    for kind, outcomes in counts.items():
+        print(kind, dict(outcomes))
+
+
+def evidence_of(name: str, draw: int, case: Case, *, short: bool) -> Evidence:
+    """The evidence of the diagnosis of one rig."""
+    seed = 10 * zlib.crc32(f"{draw} {name}".encode())
+    rig = drawn(case, seed, draw)
+    ahead = {"sample_time": 0.004 if short else 0.002, "duration": 4.0 if short else 5.0, "played": case.played}
+    plans = virtual_rig.standard_plans(seed=seed + 1, free=2, forced=4, rest=case.rest, repeats=case.repeats, **ahead)
+    recording = virtual_rig.record(rig, plans, seed=seed + 2, write_noise=case.write_noise)
+    fit = est.output_error(rtac.RTAC.from_rig(recording), recording, progress=False)
+    found = est.diagnose(fit, recording, progress=False).evidence
+    assert found is not None
+    return found
+
+
+def drawn(case: Case, seed: int, draw: int) -> virtual_rig.Rig:
+    """A rig that hides what a case hides; of an odd draw it is shaken."""
+    rotor = {"rotor_share": float(np.random.default_rng([seed, 1]).uniform(*ROTOR_SHARES))}
+    return dataclasses.replace(virtual_rig.Rig().drawn(seed), **rotor, **(SHAKEN if draw % 2 else {}), **case.hidden)
+
+
+def evidence_path(directory: Path, name: str, draw: int) -> Path:
+    """Where the evidence of one recording is kept."""
+    return directory / f"{draw:03d} {name.replace(':', '')}.json".replace(" ", "_")
+
+
+def evidence_in(directory: Path) -> dict[tuple[str, int], Evidence]:
+    """All evidence that is kept, by case and draw."""
+    known = {evidence_path(directory, name, 0).name[3:]: name for members in KINDS.values() for name in members}
+    return {
+        (known[path.name[3:]], int(path.name[:3])): Evidence.load(path)
+        for path in sorted(directory.glob("*.json"))
+        if path.name[3:] in known
+    }
+
+
+def kind_of(name: str) -> str:
+    """The kind of a case."""
+    return next(kind for kind, members in KINDS.items() if name in members)
+
+
+def as_result(name: str, found: Judgement) -> dict[str, Any]:
+    """What `outcome` asks of a judgement."""
+    return {"case": name, "verdict": found.verdict, "steps": list(found.effects), "groups": found.rivals}
 
 
 def _with(model: rtac.RTAC, effects: Sequence[Effect]) -> rtac.RTAC:
@@ -275,7 +351,9 @@ def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("action", choices=["run", "table"])
-    parser.add_argument("file", type=Path)
+    parser.add_argument("file", type=Path, nargs="?", help="of results; not with --evidence")
+    parser.add_argument("--evidence", type=Path, metavar="DIR", help="keep the evidence of every recording here")
+    parser.add_argument("--short", action="store_true", help="with --evidence: recordings of 4 s at 250 Hz")
     parser.add_argument("--first", type=int, default=34)
     parser.add_argument("--draws", type=int, default=5)
     every = [*KINDS, "limits"]
@@ -283,7 +361,14 @@ def main() -> None:
     parser.add_argument("--only", default="", help="cases whose name contains this")
     parser.add_argument("--part", default="0/1", help="I/N: the Ith of N processes that share the work")
     arguments = parser.parse_args()
-    if arguments.action == "run":
+    if (arguments.file is None) == (arguments.evidence is None) or (arguments.evidence and arguments.action == "table"):
+        parser.error("give a file of results, or with run --evidence DIR.")
+    if arguments.evidence is not None:
+        first, count = (int(n) for n in arguments.part.split("/"))
+        draws = range(arguments.first, arguments.first + arguments.draws)
+        kinds = [kind for kind in arguments.kinds if kind != "limits"]
+        keep(arguments.evidence, draws, kinds, arguments.only, (first, count), short=arguments.short)
+    elif arguments.action == "run":
         part = tuple(int(n) for n in arguments.part.split("/"))
         assert len(part) == 2
         run(

@@ -1,23 +1,21 @@
-"""A search whose log-likelihoods are known beforehand, for tests of what is made of them."""
+"""A laboratory whose log-likelihoods are known beforehand, for tests of what is made of them."""
 
 from collections.abc import Mapping, Sequence
-from types import SimpleNamespace
-from typing import Any
 
-import numpy as np
-
-from estimators.core.compilation import Ahead
-from estimators.diagnosis.refit import Refit
-from estimators.diagnosis.refit import Tested as Answers
-from estimators.diagnosis.refitting import Search
-from estimators.misspecification.candidate_screening import Screened
+from estimators.diagnosis.evidence import Facts, FittedModel, HeldOut, SimulationError
+from estimators.diagnosis.laboratory import Way
+from estimators.diagnosis.live_laboratory import traits
+from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
+from estimators.misspecification.findings import CriticalValues, Findings, Score, StaticForce
 from rtac_jax.effects import CATALOGUE
 
 SIZES = {"arm_stribeck": 2, "arm_coulomb": 1, "lvdt_lag": 1, "cubic_spring": 1}
+CRITICAL = STANDARD.critical
+TRAITS = {i: traits(effect) for i, effect in CATALOGUE.items()}
 
 
-class Known(Search):
-    """A search in which the log-likelihood with every set of effects is known beforehand."""
+class Known:
+    """A laboratory in which the log-likelihood with every set of effects is known beforehand."""
 
     def __init__(
         self,
@@ -25,58 +23,72 @@ class Known(Search):
         loose: Sequence[str] = (),
         held_out: Mapping[str, float] | None = None,
     ) -> None:
-        self.likelihood, self.runaways, self.held_out = likelihood, loose, held_out or {}
-        self.classes = dict(CATALOGUE)
-        self.bar = SimpleNamespace(set_description=lambda text: None)
+        self.likelihood, self.runaways, self.gains = likelihood, loose, held_out or {}
+        self.facts = Facts(10_000, 2, 2, rest=True, noise_known=False, samples_per_radian=20.0, effects=TRAITS)
+        self.policy: DiagnosisPolicy = STANDARD
+        self._models: list[FittedModel] = []
+        self.base = self.model()
 
-    @property
-    def samples(self) -> int:
-        return 10_000
-
-    def refit(self, *effects: str) -> Refit:
-        found = Refit.__new__(Refit)
-        value = self.likelihood[frozenset(effects)]
-        halves = np.array([[0.5 * value - 1.0], [0.5 * value + 1.0]])
-        parts: dict[str, Any] = {
-            "added": effects,
-            "free": tuple(f"{e}.{n}" for e in effects for n in range(SIZES[e])),
-            "predictor": SimpleNamespace(log_likelihood=value),
-            "by_sample": halves,
-        }
-        for name, part in parts.items():
-            object.__setattr__(found, name, part)
+    def model(self, *effects: str) -> FittedModel:
+        value = self.likelihood.get(frozenset(effects), 0.0)
+        found = FittedModel(
+            number=len(self._models),
+            added=effects,
+            parameters=sum(SIZES.get(e, 1) for e in effects),
+            log_likelihood=value,
+            by_stretch=(0.5 * value - 1.0, 0.5 * value + 1.0),
+            looseness={e: 100.0 if e in self.runaways else 0.1 for e in effects},
+        )
+        self._models.append(found)
         return found
 
-    def stretches(self) -> np.ndarray:
-        return np.array([[0], [1]])
+    def say(self, text: str) -> None:
+        pass
 
-    def held_out_gain(self, before: Refit, after: Refit) -> float:
+    def first_refits(
+        self, before: FittedModel, first: Score, near: Sequence[Score], way: Way
+    ) -> dict[str, FittedModel]:
+        return self.refits(before, [first, *near], way)
+
+    def refits(self, before: FittedModel, several: Sequence[Score], way: Way) -> dict[str, FittedModel]:
+        return {s.id: self.model(*before.added, s.id) for s in several}
+
+    def without(self, model: FittedModel, effect: str) -> FittedModel | None:
+        return self.model(*(e for e in model.added if e != effect))
+
+    def findings(self, model: FittedModel) -> Findings | None:
+        return Findings()
+
+    def quiet_scores(self, model: FittedModel) -> tuple[Score, ...]:
+        return ()
+
+    def held_out(self, before: FittedModel, after: FittedModel) -> HeldOut:
         (effect,) = set(after.added) - set(before.added)
-        return self.held_out.get(effect, 1.0)
+        gain = self.gains.get(effect, 1.0)
+        return HeldOut((gain,), (0.0 if gain != gain else 1.0,))
 
-    def loose(self, effect: str, refit: Refit) -> bool:
-        return effect in self.runaways
+    def coloured(self) -> FittedModel | None:
+        return None
 
-    def with_effect(self, before: Refit, s: Screened) -> Refit:
-        return self.refit(*before.added, s.id)
-
-    def without(self, refit: Refit, effect: str) -> Refit:
-        return self.refit(*(e for e in refit.added if e != effect))
-
-    def tested(self, refit: Refit, ahead: Ahead | None = None) -> Any:
-        return Answers((), (), ())
-
-    def pieces_of_tests(self, added: Sequence[str] = (), free: Sequence[str] | None = None) -> list[Any]:
-        return []
-
-    def _extended(self, before: Refit, s: Screened) -> Any:
-        return None, (), (*before.added, s.id)
+    def simulation(self, model: FittedModel) -> SimulationError | None:
+        return None
 
 
-def screened(effect: str) -> Screened:
-    found = Screened.__new__(Screened)
-    object.__setattr__(found, "id", effect)
-    return found
+def screened(effect: str) -> Score:
+    return Score(effect, 0, ("size",), 100.0, 1e-9)
+
+
+def sized(effect: str, statistic: float, p_value: float) -> Score:
+    return Score(effect, 0, ("size",), statistic, p_value)
+
+
+def force(excess: float) -> StaticForce:
+    """A force that certainly explains so much."""
+    return StaticForce("cart", "cart_position", 1e-9, excess)
+
+
+def critical(**changed: float) -> CriticalValues:
+    return CriticalValues(**({"alarm": CRITICAL.alarm, "chance": CRITICAL.chance, "level": CRITICAL.level} | changed))
 
 
 def known(**likelihood: float) -> dict[frozenset[str], float]:

@@ -9,7 +9,7 @@ from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.diagnose import Diagnosis
 from estimators.diagnosis.improve import Improvement
 from estimators.diagnosis.model_extension import Foreseen
-from estimators.misspecification.adequacy import Evidence
+from estimators.misspecification.adequacy import AdequacyTest
 from estimators.misspecification.residual_maps import Place
 from estimators.misspecification.static_force import ForceCurve
 from estimators.prediction_error.latent_force import LatentForce
@@ -113,7 +113,9 @@ def diagnosis(verdict="missing", *, curves=CURVES, others=OTHERS, additions=(), 
     effects = {"missing": (first,), "ambiguous": (first, second)}.get(verdict, ())
     best = max(curves, key=lambda c: c.score, default=None)
     tests = (
-        () if best is None else (Evidence("static force", 12 * best.p_value, best.excess, 0.002, "of the best curve"),)
+        ()
+        if best is None
+        else (AdequacyTest("static force", 12 * best.p_value, best.excess, 0.002, "of the best curve"),)
     )
     return Diagnosis(
         verdict,

@@ -54,6 +54,18 @@ class Information:
                 said.append(f"{', '.join(name for name, _ in parts)} may be {how}")
         return said
 
+    def looseness(self, prefix: str) -> float:
+        """Return the largest relative deviation of a combination in which parameters whose names begin so take part.
+
+        Args:
+            prefix: of the names.
+        """
+        taking = [
+            any(abs(s) > 0.2 for n, s in zip(self.names, d, strict=True) if n.startswith(prefix))
+            for d in self.directions
+        ]
+        return float(np.max(self.deviations[np.array(taking, dtype=bool)], initial=0.0)) if any(taking) else 0.0
+
     def weakest(self, *, above: float = 0.1) -> list[str]:
         """Describe what these data determine, but worse than to this fraction of its size, the worst first."""
         said = []

@@ -1,12 +1,9 @@
-"""The record of one candidate of a diagnosis, and of each effect that it named."""
+"""The record of one candidate of a diagnosis."""
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 
 from estimators.core.fit import Parameter
-from estimators.diagnosis.refit import Refit
-from estimators.misspecification.adequacy import Evidence
-from estimators.misspecification.candidate_screening import Screened
 
 
 @dataclasses.dataclass(frozen=True)
@@ -44,30 +41,3 @@ class Candidate:
     parameters: Mapping[str, Parameter] = dataclasses.field(default_factory=dict)
     confusable_with: tuple[str, ...] = ()
     correlation: Mapping[str, float] = dataclasses.field(default_factory=dict)
-
-
-@dataclasses.dataclass(frozen=True)
-class Step:
-    """One effect that improved the model.
-
-    Attributes:
-        id: of the effect.
-        rivals: ids that the data cannot tell from it.
-        gain: twice the gain in log-likelihood over the model before.
-        bic_gain: the same less the price of its parameters.
-        held_out_gain: in the log-likelihood of experiments that did not take part in estimating it; NaN where only one shows it.
-        refit: the model with it.
-        left: the tests of the model with it.
-        asked: all candidates that were refitted at this step, this one among them.
-        way: in which they were, where that was not the usual one.
-    """
-
-    id: str
-    rivals: tuple[str, ...]
-    gain: float
-    bic_gain: float
-    held_out_gain: float
-    refit: Refit
-    left: tuple[Evidence, ...]
-    asked: Mapping[str, Screened] = dataclasses.field(default_factory=dict)
-    way: Callable[[Refit, Screened], Refit] | None = None

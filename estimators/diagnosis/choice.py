@@ -1,61 +1,89 @@
 """Choice among several refits, and the same once more when all effects are in the model."""
 
-import contextlib
 import dataclasses
+import math
 from collections.abc import Mapping, Sequence
 
-import numpy as np
 from scipy.stats import chi2
 
-from estimators.diagnosis.candidate import Step
-from estimators.diagnosis.refit import Refit
-from estimators.diagnosis.refitting import Search
-from estimators.misspecification.candidate_screening import Screened
-from estimators.validation.model_comparison import vuong
+from estimators.diagnosis.evidence import FittedModel
+from estimators.diagnosis.laboratory import Laboratory
+from estimators.diagnosis.policy import DiagnosisPolicy
+from estimators.diagnosis.step import Step
+from estimators.misspecification.adequacy import adequacy_tests
+from estimators.misspecification.findings import Score
+from estimators.validation.vuong_test import vuong_statistic
 
 
-def gain(before: Refit, after: Refit) -> float:
+def gain(before: FittedModel, after: FittedModel) -> float:
     """Return the gain in log-likelihood."""
-    return after.predictor.log_likelihood - before.predictor.log_likelihood
+    return after.log_likelihood - before.log_likelihood
 
 
-def bic_gain(search: Search, before: Refit, after: Refit) -> float:
+def bic_gain(samples: int, before: FittedModel, after: FittedModel) -> float:
     """Return twice the gain in log-likelihood less the price of the parameters added."""
-    return 2 * gain(before, after) - (len(after.free) - len(before.free)) * float(np.log(search.samples))
+    return 2 * gain(before, after) - (after.parameters - before.parameters) * math.log(samples)
 
 
-def chosen(search: Search, before: Refit, tried: Mapping[str, tuple[Screened, Refit]]) -> Step | None:
+def held_out_gain(laboratory: Laboratory, before: FittedModel, after: FittedModel, policy: DiagnosisPolicy) -> float:
+    """Return the gain in the log-likelihood of experiments that did not take part in estimating the effect.
+
+    NaN if none can tell.
+    """
+    found = laboratory.held_out(before, after)
+    gains = [one for one, known in zip(found.gain, found.known, strict=True) if known >= policy.known]
+    return float(sum(gains)) if gains else math.nan
+
+
+def loose(effect: str, model: FittedModel, policy: DiagnosisPolicy) -> bool:
+    """Return whether the data leave a parameter of an added effect free."""
+    return not model.looseness.get(effect, 0.0) < policy.loose
+
+
+def chosen(
+    laboratory: Laboratory,
+    before: FittedModel,
+    tried: Mapping[str, tuple[Score, FittedModel]],
+    policy: DiagnosisPolicy,
+) -> Step | None:
     """Return the best of the refits as the next step; None if none improves the model."""
-    refits = {i: refit for i, (_, refit) in tried.items()}
-    gains = {i: bic_gain(search, before, refit) for i, refit in refits.items()}
-    held_out = {i: search.held_out_gain(before, refit) for i, refit in refits.items()}
-    good = [i for i in refits if gains[i] > search.policy.bic_gain and not held_out[i] <= 0]
+    models = {i: model for i, (_, model) in tried.items()}
+    gains = {i: bic_gain(laboratory.facts.samples, before, model) for i, model in models.items()}
+    held_out = {i: held_out_gain(laboratory, before, model, policy) for i, model in models.items()}
+    good = [i for i in models if gains[i] > policy.bic_gain and not held_out[i] <= 0]
     if not good:
         return None
     # One whose shape has run away stands in for a simpler one; the user's own fit would refuse it.
-    good = [i for i in good if not search.loose(i, refits[i])] or good
+    good = [i for i in good if not loose(i, models[i], policy)] or good
     best = max(good, key=lambda i: gains[i])
-    rivals = tuple(i for i in good if i != best and _untold(search, before, refits, gains, best, i))
-    asked = {i: tried[i][0] for i in sorted(gains, key=lambda i: -gains[i])[: search.policy.reconsidered]}
-    return Step(best, rivals, 2 * gain(before, refits[best]), gains[best], held_out[best], refits[best], (), asked)
+    rivals = tuple(i for i in good if i != best and _untold(laboratory, before, models, gains, best, i, policy))
+    foremost = sorted(gains, key=lambda i: -gains[i])[: policy.reconsidered]
+    asked = {i: tried[i][0] for i in dict.fromkeys((*foremost, best))}
+    return Step(best, rivals, 2 * gain(before, models[best]), gains[best], held_out[best], models[best], (), asked)
 
 
 def _untold(
-    search: Search, before: Refit, tried: Mapping[str, Refit], gains: Mapping[str, float], best: str, other: str
+    laboratory: Laboratory,
+    before: FittedModel,
+    tried: Mapping[str, FittedModel],
+    gains: Mapping[str, float],
+    best: str,
+    other: str,
+    policy: DiagnosisPolicy,
 ) -> bool:
     """Return whether the data cannot tell a candidate from the best."""
-    if best in search.classes[other].contains:
-        more = len(tried[other].free) - len(tried[best].free)
-        return 2 * gain(tried[best], tried[other]) > float(chi2.isf(search.policy.nested_level, max(more, 1)))
-    if gains[best] - gains[other] < search.policy.bic_gain:
+    if best in laboratory.facts.effects[other].contains:
+        more = tried[other].parameters - tried[best].parameters
+        return 2 * gain(tried[best], tried[other]) > float(chi2.isf(policy.nested_level, max(more, 1)))
+    if gains[best] - gains[other] < policy.bic_gain:
         return True
-    if gain(before, tried[other]) < search.policy.rival * gain(before, tried[best]):
+    if gain(before, tried[other]) < policy.rival * gain(before, tried[best]):
         return False
-    price = 0.5 * (len(tried[best].free) - len(tried[other].free)) * float(np.log(search.samples))
-    return bool(vuong(tried[best].by_sample, tried[other].by_sample, search.stretches(), price) < search.policy.vuong)
+    price = 0.5 * (tried[best].parameters - tried[other].parameters) * math.log(laboratory.facts.samples)
+    return vuong_statistic(tried[best].by_stretch, tried[other].by_stretch, price) < policy.vuong
 
 
-def reconsidered(search: Search, base: Refit, steps: list[Step]) -> list[Step]:
+def reconsidered(laboratory: Laboratory, base: FittedModel, steps: list[Step], policy: DiagnosisPolicy) -> list[Step]:
     """Compare every earlier effect with those refitted beside it, now that the later ones are there; return the steps.
 
     What improves a model most while another effect is missing may only mend what that one does. An effect that is not needed
@@ -63,48 +91,64 @@ def reconsidered(search: Search, base: Refit, steps: list[Step]) -> list[Step]:
 
     Source: stepwise selection with replacement, as in Miller, Subset Selection in Regression (2002), section 3.
     """
-    for effect in [step.id for step in steps[:-1]]:
-        # What the model diverges without is needed.
-        with contextlib.suppress(ArithmeticError):
-            steps = _once_more(search, base, steps, effect)
+    for effect in [step.id for step in steps[:-1]] if policy.reconsidered else []:
+        steps = _once_more(laboratory, base, steps, effect, policy)
     return steps
 
 
-def _once_more(search: Search, base: Refit, steps: list[Step], effect: str) -> list[Step]:
+def _once_more(
+    laboratory: Laboratory, base: FittedModel, steps: list[Step], effect: str, policy: DiagnosisPolicy
+) -> list[Step]:
     """Return the steps with one earlier effect compared with those that were refitted beside it."""
     place = next(i for i, step in enumerate(steps) if step.id == effect)
     if place == len(steps) - 1:
         return steps
-    step, now = steps[place], steps[-1].refit
+    step, now = steps[place], steps[-1].model
     others = [s for i, s in step.asked.items() if i not in now.added]
-    search.bar.set_description(f"diagnose: {effect} once more")
-    before = search.without(now, effect)
+    laboratory.say(f"{effect} once more")
+    before = laboratory.without(now, effect)
+    if before is None:  # what the model diverges without is needed
+        return steps
     tried = {effect: (step.asked[effect], now)}
-    refits = search.refits(before, others, step.way)
-    tried |= {s.id: (s, refits[s.id]) for s in others if s.id in refits}
-    winner = chosen(search, before, tried)
+    models = laboratory.refits(before, others, step.way)
+    tried |= {s.id: (s, models[s.id]) for s in others if s.id in models}
+    winner = chosen(laboratory, before, tried, policy)
     if winner is not None and winner.id == effect:
         return [*steps[:place], dataclasses.replace(step, rivals=winner.rivals), *steps[place + 1 :]]
-    return _rebuilt(search, base, steps, place, before) + ([] if winner is None else [winner])
+    rebuilt = _rebuilt(laboratory, base, steps, place, before, policy)
+    return steps if rebuilt is None else rebuilt + ([] if winner is None else [winner])
 
 
-def _rebuilt(search: Search, base: Refit, steps: Sequence[Step], place: int, last: Refit) -> list[Step]:
-    """Return the steps without one of them, the refit with all the others being known."""
+def _rebuilt(
+    laboratory: Laboratory,
+    base: FittedModel,
+    steps: Sequence[Step],
+    place: int,
+    last: FittedModel,
+    policy: DiagnosisPolicy,
+) -> list[Step] | None:
+    """Return the steps without one of them, the refit with all the others being known; None where a model diverges."""
     found = list(steps[:place])
     fits = {steps[-1].id: last}
     for step, later in zip(reversed(steps[place + 1 : -1]), reversed(steps[place + 2 :]), strict=True):
-        fits[step.id] = search.without(fits[later.id], later.id)
+        model = laboratory.without(fits[later.id], later.id)
+        if model is None:
+            return None
+        fits[step.id] = model
     for step in steps[place + 1 :]:
-        before = found[-1].refit if found else base
-        refit = fits[step.id]
+        before = found[-1].model if found else base
+        model = fits[step.id]
+        left = laboratory.findings(model)
+        if left is None:
+            return None
         found.append(
             dataclasses.replace(
                 step,
-                gain=2 * gain(before, refit),
-                bic_gain=bic_gain(search, before, refit),
-                held_out_gain=search.held_out_gain(before, refit),
-                refit=refit,
-                left=search.tested(refit).tests,
+                gain=2 * gain(before, model),
+                bic_gain=bic_gain(laboratory.facts.samples, before, model),
+                held_out_gain=held_out_gain(laboratory, before, model, policy),
+                model=model,
+                left=adequacy_tests(left, policy.critical),
             )
         )
     return found

@@ -13,28 +13,19 @@ from tqdm import tqdm
 from estimators.core.compilation import Ahead, make_room
 from estimators.core.drawing import draw
 from estimators.core.fit import Fit
-from estimators.diagnosis.candidate import Candidate, Step
+from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.candidate_set import offered
-from estimators.diagnosis.choice import bic_gain, gain
+from estimators.diagnosis.choice import bic_gain, gain, held_out_gain
+from estimators.diagnosis.evidence import Evidence
+from estimators.diagnosis.explanation import SHAKEN, not_named, shaken, strayed, surer, without_the_physics, words
+from estimators.diagnosis.live_laboratory import LiveLaboratory
 from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
-from estimators.diagnosis.refit import Refit, Tested
 from estimators.diagnosis.refitting import Search
-from estimators.diagnosis.stepwise_selection import Tried, by_size, improvements, second_looks
-from estimators.diagnosis.verdict import (
-    SHAKEN,
-    Verdict,
-    floor,
-    judge,
-    not_named,
-    shaken,
-    strayed,
-    surer,
-    without_named_rivals,
-    without_the_physics,
-    words,
-)
+from estimators.diagnosis.removed_error import Verdict, floor
+from estimators.diagnosis.stepwise_selection import Selection, by_size
+from estimators.diagnosis.verdict import Judgement, decide, judge
 from estimators.inference.simulation_residual import SimulationResidual
-from estimators.misspecification.adequacy import Evidence, alarming, excess_of, p_by_chance
+from estimators.misspecification.adequacy import AdequacyTest, alarming, excess_of, p_by_chance
 from estimators.misspecification.candidate_screening import correlations
 from estimators.misspecification.detection_limit import TESTABLE, main_amplitude
 from estimators.misspecification.line_classes import LineClass
@@ -70,14 +61,15 @@ class Diagnosis:
         simulation: what the error of the fitted simulation means, where no test rejects and no effect is named, or where beside
             the effects that would be named random forces still stand in for the physics, so that none is; None elsewhere.
         policy: the thresholds that it was judged by.
+        evidence: everything that was computed, to be saved, or judged by another policy; None where the result was made by hand.
     """
 
     verdict: Verdict
     effects: tuple[Candidate, ...]
     additions: tuple[Effect, ...]
     candidates: tuple[Candidate, ...]
-    tests: tuple[Evidence, ...]
-    left: tuple[Evidence, ...]
+    tests: tuple[AdequacyTest, ...]
+    left: tuple[AdequacyTest, ...]
     removed: float
     curves: tuple[ForceCurve, ...]
     latent: tuple[LatentForce, ...]
@@ -89,6 +81,7 @@ class Diagnosis:
     seconds: float
     simulation: SimulationResidual | None = None
     policy: DiagnosisPolicy = STANDARD
+    evidence: Evidence | None = None
 
     @property
     def best(self) -> Effect | None:
@@ -109,6 +102,7 @@ class Diagnosis:
             for test in tests:
                 said = "rejects" if test.rejects else "passes"
                 lines.append(f"{title}: {test.test} {said} (p = {test.p_value:.2g}): {test.words}")
+        lines += ["", self.policy.words]
         return "\n".join(lines)
 
     def plot(self) -> Any:
@@ -156,9 +150,11 @@ def diagnose(
                 f"no candidate is left: nothing in the recording could show {', '.join(c.id for c in classes)}."
             )
         with warnings.catch_warnings():  # what threads do to the filters at the same time ends here
-            found = _searched(search, thorough)
+            laboratory = _begun(search, fit)
+            decide(laboratory, policy, thorough=thorough)
+            evidence = laboratory.evidence(thorough=thorough)
         bar.set_description("diagnose: verdict")
-        told = _told(found, [c for c in classes if c.id not in search.absent], fit)
+        told = _told(laboratory, evidence, judge(evidence, policy), [c for c in classes if c.id not in search.absent])
     if (
         told.simulation is not None
         and told.simulation.cause == "unexplained"
@@ -168,19 +164,8 @@ def diagnose(
     return dataclasses.replace(told, seconds=time.perf_counter() - began)
 
 
-@dataclasses.dataclass(frozen=True)
-class _Found:
-    """The outcome of a search."""
-
-    search: Search
-    base: Refit
-    tested: Tested
-    steps: list[Step]
-    refits: Tried
-    thorough: bool
-
-
-def _searched(search: Search, thorough: bool) -> _Found:
+def _begun(search: Search, fit: Fit) -> LiveLaboratory:
+    """Return a laboratory with the base model fitted and tested, while another thread compiles what comes next."""
     search.bar.set_description("diagnose: predictor of the base model")
     with ThreadPoolExecutor(1) as other:
         other.submit(search.compile_base)
@@ -188,52 +173,35 @@ def _searched(search: Search, thorough: bool) -> _Found:
         search, base = search.recoloured(search.base())
         search, base = search.trusting(base)
         search.bar.set_description("diagnose: candidates")
-        tested = search.tested(base, ahead)
-    steps, refits = improvements(search, base, tested)
-    if any(test.rejects for test in tested.tests) and not any(e.kind == "rest" for e in search.recording.experiments):
-        # Noise that wanders makes almost every effect look useful; without rest records the likelihood must say.
-        search.bar.set_description("diagnose: colour of the noise")
-        other = search.coloured(base)
-        if other is not None:
-            other, coloured = other.recoloured(other.base())
-            final = steps[-1].refit if steps else base
-            if coloured.predictor.log_likelihood > final.predictor.log_likelihood:
-                search, base, tested = other, coloured, other.tested(coloured)
-                steps, refits = improvements(search, base, tested)
-    if thorough:
-        steps, refits = second_looks(search, base, tested, steps, refits)
-    return _Found(search, base, tested, steps, refits, thorough)
+        return LiveLaboratory(search, fit, base, search.tested(base, ahead))
 
 
-def _told(found: _Found, unshown: Sequence[type[Effect]], fit: Fit) -> Diagnosis:
+def _told(
+    laboratory: LiveLaboratory, evidence: Evidence, found: Judgement, unshown: Sequence[type[Effect]]
+) -> Diagnosis:
     """Return the verdict and its reasons, also of candidates that nothing in the recording could show."""
-    search, base, tests = found.search, found.base, found.tested.tests
-    verdict, count, removed = judge(found.steps, tests, search.samples, search.policy)
-    simulation = search.simulation(fit, base, found.tested.screened) if verdict == "adequate" else None
-    latent = search.latent(base) if verdict == "unknown" else ()
-    if count:
-        simulation = search.stand_in(fit, found.steps[count - 1].refit)
-    if simulation is not None and simulation.vetoes:
-        verdict, count = "unknown", 0
-    candidates = _candidates(search, base, found.tested, found.steps, count, found.refits)
+    search, base = laboratory.computed(found.selection.base)
+    tested = laboratory.tested(found.selection.base)
+    stood = found.simulation is None or not found.simulation.vetoes
+    latent = search.latent(base) if found.verdict == "unknown" and stood else ()
+    candidates = _candidates(laboratory, found)
     candidates += [_not_testable(c, float(np.log(search.samples))) for c in unshown]
-    steps = without_named_rivals(found.steps[:count])
-    final, left = (steps[-1].refit, steps[-1].left) if steps else (base, tests)
-    groups = [(step.id, *step.rivals) for step in steps]
+    groups = [(step.id, *step.rivals) for step in found.steps]
     by_id = {c.id: c for c in candidates}
+    _, final = laboratory.computed(found.final)
     told = Diagnosis(
-        verdict=verdict,
+        verdict=found.verdict,
         effects=tuple(
             dataclasses.replace(by_id[i], confusable_with=tuple(other for other in group if other != i))
             for group in groups
             for i in group
         ),
-        additions=tuple(search.effect(step.id, final) for step in steps),
+        additions=tuple(search.effect(step.id, final) for step in found.steps),
         candidates=tuple(candidates),
-        tests=tests,
-        left=left,
-        removed=removed,
-        curves=found.tested.curves,
+        tests=found.selection.tests,
+        left=found.left,
+        removed=found.removed,
+        curves=tested.curves,
         latent=latent,
         places=search.places(base),
         lines=search.lines(base),
@@ -241,15 +209,16 @@ def _told(found: _Found, unshown: Sequence[type[Effect]], fit: Fit) -> Diagnosis
         random_torque=base.predictor.random_torque,
         explanation="",
         seconds=0.0,
-        simulation=simulation,
+        simulation=found.simulation,
         policy=search.policy,
+        evidence=evidence,
     )
-    return dataclasses.replace(told, explanation=_explanation(told, steps, found, found.steps[count:]))
+    return dataclasses.replace(told, explanation=_explanation(told, found, search, thorough=evidence.thorough))
 
 
-def _explanation(told: Diagnosis, steps: Sequence[Step], found: _Found, further: Sequence[Step]) -> str:
+def _explanation(told: Diagnosis, found: Judgement, search: Search, *, thorough: bool) -> str:
     """Return the verdict in plain words, with what it rests on and what would make it surer."""
-    search = found.search
+    steps, further = found.steps, found.further
     text = words(
         told.verdict, told.effects, told.candidates, steps, told.tests, told.left, told.removed, told.curves, told.latent,
         told.places, told.lines, told.simulation, told.policy,
@@ -258,20 +227,20 @@ def _explanation(told: Diagnosis, steps: Sequence[Step], found: _Found, further:
         text += without_the_physics(further)
     if steps and further:
         text += not_named(further, told.left, search.samples)
-    if steps and steps[0].id not in {s.id for s in alarming(found.tested.screened)}:
+    alarms = alarming(found.selection.findings.scores, told.policy.critical)
+    if steps and steps[0].id not in {s.id for s in alarms}:
         text += f" {steps[0].id} raised no alarm by itself: it was tried because what did explains less, or nothing."
     if struck := [effect.id for effect in told.additions if effect.acts_by_contact]:
         text += (
             f" The intervals of {', '.join(struck)} may be far too narrow: they leave out when parts hit each other."
         )
-    if told.verdict == "unknown" and told.simulation is None and not found.thorough:
+    if told.verdict == "unknown" and told.simulation is None and not thorough:
         text += " This was a quick diagnosis: a thorough one also tries what raised no alarm."
     vetoed = told.simulation is not None and told.simulation.vetoes
     if not vetoed and not any(
         test.rejects for test in told.left
     ):  # or else random forces may stand for what is still missing
-        final = (steps[-1].refit if steps else found.base).predictor
-        text += shaken(final.random_force, final.random_torque, search.left_out)
+        text += shaken(found.final.random_force, found.final.random_torque, search.left_out)
     if search.assumed:
         text += f" Coloured noise of {', '.join(search.assumed)} was assumed: the data are far more likely with it."
     return text + surer(told.verdict, search.recording)
@@ -291,22 +260,18 @@ def _not_testable(c: type[Effect], price: float) -> Candidate:
     )  # fmt: skip
 
 
-def _candidates(
-    search: Search,
-    base: Refit,
-    tested: Tested,
-    steps: Sequence[Step],
-    named: int,
-    refits: Tried,
-) -> list[Candidate]:
-    """Return all candidates, those that improved the model first; the first `named` steps stand in the verdict."""
-    price = float(np.log(search.samples))
-    best = {s.id: s for s in by_size(tested.screened, price)}
+def _candidates(laboratory: LiveLaboratory, found: Judgement) -> list[Candidate]:
+    """Return all candidates, those that improved the model first."""
+    selection, samples, policy = found.selection, laboratory.facts.samples, laboratory.policy
+    search, base = laboratory.computed(selection.base)
+    screened = laboratory.tested(selection.base).screened
+    price = float(np.log(samples))
+    best = {s.id: s for s in by_size(screened, price)}
     alike = correlations(best)
     limits = search.limits(base, best)
-    most = _most(base, steps, refits, tested.tests, search.samples)
-    within = {step.id for step in steps[:named]}
-    found = []
+    most = _most(selection, samples)
+    within = set(found.effects)
+    several = []
     for s in best.values():
         first, limit = main_amplitude(s), limits[s.id]
         plausible = abs(float(np.asarray(getattr(s.instance, first))))
@@ -314,40 +279,39 @@ def _candidates(
             id=s.id,
             score=s.statistic - len(s.amplitudes) * price,
             chi_square=s.statistic,
-            p_value=p_by_chance(s, len(tested.screened)),
+            p_value=p_by_chance(s, len(screened)),
             detection_limit=limit,
             unit=declarations(s.instance)[first].unit,
             testable=bool(np.isfinite(limit) and limit < TESTABLE * plausible),
             correlation=alike[s.id],
         )
-        if s.id in refits:
-            before, refit = refits[s.id]
-            last = steps[named - 1].refit if s.id in within else refit
-            removed = np.exp(-2 * gain(base, before) / search.samples) - np.exp(-2 * gain(base, refit) / search.samples)
+        if s.id in selection.tried:
+            before, model = selection.tried[s.id]
+            _, last = laboratory.computed(found.final if s.id in within else model)
+            start = selection.base
+            removed = np.exp(-2 * gain(start, before) / samples) - np.exp(-2 * gain(start, model) / samples)
             c = dataclasses.replace(
                 c,
                 refitted=True,
-                bic_gain=bic_gain(search, before, refit),
-                held_out_gain=search.held_out_gain(before, refit),
+                bic_gain=bic_gain(samples, before, model),
+                held_out_gain=held_out_gain(laboratory, before, model, policy),
                 error_reduction=float(np.clip(removed / most, 0.0, 1.0)) if most > 0 else 0.0,
                 parameters=search.parameters(s.id, last),
             )
-        found.append(c)
-    order = {step.id: place for place, step in enumerate(steps)}
-    found.sort(key=lambda c: (order.get(c.id, len(order)), -c.bic_gain if c.refitted else 0.0, -c.score))
-    return found
+        several.append(c)
+    order = {step.id: place for place, step in enumerate(selection.steps)}
+    several.sort(key=lambda c: (order.get(c.id, len(order)), -c.bic_gain if c.refitted else 0.0, -c.score))
+    return several
 
 
-def _most(
-    base: Refit,
-    steps: Sequence[Step],
-    refits: Tried,
-    tests: Sequence[Evidence],
-    samples: int,
-) -> float:
+def _most(selection: Selection, samples: int) -> float:
     """Return the fraction of the base model's squared prediction error that is known to be avoidable."""
-    single = [gain(base, refit) for before, refit in refits.values() if before is base]
-    least = [np.exp(-2 * max(single, default=0.0) / samples), 1 - min(excess_of(tests) / samples, 1.0)]
-    if steps:
-        least.append(floor(steps, samples))
+    base = selection.base
+    single = [gain(base, model) for before, model in selection.tried.values() if before.number == base.number]
+    least = [
+        np.exp(-2 * max(single, default=0.0) / samples),
+        1 - min(excess_of(selection.tests) / samples, 1.0),
+    ]
+    if selection.steps:
+        least.append(floor(selection.steps, samples))
     return float(1 - min(least))

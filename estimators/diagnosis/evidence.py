@@ -1,303 +1,234 @@
-"""Evidence from the innovations of a fitted predictor: which candidates they speak for, and whether anything is left."""
+"""Evidence of a diagnosis: a plain record of everything that was computed, to be saved, loaded, and judged without any model."""
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+import json
+import os
+import tempfile
+import types
+import typing
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
 
-import jax.numpy as jnp
-import numpy as np
+from estimators.misspecification.findings import Findings, Score
 
-from estimators.core.compilation import Ahead
-from estimators.core.data import CHANNELS
-from estimators.core.fit import Fit
-from estimators.core.initial_state import scales_of
-from estimators.core.residual import start_rows
-from estimators.core.threads import at_once
-from estimators.diagnosis.refit import Refit, Tested
-from estimators.diagnosis.setting import Setting, begun, by_name, shared
-from estimators.inference.shaken_simulation import signal_rms, simulation_deviation
-from estimators.inference.simulation_residual import (
-    SimulationResidual,
-    known_noise,
-    simulation_residual,
-)
-from estimators.misspecification.adequacy import alarming, evidence
-from estimators.misspecification.candidate_screening import (
-    ALARM,
-    Group,
-    NotNothingError,
-    Screened,
-    few_for,
-    same,
-    screen,
-)
-from estimators.misspecification.detection_limit import detection_limits
-from estimators.misspecification.lagged_force import delayed_forces
-from estimators.misspecification.line_classes import LineClass, line_classes
-from estimators.misspecification.replication_test import repeat_test
-from estimators.misspecification.residual_maps import Place, where
-from estimators.misspecification.spectral_line_test import spectral_line
-from estimators.misspecification.static_force import compile_force_curves, force_curves
-from estimators.prediction_error.innovations import Innovations, Rows, orthonormal
-from estimators.prediction_error.latent_force import LatentForce, latent_forces
-from estimators.prediction_error.noise_estimation import run_filter, start_variance
-from rtac_jax import RTAC
-
-_GROUPS = 4  # of candidates, each simulated with a model of its own
-_MANY = 50_000  # samples of all experiments, from which on that is faster than one model for all
-_SLOW = 1e-2  # share of the rms speed below which a learned friction fades
-QUIET = np.log(1e-3**2)  # variance of random forces, in shares of the rms forces, where they should not hide an effect
+FORMAT, VERSION = "rtac-evidence", 1
 
 
-class Probing(Setting):
-    """The tests of the innovations of models with some of the candidates."""
+@dataclasses.dataclass(frozen=True)
+class EffectTraits:
+    """What the selection asks of a class of effects.
 
-    def pieces_of_tests(self, added: Sequence[str] = (), free: Sequence[str] | None = None) -> list[Callable[[], None]]:
-        """Return what compiles the code of `tested`, in the order in which that runs it, for another thread.
+    Attributes:
+        contact: whether it acts by contact.
+        rings: whether it has a resonance: two states of its own, which are not those of a play.
+        contains: ids of effects that it contains.
+    """
 
-        Args:
-            added: effects that the model has beside those of the base model.
-            free: its free parameters, by default those of the base model.
-        """
-        free = shared(self.model) if free is None else free
-        alone = partial(self._unfitted, self._with(added, ()), free)
-        groups = [partial(self._unfitted, self._with(added, group), free) for group in self._grouped(added)]
-        return [
-            lambda: alone().compile_jacobian(),
-            *(partial(_compile, group) for group in groups),
-            lambda: compile_force_curves(alone()),
-            lambda: alone().compile_pushed(),
-        ]
+    contact: bool = False
+    rings: bool = False
+    contains: tuple[str, ...] = ()
 
-    def _grouped(self, added: Sequence[str]) -> list[list[str]]:
-        """Return the candidates that were not added, as they are simulated together.
 
-        A model with all of them costs one compilation, and every probe the effort of all effects; where there are many
-        samples, a few smaller models are faster. The group of an effect that was added stays a model that is compiled.
-        """
-        count = _GROUPS if self.data.samples * self.data.experiments > _MANY else 1
-        groups = [[i for i in list(self.absent)[first::count] if i not in added] for first in range(count)]
-        return [group for group in groups if group]
+@dataclasses.dataclass(frozen=True)
+class FittedModel:
+    """A model with some of the candidates added, fitted to the data by its predictions one sample ahead.
 
-    def _with(self, added: Sequence[str], others: Sequence[str]) -> RTAC:
-        """Return the base model with effects at null: what was added, then others."""
-        return self.with_effects([self.absent[i] for i in self.absent if i in added or i in others])
+    Attributes:
+        number: by which the evidence knows it.
+        added: ids of the effects beyond the base model, in the order in which they were added.
+        parameters: number of free parameters.
+        log_likelihood: of all data.
+        by_stretch: the same of each stretch of a second, less a constant that all models share.
+        looseness: largest relative standard deviation of a combination of parameters in which each added effect takes part.
+        random_force, random_torque: in one sample, as fractions of the rms forces.
+        values: of the parameters of the added effects, with standard deviations, SI units.
+    """
 
-    def _unfitted(self, model: RTAC, free: Sequence[str]) -> Innovations:
-        """Return innovations for compiling only: the shapes are right, gains and whiteners are nothing."""
-        gain, whitener = (
-            jnp.asarray(np.zeros((self.data.room, count, len(CHANNELS), self.data.experiments)))
-            for count in (len(model.states), len(CHANNELS))
-        )
-        return Innovations(model, self.data, self.padded(model, free), whitener, gain, self.substeps)
+    number: int
+    added: tuple[str, ...]
+    parameters: int
+    log_likelihood: float
+    by_stretch: tuple[float, ...] = ()
+    looseness: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    random_force: float = 0.0
+    random_torque: float = 0.0
+    values: Mapping[str, tuple[float, float]] = dataclasses.field(default_factory=dict)
 
-    def tested(self, refit: Refit, ahead: Ahead | None = None) -> Tested:
-        """Run all tests of the innovations of a model; `ahead` compiles `pieces_of_tests`."""
-        ready = _nothing if ahead is None else ahead.next
-        probed = self._innovations(refit, [], refit.free)
-        ready()
-        basis = orthonormal(probed.jacobian())
-        error = self._error(refit, probed, basis)
-        screened = self._screened(refit, probed, error, basis, ready)
-        scales = scales_of(self.model, self.experiments)
-        slow = (_SLOW * scales.velocity, _SLOW * scales.arm_velocity)
-        ready()
-        curves = force_curves(probed, error, basis, self._ranges(), slow)
-        stiffness = float(np.asarray(self.model.body.spring_stiffness))
-        ready()
-        delayed = delayed_forces(
-            probed, error, basis, self.experiments, frequency=scales.frequency, stiffness=stiffness
-        )  # fmt: skip
-        whitened, present = self._told(refit)
-        line = spectral_line(whitened, present, self.experiments)
-        repeats = repeat_test(whitened, present, self.experiments)
-        return Tested(tuple(screened), tuple(curves), evidence(screened, curves, delayed, line, repeats))
 
-    def quietly(self, refit: Refit) -> list[Screened]:
-        """Score candidates against a predictor with low process noise.
+@dataclasses.dataclass(frozen=True)
+class HeldOut:
+    """What an effect gains in each experiment if it is estimated from the others only.
 
-        Random forces that stand for a missing effect make the predictor follow the sensors, and hide from it what moves
-        slowly beside the samples. Such statistics only rank: the innovations are not white.
-        """
-        found = refit.predictor
-        noise = np.concatenate([np.minimum(found.noise[:2], QUIET), found.noise[2:]])
-        prior = self.prior.starting(refit.space)
-        passed = run_filter(refit.model, self.data, refit.space, found.physical, prior, noise, self.substeps).filtered
-        quiet = dataclasses.replace(refit, predictor=dataclasses.replace(found, noise=noise, filtered=passed))
-        probed = self._innovations(quiet, [], quiet.free)
-        basis = orthonormal(probed.jacobian())
-        return self._screened(quiet, probed, self._error(quiet, probed, basis), basis)
+    Attributes:
+        gain: in the log-likelihood, by experiment; NaN where the others know nothing of the effect.
+        known: fraction of what all experiments know of it that the others know, by experiment.
+    """
 
-    def simulation(self, fit: Fit, base: Refit, screened: Sequence[Screened]) -> SimulationResidual:
-        """Return what the simulation error of the diagnosed fit means beside the random forces of its predictor.
+    gain: tuple[float, ...]
+    known: tuple[float, ...]
 
-        Args:
-            fit: that is diagnosed.
-            base: the predictor of the same model.
-            screened: the candidates, against its innovations.
-        """
-        known = [c for c in fit.residual_std if c in known_noise(self.recording)]
-        error = {c: fit.residual_std[c] / fit.noise[c] for c in known}
-        start = np.stack([fit.start[e.name] for e in self.experiments], axis=1)
-        space = begun(
-            self.space(base.model, base.free), base.model, dict(zip(start_rows(fit.model), start, strict=True))
-        )
-        values = base.values | {name: float(np.asarray(fit.model[name])) for name in shared(fit.model)}
-        physical = (
-            jnp.asarray([values[name] for name in space.names]), base.predictor.physical[1], space.start,
-        )  # fmt: skip
-        deviation = simulation_deviation(
-            base.model, self.data, space, physical, self.prior.starting(space), base.predictor.noise, self.substeps
-        )
-        signal = signal_rms(self.data)
-        rows = {c: CHANNELS.index(c) for c in known}
-        stretches = int(np.max(self.stretches())) + 1
-        few = [s for s in screened if few_for(s, stretches, len(screened))] if not alarming(screened) else []
-        loudest = max(few, key=lambda s: s.statistic, default=None)
-        return simulation_residual(
-            error,
-            {c: float(deviation[row]) / fit.noise[c] for c, row in rows.items() if np.isfinite(deviation[row])},
-            {c: float(signal[row]) / fit.noise[c] for c, row in rows.items()},
-            random=(base.predictor.random_force, base.predictor.random_torque),
-            samples_per_radian=self.samples_per_radian,
-            experiments=len(self.experiments),
-            suspect="" if loudest is None else f"{loudest.id} ({loudest.statistic:.0f}, the alarm is at {ALARM:.0f})",
-            seconds=stretches,
-        )
 
-    @property
-    def samples_per_radian(self) -> float:
-        """Samples in a radian of the cart's natural swing, over which random forces average."""
-        scales = scales_of(self.model, self.experiments)
-        return 1.0 / (scales.frequency * scales.sample_time)
+@dataclasses.dataclass(frozen=True)
+class SimulationError:
+    """The error of a free simulation in the channels of known noise, beside what random forces would leave of it.
 
-    def places(self, refit: Refit) -> tuple[Place, ...]:
-        """Return the parts of the data by the size of their innovations, the largest excess first."""
-        whitened, present = self._told(refit)
-        return tuple(where(whitened, present, self.experiments))
+    Attributes:
+        error: rms over the noise, by channel.
+        shaken: what the random forces of the predictor and the sensors would leave of it.
+        signal: rms of the motion over the noise.
+        random: force and torque of the predictor in one sample, as fractions of the rms forces.
+    """
 
-    def lines(self, refit: Refit) -> tuple[LineClass, ...]:
-        """Return the innovations by class of spectral line."""
-        whitened, present = self._told(refit)
-        return tuple(line_classes(whitened, present, self.experiments))
+    error: Mapping[str, float]
+    shaken: Mapping[str, float]
+    signal: Mapping[str, float]
+    random: tuple[float, float]
 
-    def latent(self, refit: Refit) -> tuple[LatentForce, ...]:
-        """Return the missing force in time."""
-        probed = self._innovations(refit, [], [])
-        scales = scales_of(self.model, self.experiments)
-        physical = (probed.space.values, refit.predictor.physical[1], probed.space.start)
-        return latent_forces(
-            probed.model, self.data, probed.space, physical, probed.gain,
-            self.substeps, self.experiments,
-            sensor_variance=np.exp(refit.predictor.noise[2:]) * self.prior.sensor**2,
-            start_variance=start_variance(probed.space),
-            force=scales.force, torque=scales.torque, frequency=scales.frequency,
-        )  # fmt: skip
 
-    def _screened(
-        self,
-        refit: Refit,
-        probed: Innovations,
-        error: np.ndarray,
-        basis: Rows,
-        ready: Callable[[], None] | None = None,
-    ) -> list[Screened]:
-        """Score candidates that were not added to a fitted model, against its innovations.
+@dataclasses.dataclass(frozen=True)
+class Refitting:
+    """One refit of a model with a candidate added or taken away.
+
+    Attributes:
+        before: number of the model.
+        way: "filter", "thorough" or "without".
+        effect: id.
+        shape: of the candidate from which the refit began; -1 for "without".
+        after: number of the model that came of it; None where it diverged.
+    """
+
+    before: int
+    way: str
+    effect: str
+    shape: int
+    after: int | None
+
+
+@dataclasses.dataclass(frozen=True)
+class Facts:
+    """What a judgement asks of the recording.
+
+    Attributes:
+        samples: number of measured values that count.
+        seconds: stretches of a second that these are of.
+        experiments: number of them that move.
+        rest: whether a rest record tells the noise.
+        noise_known: whether the noise of a channel is known apart from any fit.
+        samples_per_radian: of the cart's natural swing.
+        left_out: fraction of the measured values that do not count.
+        noise: standard deviation of each channel's noise, SI units.
+        effects: traits of every candidate by id.
+    """
+
+    samples: int
+    seconds: int
+    experiments: int
+    rest: bool
+    noise_known: bool
+    samples_per_radian: float
+    left_out: float = 0.0
+    noise: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    effects: Mapping[str, EffectTraits] = dataclasses.field(default_factory=dict)
+
+
+@dataclasses.dataclass(frozen=True)
+class Evidence:
+    """Everything that one diagnosis computed, and by which thresholds it chose what to compute.
+
+    The refits are a graph: every model but a root came of another by adding or taking away one effect.
+
+    Attributes:
+        facts: about the recording.
+        thorough: whether what raised no alarm was looked at again.
+        models: every model that was fitted; the first is the base model.
+        coloured: number of the base model with coloured noise, if the data are likelier with it; None if they are not.
+        colour_asked: whether that was asked.
+        refits: every refit that was tried.
+        findings: of the tests of the innovations, by number of the model.
+        quiet: scores against the innovations of a predictor with low process noise, by number of the model.
+        held_out: by numbers of the model before and the one after.
+        simulations: error of a free simulation by number of the model; of the base model that of the diagnosed fit.
+        policy: the thresholds by which was chosen what to compute.
+    """
+
+    facts: Facts
+    thorough: bool
+    models: tuple[FittedModel, ...]
+    coloured: int | None
+    colour_asked: bool
+    refits: tuple[Refitting, ...]
+    findings: Mapping[int, Findings]
+    quiet: Mapping[int, tuple[Score, ...]]
+    held_out: Mapping[tuple[int, int], HeldOut]
+    simulations: Mapping[int, SimulationError]
+    policy: Mapping[str, float]
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write the evidence to a file (JSON, with NaN and Infinity as numbers), aside first, and renamed once it is whole.
 
         Raises:
-            ValueError: a candidate that is not nothing where its parameters are at null.
+            OSError: the file cannot be written.
         """
-        raw = self._raw(refit, probed)
+        path = Path(path)
+        text = json.dumps({"format": FORMAT, "version": VERSION, "evidence": _plain(self)})
+        number, aside = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".part")
         try:
-            return screen(self._groups(refit, raw), error, basis, ready or _nothing)
-        except NotNothingError as found:
-            for i in found.ids:
-                alone = self._innovations(refit, [i], refit.free)
-                if not same(alone.at(np.asarray(alone.space.values)[None])[:, 0], raw):
-                    raise ValueError(
-                        f"candidates: {i} changes what the model predicts although its parameters are at null, or makes it "
-                        "NaN; correct null, or make what it adds finite and zero there."
-                    ) from None
-            raise ValueError(f"candidates: together {', '.join(found.ids)} make the model diverge at null.") from None
+            with os.fdopen(number, "w", encoding="utf-8") as file:
+                file.write(text)
+            Path(aside).replace(path)
+        except BaseException:
+            Path(aside).unlink(missing_ok=True)
+            raise
+        return path
 
-    def _groups(self, refit: Refit, raw: np.ndarray) -> list[Group]:
-        return [
-            Group(self._innovations(refit, group, refit.free), [i for i in self.instances if i.id in group], raw)
-            for group in self._grouped(refit.added)
-        ]
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> "Evidence":
+        """Read evidence that `save` wrote.
 
-    def limits(self, refit: Refit, best: Mapping[str, Screened]) -> dict[str, float]:
-        """Return the size from which on each candidate would be found beside a fitted model."""
-        probed = self._innovations(refit, [], refit.free)
-        basis = orthonormal(probed.jacobian())
-
-        def of(group: Group) -> dict[str, float]:
-            ids = {instance.id for instance in group.instances}
-            return detection_limits(group, [s for s in best.values() if s.id in ids], basis)
-
-        parts = at_once(of, self._groups(refit, self._raw(refit, probed)))
-        return {i: limit for part in parts for i, limit in part.items()}
-
-    def _raw(self, refit: Refit, probed: Innovations) -> np.ndarray:
-        return probed.rows(self._told(refit)[0][None])[:, 0]
-
-    def _error(self, refit: Refit, probed: Innovations, basis: Rows) -> np.ndarray:
-        """Return the innovations of a fitted model, without their part in the basis."""
-        raw = self._raw(refit, probed)
-        return raw - basis @ (basis.T @ raw)
-
-    def _innovations(self, refit: Refit, others: Sequence[str], free: Sequence[str]) -> Innovations:
-        """Return the innovations of a fitted model with some of the candidates at null."""
-        model = self._with(refit.added, others)
-        space = self.padded(model, free)
-        predictor = refit.predictor
-        space = begun(space, model, refit.start)
-        values = by_name(space, refit.space, predictor.physical[0])
-        space = dataclasses.replace(space, values=values, each_values=predictor.physical[1])
-        # A state that the filter does not know is not corrected.
-        gain = np.asarray(predictor.filtered.gain)
-        rows = {name: gain[:, i] for i, name in enumerate(refit.model.states)}
-        nothing = np.zeros_like(gain[:, 0])
-        placed = jnp.asarray(np.stack([rows.get(name, nothing) for name in model.states], axis=1))
-        sure = 1.0 - predictor.filtered.shaken[:, None, None]
-        return Innovations(model, self.data, space, predictor.filtered.whitener * sure, placed, self.substeps)
-
-    def _told(self, refit: Refit) -> tuple[np.ndarray, np.ndarray]:
-        """Return the innovations, and 1 where there are any, but for stick-slip ambiguous samples.
-
-        There the model's own rest is in doubt, and what it predicts says nothing of what it lacks.
+        Raises:
+            ValueError: the file is not evidence, or of another version.
+            OSError: the file cannot be read.
         """
-        filtered = refit.predictor.filtered
-        sure = ((1.0 - np.asarray(filtered.shaken)) * np.asarray(self.data.trusted))[:, None]
-        return np.asarray(filtered.innovations) * sure, np.asarray(self.data.present) * sure
-
-    def _ranges(self) -> dict[str, tuple[float, float]]:
-        """Return the values between which each variable moves."""
-
-        def between(values: list[np.ndarray]) -> tuple[float, float]:
-            if not values:
-                return 0.0, 0.0
-            low, high = np.nanquantile(np.concatenate(values), [0.001, 0.999])
-            return float(low), float(high)
-
-        def outputs(channel: str) -> list[np.ndarray]:
-            return [e.outputs[channel].values for e in self.experiments if channel in e.outputs]
-
-        scales = scales_of(self.model, self.experiments)
-        reach = 2.5 * scales.velocity if outputs("cart_position") else 0.0
-        arm = any(e.arm == "free" for e in self.experiments)
-        return {
-            "cart_position": between(outputs("cart_position")),
-            "cart_velocity": (-reach, reach),
-            "arm_angle": (-np.pi, np.pi) if arm else (0.0, 0.0),
-            "arm_velocity": between(outputs("arm_velocity")) if arm else (0.0, 0.0),
-            "current": between([e.inputs["current"].values for e in self.experiments if "current" in e.inputs]),
-        }
+        try:
+            found = json.loads(Path(path).read_text(encoding="utf-8"))
+        except (json.JSONDecodeError, UnicodeDecodeError) as error:
+            raise ValueError(f"{path} is no evidence of a diagnosis: {error}") from None
+        if not isinstance(found, dict) or found.get("format") != FORMAT:
+            raise ValueError(f"{path} is no evidence of a diagnosis; save some with diagnosis.evidence.save(path).")
+        if found.get("version") != VERSION:
+            raise ValueError(
+                f"{path} is evidence of version {found.get('version')}; this version of rtac reads {VERSION}. Diagnose again."
+            )
+        try:
+            return _made(cls, found["evidence"])
+        except (KeyError, TypeError, AttributeError) as error:
+            raise ValueError(f"{path} is damaged: {error!r}") from None
 
 
-def _compile(innovations: Callable[[], Innovations]) -> None:
-    innovations().compile()
+def _plain(value: Any) -> Any:
+    """Return what JSON can hold: records as dictionaries, mappings as lists of pairs."""
+    if dataclasses.is_dataclass(value):
+        return {field.name: _plain(getattr(value, field.name)) for field in dataclasses.fields(value)}
+    if isinstance(value, Mapping):
+        return [[_plain(key), _plain(one)] for key, one in value.items()]
+    if isinstance(value, tuple):
+        return [_plain(one) for one in value]
+    return value
 
 
-def _nothing() -> None:
-    """Do nothing: where no code is compiled ahead, there is nothing to wait for."""
+def _made(kind: Any, value: Any) -> Any:
+    """Return what a type says that a value of JSON stands for."""
+    if dataclasses.is_dataclass(kind) and isinstance(kind, type):
+        kinds = typing.get_type_hints(kind)
+        return kind(**{field.name: _made(kinds[field.name], value[field.name]) for field in dataclasses.fields(kind)})
+    origin, parts = typing.get_origin(kind), typing.get_args(kind)
+    if origin in (typing.Union, types.UnionType):
+        (known,) = [part for part in parts if part is not type(None)]
+        return None if value is None else _made(known, value)
+    if origin is tuple:
+        each = [parts[0]] * len(value) if parts[-1] is Ellipsis else parts
+        return tuple(_made(part, one) for part, one in zip(each, value, strict=True))
+    if origin is not None and issubclass(origin, Mapping):
+        return {_made(parts[0], key): _made(parts[1], one) for key, one in value}
+    return kind(value)

@@ -3,8 +3,17 @@
 import dataclasses
 from typing import Any
 
+from estimators.inference.simulation_residual import SimulationLimits
+from estimators.misspecification.findings import CriticalValues
+
+VERSION = 2
+"""Of the standard policy: counts up when a threshold comes, goes or changes."""
+
 _PROTOTYPE = "prototype study of 42 cases a setting"
 _UNSTUDIED = "set when the rule was added; never studied by itself"
+_FRACTIONS = (
+    "removed", "static", "nested_level", "rival", "close", "line_left", "chance", "level", "known", "simulation_level",
+)  # fmt: skip
 
 
 def _threshold(default: float | int, meaning: str, source: str) -> Any:
@@ -16,9 +25,9 @@ def _threshold(default: float | int, meaning: str, source: str) -> Any:
 class DiagnosisPolicy:
     """What a diagnosis calls found, adequate and not to be told apart.
 
-    `judge`, the choice among refits and the steps of a selection read it. The alarm of a candidate and the levels of the tests are
-    constants of `estimators.misspecification`, those of the simulation's error of `estimators.inference.simulation_residual`, and
-    change a verdict too. A policy of one's own is passed to `est.diagnose`, and stands in its result and in the JSON.
+    It holds every threshold that can change a verdict; what merely defines a statistic, as the length of a stretch of data, stands
+    beside that. `judge`, the choice among refits, the steps of a selection and the colour of the noise read it. A policy of one's
+    own is passed to `est.diagnose`, stands in its result and in the JSON, and any other can judge the same evidence again.
 
     Raises:
         ValueError: a threshold is negative, or a fraction is above one.
@@ -52,7 +61,7 @@ class DiagnosisPolicy:
     rival: float = _threshold(0.5, "fraction of the best gain that a rival must reach", _UNSTUDIED)
     reconsidered: int = _threshold(
         4,
-        "candidates of a step that are held against its effect again",
+        "candidates of a step that are held against its effect again; none at 0",
         _UNSTUDIED,
     )
     refits: int = _threshold(4, "candidates refitted at least", _PROTOTYPE)
@@ -72,6 +81,62 @@ class DiagnosisPolicy:
         "a mode that followed a vibration of the floor left 9 %, a backlash 0.4 %",
     )
     effects: int = _threshold(3, "effects that one diagnosis names at most", _UNSTUDIED)
+    alarm: float = _threshold(20.0, "chi-square from which a candidate's score rejects its absence", _PROTOTYPE)
+    chance: float = _threshold(
+        2e-3,
+        "probability of an alarm by any candidate by chance, by the scatter over seconds of data",
+        _UNSTUDIED,
+    )
+    level: float = _threshold(
+        0.01,
+        "probability that any test rejects a right model",
+        "convention; recordings with nothing hidden of draws 44 to 94: 313 of 314 adequate",
+    )
+    known: float = _threshold(
+        0.02,
+        "fraction of what all experiments know of an effect that the others must know to predict the one held out",
+        _UNSTUDIED,
+    )
+    loose: float = _threshold(
+        10.0,
+        "relative standard deviation from which data leave a combination of parameters free",
+        _UNSTUDIED,
+    )
+    colour_gain: float = _threshold(
+        10.0,
+        "gain in log-likelihood for which noise without a rest record is taken as coloured",
+        _UNSTUDIED,
+    )
+    colour_spoken: float = _threshold(
+        4.5,
+        "loss of the rest records' log-likelihood by which they speak against a colour",
+        "three standard deviations",
+    )
+    colour_mended: float = _threshold(
+        0.5,
+        "gain in log-likelihood for which the colour of the rest records is changed",
+        _UNSTUDIED,
+    )
+    simulation_noise: float = _threshold(
+        SimulationLimits.beyond,
+        "squared simulation error over the squared noise from which the model misses more than the sensors do",
+        "both are equally large at 2",
+    )
+    simulation_poor: float = _threshold(
+        SimulationLimits.poor,
+        "rms simulation error over the rms of the motion from which a simulation is poor",
+        "a fit of 90 % as in Ljung, System Identification (1999), section 16.5",
+    )
+    random_large: float = _threshold(
+        SimulationLimits.large,
+        "random forces, averaged over a radian of the cart's swing, over the rms forces, that are no small disturbance",
+        "set between shaken rigs (0.005 to 0.01) and recordings with signs or units wrong (0.1 to 0.4)",
+    )
+    simulation_level: float = _threshold(
+        SimulationLimits.level,
+        "probability of a simulation error beyond what random forces leave, if they are its reason",
+        _UNSTUDIED,
+    )
 
     def __post_init__(self) -> None:
         for field in dataclasses.fields(self):
@@ -79,12 +144,33 @@ class DiagnosisPolicy:
                 raise ValueError(
                     f"DiagnosisPolicy.{field.name} is {getattr(self, field.name)}; give a number that is not negative."
                 )
-        for name in ("removed", "static", "nested_level", "rival", "close", "line_left"):
+        for name in _FRACTIONS:
             if getattr(self, name) > 1:
                 raise ValueError(f"DiagnosisPolicy.{name} is {getattr(self, name)}; it is a fraction, at most 1.")
         for name in ("refits", "effects", "hidden"):
             if getattr(self, name) < 1:
                 raise ValueError(f"DiagnosisPolicy.{name} is {getattr(self, name)}; give 1 or more.")
+
+    @property
+    def critical(self) -> CriticalValues:
+        """The thresholds of the tests of adequacy."""
+        return CriticalValues(self.alarm, self.chance, self.level)
+
+    @property
+    def simulation(self) -> SimulationLimits:
+        """The thresholds of the simulation's error."""
+        return SimulationLimits(self.simulation_noise, self.simulation_poor, self.random_large, self.simulation_level)
+
+    @property
+    def words(self) -> str:
+        """Say in one sentence by which thresholds was judged: the standard ones, or which of them differ."""
+        changed = [
+            f"{name} = {value:g} (standard {getattr(STANDARD, name):g})"
+            for name, value in self.as_dict().items()
+            if value != getattr(STANDARD, name)
+        ]
+        own = f"the standard policy but for {', '.join(changed)}" if changed else "the standard policy"
+        return f"Judged by {own} (version {VERSION}, {len(self.as_dict())} thresholds)."
 
     def as_dict(self) -> dict[str, float]:
         """Return every threshold by its name."""

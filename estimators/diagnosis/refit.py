@@ -6,8 +6,8 @@ import numpy as np
 
 from estimators.core.parameter_space import Space
 from estimators.core.residual import start_rows
-from estimators.misspecification.adequacy import Evidence
 from estimators.misspecification.candidate_screening import Screened
+from estimators.misspecification.findings import Findings
 from estimators.misspecification.static_force import ForceCurve
 from estimators.prediction_error.noise_estimation import Predictor
 from rtac_jax import RTAC
@@ -53,9 +53,9 @@ class Tested:
     Attributes:
         screened: named candidates, every shape of them.
         curves: missing force against each variable.
-        tests: of whether anything is missing.
+        findings: all that was computed, without any verdict.
     """
 
     screened: tuple[Screened, ...]
     curves: tuple[ForceCurve, ...]
-    tests: tuple[Evidence, ...]
+    findings: Findings

@@ -26,10 +26,10 @@ from estimators.diagnosis.contact_trials import (
     in_turn,
     likeliest_begin,
 )
-from estimators.diagnosis.evidence import QUIET, Probing
+from estimators.diagnosis.evidence import HeldOut, SimulationError
+from estimators.diagnosis.innovation_tests import QUIET, Probing
 from estimators.diagnosis.refit import Refit, Tested
 from estimators.diagnosis.setting import begun, by_name, shared
-from estimators.inference.simulation_residual import SimulationResidual, known_noise, random_forces_are_large
 from estimators.misspecification.candidate_screening import Screened
 from estimators.output_error.fit import output_error
 from estimators.prediction_error.coloured_noise import ColouredNoise, Colours, likeliest_colours, rest_spectra
@@ -42,9 +42,6 @@ from rtac_jax.parameters import declarations
 
 _MEMORIES = (1.5, 4.0, 10.0, 25.0)  # correlation times of sensor noise that are tried, in samples
 _QUIETER = 6.0  # by how much in the logarithm of their variance random forces are lowered for that
-_WORTH = 10.0  # gain in log-likelihood for which coloured noise is taken instead of white
-_SPOKEN = 4.5  # loss of the rest records' log-likelihood that is no chance: three standard deviations
-_WORTH_MENDING = 0.5  # gain in log-likelihood for which a colour is changed
 Way = Callable[[Refit, Screened], Refit]
 """To refit the model before with a candidate."""
 
@@ -91,7 +88,7 @@ class Search(Probing):
             for channel, colour in colours.items():
                 if channel in spectra:
                     lost = spectra[channel].log_likelihood(*first[channel]) - spectra[channel].log_likelihood(*colour)
-                    if lost > _SPOKEN:
+                    if lost > self.policy.colour_spoken:
                         return -np.inf
                     rest -= lost
             trial = dataclasses.replace(self, colour=ColouredNoise.of(colours))
@@ -102,7 +99,7 @@ class Search(Probing):
 
         first = self.colour.colours
         best, gained = likeliest_colours(first, likelihood)
-        if not gained >= _WORTH_MENDING:
+        if not gained >= self.policy.colour_mended:
             return self, base
         search = dataclasses.replace(self, colour=ColouredNoise.of(best))
         model = search.with_effects([]).with_values(kept)
@@ -219,33 +216,23 @@ class Search(Probing):
         starts = dict(zip(start_rows(found.model), start, strict=True))
         return self._fitted(added, model.with_values(values), free, noise, starts)
 
-    def stand_in(self, fit: Fit, final: Refit) -> SimulationResidual | None:
-        """Return what the simulation of a model with effects added misses, where random forces stand in for the physics.
+    def extended_simulation(self, fit: Fit, final: Refit) -> SimulationError:
+        """Return the error of a simulation with the effects that were added, fitted from where the predictor is.
 
-        An effect of the catalogue may take the best part of what another mistake leaves, and random forces the rest, so that
-        nothing rejects any more. A simulation is fitted only where the random forces are large; where none can be, the one
-        without the effects says what is known.
+        Where none can be fitted, the one without the effects says what is known.
 
         Args:
             fit: that is diagnosed.
             final: the predictor of the model with the effects.
-
-        Returns:
-            None where the random forces are modest, no noise is known, or the simulation follows.
         """
-        random = (final.predictor.random_force, final.predictor.random_torque)
-        known = known_noise(self.recording) & set(fit.residual_std)
-        if not known or not random_forces_are_large(random, self.samples_per_radian):
-            return None
         self.bar.set_description("diagnose: simulation with what was added")
         extended = reduce(RTAC.__add__, [self.effect(i, final) for i in final.added], fit.model)
         extended = extended.with_values({n: v for n, v in final.values.items() if n in extended.parameters})
         try:
             simulated = output_error(extended, self.recording, from_model=True, progress=False)
-            found = self.simulation(simulated, final, ())
+            return self.simulation_error(simulated, final)
         except (ArithmeticError, NotIdentifiableError):
-            found = self.simulation(fit, final, ())
-        return found if found.cause == "stand-in" else None
+            return self.simulation_error(fit, final)
 
     def without(self, refit: Refit, effect: str) -> Refit:
         """Fit a model with one of its added effects less, all parameters together."""
@@ -303,7 +290,7 @@ class Search(Probing):
             trials = [{**best, str(channel): (1.0, float(memory))} for memory in memories]
             values = at_once(lambda colours: self._likelihood_with(colours, base), trials)
             for trial, value in zip(trials, values, strict=True):
-                if value > likelihood + _WORTH:
+                if value > likelihood + self.policy.colour_gain:
                     likelihood, best = value, trial
         return dataclasses.replace(self, colour=ColouredNoise.of(best)) if best else None
 
@@ -322,23 +309,18 @@ class Search(Probing):
             for noise in (base.predictor.noise, quiet)
         )
 
-    def held_out_gain(self, before: Refit, after: Refit) -> float:
-        """Return the gain in the log-likelihood of experiments that did not take part in estimating the effect.
-
-        NaN if none can tell.
-        """
+    def held_out(self, before: Refit, after: Refit) -> HeldOut:
+        """Return what the effects of a model gain in each experiment if they are estimated from the others only."""
         added = [place for place, name in enumerate(after.free) if name not in before.free]
-        change = held_out(after.triangles, len(after.predictor.unknowns.shared), added)
+        change, known = held_out(after.triangles, len(after.predictor.unknowns.shared), added)
         gains = np.asarray(after.predictor.filtered.log_likelihood) - np.asarray(
             before.predictor.filtered.log_likelihood
         )
-        known = np.isfinite(change)
-        return float(np.sum(gains[known] + change[known])) if known.any() else np.nan
+        return HeldOut(tuple((gains + change).tolist()), tuple(known.tolist()))
 
     def parameters(self, effect: str, refit: Refit) -> dict[str, Parameter]:
         """Return the parameters of an added effect with standard deviations."""
-        found = refit.predictor
-        known = information(refit.triangles, refit.space, found.unknowns)
+        known = information(refit.triangles, refit.space, refit.predictor.unknowns)
         deviations = dict(zip(known.names, np.sqrt(np.diagonal(known.covariance)), strict=True))
         return {
             name.split(".")[1]: Parameter(
@@ -348,10 +330,10 @@ class Search(Probing):
             if name.split(".")[0] == effect
         }
 
-    def loose(self, effect: str, refit: Refit) -> bool:
-        """Return whether the data leave a parameter of an added effect free."""
+    def looseness(self, refit: Refit) -> dict[str, float]:
+        """Return how loosely the data hold each added effect: the largest relative deviation that it takes part in."""
         known = information(refit.triangles, refit.space, refit.predictor.unknowns)
-        return any(f"{effect}." in said for said in known.undetermined())
+        return {effect: known.looseness(f"{effect}.") for effect in refit.added}
 
     def _compile_fit(self, model: RTAC, free: Sequence[str], *, noise: bool = True) -> None:
         space = self.space(model, free)

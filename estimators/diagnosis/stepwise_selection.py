@@ -1,21 +1,48 @@
 """Stepwise selection of effects that improve a model, and second looks where these leave the misfit unknown."""
 
 import dataclasses
+import math
 from collections.abc import Callable, Sequence
 
-import numpy as np
-
-from estimators.diagnosis.candidate import Step
 from estimators.diagnosis.choice import chosen, reconsidered
-from estimators.diagnosis.refit import Refit, Tested
-from estimators.diagnosis.refitting import Search, Way
-from estimators.diagnosis.verdict import judge
-from estimators.misspecification.adequacy import alarming, excess_of, line_left, overshadowing, suspects
-from estimators.misspecification.candidate_screening import ALARM, Screened
-from rtac_jax.effects import Effect
+from estimators.diagnosis.evidence import FittedModel
+from estimators.diagnosis.laboratory import Laboratory, Way
+from estimators.diagnosis.policy import DiagnosisPolicy
+from estimators.diagnosis.removed_error import named
+from estimators.diagnosis.step import Step
+from estimators.misspecification.adequacy import (
+    AdequacyTest,
+    Candidate,
+    adequacy_tests,
+    alarming,
+    excess_of,
+    line_left,
+    overshadowing,
+    suspects,
+)
+from estimators.misspecification.findings import Findings, Score
 
-Tried = dict[str, tuple[Refit, Refit]]
+Tried = dict[str, tuple[FittedModel, FittedModel]]
 """Of every candidate that was tried the model before and after."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Selection:
+    """The outcome of a stepwise selection.
+
+    Attributes:
+        base: the base model, with the noise that was chosen.
+        findings: of its innovations.
+        tests: of its adequacy.
+        steps: the effects that improved it, in order.
+        tried: every candidate that was refitted.
+    """
+
+    base: FittedModel
+    findings: Findings
+    tests: tuple[AdequacyTest, ...]
+    steps: list[Step]
+    tried: Tried
 
 
 @dataclasses.dataclass(frozen=True)
@@ -28,136 +55,178 @@ class _Look:
         way: to refit them.
     """
 
-    ranked: Sequence[Screened]
-    near: Sequence[Screened]
+    ranked: Sequence[Score]
+    near: Sequence[Score]
     way: Way
 
 
-def _statistic(s: Screened) -> float:
+def select(laboratory: Laboratory, policy: DiagnosisPolicy, *, thorough: bool) -> Selection:
+    """Select the effects that improve the base model, with coloured noise where the data ask for it.
+
+    Args:
+        laboratory: that computes, or knows, what is asked.
+        policy: the thresholds.
+        thorough: look again at what raised no alarm, where the misfit would stay unknown.
+    """
+    found = _selected(laboratory, laboratory.base, policy)
+    if any(test.rejects for test in found.tests) and not laboratory.facts.rest:
+        # Noise that wanders makes almost every effect look useful; without rest records the likelihood must say.
+        laboratory.say("colour of the noise")
+        coloured = laboratory.coloured()
+        final = found.steps[-1].model if found.steps else found.base
+        if coloured is not None and coloured.log_likelihood > final.log_likelihood:
+            found = _selected(laboratory, coloured, policy)
+    return second_looks(laboratory, found, policy) if thorough else found
+
+
+def _selected(laboratory: Laboratory, base: FittedModel, policy: DiagnosisPolicy) -> Selection:
+    findings = laboratory.findings(base) or Findings()
+    tests = adequacy_tests(findings, policy.critical)
+    return Selection(base, findings, tests, *improvements(laboratory, base, findings, policy))
+
+
+def _statistic(s: Score) -> float:
     return s.statistic
 
 
-def _consistency(s: Screened) -> float:
-    return -float(np.log(max(s.p_value, 1e-300)))
+def _consistency(s: Score) -> float:
+    return -math.log(max(s.p_value, 1e-300))
 
 
-def _near(ranked: Sequence[Screened], strength: Callable[[Screened], float], close: float) -> list[Screened]:
+def _near(ranked: Sequence[Score], strength: Callable[[Score], float], close: float) -> list[Score]:
     return [s for s in ranked[1:] if strength(s) > (1 - close) * strength(ranked[0])]
 
 
-def _unalarmed(search: Search, base: Refit, tested: Tested) -> _Look:
+def unalarmed(laboratory: Laboratory, found: Selection, policy: DiagnosisPolicy) -> _Look:
     """Return candidates that are large, but act at a few instants only."""
-    found = by_size(suspects(tested.screened, tested.tests), float(np.log(search.samples)))[: search.policy.refits]
-    return _Look(found, _near(found, _statistic, search.policy.close), search.with_effect)
+    large = suspects(found.findings.scores, found.tests, policy.critical)
+    ranked = by_size(large, math.log(laboratory.facts.samples))[: policy.refits]
+    return _Look(ranked, _near(ranked, _statistic, policy.close), "filter")
 
 
-def _hidden(search: Search, base: Refit, tested: Tested) -> _Look:
+def hidden(laboratory: Laboratory, found: Selection, policy: DiagnosisPolicy) -> _Look:
     """Return candidates that random forces of the predictor may hide.
 
     Where the innovations are far from white, what is alike in every second tells more than what is large. And where the most that
     is left is a line of the spectrum that neither input nor state explains, something rings: what has a resonance comes first, and
     is held against those that would come first otherwise.
     """
-    large = by_size(search.quietly(base), float(np.log(search.samples)))
+    effects = laboratory.facts.effects
+    large = by_size(laboratory.quiet_scores(found.base), math.log(laboratory.facts.samples))
     alike = sorted(large, key=_consistency, reverse=True)
-    together = [*alike[:1], *_near(alike[: search.policy.hidden], _consistency, search.policy.close)]
-    if 0 < line_left(tested.tests) == excess_of(tested.tests):
-        together = [*(s for s in alike if _rings(search.classes[s.id]) and s.statistic > ALARM), *together]
+    together = [*alike[:1], *_near(alike[: policy.hidden], _consistency, policy.close)]
+    if 0 < line_left(found.tests) == excess_of(found.tests):
+        together = [*(s for s in alike if effects[s.id].rings and s.statistic > policy.alarm), *together]
     # What works by contact shows nowhere until the filter follows it.
-    contacts = [s for s in large if search.classes[s.id].acts_by_contact]
-    ranked = list(
-        {
-            s.id: s for s in (*together, *alike[: search.policy.hidden], *large[: search.policy.hidden], *contacts)
-        }.values()
-    )
+    contacts = [s for s in large if effects[s.id].contact]
+    several = (*together, *alike[: policy.hidden], *large[: policy.hidden], *contacts)
+    ranked = list({s.id: s for s in several}.values())
     names = {s.id for s in together}
-    return _Look(ranked, [s for s in ranked[1:] if s.id in names], search.thoroughly)
+    return _Look(ranked, [s for s in ranked[1:] if s.id in names], "thorough")
 
 
-def _rings(effect: type[Effect]) -> bool:
-    """Return whether an effect has a resonance: two states of its own, which are not those of a play."""
-    return len(effect.states) > 1 and not effect.acts_by_contact
-
-
-def second_looks(
-    search: Search, base: Refit, tested: Tested, steps: list[Step], refits: Tried
-) -> tuple[list[Step], Tried]:
-    """Return the steps or, where these leave the misfit unknown, others that explain it; and all that was tried."""
-    if judge(steps, tested.tests, search.samples, search.policy)[0] != "unknown":
-        return steps, refits
-    for look in (_unalarmed, _hidden):
-        search.bar.set_description("diagnose: what raised no alarm")
-        again, more = improvements(search, base, tested, look(search, base, tested))
-        refits = more | refits
-        named = judge(again, tested.tests, search.samples, search.policy)[1]
+def second_looks(laboratory: Laboratory, found: Selection, policy: DiagnosisPolicy) -> Selection:
+    """Return the selection or, where it leaves the misfit unknown, another that explains it, with all that was tried."""
+    if named(found.steps, found.tests, laboratory.facts.samples, policy)[0] != "unknown":
+        return found
+    for look in (unalarmed, hidden):
+        laboratory.say("what raised no alarm")
+        again, more = improvements(laboratory, found.base, found.findings, policy, look(laboratory, found, policy))
+        found = dataclasses.replace(found, tried=more | found.tried)
+        count = named(again, found.tests, laboratory.facts.samples, policy)[1]
         # A mode without damping can follow a vibration from outside, but for the line that this leaves.
-        if named and line_left(again[named - 1].left) <= search.policy.line_left * again[0].gain:
-            return again, refits | more
-    return steps, refits
+        if count and line_left(again[count - 1].left) <= policy.line_left * again[0].gain:
+            return dataclasses.replace(found, steps=again, tried=found.tried | more)
+    return found
 
 
-def improvements(search: Search, base: Refit, tested: Tested, look: _Look | None = None) -> tuple[list[Step], Tried]:
+def improvements(
+    laboratory: Laboratory,
+    base: FittedModel,
+    findings: Findings,
+    policy: DiagnosisPolicy,
+    look: _Look | None = None,
+) -> tuple[list[Step], Tried]:
     """Select effects that improve the model one after the other; return them and what was tried.
 
     The candidates of every step are those that reject, and those that overshadow them; of the first, those of a look.
     """
     steps: list[Step] = []
-    refits: Tried = {}
-    now, seen = base, tested
-    price = float(np.log(search.samples))
-    for _ in range(2 * search.policy.effects):  # a step may be taken back
-        if look is not None and not steps:
-            way, ranked, near, above = look.way, look.ranked, look.near, []
-        else:
-            way, ranked = None, by_size(alarming(seen.screened), price)
-            near = _near(ranked, _statistic, search.policy.close)
-            above = by_size(overshadowing(seen.screened), price)[: search.policy.refits]
-        if not ranked:
-            break
-        several, ahead = search.first_refits(now, ranked[0], near, way)
-        begun = {s.id for s in (ranked[0], *near)}
-        # Where the best leaves nothing to explain, those far behind it need not be asked.
-        settled = ahead is not None and not any(test.rejects for test in ahead.tests)
-        most = len(ranked) if way else search.policy.refits
-        far = [] if settled else [*(s for s in ranked[1:most] if s.id not in begun), *above]
-        several |= search.refits(now, far, way)
-        asked = {s.id: s for s in (*ranked, *above)}
-        tried = {i: (asked[i], refit) for i, refit in several.items()}
-        for i, (_, refit) in tried.items():
-            refits.setdefault(i, (now, refit))
-        search.bar.set_description("diagnose: what is left")
-        while (step := chosen(search, now, tried)) is not None:
-            seen = ahead if ahead is not None and step.id == ranked[0].id else search.tested(step.refit)
-            if not any(s.id == step.id for s in above) or line_left(seen.tests) <= search.policy.line_left * step.gain:
-                break
-            del tried[step.id]
+    tried: Tried = {}
+    now, seen = base, findings
+    first_tests = adequacy_tests(findings, policy.critical)
+    for _ in range(2 * policy.effects):  # a step may be taken back
+        step = _next_step(laboratory, now, seen, tried, policy, look if not steps else None)
         if step is None:
             break
-        steps = [*steps, dataclasses.replace(step, left=seen.tests, way=way)]
+        steps = [*steps, step]
         # Where some are named and the next cannot be, the rest is left to the next diagnosis, with those in the model.
-        if 0 < judge(steps, tested.tests, search.samples, search.policy)[1] < len(steps):
-            refits[step.id] = (now, step.refit)
+        if 0 < named(steps, first_tests, laboratory.facts.samples, policy)[1] < len(steps):
+            tried[step.id] = (now, step.model)
             break
-        steps = reconsidered(search, base, steps)
-        if steps[-1].refit is not step.refit:
-            seen = search.tested(steps[-1].refit)
-            steps[-1] = dataclasses.replace(steps[-1], left=seen.tests)
-        befores = [base, *(s.refit for s in steps)]
-        refits |= {s.id: (before, s.refit) for s, before in zip(steps, befores, strict=False)}
-        now = steps[-1].refit
-        count = judge(steps, tested.tests, search.samples, search.policy)[1]
-        if (
-            len(steps) == search.policy.effects
-            or not any(test.rejects for test in seen.tests)
-            or 0 < count < len(steps)
-        ):
+        steps = reconsidered(laboratory, base, steps, policy)
+        left = laboratory.findings(steps[-1].model)
+        if left is None:
+            steps = steps[:-1]
             break
-    return steps, refits
+        if steps[-1].model.number != step.model.number:
+            steps[-1] = dataclasses.replace(steps[-1], left=adequacy_tests(left, policy.critical))
+        befores = [base, *(s.model for s in steps)]
+        tried |= {s.id: (before, s.model) for s, before in zip(steps, befores, strict=False)}
+        now, seen = steps[-1].model, left
+        count = named(steps, first_tests, laboratory.facts.samples, policy)[1]
+        rejects = any(test.rejects for test in steps[-1].left)
+        if len(steps) == policy.effects or not rejects or 0 < count < len(steps):
+            break
+    return steps, tried
 
 
-def by_size(screened: Sequence[Screened], price: float) -> list[Screened]:
+def _next_step(
+    laboratory: Laboratory,
+    now: FittedModel,
+    seen: Findings,
+    tried: Tried,
+    policy: DiagnosisPolicy,
+    look: _Look | None,
+) -> Step | None:
+    """Refit a model with its suspects and return the best that leaves no large line; add all of them to those that were tried."""
+    price = math.log(laboratory.facts.samples)
+    if look is not None:
+        way, ranked, near, above = look.way, look.ranked, look.near, []
+        most = len(ranked)
+    else:
+        way, ranked = "filter", by_size(alarming(seen.scores, policy.critical), price)
+        near = _near(ranked, _statistic, policy.close) if ranked else []
+        above = by_size(overshadowing(seen.scores, policy.critical), price)[: policy.refits]
+        most = policy.refits
+    if not ranked:
+        return None
+    models = laboratory.first_refits(now, ranked[0], near, way)
+    begun = {s.id for s in (ranked[0], *near)}
+    ahead = laboratory.findings(models[ranked[0].id]) if ranked[0].id in models else None
+    # Where the best leaves nothing to explain, those far behind it need not be asked.
+    settled = ahead is not None and not any(test.rejects for test in adequacy_tests(ahead, policy.critical))
+    far = [] if settled else [*(s for s in ranked[1:most] if s.id not in begun), *above]
+    models |= laboratory.refits(now, far, way)
+    asked = {s.id: s for s in (*ranked, *above)}
+    several = {i: (asked[i], model) for i, model in models.items()}
+    for i, model in models.items():
+        tried.setdefault(i, (now, model))
+    laboratory.say("what is left")
+    while (step := chosen(laboratory, now, several, policy)) is not None:
+        left = laboratory.findings(step.model)
+        if left is None:
+            return None
+        tests = adequacy_tests(left, policy.critical)
+        if not any(s.id == step.id for s in above) or line_left(tests) <= policy.line_left * step.gain:
+            return dataclasses.replace(step, left=tests, way=way)
+        del several[step.id]
+    return None
+
+
+def by_size(screened: Sequence[Candidate], price: float) -> list[Candidate]:
     """Return the best shape of every effect, by what it explains less the price of its amplitudes."""
-    best: dict[str, Screened] = {}
+    best: dict[str, Candidate] = {}
     for s in screened:
         if s.id not in best or s.statistic > best[s.id].statistic:
             best[s.id] = s

@@ -1,272 +1,138 @@
-"""The verdict of a diagnosis: adequate, missing, ambiguous or unknown, and the same in plain words."""
+"""The verdict of a diagnosis from its evidence: pure, without a model, and the same whenever it is asked again."""
 
 import dataclasses
-import math
-from collections.abc import Mapping, Sequence
-from typing import Literal
 
-from estimators.core.fit import Parameter
-from estimators.diagnosis.candidate import Candidate, Step
+from estimators.diagnosis.evidence import Evidence, FittedModel
+from estimators.diagnosis.laboratory import Archive, Laboratory
 from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
-from estimators.inference.simulation_residual import SimulationResidual, known_noise
-from estimators.misspecification.adequacy import LEVEL, Evidence, excess_of, removed_by_repeats, significant
-from estimators.misspecification.line_classes import LineClass
-from estimators.misspecification.residual_maps import Place
-from estimators.misspecification.static_force import ForceCurve
-from estimators.prediction_error.latent_force import LatentForce
-from rtac_jax.measurement import Recording
+from estimators.diagnosis.removed_error import Verdict, named, without_named_rivals
+from estimators.diagnosis.step import Step
+from estimators.diagnosis.stepwise_selection import Selection, select
+from estimators.inference.simulation_residual import (
+    SimulationResidual,
+    random_forces_are_large,
+    simulation_residual,
+)
+from estimators.misspecification.adequacy import AdequacyTest, alarming, few_for
 
-Verdict = Literal["adequate", "missing", "ambiguous", "unknown"]
-
-_LEFT_OUT = 0.02  # share of the samples from which it is worth a word that they do not count
-SHAKEN = 1e-2  # share of the rms forces from which random forces in one sample are worth a word
-_STRAYED = 3.0  # rms of what a simulation leaves over the noise, from which it is worth a word
+_COLOUR = ("colour_gain", "colour_spoken", "colour_mended")
 
 
-def judge(
-    steps: Sequence[Step], tests: Sequence[Evidence], samples: int, policy: DiagnosisPolicy = STANDARD
-) -> tuple[Verdict, int, float]:
-    """Return the verdict, the number of steps that it names, and the fraction of the misfit that they remove.
+@dataclasses.dataclass(frozen=True)
+class Judgement:
+    """What evidence says by one policy.
 
-    The best of a bad set is never named: an effect is, if together with those named after it, it removes nearly
-    everything that was wrong before it. So a strong effect does not carry a doubtful one along.
+    Attributes:
+        verdict: "adequate", "missing", "ambiguous" or "unknown".
+        steps: the effects that are named, with the rivals that the data cannot tell from them, first found first.
+        further: effects that improve the model beyond these, and explain too little to be named.
+        removed: fraction of the misfit that the steps remove.
+        left: the tests with the named effects.
+        simulation: what the error of the fitted simulation means; None where it was not asked.
+        selection: all steps, and every candidate that was tried.
+        incomplete: what the policy would have asked for and the evidence does not hold; empty where the judgement is whole.
     """
-    for count in range(len(steps), 0, -1):
-        shares = [share_removed(steps[first:count], _before(steps, tests, first), samples) for first in range(count)]
-        if min(shares) >= policy.removed:
-            open_question = any(step.rivals for step in without_named_rivals(steps[:count]))
-            return ("ambiguous" if open_question else "missing"), count, shares[0]
-    if not steps:
-        return ("unknown" if any(test.rejects for test in tests) else "adequate"), 0, 0.0
-    return "unknown", 0, share_removed(steps, tests, samples)
+
+    verdict: Verdict
+    steps: tuple[Step, ...]
+    further: tuple[Step, ...]
+    removed: float
+    left: tuple[AdequacyTest, ...]
+    simulation: SimulationResidual | None
+    selection: Selection
+    incomplete: tuple[str, ...] = ()
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """The ids of the effects that are named."""
+        return tuple(step.id for step in self.steps)
+
+    @property
+    def rivals(self) -> dict[str, tuple[str, ...]]:
+        """The ids that the data cannot tell from each named effect."""
+        return {step.id: step.rivals for step in self.steps}
+
+    @property
+    def final(self) -> FittedModel:
+        """The model with the named effects; the base model if there is none."""
+        return self.steps[-1].model if self.steps else self.selection.base
 
 
-def without_named_rivals(steps: Sequence[Step]) -> list[Step]:
-    """Return the steps without those rivals that were named as well.
+def judge(evidence: Evidence, policy: DiagnosisPolicy = STANDARD) -> Judgement:
+    """Judge evidence by a policy: the verdict, the effects that it names, their rivals, and the fraction that they remove.
 
-    They act beside each other, not instead of each other.
-    """
-    named = {step.id for step in steps}
-    return [dataclasses.replace(step, rivals=tuple(r for r in step.rivals if r not in named)) for step in steps]
-
-
-def share_removed(steps: Sequence[Step], tests: Sequence[Evidence], samples: int) -> float:
-    """Return the fraction of the excess squared prediction error that steps remove.
-
-    The tests given are those before the first step.
-    """
-    left = steps[-1].left
-    gain = sum(step.gain for step in steps)
-    after = math.exp(-gain / samples)
-    return min((1 - after) / (1 - floor(steps, samples)), removed_by_repeats(tests, left, gain, samples))
-
-
-def floor(steps: Sequence[Step], samples: int) -> float:
-    """Return the squared prediction error that would be left if what the tests still find were explained too.
-
-    It is a fraction of the first model's.
-    """
-    after = math.exp(-sum(step.gain for step in steps) / samples)
-    return after * (1 - min(excess_of(steps[-1].left) / samples, 1.0))
-
-
-def _before(steps: Sequence[Step], tests: Sequence[Evidence], place: int) -> Sequence[Evidence]:
-    return steps[place - 1].left if place else tests
-
-
-def words(
-    verdict: Verdict,
-    effects: Sequence[Candidate],
-    candidates: Sequence[Candidate],
-    steps: Sequence[Step],
-    tests: Sequence[Evidence],
-    left: Sequence[Evidence],
-    removed: float,
-    curves: Sequence[ForceCurve],
-    latent: Sequence[LatentForce],
-    places: Sequence[Place],
-    lines: Sequence[LineClass],
-    simulation: SimulationResidual | None = None,
-    policy: DiagnosisPolicy = STANDARD,
-) -> str:
-    """Describe in a paragraph what is missing, how big, where it shows, how sure, and what would make it surer."""
-    if verdict == "adequate":
-        limits = sorted((c for c in candidates if c.testable), key=lambda c: c.id)
-        text = ", ".join(f"{c.id} {c.detection_limit:.2g} {c.unit}".removesuffix(" 1") for c in limits)
-        blind = [c.id for c in candidates if not c.testable]
-        unseen = f" These data could not show {', '.join(blind)} at any plausible size." if blind else ""
-        floor = (
-            simulation.words
-            if simulation is not None and simulation.words
-            else "At the noise floor nothing is missing."
-        )
-        return f"Adequate: {floor[0].lower()}{floor[1:]} An effect would have been found from: {text}.{unseen}"
-    worst = next((p for p in places if p.by == "experiment"), None)
-    part = next((p for p in places if p.by != "experiment" and p.excess > 1), None)
-    shown = ""
-    if worst is not None and worst.excess <= 1:
-        shown = (
-            " Predicted one sample ahead, no channel of any experiment is farther off than chance allows: what is missing shows in"
-            " what these errors go along with, not in their size."
-        )
-    elif worst is not None:
-        shown = f" It shows most in {worst.channel} of {worst.label} ({worst.value:.2f} times the expected squares)"
-        shown += f" and at {part.label}." if part is not None else "."
-    if simulation is not None and simulation.vetoes:
-        return f"Unknown: {simulation.words[0].lower()}{simulation.words[1:]}" + (
-            shown if worst is not None and worst.excess > 1 else ""
-        )
-    if verdict == "unknown":
-        return _unknown(candidates, tests, removed, curves, latent, lines, policy) + shown
-    by_id = {c.id: c for c in effects}
-    sentences = []
-    for step in steps:
-        c = by_id[step.id]
-        size = ", ".join(f"{n} = {_size(p)}" for n, p in c.parameters.items())
-        sentences.append(
-            f"{step.id} ({size}) gains {step.bic_gain:.0f} in BIC"
-            + (
-                f" and {step.held_out_gain:.0f} in the log-likelihood of data that did not help to estimate it"
-                if math.isfinite(step.held_out_gain)
-                else ", in one experiment only, so that no other confirms it"
-            )
-        )
-    text = "; ".join(sentences)
-    rest = [test.test for test in left if test.rejects]
-    after = (
-        f"; still, {', '.join(rest)} {'rejects' if len(rest) == 1 else 'reject'}"
-        if rest
-        else ", and nothing rejects any more"
-    )
-    share = (
-        f" {'It removes' if len(steps) == 1 else 'Together they remove'} {100 * removed:.0f} % of the misfit{after}."
-    )
-    if verdict == "missing":
-        return f"Missing: {text}.{share}{shown} The intervals do not count that the effect was selected."
-    groups = "; ".join(f"{step.id} or {', '.join(step.rivals)}" for step in steps if step.rivals)
-    return (
-        f"Ambiguous: the data cannot tell {groups} apart. The best fit: {text}.{share}{shown} An experiment that separates "
-        "them would decide (est.next_experiment)."
-    )
-
-
-def _size(one: Parameter) -> str:
-    # A deviation of zero is that of a parameter that is fixed.
-    return f"{one.value:.4g} +- {one.std:.2g} {one.unit}" if one.std > 0 else f"{one.value:.4g} {one.unit}, fixed"
-
-
-def static_force(
-    curves: Sequence[ForceCurve], tests: Sequence[Evidence], policy: DiagnosisPolicy = STANDARD
-) -> tuple[ForceCurve | None, bool]:
-    """Return the curve that explains most of what is missing, if one does; and whether any explains more than chance."""
-    rejecting = next((test for test in tests if test.test == "static force" and test.rejects), None)
-    if rejecting is None:
-        return None, False
-    best = max(significant(curves, rejecting.level), key=lambda c: c.excess, default=None)
-    if best is None or not best.excess > policy.static * excess_of(tests):
-        return None, True
-    return best, True
-
-
-def not_named(further: Sequence[Step], left: Sequence[Evidence], samples: int) -> str:
-    """Say what would explain a part of what the named effects leave, but too little of it."""
-    first = further[0]
-    share = share_removed([first], left, samples)
-    choice = " or ".join([first.id, *first.rivals])
-    return f" Of what is then left {choice} would remove {100 * share:.0f} %, too little to be named."
-
-
-def without_the_physics(steps: Sequence[Step]) -> str:
-    """Return what the predictions speak for where random forces stand in for the physics beside it, so that it is not named."""
-    names = " and ".join(" or ".join([step.id, *step.rivals]) for step in without_named_rivals(steps))
-    return (
-        f" {names} would improve the predictions, but random forces stand in for the physics beside it too: it may make up for"
-        " a part of another mistake, so it is not named."
-    )
-
-
-def surer(verdict: Verdict, recording: Recording) -> str:
-    """Say what would make the verdict surer: records that this recording lacks."""
-    lacking = []
-    if not any(e.kind == "rest" for e in recording.experiments):
-        lacking.append("a rest record of two seconds, which tells the noise and its colour apart from the motion")
-    if not any(e.repeat_of for e in recording.experiments):
-        lacking.append("a repeat of one experiment (repeat_of), which shows model error whatever the noise is")
-    if not lacking:
-        return ""
-    surer = "A missing effect would show more surely" if verdict == "adequate" else "It would be surer"
-    return f" {surer} with {', and '.join(lacking)}."
-
-
-def shaken(random_force: float, random_torque: float, left_out: float) -> str:
-    """Say what random forces mean for the verdict and for the fit that follows; nothing where they are small.
+    By the policy of the diagnosis this is its verdict. By another the selection is run again over the refits that exist.
 
     Args:
-        random_force: in one sample, as a fraction of the rms spring force.
-        random_torque: in one sample, as a fraction of the rms motor torque.
-        left_out: fraction of the samples that are stick-slip ambiguous.
+        evidence: of a diagnosis, as it holds it or as loaded from a file.
+        policy: the thresholds.
     """
-    said = ""
-    if left_out > _LEFT_OUT:
-        said = (
-            f" {100 * left_out:.0f} % of the samples do not count: there the cart or the arm all but rests, and what the base"
-            " model takes for random forces may shake loose what dry friction holds."
-        )
-    if max(random_force, random_torque) < SHAKEN:
-        return said
-    return said + (
-        f" Random forces shake the rig even so ({100 * random_force:.1f} % of the rms spring force in one sample,"
-        f" {100 * random_torque:.1f} % of the rms torque). A simulation cannot follow them: est.prediction_error_nonlinear"
-        " estimates parameters of such a rig, est.output_error may not."
-    )
+    archive = Archive(evidence)
+    found = decide(archive, policy, thorough=evidence.thorough)
+    changed = [f"noise with another {name}" for name in _COLOUR if evidence.policy[name] != getattr(policy, name)]
+    return dataclasses.replace(found, incomplete=(*archive.missing, *changed))
 
 
-def strayed(residual_std: Mapping[str, float], noise: Mapping[str, float], recording: Recording) -> str:
-    """Say what it means that a simulation leaves the recording although no prediction shows why; nothing where it stays.
+def decide(laboratory: Laboratory, policy: DiagnosisPolicy, *, thorough: bool) -> Judgement:
+    """Select effects, name those that remove nearly everything, and hold that against the error of a simulation.
 
-    Of sensors whose noise is stated or recorded at rest: that of others is taken from fast changes, and is more where
-    it is slow.
+    Args:
+        laboratory: that computes, or knows, what is asked.
+        policy: the thresholds.
+        thorough: look again at what raised no alarm, where the misfit would stay unknown.
     """
-    at_rest = known_noise(recording)
-    known = [c for c in noise if c in at_rest and c in residual_std]
-    channel = max(known, key=lambda c: residual_std[c] / noise[c], default=None)
-    far = residual_std[channel] / noise[channel] if channel is not None else 0.0
-    if far < _STRAYED:
-        return ""
-    return (
-        f" Even so, the simulation of the fit is {far:.0f} times the noise away from the recording ({channel}): the fit ended at"
-        " values that are not the best, or no simulation can follow this motion, as where an arm tumbles. Its parameters and"
-        " their standard deviations are not to be trusted then; est.prediction_error_nonlinear estimates them by predictions."
+    found = select(laboratory, policy, thorough=thorough)
+    verdict, count, removed = named(found.steps, found.tests, laboratory.facts.samples, policy)
+    simulation = None
+    if verdict == "adequate":
+        simulation = _of_base(laboratory, found, policy)
+    elif count:
+        simulation = _stand_in(laboratory, found.steps[count - 1].model, policy)
+    if simulation is not None and simulation.vetoes:
+        verdict, count = "unknown", 0
+    steps = without_named_rivals(found.steps[:count])
+    left = steps[-1].left if steps else found.tests
+    return Judgement(verdict, tuple(steps), tuple(found.steps[count:]), removed, left, simulation, found)
+
+
+def _of_base(laboratory: Laboratory, found: Selection, policy: DiagnosisPolicy) -> SimulationResidual | None:
+    """Return what the simulation error of the diagnosed fit means beside the random forces of its predictor."""
+    scores, critical = found.findings.scores, policy.critical
+    few = (
+        [s for s in scores if few_for(s, laboratory.facts.seconds, len(scores), critical)]
+        if not alarming(scores, critical)
+        else []
     )
+    loudest = max(few, key=lambda s: s.statistic, default=None)
+    suspect = "" if loudest is None else f"{loudest.id} ({loudest.statistic:.0f}, the alarm is at {critical.alarm:.0f})"
+    return _residual(laboratory, found.base, policy, suspect)
 
 
-def _unknown(
-    candidates: Sequence[Candidate],
-    tests: Sequence[Evidence],
-    removed: float,
-    curves: Sequence[ForceCurve],
-    latent: Sequence[LatentForce],
-    lines: Sequence[LineClass],
-    policy: DiagnosisPolicy,
-) -> str:
-    reasons = "; ".join(f"{test.test}: {test.words}" for test in tests if test.rejects)
-    refitted = [c for c in candidates if c.refitted]
-    near = max(refitted, key=lambda c: c.error_reduction) if refitted else None
-    nearest = f" The nearest, {near.id}, removes {100 * near.error_reduction:.0f} % of the misfit." if near else ""
-    if removed and near and removed > near.error_reduction + 0.01:
-        nearest += f" Several effects of the catalogue together remove {100 * removed:.0f} %."
-    force = f" The missing force is {latent[0]}." if latent else ""
-    curve, rejected = static_force(curves, tests, policy)
-    if curve is not None:
-        static = f" It depends most on {curve.variable} ({curve.port})."
-    elif rejected:
-        static = " No static function of position, velocity, angle or current explains most of it."
-    else:
-        static = " It is no static function of position, velocity, angle or current."
-    telling = min(lines, key=lambda line: line.p_value, default=None)
-    if telling is not None and telling.p_value < LEVEL / len(lines):
-        static += (
-            f" On the {telling.lines} lines of the periodic input {telling.channel} has {telling.ratio:.2g} times the power "
-            f"of the noise, which shows {telling.shows}."
-        )
-    return f"Unknown: the model fails and no effect of the catalogue explains it ({reasons}).{nearest}{force}{static}"
+def _stand_in(laboratory: Laboratory, final: FittedModel, policy: DiagnosisPolicy) -> SimulationResidual | None:
+    """Return what the simulation of a model with effects added misses, where random forces stand in for the physics.
+
+    An effect of the catalogue may take the best part of what another mistake leaves, and random forces the rest, so that
+    nothing rejects any more. A simulation is asked only where the random forces are large.
+
+    Returns:
+        None where the random forces are modest, no noise is known, or the simulation follows.
+    """
+    random = (final.random_force, final.random_torque)
+    if not laboratory.facts.noise_known or not random_forces_are_large(
+        random, laboratory.facts.samples_per_radian, policy.simulation
+    ):
+        return None
+    found = _residual(laboratory, final, policy, "")
+    return found if found is not None and found.cause == "stand-in" else None
+
+
+def _residual(
+    laboratory: Laboratory, model: FittedModel, policy: DiagnosisPolicy, suspect: str
+) -> SimulationResidual | None:
+    error = laboratory.simulation(model)
+    if error is None:
+        return None
+    return simulation_residual(
+        error.error, error.shaken, error.signal, random=error.random, suspect=suspect, seconds=laboratory.facts.seconds,
+        samples_per_radian=laboratory.facts.samples_per_radian, experiments=laboratory.facts.experiments, limits=policy.simulation,
+    )  # fmt: skip

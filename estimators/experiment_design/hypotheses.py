@@ -14,7 +14,6 @@ from estimators.core.initial_state import scales_of, space_of
 from estimators.core.sensor_noise import noise_levels
 from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.diagnose import Diagnosis
-from estimators.misspecification.candidate_screening import ALARM
 from estimators.prediction_error.noise_estimation import NoiseModel, fit_trusted
 from rtac_jax import RTAC
 from rtac_jax.effects import CATALOGUE, Effect
@@ -85,7 +84,7 @@ def contest_of(
                 f"between: {name!r} is no candidate of the diagnosis; choose among {', '.join(c for c in known if c in classes)}."
             )
         estimate = {n: p.value for n, p in known[name].parameters.items()}
-        possible = (_hidden(instance, known[name]) for instance in classes[name].candidates(scales))
+        possible = (_hidden(instance, known[name], found.policy.alarm) for instance in classes[name].candidates(scales))
         if not estimate and not known[name].testable:
             raise ValueError(f"between: nothing in the recording could show {name} at a plausible size; leave it out.")
         instances[name] = (classes[name](**estimate),) if estimate else tuple(possible)
@@ -133,11 +132,11 @@ def contest_of(
     )
 
 
-def _hidden(instance: Effect, known: Candidate) -> Effect:
+def _hidden(instance: Effect, known: Candidate, alarm: float) -> Effect:
     """Return an instance of plausible size, made as small as the recording says: larger it would have been seen."""
     names = type(instance).amplitudes()
     values = {n: float(np.asarray(getattr(instance, n))) for n in declarations(instance)}
-    largest = known.detection_limit * np.sqrt(max(known.score / ALARM, 1.0))
+    largest = known.detection_limit * np.sqrt(max(known.score / alarm, 1.0))
     declared = declarations(instance)
     alike = [n for n in names if declared[n].unit == known.unit]
     share = min(1.0, largest / max(abs(values[n]) for n in alike))

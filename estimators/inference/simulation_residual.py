@@ -2,25 +2,40 @@
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from scipy.stats import chi2
 
-from rtac_jax.measurement import Recording
+if TYPE_CHECKING:  # a judgement of saved numbers needs no recording
+    from rtac_jax.measurement import Recording
 
 Cause = Literal["noise", "shaken", "too few data", "stand-in", "unexplained"]
 
-# Squared error over the squared noise from which the model misses more than the sensors do: both are equally large at 2.
-_BEYOND = 2.0
-# Rms error over the rms of the motion from which a simulation is poor, whatever the reason: a fit of 90 % as in Ljung, System
-# Identification (1999), section 16.5.
-_POOR = 0.1
-# Random forces averaged over a radian of the cart's swing, over the rms forces, from which they are no small disturbance any more.
-# Set between the shaken rigs of the study (0.005 to 0.01) and recordings with signs or units wrong (0.1 to 0.4).
-_LARGE = 0.05
-# Random forces carry a swing away by one amplitude and one phase for each experiment, so that its power scatters as chi-square of
-# two degrees of freedom for each; at this level it is more than they explain. That a fit absorbs a part of it makes it cautious.
-_LEVEL = 1e-3
+
+@dataclasses.dataclass(frozen=True)
+class SimulationLimits:
+    """The thresholds by which a simulation error is judged.
+
+    Attributes:
+        beyond: squared error over the squared noise from which the model misses more than the sensors do: both are equally large
+            at 2.
+        poor: rms error over the rms of the motion from which a simulation is poor, whatever the reason: a fit of 90 % as in Ljung,
+            System Identification (1999), section 16.5.
+        large: random forces averaged over a radian of the cart's swing, over the rms forces, from which they are no small
+            disturbance any more. Set between the shaken rigs of the study (0.005 to 0.01) and recordings with signs or units wrong
+            (0.1 to 0.4).
+        level: random forces carry a swing away by one amplitude and one phase for each experiment, so that its power scatters as
+            chi-square of two degrees of freedom for each; at this level it is more than they explain. That a fit absorbs a part of
+            it makes it cautious.
+    """
+
+    beyond: float = 2.0
+    poor: float = 0.1
+    large: float = 0.05
+    level: float = 1e-3
+
+
+STANDARD = SimulationLimits()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -66,7 +81,7 @@ class SimulationResidual:
         return f"{said}: {self.ratio:.2g} times the noise ({self.channel})"
 
 
-def known_noise(recording: Recording) -> frozenset[str]:
+def known_noise(recording: "Recording") -> frozenset[str]:
     """Return the channels whose noise is known apart from any fit: recorded at rest, or stated in the file."""
     return frozenset(
         channel
@@ -76,14 +91,17 @@ def known_noise(recording: Recording) -> frozenset[str]:
     )
 
 
-def random_forces_are_large(random: tuple[float, float], samples_per_radian: float) -> bool:
+def random_forces_are_large(
+    random: tuple[float, float], samples_per_radian: float, limits: SimulationLimits = STANDARD
+) -> bool:
     """Return whether random forces, averaged over a radian of the cart's swing, are no small disturbance any more.
 
     Args:
         random: force and torque in one sample as shares of the rms forces; False if NaN.
         samples_per_radian: of the cart's natural swing.
+        limits: from which on they are large.
     """
-    return max(random) / samples_per_radian**0.5 > _LARGE
+    return max(random) / samples_per_radian**0.5 > limits.large
 
 
 def simulation_residual(
@@ -96,6 +114,7 @@ def simulation_residual(
     experiments: int,
     suspect: str = "",
     seconds: int = 0,
+    limits: SimulationLimits = STANDARD,
 ) -> SimulationResidual:
     """Judge the simulation error of a fit in channels of known noise.
 
@@ -112,6 +131,7 @@ def simulation_residual(
         experiments: number of them.
         suspect: the effect that speaks loudest of those that the data are too few to confirm, with what it reaches.
         seconds: of data.
+        limits: the thresholds.
     """
     nothing = float("nan")
     if not error:
@@ -124,14 +144,14 @@ def simulation_residual(
             cause, channel, error[channel], shaken.get(channel, nothing), fraction, *random, words
         )
 
-    beyond = {c: ratio for c, ratio in error.items() if ratio**2 > _BEYOND}
+    beyond = {c: ratio for c, ratio in error.items() if ratio**2 > limits.beyond}
     if not beyond:
         return said("noise", max(error, key=lambda c: error[c]))
     farthest = max(beyond, key=lambda c: beyond[c])
     poorest = max(beyond, key=lambda c: beyond[c] / signal[c])
-    if random_forces_are_large(random, samples_per_radian) and beyond[poorest] > _POOR * signal[poorest]:
+    if random_forces_are_large(random, samples_per_radian, limits) and beyond[poorest] > limits.poor * signal[poorest]:
         return said("stand-in", poorest)
-    scatter = float(chi2.isf(_LEVEL, 2 * experiments)) / (2 * experiments)
+    scatter = float(chi2.isf(limits.level, 2 * experiments)) / (2 * experiments)
     least = max(beyond, key=lambda c: beyond[c] / shaken.get(c, nothing) if c in shaken else float("inf"))
     if least not in shaken or not beyond[least] ** 2 <= scatter * shaken[least] ** 2:
         return said("unexplained", least)

@@ -3,22 +3,28 @@
 import dataclasses
 import math
 from collections.abc import Sequence
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
-from estimators.misspecification.candidate_screening import ALARM, CHANCE, Screened
-from estimators.misspecification.lagged_force import DelayedForce
-from estimators.misspecification.replication_test import RepeatTest
-from estimators.misspecification.spectral_line_test import SpectralLine
-from estimators.misspecification.static_force import ForceCurve
+from estimators.misspecification.findings import CriticalValues, Findings, Scored
 
-LEVEL = 0.01  # of all tests together
-Missing = TypeVar("Missing", ForceCurve, DelayedForce)
+
+@runtime_checkable
+class _Force(Protocol):
+    @property
+    def p_value(self) -> float: ...
+
+    @property
+    def excess(self) -> float: ...
+
+
+Candidate = TypeVar("Candidate", bound=Scored)
+Missing = TypeVar("Missing", bound=_Force)
 
 
 @dataclasses.dataclass(frozen=True)
-class Evidence:
+class AdequacyTest:
     """The result of one test of whether anything is missing.
 
     Attributes:
@@ -49,39 +55,39 @@ class Evidence:
         return self.alarmed and self.p_value < self.level
 
 
-def p_by_chance(one: Screened, tried: int) -> float:
+def p_by_chance(one: Scored, tried: int) -> float:
     """Return the probability of so large a statistic for any of the candidates that were tried."""
     return min(1.0, tried * one.p_value)
 
 
-def alarming(screened: Sequence[Screened]) -> list[Screened]:
+def alarming(screened: Sequence[Candidate], critical: CriticalValues) -> list[Candidate]:
     """Return the candidates that the innovations speak for, whatever the colour of the noise: rejections of absence."""
-    return [s for s in screened if s.statistic >= ALARM and p_by_chance(s, len(screened)) < CHANCE]
+    return [s for s in screened if s.statistic >= critical.alarm and p_by_chance(s, len(screened)) < critical.chance]
 
 
-def overshadowing(screened: Sequence[Screened]) -> list[Screened]:
+def overshadowing(screened: Sequence[Candidate], critical: CriticalValues) -> list[Candidate]:
     """Return candidates that reject in no shape, and are larger than all that do.
 
     What is large at few instants scatters over stretches of time as much as it shows. Once something rejects, what
     would explain more than all that does is not passed over for it.
     """
-    alarms = alarming(screened)
+    alarms = alarming(screened, critical)
     ids = {s.id for s in alarms}
     largest = max((s.statistic for s in alarms), default=np.inf)
     return [s for s in screened if s.id not in ids and s.statistic > largest]
 
 
-def suspects(screened: Sequence[Screened], tests: Sequence[Evidence]) -> list[Screened]:
+def suspects(screened: Sequence[Candidate], tests: Sequence[AdequacyTest], critical: CriticalValues) -> list[Candidate]:
     """Return the candidates to refit where none rejects and another test does: all that reach the critical size.
 
     What acts at a few instants, as a stop that is hit once, scatters over stretches of time as much as it shows.
     """
-    if alarming(screened) or not any(test.rejects for test in tests):
+    if alarming(screened, critical) or not any(test.rejects for test in tests):
         return []
-    return [s for s in screened if s.statistic >= ALARM]
+    return [s for s in screened if s.statistic >= critical.alarm]
 
 
-def line_left(tests: Sequence[Evidence]) -> float:
+def line_left(tests: Sequence[AdequacyTest]) -> float:
     """Return the excess beyond chance of a spectral line that neither input nor state explains.
 
     Zero where no test of a line rejects.
@@ -89,18 +95,18 @@ def line_left(tests: Sequence[Evidence]) -> float:
     return max((test.excess for test in tests if test.test == "spectral line" and test.rejects), default=0.0)
 
 
-def evidence(
-    screened: Sequence[Screened],
-    curves: Sequence[ForceCurve],
-    delayed: Sequence[DelayedForce],
-    line: SpectralLine | None,
-    repeats: RepeatTest | None,
-) -> tuple[Evidence, ...]:
+def few_for(s: Scored, stretches: int, tried: int, critical: CriticalValues) -> bool:
+    """Return whether a candidate is large by the model's variance, and so few stretches of time could not confirm it."""
+    return critical.alarm <= s.statistic < critical.of_few(stretches, tried)
+
+
+def adequacy_tests(found: Findings, critical: CriticalValues) -> tuple[AdequacyTest, ...]:
     """Return all tests, in the order in which a reader asks; those without data are left out."""
-    level = LEVEL / max(sum(bool(known) for known in (screened, curves, delayed, line, repeats)), 1)
-    found: list[tuple[str, float, float, str]] = []
+    screened, curves, delayed, line, repeats = found.scores, found.curves, found.lagged, found.line, found.repeats
+    level = critical.level / max(sum(bool(known) for known in (screened, curves, delayed, line, repeats)), 1)
+    rows: list[tuple[str, float, float, str]] = []
     if repeats is not None:
-        found.append(
+        rows.append(
             (
                 "repeats",
                 repeats.p_value,
@@ -109,19 +115,19 @@ def evidence(
             )
         )
     if screened:
-        alarms = alarming(screened)
+        alarms = alarming(screened, critical)
         best = max(alarms or screened, key=lambda s: s.statistic)
-        found.append(
+        rows.append(
             (
                 "named effects",
                 p_by_chance(best, len(screened)),
                 best.statistic - len(best.amplitudes),
-                f"{best.id} reaches {best.statistic:.0f}, the alarm is at {ALARM:.0f}{_scattered(best, alarms)}",
+                f"{best.id} reaches {best.statistic:.0f}, the alarm is at {critical.alarm:.0f}{_scattered(best, alarms, critical)}",
             )
         )
     if curves:
         p_value, curve = _strongest(curves, level)
-        found.append(
+        rows.append(
             (
                 "static force",
                 p_value,
@@ -131,7 +137,7 @@ def evidence(
         )
     if delayed:
         p_value, one = _strongest(delayed, level)
-        found.append(
+        rows.append(
             (
                 "delayed force",
                 p_value,
@@ -140,7 +146,7 @@ def evidence(
             )
         )
     if line is not None:
-        found.append(
+        rows.append(
             (
                 "spectral line",
                 line.p_value,
@@ -149,15 +155,15 @@ def evidence(
                 "around it",
             )
         )
-    told: dict[str, dict[str, Any]] = {"named effects": {"alarmed": bool(alarming(screened))}}
+    told: dict[str, dict[str, Any]] = {"named effects": {"alarmed": bool(alarming(screened, critical))}}
     if repeats is not None:
         told["repeats"] = {"power": repeats.power, "shared": repeats.excess}
-    return tuple(Evidence(name, p, excess, level, words, **told.get(name, {})) for name, p, excess, words in found)
+    return tuple(AdequacyTest(name, p, excess, level, words, **told.get(name, {})) for name, p, excess, words in rows)
 
 
-def _scattered(best: Screened, alarms: Sequence[Screened]) -> str:
+def _scattered(best: Scored, alarms: Sequence[Scored], critical: CriticalValues) -> str:
     """Return why a candidate as large as the alarm raises none; nothing where one does, or none is so large."""
-    if alarms or best.statistic < ALARM:
+    if alarms or best.statistic < critical.alarm:
         return ""
     return f", but it scatters over the seconds of data so that by itself it has p = {best.p_value:.2g}"
 
@@ -174,12 +180,14 @@ def _strongest(several: Sequence[Missing], level: float) -> tuple[float, Missing
     return min(1.0, surest.p_value * len(several)), strongest
 
 
-def excess_of(tests: Sequence[Evidence]) -> float:
+def excess_of(tests: Sequence[AdequacyTest]) -> float:
     """Return the most that any rejecting test finds beyond chance; zero where none rejects."""
     return max((e.excess for e in tests if e.rejects), default=0.0)
 
 
-def removed_by_repeats(before: Sequence[Evidence], after: Sequence[Evidence], gain: float, samples: int) -> float:
+def removed_by_repeats(
+    before: Sequence[AdequacyTest], after: Sequence[AdequacyTest], gain: float, samples: int
+) -> float:
     """Return the fraction of the squared model error that repeats show before and no longer after.
 
     One where they show none after.

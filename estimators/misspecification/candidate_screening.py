@@ -6,9 +6,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.stats import f as fisher
 
 from estimators.core.threads import at_once
+from estimators.misspecification.findings import CriticalValues
 from estimators.misspecification.score_test import score_test
 from estimators.prediction_error.innovations import Innovations, Rows, orthonormal
 from rtac_jax.effects import Effect
@@ -91,14 +91,14 @@ class Screened:
 
 
 _ROUNDING = 1e-2  # what the filter's own pass and a simulation with its gains differ by is far less
-ALARM = 20.0
-CHANCE = 2e-3  # of a rejection by any of the candidates that are tried, if nothing is missing
 _SIZES = (0.1, 0.2, 0.35, 0.5, 0.7, 1.0, 1.5)  # of the plausible amplitude, that are tried
 _THRESHOLD = 0.1  # of what proportion would ask of the smallest size, below which there is a threshold
 _TRIED = 3  # candidates whose size is looked for so
 
 
-def screen(groups: Sequence[Group], error: np.ndarray, basis: Rows, ready: Callable[[], None]) -> list[Screened]:
+def screen(
+    groups: Sequence[Group], error: np.ndarray, basis: Rows, ready: Callable[[], None], critical: CriticalValues
+) -> list[Screened]:
     """Score all candidates against the innovations.
 
     Args:
@@ -106,15 +106,16 @@ def screen(groups: Sequence[Group], error: np.ndarray, basis: Rows, ready: Calla
         error: innovations of the base model, without their part in the basis.
         basis: orthonormal columns that the base model's parameters explain already.
         ready: called before each group is simulated.
+        critical: from which on a candidate rejects; its limit follows from it.
     """
     tried = sum(len(group.instances) for group in groups)
 
     def held(group: Group) -> list[Screened]:
         ready()
-        return _one_by_one(group, _each(group), error, basis, tried)
+        return _one_by_one(group, _each(group), error, basis, tried, critical)
 
     found = [s for part in at_once(held, groups) for s in part]
-    clear = [s for s in found if s.statistic >= ALARM and len(s.amplitudes) == 1 and s.begin[0] != 0]
+    clear = [s for s in found if s.statistic >= critical.alarm and len(s.amplitudes) == 1 and s.begin[0] != 0]
     largest = sorted(clear, key=lambda s: -s.statistic)[:_TRIED]
     owner = {instance.id: group for group in groups for instance in group.instances}
     sized = at_once(lambda s: _sized(owner[s.id], error, basis, s), largest)
@@ -130,7 +131,12 @@ def _each(group: Group) -> Rows:
 
 
 def _one_by_one(
-    group: Group, columns: Rows, error: np.ndarray, basis: Float[np.ndarray, "row explained"], tried: int
+    group: Group,
+    columns: Rows,
+    error: np.ndarray,
+    basis: Float[np.ndarray, "row explained"],
+    tried: int,
+    critical: CriticalValues,
 ) -> list[Screened]:
     """Score each instance of a group by itself."""
     sound = np.isfinite(columns).all(axis=0)  # a candidate at its plausible size may make the model diverge
@@ -140,7 +146,7 @@ def _one_by_one(
 
     def one(place: int) -> Screened:
         instance, templates = group.instances[place], columns[:, edges[place] : edges[place + 1]].copy()
-        return _screened(instance, tuple(type(instance).amplitudes()), templates, error, basis, blocks, tried)
+        return _screened(instance, tuple(type(instance).amplitudes()), templates, error, basis, blocks, tried, critical)
 
     return at_once(one, range(len(group.instances)))
 
@@ -175,6 +181,7 @@ def _screened(
     basis: Float[np.ndarray, "row explained"],
     blocks: np.ndarray,
     tried: int,
+    critical: CriticalValues,
 ) -> Screened:
     declared = declarations(instance)
     if not np.all(np.isfinite(templates)):
@@ -183,7 +190,7 @@ def _screened(
     gram = templates.T @ templates
     size = np.sqrt(np.diagonal(gram))
     with np.errstate(divide="ignore"):
-        limit = np.sqrt(_alarm(len(np.unique(blocks)), tried)) / size
+        limit = np.sqrt(critical.of_few(len(np.unique(blocks)), tried)) / size
     sound = size > 1e-12 / np.array([max(abs(float(np.asarray(getattr(instance, n)))), 1e-300) for n in names])
     estimate = np.zeros(len(names))
     if sound.any():
@@ -199,19 +206,6 @@ def _screened(
     # By stretch of time, too: what coloured noise, or friction that is shaken loose, does to a score shows in its scatter.
     p_value = score_test(templates[:, allowed], error, basis, blocks).p_value if statistic > 0 else 1.0
     return Screened(instance.id, instance, names, estimate, max(statistic, 0.0), p_value, limit, templates)
-
-
-def few_for(s: Screened, stretches: int, tried: int) -> bool:
-    """Return whether a candidate is large by the model's variance, and so few stretches of time could not confirm it."""
-    return ALARM <= s.statistic < _alarm(stretches, tried)
-
-
-def _alarm(stretches: int, tried: int) -> float:
-    """Return the critical chi-square of one amplitude: fewer stretches of time tell their scatter less well."""
-    if stretches < 3:
-        return ALARM
-    least = float(fisher.isf(CHANCE / tried, 1, stretches - 1)) * stretches / (stretches - 1)
-    return max(ALARM, least)
 
 
 def correlations(screened: Mapping[str, Screened]) -> dict[str, dict[str, float]]:

@@ -1,43 +1,15 @@
 """Replication test: what comes back in every repeat of one experiment is not noise, whatever the colour of the noise."""
 
-import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
 from scipy.signal import lfilter
 from scipy.stats import f as fisher
 
+from estimators.misspecification.findings import RepeatTest
 from rtac_jax.measurement import Experiment
 
 _AVERAGE = 5  # samples of the moving average that leaves out what no mechanism follows
-
-
-@dataclasses.dataclass(frozen=True)
-class RepeatTest:
-    """The result of `repeat_test`.
-
-    Attributes:
-        ratio: mean square of what all repeats share over that of their differences; one where the model is right.
-        freedom: degrees of freedom of both, as the autocorrelation of the differences leaves them.
-        p_value: of so large a ratio by chance.
-        power: mean square of what all repeats share beyond noise, slower than a few samples, where the model states one.
-        repeats: number of experiments.
-        part: of all measured values, that these have.
-        shared: model error beyond noise in the repeats, in units of twice the log-likelihood.
-    """
-
-    ratio: float
-    freedom: tuple[float, float]
-    p_value: float
-    power: float
-    repeats: int
-    part: float
-    shared: float
-
-    @property
-    def excess(self) -> float:
-        """The same of all data, if it is as large in each; zero where chance left less than noise does."""
-        return max(self.shared, 0.0) / self.part
 
 
 def repeat_test(innovations: np.ndarray, present: np.ndarray, experiments: Sequence[Experiment]) -> RepeatTest | None:

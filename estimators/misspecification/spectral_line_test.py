@@ -9,6 +9,7 @@ from scipy.special import gammainccinv
 from scipy.stats import f as fisher
 
 from estimators.core.data import CHANNELS
+from estimators.misspecification.findings import SpectralLine
 from rtac_jax.measurement import Experiment
 
 _AROUND = 31  # lines whose median tells how strong the noise is there
@@ -17,25 +18,6 @@ _FREEDOM = 20
 _THERE = 0.5  # share of an experiment's samples that must count
 _ALIKE = 0.9  # share of the longest's samples from which on experiments are cut to one length, and little is lost
 _BLIND = 8  # lowest lines, where transients of the start end up
-
-
-@dataclasses.dataclass(frozen=True)
-class SpectralLine:
-    """The strongest line of the innovations' spectrum.
-
-    Attributes:
-        channel: where it shows.
-        frequency: of it [rad/s].
-        ratio: power over that of the noise around.
-        excess: of the line over the noise, in units of twice the log-likelihood.
-        p_value: of so strong a line among all by chance.
-    """
-
-    channel: str
-    frequency: float
-    ratio: float
-    excess: float
-    p_value: float
 
 
 def spectral_line(

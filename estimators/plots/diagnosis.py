@@ -6,9 +6,9 @@ import numpy as np
 
 from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.diagnose import Diagnosis
+from estimators.diagnosis.explanation import static_force
+from estimators.diagnosis.policy import DiagnosisPolicy
 from estimators.diagnosis.ranking import ranked
-from estimators.diagnosis.verdict import static_force
-from estimators.misspecification.candidate_screening import ALARM, CHANCE
 from estimators.misspecification.static_force import ForceCurve
 from estimators.plots.effect_curve import effect_curve
 from estimators.plots.style import (
@@ -97,7 +97,11 @@ def finding(diagnosis: Diagnosis) -> str:
     if diagnosis.verdict == "ambiguous":
         others = ", ".join(c.id for c in accepted[1:])
         return f"{best.id} explains {share}, but the data cannot tell it from {others}"
-    rest = [c for c in diagnosis.candidates if c.id not in {a.id for a in accepted} and c.chi_square > ALARM]
+    rest = [
+        c
+        for c in diagnosis.candidates
+        if c.id not in {a.id for a in accepted} and c.chi_square > diagnosis.policy.alarm
+    ]
     rest = [c for c in rest if c.refitted and c.error_reduction > _NEAR]
     if not rest:
         return f"{best.id} explains {share}; nothing else comes near"
@@ -105,64 +109,64 @@ def finding(diagnosis: Diagnosis) -> str:
     return f"{best.id} explains {share}; the next, {second.id}, {100 * second.error_reduction:.0f} %"
 
 
-def _alarms(c: Candidate) -> bool:
+def _alarms(c: Candidate, policy: DiagnosisPolicy) -> bool:
     """Return whether a candidate rejects: it is large, and not by the scatter of a few seconds."""
-    return c.chi_square >= ALARM and c.p_value < CHANCE
+    return c.chi_square >= policy.alarm and c.p_value < policy.chance
 
 
 def _bars(axes: Any, diagnosis: Diagnosis, *, wide: bool) -> None:
-    accepted = {c.id for c in diagnosis.effects}
+    accepted, policy = {c.id for c in diagnosis.effects}, diagnosis.policy
     shown = ranked(diagnosis)[:_MOST_BARS]
     left = len(diagnosis.candidates) - len(shown)
-    top = max([c.chi_square for c in shown] + [2 * ALARM])
+    top = max([c.chi_square for c in shown] + [2 * policy.alarm])
     for row, c in enumerate(shown):
         axes.barh(
             row, c.chi_square, height=0.62, edgecolor="black", linewidth=0.6,
-            color="#08306b" if c.id in accepted else "0.8" if _alarms(c) else "0.95",
-            hatch="///" if _alarms(c) and c.id not in accepted else "",
+            color="#08306b" if c.id in accepted else "0.8" if _alarms(c, policy) else "0.95",
+            hatch="///" if _alarms(c, policy) and c.id not in accepted else "",
         )  # fmt: skip
         axes.annotate(
-            _remark(c, c.id in accepted), (1.0, row), xycoords=("axes fraction", "data"), xytext=(-2, 0),
+            _remark(c, c.id in accepted, policy), (1.0, row), xycoords=("axes fraction", "data"), xytext=(-2, 0),
             textcoords="offset points", ha="right", va="center", fontsize=7.5,
             fontweight="bold" if c.id in accepted else "normal",
         )  # fmt: skip
-    axes.axvline(ALARM, color="black", linestyle="--", linewidth=1)
-    axes.set_xscale("symlog", linthresh=ALARM, linscale=0.6)
+    axes.axvline(policy.alarm, color="black", linestyle="--", linewidth=1)
+    axes.set_xscale("symlog", linthresh=policy.alarm, linscale=0.6)
     # The remarks stand to the right of the longest bar.
-    decades = np.log10(top / ALARM)
-    axes.set_xlim(0, ALARM * 10 ** (1.35 * decades + 0.6 if wide else 2.1 * decades + 1.2))
-    axes.set_xticks(*_ticks(top))
+    decades = np.log10(top / policy.alarm)
+    axes.set_xlim(0, policy.alarm * 10 ** (1.35 * decades + 0.6 if wide else 2.1 * decades + 1.2))
+    axes.set_xticks(*_ticks(top, policy.alarm))
     axes.minorticks_off()
     names = [f"{'★ ' if c.id in accepted else ''}{c.id}" for c in shown]
     axes.set_yticks(range(len(shown)), names)
     axes.set_ylim(len(shown) - 0.4, -1.1)
-    axes.text(ALARM, -0.62, " alarm: chi-square 20", fontsize=7.5, ha="left", va="center")
+    axes.text(policy.alarm, -0.62, f" alarm: chi-square {policy.alarm:g}", fontsize=7.5, ha="left", va="center")
     axes.set_xlabel("Chi-square gained by the candidate alone [1]", fontsize=SMALL)
     more = f"best {len(shown)} candidates, {left} more score lower" if left else f"all {len(shown)} candidates"
     marked = "★ and dark: accepted" if accepted else "none accepted"
-    if any(_alarms(c) and c.id not in accepted for c in shown):
+    if any(_alarms(c, policy) and c.id not in accepted for c in shown):
         marked += "; hatched: alarm"
     axes.set_title(f"{more};\n{marked}", fontsize=9, loc="left")
     tidy(axes)
     axes.grid(False, axis="y")
 
 
-def _ticks(top: float) -> tuple[list[float], list[str]]:
-    found = [0.0, ALARM]
+def _ticks(top: float, alarm: float) -> tuple[list[float], list[str]]:
+    found = [0.0, alarm]
     found += [10.0**n for n in range(2, int(np.log10(top)) + 2) if 10.0**n <= 3 * top]
     step = 1 + len(found) // 6
     found = [*found[:2], *found[2::step]]
     return found, [f"{value:g}" if value < 1e4 else f"$10^{{{np.log10(value):.0f}}}$" for value in found]
 
 
-def _remark(c: Candidate, accepted: bool) -> str:
+def _remark(c: Candidate, accepted: bool, policy: DiagnosisPolicy) -> str:
     if c.refitted and not accepted:
         return f"when fitted, removes {100 * c.error_reduction:.0f} %"
     if accepted:
         return f"removes {100 * c.error_reduction:.0f} % of the misfit"
     if not np.isfinite(c.detection_limit) or not c.testable:
         return "not testable here"
-    if c.chi_square >= ALARM and not _alarms(c):
+    if c.chi_square >= policy.alarm and not _alarms(c, policy):
         return f"no alarm: by its scatter p = {c.p_value:.1g}"
     return f"would show from {quantity(c.detection_limit, c.unit)}"
 

@@ -6,18 +6,21 @@ import numpy as np
 from jaxtyping import Float
 
 from estimators.prediction_error.ekf import Filtered
+from estimators.validation.vuong_test import by_stretch, vuong_statistic
 
-_KNOWN = 0.02  # fraction of what all know of an effect that the other experiments must know
+_NOTHING = 1e-9  # fraction of what all know of an effect below which no step can be taken without one experiment
 
 
 def held_out(
     factor: Float[np.ndarray, "experiment row column"], shared: int, added: Sequence[int]
-) -> Float[np.ndarray, " experiment"]:
+) -> tuple[Float[np.ndarray, " experiment"], Float[np.ndarray, " experiment"]]:
     """Return the change of each experiment's log-likelihood when an effect is estimated from the other experiments only.
+
+    Returned beside it is the least fraction that these others know of what all experiments know of a combination of its parameters.
 
     The fit to the others is one Gauss-Newton step away from the fit to all, so no experiment is simulated again. The model's
     other parameters follow as they do in the fit to all: an experiment is seldom the only one that tells of the effect, but
-    often the only one that tells of some parameter. Where it is the only one that tells of the effect the change is NaN.
+    often the only one that tells of some parameter. Where the others know nothing of the effect the change is NaN.
 
     Args:
         factor: triangular factors of [J, r] of the whitened innovations at the fit to all; columns of the shared
@@ -44,14 +47,16 @@ def held_out(
     total = curvature.sum(axis=0)
     size = np.sqrt(np.maximum(np.diagonal(total), 1e-300))
     change = np.full(len(factor), np.nan)
+    known = np.zeros(len(factor))
     for e in range(len(factor)):
         rest = total - curvature[e]
         scaled = np.linalg.lstsq(total / np.outer(size, size), rest / np.outer(size, size), rcond=1e-12)[0]
-        if np.min(np.linalg.eigvals(scaled).real) < _KNOWN:
+        known[e] = np.min(np.linalg.eigvals(scaled).real)
+        if not known[e] > _NOTHING:
             continue
         step = -np.linalg.solve(rest, pull.sum(axis=0) - pull[e])
         change[e] = -0.5 * float(step @ curvature[e] @ step + 2 * step @ pull[e])
-    return change
+    return change, known
 
 
 def by_sample(filtered: Filtered) -> Float[np.ndarray, "sample experiment"]:
@@ -73,8 +78,4 @@ def vuong(better: np.ndarray, other: np.ndarray, blocks: np.ndarray, price: floa
 
     Source: Vuong, Econometrica 57 (1989), on sums over stretches of time.
     """
-    gain = np.bincount(blocks.ravel(), weights=(better - other).ravel())
-    gain = gain[np.bincount(blocks.ravel()) > 0]
-    scatter = float(np.std(gain, ddof=1)) * np.sqrt(len(gain)) if len(gain) > 1 else 0.0
-    total = float(np.sum(gain)) - price
-    return total / scatter if scatter > 0 else float(np.sign(total) * np.inf) if total else 0.0
+    return vuong_statistic(by_stretch(better, blocks).tolist(), by_stretch(other, blocks).tolist(), price)

@@ -1,35 +1,31 @@
 """Which refit is chosen, what becomes of it when a later one explains the same, and what is found late; on made-up gains."""
 
-import threading
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import pytest
-from known_search import Known, known, screened
+from known_search import Known, force, known, screened, sized
 
-from estimators.core.compilation import Ahead
-from estimators.core.results import DivergedError
-from estimators.diagnosis.candidate import Step
 from estimators.diagnosis.choice import chosen, reconsidered
-from estimators.diagnosis.refit import Refit
-from estimators.diagnosis.refit import Tested as Answers
-from estimators.diagnosis.stepwise_selection import _hidden, improvements, second_looks
-from estimators.diagnosis.verdict import judge
-from estimators.misspecification.adequacy import Evidence
-from estimators.misspecification.candidate_screening import Screened
+from estimators.diagnosis.evidence import FittedModel
+from estimators.diagnosis.policy import STANDARD
+from estimators.diagnosis.removed_error import named as named_of
+from estimators.diagnosis.step import Step
+from estimators.diagnosis.stepwise_selection import Selection, hidden, improvements, second_looks
+from estimators.misspecification.adequacy import adequacy_tests
+from estimators.misspecification.findings import Findings, Score, SpectralLine
 
 
 def step(search: Known, before: Sequence[str], several: Sequence[str]) -> Step | None:
-    tried = {e: (screened(e), search.refit(*before, e)) for e in several}
-    return chosen(search, search.refit(*before), tried)
+    tried = {e: (screened(e), search.model(*before, e)) for e in several}
+    return chosen(search, search.model(*before), tried, search.policy)
 
 
 def steps(search: Known, *rounds: Sequence[str]) -> list[Step]:
     """What a forward selection from these candidates finds."""
     found: list[Step] = []
     for several in rounds:
-        one = step(search, found[-1].refit.added if found else (), several)
+        one = step(search, found[-1].model.added if found else (), several)
         assert one is not None
         found.append(one)
     return found
@@ -83,15 +79,15 @@ def test_an_effect_gives_way_to_the_one_that_it_stood_for() -> None:
     )  # fmt: skip
     before = steps(search, ["arm_stribeck", "arm_coulomb"], ["lvdt_lag"])
     assert [s.id for s in before] == ["arm_stribeck", "lvdt_lag"]
-    after = reconsidered(search, search.refit(), before)
+    after = reconsidered(search, search.model(), before, STANDARD)
     assert [s.id for s in after] == ["lvdt_lag", "arm_coulomb"]
     assert [s.gain for s in after] == pytest.approx([600.0, 1400.0])
-    assert after[-1].refit.added == ("lvdt_lag", "arm_coulomb")
+    assert after[-1].model.added == ("lvdt_lag", "arm_coulomb")
 
 
 def test_an_effect_that_is_not_needed_any_more_goes() -> None:
     search = Known(known(base=0.0, arm_coulomb=100.0, lvdt_lag=898.0, arm_coulomb__lvdt_lag=900.0))
-    after = reconsidered(search, search.refit(), steps(search, ["arm_coulomb"], ["lvdt_lag"]))
+    after = reconsidered(search, search.model(), steps(search, ["arm_coulomb"], ["lvdt_lag"]), STANDARD)
     assert [(s.id, s.gain) for s in after] == [("lvdt_lag", pytest.approx(1796.0))]
 
 
@@ -101,7 +97,7 @@ def test_what_is_needed_stays_and_a_rival_of_the_first_round_is_told_from_it() -
     search = Known(likelihood)
     before = steps(search, ["cubic_spring", "arm_coulomb"], ["lvdt_lag"])
     assert before[0].rivals == ("arm_coulomb",)
-    after = reconsidered(search, search.refit(), before)
+    after = reconsidered(search, search.model(), before, STANDARD)
     assert [s.id for s in after] == ["cubic_spring", "lvdt_lag"]
     assert after[0].rivals == ()
 
@@ -110,11 +106,8 @@ def test_what_the_model_diverges_without_is_needed(monkeypatch: pytest.MonkeyPat
     search = Known(known(base=0.0, arm_coulomb=100.0, lvdt_lag=898.0, arm_coulomb__lvdt_lag=900.0))
     before = steps(search, ["arm_coulomb"], ["lvdt_lag"])
 
-    def without(refit: Refit, effect: str) -> Refit:
-        raise FloatingPointError(f"it diverges without {effect}.")
-
-    monkeypatch.setattr(search, "without", without)
-    after = reconsidered(search, search.refit(), before)
+    monkeypatch.setattr(search, "without", lambda model, effect: None)
+    after = reconsidered(search, search.model(), before, STANDARD)
     assert [s.id for s in after] == ["arm_coulomb", "lvdt_lag"]
 
 
@@ -124,21 +117,23 @@ class Late(Known):
     line = 0.0
     quiet: tuple[tuple[str, float, float], ...] = (("cubic_spring", 900.0, 1.0),)
 
-    def tested(self, refit: Refit, ahead: Ahead | None = None) -> Any:
-        return Answers((), (), (Evidence("spectral line", 1e-9 if self.line else 1.0, self.line, 0.002, ""),))
+    def findings(self, model: FittedModel) -> Findings:
+        return Findings(line=line(self.line))
 
-    def quietly(self, refit: Refit) -> list[Screened]:
-        return [sized(*one) for one in self.quiet]
-
-    def thoroughly(self, before: Refit, s: Screened) -> Refit:
-        return self.with_effect(before, s)
+    def quiet_scores(self, model: FittedModel) -> tuple[Score, ...]:
+        return tuple(sized(*one) for one in self.quiet)
 
 
-def sized(effect: str, statistic: float, p_value: float) -> Screened:
-    return Screened(effect, None, ("size",), np.ones(1), statistic, p_value, np.ones(1), np.zeros((4, 1)))
+def line(excess: float) -> SpectralLine:
+    return SpectralLine("arm_velocity", 100.0, 10.0, excess, 1e-9 if excess else 1.0)
 
 
-FORCE = Evidence("static force", 1e-9, 2000.0, 0.002, "")
+FORCE = Findings(curves=(force(2000.0),))
+
+
+def selected(search: Known, findings: Findings, steps: Sequence[Step] = ()) -> Selection:
+    tests = adequacy_tests(findings, STANDARD.critical)
+    return Selection(search.base, findings, tests, list(steps), {})
 
 
 @pytest.mark.parametrize(("line", "named"), [(0.0, 1), (30.0, 1), (60.0, 0)])
@@ -146,9 +141,9 @@ def test_a_late_find_may_leave_a_small_line_only(line: float, named: int) -> Non
     """Of a gain of 2000, in units of twice the log-likelihood, 40 are a fiftieth."""
     search = Late(known(base=0.0, cubic_spring=1000.0))
     search.line = line
-    steps, tried = second_looks(search, search.refit(), Answers((), (), (FORCE,)), [], {})
-    assert judge(steps, (FORCE,), search.samples)[1] == named
-    assert set(tried) == {"cubic_spring"}
+    found = second_looks(search, selected(search, FORCE), STANDARD)
+    assert named_of(found.steps, found.tests, search.facts.samples, STANDARD)[1] == named
+    assert set(found.tried) == {"cubic_spring"}
 
 
 QUIET = (
@@ -158,7 +153,7 @@ QUIET = (
 
 
 @pytest.mark.parametrize(
-    ("line", "ranked", "near"),
+    ("excess", "ranked", "near"),
     [
         # By p-value, of which the first two are near each other, and then what is largest.
         (1999.0, ["lvdt_lag", "arm_coulomb", "backlash", "end_stop", "lvdt_gain"], ["arm_coulomb"]),
@@ -170,11 +165,10 @@ QUIET = (
         ),
     ],
 )
-def test_what_random_forces_hide_is_tried_in_this_order(line: float, ranked: list[str], near: list[str]) -> None:
+def test_what_random_forces_hide_is_tried_in_this_order(excess: float, ranked: list[str], near: list[str]) -> None:
     search = Late(known(base=0.0))
     search.quiet = QUIET
-    tests = (FORCE, Evidence("spectral line", 1e-9, line, 0.002, ""))
-    look = _hidden(search, search.refit(), Answers((), (), tests))
+    look = hidden(search, selected(search, Findings(curves=(force(2000.0),), line=line(excess))), STANDARD)
     assert [s.id for s in look.ranked] == ranked
     assert [s.id for s in look.near] == near
 
@@ -182,7 +176,7 @@ def test_what_random_forces_hide_is_tried_in_this_order(line: float, ranked: lis
 def test_what_works_by_contact_is_tried_however_little_it_shows() -> None:
     search = Late(known(base=0.0))
     search.quiet = (*(one for one in QUIET if one[0] != "backlash"), ("backlash", 1.0, 1.0))
-    look = _hidden(search, search.refit(), Answers((), (), (FORCE,)))
+    look = hidden(search, selected(search, FORCE), STANDARD)
     ranked = [s.id for s in look.ranked]
     assert ranked == ["lvdt_lag", "arm_coulomb", "flexible_shaft", "end_stop", "lvdt_gain", "backlash"]
 
@@ -193,48 +187,6 @@ def test_what_overshadows_the_alarms_is_chosen_where_it_gains_most_and_leaves_no
 ) -> None:
     search = Late(known(base=0.0, arm_coulomb=500.0, lvdt_lag=1000.0))
     search.line = line
-    screened = (sized("arm_coulomb", 400.0, 1e-15), sized("lvdt_lag", 900.0, 0.1))
-    steps, _ = improvements(search, search.refit(), Answers(screened, (), (FORCE,)))
+    scores = (sized("arm_coulomb", 400.0, 1e-15), sized("lvdt_lag", 900.0, 0.1))
+    steps, _ = improvements(search, search.base, Findings(scores, (force(2000.0),)), STANDARD)
     assert steps[0].id == first
-
-
-class Refused(Known):
-    """One in which the model diverges with some candidates, and the first is tested only when another refit has begun."""
-
-    diverging: tuple[str, ...] = ()
-
-    def __init__(self, likelihood: dict[frozenset[str], float]) -> None:
-        super().__init__(likelihood)
-        self.asked: list[str] = []
-        self.other = threading.Event()
-
-    def with_effect(self, before: Refit, s: Screened) -> Refit:
-        self.asked.append(s.id)
-        if s.id != "cubic_spring":
-            self.other.set()
-        if s.id in self.diverging:
-            raise DivergedError("it diverges.")
-        return super().with_effect(before, s)
-
-    def tested(self, refit: Refit, ahead: Ahead | None = None) -> Any:
-        assert self.other.wait(timeout=60)
-        return super().tested(refit, ahead)
-
-
-@pytest.mark.parametrize(
-    ("diverging", "left"),
-    [
-        ((), ["cubic_spring", "lvdt_lag", "arm_coulomb", "arm_stribeck"]),
-        (("arm_coulomb",), ["cubic_spring", "lvdt_lag", "arm_stribeck"]),
-        (("cubic_spring",), ["lvdt_lag", "arm_coulomb", "arm_stribeck"]),
-    ],
-)
-def test_first_refits_are_those_that_do_not_diverge_in_the_order_asked(diverging: Any, left: list[str]) -> None:
-    search = Refused(known(base=0.0, cubic_spring=4.0, lvdt_lag=3.0, arm_coulomb=2.0, arm_stribeck=1.0))
-    search.diverging = diverging
-    near = [screened(effect) for effect in ("lvdt_lag", "arm_coulomb", "arm_stribeck")]
-    found, tested = search.first_refits(search.refit(), screened("cubic_spring"), near)
-    assert [(effect, refit.added) for effect, refit in found.items()] == [(effect, (effect,)) for effect in left]
-    assert sorted(search.asked) == sorted(s.id for s in (screened("cubic_spring"), *near))
-    assert (tested is None) == ("cubic_spring" in diverging)
-    assert list(search.refits(search.refit(), near)) == [effect for effect in left if effect != "cubic_spring"]

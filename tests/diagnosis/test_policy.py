@@ -1,23 +1,25 @@
 """A policy of one's own changes what is judged, and only that."""
 
 import dataclasses
+import importlib
 
 import pytest
-from known_search import Known, known, screened
+from known_search import Known, force, known, screened, sized
 
 import estimators as est
 from estimators.diagnosis.choice import chosen
 from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
 from estimators.diagnosis.stepwise_selection import improvements
+from estimators.misspecification.adequacy import adequacy_tests
+from estimators.misspecification.findings import Findings
 
 GAINS = known(base=-1000.0, cubic_spring=-900.0, lvdt_lag=-903.0)
 
 
 def step(policy: DiagnosisPolicy):
     search = Known(GAINS)
-    search.policy = policy
-    tried = {name: (screened(name), search.refit(name)) for name in ("cubic_spring", "lvdt_lag")}
-    return chosen(search, search.refit(), tried)
+    tried = {name: (screened(name), search.model(name)) for name in ("cubic_spring", "lvdt_lag")}
+    return chosen(search, search.model(), tried, policy)
 
 
 def test_the_gain_that_is_asked_decides_whether_anything_is_chosen() -> None:
@@ -51,8 +53,37 @@ def test_what_is_no_threshold_is_refused(wrong: dict[str, float], said: str) -> 
     assert next(iter(wrong)) in str(caught.value)
 
 
-def test_no_module_of_the_diagnosis_keeps_a_threshold_of_its_judgement_to_itself() -> None:
-    held = chosen.__globals__ | improvements.__globals__
-    assert not {name for name, value in held.items() if name.isupper() and isinstance(value, int | float | tuple)} - {
-        "ALARM"
-    }
+@pytest.mark.parametrize("module", ["adequacy", "candidate_screening", "findings"])
+def test_no_statistic_keeps_a_threshold_of_the_judgement(module: str) -> None:
+    held = vars(importlib.import_module(f"estimators.misspecification.{module}"))
+    thresholds = {name for name, value in held.items() if name.isupper() and isinstance(value, int | float)}
+    assert thresholds <= {"_ROUNDING", "_THRESHOLD", "_TRIED"}  # of numbers, and of where a fit begins
+
+
+@pytest.mark.parametrize(
+    "module", ["choice", "stepwise_selection", "removed_error", "verdict", "laboratory", "refitting"]
+)
+def test_no_module_of_the_diagnosis_keeps_a_threshold_of_its_judgement_to_itself(module: str) -> None:
+    held = vars(importlib.import_module(f"estimators.diagnosis.{module}"))
+    thresholds = {name for name, value in held.items() if name.isupper() and isinstance(value, int | float)}
+    assert thresholds <= {"_QUIETER", "QUIET"}  # from where fits of the noise begin
+
+
+def test_a_policy_says_in_what_it_differs() -> None:
+    assert "the standard policy (version" in STANDARD.words
+    assert "but for alarm = 30 (standard 20)" in dataclasses.replace(STANDARD, alarm=30.0).words
+
+
+def test_the_alarm_of_a_policy_decides_which_candidate_is_tried() -> None:
+    search = Known(known(base=-1000.0, cubic_spring=-900.0))
+    findings = Findings((sized("cubic_spring", 25.0, 1e-9),))
+    assert [s.id for s in improvements(search, search.base, findings, STANDARD)[0]] == ["cubic_spring"]
+    for changed in ({"alarm": 30.0}, {"chance": 1e-10}):
+        stricter = dataclasses.replace(STANDARD, **changed)
+        assert improvements(search, search.base, findings, stricter)[0] == []
+
+
+def test_the_level_of_a_policy_decides_what_rejects() -> None:
+    findings = Findings(curves=(dataclasses.replace(force(50.0), p_value=1e-4),))
+    assert adequacy_tests(findings, STANDARD.critical)[0].rejects
+    assert not adequacy_tests(findings, dataclasses.replace(STANDARD, level=1e-5).critical)[0].rejects

@@ -8,10 +8,13 @@ import pytest
 from small_experiments import free, rest
 
 from estimators.core.fit import Parameter
-from estimators.diagnosis.candidate import Candidate, Step
-from estimators.diagnosis.refit import Refit
-from estimators.diagnosis.verdict import judge, shaken, share_removed, strayed, words
-from estimators.misspecification.adequacy import Evidence, removed_by_repeats
+from estimators.diagnosis.candidate import Candidate
+from estimators.diagnosis.evidence import FittedModel
+from estimators.diagnosis.explanation import shaken, strayed, words
+from estimators.diagnosis.policy import STANDARD
+from estimators.diagnosis.removed_error import named, share_removed
+from estimators.diagnosis.step import Step
+from estimators.misspecification.adequacy import AdequacyTest, removed_by_repeats
 from estimators.misspecification.line_classes import LineClass
 from estimators.misspecification.residual_maps import Place
 from estimators.misspecification.static_force import ForceCurve
@@ -21,16 +24,16 @@ from rtac_jax.measurement import Recording
 SAMPLES = 10_000
 
 
-def found(excess: float) -> Evidence:
-    return Evidence("static force", 0.0 if excess > 0 else 0.5, excess, 0.002, "")
+def found(excess: float) -> AdequacyTest:
+    return AdequacyTest("static force", 0.0 if excess > 0 else 0.5, excess, 0.002, "")
 
 
-def repeats(ratio: float, *, rejects: bool) -> Evidence:
-    return Evidence("repeats", 0.0 if rejects else 0.5, 0.0, 0.002, "", ratio - 1.0, 100.0 * (ratio - 1.0))
+def repeats(ratio: float, *, rejects: bool) -> AdequacyTest:
+    return AdequacyTest("repeats", 0.0 if rejects else 0.5, 0.0, 0.002, "", ratio - 1.0, 100.0 * (ratio - 1.0))
 
 
 def step(name: str, gain: float, left: float, rivals: tuple[str, ...] = ()) -> Step:
-    blank = Refit.__new__(Refit)  # the rule asks nothing of the fit itself
+    blank = FittedModel(1, (name,), 1, 0.0)  # the rule asks nothing of the fit itself
     return Step(name, rivals, gain, gain, gain, blank, (found(left),))
 
 
@@ -64,11 +67,11 @@ def test_an_adequate_model_whose_simulation_strays_says_so() -> None:
     ],
 )
 def test_what_is_named(steps: list[Step], verdict: str, count: int) -> None:
-    assert judge(steps, (found(600.0),), SAMPLES)[:2] == (verdict, count)
+    assert named(steps, (found(600.0),), SAMPLES, STANDARD)[:2] == (verdict, count)
 
 
 def test_nothing_found_and_nothing_wrong_is_adequate() -> None:
-    assert judge([], (found(0.0),), SAMPLES) == ("adequate", 0, 0.0)
+    assert named([], (found(0.0),), SAMPLES, STANDARD) == ("adequate", 0, 0.0)
 
 
 def test_the_share_is_that_of_the_excess_squared_error() -> None:
@@ -91,7 +94,7 @@ def test_the_share_is_that_of_the_excess_squared_error() -> None:
         (repeats(1.01, rejects=False), repeats(41.0, rejects=True), 1 / 11),  # what was added made it worse
     ],
 )
-def test_repeats_have_a_veto(before: Evidence, after: Evidence, share: float) -> None:
+def test_repeats_have_a_veto(before: AdequacyTest, after: AdequacyTest, share: float) -> None:
     assert removed_by_repeats([before], [after], 400.0, SAMPLES) == pytest.approx(share)
 
 
@@ -142,7 +145,7 @@ def test_a_static_force_is_judged_by_its_test(excess: float, said: str) -> None:
     at = np.linspace(-1.0, 1.0, 12)
     curve = ForceCurve("cart", "cart_position", -5.0, at, at, at, 90.0, excess, 1e-15, np.eye(12)[:3], np.ones(3))
     other = dataclasses.replace(curve, variable="current", score=-2.0, excess=10.0)
-    tests = (found(600.0), Evidence("delayed force", 0.0, 600.0, 0.002, ""))
+    tests = (found(600.0), AdequacyTest("delayed force", 0.0, 600.0, 0.002, ""))
     assert said in words("unknown", [], [], [], tests, (), 0.0, [other, curve], [], [], [])
     passing = (dataclasses.replace(tests[0], p_value=0.5), tests[1])
     assert "It is no static function" in words("unknown", [], [], [], passing, (), 0.0, [curve], [], [], [])
@@ -153,11 +156,11 @@ def unknown(latent: list[LatentForce], lines: list[LineClass]) -> str:
 
 
 def test_a_parameter_that_is_fixed_is_told_without_a_deviation() -> None:
-    named = Candidate.__new__(Candidate)
+    one = Candidate.__new__(Candidate)
     parameters = {"compliance": Parameter(3e-4, 1e-6, "s^2"), "fastest": Parameter(450.0, 0.0, "rad/s")}
     for name, part in {"id": "a", "parameters": parameters}.items():
-        object.__setattr__(named, name, part)
-    text = words("missing", [named], [named], [step("a", 500.0, 0.0)], (found(600.0),), (), 1.0, [], [], [], [])
+        object.__setattr__(one, name, part)
+    text = words("missing", [one], [one], [step("a", 500.0, 0.0)], (found(600.0),), (), 1.0, [], [], [], [])
     assert "a (compliance = 0.0003 +- 1e-06 s^2, fastest = 450 rad/s, fixed) gains" in text
 
 

@@ -8,11 +8,16 @@ import pytest
 
 import estimators as est
 import rtac_jax as rtac
-from estimators.diagnosis import diagnose, refit, refitting
-from estimators.diagnosis.candidate import Step
-from estimators.diagnosis.refitting import Search
+from estimators.diagnosis import stepwise_selection
+from estimators.diagnosis.evidence import FittedModel
+from estimators.diagnosis.laboratory import Laboratory
+from estimators.diagnosis.policy import STANDARD
+from estimators.diagnosis.step import Step
 from estimators.diagnosis.stepwise_selection import Tried
+from estimators.diagnosis.verdict import judge
 from estimators.inference.simulation_residual import SimulationResidual, known_noise, simulation_residual
+from estimators.misspecification.adequacy import adequacy_tests
+from estimators.misspecification.findings import Findings
 from rtac_jax import virtual_rig
 from rtac_jax.measurement import Recording
 
@@ -150,13 +155,15 @@ def test_no_effect_is_named_beside_which_random_forces_stand_in_for_the_physics(
 ) -> None:
     """An effect may take a part of what another mistake leaves, and random forces the rest, so that nothing rejects any more."""
 
-    def named(search: Search, base: refit.Refit, tested: refit.Tested) -> tuple[list[Step], Tried]:
-        s = next(s for s in tested.screened if s.id == "tacho_gain")
-        extended = search.with_effect(base, s)
-        return [Step(s.id, (), 100.0, 100.0, 100.0, extended, tested.tests)], {s.id: (base, extended)}
+    def selected(laboratory: Laboratory, base: FittedModel, findings: Findings, *_: Any) -> tuple[list[Step], Tried]:
+        s = next(s for s in findings.scores if s.id == "tacho_gain")
+        (extended,) = laboratory.refits(base, [s], "filter").values()
+        tests = adequacy_tests(findings, STANDARD.critical)
+        return [Step(s.id, (), 100.0, 100.0, 100.0, extended, tests)], {s.id: (base, extended)}
 
-    monkeypatch.setattr(diagnose, "improvements", named)
-    found = est.diagnose(*millimetres, progress=False, thorough=False)
+    monkeypatch.setattr(stepwise_selection, "improvements", selected)
+    fit, recording = millimetres
+    found = est.diagnose(fit, recording, progress=False, thorough=False)
     assert found.verdict == "unknown", found
     assert found.simulation is not None
     assert found.simulation.cause == "stand-in"
@@ -164,8 +171,8 @@ def test_no_effect_is_named_beside_which_random_forces_stand_in_for_the_physics(
     assert "tacho_gain would improve the predictions" in found.explanation
     assert "not named" in found.explanation
     # Were the random forces modest, no simulation would be asked.
-    monkeypatch.setattr(refitting, "random_forces_are_large", lambda *_: False)
-    assert est.diagnose(*millimetres, progress=False, thorough=False).verdict == "missing"
+    assert found.evidence is not None
+    assert judge(found.evidence, dataclasses.replace(STANDARD, random_large=1.0)).verdict == "missing"
 
 
 @pytest.fixture(scope="module")

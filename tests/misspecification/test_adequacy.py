@@ -7,19 +7,19 @@ import pytest
 from scipy.signal import lfilter
 
 from estimators.core.data import Data
-from estimators.misspecification.adequacy import Evidence, evidence, line_left, overshadowing, suspects
-from estimators.misspecification.candidate_screening import Screened
+from estimators.misspecification.adequacy import AdequacyTest, adequacy_tests, line_left, overshadowing, suspects
+from estimators.misspecification.findings import CriticalValues, Findings, Score, StaticForce
 from estimators.misspecification.line_classes import line_classes, period
 from estimators.misspecification.replication_test import repeat_test
 from estimators.misspecification.residual_maps import where
 from estimators.misspecification.score_test import score_test
 from estimators.misspecification.spectral_line_test import spectral_line
-from estimators.misspecification.static_force import ForceCurve
 from estimators.prediction_error.innovations import stretches
 from estimators.validation.model_comparison import held_out, vuong
 from rtac_jax.measurement import Experiment
 
 SAMPLES, COUNT = 1000, 4
+CRITICAL = CriticalValues(20.0, 2e-3, 0.01)
 
 
 def experiments(*, repeats: bool = False, current: np.ndarray | None = None) -> list[Experiment]:
@@ -191,16 +191,13 @@ def test_a_column_that_the_data_do_not_show_has_no_standard_deviation() -> None:
 def test_of_the_forces_that_explain_more_than_chance_the_largest_says_how_much() -> None:
     """Not the surest: what is named must remove nine tenths of it."""
 
-    def force(p_value: float, excess: float) -> ForceCurve:
-        at = np.linspace(-1.0, 1.0, 12)
-        return ForceCurve(
-            "cart", "cart_position", 0.0, at, 0 * at, 1 + 0 * at, excess + 12, excess, p_value, np.eye(12), 0 * at
-        )
+    def force(p_value: float, excess: float) -> StaticForce:
+        return StaticForce("cart", "cart_position", p_value, excess)
 
-    (found,) = evidence([], [force(1e-14, 60.0), force(1e-9, 400.0), force(0.3, 900.0)], [], None, None)
+    (found,) = adequacy_tests(Findings(curves=(force(1e-14, 60.0), force(1e-9, 400.0), force(0.3, 900.0))), CRITICAL)
     assert found.rejects
     assert found.excess == 400.0
-    (chance,) = evidence([], [force(0.2, 60.0), force(0.3, 900.0)], [], None, None)
+    (chance,) = adequacy_tests(Findings(curves=(force(0.2, 60.0), force(0.3, 900.0))), CRITICAL)
     assert not chance.rejects
 
 
@@ -310,7 +307,7 @@ def test_held_out_score_is_that_of_fits_without_each_experiment() -> None:
     whole = np.linalg.lstsq(matrices.reshape(-1, 3), outputs.ravel(), rcond=None)[0]
     rests = outputs - matrices @ whole
     factors = np.stack([np.linalg.qr(np.column_stack([-m, r]), mode="r") for m, r in zip(matrices, rests, strict=True)])
-    found = float(np.sum(-0.5 * np.sum(rests**2, axis=1) + held_out(factors, 3, range(3))))
+    found = float(np.sum(-0.5 * np.sum(rests**2, axis=1) + held_out(factors, 3, range(3))[0]))
     expected = 0.0
     for e in range(5):
         others = [i for i in range(5) if i != e]
@@ -318,9 +315,10 @@ def test_held_out_score_is_that_of_fits_without_each_experiment() -> None:
         expected -= 0.5 * np.sum((outputs[e] - matrices[e] @ fitted) ** 2)
     assert found == pytest.approx(expected, rel=1e-9)
     only = np.where(np.arange(5)[:, None, None] == 2, factors, factors * np.array([1.0, 1.0, 0.0, 1.0]))
-    alone = held_out(only, 3, [2])  # one experiment alone tells of the third
+    alone, known = held_out(only, 3, [2])  # one experiment alone tells of the third
     assert np.isnan(alone[2])
     assert np.isfinite(np.delete(alone, 2)).all()
+    np.testing.assert_allclose(known, [1.0, 1.0, 0.0, 1.0, 1.0], atol=1e-9)
 
 
 def test_vuong_of_equal_models_is_standard_normal() -> None:
@@ -332,19 +330,19 @@ def test_vuong_of_equal_models_is_standard_normal() -> None:
     assert vuong(np.full((2000, 1), 0.1), random.normal(size=(2000, 1)), blocks, 0.0) > 2.0
 
 
-def one(name: str, statistic: float, p_value: float) -> Screened:
-    return Screened(name, None, (), np.zeros(0), statistic, p_value, np.zeros(0), np.zeros((4, 0)))
+def one(name: str, statistic: float, p_value: float) -> Score:
+    return Score(name, 0, (), statistic, p_value)
 
 
 def test_where_only_another_test_rejects_every_large_candidate_is_refitted() -> None:
-    def said(p_value: float) -> list[Evidence]:
-        return [Evidence("static force", p_value, 400.0, 0.002, "")]
+    def said(p_value: float) -> list[AdequacyTest]:
+        return [AdequacyTest("static force", p_value, 400.0, 0.002, "")]
 
     # A stop that is hit once is large by the model's variance, and no more than its scatter over seconds.
     stop, spring, small = one("end_stop", 461.0, 0.05), one("cubic_spring", 356.0, 1e-9), one("cogging", 9.0, 0.3)
-    assert suspects([stop, small], said(1e-40)) == [stop]
-    assert suspects([stop, small], said(0.5)) == []
-    assert suspects([stop, spring, small], said(1e-40)) == []
+    assert suspects([stop, small], said(1e-40), CRITICAL) == [stop]
+    assert suspects([stop, small], said(0.5), CRITICAL) == []
+    assert suspects([stop, spring, small], said(1e-40), CRITICAL) == []
 
 
 def test_what_is_larger_than_all_that_alarms_is_not_passed_over_for_it() -> None:
@@ -354,29 +352,29 @@ def test_what_is_larger_than_all_that_alarms_is_not_passed_over_for_it() -> None
         one("flexible_mode", 900.0, 0.1),
     )
     other_shape = one("lvdt_gain", 3000.0, 0.02)
-    assert overshadowing([ripple, mode, gain, other_shape]) == [ripple]
-    assert overshadowing([ripple, mode]) == []
+    assert overshadowing([ripple, mode, gain, other_shape], CRITICAL) == [ripple]
+    assert overshadowing([ripple, mode], CRITICAL) == []
 
 
 def test_only_a_line_that_rejects_is_left() -> None:
-    def line(p_value: float) -> Evidence:
-        return Evidence("spectral line", p_value, 128.0, 0.002, "")
+    def line(p_value: float) -> AdequacyTest:
+        return AdequacyTest("spectral line", p_value, 128.0, 0.002, "")
 
-    assert line_left([line(1e-18), Evidence("static force", 1e-9, 400.0, 0.002, "")]) == 128.0
+    assert line_left([line(1e-18), AdequacyTest("static force", 1e-9, 400.0, 0.002, "")]) == 128.0
     assert line_left([line(0.1)]) == 0.0
 
 
 def test_a_large_candidate_that_raises_no_alarm_keeps_its_own_p_value() -> None:
     """Beside an alarm of 20, "127 passes, p = 1" would be no number that anybody can use."""
-    (scattering,) = evidence([one("arm_coulomb", 127.0, 4e-3), one("cogging", 3.0, 0.1)], [], [], None, None)
+    (scattering,) = adequacy_tests(Findings((one("arm_coulomb", 127.0, 4e-3), one("cogging", 3.0, 0.1))), CRITICAL)
     assert scattering.p_value == pytest.approx(8e-3)  # of any of the two
     assert "arm_coulomb reaches 127, the alarm is at 20, but it scatters" in scattering.words
     assert "p = 0.004" in scattering.words
     assert scattering.p_value < scattering.level
     assert not scattering.rejects  # for lack of an alarm, not of a small p-value
-    (alarming,) = evidence([one("arm_coulomb", 127.0, 1e-9), one("cogging", 3.0, 0.1)], [], [], None, None)
+    (alarming,) = adequacy_tests(Findings((one("arm_coulomb", 127.0, 1e-9), one("cogging", 3.0, 0.1))), CRITICAL)
     assert alarming.rejects
     assert alarming.words == "arm_coulomb reaches 127, the alarm is at 20"
-    (small,) = evidence([one("arm_coulomb", 19.0, 1e-5)], [], [], None, None)
+    (small,) = adequacy_tests(Findings((one("arm_coulomb", 19.0, 1e-5),)), CRITICAL)
     assert small.p_value == 1e-5
     assert not small.rejects

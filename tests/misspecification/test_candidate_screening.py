@@ -7,7 +7,7 @@ from tqdm import tqdm
 
 import estimators as est
 import rtac_jax as rtac
-from estimators.diagnosis import evidence
+from estimators.diagnosis import innovation_tests
 from estimators.diagnosis.refitting import Search
 from rtac_jax.effects import CATALOGUE
 
@@ -30,7 +30,7 @@ def test_smaller_models_give_the_same_scores_as_one_for_all(monkeypatch: pytest.
     base = search.base()
     found = []
     for many, groups in ((np.inf, 1), (0, 4)):
-        monkeypatch.setattr(evidence, "_MANY", many)
+        monkeypatch.setattr(innovation_tests, "_MANY", many)
         assert len(search._grouped(())) == groups
         found.append({(s.id, str(s.instance)): s for s in search.tested(base).screened})
     one, several = found

@@ -1,0 +1,219 @@
+"""The verdict of a diagnosis in plain words: what is missing, how sure that is, and what would make it surer."""
+
+import math
+from collections.abc import Mapping, Sequence
+
+from estimators.core.fit import Parameter
+from estimators.diagnosis.candidate import Candidate
+from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
+from estimators.diagnosis.removed_error import Verdict, share_removed, without_named_rivals
+from estimators.diagnosis.step import Step
+from estimators.inference.simulation_residual import SimulationResidual, known_noise
+from estimators.misspecification.adequacy import AdequacyTest, excess_of, significant
+from estimators.misspecification.line_classes import LineClass
+from estimators.misspecification.residual_maps import Place
+from estimators.misspecification.static_force import ForceCurve
+from estimators.prediction_error.latent_force import LatentForce
+from rtac_jax.measurement import Recording
+
+_LEFT_OUT = 0.02  # share of the samples from which it is worth a word that they do not count
+SHAKEN = 1e-2  # share of the rms forces from which random forces in one sample are worth a word
+_STRAYED = 3.0  # rms of what a simulation leaves over the noise, from which it is worth a word
+
+
+def words(
+    verdict: Verdict,
+    effects: Sequence[Candidate],
+    candidates: Sequence[Candidate],
+    steps: Sequence[Step],
+    tests: Sequence[AdequacyTest],
+    left: Sequence[AdequacyTest],
+    removed: float,
+    curves: Sequence[ForceCurve],
+    latent: Sequence[LatentForce],
+    places: Sequence[Place],
+    lines: Sequence[LineClass],
+    simulation: SimulationResidual | None = None,
+    policy: DiagnosisPolicy = STANDARD,
+) -> str:
+    """Describe in a paragraph what is missing, how big, where it shows, how sure, and what would make it surer."""
+    if verdict == "adequate":
+        limits = sorted((c for c in candidates if c.testable), key=lambda c: c.id)
+        text = ", ".join(f"{c.id} {c.detection_limit:.2g} {c.unit}".removesuffix(" 1") for c in limits)
+        blind = [c.id for c in candidates if not c.testable]
+        unseen = f" These data could not show {', '.join(blind)} at any plausible size." if blind else ""
+        floor = (
+            simulation.words
+            if simulation is not None and simulation.words
+            else "At the noise floor nothing is missing."
+        )
+        return f"Adequate: {floor[0].lower()}{floor[1:]} An effect would have been found from: {text}.{unseen}"
+    worst = next((p for p in places if p.by == "experiment"), None)
+    part = next((p for p in places if p.by != "experiment" and p.excess > 1), None)
+    shown = ""
+    if worst is not None and worst.excess <= 1:
+        shown = (
+            " Predicted one sample ahead, no channel of any experiment is farther off than chance allows: what is missing shows in"
+            " what these errors go along with, not in their size."
+        )
+    elif worst is not None:
+        shown = f" It shows most in {worst.channel} of {worst.label} ({worst.value:.2f} times the expected squares)"
+        shown += f" and at {part.label}." if part is not None else "."
+    if simulation is not None and simulation.vetoes:
+        return f"Unknown: {simulation.words[0].lower()}{simulation.words[1:]}" + (
+            shown if worst is not None and worst.excess > 1 else ""
+        )
+    if verdict == "unknown":
+        return _unknown(candidates, tests, removed, curves, latent, lines, policy) + shown
+    by_id = {c.id: c for c in effects}
+    sentences = []
+    for step in steps:
+        c = by_id[step.id]
+        size = ", ".join(f"{n} = {_size(p)}" for n, p in c.parameters.items())
+        sentences.append(
+            f"{step.id} ({size}) gains {step.bic_gain:.0f} in BIC"
+            + (
+                f" and {step.held_out_gain:.0f} in the log-likelihood of data that did not help to estimate it"
+                if math.isfinite(step.held_out_gain)
+                else ", in one experiment only, so that no other confirms it"
+            )
+        )
+    text = "; ".join(sentences)
+    rest = [test.test for test in left if test.rejects]
+    after = (
+        f"; still, {', '.join(rest)} {'rejects' if len(rest) == 1 else 'reject'}"
+        if rest
+        else ", and nothing rejects any more"
+    )
+    share = (
+        f" {'It removes' if len(steps) == 1 else 'Together they remove'} {100 * removed:.0f} % of the misfit{after}."
+    )
+    if verdict == "missing":
+        return f"Missing: {text}.{share}{shown} The intervals do not count that the effect was selected."
+    groups = "; ".join(f"{step.id} or {', '.join(step.rivals)}" for step in steps if step.rivals)
+    return (
+        f"Ambiguous: the data cannot tell {groups} apart. The best fit: {text}.{share}{shown} An experiment that separates "
+        "them would decide (est.next_experiment)."
+    )
+
+
+def _size(one: Parameter) -> str:
+    # A deviation of zero is that of a parameter that is fixed.
+    return f"{one.value:.4g} +- {one.std:.2g} {one.unit}" if one.std > 0 else f"{one.value:.4g} {one.unit}, fixed"
+
+
+def static_force(
+    curves: Sequence[ForceCurve], tests: Sequence[AdequacyTest], policy: DiagnosisPolicy = STANDARD
+) -> tuple[ForceCurve | None, bool]:
+    """Return the curve that explains most of what is missing, if one does; and whether any explains more than chance."""
+    rejecting = next((test for test in tests if test.test == "static force" and test.rejects), None)
+    if rejecting is None:
+        return None, False
+    best = max(significant(curves, rejecting.level), key=lambda c: c.excess, default=None)
+    if best is None or not best.excess > policy.static * excess_of(tests):
+        return None, True
+    return best, True
+
+
+def not_named(further: Sequence[Step], left: Sequence[AdequacyTest], samples: int) -> str:
+    """Say what would explain a part of what the named effects leave, but too little of it."""
+    first = further[0]
+    share = share_removed([first], left, samples)
+    choice = " or ".join([first.id, *first.rivals])
+    return f" Of what is then left {choice} would remove {100 * share:.0f} %, too little to be named."
+
+
+def without_the_physics(steps: Sequence[Step]) -> str:
+    """Return what the predictions speak for where random forces stand in for the physics beside it, so that it is not named."""
+    names = " and ".join(" or ".join([step.id, *step.rivals]) for step in without_named_rivals(steps))
+    return (
+        f" {names} would improve the predictions, but random forces stand in for the physics beside it too: it may make up for"
+        " a part of another mistake, so it is not named."
+    )
+
+
+def surer(verdict: Verdict, recording: Recording) -> str:
+    """Say what would make the verdict surer: records that this recording lacks."""
+    lacking = []
+    if not any(e.kind == "rest" for e in recording.experiments):
+        lacking.append("a rest record of two seconds, which tells the noise and its colour apart from the motion")
+    if not any(e.repeat_of for e in recording.experiments):
+        lacking.append("a repeat of one experiment (repeat_of), which shows model error whatever the noise is")
+    if not lacking:
+        return ""
+    surer = "A missing effect would show more surely" if verdict == "adequate" else "It would be surer"
+    return f" {surer} with {', and '.join(lacking)}."
+
+
+def shaken(random_force: float, random_torque: float, left_out: float) -> str:
+    """Say what random forces mean for the verdict and for the fit that follows; nothing where they are small.
+
+    Args:
+        random_force: in one sample, as a fraction of the rms spring force.
+        random_torque: in one sample, as a fraction of the rms motor torque.
+        left_out: fraction of the samples that are stick-slip ambiguous.
+    """
+    said = ""
+    if left_out > _LEFT_OUT:
+        said = (
+            f" {100 * left_out:.0f} % of the samples do not count: there the cart or the arm all but rests, and what the base"
+            " model takes for random forces may shake loose what dry friction holds."
+        )
+    if max(random_force, random_torque) < SHAKEN:
+        return said
+    return said + (
+        f" Random forces shake the rig even so ({100 * random_force:.1f} % of the rms spring force in one sample,"
+        f" {100 * random_torque:.1f} % of the rms torque). A simulation cannot follow them: est.prediction_error_nonlinear"
+        " estimates parameters of such a rig, est.output_error may not."
+    )
+
+
+def strayed(residual_std: Mapping[str, float], noise: Mapping[str, float], recording: Recording) -> str:
+    """Say what it means that a simulation leaves the recording although no prediction shows why; nothing where it stays.
+
+    Of sensors whose noise is stated or recorded at rest: that of others is taken from fast changes, and is more where
+    it is slow.
+    """
+    at_rest = known_noise(recording)
+    known = [c for c in noise if c in at_rest and c in residual_std]
+    channel = max(known, key=lambda c: residual_std[c] / noise[c], default=None)
+    far = residual_std[channel] / noise[channel] if channel is not None else 0.0
+    if far < _STRAYED:
+        return ""
+    return (
+        f" Even so, the simulation of the fit is {far:.0f} times the noise away from the recording ({channel}): the fit ended at"
+        " values that are not the best, or no simulation can follow this motion, as where an arm tumbles. Its parameters and"
+        " their standard deviations are not to be trusted then; est.prediction_error_nonlinear estimates them by predictions."
+    )
+
+
+def _unknown(
+    candidates: Sequence[Candidate],
+    tests: Sequence[AdequacyTest],
+    removed: float,
+    curves: Sequence[ForceCurve],
+    latent: Sequence[LatentForce],
+    lines: Sequence[LineClass],
+    policy: DiagnosisPolicy,
+) -> str:
+    reasons = "; ".join(f"{test.test}: {test.words}" for test in tests if test.rejects)
+    refitted = [c for c in candidates if c.refitted]
+    near = max(refitted, key=lambda c: c.error_reduction) if refitted else None
+    nearest = f" The nearest, {near.id}, removes {100 * near.error_reduction:.0f} % of the misfit." if near else ""
+    if removed and near and removed > near.error_reduction + 0.01:
+        nearest += f" Several effects of the catalogue together remove {100 * removed:.0f} %."
+    force = f" The missing force is {latent[0]}." if latent else ""
+    curve, rejected = static_force(curves, tests, policy)
+    if curve is not None:
+        static = f" It depends most on {curve.variable} ({curve.port})."
+    elif rejected:
+        static = " No static function of position, velocity, angle or current explains most of it."
+    else:
+        static = " It is no static function of position, velocity, angle or current."
+    telling = min(lines, key=lambda line: line.p_value, default=None)
+    if telling is not None and telling.p_value < policy.level / len(lines):
+        static += (
+            f" On the {telling.lines} lines of the periodic input {telling.channel} has {telling.ratio:.2g} times the power "
+            f"of the noise, which shows {telling.shows}."
+        )
+    return f"Unknown: the model fails and no effect of the catalogue explains it ({reasons}).{nearest}{force}{static}"

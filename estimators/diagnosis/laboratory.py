@@ -1,0 +1,144 @@
+"""The laboratory of a diagnosis: what a selection may ask to be computed, answered from saved evidence here."""
+
+from collections.abc import Sequence
+from typing import Literal, Protocol, runtime_checkable
+
+from estimators.diagnosis.evidence import Evidence, Facts, FittedModel, HeldOut, SimulationError
+from estimators.misspecification.findings import Findings, Score
+
+Way = Literal["filter", "thorough"]
+"""To refit a model with a candidate: from the shape that was screened, or from wherever a refit may begin."""
+
+
+@runtime_checkable
+class Laboratory(Protocol):
+    """What answers the questions of a selection; None, or a refit left out, where a model diverges or no answer is known."""
+
+    @property
+    def facts(self) -> Facts:
+        """About the recording."""
+        ...
+
+    @property
+    def base(self) -> FittedModel:
+        """The base model."""
+        ...
+
+    def say(self, text: str) -> None:
+        """Tell what is asked now."""
+        ...
+
+    def first_refits(
+        self, before: FittedModel, first: Score, near: Sequence[Score], way: Way
+    ) -> dict[str, FittedModel]:
+        """Refit a model with the first candidate and those near it, each by itself; the findings of the first are asked next."""
+        ...
+
+    def refits(self, before: FittedModel, several: Sequence[Score], way: Way) -> dict[str, FittedModel]:
+        """Refit a model with each of several candidates."""
+        ...
+
+    def without(self, model: FittedModel, effect: str) -> FittedModel | None:
+        """Refit a model without one of its added effects."""
+        ...
+
+    def findings(self, model: FittedModel) -> Findings | None:
+        """Test the innovations of a model."""
+        ...
+
+    def quiet_scores(self, model: FittedModel) -> tuple[Score, ...]:
+        """Score candidates against a predictor with low process noise."""
+        ...
+
+    def held_out(self, before: FittedModel, after: FittedModel) -> HeldOut:
+        """Return what an effect gains where it was not estimated."""
+        ...
+
+    def coloured(self) -> FittedModel | None:
+        """Return the base model with coloured noise, if the data are likelier with it."""
+        ...
+
+    def simulation(self, model: FittedModel) -> SimulationError | None:
+        """Return the error of a free simulation of a model."""
+        ...
+
+
+class Archive:
+    """A laboratory that answers from evidence, and notes what the evidence has no answer to.
+
+    Attributes:
+        missing: what was asked and never computed.
+    """
+
+    def __init__(self, evidence: Evidence) -> None:
+        self.facts = evidence.facts
+        self.base = evidence.models[0]
+        self.missing: list[str] = []
+        self._evidence = evidence
+        self._models = {model.number: model for model in evidence.models}
+        self._refits = {(one.before, one.way, one.effect): one.after for one in evidence.refits}
+
+    def say(self, text: str) -> None:
+        """Say nothing: nobody waits."""
+
+    def first_refits(
+        self, before: FittedModel, first: Score, near: Sequence[Score], way: Way
+    ) -> dict[str, FittedModel]:
+        """Return the refits with the first candidate and those near it."""
+        return self.refits(before, [first, *near], way)
+
+    def refits(self, before: FittedModel, several: Sequence[Score], way: Way) -> dict[str, FittedModel]:
+        """Return the refits with each of several candidates."""
+        found = {s.id: self._refit(before, way, s.id) for s in several}
+        return {effect: model for effect, model in found.items() if model is not None}
+
+    def without(self, model: FittedModel, effect: str) -> FittedModel | None:
+        """Return the refit without one of its added effects."""
+        return self._refit(model, "without", effect)
+
+    def findings(self, model: FittedModel) -> Findings | None:
+        """Return the tests of the innovations of a model."""
+        if model.number not in self._evidence.findings:
+            self._note(f"tests of the model with {_named(model)}")
+        return self._evidence.findings.get(model.number)
+
+    def quiet_scores(self, model: FittedModel) -> tuple[Score, ...]:
+        """Return the scores of candidates against a predictor with low process noise."""
+        if model.number not in self._evidence.quiet:
+            self._note(f"scores with low process noise of the model with {_named(model)}")
+        return self._evidence.quiet.get(model.number, ())
+
+    def held_out(self, before: FittedModel, after: FittedModel) -> HeldOut:
+        """Return what an effect gains where it was not estimated."""
+        key = before.number, after.number
+        if key not in self._evidence.held_out:
+            self._note(f"held-out gain of the model with {_named(after)}")
+        return self._evidence.held_out.get(key, HeldOut((), ()))
+
+    def coloured(self) -> FittedModel | None:
+        """Return the base model with coloured noise, if the data are likelier with it."""
+        if not self._evidence.colour_asked:
+            self._note("base model with coloured noise")
+        return None if self._evidence.coloured is None else self._models[self._evidence.coloured]
+
+    def simulation(self, model: FittedModel) -> SimulationError | None:
+        """Return the error of a free simulation of a model."""
+        if self.facts.noise_known and model.number not in self._evidence.simulations:
+            self._note(f"simulation of the model with {_named(model)}")
+        return self._evidence.simulations.get(model.number)
+
+    def _refit(self, before: FittedModel, way: str, effect: str) -> FittedModel | None:
+        key = before.number, way, effect
+        if key not in self._refits:
+            self._note(f"{way} refit of {effect} to the model with {_named(before)}")
+            return None
+        after = self._refits[key]
+        return None if after is None else self._models[after]
+
+    def _note(self, what: str) -> None:
+        if what not in self.missing:
+            self.missing.append(what)
+
+
+def _named(model: FittedModel) -> str:
+    return ", ".join(model.added) or "nothing added"

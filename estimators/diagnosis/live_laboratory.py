@@ -1,0 +1,239 @@
+"""The laboratory that computes: refits and tests on the data, each once, with a record of all of them as evidence."""
+
+import contextlib
+from collections.abc import Sequence
+
+import numpy as np
+
+from estimators.core.fit import Fit
+from estimators.diagnosis.evidence import (
+    EffectTraits,
+    Evidence,
+    Facts,
+    FittedModel,
+    HeldOut,
+    Refitting,
+    SimulationError,
+)
+from estimators.diagnosis.innovation_tests import scores_of
+from estimators.diagnosis.laboratory import Way
+from estimators.diagnosis.refit import Refit, Tested
+from estimators.diagnosis.refitting import Search
+from estimators.diagnosis.refitting import Way as RefitWay
+from estimators.inference.simulation_residual import known_noise
+from estimators.misspecification.candidate_screening import Screened
+from estimators.misspecification.findings import Findings, Score
+from estimators.validation.vuong_test import by_stretch
+from rtac_jax.effects import Effect
+
+
+class LiveLaboratory:
+    """What a selection asks is computed here; the same question is computed once.
+
+    Attributes:
+        facts: about the recording.
+        policy: the thresholds by which is chosen what to compute.
+        base: the record of the base model.
+    """
+
+    def __init__(self, search: Search, fit: Fit, base: Refit, tested: Tested) -> None:
+        """Begin with the base model and its tests.
+
+        Args:
+            search: makes and fits models.
+            fit: that is diagnosed.
+            base: predictor of its model.
+            tested: the tests of that.
+        """
+        self._fit = fit
+        self._models: list[FittedModel] = []
+        self._computed: list[tuple[Search, Refit]] = []
+        self._tested: dict[int, Tested] = {}
+        self._quiet: dict[int, tuple[Score, ...]] = {}
+        self._screened: dict[Score, Screened] = {}
+        self._refits: dict[tuple[int, str, str], Refitting] = {}
+        self._held_out: dict[tuple[int, int], HeldOut] = {}
+        self._simulations: dict[int, SimulationError] = {}
+        self._coloured: list[FittedModel | None] = []  # empty until asked
+        self._stretches = search.stretches()
+        self.facts, self.policy = facts_of(search, fit), search.policy
+        self.base = self._record(search, base, tested)
+
+    def say(self, text: str) -> None:
+        """Show what is asked now."""
+        self._computed[0][0].bar.set_description(f"diagnose: {text}")
+
+    def first_refits(
+        self, before: FittedModel, first: Score, near: Sequence[Score], way: Way
+    ) -> dict[str, FittedModel]:
+        """Refit a model with the first candidate and those near it, and test the first meanwhile."""
+        search, refit = self.computed(before)
+        held = [self._screened[s] for s in near]
+        found, tested = search.first_refits(refit, self._screened[first], held, _way(search, way))
+        return self._added(before, [first, *near], way, found, {first.id: tested})
+
+    def refits(self, before: FittedModel, several: Sequence[Score], way: Way) -> dict[str, FittedModel]:
+        """Refit a model with each of several candidates."""
+        search, refit = self.computed(before)
+        found = search.refits(refit, [self._screened[s] for s in several], _way(search, way))
+        return self._added(before, several, way, found, {})
+
+    def without(self, model: FittedModel, effect: str) -> FittedModel | None:
+        """Refit a model without one of its added effects; None where it diverges."""
+        search, refit = self.computed(model)
+        try:
+            found = self._record(search, search.without(refit, effect), None)
+        except ArithmeticError:
+            found = None
+        after = None if found is None else found.number
+        self._refits[model.number, "without", effect] = Refitting(model.number, "without", effect, -1, after)
+        return found
+
+    def findings(self, model: FittedModel) -> Findings:
+        """Test the innovations of a model."""
+        return self.tested(model).findings
+
+    def quiet_scores(self, model: FittedModel) -> tuple[Score, ...]:
+        """Score candidates against a predictor with low process noise."""
+        if model.number not in self._quiet:
+            search, refit = self.computed(model)
+            screened = search.quietly(refit)
+            scores = self._quiet[model.number] = scores_of(screened)
+            self._screened |= dict(zip(scores, screened, strict=True))
+        return self._quiet[model.number]
+
+    def held_out(self, before: FittedModel, after: FittedModel) -> HeldOut:
+        """Return what an effect gains where it was not estimated."""
+        key = before.number, after.number
+        if key not in self._held_out:
+            search, refit = self.computed(before)
+            self._held_out[key] = search.held_out(refit, self.computed(after)[1])
+        return self._held_out[key]
+
+    def coloured(self) -> FittedModel | None:
+        """Return the base model with coloured noise, if the data are likelier with it."""
+        if not self._coloured:
+            search, base = self.computed(self.base)
+            other = search.coloured(base)
+            if other is None:
+                self._coloured = [None]
+            else:
+                other, coloured = other.recoloured(other.base())
+                self._coloured = [self._record(other, coloured, None)]
+        return self._coloured[0]
+
+    def simulation(self, model: FittedModel) -> SimulationError:
+        """Return the error of a free simulation of a model: of a base model that of the fit that is diagnosed."""
+        if model.number not in self._simulations:
+            search, refit = self.computed(model)
+            make = search.extended_simulation if model.added else search.simulation_error
+            self._simulations[model.number] = make(self._fit, refit)
+        return self._simulations[model.number]
+
+    def computed(self, model: FittedModel) -> tuple[Search, Refit]:
+        """Return what a record stands for, and what made it."""
+        return self._computed[model.number]
+
+    def tested(self, model: FittedModel) -> Tested:
+        """Return the tests of the innovations of a model, with what they were computed from."""
+        if model.number not in self._tested:
+            search, refit = self.computed(model)
+            self._keep(model, search.tested(refit))
+        return self._tested[model.number]
+
+    def evidence(self, *, thorough: bool) -> Evidence:
+        """Return everything that was computed so far.
+
+        Args:
+            thorough: whether what raised no alarm was looked at again.
+        """
+        if self.facts.noise_known:  # cheap, and any policy may ask for it
+            with contextlib.suppress(ArithmeticError):
+                self.simulation(self.base)
+        coloured = self._coloured[0] if self._coloured else None
+        return Evidence(
+            facts=self.facts,
+            thorough=thorough,
+            models=tuple(self._models),
+            coloured=None if coloured is None else coloured.number,
+            colour_asked=bool(self._coloured),
+            refits=tuple(self._refits.values()),
+            findings={number: tested.findings for number, tested in self._tested.items()},
+            quiet=dict(self._quiet),
+            held_out=dict(self._held_out),
+            simulations=dict(self._simulations),
+            policy=self.policy.as_dict(),
+        )
+
+    def _added(
+        self,
+        before: FittedModel,
+        several: Sequence[Score],
+        way: Way,
+        found: dict[str, Refit],
+        tested: dict[str, Tested | None],
+    ) -> dict[str, FittedModel]:
+        """Record refits with candidates, and those that diverged."""
+        search, _ = self.computed(before)
+        models = {i: self._record(search, refit, tested.get(i)) for i, refit in found.items()}
+        for s in several:
+            after = models[s.id].number if s.id in models else None
+            self._refits[before.number, way, s.id] = Refitting(before.number, way, s.id, s.shape, after)
+        return models
+
+    def _record(self, search: Search, refit: Refit, tested: Tested | None) -> FittedModel:
+        values = {
+            f"{effect}.{name}": (parameter.value, parameter.std)
+            for effect in refit.added
+            for name, parameter in search.parameters(effect, refit).items()
+        }
+        model = FittedModel(
+            number=len(self._models),
+            added=refit.added,
+            parameters=len(refit.free),
+            log_likelihood=float(refit.predictor.log_likelihood),
+            by_stretch=tuple(by_stretch(refit.by_sample, self._stretches).tolist()),
+            looseness=search.looseness(refit),
+            random_force=float(refit.predictor.random_force),
+            random_torque=float(refit.predictor.random_torque),
+            values=values,
+        )
+        self._models.append(model)
+        self._computed.append((search, refit))
+        if tested is not None:
+            self._keep(model, tested)
+        return model
+
+    def _keep(self, model: FittedModel, tested: Tested) -> None:
+        self._tested[model.number] = tested
+        self._screened |= dict(zip(tested.findings.scores, tested.screened, strict=True))
+
+
+def _way(search: Search, way: Way) -> RefitWay:
+    return search.thoroughly if way == "thorough" else search.with_effect
+
+
+def facts_of(search: Search, fit: Fit) -> Facts:
+    """Return what a judgement asks of the recording.
+
+    Args:
+        search: of the diagnosis.
+        fit: that is diagnosed.
+    """
+    return Facts(
+        samples=search.samples,
+        seconds=int(np.max(search.stretches())) + 1,
+        experiments=len(search.experiments),
+        rest=any(e.kind == "rest" for e in search.recording.experiments),
+        noise_known=bool(known_noise(search.recording) & set(fit.residual_std)),
+        samples_per_radian=float(search.samples_per_radian),
+        left_out=float(search.left_out),
+        noise={channel: float(level) for channel, level in fit.noise.items()},
+        effects={i: traits(effect) for i, effect in search.classes.items()},
+    )
+
+
+def traits(effect: type[Effect]) -> EffectTraits:
+    """Return what a selection asks of a class of effects."""
+    contact = bool(effect.acts_by_contact)
+    return EffectTraits(contact, len(effect.states) > 1 and not contact, tuple(effect.contains))

@@ -1,0 +1,36 @@
+"""One step of a selection: an effect that improved the model."""
+
+import dataclasses
+from collections.abc import Mapping
+
+from estimators.diagnosis.evidence import FittedModel
+from estimators.diagnosis.laboratory import Way
+from estimators.misspecification.adequacy import AdequacyTest
+from estimators.misspecification.findings import Score
+
+
+@dataclasses.dataclass(frozen=True)
+class Step:
+    """One effect that improved the model.
+
+    Attributes:
+        id: of the effect.
+        rivals: ids that the data cannot tell from it.
+        gain: twice the gain in log-likelihood over the model before.
+        bic_gain: the same less the price of its parameters.
+        held_out_gain: in the log-likelihood of experiments that did not take part in estimating it; NaN where only one shows it.
+        model: the model with it.
+        left: the tests of the model with it.
+        asked: all candidates that were refitted at this step, this one among them.
+        way: in which they were.
+    """
+
+    id: str
+    rivals: tuple[str, ...]
+    gain: float
+    bic_gain: float
+    held_out_gain: float
+    model: FittedModel
+    left: tuple[AdequacyTest, ...]
+    asked: Mapping[str, Score] = dataclasses.field(default_factory=dict)
+    way: Way = "filter"

@@ -1,0 +1,182 @@
+"""Plain records of what the innovations of one model say: scores of candidates and tests of adequacy, without any verdict.
+
+Nothing here or in what reads these records needs a model, so that what was computed can be judged again from a file.
+"""
+
+import dataclasses
+from typing import Protocol, runtime_checkable
+
+from scipy.stats import f as fisher
+
+
+@runtime_checkable
+class Scored(Protocol):
+    """A candidate of one shape with its score."""
+
+    @property
+    def id(self) -> str:
+        """Of the effect."""
+        ...
+
+    @property
+    def amplitudes(self) -> tuple[str, ...]:
+        """Its amplitude parameters."""
+        ...
+
+    @property
+    def statistic(self) -> float:
+        """Chi-square distributed when the effect is absent."""
+        ...
+
+    @property
+    def p_value(self) -> float:
+        """By the model's variance or by the scatter over seconds of data, whichever is larger."""
+        ...
+
+
+@dataclasses.dataclass(frozen=True)
+class Score:
+    """The score of one candidate of one shape against the innovations of a model.
+
+    Attributes:
+        id: of the effect.
+        shape: place among all scores against the same innovations.
+        amplitudes: its amplitude parameters.
+        statistic: chi-square distributed when the effect is absent; zero where the sign is unphysical.
+        p_value: by the model's variance or by the scatter over seconds of data, whichever is larger.
+        begin: values of the amplitudes at which to begin to fit them.
+    """
+
+    id: str
+    shape: int
+    amplitudes: tuple[str, ...]
+    statistic: float
+    p_value: float
+    begin: tuple[float, ...] = ()
+
+
+@dataclasses.dataclass(frozen=True)
+class StaticForce:
+    """What a force at a port as a function of one variable would explain.
+
+    Attributes:
+        port: "cart" or "arm".
+        variable: that it depends on.
+        p_value: for this curve alone.
+        excess: twice the gain in log-likelihood, less what chance explains.
+    """
+
+    port: str
+    variable: str
+    p_value: float
+    excess: float
+
+
+@dataclasses.dataclass(frozen=True)
+class LaggedForce:
+    """What a force at a port that follows one signal with a lag would explain.
+
+    Attributes:
+        port: "cart" or "arm".
+        follows: the signal.
+        p_value: for this signal alone.
+        excess: twice the gain in log-likelihood, less what chance explains.
+    """
+
+    port: str
+    follows: str
+    p_value: float
+    excess: float
+
+
+@dataclasses.dataclass(frozen=True)
+class SpectralLine:
+    """The strongest line of the innovations' spectrum.
+
+    Attributes:
+        channel: where it shows.
+        frequency: of it [rad/s].
+        ratio: power over that of the noise around.
+        excess: of the line over the noise, in units of twice the log-likelihood.
+        p_value: of so strong a line among all by chance.
+    """
+
+    channel: str
+    frequency: float
+    ratio: float
+    excess: float
+    p_value: float
+
+
+@dataclasses.dataclass(frozen=True)
+class RepeatTest:
+    """What comes back in every repeat of one experiment, beside what differs.
+
+    Attributes:
+        ratio: mean square of what all repeats share over that of their differences; one where the model is right.
+        freedom: degrees of freedom of both, as the autocorrelation of the differences leaves them.
+        p_value: of so large a ratio by chance.
+        power: mean square of what all repeats share beyond noise, slower than a few samples, where the model states one.
+        repeats: number of experiments.
+        part: of all measured values, that these have.
+        shared: model error beyond noise in the repeats, in units of twice the log-likelihood.
+    """
+
+    ratio: float
+    freedom: tuple[float, float]
+    p_value: float
+    power: float
+    repeats: int
+    part: float
+    shared: float
+
+    @property
+    def excess(self) -> float:
+        """The same of all data, if it is as large in each; zero where chance left less than noise does."""
+        return max(self.shared, 0.0) / self.part
+
+
+@dataclasses.dataclass(frozen=True)
+class Findings:
+    """Everything that the tests of the innovations of one model computed.
+
+    Attributes:
+        scores: of every candidate in every shape.
+        curves: of a force that depends on one variable.
+        lagged: of a force that follows one signal with a lag.
+        line: the strongest line of the spectrum; None where experiments are too short.
+        repeats: None where no experiment repeats another.
+    """
+
+    scores: tuple[Score, ...] = ()
+    curves: tuple[StaticForce, ...] = ()
+    lagged: tuple[LaggedForce, ...] = ()
+    line: SpectralLine | None = None
+    repeats: RepeatTest | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class CriticalValues:
+    """Thresholds from which on a test rejects.
+
+    Attributes:
+        alarm: chi-square of a candidate's score.
+        chance: probability of an alarm by any of the candidates that are tried, if nothing is missing.
+        level: probability that any of all tests rejects, if nothing is missing.
+    """
+
+    alarm: float
+    chance: float
+    level: float
+
+    def of_few(self, stretches: int, tried: int) -> float:
+        """Return the critical chi-square of one amplitude, which is larger where few stretches of time tell their scatter.
+
+        Args:
+            stretches: of time.
+            tried: candidates.
+        """
+        if stretches < 3:
+            return self.alarm
+        least = float(fisher.isf(self.chance / tried, 1, stretches - 1)) * stretches / (stretches - 1)
+        return max(self.alarm, least)

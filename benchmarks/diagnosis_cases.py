@@ -29,9 +29,12 @@ EFFECTS: dict[str, Case] = {
     "cart_quadratic_drag": Case({"cart_quadratic_drag": 2.0}),
     "cart_stribeck": Case({"cart_stribeck": 0.02, "cart_stribeck_velocity": 0.01}),
     "hysteretic_spring": Case({"hysteresis_stiffness": 20.0, "hysteresis_yield": 1e-3}),
+    # Bearings whose dry friction is all of it by bristles.
+    "cart_presliding": Case({"cart_coulomb": 0.0, "cart_presliding": 0.024, "cart_presliding_yield": 1e-4}),
     "end_stop": Case({"end_stop_travel": 0.012, "end_stop_stiffness": 300.0}),  # a soft bumper
     "arm_coulomb": Case({"arm_coulomb": 4e-4}),
     "arm_stribeck": Case({"arm_stribeck": 4e-4, "arm_stribeck_velocity": 1.0}),
+    "arm_presliding": Case({"arm_presliding": 4e-4, "arm_presliding_yield": 0.05}),
     "arm_quadratic_drag": Case({"arm_quadratic_drag": 3e-6}),
     "cogging": Case({"cogging_torque": 4e-4, "cogging_order": 7.0, "cogging_phase": 0.7}),
     "cable_spring": Case({"cable_stiffness": 5e-5}),

@@ -6,11 +6,20 @@ _LINEAR_SPRING = (
 )
 _CART_FRICTION = (
     "the cart's friction is viscous and dry only",
-    ("cart_quadratic_drag", "cart_stribeck", "hysteretic_spring", "flexible_mode", "cubic_spring"),
+    ("cart_quadratic_drag", "cart_stribeck", "cart_presliding", "hysteretic_spring", "flexible_mode", "cubic_spring"),
 )
 _ARM_FRICTION = (
     "the arm's friction is viscous, with one coefficient for each direction",
-    ("arm_coulomb", "arm_quadratic_drag", "arm_stribeck", "cogging", "cable_spring", "tacho_bias", "current_offset"),
+    (
+        "arm_coulomb",
+        "arm_quadratic_drag",
+        "arm_stribeck",
+        "arm_presliding",
+        "cogging",
+        "cable_spring",
+        "tacho_bias",
+        "current_offset",
+    ),
 )
 
 ASSUMES: dict[str, tuple[str, tuple[str, ...]]] = {
@@ -20,7 +29,14 @@ ASSUMES: dict[str, tuple[str, tuple[str, ...]]] = {
     "damping ratio": _CART_FRICTION,
     "cart_coulomb.level": (
         "the cart's dry friction is the same at all speeds",
-        ("cart_stribeck", "cart_quadratic_drag", "hysteretic_spring", "gravity_tilt", "cubic_spring"),
+        (
+            "cart_stribeck",
+            "cart_presliding",
+            "cart_quadratic_drag",
+            "hysteretic_spring",
+            "gravity_tilt",
+            "cubic_spring",
+        ),
     ),
     "eccentric_moment": (
         "the arm's angle is the integral of what the tachometer shows, and the plane is level",

@@ -29,6 +29,8 @@ FIELD_OF: Mapping[str, str] = {
 _EFFECT_FIELD: Mapping[str, str] = {
     "cart_stribeck.level": "cart_stribeck",
     "cart_stribeck.velocity": "cart_stribeck_velocity",
+    "cart_presliding.level": "cart_presliding",
+    "cart_presliding.displacement": "cart_presliding_yield",
     "cart_quadratic_drag.coefficient": "cart_quadratic_drag",
     "cubic_spring.stiffness": "cubic_spring",
     "quadratic_spring.stiffness": "quadratic_spring",
@@ -41,6 +43,8 @@ _EFFECT_FIELD: Mapping[str, str] = {
     "arm_coulomb.level": "arm_coulomb",
     "arm_stribeck.level": "arm_stribeck",
     "arm_stribeck.velocity": "arm_stribeck_velocity",
+    "arm_presliding.level": "arm_presliding",
+    "arm_presliding.angle": "arm_presliding_yield",
     "arm_quadratic_drag.coefficient": "arm_quadratic_drag",
     "cable_spring.stiffness": "cable_stiffness",
     "gravity_tilt.along": "tilt_along",

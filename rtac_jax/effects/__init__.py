@@ -21,6 +21,7 @@ from rtac_jax.effects.cogging import Cogging
 from rtac_jax.effects.flexible_mode import FlexibleMode
 from rtac_jax.effects.gravity_tilt import GravityTilt
 from rtac_jax.effects.hysteretic_spring import HystereticSpring
+from rtac_jax.effects.presliding import ArmPresliding, CartPresliding
 from rtac_jax.effects.sensor_ripple import EncoderRipple, LvdtRipple, TachoRipple
 from rtac_jax.effects.sensors import (
     ChannelDelay,
@@ -45,6 +46,7 @@ CATALOGUE: dict[str, type[Effect]] = {
         CartViscous,
         CartCoulomb,
         CartStribeck,
+        CartPresliding,
         CartQuadraticDrag,
         CubicSpring,
         QuadraticSpring,
@@ -55,6 +57,7 @@ CATALOGUE: dict[str, type[Effect]] = {
         ArmViscous,
         ArmCoulomb,
         ArmStribeck,
+        ArmPresliding,
         ArmQuadraticDrag,
         Cogging,
         CableSpring,
@@ -102,12 +105,14 @@ __all__ = [
     "CATALOGUE",
     "Actuator",
     "ArmCoulomb",
+    "ArmPresliding",
     "ArmQuadraticDrag",
     "ArmStribeck",
     "ArmViscous",
     "Backlash",
     "CableSpring",
     "CartCoulomb",
+    "CartPresliding",
     "CartQuadraticDrag",
     "CartStribeck",
     "CartViscous",

@@ -90,6 +90,24 @@ def hysteresis(batch: Batch) -> Act | None:
     return act
 
 
+def bristles(batch: Batch) -> Act | None:
+    """Build the friction of cart and arm by bristles, which bend over half a step before they push."""
+    if batch.rows("cart_presliding") is None and batch.rows("arm_presliding") is None:
+        return None
+    width = np.stack([batch.column("cart_presliding_yield"), batch.column("arm_presliding_yield")])
+    push = batch.step * np.stack([batch.column("cart_presliding"), batch.column("arm_presliding")])
+    inner, half = np.zeros_like(width), 0.5 * batch.step
+
+    def act() -> None:
+        way = np.sign(batch.predicted)
+        keep = np.exp(-half * abs(batch.predicted) / width)
+        middle = way + (inner - way) * keep
+        inner[:] = way + (middle - way) * keep
+        batch.impulse[:] -= push * middle
+
+    return act
+
+
 def flexible_mode(batch: Batch) -> Act | None:
     """Build a second body, in absolute coordinates: what accelerates it is taken from the cart."""
     rows = batch.rows("flexible_mass")
@@ -292,6 +310,7 @@ BUILDERS = (
     springs,
     offset,
     hysteresis,
+    bristles,
     flexible_mode,
     quadratic_drag,
     end_stop,

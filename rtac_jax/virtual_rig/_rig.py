@@ -29,6 +29,8 @@ _POSITIVE = (
     "arm_inertia",
     "cart_stribeck_velocity",
     "arm_stribeck_velocity",
+    "cart_presliding_yield",
+    "arm_presliding_yield",
     "hysteresis_yield",
     "detent_width",
     "friction_reference",
@@ -51,6 +53,8 @@ _NOT_NEGATIVE = (
     "arm_viscous_positive",
     "arm_viscous_negative",
     "arm_coulomb",
+    "cart_presliding",
+    "arm_presliding",
     "flexible_mass",
     "flexible_damping",
     "maxwell_stiffness",
@@ -129,6 +133,10 @@ class Rig:
     """f [N]: the friction bound grows by f exp(-(q'/v_s)^2)."""
     cart_stribeck_velocity: float = 0.005
     """v_s [m/s]."""
+    cart_presliding: float = 0.0
+    """f [N]: friction by bristles, force -f z / z_y with Dahl's z' = q' - |q'| z / z_y."""
+    cart_presliding_yield: float = 5e-5
+    """z_y [m]."""
     end_stop_travel: float = math.inf
     """Travel [m] to each side before the stop is touched."""
     end_stop_stiffness: float = 2e4
@@ -139,6 +147,10 @@ class Rig:
     """[N m]: the arm's friction bound grows by this times exp(-(theta'/w_s)^2)."""
     arm_stribeck_velocity: float = 0.5
     """w_s [rad/s]."""
+    arm_presliding: float = 0.0
+    """tau [N m]: the same for the arm."""
+    arm_presliding_yield: float = 0.02
+    """z_y [rad]."""
     arm_quadratic_drag: float = 0.0
     """[N m s^2/rad^2]: torque -c |theta'| theta'."""
     tilt_along: float = 0.0

@@ -36,11 +36,15 @@ CASES: dict[str, tuple[dict[str, float], Effect]] = {
     "cubic_spring": ({"cubic_spring": 2e5}, effects.CubicSpring(2e5)),
     "quadratic_spring": ({"quadratic_spring": 900.0}, effects.QuadraticSpring(900.0)),
     "hysteretic_spring": ({"hysteresis_stiffness": 30.0}, effects.HystereticSpring(30.0, 1e-3)),
+    "cart_presliding": (
+        {"cart_coulomb": 0.0, "cart_presliding": 0.03, "cart_presliding_yield": 5e-4}, effects.CartPresliding(0.03, 5e-4)
+    ),
     "force_offset": ({"force_offset": 0.05}, effects.ForceOffset(0.05)),
     "flexible_mode": ({"flexible_mass": 0.2, "flexible_damping": 0.05}, effects.FlexibleMode(0.2, 37.4, 0.05)),
     "end_stop": ({"end_stop_travel": 0.008, "end_stop_stiffness": 2e3}, effects.EndStop(2e3, 0.008)),
     "arm_coulomb": ({"arm_coulomb": 1e-3}, effects.ArmCoulomb(1e-3)),
     "arm_stribeck": ({"arm_stribeck": 1e-3}, effects.ArmStribeck(1e-3, 0.5)),
+    "arm_presliding": ({"arm_presliding": 1e-3}, effects.ArmPresliding(1e-3, 0.02)),
     "arm_quadratic_drag": ({"arm_quadratic_drag": 6e-6}, effects.ArmQuadraticDrag(6e-6)),
     "cogging": ({"cogging_torque": 2e-3, "cogging_phase": 0.4}, wave(effects.Cogging, 2e-3, 0.4, 4.0)),
     "cable_spring": ({"cable_stiffness": 1e-3, "cable_home": 0.5}, effects.CableSpring(1e-3, 5e-4)),

@@ -15,6 +15,8 @@ EFFECTS = [
     {"quadratic_spring": 800.0},
     {"force_offset": 0.03},
     {"hysteresis_stiffness": 20.0},
+    {"cart_presliding": 0.03},
+    {"arm_presliding": 5e-4},
     {"flexible_mass": 0.2},
     {"cart_quadratic_drag": 2.0},
     {"cart_stribeck": 0.03},

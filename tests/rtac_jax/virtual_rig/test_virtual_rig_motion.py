@@ -39,16 +39,17 @@ def forced_plan(duration: float = 2.0, **changes) -> Plan:
 
 
 def reference(rig: Rig, plan: Plan) -> np.ndarray:
-    """(N, 8) states by DOP853, from equations (1)-(2) with the smooth effects, without dry friction.
+    """(N, 10) states by DOP853, from equations (1)-(2) with the smooth effects, without dry friction.
 
-    They are q, theta, q', theta', place and speed of the flexible part, Maxwell's inner point, Bouc-Wen's z.
+    They are q, theta, q', theta', place and speed of the flexible part, Maxwell's inner point, Bouc-Wen's z, and
+    Dahl's of cart and arm.
     """
     me, body, g = rig.eccentric_moment, rig.flexible_mass, 9.81
     viscous = rig.arm_viscous_positive
     assert rig.arm_viscous_negative == viscous
 
     def slope(t, y, i, f):
-        q, theta, speed, arm_speed, place, body_speed, inner, z = y
+        q, theta, speed, arm_speed, place, body_speed, inner, z, *bristles = y
         coupling = me * np.cos(theta)
         pull = rig.flexible_frequency**2 * (q - place)
         pull += 2 * rig.flexible_damping * rig.flexible_frequency * (speed - body_speed)
@@ -56,6 +57,7 @@ def reference(rig: Rig, plan: Plan) -> np.ndarray:
         cart -= rig.cubic_spring * q**3 + rig.quadratic_spring * q**2 + body * pull
         cart -= rig.cart_quadratic_drag * abs(speed) * speed + rig.maxwell_stiffness * (q - inner)
         cart -= rig.hysteresis_stiffness * z
+        cart -= rig.cart_presliding * bristles[0] / rig.cart_presliding_yield
         cart += rig.total_mass * g * np.sin(rig.tilt_along)
         away = (q - rig.detent_position) / rig.detent_width
         cart -= rig.detent_force * away * np.exp(0.5 - 0.5 * away**2)
@@ -63,17 +65,20 @@ def reference(rig: Rig, plan: Plan) -> np.ndarray:
         arm = rig.torque_constant * i - viscous * arm_speed
         arm -= rig.arm_quadratic_drag * abs(arm_speed) * arm_speed
         arm += rig.cogging_torque * np.sin(rig.cogging_order * theta + rig.cogging_phase)
+        arm -= rig.arm_presliding * bristles[1] / rig.arm_presliding_yield
         arm -= rig.cable_stiffness * (theta - rig.cable_home)
         arm += me * g * (np.sin(rig.tilt_along) * np.cos(theta) - np.sin(rig.tilt_across) * np.sin(theta))
         mass = np.array([[rig.total_mass - body, coupling], [coupling, rig.arm_inertia]])
         creep = rig.maxwell_stiffness / rig.maxwell_damping * (q - inner)
         turn = speed - (abs(speed) * z + speed * abs(z)) / (2 * rig.hysteresis_yield)
-        return [speed, arm_speed, *np.linalg.solve(mass, [cart, arm]), body_speed, pull, creep, turn]
+        yields = (rig.cart_presliding_yield, rig.arm_presliding_yield)
+        bends = [v - abs(v) * b / w for v, b, w in zip((speed, arm_speed), bristles, yields, strict=True)]
+        return [speed, arm_speed, *np.linalg.solve(mass, [cart, arm]), body_speed, pull, creep, turn, *bends]
 
     current = np.zeros(plan.samples) if plan.current is None else plan.current
     force = np.zeros(plan.samples) if plan.disturbance_force is None else plan.disturbance_force
     q, speed = plan.initial_position, plan.initial_velocity
-    states = [np.array([q, plan.initial_angle, speed, plan.initial_arm_velocity, q, speed, q, 0.0])]
+    states = [np.array([q, plan.initial_angle, speed, plan.initial_arm_velocity, q, speed, q, 0.0, 0.0, 0.0])]
     for n in range(plan.samples - 1):
         span = (n * plan.sample_time, (n + 1) * plan.sample_time)
         found = solve_ivp(slope, span, states[-1], "DOP853", args=(current[n], force[n]), rtol=1e-10, atol=1e-13)
@@ -105,6 +110,12 @@ SMOOTH = {
     "vibration": {"vibration_force": 0.2, "vibration_phase": 1.0},
     "maxwell": {"maxwell_stiffness": 30.0, "maxwell_damping": 4.0},
     "hysteresis": {"hysteresis_stiffness": 30.0},
+    "bristles": {
+        "cart_presliding": 0.03,
+        "cart_presliding_yield": 2e-3,
+        "arm_presliding": 5e-4,
+        "arm_presliding_yield": 0.5,
+    },
 }
 
 

@@ -1,0 +1,94 @@
+"""Dry friction by bristles: what is stuck yields a little before it slides (Dahl), for the cart and for the arm."""
+
+from typing import Any, ClassVar
+
+import jax.numpy as jnp
+import numpy as np
+
+from rtac_jax.effects._interface import Force, Motion, States
+from rtac_jax.parameters import Scalar, parameter
+
+
+def _bend(bent: Any, speed: Any, yields_at: Any) -> Any:
+    """Return how fast bristles bend that are bent so far, at this speed."""
+    return speed - jnp.abs(speed) * bent / yields_at
+
+
+def _bent(bent: Any, path: Any, yields_at: Any) -> Any:
+    """Return how far bristles are bent after a path without a turn, from where they were bent at its beginning."""
+    end = jnp.where(path < 0, -yields_at, yields_at)
+    return end - (end - bent) * jnp.exp(-jnp.abs(path) / yields_at)
+
+
+class CartPresliding(Force):
+    """Dry friction of the cart whose bearings yield before they slide; beside it there is no other dry friction left, as a rule.
+
+    The friction depends on the path of the cart but not on time, so the state is known in closed form while the cart goes one way.
+    A hysteretic spring is much alike, but wider.
+    """
+
+    id: ClassVar[str] = "cart_presliding"
+    equation: ClassVar[str] = "-f z / z_y, z' = q' - |q'| z / z_y"
+    contains: ClassVar[tuple[str, ...]] = ("cart_coulomb",)
+    source: ClassVar[str] = "Dahl, Aerospace Corporation TOR-0158 (1968); Canudas de Wit and others, IEEE TAC 40 (1995)"
+    port: ClassVar[str] = "cart"
+    nature: ClassVar[str] = "dissipative"
+    states: ClassVar[dict[str, str]] = {"deflection": "m"}
+    free_start: ClassVar[bool] = True
+    closed: ClassVar[bool] = True
+
+    level: Scalar = parameter(
+        symbol="f", unit="N", bounds=(0.0, np.inf), meaning="friction of the cart when it slides", null=0.0,
+        plausible=lambda s: 0.03 * s.force,
+    )  # fmt: skip
+    displacement: Scalar = parameter(
+        symbol="z_y", unit="m", bounds=(0.0, np.inf), meaning="displacement over which stuck bristles yield",
+        plausible=lambda s: tuple(s.position * share for share in (0.01, 0.1)),
+    )  # fmt: skip
+
+    def force(self, motion: Motion, own: States) -> tuple[Any, Any]:
+        return -self.level * own[0] / self.displacement, 0.0
+
+    def start(self, motion: Motion) -> States:
+        return (0.0 * motion.cart_position,)
+
+    def rate(self, motion: Motion, own: States) -> States:
+        return (_bend(own[0], motion.cart_velocity, self.displacement),)
+
+    def follow(self, motion: Motion, own: States) -> States:
+        return (_bent(own[0], motion.cart_position - motion.began.cart_position, self.displacement),)
+
+
+class ArmPresliding(Force):
+    """Dry friction of the arm whose bearings and brushes yield before they slide."""
+
+    id: ClassVar[str] = "arm_presliding"
+    equation: ClassVar[str] = "-tau z / z_y, z' = theta' - |theta'| z / z_y"
+    contains: ClassVar[tuple[str, ...]] = ("arm_coulomb",)
+    source: ClassVar[str] = "Dahl, Aerospace Corporation TOR-0158 (1968); Canudas de Wit and others, IEEE TAC 40 (1995)"
+    port: ClassVar[str] = "arm"
+    nature: ClassVar[str] = "dissipative"
+    states: ClassVar[dict[str, str]] = {"deflection": "rad"}
+    free_start: ClassVar[bool] = True
+    closed: ClassVar[bool] = True
+
+    level: Scalar = parameter(
+        symbol="tau", unit="N m", bounds=(0.0, np.inf), meaning="friction of the arm when it slides", null=0.0,
+        plausible=lambda s: 0.03 * s.torque,
+    )  # fmt: skip
+    angle: Scalar = parameter(
+        symbol="z_y", unit="rad", bounds=(0.0, np.inf), meaning="angle over which stuck bristles yield",
+        plausible=lambda s: tuple(s.arm_velocity / s.frequency * share for share in (0.01, 0.1)),
+    )  # fmt: skip
+
+    def force(self, motion: Motion, own: States) -> tuple[Any, Any]:
+        return 0.0, -self.level * own[0] / self.angle
+
+    def start(self, motion: Motion) -> States:
+        return (0.0 * motion.arm_angle,)
+
+    def rate(self, motion: Motion, own: States) -> States:
+        return (_bend(own[0], motion.arm_velocity, self.angle),)
+
+    def follow(self, motion: Motion, own: States) -> States:
+        return (_bent(own[0], motion.arm_angle - motion.began.arm_angle, self.angle),)

@@ -222,10 +222,9 @@ def _plain(value: Any) -> Any:
 def _made(kind: Any, value: Any) -> Any:
     """Return what a type says that a value of JSON stands for."""
     if dataclasses.is_dataclass(kind) and isinstance(kind, type):
-        made: Any = kind
         kinds = typing.get_type_hints(kind)
         there = [field for field in dataclasses.fields(kind) if field.name in value]  # what came later has a default
-        return made(**{field.name: _made(kinds[field.name], value[field.name]) for field in there})
+        return typing.cast(Any, kind)(**{field.name: _made(kinds[field.name], value[field.name]) for field in there})
     origin, parts = typing.get_origin(kind), typing.get_args(kind)
     if origin in (typing.Union, types.UnionType):
         (known,) = [part for part in parts if part is not type(None)]

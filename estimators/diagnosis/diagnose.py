@@ -23,11 +23,11 @@ from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
 from estimators.diagnosis.refitting import Search
 from estimators.diagnosis.removed_error import Verdict, floor
 from estimators.diagnosis.stepwise_selection import Selection, by_size
-from estimators.diagnosis.verdict import Judgement, decide, judge
+from estimators.diagnosis.verdict import Consequence, Judgement, decide, judge
 from estimators.inference.simulation_residual import SimulationResidual
 from estimators.misspecification.adequacy import AdequacyTest, alarming, excess_of, p_by_chance
 from estimators.misspecification.candidate_screening import correlations
-from estimators.misspecification.detection_limit import TESTABLE, main_amplitude
+from estimators.misspecification.detection_limit import is_testable, main_amplitude
 from estimators.misspecification.line_classes import LineClass
 from estimators.misspecification.residual_maps import Place
 from estimators.misspecification.static_force import ForceCurve
@@ -61,6 +61,8 @@ class Diagnosis:
         simulation: what the error of the fitted simulation means, where no test rejects and no effect is named, or where beside
             the effects that would be named random forces still stand in for the physics, so that none is; None elsewhere.
         policy: the thresholds that it was judged by.
+        consequence: what the effects, or those that are detectable, take off the error; None where there are none.
+        detectable: candidates that the data show, but without which the model is adequate: they take next to nothing off the error.
         evidence: everything that was computed, to be saved, or judged by another policy; None where the result was made by hand.
     """
 
@@ -82,6 +84,8 @@ class Diagnosis:
     simulation: SimulationResidual | None = None
     policy: DiagnosisPolicy = STANDARD
     evidence: Evidence | None = None
+    consequence: Consequence | None = None
+    detectable: tuple[Candidate, ...] = ()
 
     @property
     def best(self) -> Effect | None:
@@ -212,6 +216,8 @@ def _told(
         simulation=found.simulation,
         policy=search.policy,
         evidence=evidence,
+        consequence=found.consequence,
+        detectable=tuple(by_id[step.id] for step in found.detectable),
     )
     return dataclasses.replace(told, explanation=_explanation(told, found, search, thorough=evidence.thorough))
 
@@ -221,7 +227,7 @@ def _explanation(told: Diagnosis, found: Judgement, search: Search, *, thorough:
     steps, further = found.steps, found.further
     text = words(
         told.verdict, told.effects, told.candidates, steps, told.tests, told.left, told.removed, told.curves, told.latent,
-        told.places, told.lines, told.simulation, told.policy,
+        told.places, told.lines, told.simulation, told.policy, told.consequence, found.detectable,
     )  # fmt: skip
     if told.simulation is not None and further and not steps:
         text += without_the_physics(further)
@@ -263,18 +269,17 @@ def _not_testable(c: type[Effect], price: float) -> Candidate:
 def _candidates(laboratory: LiveLaboratory, found: Judgement) -> list[Candidate]:
     """Return all candidates, those that improved the model first."""
     selection, samples, policy = found.selection, laboratory.facts.samples, laboratory.policy
-    search, base = laboratory.computed(selection.base)
+    search, _ = laboratory.computed(selection.base)
     screened = laboratory.tested(selection.base).screened
     price = float(np.log(samples))
     best = {s.id: s for s in by_size(screened, price)}
     alike = correlations(best)
-    limits = search.limits(base, best)
+    limits = laboratory.limits(selection.base)
     most = _most(selection, samples)
     within = set(found.effects)
     several = []
     for s in best.values():
         first, limit = main_amplitude(s), limits[s.id]
-        plausible = abs(float(np.asarray(getattr(s.instance, first))))
         c = Candidate(
             id=s.id,
             score=s.statistic - len(s.amplitudes) * price,
@@ -282,7 +287,7 @@ def _candidates(laboratory: LiveLaboratory, found: Judgement) -> list[Candidate]
             p_value=p_by_chance(s, len(screened)),
             detection_limit=limit,
             unit=declarations(s.instance)[first].unit,
-            testable=bool(np.isfinite(limit) and limit < TESTABLE * plausible),
+            testable=is_testable(s, limit) or s.id in within,  # what acts by contact shows once the filter follows it
             correlation=alike[s.id],
         )
         if s.id in selection.tried:

@@ -119,6 +119,7 @@ class Facts:
         left_out: fraction of the measured values that do not count.
         noise: standard deviation of each channel's noise, SI units.
         effects: traits of every candidate by id.
+        untestable: ids of candidates that the data could not show at any plausible size.
     """
 
     samples: int
@@ -130,6 +131,7 @@ class Facts:
     left_out: float = 0.0
     noise: Mapping[str, float] = dataclasses.field(default_factory=dict)
     effects: Mapping[str, EffectTraits] = dataclasses.field(default_factory=dict)
+    untestable: tuple[str, ...] = ()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -221,7 +223,8 @@ def _made(kind: Any, value: Any) -> Any:
     """Return what a type says that a value of JSON stands for."""
     if dataclasses.is_dataclass(kind) and isinstance(kind, type):
         kinds = typing.get_type_hints(kind)
-        return kind(**{field.name: _made(kinds[field.name], value[field.name]) for field in dataclasses.fields(kind)})
+        there = [field for field in dataclasses.fields(kind) if field.name in value]  # what came later has a default
+        return typing.cast(Any, kind)(**{field.name: _made(kinds[field.name], value[field.name]) for field in there})
     origin, parts = typing.get_origin(kind), typing.get_args(kind)
     if origin in (typing.Union, types.UnionType):
         (known,) = [part for part in parts if part is not type(None)]

@@ -8,6 +8,7 @@ from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
 from estimators.diagnosis.removed_error import Verdict, share_removed, without_named_rivals
 from estimators.diagnosis.step import Step
+from estimators.diagnosis.verdict import Consequence
 from estimators.inference.simulation_residual import SimulationResidual, known_noise
 from estimators.misspecification.adequacy import AdequacyTest, excess_of, significant
 from estimators.misspecification.line_classes import LineClass
@@ -35,6 +36,8 @@ def words(
     lines: Sequence[LineClass],
     simulation: SimulationResidual | None = None,
     policy: DiagnosisPolicy = STANDARD,
+    consequence: Consequence | None = None,
+    detectable: Sequence[Step] = (),
 ) -> str:
     """Describe in a paragraph what is missing, how big, where it shows, how sure, and what would make it surer."""
     if verdict == "adequate":
@@ -47,6 +50,8 @@ def words(
             if simulation is not None and simulation.words
             else "At the noise floor nothing is missing."
         )
+        if detectable and consequence is not None:
+            floor = _of_no_consequence(detectable, candidates, consequence)
         return f"Adequate: {floor[0].lower()}{floor[1:]} An effect would have been found from: {text}.{unseen}"
     worst = next((p for p in places if p.by == "experiment"), None)
     part = next((p for p in places if p.by != "experiment" and p.excess > 1), None)
@@ -88,6 +93,8 @@ def words(
     share = (
         f" {'It removes' if len(steps) == 1 else 'Together they remove'} {100 * removed:.0f} % of the misfit{after}."
     )
+    if consequence is not None:
+        share += f" The error falls by {_fall(consequence)}."
     if verdict == "missing":
         return f"Missing: {text}.{share}{shown} The intervals do not count that the effect was selected."
     groups = "; ".join(f"{step.id} or {', '.join(step.rivals)}" for step in steps if step.rivals)
@@ -95,6 +102,24 @@ def words(
         f"Ambiguous: the data cannot tell {groups} apart. The best fit: {text}.{share}{shown} An experiment that separates "
         "them would decide (est.next_experiment)."
     )
+
+
+def _of_no_consequence(steps: Sequence[Step], candidates: Sequence[Candidate], consequence: Consequence) -> str:
+    """Say what can be detected although the model is adequate without it."""
+    by_id = {c.id: c for c in candidates}
+    parts = []
+    for step in steps:
+        size = ", ".join(f"{n} = {_size(p)}" for n, p in by_id[step.id].parameters.items())
+        parts.append(f"{' or '.join([step.id, *step.rivals])} ({size}), which gains {step.bic_gain:.0f} in BIC")
+    return (
+        f"What is missing is detectable, but of no consequence: {'; '.join(parts)}. With it the error would fall by "
+        f"{_fall(consequence)} only."
+    )
+
+
+def _fall(consequence: Consequence) -> str:
+    simulated = "" if consequence.simulated is None else f" and {100 * consequence.simulated:.2g} % in simulation"
+    return f"{100 * consequence.predicted:.2g} % predicted one sample ahead{simulated}"
 
 
 def _size(one: Parameter) -> str:

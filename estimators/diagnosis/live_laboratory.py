@@ -1,6 +1,7 @@
 """The laboratory that computes: refits and tests on the data, each once, with a record of all of them as evidence."""
 
 import contextlib
+import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
@@ -22,6 +23,7 @@ from estimators.diagnosis.refitting import Search
 from estimators.diagnosis.refitting import Way as RefitWay
 from estimators.inference.simulation_residual import known_noise
 from estimators.misspecification.candidate_screening import Screened
+from estimators.misspecification.detection_limit import is_testable
 from estimators.misspecification.findings import Findings, Score
 from estimators.validation.vuong_test import by_stretch
 from rtac_jax.effects import Effect
@@ -56,8 +58,13 @@ class LiveLaboratory:
         self._simulations: dict[int, SimulationError] = {}
         self._coloured: list[FittedModel | None] = []  # empty until asked
         self._stretches = search.stretches()
+        self._limits: dict[int, dict[str, float]] = {}
         self.facts, self.policy = facts_of(search, fit), search.policy
         self.base = self._record(search, base, tested)
+        best = by_statistic(tested.screened)
+        limits = self.limits(self.base)
+        blind = [i for i, s in best.items() if not s.instance.acts_by_contact and not is_testable(s, limits[i])]
+        self.facts = dataclasses.replace(self.facts, untestable=tuple(sorted(blind)))
 
     def say(self, text: str) -> None:
         """Show what is asked now."""
@@ -129,6 +136,13 @@ class LiveLaboratory:
             make = search.extended_simulation if model.added else search.simulation_error
             self._simulations[model.number] = make(self._fit, refit)
         return self._simulations[model.number]
+
+    def limits(self, model: FittedModel) -> dict[str, float]:
+        """Return the size from which on each candidate would be found beside a model."""
+        if model.number not in self._limits:
+            search, refit = self.computed(model)
+            self._limits[model.number] = search.limits(refit, by_statistic(self.tested(model).screened))
+        return self._limits[model.number]
 
     def computed(self, model: FittedModel) -> tuple[Search, Refit]:
         """Return what a record stands for, and what made it."""
@@ -211,6 +225,15 @@ class LiveLaboratory:
 
 def _way(search: Search, way: Way) -> RefitWay:
     return search.thoroughly if way == "thorough" else search.with_effect
+
+
+def by_statistic(screened: Sequence[Screened]) -> dict[str, Screened]:
+    """Return the largest shape of every candidate, by id."""
+    best: dict[str, Screened] = {}
+    for s in screened:
+        if s.id not in best or s.statistic > best[s.id].statistic:
+            best[s.id] = s
+    return best
 
 
 def facts_of(search: Search, fit: Fit) -> Facts:

@@ -6,13 +6,14 @@ from typing import Any
 from estimators.inference.simulation_residual import SimulationLimits
 from estimators.misspecification.findings import CriticalValues
 
-VERSION = 2
+VERSION = 3
 """Of the standard policy: counts up when a threshold comes, goes or changes."""
 
 _PROTOTYPE = "prototype study of 42 cases a setting"
 _UNSTUDIED = "set when the rule was added; never studied by itself"
 _FRACTIONS = (
     "removed", "static", "nested_level", "rival", "close", "line_left", "chance", "level", "known", "simulation_level",
+    "consequence",
 )  # fmt: skip
 
 
@@ -79,6 +80,11 @@ class DiagnosisPolicy:
         0.02,
         "fraction of the gain of an effect without an alarm that may be left in a spectral line",
         "a mode that followed a vibration of the floor left 9 %, a backlash 0.4 %",
+    )
+    consequence: float = _threshold(
+        0.01,
+        "fraction of the error, predicted or simulated, that named effects must take off to be of consequence",
+        "with enough data every model is wrong; never studied by itself",
     )
     effects: int = _threshold(3, "effects that one diagnosis names at most", _UNSTUDIED)
     alarm: float = _threshold(20.0, "chi-square from which a candidate's score rejects its absence", _PROTOTYPE)

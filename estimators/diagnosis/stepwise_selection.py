@@ -97,9 +97,14 @@ def _near(ranked: Sequence[Score], strength: Callable[[Score], float], close: fl
     return [s for s in ranked[1:] if strength(s) > (1 - close) * strength(ranked[0])]
 
 
+def _nameable(laboratory: Laboratory, several: Sequence[Score]) -> list[Score]:
+    """Return the candidates that the data could show at a plausible size: no other is ever named."""
+    return [s for s in several if s.id not in laboratory.facts.untestable]
+
+
 def unalarmed(laboratory: Laboratory, found: Selection, policy: DiagnosisPolicy) -> _Look:
     """Return candidates that are large, but act at a few instants only."""
-    large = suspects(found.findings.scores, found.tests, policy.critical)
+    large = _nameable(laboratory, suspects(found.findings.scores, found.tests, policy.critical))
     ranked = by_size(large, math.log(laboratory.facts.samples))[: policy.refits]
     return _Look(ranked, _near(ranked, _statistic, policy.close), "filter")
 
@@ -112,7 +117,7 @@ def hidden(laboratory: Laboratory, found: Selection, policy: DiagnosisPolicy) ->
     is held against those that would come first otherwise.
     """
     effects = laboratory.facts.effects
-    large = by_size(laboratory.quiet_scores(found.base), math.log(laboratory.facts.samples))
+    large = by_size(_nameable(laboratory, laboratory.quiet_scores(found.base)), math.log(laboratory.facts.samples))
     alike = sorted(large, key=_consistency, reverse=True)
     together = [*alike[:1], *_near(alike[: policy.hidden], _consistency, policy.close)]
     if 0 < line_left(found.tests) == excess_of(found.tests):
@@ -195,9 +200,9 @@ def _next_step(
         way, ranked, near, above = look.way, look.ranked, look.near, []
         most = len(ranked)
     else:
-        way, ranked = "filter", by_size(alarming(seen.scores, policy.critical), price)
+        way, ranked = "filter", by_size(_nameable(laboratory, alarming(seen.scores, policy.critical)), price)
         near = _near(ranked, _statistic, policy.close) if ranked else []
-        above = by_size(overshadowing(seen.scores, policy.critical), price)[: policy.refits]
+        above = by_size(_nameable(laboratory, overshadowing(seen.scores, policy.critical)), price)[: policy.refits]
         most = policy.refits
     if not ranked:
         return None

@@ -1,6 +1,8 @@
 """The verdict of a diagnosis from its evidence: pure, without a model, and the same whenever it is asked again."""
 
 import dataclasses
+import math
+from collections.abc import Sequence
 
 from estimators.diagnosis.evidence import Evidence, FittedModel
 from estimators.diagnosis.laboratory import Archive, Laboratory
@@ -19,6 +21,22 @@ _COLOUR = ("colour_gain", "colour_spoken", "colour_mended")
 
 
 @dataclasses.dataclass(frozen=True)
+class Consequence:
+    """What named effects take off the rms error of the base model, as fractions of it.
+
+    Attributes:
+        predicted: of that one sample ahead.
+        simulated: of that of a free simulation, of the channel where it is most; None where that was not asked, as the first is
+            consequence enough, or no noise is known.
+        slight: whether both are too little to matter, so that the model is adequate without them.
+    """
+
+    predicted: float
+    simulated: float | None
+    slight: bool
+
+
+@dataclasses.dataclass(frozen=True)
 class Judgement:
     """What evidence says by one policy.
 
@@ -30,6 +48,8 @@ class Judgement:
         left: the tests with the named effects.
         simulation: what the error of the fitted simulation means; None where it was not asked.
         selection: all steps, and every candidate that was tried.
+        consequence: what the named or the detectable effects take off the error; None where there are none.
+        detectable: effects that would be named, but are of no consequence.
         incomplete: what the policy would have asked for and the evidence does not hold; empty where the judgement is whole.
     """
 
@@ -40,6 +60,8 @@ class Judgement:
     left: tuple[AdequacyTest, ...]
     simulation: SimulationResidual | None
     selection: Selection
+    consequence: Consequence | None = None
+    detectable: tuple[Step, ...] = ()
     incomplete: tuple[str, ...] = ()
 
     @property
@@ -92,7 +114,29 @@ def decide(laboratory: Laboratory, policy: DiagnosisPolicy, *, thorough: bool) -
         verdict, count = "unknown", 0
     steps = without_named_rivals(found.steps[:count])
     left = steps[-1].left if steps else found.tests
-    return Judgement(verdict, tuple(steps), tuple(found.steps[count:]), removed, left, simulation, found)
+    further = tuple(found.steps[count:])
+    consequence = _consequence(laboratory, found.base, steps, policy) if steps else None
+    if consequence is not None and consequence.slight:
+        simulation = _of_base(laboratory, found, policy)
+        if simulation is None or not simulation.vetoes:  # or else what they mend may be a part of it
+            return Judgement("adequate", (), further, removed, left, simulation, found, consequence, tuple(steps))
+        simulation = None
+    return Judgement(verdict, tuple(steps), further, removed, left, simulation, found, consequence)
+
+
+def _consequence(
+    laboratory: Laboratory, base: FittedModel, steps: Sequence[Step], policy: DiagnosisPolicy
+) -> Consequence:
+    """Return what effects take off the error; a simulation is asked only where they take little off predictions."""
+    predicted = 1.0 - math.exp(-0.5 * sum(step.gain for step in steps) / laboratory.facts.samples)
+    if predicted >= policy.consequence or not laboratory.facts.noise_known:
+        return Consequence(predicted, None, slight=False)
+    before, after = laboratory.simulation(base), laboratory.simulation(steps[-1].model)
+    if before is None or after is None:
+        return Consequence(predicted, None, slight=False)
+    both = before.error.keys() & after.error.keys()
+    simulated = max((1.0 - after.error[channel] / before.error[channel] for channel in both), default=0.0)
+    return Consequence(predicted, simulated, slight=simulated < policy.consequence)
 
 
 def _of_base(laboratory: Laboratory, found: Selection, policy: DiagnosisPolicy) -> SimulationResidual | None:

@@ -17,6 +17,11 @@ TESTABLE = 30.0  # times the plausible size: what shows from there on only canno
 _ROUNDS = 2
 
 
+def is_testable(s: Screened, limit: float) -> bool:
+    """Return whether the data could show a candidate, from its detection limit, at a size that is plausible or not far from it."""
+    return bool(np.isfinite(limit) and limit < TESTABLE * abs(_plausible(s)))
+
+
 def main_amplitude(s: Screened) -> str:
     """Return the amplitude whose limit is stated: the first, or one of the same unit that shows sooner."""
     declared = declarations(s.instance)

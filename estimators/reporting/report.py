@@ -66,6 +66,7 @@ def report_dict(
             "next_experiment": planned.as_dict() if planned is not None else None,
             "seconds": found.seconds if seconds is None else seconds,
             "policy": first.policy.as_dict(),
+            "consequence": _consequence(first),
         }
     )
 
@@ -135,6 +136,17 @@ def comparison_rows(comparison: Comparison) -> list[dict[str, Any]]:
             for t in compared.worst(len(compared.traces))
         ]
     )
+
+
+def _consequence(diagnosis: Diagnosis) -> dict[str, Any] | None:
+    """Return what the named or the detectable effects take off the error, as fractions."""
+    if diagnosis.consequence is None:
+        return None
+    return {
+        "predicted": diagnosis.consequence.predicted,
+        "simulated": diagnosis.consequence.simulated,
+        "detectable": [c.id for c in diagnosis.detectable],
+    }
 
 
 def _effect(candidate: Candidate, known: Mapping[str, Parameter]) -> dict[str, Any]:

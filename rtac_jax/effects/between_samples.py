@@ -66,12 +66,17 @@ _NODES, _NODE_WEIGHTS = (
     0.5 * (x + shift) for x, shift in zip(np.polynomial.legendre.leggauss(4), (1.0, 0.0), strict=True)
 )
 
+_KEPT = 2  # moments of a delayed input over an interval: what moves velocities, and what moves positions
+
 
 class InputDelay(Input):
     """A transport delay of the current behind its command, a fraction of a sample or many of them.
 
-    The delayed command has a jump or a kink within each interval. It is replaced by the polynomial with the same mean
-    and the same higher moments over the interval, which moves arm and cart alike and is continuous in the delay.
+    The delayed command has a jump or a kink within each interval. It is replaced by the straight line with the same mean
+    and the same first moment over the interval, which moves arm and cart alike and is continuous in the delay: one
+    Runge-Kutta step follows a line without error, and no curve of higher order. What a curved command deviates from its
+    own such line goes along, from sample to sample; it has neither mean nor moment. So the result does not depend on how many
+    powers an input is written with, and a delay of zero is nothing.
     Before the record the command is taken to have been what it is first.
     """
 
@@ -95,38 +100,45 @@ class InputDelay(Input):
         rows = jnp.concatenate([first, coefficients])
         place = jnp.arange(count)[:, None] - whole.astype(int) + 1
 
-        def pieces(at: Any) -> Any:
-            return jnp.take_along_axis(rows, jnp.clip(at, 0, count)[:, None, :], axis=0)
+        def shifted(of: Any) -> tuple[Any, Any]:
+            """Return the pieces that an interval sees of the last whole sample before, and of the one before that."""
+            now, late = (jnp.clip(at, 0, count)[:, None, :] for at in (place, place - 1))
+            return jnp.take_along_axis(of, now, axis=0), jnp.take_along_axis(of, late, axis=0)
 
-        degree = max(powers, 2)
-        before = _moments(part, 0.0, 1.0 - part, powers, degree)
-        after = _moments(1.0 - part, part, 0.0, powers, degree)
-        late, now = pieces(place - 1), pieces(place)
-        return sum(
-            before[:, power] * late[:, power, None] + after[:, power] * now[:, power, None] for power in range(powers)
-        )  # type: ignore[return-value] - sum begins with 0
+        now, late = shifted(rows)
+        before, after = _moments(part, 0.0, 1.0 - part, powers), _moments(1.0 - part, part, 0.0, powers)
+        lines = _projected(before, late) + _projected(after, now)
+        if powers <= _KEPT:
+            return lines
+        curved = rows.at[:, :_KEPT].add(-_projected(_moments(jnp.ones_like(part), 0.0, 0.0, powers), rows))
+        now, late = shifted(curved)
+        return (part * late + (1.0 - part) * now).at[:, :_KEPT].add(lines)
 
 
-def _moments(length: Any, begin: Any, source: Any, powers: int, degree: int) -> Any:
-    """Return the projection of a stretch of an interval on polynomials: [power of result, power of source, experiment].
+def _projected(moments: Any, pieces: Any) -> Any:
+    """Return the sum over the powers of the pieces of what each of them contributes: [interval, power, experiment]."""
+    return jnp.einsum("kpe,spe->ske", moments, pieces)
+
+
+def _moments(length: Any, begin: Any, source: Any, powers: int) -> Any:
+    """Return the projection of a stretch of an interval on straight lines: [power of result, power of source, experiment].
 
     Args:
         length: of the stretch, as a fraction of the interval.
         begin: where it begins.
         source: where in its own interval the source begins there.
         powers: number of powers of the source.
-        degree: number of powers of the result.
     """
     total = 0.0
-    legendre = [np.polynomial.Legendre.basis(k, domain=[0, 1]) for k in range(degree)]
+    legendre = [np.polynomial.Legendre.basis(k, domain=[0, 1]) for k in range(_KEPT)]
     basis: Any = np.array(
-        [np.pad(p.convert(kind=np.polynomial.Polynomial).coef, (0, degree - k - 1)) for k, p in enumerate(legendre)]
+        [np.pad(p.convert(kind=np.polynomial.Polynomial).coef, (0, _KEPT - k - 1)) for k, p in enumerate(legendre)]
     )
     # Moments against the Legendre polynomials, and these, in powers of the fraction of the interval.
-    project = basis.T @ np.diag(2.0 * np.arange(degree) + 1.0) @ basis
+    project = basis.T @ np.diag(2.0 * np.arange(_KEPT) + 1.0) @ basis
     for node, weight in zip(_NODES, _NODE_WEIGHTS, strict=True):
         at, value = begin + length * node, source + length * node
-        tests = jnp.stack([at**k + 0.0 * length for k in range(degree)])
+        tests = jnp.stack([at**k + 0.0 * length for k in range(_KEPT)])
         values = jnp.stack([value**k + 0.0 * length for k in range(powers)])
         total = total + length * weight * tests[:, None] * values[None]
     return jnp.tensordot(project, total, axes=1)

@@ -37,6 +37,7 @@ def from_csv(
     intersample: str | Mapping[str, str] = "zoh",
     noise_std: Mapping[str, float] | None = None,
     initial_arm_angle: float | None = None,
+    initial_arm_angle_std: float | None = None,
     arm: str = "free",
     cart: str = "free",
     rig: Mapping[str, float] | None = None,
@@ -70,6 +71,7 @@ def from_csv(
             intersample=intersample,
             noise_std=noise_std,
             initial_arm_angle=initial_arm_angle,
+            initial_arm_angle_std=initial_arm_angle_std,
             arm=arm,
             cart=cart,
         )

@@ -51,11 +51,14 @@ def _split(line: str) -> tuple[str, str]:
 def _parts(recording: "Recording") -> Iterator[tuple[str, str]]:
     yield "/", _hash({"rig": recording.rig_name, "comment": recording.comment})
     # In order of name: HDF5 keeps no order of attributes unless it is asked to.
-    yield "/rig", _hash(dict(sorted(recording.rig.items())))
+    yield "/rig", _hash(dict(sorted(recording.rig_attributes.items())))
     for experiment in recording:
         place = f"/experiments/{experiment.name}"
         names = ("kind", "sample_time", "initial_arm_angle", "arm", "cart", "repeat_of")
-        yield place, _hash({name: getattr(experiment, name) for name in names})
+        kept = {name: getattr(experiment, name) for name in names}
+        if experiment.initial_arm_angle_std is not None:  # files from before there was one keep their digest
+            kept["initial_arm_angle_std"] = experiment.initial_arm_angle_std
+        yield place, _hash(kept)
         for side, signals in (("inputs", experiment.inputs), ("outputs", experiment.outputs)):
             for name, signal in signals.items():
                 kept = {key: getattr(signal, key) for key in ("unit", "intersample", "noise_std")}

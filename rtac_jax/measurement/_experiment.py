@@ -24,8 +24,9 @@ class Experiment:
 
     `kind` is "free" (released and left alone), "forced" (driven by an input) or "rest" (nothing moves: the
     outputs are sensor noise). `inputs` and `outputs` map names in `INPUTS` and `OUTPUTS` to signals; an
-    absent current means that the motor is idle. `initial_arm_angle` is in rad. `repeat_of` names the
-    experiment whose inputs and start this one repeats. `Experiment.of` builds one from plain arrays.
+    absent current means that the motor is idle. `initial_arm_angle` is in rad, and so is its standard deviation
+    `initial_arm_angle_std`. `repeat_of` names the experiment whose inputs and start this one repeats. `Experiment.of`
+    builds one from plain arrays.
 
     Raises `RecordingError` (a `ValueError`) naming the experiment, channel and sample that is wrong.
     """
@@ -39,6 +40,7 @@ class Experiment:
     arm: str = "free"
     cart: str = "free"
     repeat_of: str | None = None
+    initial_arm_angle_std: float | None = None
 
     def __post_init__(self) -> None:
         check_name(self.name)
@@ -50,6 +52,13 @@ class Experiment:
         if self.initial_arm_angle is not None:
             angle = finite(place, self.initial_arm_angle, "initial_arm_angle [rad]")
             object.__setattr__(self, "initial_arm_angle", angle)
+        if self.initial_arm_angle_std is not None:
+            if self.initial_arm_angle is None:
+                raise RecordingError(
+                    f"{place}: initial_arm_angle_std has no initial_arm_angle beside it; give that too, or leave it out."
+                )
+            spread = positive(place, self.initial_arm_angle_std, "initial_arm_angle_std [rad]")
+            object.__setattr__(self, "initial_arm_angle_std", spread)
         named = isinstance(self.repeat_of, str) and self.repeat_of not in ("", self.name)
         if self.repeat_of is not None and not named:
             raise RecordingError(
@@ -117,6 +126,7 @@ class Experiment:
         arm: str = "free",
         cart: str = "free",
         repeat_of: str | None = None,
+        initial_arm_angle_std: float | None = None,
     ) -> "Experiment":
         """Build an experiment from arrays of shape [N] in SI units (A, N, m, rad/s, rad).
 
@@ -159,6 +169,7 @@ class Experiment:
             arm=arm,
             cart=cart,
             repeat_of=repeat_of,
+            initial_arm_angle_std=initial_arm_angle_std,
         )
 
     def __hash__(self) -> int:
@@ -201,15 +212,17 @@ class Experiment:
                 for key, signal in signals.items()
             }
 
+        begins = start == 0
         return Experiment(
             name=f"{self.name}[{start}:{stop}]" if name is None else name,
             kind=self.kind if kind is None else kind,
             sample_time=self.sample_time,
             inputs=part(self.inputs),
             outputs=part(self.outputs),
-            initial_arm_angle=self.initial_arm_angle if start == 0 else None,
+            initial_arm_angle=self.initial_arm_angle if begins else None,
             arm=self.arm,
             cart=self.cart,
+            initial_arm_angle_std=self.initial_arm_angle_std if begins else None,
         )
 
 

@@ -49,11 +49,11 @@ def write(path: str | os.PathLike[str], recording: "Recording") -> None:
 def _fill(file: h5py.File, recording: "Recording") -> None:
     file.attrs.update(format=FORMAT, version=VERSION, rig=recording.rig_name, comment=recording.comment)
     file.attrs[ATTRIBUTE] = digest(recording)
-    file.create_group("rig").attrs.update(recording.rig)
+    file.create_group("rig").attrs.update(recording.rig_attributes)
     experiments = file.create_group("experiments", track_order=True)
     for experiment in recording.experiments:
         group = experiments.create_group(experiment.name)
-        for name in ("kind", "sample_time", "arm", "cart", "initial_arm_angle", "repeat_of"):
+        for name in ("kind", "sample_time", "arm", "cart", "initial_arm_angle", "initial_arm_angle_std", "repeat_of"):
             value = getattr(experiment, name)
             if value is not None:
                 group.attrs[name] = value
@@ -145,6 +145,7 @@ def _read_experiment(name: str, folder: Any, budget: "Budget") -> Experiment:
         arm=text(folder, "arm") or "free",
         cart=text(folder, "cart") or "free",
         repeat_of=text(folder, "repeat_of"),
+        initial_arm_angle_std=number(folder, "initial_arm_angle_std"),
     )
 
 

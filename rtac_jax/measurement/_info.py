@@ -26,7 +26,8 @@ def describe(recording: Recording) -> str:
     kinds = [experiment.kind for experiment in recording]
     counts = ", ".join(f"{kinds.count(kind)} {kind}" for kind in dict.fromkeys(kinds))
     known = ", ".join(
-        f"{name} = {value:.6g} {RIG_UNITS.get(name, '')}".rstrip() for name, value in recording.rig.items()
+        f"{name} = {value:.6g}{_spread(recording.rig_std.get(name))} {RIG_UNITS.get(name, '')}".rstrip()
+        for name, value in recording.rig.items()
     )
     lines = [
         f"rig: {recording.rig_name or 'not named'}; known beforehand: {known or 'nothing'}",
@@ -36,6 +37,10 @@ def describe(recording: Recording) -> str:
     for experiment in recording:
         lines += ["", _conditions(experiment), *_table(experiment)]
     return "\n".join(lines)
+
+
+def _spread(deviation: float | None) -> str:
+    return "" if deviation is None else f" +- {deviation:.2g}"
 
 
 def _conditions(experiment: Experiment) -> str:
@@ -48,7 +53,8 @@ def _conditions(experiment: Experiment) -> str:
     if experiment.cart == "clamped":
         parts.append("cart clamped")
     if experiment.initial_arm_angle is not None:
-        parts.append(f"arm starts at {experiment.initial_arm_angle:.4g} rad")
+        spread = _spread(experiment.initial_arm_angle_std)
+        parts.append(f"arm starts at {experiment.initial_arm_angle:.4g}{spread} rad")
     if experiment.repeat_of is not None:
         parts.append(f"repeats {experiment.repeat_of}")
     return f"{experiment.name}: {'; '.join(parts)}"

@@ -37,6 +37,7 @@ def from_mat(
     intersample: str | Mapping[str, str] = "zoh",
     noise_std: Mapping[str, float] | None = None,
     initial_arm_angle: float | None = None,
+    initial_arm_angle_std: float | None = None,
     arm: str = "free",
     cart: str = "free",
     rig: Mapping[str, float] | None = None,
@@ -47,8 +48,8 @@ def from_mat(
     variable is a vector. Either `sample_time` [s] or `time`, the variable with the times [s], is given.
     `units` maps channels to the file's unit ("mm", "deg/s", ...; the unit of the layout where absent);
     `scale` maps them to a factor of your own. `start` and `stop` choose samples, and the channels in
-    `remove_mean` lose their mean over these. The rest is as in `Experiment.of`; the name is that of the file
-    where it is not given.
+    `remove_mean` lose their mean over these. `rig` is as in `Recording`: constants, each with an optional
+    `NAME_std`. The rest is as in `Experiment.of`; the name is that of the file where it is not given.
 
     Raises `FileNotFoundError`, or `RecordingError` naming the variable, option or sample that is wrong.
     """
@@ -73,6 +74,7 @@ def from_mat(
             intersample=intersample,
             noise_std=noise_std,
             initial_arm_angle=initial_arm_angle,
+            initial_arm_angle_std=initial_arm_angle_std,
             arm=arm,
             cart=cart,
         )

@@ -13,6 +13,7 @@ from ._experiment import Experiment
 from ._signal import finite, positive, rebuild
 
 POSITIVE = ("total_mass", "arm_inertia", "spring_stiffness", "torque_constant", "eccentric_moment")
+STD = "_std"  # ends the name of a constant's standard deviation
 HOLD_OUT_EVERY = 4
 _WRITERS = {".h5": _hdf5.write, ".hdf5": _hdf5.write, ".csv": _csv.write}
 
@@ -23,16 +24,18 @@ class Recording:
 
     `rig` holds constants known beforehand, named as parameters of the model, in SI units: `total_mass` [kg],
     `arm_inertia` [kg m^2], `spring_stiffness` [N/m], `torque_constant` [N m/A], `eccentric_moment` [kg m],
-    ...
+    ... Given beside one, `NAME_std` is its standard deviation, in the same unit; these are kept in `rig_std`, by
+    the name of the constant. A constant without one counts as exact.
 
     Raises `RecordingError` (a `ValueError`) when there is no experiment, a name occurs twice, a `repeat_of`
-    does not hold, or a rig constant is not a number.
+    does not hold, or a rig constant or its standard deviation is not a number.
     """
 
     experiments: tuple[Experiment, ...]
     rig: Mapping[str, float] = field(default_factory=dict)
     rig_name: str = ""
     comment: str = ""
+    rig_std: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "experiments", tuple(self.experiments))
@@ -50,12 +53,17 @@ class Recording:
         for experiment in self.experiments:
             _check_repeat(experiment, by_name)
         rig = {}
+        stated = {n.removesuffix(STD): v for n, v in self.rig.items() if isinstance(n, str) and n.endswith(STD)}
         for name, value in self.rig.items():
+            if isinstance(name, str) and name.endswith(STD):
+                continue
             if not isinstance(name, str) or not name.isidentifier():
                 raise RecordingError(f"/rig: a constant is named {name!r}; use the name of a parameter of the model.")
             check = positive if name in POSITIVE else finite
             rig[name] = check(f"/rig/{name}", value, "the constant")
         object.__setattr__(self, "rig", MappingProxyType(rig))
+        spread = {name: _deviation(name, value, rig) for name, value in (dict(self.rig_std) | stated).items()}
+        object.__setattr__(self, "rig_std", MappingProxyType(spread))
         for name in ("rig_name", "comment"):
             text = getattr(self, name)
             if not isinstance(text, str) or "\0" in text or not _encodable(text):
@@ -102,7 +110,7 @@ class Recording:
         """
         rig: dict[str, float] = {}
         for recording in recordings:
-            for name, value in recording.rig.items():
+            for name, value in recording.rig_attributes.items():
                 if rig.setdefault(name, value) != value:
                     raise RecordingError(
                         f"/rig/{name}: is {rig[name]:g} in one recording and {value:g} in another; these are "
@@ -132,6 +140,11 @@ class Recording:
 
     def __reduce__(self) -> tuple[Any, ...]:
         return rebuild(self)
+
+    @property
+    def rig_attributes(self) -> dict[str, float]:
+        """The constants and, as `NAME_std`, their standard deviations, as a file keeps them."""
+        return dict(self.rig) | {f"{name}{STD}": value for name, value in self.rig_std.items()}
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -199,6 +212,15 @@ class Recording:
                     f"{', '.join(self.names)}."
                 )
         return wanted
+
+
+def _deviation(name: str, value: Any, rig: Mapping[str, float]) -> float:
+    place = f"/rig/{name}{STD}"
+    if name not in rig:
+        raise RecordingError(
+            f"{place}: there is no constant {name} beside it; give {name} too, or leave {name}{STD} out."
+        )
+    return positive(place, value, "the standard deviation")
 
 
 def _check_repeat(experiment: Experiment, by_name: Mapping[str, Experiment]) -> None:

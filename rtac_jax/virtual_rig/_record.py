@@ -1,6 +1,6 @@
 """Carry out plans on a virtual rig, and record what its sensors show."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,15 @@ from ._motion import Track, integrate
 from ._rig import Rig
 
 
-def record(rig: Rig, plans: Sequence[Plan], *, seed: int, step: float = 2e-4, write_noise: bool = False) -> Recording:
+def record(
+    rig: Rig,
+    plans: Sequence[Plan],
+    *,
+    seed: int,
+    step: float = 2e-4,
+    write_noise: bool = False,
+    constants_std: Mapping[str, float] | None = None,
+) -> Recording:
     """Carry out plans on a rig.
 
     Args:
@@ -21,20 +29,26 @@ def record(rig: Rig, plans: Sequence[Plan], *, seed: int, step: float = 2e-4, wr
         seed: of all noise; each plan has its own stream, by its place in the list.
         step: upper bound of the integration step [s]; a whole number of steps fits into a sample.
         write_noise: also write the standard deviation of each output into the recording.
+        constants_std: of `total_mass` [kg] and `arm_inertia` [kg m^2], or one of them: the standard deviation of a
+            weighing, by which the recording's constant is off by chance, and which it states.
 
     Returns:
-        A recording with one experiment per plan. It knows `total_mass` and `arm_inertia` exactly, and the
+        A recording with one experiment per plan. It knows `total_mass` and `arm_inertia`, exactly by default, and the
         arm's starting angle, which is set by hand on the rig; everything else is noisy or unknown. The
         recorded current is the commanded one.
 
     Raises:
-        ValueError: no plans, two plans of one name, or a step that is not positive.
+        ValueError: no plans, two plans of one name, a step that is not positive, or a deviation of something else.
     """
-    return record_many([(rig, plans, seed)], step=step, write_noise=write_noise)[0]
+    return record_many([(rig, plans, seed)], step=step, write_noise=write_noise, constants_std=constants_std)[0]
 
 
 def record_many(
-    jobs: Sequence[tuple[Rig, Sequence[Plan], int]], *, step: float = 2e-4, write_noise: bool = False
+    jobs: Sequence[tuple[Rig, Sequence[Plan], int]],
+    *,
+    step: float = 2e-4,
+    write_noise: bool = False,
+    constants_std: Mapping[str, float] | None = None,
 ) -> list[Recording]:
     """Carry out the plans of many rigs at once; `record`'s results, in a fraction of the time.
 
@@ -42,9 +56,11 @@ def record_many(
         jobs: rig, plans and seed of each recording; the noise of a recording depends on its own seed alone.
         step: upper bound of the integration step [s].
         write_noise: also write the standard deviation of each output.
+        constants_std: as `record` takes it.
 
     Raises:
-        ValueError: a job without plans, two plans of one name in a job, or a step that is not positive.
+        ValueError: a job without plans, two plans of one name in a job, a step that is not positive, or a deviation of
+            something else than the constants that a recording knows.
     """
     if not step > 0:
         raise ValueError(f"step is {step!r}; it must be positive.")
@@ -70,12 +86,22 @@ def record_many(
         recordings.append(
             Recording(
                 experiments=tuple(experiments),
-                rig={"total_mass": rig.total_mass, "arm_inertia": rig.arm_inertia},
+                rig=_constants(rig, np.random.SeedSequence(seed, spawn_key=(len(plans),)), constants_std or {}),
                 rig_name="virtual rig",
                 comment=f"virtual rig, seed {seed}",
             )
         )
     return recordings
+
+
+def _constants(rig: Rig, stream: np.random.SeedSequence, deviations: Mapping[str, float]) -> dict[str, float]:
+    """Return what is known of the rig beforehand: exact, or as a weighing with these standard deviations finds it."""
+    known = {"total_mass": rig.total_mass, "arm_inertia": rig.arm_inertia}
+    if unknown := sorted(set(deviations) - set(known)):
+        raise ValueError(f"constants_std names {', '.join(unknown)}; it may name {', '.join(known)}.")
+    error = dict(zip(known, np.random.default_rng(stream).standard_normal(len(known)), strict=True))
+    weighed = {name: value + deviations.get(name, 0.0) * float(error[name]) for name, value in known.items()}
+    return weighed | {f"{name}_std": float(std) for name, std in deviations.items()}
 
 
 def measure(rig: Rig, track: Track, random: np.random.Generator) -> dict[str, np.ndarray]:

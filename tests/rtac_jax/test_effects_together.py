@@ -81,6 +81,20 @@ def test_absent_together_they_change_nothing():
         np.testing.assert_allclose(found[:, column], values, rtol=0, atol=1e-12 * np.abs(values).max())
 
 
+@pytest.mark.parametrize(
+    "effect_id",
+    [pytest.param(i, marks=() if CATALOGUE[i].port in ("input", "actuator") else pytest.mark.slow) for i in ADDED],
+)
+def test_absent_beside_another_they_change_nothing(effect_id):
+    """Or dry friction, which holds or lets go, makes another motion of a difference in the tenth digit."""
+    effect = example(effect_id)
+    alone = simulate(RTAC.paper() + effect, [EXPERIMENT], start={"a": START}, substeps=SUBSTEPS)["a"]
+    found = np.asarray(shown(jnp.asarray(at(effect))))
+    for column, name in enumerate(("cart_position", "arm_velocity", "arm_angle")):
+        values = getattr(alone, name)
+        np.testing.assert_allclose(found[:, column], values, rtol=0, atol=1e-12 * np.abs(values).max())
+
+
 @pytest.mark.parametrize("effect_id", ADDED)
 def test_derivative_is_the_limit_of_differences(effect_id):
     effect, small = example(effect_id), 1e-5

@@ -213,6 +213,35 @@ def test_delay_of_any_length(delay):
     assert apart(modelled(effects.InputDelay(delay), 1), truth) < 1e-4
 
 
+def test_delay_of_a_curved_input_follows_its_curve_and_without_delay_is_nothing():
+    kinds = {"kind": "forced", "sample_time": SAMPLE_TIME, "current": CURRENT, "cart_position": TIME}
+    curved = Experiment.of("a", intersample="bl", **kinds)
+
+    def run(model, experiment):
+        found = simulate(model, [experiment], start={"a": START}, substeps=1)["a"]
+        return np.stack([getattr(found, name) for name in CHANNELS])
+
+    plain = run(BARE, curved)
+    assert apart(run(BARE + effects.InputDelay(0.0), curved), plain) < 1e-13
+    truth = extrapolated([({"input_delay": 0.0083}, replace(PLAN, disturbance_force=None, intersample="bl"))])[0]
+    assert apart(run(BARE + effects.InputDelay(0.0083), curved), truth) < 5e-6 < apart(plain, truth)
+
+
+def test_delay_does_not_depend_on_how_many_powers_an_input_is_written_with():
+    """A held current beside a band-limited one in another experiment, or behind another hold that is absent."""
+    kinds = {"kind": "forced", "sample_time": SAMPLE_TIME, "current": CURRENT, "cart_position": TIME}
+    held, curved = (Experiment.of(hold, intersample=hold, **kinds) for hold in ("zoh", "bl"))
+    start = {"zoh": START, "bl": START}
+    model = BARE + effects.InputDelay(0.0083)
+    alone = simulate(model, [held], start=start, substeps=1)["zoh"]
+    beside = simulate(model, [held, curved], start=start, substeps=1)["zoh"]
+    behind = simulate(model + effects.InputHold(0.0, 3.0), [held], start=start, substeps=1)["zoh"]
+    for name in CHANNELS:
+        values = getattr(alone, name)
+        for other in (beside, behind):
+            np.testing.assert_allclose(getattr(other, name), values, rtol=0, atol=1e-13 * np.abs(values).max())
+
+
 @pytest.mark.parametrize("lag", [1e-7, 4e-4, 0.002])
 def test_lag_shorter_than_a_step(lag):
     """One step for a sample is enough, be the lag as short as it likes."""

@@ -234,4 +234,4 @@ def _made(kind: Any, value: Any) -> Any:
         return tuple(_made(part, one) for part, one in zip(each, value, strict=True))
     if origin is not None and issubclass(origin, Mapping):
         return {_made(parts[0], key): _made(parts[1], one) for key, one in value}
-    return kind(value)
+    return typing.cast(Any, kind)(value)

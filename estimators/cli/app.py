@@ -14,6 +14,7 @@ from estimators.cli.demo import demo
 from estimators.cli.diagnose import diagnose
 from estimators.cli.envelope import envelope
 from estimators.cli.fit import fit
+from estimators.cli.importing import import_files
 from estimators.cli.improve import improve
 from estimators.cli.info import info
 from estimators.cli.job import show_tracebacks
@@ -64,6 +65,7 @@ def _options(
 
 for _command in (demo, info, fit, compare, diagnose, improve, envelope, control):
     app.command()(_command)
+app.command("import")(import_files)
 app.add_typer(study, name="study")
 
 if __name__ == "__main__":

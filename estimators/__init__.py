@@ -5,6 +5,7 @@ from estimators.closed_form.table1 import ClosedForm
 from estimators.controller.design import control
 from estimators.controller.outcome import ControlDesign
 from estimators.core.fit import Fit
+from estimators.core.result_base import load, save
 from estimators.core.results import RESULTS, DivergedError, NotIdentifiableError
 from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.diagnose import Diagnosis, diagnose
@@ -29,7 +30,7 @@ from estimators.uncertainty.attribution import SOURCES, Attribution
 from estimators.uncertainty.effect_cost import EffectCost, effect_cost
 from estimators.uncertainty.envelope import Envelope, envelope
 from estimators.validation.simulation_error import Comparison, compare
-from rtac_jax import __version__
+from rtac_jax import ResultFileError, __version__
 
 __all__ = [
     "AS_IN_PAPER",
@@ -63,6 +64,7 @@ __all__ = [
     "PredictorFit",
     "Profile",
     "ResidualTest",
+    "ResultFileError",
     "StudyResults",
     "StudySpec",
     "Trend",
@@ -79,11 +81,13 @@ __all__ = [
     "frequency_responses",
     "improve",
     "least_squares",
+    "load",
     "next_experiment",
     "output_error",
     "output_error_batch",
     "prediction_error",
     "prediction_error_nonlinear",
     "profile",
+    "save",
     "study",
 ]

@@ -14,6 +14,7 @@ from rtac_jax.excitation import Excitation
 from rtac_jax.linearisation import equation_4, linearise
 from rtac_jax.measurement import Experiment, Recording, RecordingError, concerns, describe
 from rtac_jax.parameters import Declaration, Scales, parameter
+from rtac_jax.storage import ResultFileError, load, save
 
 __version__ = importlib.metadata.version("rtac-jax")
 """Version of the installed distribution, which holds `rtac_jax` and `estimators`."""
@@ -25,6 +26,7 @@ __all__ = [
     "Experiment",
     "Recording",
     "RecordingError",
+    "ResultFileError",
     "RigidBody",
     "Scales",
     "Simulation",
@@ -37,8 +39,10 @@ __all__ = [
     "effects",
     "equation_4",
     "linearise",
+    "load",
     "parameter",
     "require_configured",
+    "save",
     "simulate",
     "simulate_inputs",
     "virtual_rig",

@@ -1,6 +1,7 @@
 """The rig's model: a rigid body and the effects that act on it; `model + effect` is another model."""
 
 import dataclasses
+import os
 from collections.abc import Mapping
 from typing import Any
 
@@ -30,7 +31,9 @@ from rtac_jax.effects import (
 from rtac_jax.effects._interface import in_parts
 from rtac_jax.excitation import Excitation
 from rtac_jax.measurement import Recording
+from rtac_jax.overview import Overview
 from rtac_jax.parameters import Declaration, declarations
+from rtac_jax.storage import save
 
 _PLACES = {name: place for place, name in enumerate(CATALOGUE)}
 _PORTS = ("on the cart", "on the arm")
@@ -47,6 +50,10 @@ _PAPER = {
 # How far a known constant may be from the paper's, up or down. A rig as large as a building has 10^9 times the inertia;
 # beyond this, what is squared and divided in a fit overflows.
 FARTHEST = 1e15
+
+
+def _shown(value: np.ndarray) -> str:
+    return f"{float(value):.6g}" if value.ndim == 0 else f"{value.size} values"
 
 
 class RTAC(eqx.Module):
@@ -219,6 +226,31 @@ class RTAC(eqx.Module):
         """Return the model with a value of its own for each experiment in these parameters."""
         return type(self)(self.body, self.effects, self.fixed, self.per_experiment | set(names))
 
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the model to a file (".h5") from which `rtac_jax.load` returns the same, bit for bit.
+
+        Raises:
+            ResultFileError: another ending.
+            OSError: it cannot be written.
+        """
+        save(self, path)
+
+    def overview(self) -> Overview:
+        """Return every parameter with its value, and whether it is estimated."""
+        rows = []
+        for name, declared in self.parameters.items():
+            shown = _shown(np.asarray(self[name]))
+            rows.append((name, declared.symbol, shown, declared.unit, "" if name in self.free else "fixed"))
+        title = f"rigid body with {', '.join(self.ids)}" if self.effects else "rigid body without any effect"
+        return Overview(title, ("parameter", "symbol", "value", "unit", ""), rows)
+
+    def __repr__(self) -> str:
+        what = ", ".join(self.ids) or "no effect"
+        return f"RTAC: rigid body with {what}; {len(self.free)} of {len(self.parameters)} parameters are free"
+
+    def _repr_html_(self) -> str:
+        return self.overview().to_html()
+
     def __str__(self) -> str:
         return self.table()
 
@@ -226,8 +258,7 @@ class RTAC(eqx.Module):
         """Return a table of parameters with symbol, value, unit and meaning, one a line."""
         rows = []
         for name, declared in self.parameters.items():
-            value = np.asarray(self[name])
-            shown = f"{float(value):.6g}" if value.ndim == 0 else f"{value.size} values"
+            shown = _shown(np.asarray(self[name]))
             note = "" if name in self.free else "  (fixed)"
             rows.append(f"{name:32s} {declared.symbol:10s} {shown:>12s} {declared.unit:10s} {declared.meaning}{note}")
         return "\n".join(rows)

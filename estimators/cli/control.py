@@ -1,111 +1,17 @@
-"""`rtac envelope` and `rtac control`: from many operating conditions to a controller."""
+"""`rtac control`: from many operating conditions to a controller."""
 
-import itertools
-from collections.abc import Sequence
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from estimators.cli.job import WRONG_USE, Job, job, progress, say, stop
+from estimators.cli.captions import shown
+from estimators.cli.conditions import Band, WeightOrder, band_of, enveloped, sides
+from estimators.cli.job import WRONG_USE, job, say, stop
 from estimators.cli.options import File, Json, Out, Validation
 from rtac_jax.measurement.atomic_write import replacing
 
 _ORDERS = (2, 4)  # of nominal models that `control` tries: one mode, and the paper's two
-_IMPORTANCE = (0.5, 1.0)  # powers of the responses' size by which P0 for `control` keeps closest where they are large
-WeightOrder = Annotated[int, typer.Option(min=0, max=8, help="Poles and zeros of the uncertainty weight.")]
-Band = Annotated[
-    str | None,
-    typer.Option(metavar="LOW,HIGH", help="Band in Hz; by default where all currents have energy.", show_default=False),
-]
-
-
-class Kind(StrEnum):
-    """The structure of the uncertainty about the nominal model."""
-
-    MULTIPLICATIVE_OUTPUT = "multiplicative_output"
-    MULTIPLICATIVE_INPUT = "multiplicative_input"
-    ADDITIVE = "additive"
-    INVERSE_MULTIPLICATIVE = "inverse_multiplicative"
-
-
-class Least(StrEnum):
-    """The distance of the weight from what it covers that is made least."""
-
-    MEAN = "mean"
-    LARGEST = "largest"
-
-
-class Method(StrEnum):
-    """The estimator of the frequency response of a condition."""
-
-    LOCAL = "local"
-    PREDICTION_ERROR = "prediction-error"
-
-
-def envelope(
-    file: File,
-    order: Annotated[int, typer.Option(min=1, max=12, help="Poles of the nominal model.")] = 4,
-    weight_order: WeightOrder = 2,
-    kind: Annotated[Kind, typer.Option(help="What the uncertainty does to the nominal model.")] = (
-        Kind.MULTIPLICATIVE_OUTPUT
-    ),
-    method: Annotated[
-        Method,
-        typer.Option(
-            help="Responses by local polynomials, or of linear models with half as many modes as P0 has poles."
-        ),
-    ] = Method.LOCAL,
-    minimise: Annotated[
-        Least, typer.Option(help="The distance of the weight from what it covers, in dB, that is made least.")
-    ] = Least.MEAN,
-    band: Band = None,
-    validation: Validation = None,
-    out: Out = None,
-    json: Json = None,
-) -> None:
-    """Fit one linear model and an uncertainty weight that cover all operating conditions."""
-    between = _band(band)
-    with job(file, validation, out, json) as work:
-        from estimators.reporting import envelope as texts
-
-        modes = (order + 1) // 2 if method is Method.PREDICTION_ERROR else None
-        used, (found,) = _enveloped(work, between, [order], weight_order, kind.value, minimise.value, modes=modes)
-        conditions, sources = texts.conditions_table(found, used.responses), texts.sources_table(found)
-        models, said = texts.models_table(found), texts.remarks(found, used)
-        linear = [] if used.models is None else texts.models_said(used.models)
-        say(found, *said[1:], *linear, conditions, sources)  # the envelope states its coverage itself
-        work.write_json(texts.envelope_dict(found, used, seconds=work.seconds))
-        if work.folder is None:
-            return
-        from estimators.plots import plot_envelope, plot_responses
-        from estimators.plots.envelope import finding
-
-        found.save_mat(work.folder / "envelope.mat")
-        figures = {"envelope": plot_envelope(found), "responses": plot_responses(used.responses)}
-        captions = {
-            "envelope": "Top: every condition and the nominal model. Below: how far each condition lies from it and the "
-            "weight above them; |W| < 1 (0 dB) is where a controller may act. Bottom: what the distance comes from.",
-            "responses": "Frequency responses from current times cos(theta) to cart position, with the least certain one's "
-            "95 % band.",
-        }
-        sections = [
-            ("Envelope", [f"{finding(found)}.", *said]),
-            ("Figures", _shown(figures, captions)),
-            ("Nominal model and weight", [models]),
-            ("Where the gaps come from", [sources]),
-            ("Conditions", [conditions]),
-        ]
-        if used.models is not None:
-            from estimators.plots import plot_prediction_error
-
-            figures["linear_models"] = plot_prediction_error(used.models)
-            shown = _shown(
-                {"linear_models": figures["linear_models"]}, {"linear_models": "The models and their residuals."}
-            )
-            sections.insert(2, ("Linear models of the conditions", [*linear, *shown]))
-        work.write_report(f"Envelope of {work.file}", figures, sections, split=_sides(found))
 
 
 def control(
@@ -130,7 +36,7 @@ def control(
     json: Json = None,
 ) -> None:
     """Design an H-infinity controller for the envelope, and try it on the fitted nonlinear model."""
-    between = _band(band)
+    between = band_of(band)
     for name, value in (("--displacement", displacement), ("--torque-limit", torque_limit)):
         if not 0 < value < float("inf"):
             stop(WRONG_USE, f"{name} is {value:g}; give a positive number.")
@@ -142,7 +48,7 @@ def control(
         from estimators.reporting import report
 
         orders = _ORDERS if order is None else (order,)
-        used, found = _enveloped(work, between, orders, weight_order, "multiplicative_output", for_control=True)
+        used, found = enveloped(work, between, orders, weight_order, "multiplicative_output", for_control=True)
         sample_time = work.recording[used.responses[0].name].sample_time
         fit = work.fitted(work.model())
         made = est.control(
@@ -177,7 +83,7 @@ def control(
         sections = [
             ("Controller", said),
             ("What is guaranteed and what is not", honest),
-            ("Open and closed loop", [loops, *_shown(figures, captions)]),
+            ("Open and closed loop", [loops, *shown(figures, **captions)]),
             ("The controller", [texts.controller_table(made)]),
             (
                 "The envelope",
@@ -185,70 +91,7 @@ def control(
             ),
             ("The nonlinear model", ["It was fitted to the same recording.", errors, parameters]),
         ]
-        work.write_report(f"Controller for {work.file}", figures, sections, split=_sides(made.covered))
-
-
-def _enveloped(
-    work: Job,
-    band: tuple[float, float] | None,
-    orders: Sequence[int],
-    weight_order: int,
-    kind: str,
-    minimise: str = "mean",
-    *,
-    modes: int | None = None,
-    for_control: bool = False,
-) -> tuple[Any, list[Any]]:
-    """Return responses, and envelopes of each order; one that cannot be is left out as long as another can.
-
-    For control the nominal model keeps closest to the responses where they are large, as limited torque does nothing
-    elsewhere, a little or much; and unless they were named, none is held out: a held-out condition raises the weight at all
-    frequencies alike, which costs more than what could then be said of new ones.
-    """
-    import numpy as np
-
-    import estimators as est
-    from estimators.uncertainty.condition_selection import usable_conditions
-
-    used = usable_conditions(work.recording, band=band, modes=modes, progress=progress())
-    apart = set(work.held_out.names) if work.held_out is not None else set()
-    held = [i for i, one in enumerate(used.responses) if one.name in apart]
-    if work.names is None and (for_control or len(used.responses) - len(held) < 2):
-        held = []  # of few conditions none can be spared
-    fitted = [i for i in range(len(used.responses)) if i not in held]
-    size = np.exp(np.mean(np.log(np.abs(used.responses.response[fitted])), axis=0))
-    importances = [(size / np.max(size)) ** power for power in _IMPORTANCE] if for_control else [None]
-    found, refusals = [], []
-    for order, importance in itertools.product(orders, importances):
-        try:
-            one = est.envelope(
-                used.responses, kind=kind, order_nominal=order, order_weight=weight_order, held_out=held,
-                importance=importance, minimise=minimise, progress=progress(),
-            )  # fmt: skip
-            found.append(one)
-        except ValueError as error:
-            refusals.append(error)
-    if not found:
-        raise refusals[0]
-    return used, found
-
-
-def _sides(found: Any) -> tuple[list[str], list[str]]:
-    """Return the conditions that were fitted, and those held out."""
-    pairs = list(zip(found.names, found.held_out, strict=True))
-    return [name for name, held in pairs if not held], [name for name, held in pairs if held]
-
-
-def _band(text: str | None) -> tuple[float, float] | None:
-    if text is None:
-        return None
-    try:
-        low, high = (float(part) for part in text.split(","))
-    except ValueError:
-        low, high = 0.0, 0.0
-    if not 0 < low < high < float("inf"):
-        stop(WRONG_USE, f"--band is {text!r}; give two frequencies in Hz, such as 0.6,8.")
-    return low, high
+        work.write_report(f"Controller for {work.file}", figures, sections, split=sides(made.covered))
 
 
 def _save_mat(path: Path, content: dict[str, Any]) -> None:
@@ -256,9 +99,3 @@ def _save_mat(path: Path, content: dict[str, Any]) -> None:
 
     with replacing(path) as temporary:
         scipy.io.savemat(temporary, content, appendmat=False)
-
-
-def _shown(figures: dict[str, Any], captions: dict[str, str]) -> list[Any]:
-    from estimators.reporting.html import Shown
-
-    return [Shown(figure, captions[name]) for name, figure in figures.items()]

@@ -4,7 +4,9 @@ import importlib.util
 import inspect
 import sys
 from pathlib import Path
+from typing import Any
 
+from estimators.cli.job import WRONG_USE, stop
 from estimators.diagnosis.candidate_set import require_distinct
 from rtac_jax.effects import CATALOGUE, Effect
 
@@ -36,3 +38,11 @@ def with_own(file: Path | None) -> list[type[Effect]] | None:
     if not own:
         raise ValueError(f"{file}: defines no effect; write a class on rtac_jax.effects.Force or one of its kind.")
     return require_distinct([*CATALOGUE.values(), *own])
+
+
+def offered(effects: Path | None) -> Any:
+    """Return the catalogue with the user's own effects; None for the catalogue alone."""
+    try:
+        return with_own(effects)
+    except ValueError as error:
+        stop(WRONG_USE, f"--effects: {error}")

@@ -7,9 +7,11 @@ import control as ct
 import numpy as np
 
 from estimators.core.drawing import draw
+from estimators.core.result_base import Result
 from estimators.uncertainty.attribution import SOURCE_WORDS, SOURCES
 from estimators.uncertainty.envelope import Envelope
 from rtac_jax.control import Actuation, ClosedLoop, Margins, Reduction, Synthesis, Units, Weights
+from rtac_jax.overview import Overview
 
 _ANYWAY = 0.9  # fraction of plants that hold without a controller, above which a batch says little of it
 _USEFUL = 0.8  # fraction of the settling time, above which a controller is of little use
@@ -26,8 +28,8 @@ _NARROWER = {
 OFF = 0.15  # by which every parameter of a plant is off at most, where no covariance says more
 
 
-@dataclass(frozen=True, eq=False)
-class ControlDesign:
+@dataclass(frozen=True, eq=False, repr=False)
+class ControlDesign(Result):
     """A controller for an envelope, and its loop with the fitted nonlinear model; the result of `control`.
 
     Attributes:
@@ -78,6 +80,21 @@ class ControlDesign:
     def helps(self) -> bool:
         """Whether the fitted model settles sooner with the controller than without."""
         return bool(self.closed.settling_time()[0] < self.free.settling_time()[0])
+
+    def overview(self) -> Overview:
+        """Return settling, torque and swing of the fitted model with the controller and without."""
+        rows = [
+            (
+                name,
+                _seconds(float(one.settling_time()[0])),
+                f"{1e3 * float(one.peak_torque[0]):.2f}",
+                f"{float(one.arm_swing[0]):.2f}",
+            )
+            for name, one in (("without", self.free), ("with controller", self.closed))
+        ]
+        header = ("loop", "settles after", "largest torque [mN m]", "arm swing [rad]")
+        title = f"controller of order {self.reduction.controller.nstates}, gamma {self.reduction.gamma:.3f}"
+        return Overview(title, header, rows, (str(self.margins),))
 
     def __str__(self) -> str:
         return "\n".join([*outcome(self), *honesty(self)])

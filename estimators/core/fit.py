@@ -8,8 +8,10 @@ import numpy as np
 from jaxtyping import Float
 
 from estimators.core.fisher_information import Information
+from estimators.core.result_base import Result
 from estimators.core.results import RESULTS
 from rtac_jax import RTAC
+from rtac_jax.overview import Overview
 
 
 @dataclasses.dataclass(frozen=True)
@@ -21,8 +23,8 @@ class Parameter:
     unit: str
 
 
-@dataclasses.dataclass(frozen=True)
-class Fit:
+@dataclasses.dataclass(frozen=True, repr=False)
+class Fit(Result):
     """The result of `output_error`.
 
     Attributes:
@@ -57,6 +59,17 @@ class Fit:
             for name, declared in self.model.parameters.items()
             if name not in self.model.per_experiment
         }
+
+    def overview(self) -> Overview:
+        """Return outcome, and parameters with standard deviations."""
+        rows = [
+            (name, f"{p.value:.6g}", f"{p.std:.2g}" if name in self.information.names else "fixed", p.unit)
+            for name, p in self.parameters.items()
+        ]
+        far = ", ".join(f"{c} {rms / self.noise[c]:.2f}" for c, rms in self.residual_std.items())
+        title = f"{len(self.information.names)} parameters fitted to {len(self.experiments)} experiments"
+        left = f"Residual over noise: {far}." if far else ""
+        return Overview(title, ("parameter", "value", "std", "unit"), rows, (RESULTS[self.result], left))
 
     def __str__(self) -> str:
         lines = [f"{'parameter':30s} {'value':>12s} {'std':>10s}  unit"]

@@ -13,6 +13,7 @@ from tqdm import tqdm
 from estimators.core.compilation import Ahead, make_room
 from estimators.core.drawing import draw
 from estimators.core.fit import Fit
+from estimators.core.result_base import Result
 from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.candidate_set import offered
 from estimators.diagnosis.choice import bic_gain, gain, held_out_gain
@@ -35,11 +36,12 @@ from estimators.prediction_error.latent_force import LatentForce
 from rtac_jax import RTAC, require_configured
 from rtac_jax.effects import Effect
 from rtac_jax.measurement import Recording
+from rtac_jax.overview import Overview, shortened
 from rtac_jax.parameters import declarations
 
 
-@dataclasses.dataclass(frozen=True)
-class Diagnosis:
+@dataclasses.dataclass(frozen=True, repr=False)
+class Diagnosis(Result):
     """The result of `diagnose`.
 
     Attributes:
@@ -91,6 +93,17 @@ class Diagnosis:
     def best(self) -> Effect | None:
         """The first effect to be added; None if there is none."""
         return self.additions[0] if self.additions else None
+
+    def overview(self) -> Overview:
+        """Return the verdict with the parameters of what was accepted, and the beginning of the explanation."""
+        rows = [
+            (c.id, name, f"{p.value:.4g}", f"{p.std:.2g}", p.unit)
+            for c in self.effects
+            for name, p in c.parameters.items()
+        ]
+        named = f" ({', '.join(c.id for c in self.effects)})" if self.effects else ""
+        header = ("effect", "parameter", "value", "std", "unit") if rows else ()
+        return Overview(f"{self.verdict}{named}", header, rows, (shortened(self.explanation),))
 
     def __str__(self) -> str:
         lines = [self.explanation, ""]

@@ -8,6 +8,7 @@ from typing import Any
 
 from estimators.core.drawing import draw
 from estimators.core.fit import Fit
+from estimators.core.result_base import Result
 from estimators.diagnosis.diagnose import Candidate, Diagnosis, Verdict, compile_diagnosis, diagnose
 from estimators.diagnosis.model_extension import Foreseen, add_effect, parameters_of
 from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
@@ -16,10 +17,11 @@ from estimators.validation.simulation_error import Comparison, compare
 from rtac_jax import RTAC
 from rtac_jax.effects import CATALOGUE, Effect
 from rtac_jax.measurement import Recording
+from rtac_jax.overview import Overview
 
 
-@dataclasses.dataclass(frozen=True)
-class Improvement:
+@dataclasses.dataclass(frozen=True, repr=False)
+class Improvement(Result):
     """The result of `improve`.
 
     Attributes:
@@ -77,6 +79,34 @@ class Improvement:
                 f"{', '.join(self.held)}.",
             )
         return " ".join([*said, self.stopped])
+
+    @property
+    def headline(self) -> str:
+        """What was found, in one sentence: what the first model lacked, and what the last one lacks."""
+        last = self.diagnoses[-1].verdict
+        if not self.added:
+            return {
+                "adequate": "The model is adequate: nothing is missing at the noise floor.",
+                "unknown": "The model fails, and no effect of the catalogue explains it.",
+            }.get(last, f"Found {last}, but nothing that was added serves the held-out experiments.")
+        names = [candidate.id for candidate in self.added]
+        rivals = sorted({rival for candidate in self.added for rival in candidate.confusable_with})
+        start = f"{', '.join(names)} {'was' if len(names) == 1 else 'were'} missing"
+        if rivals:
+            group = ", ".join(dict.fromkeys([*names, *rivals]))
+            start = f"One of a group was missing ({group}), and the data cannot tell which"
+        end = "the mended model is adequate" if last == "adequate" else "the mended model still fails somewhere"
+        return f"{start}; {end}."
+
+    def overview(self) -> Overview:
+        """Return the held-out errors of every model, and why the loop ended."""
+        channels = dict.fromkeys(channel for model in self.validation.models for channel in model.errors)
+        rows = [
+            (model.label, *(f"{model.errors[c].rms_over_noise:.2f}" if c in model.errors else "" for c in channels))
+            for model in self.validation.models
+        ]
+        header = ("model", *(f"{channel}, rms over noise" for channel in channels))
+        return Overview(self.headline, header, rows, (self.ending,))
 
     def __str__(self) -> str:
         lines = []

@@ -9,6 +9,8 @@ import scipy.stats
 from jaxtyping import Complex128, Float64
 
 from estimators.core.drawing import draw
+from estimators.core.result_base import Result
+from rtac_jax.overview import Overview
 
 Curve = Float64[np.ndarray, " frequency"]
 
@@ -76,8 +78,8 @@ class FrequencyResponse:
         return self.response * np.cos(at)
 
 
-@dataclass(frozen=True, eq=False)
-class FrequencyResponses:
+@dataclass(frozen=True, eq=False, repr=False)
+class FrequencyResponses(Result):
     """The responses of all conditions, in order; iteration and `[name or number]` give one of them."""
 
     conditions: tuple[FrequencyResponse, ...]
@@ -140,6 +142,20 @@ class FrequencyResponses:
     def frd(self) -> list[ct.FrequencyResponseData]:
         """Return the responses as python-control's `FRD`, one for each condition."""
         return [one.frd() for one in self.conditions]
+
+    def overview(self) -> Overview:
+        """Return band, input and uncertainty of every condition."""
+        rows = [
+            (
+                one.name,
+                f"{one.frequency[0]:.3g} to {one.frequency[-1]:.3g}",
+                f"{one.input_rms:.3g}",
+                f"{100 * float(np.median(one.std / np.abs(one.response))):.2f}",
+            )
+            for one in self.conditions
+        ]
+        header = ("condition", "band [rad/s]", "input rms", "std [%]")
+        return Overview(f"frequency responses of {len(self)} conditions", header, rows)
 
     def __str__(self) -> str:
         head = f"{'condition':16s} {'lines':>5s} {'band [rad/s]':>16s} {'input rms':>10s} {'angle [rad]':>11s} {'std [%]':>8s}"

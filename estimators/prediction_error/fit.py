@@ -21,6 +21,7 @@ from estimators.core.initial_state import scales_of, space_of
 from estimators.core.levenberg_marquardt import Arguments, diverged, factor
 from estimators.core.linearisation import Problem
 from estimators.core.parameter_space import Space
+from estimators.core.result_base import Result
 from estimators.core.results import DivergedError
 from estimators.core.sensor_noise import noise_levels
 from estimators.core.step_size import accurate_substeps
@@ -29,6 +30,7 @@ from estimators.prediction_error.fisher_scoring import most_likely
 from estimators.prediction_error.noise_estimation import NoiseModel, Predictor, fit_trusted
 from rtac_jax import RTAC, require_configured
 from rtac_jax.measurement import Experiment, Recording
+from rtac_jax.overview import Overview
 
 _LAGS = 25
 _LEVEL = 0.01
@@ -54,8 +56,8 @@ class Whiteness:
     p_value: float
 
 
-@dataclasses.dataclass(frozen=True)
-class PredictorFit:
+@dataclasses.dataclass(frozen=True, repr=False)
+class PredictorFit(Result):
     """The result of `prediction_error_nonlinear`.
 
     Attributes:
@@ -110,6 +112,15 @@ class PredictorFit:
             f"The innovations are coloured in {len(coloured)} of {len(self.whiteness)} channels, most in {worst.channel} of "
             f"{worst.experiment}: more than random forces is missing; ask est.diagnose."
         )
+
+    def overview(self) -> Overview:
+        """Return parameters with standard deviations, and what the innovations say of the model."""
+        rows = [
+            (name, f"{p.value:.6g}", f"{p.std:.2g}" if name in self.information.names else "fixed", p.unit)
+            for name, p in self.parameters.items()
+        ]
+        title = f"{len(self.information.names)} parameters from predictions of {len(self.experiments)} experiments"
+        return Overview(title, ("parameter", "value", "std", "unit"), rows, (self.verdict,))
 
     def __str__(self) -> str:
         lines = [f"{'parameter':30s} {'value':>12s} {'std':>10s}  unit"]

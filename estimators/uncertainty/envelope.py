@@ -12,6 +12,7 @@ from jaxtyping import Bool, Complex128, Float64
 from tqdm import tqdm
 
 from estimators.core.drawing import draw
+from estimators.core.result_base import Result
 from estimators.uncertainty.attribution import Attribution, attribute
 from estimators.uncertainty.coverage import Coverage, held_out_coverage, scenario_coverage
 from estimators.uncertainty.covering_weight import cover
@@ -20,14 +21,15 @@ from estimators.uncertainty.plant_set import PlantSet, Responses, evaluate, gath
 from estimators.uncertainty.uncertainty_structures import KINDS, Kind, corners, errors, packed
 from estimators.uncertainty.weight import WEIGHT_STEPS, Minimise
 from rtac_jax.measurement.atomic_write import replacing
+from rtac_jax.overview import Overview
 
 Curve = Float64[np.ndarray, " frequency"]
 
 _DECIBEL = 20 / np.log(10)
 
 
-@dataclass(frozen=True, eq=False)
-class Envelope:
+@dataclass(frozen=True, eq=False, repr=False)
+class Envelope(Result):
     """All plants that |Delta| <= 1 makes of a nominal model and a weight.
 
     Attributes:
@@ -99,6 +101,21 @@ class Envelope:
         }  # fmt: skip
         with replacing(path) as temporary:
             scipy.io.savemat(temporary, contents, appendmat=False)
+
+    def overview(self) -> Overview:
+        """Return orders, largest gap, where the weight is below one, and the coverage."""
+        at = int(np.argmax(self.profile))
+        magnitude = self.weight_magnitude()
+        share = 100 * float(log_measure(self.frequency) @ (magnitude < 1))
+        rows = [
+            ("band [rad/s]", f"{self.frequency[0]:.3g} to {self.frequency[-1]:.3g}"),
+            ("order of P0, of W", f"{len(self.nominal.poles())}, {len(self.weight.poles())}"),
+            ("largest gap", f"{self.profile[at]:.3g} at {self.frequency[at]:.3g} rad/s"),
+            ("|W| < 1 on [% of the band]", f"{share:.0f}"),
+            ("W above the profile [dB]", f"{self.excess_db:.1f} on the mean, {self.largest_excess_db:.1f} at most"),
+        ]
+        title = f"{self.kind} envelope of {len(self.plants)} conditions"
+        return Overview(title, ("", "value"), rows, (f"Coverage: {self.coverage}.",))
 
     def __str__(self) -> str:
         def roots(values: np.ndarray) -> str:

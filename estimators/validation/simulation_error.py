@@ -21,12 +21,14 @@ from estimators.core.initial_state import space_of
 from estimators.core.levenberg_marquardt import Arguments, plain_residual
 from estimators.core.parameter_space import Unknowns
 from estimators.core.residual import diagonal_whitener, no_gain
+from estimators.core.result_base import Result
 from estimators.core.results import DivergedError
 from estimators.core.sensor_noise import noise_levels
 from estimators.core.step_size import accurate_substeps
 from estimators.validation.extrapolation import beyond
 from rtac_jax import RTAC, require_configured
 from rtac_jax.measurement import Experiment, Recording
+from rtac_jax.overview import Overview
 
 # Longer experiments without memory of their start take it from their beginning alone.
 _LONG, _BEGINNING = 8192, 2048
@@ -185,11 +187,22 @@ class Compared:
         return sorted(self.traces, key=lambda t: -t.rms / t.noise)[:count]
 
 
-@dataclasses.dataclass(frozen=True)
-class Comparison:
+@dataclasses.dataclass(frozen=True, repr=False)
+class Comparison(Result):
     """The result of `compare`: one or several models against the same measurements."""
 
     models: tuple[Compared, ...]
+
+    def overview(self) -> Overview:
+        """Return the error of every model in every channel."""
+        rows = [
+            (compared.label, channel, f"{e.fit_percent:.2f}", f"{e.rms:.4g}", f"{e.rms_over_noise:.2f}")
+            for compared in self.models
+            for channel, e in compared.errors.items()
+        ]
+        experiments = {trace.experiment for compared in self.models for trace in compared.traces}
+        title = f"{', '.join(m.label for m in self.models)} against {len(experiments)} experiments"
+        return Overview(title, ("model", "channel", "fit [%]", "rms [SI]", "rms over noise"), rows)
 
     def __str__(self) -> str:
         lines = [

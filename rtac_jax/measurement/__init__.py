@@ -1,6 +1,8 @@
 """Measurements: experiments, files, and the signals in them."""
 
+from ._columns import FACTORS
 from ._concerns import concerns
+from ._csv import csv_header
 from ._errors import RecordingError
 from ._excitation import (
     chirp,
@@ -22,6 +24,7 @@ from ._signal import INPUTS, OUTPUTS, Signal
 from .plan import Plan
 
 __all__ = [
+    "FACTORS",
     "INPUTS",
     "OUTPUTS",
     "Experiment",
@@ -33,6 +36,7 @@ __all__ = [
     "chirp",
     "concerns",
     "crest_factor",
+    "csv_header",
     "describe",
     "from_rest",
     "guarded_by_digest",

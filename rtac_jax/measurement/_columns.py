@@ -12,11 +12,12 @@ from ._signal import INPUTS, OUTPUTS, finite, positive
 
 # Factor from a unit that a file may use to the unit of the layout.
 FACTORS: Mapping[str, Mapping[str, float]] = {
-    "A": {"A": 1.0, "mA": 1e-3},
-    "N": {"N": 1.0, "mN": 1e-3},
+    "A": {"A": 1.0, "mA": 1e-3, "uA": 1e-6},
+    "N": {"N": 1.0, "mN": 1e-3, "kN": 1e3},
     "m": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254},
-    "rad/s": {"rad/s": 1.0, "deg/s": np.pi / 180, "rpm": np.pi / 30},
-    "rad": {"rad": 1.0, "deg": np.pi / 180, "rev": 2 * np.pi},
+    "rad/s": {"rad/s": 1.0, "mrad/s": 1e-3, "deg/s": np.pi / 180, "rev/s": 2 * np.pi, "rpm": np.pi / 30},
+    "rad": {"rad": 1.0, "mrad": 1e-3, "deg": np.pi / 180, "rev": 2 * np.pi},
+    "s": {"s": 1.0, "ms": 1e-3, "us": 1e-6},
 }
 UNITS = {**INPUTS, **OUTPUTS}
 UNIFORM = 1e-6
@@ -40,7 +41,7 @@ def check_options(
             raise RecordingError(f"channels: there is no channel {channel!r}; use {', '.join(UNITS)}.")
     for option, keys in by_channel.items():
         for key in keys or ():
-            if key not in channels:
+            if key not in channels and not (option == "units" and key == "time" and time is not None):
                 raise RecordingError(f"{option}: names {key!r}, which is not among the channels; add it there.")
     if (time is None) == (sample_time is None):
         raise RecordingError("time, sample_time: give one of the two, the column of times or the seconds per sample.")
@@ -83,7 +84,8 @@ def assemble(
             values = values - present.mean()
         signals[channel] = values
     if time is not None:
-        sample_time = uniform_step(columns[time][start:stop], time, start + first_row)
+        seconds = columns[time][start:stop] * _factor("time", units or {}, {})
+        sample_time = uniform_step(seconds, time, start + first_row)
     return Experiment.of(name, sample_time=sample_time, **signals, **conditions)  # pyright: ignore[reportArgumentType] - `of` checks them
 
 
@@ -112,7 +114,7 @@ def uniform_step(times: Float64[np.ndarray, " sample"], column: str, offset: int
 
 
 def _factor(channel: str, units: Mapping[str, str], scale: Mapping[str, float]) -> float:
-    target = UNITS[channel]
+    target = "s" if channel == "time" else UNITS[channel]
     if channel in scale:
         # A negative factor turns the direction round, which is a matter of how the sensor is mounted.
         factor = finite(f"scale/{channel}", scale[channel], "the factor")

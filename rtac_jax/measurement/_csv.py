@@ -3,9 +3,9 @@
 import csv
 import math
 import os
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 from jaxtyping import Float64
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from ._recording import Recording
 
 HEADER_ROWS = 1
+Read = TypeVar("Read")
 
 
 def from_csv(
@@ -80,6 +81,16 @@ def from_csv(
     return Recording((experiment,), rig or {})
 
 
+def csv_header(path: str | os.PathLike[str], delimiter: str = ",") -> list[str]:
+    """Return the names in the first row of a text file.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        RecordingError: it is no text file, or the delimiter is not one character.
+    """
+    return _opened(path, delimiter, lambda rows: [cell.strip() for cell in next(iter(rows), [])])
+
+
 def write(path: str | os.PathLike[str], recording: "Recording") -> None:
     """Write the one experiment of `recording` as CSV; see `Recording.save`."""
     if len(recording) != 1:
@@ -100,6 +111,10 @@ def write(path: str | os.PathLike[str], recording: "Recording") -> None:
 def _read_columns(
     path: str | os.PathLike[str], names: Iterable[str], delimiter: str
 ) -> dict[str, Float64[np.ndarray, " sample"]]:
+    return _opened(path, delimiter, lambda rows: _parse(rows, list(dict.fromkeys(names)), delimiter))
+
+
+def _opened(path: str | os.PathLike[str], delimiter: str, read: Callable[[Iterable[list[str]]], Read]) -> Read:
     if not os.path.exists(path):
         raise FileNotFoundError(f"{os.fspath(path)}: there is no such file; check the path.")
     if not (isinstance(delimiter, str) and len(delimiter) == 1 and delimiter not in '"\r\n'):
@@ -108,7 +123,7 @@ def _read_columns(
         # utf-8-sig drops the mark that spreadsheets put at the start, which would become part of the first
         # name.
         with open(path, newline="", encoding="utf-8-sig") as file:
-            return _parse(csv.reader(file, delimiter=delimiter), list(dict.fromkeys(names)), delimiter)
+            return read(csv.reader(file, delimiter=delimiter))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise RecordingError(f"this is not a readable text file ({error}); save it as CSV in UTF-8.") from error
 

@@ -46,7 +46,7 @@ def from_mat(
 
     `channels` maps channels to variables, as in `{"disturbance_force": "V1", "cart_position": "V2"}`; each
     variable is a vector. Either `sample_time` [s] or `time`, the variable with the times [s], is given.
-    `units` maps channels to the file's unit ("mm", "deg/s", ...; the unit of the layout where absent);
+    `units` maps channels, and "time", to the file's unit ("mm", "deg/s", "ms", ...; the unit of the layout where absent);
     `scale` maps them to a factor of your own. `start` and `stop` choose samples, and the channels in
     `remove_mean` lose their mean over these. `rig` is as in `Recording`: constants, each with an optional
     `NAME_std`. The rest is as in `Experiment.of`; the name is that of the file where it is not given.

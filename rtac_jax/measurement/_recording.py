@@ -7,6 +7,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+from rtac_jax.overview import Overview
+
 from . import _csv, _hdf5, _mat
 from ._errors import RecordingError
 from ._experiment import Experiment
@@ -92,6 +94,28 @@ class Recording:
         if ending not in _WRITERS:
             raise RecordingError(f"{fspath(path)}: cannot be written; let the name end in {', '.join(_WRITERS)}.")
         _WRITERS[ending](path, self)
+
+    def overview(self) -> Overview:
+        """Return kind, length and channels of every experiment."""
+        rows = [
+            (e.name, e.kind, str(e.samples), f"{e.sample_time:.6g}", ", ".join([*e.inputs, *e.outputs])) for e in self
+        ]
+        kinds = [e.kind for e in self]
+        counts = ", ".join(f"{kinds.count(kind)} {kind}" for kind in dict.fromkeys(kinds))
+        known = ", ".join(f"{name} = {value:.6g}" for name, value in self.rig.items())
+        header = ("experiment", "kind", "samples", "sample time [s]", "channels")
+        return Overview(
+            f"{len(self)} experiments ({counts})",
+            header,
+            rows,
+            (f"Known beforehand: {known or 'nothing'}.", self.comment),
+        )
+
+    def __repr__(self) -> str:
+        return f"Recording: {self.overview().title}"
+
+    def _repr_html_(self) -> str:
+        return self.overview().to_html()
 
     def __str__(self) -> str:
         from ._info import describe

@@ -1,0 +1,97 @@
+"""`rtac diagnose`: what is missing."""
+
+from functools import reduce
+from typing import Annotated
+
+import typer
+
+from estimators.cli.captions import BANDS, CONFUSION, DIAGNOSIS, WHERE, shown, without_limits
+from estimators.cli.job import job, progress, say
+from estimators.cli.options import Effects, File, Json, Out, Validation
+from estimators.cli.own_effects import offered
+from estimators.cli.planned import plan_next, show_plan
+
+
+def diagnose(
+    file: File,
+    validation: Validation = None,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Do not look again, for minutes, where the verdict would be unknown.")
+    ] = False,
+    effects: Effects = None,
+    out: Out = None,
+    json: Json = None,
+) -> None:
+    """Rank the effects that the paper's model may be missing."""
+    with job(file, validation, out, json) as work:
+        import estimators as est
+        from estimators.diagnosis.model_extension import holding
+        from estimators.reporting import report as _report
+        from rtac_jax import RTAC
+
+        candidates = offered(effects)
+        base = work.fitted(work.model())
+        found = est.diagnose(base, work.train, candidates=candidates, thorough=not quick, progress=progress())
+        fits, labels = [base], ["base"]
+        if found.additions:
+            names = ", ".join(effect.id for effect in found.additions)
+            free = reduce(RTAC.__add__, found.additions, base.model)
+            for model, held in (
+                (free, ""),
+                (holding(free, [effect.id for effect in found.additions]), ", held at the estimate of the diagnosis"),
+            ):
+                try:
+                    fits.append(est.output_error(model, work.train, from_model=True, progress=progress()))
+                except (est.NotIdentifiableError, est.DivergedError, FloatingPointError) as error:
+                    failed = f"The model with {names}{held} could not be fitted by simulation: {error}"
+                    work.remark = f"{work.remark} {failed}".strip()
+                else:
+                    labels.append(f"+ {names}{held}")
+                    if held:
+                        work.remark += f" The errors after are those with {names}{held}."
+                    break
+        trained, tested = work.compared(fits, labels)
+        table, errors = _report.candidate_table(found), _report.error_table(trained, tested)
+        planned = plan_next(work, base, found, candidates)
+        say(found.explanation, work.remark, table, _report.evidence_table(found), errors, planned or "")
+        work.write_json(
+            _report.report_dict(
+                found, fit=fits[-1], train=trained, validation=tested, planned=planned, seconds=work.seconds
+            )
+        )
+        if work.folder is not None:
+            from estimators.plots import (
+                plot_bands,
+                plot_comparison,
+                plot_confusion,
+                plot_diagnosis,
+                plot_residuals,
+                plot_where,
+            )
+
+            figures = {
+                "diagnosis": plot_diagnosis(found, recording=work.train),
+                "where": plot_where(found),
+                "confusion": plot_confusion(found),
+                "bands": plot_bands(tested or trained),
+                "comparison": plot_comparison(tested or trained),
+                "residuals": plot_residuals(trained.models[0]),
+            }
+            captions = {
+                "diagnosis": DIAGNOSIS,
+                "where": WHERE,
+                "confusion": CONFUSION,
+                "bands": f"{BANDS} {work.held}",
+                "comparison": work.held,
+                "residuals": "What the base model leaves of the worst experiment.",
+            }
+            show_plan(planned, work, figures, captions)
+            sections = [
+                (f"Verdict: {found.verdict}", [without_limits(found.explanation), work.remark]),
+                ("Error before and after", [errors]),
+                ("Figures", shown(figures, **captions)),
+                ("Candidates", [table]),
+                ("Is anything missing?", [_report.evidence_table(found), _report.place_table(found)]),
+                ("Parameters", [_report.parameter_table(fits[-1], base=base if len(fits) > 1 else None)]),
+            ]
+            work.write_report(f"Diagnosis of {work.file}", figures, sections)

@@ -1,0 +1,96 @@
+"""`rtac envelope`: one linear model and an uncertainty weight for many operating conditions."""
+
+from enum import StrEnum
+from typing import Annotated
+
+import typer
+
+from estimators.cli.captions import shown
+from estimators.cli.conditions import Band, WeightOrder, band_of, enveloped, sides
+from estimators.cli.job import job, say
+from estimators.cli.options import File, Json, Out, Validation
+
+
+class Kind(StrEnum):
+    """The structure of the uncertainty about the nominal model."""
+
+    MULTIPLICATIVE_OUTPUT = "multiplicative_output"
+    MULTIPLICATIVE_INPUT = "multiplicative_input"
+    ADDITIVE = "additive"
+    INVERSE_MULTIPLICATIVE = "inverse_multiplicative"
+
+
+class Least(StrEnum):
+    """The distance of the weight from what it covers that is made least."""
+
+    MEAN = "mean"
+    LARGEST = "largest"
+
+
+class Method(StrEnum):
+    """The estimator of the frequency response of a condition."""
+
+    LOCAL = "local"
+    PREDICTION_ERROR = "prediction-error"
+
+
+def envelope(
+    file: File,
+    order: Annotated[int, typer.Option(min=1, max=12, help="Poles of the nominal model.")] = 4,
+    weight_order: WeightOrder = 2,
+    kind: Annotated[Kind, typer.Option(help="What the uncertainty does to the nominal model.")] = (
+        Kind.MULTIPLICATIVE_OUTPUT
+    ),
+    method: Annotated[
+        Method,
+        typer.Option(
+            help="Responses by local polynomials, or of linear models with half as many modes as P0 has poles."
+        ),
+    ] = Method.LOCAL,
+    minimise: Annotated[
+        Least, typer.Option(help="The distance of the weight from what it covers, in dB, that is made least.")
+    ] = Least.MEAN,
+    band: Band = None,
+    validation: Validation = None,
+    out: Out = None,
+    json: Json = None,
+) -> None:
+    """Fit one linear model and an uncertainty weight that cover all operating conditions."""
+    between = band_of(band)
+    with job(file, validation, out, json) as work:
+        from estimators.reporting import envelope as texts
+
+        modes = (order + 1) // 2 if method is Method.PREDICTION_ERROR else None
+        used, (found,) = enveloped(work, between, [order], weight_order, kind.value, minimise.value, modes=modes)
+        conditions, sources = texts.conditions_table(found, used.responses), texts.sources_table(found)
+        models, said = texts.models_table(found), texts.remarks(found, used)
+        linear = [] if used.models is None else texts.models_said(used.models)
+        say(found, *said[1:], *linear, conditions, sources)  # the envelope states its coverage itself
+        work.write_json(texts.envelope_dict(found, used, seconds=work.seconds))
+        if work.folder is None:
+            return
+        from estimators.plots import plot_envelope, plot_responses
+        from estimators.plots.envelope import finding
+
+        found.save_mat(work.folder / "envelope.mat")
+        figures = {"envelope": plot_envelope(found), "responses": plot_responses(used.responses)}
+        captions = {
+            "envelope": "Top: every condition and the nominal model. Below: how far each condition lies from it and the "
+            "weight above them; |W| < 1 (0 dB) is where a controller may act. Bottom: what the distance comes from.",
+            "responses": "Frequency responses from current times cos(theta) to cart position, with the least certain one's "
+            "95 % band.",
+        }
+        sections = [
+            ("Envelope", [f"{finding(found)}.", *said]),
+            ("Figures", shown(figures, **captions)),
+            ("Nominal model and weight", [models]),
+            ("Where the gaps come from", [sources]),
+            ("Conditions", [conditions]),
+        ]
+        if used.models is not None:
+            from estimators.plots import plot_prediction_error
+
+            figures["linear_models"] = plot_prediction_error(used.models)
+            pictured = shown(figures, linear_models="The models and their residuals.")
+            sections.insert(2, ("Linear models of the conditions", [*linear, *pictured]))
+        work.write_report(f"Envelope of {work.file}", figures, sections, split=sides(found))

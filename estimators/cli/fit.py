@@ -1,0 +1,51 @@
+"""`rtac fit`: parameters by every estimator."""
+
+from estimators.cli.captions import shown
+from estimators.cli.job import job, progress, say
+from estimators.cli.options import File, Json, Out, Validation
+
+
+def fit(file: File, validation: Validation = None, out: Out = None, json: Json = None) -> None:
+    """Fit by closed form, output error and prediction error side by side, with standard deviations, and test their agreement."""
+    with job(file, validation, out, json) as work:
+        import estimators as est
+        from estimators.reporting import report as _report
+        from estimators.reporting.fit_table import fit_table
+
+        model = work.model()
+        closed = est.least_squares(model, work.train, weak=True)
+        found = work.fitted(model)
+        predicted, agreed = None, None
+        try:
+            predicted = est.prediction_error_nonlinear(found.model, work.train, from_model=True, progress=progress())
+        except (ValueError, est.DivergedError) as error:  # such as data that leave parameters free beside random forces
+            work.remark = f"{work.remark} No prediction error: {error}".strip()
+        try:
+            ways = [closed, found] if predicted is None else [closed, found, predicted]
+            agreed = est.agreement(ways, work.train, progress=progress())
+        except ValueError as error:  # the closed form needs channels that the fit does not
+            work.remark = f"{work.remark} The ways were not compared: {error}".strip()
+        spread = est.covariances(found, work.train)
+        trained, tested = work.compared(found)
+        errors = _report.error_table(trained, tested)
+        starts = f"{found.statistics['agreed']} of {found.statistics['starts']} starts agree."
+        ended = f"{est.RESULTS[found.result]} {starts}"
+        table = fit_table(closed, found, predicted=predicted, agreed=agreed, spread=spread)
+        say(work.remark, table, ended, errors)
+        beside = {"closed": closed, "predicted": predicted, "agreed": agreed, "spread": spread}
+        work.write_json(_report.fit_dict(found, train=trained, validation=tested, seconds=work.seconds, **beside))
+        if work.folder is not None:
+            from estimators.plots import plot_comparison, plot_recording
+
+            figures = {"comparison": plot_comparison(tested or trained), "recording": plot_recording(work.recording)}
+            captions = {"comparison": work.held, "recording": "The recording."}
+            if agreed is not None:
+                figures = {"agreement": agreed.plot(), **figures}
+                captions = {"agreement": "Estimates by every way, with what chance allows between them.", **captions}
+            skipped = [f"The closed form could not use {name}: {why}" for name, why in closed.skipped.items()]
+            sections = [
+                ("Result", [work.remark, "" if agreed is None else agreed.verdict, ended, *skipped, errors]),
+                ("Parameters", [_report.side_by_side(closed, found)]),
+                ("Figures", shown(figures, **captions)),
+            ]
+            work.write_report(f"Fit of {work.file}", figures, sections)

@@ -1,0 +1,289 @@
+"""`rtac import`: from the files of a data logger to one recording."""
+
+import dataclasses
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from estimators.cli.job import WRONG_USE, answering, say, stop, writable_file
+
+_UNIT = re.compile(r"^(?P<column>.*?)\s*\[(?P<unit>[^\[\]]*)\]$")
+_SAME = {
+    "µm": "um",
+    "μm": "um",
+    "°": "deg",
+    "°/s": "deg/s",
+    "µs": "us",
+    "μs": "us",
+    "µA": "uA",
+    "μA": "uA",
+    "1/min": "rpm",
+}
+_HDF5 = (".h5", ".hdf5")
+_TIME, _MAT = "time", ".mat"
+
+
+def _repeated(metavar: str, help: str) -> Any:
+    return typer.Option(metavar=metavar, help=help, show_default=False)
+
+
+Pairs = list[str] | None
+
+
+def import_files(
+    files: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="FILE... OUT.h5",
+            help="CSV or MAT-files, one experiment each, or recordings to add to; and the recording to write, last.",
+            show_default=False,
+        ),
+    ],
+    channel: Annotated[
+        Pairs,
+        _repeated(
+            'NAME="COLUMN [UNIT]"', "The column of a channel and its unit; without a unit, that of the recording."
+        ),
+    ] = None,
+    kind: Annotated[Pairs, _repeated("free|forced|rest", "One for all files, or one for each in their order.")] = None,
+    time: Annotated[str | None, _repeated('"COLUMN [UNIT]"', "The column of the times; s, ms or us.")] = None,
+    sample_time: Annotated[float | None, _repeated("SECONDS", "Instead of a column of times.")] = None,
+    name: Annotated[
+        Pairs, _repeated("NAME", "Of the experiments, one for each file; by default the files' names.")
+    ] = None,
+    angle: Annotated[
+        list[float] | None, _repeated("RAD", "Arm angle at the start, one for all files or one for each.")
+    ] = None,
+    scale: Annotated[
+        Pairs,
+        _repeated(
+            "NAME=FACTOR", "Recording's unit per unit of the column, for a unit that is not known, such as volts."
+        ),
+    ] = None,
+    rig: Annotated[
+        Pairs, _repeated("NAME=VALUE", "A constant known beforehand, SI units, such as total_mass=1.23.")
+    ] = None,
+    noise: Annotated[Pairs, _repeated("NAME=STD", "Standard deviation of a sensor's noise, SI units.")] = None,
+    remove_mean: Annotated[
+        Pairs, _repeated("NAME", "A channel that loses its mean, as that of a sensor with an offset.")
+    ] = None,
+    intersample: Annotated[
+        Pairs, _repeated("NAME=zoh|foh|bl", "What an input does between samples; held (zoh) by default.")
+    ] = None,
+    arm: Annotated[str, typer.Option(metavar="free|locked", help="Whether the arm could turn.")] = "free",
+    cart: Annotated[str, typer.Option(metavar="free|clamped", help="Whether the cart could move.")] = "free",
+    start: Annotated[int, typer.Option(help="First sample to take, of every file.")] = 0,
+    end: Annotated[int | None, _repeated("SAMPLE", "The sample after the last to take.")] = None,
+    delimiter: Annotated[str, typer.Option(help="Between the columns of a CSV file.")] = ",",
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Show what was understood, and write nothing.")] = False,
+) -> None:
+    """Import CSV and MAT-files into one recording, with units converted, and show what was understood.
+
+    Known units: A, mA, uA; N, mN, kN; m, cm, mm, um, in; rad/s, mrad/s, deg/s, rev/s, rpm; rad, mrad, deg, rev; s, ms, us.
+    """
+    with answering():
+        *sources, out = files
+        if out.suffix.lower() not in _HDF5 or not sources:
+            stop(WRONG_USE, f"{out}: name the files to import and then the recording to write, which ends in .h5.")
+        foreign = [file for file in sources if file.suffix.lower() not in _HDF5]
+        for file in sources:
+            if not file.is_file():
+                stop(WRONG_USE, f"{file}: there is no such file; check the path.")
+        if not dry_run:
+            writable_file(out, "the recording")
+        count = len(foreign)
+        kinds = _for_each("--kind", kind, count, required=bool(count))
+        names = _for_each("--name", name, count, one_for_all=count == 1)
+        angles = _for_each("--angle", angle, count)
+        wanted = {
+            "scale": {n: _number("--scale", n, v) for n, v in _pairs("--scale", scale).items()},
+            "noise_std": {n: _number("--noise", n, v) for n, v in _pairs("--noise", noise).items()},
+            "intersample": _pairs("--intersample", intersample),
+            "remove_mean": remove_mean or (), "arm": arm, "cart": cart, "start": start, "stop": end,
+            "rig": {n: _number("--rig", n, v) for n, v in _pairs("--rig", rig).items()},
+        }  # fmt: skip
+        asked = _pairs("--channel", channel)
+        from rtac_jax.measurement import Recording, concerns, describe
+
+        understood, parts = [], []
+        seen = {name for file in foreign if file.suffix.lower() != _MAT for name in _names_in(file, delimiter)}
+        told = iter(zip(kinds, names, angles, strict=True))
+        for file in sources:
+            if file not in foreign:
+                parts.append(Recording.load(file))
+                understood.append(f"{file}: a recording; its experiments come along as they are.")
+                continue
+            what, called, at = next(told)
+            columns = _Columns.of(file, asked, time, sample_time, delimiter, wanted["scale"], seen)
+            options: dict[str, Any] = {"delimiter": delimiter} if columns.text else {}
+            reader = Recording.from_csv if columns.text else Recording.from_mat
+            part = reader(
+                file, channels=columns.channels, units=columns.units, time=columns.time, sample_time=sample_time, kind=what,
+                name=called, initial_arm_angle=at, **columns.only_here(wanted), **options,
+            )  # fmt: skip
+            parts.append(part)
+            understood.append(columns.table(parts[-1].experiments[0], wanted["scale"]))
+        recording = Recording.join(*parts)
+        if not dry_run:
+            recording.save(out)
+        found = concerns(recording)
+        doubts = "concerns: none" if not found else "\n".join(["concerns:", *(f"- {sentence}" for sentence in found)])
+        say(
+            *understood,
+            describe(recording),
+            doubts,
+            f"{out}: not written, as --dry-run asks." if dry_run else f"written: {out}",
+        )
+
+
+@dataclasses.dataclass(frozen=True)
+class _Columns:
+    """The columns of one file as they were understood: names and units by channel, and the channels that it does not have."""
+
+    file: Path
+    channels: Mapping[str, str]
+    units: Mapping[str, str]
+    time: str | None
+    text: bool
+    left_out: tuple[str, ...] = ()
+
+    @classmethod
+    def of(
+        cls,
+        file: Path,
+        asked: Mapping[str, str],
+        time: str | None,
+        sample_time: float | None,
+        delimiter: str,
+        scale: Mapping[str, float],
+        elsewhere: set[str],
+    ) -> "_Columns":
+        """Find column and unit of every channel in a file; a channel whose column only other files have is left out."""
+        from rtac_jax.measurement import FACTORS, INPUTS, OUTPUTS, csv_header
+
+        known = {**INPUTS, **OUTPUTS, _TIME: "s"}
+        text = file.suffix.lower() != _MAT
+        header = csv_header(file, delimiter) if text else []
+        there = f"; the columns of {file.name} are {', '.join(header)}" if header else ""
+        if not asked:
+            stop(WRONG_USE, f'--channel: say which column is which, as in --channel cart_position="x [mm]"{there}.')
+        if (time is None) == (sample_time is None):
+            stop(WRONG_USE, f"--time, --sample-time: give one of the two{there}.")
+        channels, units = {}, {}
+        for channel, wish in {**asked, **({} if time is None else {_TIME: time})}.items():
+            if channel not in known:
+                stop(WRONG_USE, f"--channel: there is no channel {channel}; use {', '.join([*INPUTS, *OUTPUTS])}.")
+            match = _UNIT.match(wish.strip())
+            column, unit = (match["column"], match["unit"].strip()) if match else (wish.strip(), "")
+            channels[channel] = column
+            if header and column not in header:
+                # Often the file states the unit in its first row, and so need not the user.
+                stated = [
+                    (cell, m["unit"].strip()) for cell in header if (m := _UNIT.match(cell)) and m["column"] == column
+                ]
+                if len(stated) != 1:
+                    if channel != _TIME and column in elsewhere:
+                        del channels[channel]
+                        continue
+                    stop(
+                        WRONG_USE,
+                        f"{file}: has no column {column!r} for {channel}{there.replace(f' of {file.name}', '')}.",
+                    )
+                channels[channel], says = stated[0]
+                if unit and _SAME.get(unit, unit) != _SAME.get(says, says):
+                    stop(
+                        WRONG_USE,
+                        f"{file}: says that {column} is in {says}, and --channel {channel} says {unit}; correct one.",
+                    )
+                unit = says
+            unit = unit or known[channel]
+            units[channel] = _SAME.get(unit, unit)
+            if channel not in scale and units[channel] not in FACTORS[known[channel]]:
+                stop(
+                    WRONG_USE,
+                    f"--channel {channel}: the unit {unit!r} is not known for it, only {', '.join(FACTORS[known[channel]])}; "
+                    f"give --scale {channel}=FACTOR, in {known[channel]} per {unit}.",
+                )
+        column_of_time = channels.pop(_TIME, None)
+        left_out = tuple(channel for channel in asked if channel not in channels)
+        return cls(file, channels, {c: u for c, u in units.items() if c not in scale}, column_of_time, text, left_out)
+
+    def only_here(self, wanted: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the options of a reader without what they say of channels that this file does not have."""
+        found = dict(wanted)
+        for option in ("scale", "noise_std", "remove_mean"):
+            kept = [name for name in wanted[option] if name not in self.left_out]
+            found[option] = {n: wanted[option][n] for n in kept} if isinstance(wanted[option], dict) else kept
+        return found
+
+    def table(self, experiment: Any, scale: Mapping[str, float]) -> str:
+        """Return what was understood: column, unit, factor and range of every channel."""
+        import numpy as np
+
+        from estimators.reporting.html import Table
+        from rtac_jax.measurement import FACTORS
+
+        rows = []
+        for channel, column in self.channels.items():
+            signal = {**experiment.inputs, **experiment.outputs}[channel]
+            factor = scale[channel] if channel in scale else FACTORS[signal.unit][self.units[channel]]
+            low, high = np.nanmin(signal.values), np.nanmax(signal.values)
+            unit = "of its own" if channel in scale else self.units[channel]
+            rows.append((column, unit, f"{factor:.6g}", channel, signal.unit, f"{low:.4g}", f"{high:.4g}"))
+        clock = f"times in {self.time!r} [{self.units.get(_TIME, 's')}]" if self.time else "the sample time given"
+        head = (
+            f"{self.file}: {experiment.kind} experiment {experiment.name}, {experiment.samples} samples of "
+            f"{experiment.sample_time:.6g} s, from {clock}."
+        )
+        if self.left_out:
+            head += f" It has no column for {', '.join(self.left_out)}."
+        return f"{head}\n{Table(('column', 'unit', 'times', 'is', 'in', 'from', 'to'), tuple(rows))}"
+
+
+def _names_in(file: Path, delimiter: str) -> set[str]:
+    """Return the names of the columns of a text file, with the units that they state and without."""
+    from rtac_jax.measurement import csv_header
+
+    names = csv_header(file, delimiter)
+    return {*names, *(match["column"] for name in names if (match := _UNIT.match(name)))}
+
+
+def _pairs(option: str, given: Sequence[str] | None) -> dict[str, str]:
+    """Return NAME=VALUE options as a dictionary."""
+    found: dict[str, str] = {}
+    for text in given or ():
+        name, sign, value = (part.strip() for part in text.partition("="))
+        if not (name and sign and value):
+            stop(WRONG_USE, f"{option}: is {text!r}; write NAME=VALUE.")
+        if name in found:
+            stop(WRONG_USE, f"{option}: names {name} twice; give it once.")
+        found[name] = value
+    return found
+
+
+def _number(option: str, name: str, text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        stop(WRONG_USE, f"{option} {name}: is {text!r}; give a number with a decimal point.")
+
+
+def _for_each(
+    option: str, given: Sequence[Any] | None, count: int, *, required: bool = False, one_for_all: bool = True
+) -> list[Any]:
+    """Return one value for each file, from one for all or one for each; None for each where none was given."""
+    if not given:
+        if required:
+            stop(WRONG_USE, f"{option}: say what kind of experiment the files hold: free, forced or rest.")
+        return [None] * count
+    if len(given) == count:
+        return list(given)
+    if len(given) == 1 and one_for_all:
+        return [given[0]] * count
+    stop(
+        WRONG_USE,
+        f"{option}: was given {len(given)} times for {count} files; give it {'once, or ' if one_for_all else ''}once for each.",
+    )

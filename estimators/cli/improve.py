@@ -1,0 +1,97 @@
+"""`rtac improve`: the loop."""
+
+from pathlib import Path
+from typing import Any
+
+from estimators.cli.captions import BANDS, CONFUSION, DIAGNOSIS, LADDER, WHERE, shown, without_limits
+from estimators.cli.job import NOT_POSSIBLE, Job, job, progress, say, stop
+from estimators.cli.options import Effects, File, Json, Out, Validation
+from estimators.cli.own_effects import offered
+from estimators.cli.planned import plan_next, show_plan
+
+
+def improve(
+    file: File, validation: Validation = None, effects: Effects = None, out: Out = None, json: Json = None
+) -> None:
+    """Add what is missing, fit again, and check on experiments held out, until nothing more is missing."""
+    with job(file, validation, out, json) as work:
+        improved(work, effects)
+
+
+def improved(work: Job, effects: Path | None = None) -> None:
+    """Run the loop on a job, and say and write what it found."""
+    import estimators as est
+    from estimators.reporting import report as _report
+
+    if work.held_out is None:
+        stop(NOT_POSSIBLE, work.not_split)
+    candidates = offered(effects)
+    model = work.model()
+    with work.explaining():
+        found = est.improve(
+            model, work.recording, validation=work.held_out.names, candidates=candidates, progress=progress()
+        )
+    errors = _report.error_table(found.train, found.validation)
+    parameters = _report.parameter_table(found.final, base=found.base if found.added else None)
+    said = [diagnosis.explanation for diagnosis in found.diagnoses]
+    told = [without_limits(text) for text in said]
+    open_question = next((d for d in found.diagnoses if d.verdict == "ambiguous"), None)
+    planned = None
+    if open_question is not None:
+        before = found.diagnoses[: found.diagnoses.index(open_question)]
+        base = found.fits[sum(len(diagnosis.additions) for diagnosis in before)]
+        planned = plan_next(work, base, open_question, candidates)
+    say(
+        *said,
+        found.ending,
+        work.remark,
+        _report.candidate_table(found.diagnoses[0]),
+        errors,
+        parameters,
+        planned or "",
+    )
+    work.write_json(_report.report_dict(found, planned=planned, seconds=work.seconds))
+    if work.folder is None:
+        return
+    from estimators.plots import (
+        plot_bands,
+        plot_comparison,
+        plot_confusion,
+        plot_diagnosis,
+        plot_improvement,
+        plot_recording,
+        plot_residuals,
+        plot_where,
+    )
+    from estimators.plots.improvement import finding
+
+    leaves = "What the {} model leaves of the worst experiment."
+    figures: dict[str, Any] = {"improvement": plot_improvement(found)}
+    captions = {"improvement": LADDER}
+    for number, diagnosis in enumerate(found.diagnoses, 1):
+        figures[f"diagnosis_{number}"] = plot_diagnosis(diagnosis, recording=work.train)
+        captions[f"diagnosis_{number}"] = f"Diagnosis {number}. {DIAGNOSIS}"
+    figures["where"], captions["where"] = plot_where(found.diagnoses[0]), f"{WHERE} First diagnosis."
+    figures["confusion"] = plot_confusion(found.diagnoses[0])
+    captions["confusion"] = f"{CONFUSION} First diagnosis."
+    figures["bands"], captions["bands"] = plot_bands(found.validation), f"{BANDS} Held-out experiments."
+    figures["comparison"], captions["comparison"] = plot_comparison(found.validation), "Held-out experiments."
+    figures["residuals_before"] = plot_residuals(found.train.models[0])
+    captions["residuals_before"] = leaves.format("base")
+    if found.added:
+        figures["residuals_after"] = plot_residuals(found.train.models[-1])
+        captions["residuals_after"] = leaves.format("last")
+    figures["recording"], captions["recording"] = plot_recording(work.recording), "The recording."
+    show_plan(planned, work, figures, captions)
+    tables: list[Any] = []
+    for number, diagnosis in enumerate(found.diagnoses, 1):
+        tables += [f"Diagnosis {number}: {diagnosis.verdict}.", _report.candidate_table(diagnosis)]
+        tables += [_report.evidence_table(diagnosis), _report.place_table(diagnosis)]
+    sections = [
+        (f"Verdict: {found.verdict}", [f"{finding(found)}.", *told, found.ending, work.remark]),
+        ("Error before and after", [errors]),
+        ("Figures", shown(figures, **captions)),
+        ("Parameters", [parameters]),
+        ("Candidates", tables),
+    ]
+    work.write_report(f"Improvement of the model with {work.file}", figures, sections)

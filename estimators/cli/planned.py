@@ -1,0 +1,30 @@
+"""The experiment that would tell the effects of an ambiguous diagnosis apart, in a report."""
+
+from typing import Any
+
+from estimators.cli.job import Job, progress
+
+
+def plan_next(work: Job, base: Any, found: Any, candidates: Any) -> Any:
+    """Plan the experiment that would tell the effects of an ambiguous diagnosis apart.
+
+    None where none is needed or feasible.
+    """
+    if found.verdict != "ambiguous":
+        return None
+    import estimators as est
+
+    try:
+        return est.next_experiment(base, work.train, found, candidates=candidates, progress=progress())
+    except (ValueError, FloatingPointError) as error:
+        work.remark = f"{work.remark} No next experiment could be planned: {error}".strip()
+        return None
+
+
+def show_plan(planned: Any, work: Job, figures: dict[str, Any], captions: dict[str, str]) -> None:
+    """Write the recommended experiment for the rig, and add its picture to those of a report."""
+    if planned is None or work.folder is None:
+        return
+    planned.save(work.folder / "next_experiment.h5")
+    figures["next_experiment"] = planned.plot()
+    captions["next_experiment"] = "What would tell them apart; next_experiment.h5 can be played on the rig."

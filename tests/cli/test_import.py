@@ -1,0 +1,121 @@
+"""`rtac import`: the numbers of a data logger's files, in the units of a recording, and what it does not understand."""
+
+import numpy as np
+import pytest
+import scipy.io
+from command_line import call, refused
+
+from rtac_jax.measurement import Recording
+
+TIME = 0.005 * np.arange(300)
+POSITION = 0.009 * np.cos(10 * TIME)
+SPEED = 20 * np.sin(7 * TIME)
+CURRENT = 0.3 * np.sin(5 * TIME)
+FREE = ("--kind", "free", "--channel", "cart_position=x [mm]", "--time", "t")
+
+
+def write(path, **columns):
+    """A CSV file whose columns are named with `__` where a name has a space, and units in brackets."""
+    rows = [",".join(columns), *(",".join(map(repr, row)) for row in np.column_stack(list(columns.values())).tolist())]
+    path.write_text("\n".join(rows) + "\n")
+    return path
+
+
+@pytest.fixture
+def free(tmp_path):
+    return write(tmp_path / "free_1.csv", **{"t": TIME, "x": 1e3 * POSITION})
+
+
+@pytest.fixture
+def forced(tmp_path):
+    columns = {"t [ms]": 1e3 * TIME, "x [mm]": 1e3 * POSITION, "n": SPEED * 30 / np.pi, "i": 1e3 * CURRENT}
+    return write(tmp_path / "forced_1.csv", **columns)
+
+
+def imported(out, *arguments):
+    result = call("import", *arguments, out)
+    assert result.exit_code == 0, result.output
+    return result, Recording.load(out)
+
+
+def test_several_files_become_one_recording_in_its_units(tmp_path, free, forced):
+    result, recording = imported(
+        tmp_path / "rig.h5", free, forced, *["--kind", "free", "--kind", "forced", "--rig", "total_mass=1.23", "--angle", "0.5"],
+        "--channel", "cart_position=x", "--channel", "arm_velocity=n [rpm]", "--channel", "current=i [mA]", "--time", "t",
+        "--scale", "cart_position=0.001", "--noise", "cart_position=2e-6", "--intersample", "current=bl",
+    )  # fmt: skip
+    assert recording.names == ("free_1", "forced_1")
+    assert [e.kind for e in recording] == ["free", "forced"]
+    assert recording.rig == {"total_mass": 1.23}
+    for experiment in recording:
+        np.testing.assert_allclose(experiment.outputs["cart_position"].values, POSITION, rtol=1e-12)
+        assert experiment.initial_arm_angle == 0.5
+        assert experiment.outputs["cart_position"].noise_std == 2e-6
+    assert recording["free_1"].sample_time == pytest.approx(0.005)
+    assert recording["forced_1"].sample_time == pytest.approx(0.005)  # its times are in ms, as its first row says
+    np.testing.assert_allclose(recording["forced_1"].outputs["arm_velocity"].values, SPEED, rtol=1e-12)
+    np.testing.assert_allclose(recording["forced_1"].inputs["current"].values, CURRENT, rtol=1e-12)
+    assert recording["forced_1"].inputs["current"].intersample == "bl"
+    assert "It has no column for arm_velocity, current." in result.stdout
+    assert "written: " in result.stdout
+
+
+def test_a_dry_run_shows_what_was_understood_and_writes_nothing(tmp_path, free):
+    result = call("import", free, *FREE, "--dry-run", tmp_path / "rig.h5")
+    assert result.exit_code == 0, result.output
+    (row,) = (line.split() for line in result.stdout.splitlines() if "cart_position" in line and "0.001" in line)
+    assert row == ["x", "mm", "0.001", "cart_position", "m", "-0.009", "0.009"]
+    assert "300 samples of 0.005 s" in result.stdout
+    assert "initial_arm_angle is not given" in result.stdout
+    assert not (tmp_path / "rig.h5").exists()
+
+
+def test_a_unit_in_the_first_row_need_not_be_repeated_but_not_contradicted(tmp_path, forced):
+    arguments = (forced, "--kind", "free", "--time", "t")
+    for wish in ("x", "x [mm]"):
+        _, recording = imported(tmp_path / "rig.h5", *arguments, "--channel", f"cart_position={wish}")
+        np.testing.assert_allclose(recording["forced_1"].outputs["cart_position"].values, POSITION, rtol=1e-12)
+    refused(
+        call("import", *arguments, "--channel", "cart_position=x [m]", tmp_path / "no.h5"), 2,
+        "says that x is in mm", "--channel cart_position says m",
+    )  # fmt: skip
+
+
+def test_a_mat_file_and_a_recording_join(tmp_path, free):
+    imported(tmp_path / "rig.h5", free, *FREE)
+    scipy.io.savemat(tmp_path / "forced_2.mat", {"V1": CURRENT, "V2": np.degrees(SPEED)})
+    _, both = imported(
+        tmp_path / "rig.h5", tmp_path / "rig.h5", tmp_path / "forced_2.mat", "--kind", "forced", "--sample-time", "0.005",
+        "--channel", "current=V1", "--channel", "arm_velocity=V2 [deg/s]", "--name", "forced, slow",
+    )  # fmt: skip
+    assert both.names == ("free_1", "forced, slow")
+    np.testing.assert_allclose(both["forced, slow"].outputs["arm_velocity"].values, SPEED, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--channel", "cart_position=x [furlong]"), ("'furlong' is not known", "m, cm, mm", "--scale cart_position=")),
+        (("--channel", "cart_position=y"), ("has no column 'y'", "the columns are t, x")),
+        (("--channel", "cart_place=x"), ("no channel cart_place", "cart_position")),
+        (("--channel", "cart_position"), ("write NAME=VALUE",)),
+        (("--channel", "cart_position=x", "--channel", "cart_position=t"), ("twice",)),
+        ((), ("say which column is which", "t, x")),
+        (("--channel", "cart_position=x", "--rig", "total_mass=heavy"), ("'heavy'", "a number")),
+        (("--channel", "cart_position=x", "--name", "a", "--name", "b"), ("2 times for 1 files",)),
+        (("--channel", "cart_position=x", "--sample-time", "0.1"), ("give one of the two",)),
+        (("--channel", "cart_position=x", "--noise", "current=1"), ("current",)),
+    ],
+)
+def test_what_it_does_not_understand_is_one_sentence(tmp_path, free, arguments, words):
+    refused(call("import", free, "--kind", "free", "--time", "t", *arguments, tmp_path / "out.h5"), 2, *words)
+    assert not (tmp_path / "out.h5").exists()
+
+
+def test_files_and_kinds_must_be_named(tmp_path, free):
+    refused(call("import", *FREE, free), 2, "ends in .h5")
+    refused(call("import", *FREE, tmp_path / "out.h5"), 2, "name the files to import")
+    refused(call("import", *FREE, tmp_path / "none.csv", tmp_path / "out.h5"), 2, "none.csv: there is no such file")
+    refused(call("import", *FREE[2:], free, tmp_path / "out.h5"), 2, "what kind of experiment")
+    refused(call("import", "--kind", "fast", *FREE[2:], free, tmp_path / "out.h5"), 2, "'fast'", "'free'")
+    refused(call("import", *FREE, free, free, tmp_path / "out.h5"), 2, "the name occurs twice")

@@ -124,7 +124,7 @@ class _Places:
         self.width = len(self.first.experiments)
         self.holds: list[int | None] = [None] * size
         # An empty place computes what the first case does, and nobody looks at it.
-        self.data, self.columns = _side_by_side([(self.first.data, self.first.columns)] * size)
+        self.data, self.columns = side_by_side([(self.first.data, self.first.columns)] * size)
         self.noise = np.repeat(self.first.noise, size, axis=1)
         self.batch = begun(np.tile(self.first.unknowns, (1, size)), self.noise.copy())
         idle(self.batch, range(size))
@@ -233,6 +233,6 @@ def _summary(
     return values, start, rms, reduced
 
 
-def _side_by_side(parts: Iterable[Any]) -> Any:
+def side_by_side(parts: Iterable[Any]) -> Any:
     """Return arrays with the columns of all; what has no axis is the same in all."""
     return jax.tree.map(lambda *x: np.concatenate(x, axis=-1) if np.ndim(x[0]) else x[0], *parts)

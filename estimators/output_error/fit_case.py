@@ -1,6 +1,7 @@
 """One recording among many that are fitted at once: data, unknowns, bounds and noise, a column for each experiment."""
 
 import dataclasses
+import functools
 from collections.abc import Hashable, Mapping, Sequence
 from typing import Any
 
@@ -124,8 +125,16 @@ def shape_of(experiments: Sequence[Experiment]) -> tuple[tuple[object, ...], ...
 
 def _kind(model: RTAC, experiments: Sequence[Experiment], given: Sequence[str], data: Data) -> Hashable:
     # What is no parameter of its own, such as the table of a force, stands in the compiled code once for all columns.
-    bare = model.with_values(dict.fromkeys((*given, *model.per_experiment), 1.0))
-    leaves, structure = jax.tree.flatten(bare)
-    marks = tuple((np.shape(leaf), np.asarray(leaf).tobytes()) for leaf in leaves)
+    leaves, structure = jax.tree.flatten(model)
+    own = _parameters_among(structure, len(leaves), (*given, *sorted(model.per_experiment)))
+    marks = tuple((np.shape(x), None if n in own else np.asarray(x).tobytes()) for n, x in enumerate(leaves))
     shapes = tuple(np.shape(leaf) for leaf in jax.tree.leaves(data))
-    return structure, marks, shape_of(experiments), tuple(model.free), jax.tree.structure(data), shapes
+    return structure, marks, shape_of(experiments), jax.tree.structure(data), shapes
+
+
+@functools.lru_cache(maxsize=64)
+def _parameters_among(structure: Any, count: int, names: tuple[str, ...]) -> frozenset[int]:
+    """Return the places of these parameters among the leaves of a model."""
+    zeros = jax.tree.unflatten(structure, [np.zeros(())] * count)
+    ones = jax.tree.leaves(zeros.with_values(dict.fromkeys(names, 1.0)))
+    return frozenset(n for n, leaf in enumerate(ones) if np.all(np.asarray(leaf) == 1.0))

@@ -1,7 +1,7 @@
 """Gauss-Newton's normal equations of many experiments, summed up in the time loop, so that no sensitivity is kept."""
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -15,7 +15,11 @@ from rtac_jax import RTAC, Excitation
 from rtac_jax.effects import Input
 from rtac_jax.simulation import Steps, advance, without_denormals
 
-Real = Array | np.ndarray
+if TYPE_CHECKING:
+    Real = Any
+else:
+    Real = Array | np.ndarray
+"""Arrays of JAX within compiled code, of NumPy where they are put side by side."""
 
 
 class Columns(NamedTuple):

@@ -13,7 +13,7 @@ import estimators as est
 from estimators.study import Estimate, Excitation, Fitted, Hidden, Noise, Plant, StudyResults, fit_chunk
 from estimators.study.naming import outcome
 from estimators.study.repetition import layout_of
-from estimators.study.results import clopper_pearson
+from estimators.study.statistics import clopper_pearson
 
 QUIET = {"progress": False}
 DECAYS = Excitation(duration=2.0, free=2, forced=0, rest=1)

@@ -63,12 +63,13 @@ def model_for(spec: StudySpec, truth: Truth, recording: Recording) -> RTAC:
     model = RTAC.from_rig(recording)
     for effect in spec.model.effects:
         model = model + CATALOGUE[effect].candidates(scales_of(model, [e for e in recording if e.kind != "rest"]))[0]
+    known: dict[str, float] = {}
+    held = [name for name in model.free if spec.model.free and name not in spec.model.free]
     if spec.model.start == "truth":
-        model = model.with_values({name: truth.values[name] for name in model.free if name in truth.values})
-    if spec.model.free:
-        held = [name for name in model.free if name not in spec.model.free]
-        model = model.with_values({name: truth.values[name] for name in held if name in truth.values}).fix(*held)
-    return model
+        known |= {name: truth.values[name] for name in model.free if name in truth.values}
+    known |= {name: truth.values[name] for name in held if name in truth.values}
+    model = model.with_values(known)
+    return model.fix(*held) if held else model
 
 
 def parameters_of(spec: StudySpec) -> tuple[str, ...]:

@@ -116,7 +116,8 @@ def test_models_simulated_together_are_those_simulated_alone():
     for number in (0, 3, 4):
         (alone,) = recordings(spec, [number], truths[number : number + 1])
         one = together[number]
-        assert not isinstance(one, str) and not isinstance(alone, str)
+        assert not isinstance(one, str)
+        assert not isinstance(alone, str)
         for name in one.names:
             for channel, signal in one[name].outputs.items():
                 np.testing.assert_array_equal(signal.values, alone[name].outputs[channel].values)

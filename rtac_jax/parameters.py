@@ -1,6 +1,7 @@
 """A declared physical parameter: a field of a module with a symbol, a unit, bounds, a meaning and a source."""
 
 import dataclasses
+import functools
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
@@ -104,4 +105,9 @@ def _as_value(value: Any) -> Array:
 
 def declarations(module: Any) -> dict[str, Declaration]:
     """Return the declared parameters of a module or of its class, by field name, in order of declaration."""
+    return dict(_declared(module if isinstance(module, type) else type(module)))
+
+
+@functools.cache
+def _declared(module: Any) -> dict[str, Declaration]:
     return {field.name: field.metadata[_KEY] for field in dataclasses.fields(module) if _KEY in field.metadata}

@@ -108,7 +108,19 @@ def table_1(found: ClosedForm) -> str:
         declared = found.model.parameters[name]
         rows.append([title, declared.symbol, f"{float(np.mean(np.asarray(found.model[name]))):.5g}", declared.unit])
     parts.append(f"(c) parameters of the rig\n{_aligned(rows)}")
-    return "\n\n".join([*parts, _rule(found)])
+    return "\n\n".join([*parts, *_taken_as_known(found), _rule(found)])
+
+
+def _taken_as_known(found: ClosedForm) -> list[str]:
+    """Say which constant the stiffness rests on, whose error the scatter over experiments cannot show."""
+    name = "eccentric_moment"
+    if not found.ratios or not found.options.reaction or name in found.estimates or name not in found.model.parameters:
+        return []
+    value = float(np.mean(np.asarray(found.model[name])))
+    return [
+        f"me is taken as {value:.4g} kg m, since no forced experiment tells it. An error in it shifts the stiffness of all "
+        "experiments alike, which their scatter, and so the standard deviation, does not show."
+    ]
 
 
 def _rule(found: ClosedForm) -> str:

@@ -9,8 +9,9 @@ from estimators.core.residual import diagonal_whitener, no_gain
 from rtac_jax import RTAC
 from rtac_jax.simulation import substeps_for
 
-_STEP_ERROR = 0.02
-_MOST_SUBSTEPS = 32
+STEP_ERROR = 0.02
+"""Change of the outputs by half as long steps, over the noise, from which on steps are too long."""
+MOST_SUBSTEPS = 32
 
 
 def accurate_substeps(model: RTAC, data: Data, space: Space, unknowns: Unknowns, noise: np.ndarray) -> int:
@@ -30,11 +31,11 @@ def accurate_substeps(model: RTAC, data: Data, space: Space, unknowns: Unknowns,
 
     substeps = substeps_for(model, data.excitation)
     coarse = run(substeps)
-    while substeps < _MOST_SUBSTEPS:
+    while substeps < MOST_SUBSTEPS:
         fine = run(2 * substeps)
         squares = ((fine - coarse) ** 2).sum(axis=0)
         change = np.sqrt([squares[:, c].sum(axis=1) / np.maximum(count[:, c].sum(axis=1), 1.0) for c in alike])
-        if not np.all(np.isfinite(fine)) or np.all(change < _STEP_ERROR):
+        if not np.all(np.isfinite(fine)) or np.all(change < STEP_ERROR):
             break
         substeps, coarse = 2 * substeps, fine
     return substeps

@@ -1,15 +1,15 @@
 """Levenberg-Marquardt on many data sets of one shape in one compiled loop, each with damping and an end of its own."""
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from estimators.core.data import Data
-from estimators.output_error.normal_equations import Columns, normal_equations
+from estimators.output_error.normal_equations import Columns, Real, normal_equations
 from rtac_jax import RTAC
 from rtac_jax.simulation import Steps
 
@@ -37,108 +37,127 @@ class Batch(NamedTuple):
         damping: of Marquardt.
         stage: how often the deviations have been set to what is left; 3 where the descent has ended.
         failed: steps in a row that gained nothing.
-        steps: how many were tried.
+        steps: how many were tried; -1 where the unknowns themselves have not been tried yet.
+        diverged: whether the simulation at the beginning is not finite.
     """
 
-    unknowns: Float[Array, "unknown column"]
-    products: Float[Array, "output row row column"]
-    deviation: Float[Array, "output set"]
-    damping: Float[Array, " set"]
-    stage: Int[Array, " set"]
-    failed: Int[Array, " set"]
-    steps: Int[Array, " set"]
+    unknowns: Float[Real, "unknown column"]
+    products: Float[Real, "output row row column"]
+    deviation: Float[Real, "output set"]
+    damping: Float[Real, " set"]
+    stage: Int[Real, " set"]
+    failed: Int[Real, " set"]
+    steps: Int[Real, " set"]
+    diverged: Bool[Real, " set"]
+
+
+def begun(unknowns: Float[np.ndarray, "unknown column"], noise: Float[np.ndarray, "output set"]) -> Batch:
+    """Return descents that begin at these unknowns, weighted by the noise of the sensors."""
+    outputs, sets = noise.shape
+    width = len(unknowns) + 1
+    none = np.zeros(sets, dtype=int)
+    products = np.zeros((outputs, width, width, unknowns.shape[1]))
+    return Batch(
+        unknowns, products, noise, np.full(sets, _DAMPING), none, none.copy(), none - 1, np.zeros(sets, dtype=bool)
+    )
+
+
+def ended(batch: Batch, most: int) -> Bool[np.ndarray, " set"]:
+    """Return which descents have ended, or have tried as many steps as they may."""
+    return (np.asarray(batch.stage) >= len(_CLOSE)) | (np.asarray(batch.steps) >= most)
+
+
+def idle(batch: Batch, which: Sequence[int]) -> None:
+    """Mark places of a batch, whose arrays are NumPy's, as ended."""
+    batch.stage[list(which)] = len(_CLOSE)
 
 
 @eqx.filter_jit
-def descend(
+def one_step(
     model: RTAC,
     names: tuple[str, ...],
+    held: tuple[str, ...],
     shared: int,
     outputs: tuple[int, ...],
     data: Data,
     columns: Columns,
-    unknowns: Float[Array, "unknown column"],
+    batch: Batch,
     noise: Float[Array, "output set"],
     substeps: Steps,
     most: Int[Array, ""],
-) -> tuple[Batch, Bool[Array, " set"]]:
-    """Return where each data set came to rest, and which began with a simulation that is not finite.
+    tolerance: Float[Array, ""],
+) -> Batch:
+    """Take one step of every descent that has not ended.
+
+    Each has damping and an end of its own. The starts are minimised out for every experiment apart. After the first and the
+    second stage the channels are weighted by what is left of each, so that the third minimises the likelihood with the noise
+    levels at their best values. A descent that begins only evaluates its beginning; one whose simulation is not finite there
+    has diverged.
 
     Args:
         model: that is fitted.
         names: of the parameters.
-        shared: how many of them, the first, all experiments of a data set have in common.
+        held: names of the parameters that are not estimated.
+        shared: how many of `names`, the first, all experiments of a data set have in common.
         outputs: places of those that were measured, which `noise` has too.
         data: of all data sets, whose experiments stand side by side as columns.
-        columns: of which data set each experiment is, and how its unknowns are placed and scaled.
-        unknowns: at which to begin.
-        noise: of the sensors, which weights the channels at first.
+        columns: how the unknowns of each experiment are placed and scaled.
+        batch: where the descents stand.
+        noise: of the sensors.
         substeps: Runge-Kutta steps per sample.
         most: steps to try.
+        tolerance: distance to the minimum of the linearised problem at which a descent ends [standard deviations].
 
     Source: Marquardt (1963); the starts are eliminated as in the variable projection of Golub and Pereyra (1973).
     """
     sets = noise.shape[1]
+    last = len(_CLOSE)
+    nearness = jnp.maximum(jnp.asarray(_CLOSE), tolerance).at[-1].set(tolerance)
+    active = (batch.stage < last) & (batch.steps < most)
+    fresh = active & (batch.steps < 0)
 
-    def products_at(at: Array) -> Array:
-        return normal_equations(model, names, outputs, data, columns, at, substeps=substeps)
+    matrix = weighted(batch, columns)
+    step, _ = _newton(matrix, shared, batch.damping)
+    trial = batch.unknowns + jnp.where(_per_column(active & ~fresh, batch), step, 0.0)
+    there_model = model.with_values(dict(zip(held, columns.known, strict=True)))
+    products = normal_equations(there_model, names, outputs, data, columns, trial, substeps=substeps)
+    finite = jnp.all(jnp.isfinite(products).reshape(-1, sets, products.shape[-1] // sets), axis=(0, 2))
+    there = weighted(batch._replace(unknowns=trial, products=products), columns)
+    now, then = (0.5 * jnp.sum(x[-1, -1], axis=-1) for x in (matrix, there))
+    better = active & finite & (fresh | (then <= now * (1.0 + _ROUNDING)))
+    take = _per_column(better, batch)
+    gained = better & (fresh | (now - then > _NOTHING))
+    tried = active & ~fresh
+    eased = jnp.maximum(_EASE * batch.damping, _LEAST_DAMPING)
+    after = batch._replace(
+        unknowns=jnp.where(take, trial, batch.unknowns),
+        products=jnp.where(take, products, batch.products),
+        damping=jnp.where(tried, jnp.where(better, eased, _TIGHTEN * batch.damping), batch.damping),
+        failed=jnp.where(gained, 0, batch.failed + tried),
+        steps=batch.steps + active,
+        diverged=batch.diverged | (fresh & ~finite),
+        stage=jnp.where(fresh & ~finite, last, batch.stage),
+    )
 
-    def each_finite(products: Array) -> Array:
-        return jnp.all(jnp.isfinite(products).reshape(-1, sets, products.shape[-1] // sets), axis=(0, 2))
-
-    def one_step(carry: tuple[Any, Batch]) -> tuple[Any, Batch]:
-        count, batch = carry
-        matrix = weighted(batch, columns)
-        step, _ = _newton(matrix, shared, batch.damping)
-        trial = batch.unknowns + jnp.where(_per_column(batch.stage < len(_CLOSE), batch), step, 0.0)
-        products = products_at(trial)
-        there = weighted(batch._replace(unknowns=trial, products=products), columns)
-        now, then = (0.5 * jnp.sum(x[-1, -1], axis=-1) for x in (matrix, there))
-        active = batch.stage < len(_CLOSE)
-        better = active & each_finite(products) & (then <= now * (1.0 + _ROUNDING))
-        take = _per_column(better, batch)
-        gained = better & (now - then > _NOTHING)
-        after = batch._replace(
-            unknowns=jnp.where(take, trial, batch.unknowns),
-            products=jnp.where(take, products, batch.products),
-            damping=jnp.where(
-                better,
-                jnp.maximum(_EASE * batch.damping, _LEAST_DAMPING),
-                jnp.where(active, _TIGHTEN, 1.0) * batch.damping,
-            ),
-            failed=jnp.where(gained, 0, batch.failed + active),
-            steps=batch.steps + active,
-        )
-        stuck = active & (after.failed >= jnp.asarray(_TRIES)[jnp.minimum(batch.stage, 2)])
-        after = next_stage(after, stuck)
-        for _ in _CLOSE:  # new weights may leave it as close, which costs no simulation to see
-            after = next_stage(after, active & close(after))
-        return count + 1, after
-
-    def close(batch: Batch) -> Array:
+    def close(at: Batch) -> Array:
         """Whether the minimum of the linearised problem is near."""
-        _, left = _newton(weighted(batch, columns), shared, batch.damping)
-        near = jnp.asarray(_CLOSE)[jnp.minimum(batch.stage, len(_CLOSE) - 1)]
-        return jnp.sqrt(2.0 * jnp.maximum(left, 0.0)) < near
+        _, left = _newton(weighted(at, columns), shared, at.damping)
+        return jnp.sqrt(2.0 * jnp.maximum(left, 0.0)) < nearness[jnp.minimum(at.stage, last - 1)]
 
-    def next_stage(batch: Batch, ended: Array) -> Batch:
-        ended = ended & (batch.stage < len(_CLOSE))
-        rms = left_over(batch, data.present[:, jnp.asarray(outputs)], noise)
-        return batch._replace(
-            stage=batch.stage + ended,
-            failed=jnp.where(ended, 0, batch.failed),
-            deviation=jnp.where(ended & (batch.stage < len(_CLOSE) - 1), rms, batch.deviation),
+    def next_stage(at: Batch, done: Array) -> Batch:
+        done = done & (at.stage < last)
+        rms = left_over(at, data.present[:, jnp.asarray(outputs)], noise)
+        return at._replace(
+            stage=at.stage + done,
+            failed=jnp.where(done, 0, at.failed),
+            deviation=jnp.where(done & (at.stage < last - 1), rms, at.deviation),
         )
 
-    def goes_on(carry: tuple[Any, Batch]) -> Any:
-        count, batch = carry
-        return (count < most) & jnp.any(batch.stage < len(_CLOSE))
-
-    first = products_at(unknowns)
-    begins = each_finite(first)
-    none = jnp.zeros(sets, dtype=int)
-    batch = Batch(unknowns, first, noise, jnp.full(sets, _DAMPING), jnp.where(begins, 0, len(_CLOSE)), none, none)
-    return jax.lax.while_loop(goes_on, one_step, (0, batch))[1], ~begins
+    stuck = tried & (after.failed >= jnp.asarray(_TRIES)[jnp.minimum(batch.stage, last - 1)])
+    after = next_stage(after, stuck)
+    for _ in _CLOSE:  # new weights may leave it as close, which costs no simulation to see
+        after = next_stage(after, tried & close(after))
+    return after
 
 
 def left_over(batch: Batch, present: Array, noise: Array) -> Float[Array, "output set"]:

@@ -1,10 +1,11 @@
 """Gauss-Newton's normal equations of many experiments, summed up in the time loop, so that no sensitivity is kept."""
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from estimators.core.bound_transform import to_physical
@@ -14,6 +15,12 @@ from rtac_jax import RTAC, Excitation
 from rtac_jax.effects import Input
 from rtac_jax.simulation import Steps, advance, without_denormals
 
+if TYPE_CHECKING:
+    Real = Any
+else:
+    Real = Array | np.ndarray
+"""Arrays of JAX within compiled code, of NumPy where they are put side by side."""
+
 
 class Columns(NamedTuple):
     """What is known of the unknowns of each experiment.
@@ -22,15 +29,17 @@ class Columns(NamedTuple):
         lower, upper, scale: of the parameters, as in `to_physical`.
         start: expected states at the start, as in `Space`.
         start_scale, start_spread, start_held: likewise.
+        known: values of the parameters that are not estimated.
     """
 
-    lower: Float[Array, " parameter"]
-    upper: Float[Array, " parameter"]
-    scale: Float[Array, " parameter"]
-    start: Float[Array, "start experiment"]
-    start_scale: Float[Array, "start experiment"]
-    start_spread: Float[Array, "start experiment"]
-    start_held: Float[Array, "start experiment"]
+    lower: Float[Real, "parameter experiment"]
+    upper: Float[Real, "parameter experiment"]
+    scale: Float[Real, "parameter experiment"]
+    start: Float[Real, "start experiment"]
+    start_scale: Float[Real, "start experiment"]
+    start_spread: Float[Real, "start experiment"]
+    start_held: Float[Real, "start experiment"]
+    known: Float[Real, "known experiment"]
 
 
 def physical(
@@ -38,8 +47,7 @@ def physical(
 ) -> tuple[Float[Array, "parameter experiment"], Float[Array, "start experiment"]]:
     """Return parameters and states at the start in SI units; the parameters are the first of the unknowns."""
     count = len(columns.lower)
-    bounds = (x[:, None] for x in (columns.lower, columns.upper, columns.scale))
-    values = to_physical(unknowns[:count], *bounds)
+    values = to_physical(unknowns[:count], columns.lower, columns.upper, columns.scale)
     return values, columns.start + (1.0 - columns.start_held) * columns.start_scale * unknowns[count:]
 
 

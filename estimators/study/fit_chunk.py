@@ -1,13 +1,14 @@
 """What is estimated from the recordings of one chunk, by one method."""
 
-import dataclasses
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from estimators.core.initial_state import scales_of
 from estimators.core.results import RESULTS
+from estimators.study.batched_fits import fit_together, suits
+from estimators.study.outcome import Outcome, Prepared, Value
 from estimators.study.recordings import NEW
 from estimators.study.spec import Estimate, StudySpec, options_for
 from estimators.study.truth import RATIOS, Truth
@@ -32,58 +33,29 @@ the probability that an envelope states, with which confidence, the fraction of 
 it lies above it; the fraction of misfit that named effects remove, and how much the hidden effect looks like its nearest rival."""
 
 
-class Value(NamedTuple):
-    """An estimate: value, stated standard deviation, degrees of freedom of Student's distribution, Table 1's consistency."""
-
-    value: float
-    std: float = np.nan
-    freedom: float = np.inf
-    consistency: float = np.nan
-
-
-@dataclasses.dataclass(frozen=True)
-class Outcome:
-    """What one method makes of one recording.
-
-    Attributes:
-        values: by name of the parameter.
-        quantities: by name, see `QUANTITIES`.
-        verdict: how the fit ended, or what a diagnosis says.
-        named: effects that a diagnosis named, those that it cannot tell apart joined by "|", several by " + ".
-    """
-
-    values: Mapping[str, Value] = dataclasses.field(default_factory=dict)
-    quantities: Mapping[str, float] = dataclasses.field(default_factory=dict)
-    verdict: str = ""
-    named: str = ""
-
-
-class Prepared(NamedTuple):
-    """A recording, the model to be fitted to it, and the truth."""
-
-    model: RTAC
-    recording: Recording
-    truth: Truth
-
-
 def fit_chunk(estimate: Estimate, chunk: Sequence[Prepared], start: str) -> list[Outcome | str]:
     """Estimate from every recording of a chunk; where that fails, the reason.
 
-    This is the place for a batched fit: one compiled call for all recordings of a chunk, with a status for each. So that results
-    do not depend on how repetitions are cut into chunks, a batch must give each the same bits in any company, such as by
-    filling it up to one fixed size.
+    Fits of output error that begin at the truth are made side by side in one compiled batch. Whether they are, and what each
+    comes to, follows from the study and from the repetition alone; those that the batch leaves open are fitted alone.
     """
-    function = _METHODS[estimate.method]
     options = dict(estimate.options)
+    together: list[Outcome | None] = [None] * len(chunk)
+    if suits(estimate, start):
+        together = fit_together(chunk, options)
     found: list[Outcome | str] = []
-    for prepared in chunk:
-        try:
-            found.append(function(prepared, options, start))
-        except MemoryError:
-            raise  # says nothing of the repetition: the chunk is tried again
-        except Exception as error:  # whatever it is, it is a result of the study, and kept with its reason
-            found.append(f"{type(error).__name__}: {' '.join(str(error).split())}")
+    for prepared, outcome in zip(chunk, together, strict=True):
+        found.append(outcome or _alone(estimate, prepared, options, start))
     return found
+
+
+def _alone(estimate: Estimate, prepared: Prepared, options: Mapping[str, Any], start: str) -> Outcome | str:
+    try:
+        return _METHODS[estimate.method](prepared, options, start)
+    except MemoryError:
+        raise  # says nothing of the repetition: the chunk is tried again
+    except Exception as error:  # whatever it is, it is a result of the study, and kept with its reason
+        return f"{type(error).__name__}: {' '.join(str(error).split())}"
 
 
 def model_for(spec: StudySpec, truth: Truth, recording: Recording) -> RTAC:
@@ -91,12 +63,13 @@ def model_for(spec: StudySpec, truth: Truth, recording: Recording) -> RTAC:
     model = RTAC.from_rig(recording)
     for effect in spec.model.effects:
         model = model + CATALOGUE[effect].candidates(scales_of(model, [e for e in recording if e.kind != "rest"]))[0]
+    known: dict[str, float] = {}
+    held = [name for name in model.free if spec.model.free and name not in spec.model.free]
     if spec.model.start == "truth":
-        model = model.with_values({name: truth.values[name] for name in model.free if name in truth.values})
-    if spec.model.free:
-        held = [name for name in model.free if name not in spec.model.free]
-        model = model.with_values({name: truth.values[name] for name in held if name in truth.values}).fix(*held)
-    return model
+        known |= {name: truth.values[name] for name in model.free if name in truth.values}
+    known |= {name: truth.values[name] for name in held if name in truth.values}
+    model = model.with_values(known)
+    return model.fix(*held) if held else model
 
 
 def parameters_of(spec: StudySpec) -> tuple[str, ...]:

@@ -3,8 +3,10 @@
 import dataclasses
 from collections.abc import Sequence
 
-from estimators.study.fit_chunk import QUANTITIES, Outcome, Prepared, fit_chunk, model_for, parameters_of
+from estimators.study.chunk_size import per_chunk
+from estimators.study.fit_chunk import QUANTITIES, fit_chunk, model_for, parameters_of
 from estimators.study.layout import Arrays, Layout
+from estimators.study.outcome import Outcome, Prepared
 from estimators.study.recordings import recordings
 from estimators.study.spec import StudySpec
 from estimators.study.truth import Truth, true_for
@@ -39,7 +41,7 @@ class Repetitions(Work):
     @property
     def per_chunk(self) -> int:
         """How many one chunk has by default."""
-        return self.spec.per_chunk
+        return per_chunk(self.spec)
 
     @property
     def layout(self) -> Layout:

@@ -29,9 +29,7 @@ Method = Literal[
 Statistic = Literal["estimate", "std", "consistency", "quantities"]
 STATISTICS: tuple[Statistic, ...] = ("estimate", "std", "consistency", "quantities")
 
-_FORMAT = 1  # of what a repetition keeps: raised when the same study would give other numbers
-_PER_CHUNK = {"diagnosis": 1, "envelope": 2}  # these take minutes and seconds; a kill loses one chunk
-_MOST_PER_CHUNK = 25
+_FORMAT = 2  # of what a repetition keeps: raised when the same study would give other numbers
 
 
 @dataclasses.dataclass(frozen=True)
@@ -159,6 +157,11 @@ class Excitation:
         if len(self.band) != 2 or not 0 < self.band[0] < self.band[1]:
             raise SpecError(f"excitation.band: is {list(self.band)}; give the lower and the upper end in Hz.")
 
+    @property
+    def moving(self) -> int:
+        """Number of experiments in which the rig moves."""
+        return self.conditions if self.kind == "conditions" else self.free + self.forced + self.repeats
+
 
 @dataclasses.dataclass(frozen=True)
 class Fitted:
@@ -284,11 +287,6 @@ class StudySpec:
         table = {key: value for key, value in to_table(self).items() if key not in ("name", "question", "repetitions")}
         canonical = json.dumps([_FORMAT, table], sort_keys=True)
         return hashlib.sha256(canonical.encode()).hexdigest()[:16]
-
-    @property
-    def per_chunk(self) -> int:
-        """How many repetitions one chunk has, if nobody says otherwise; the numbers do not depend on it."""
-        return min(_PER_CHUNK.get(one.method, _MOST_PER_CHUNK) for one in self.estimate)
 
     def to_toml(self) -> str:
         """Return the study as TOML, every field stated."""

@@ -13,7 +13,7 @@ import estimators as est
 from estimators.study import Estimate, Excitation, Fitted, Hidden, Noise, Plant, StudyResults, fit_chunk
 from estimators.study.naming import outcome
 from estimators.study.repetition import layout_of
-from estimators.study.results import clopper_pearson
+from estimators.study.statistics import clopper_pearson
 
 QUIET = {"progress": False}
 DECAYS = Excitation(duration=2.0, free=2, forced=0, rest=1)
@@ -210,7 +210,7 @@ def test_a_failure_of_the_machine_is_none_of_the_study(monkeypatch):
 
 def test_the_ready_studies_are_read():
     files = sorted((Path(__file__).parents[2] / "studies").glob("*.toml"))
-    assert [file.stem for file in files] == ["diagnosis", "envelope", "estimates", "excitation"]
+    assert [file.stem for file in files] == ["coverage", "diagnosis", "envelope", "estimates", "excitation"]
     for file in files:
         spec = est.StudySpec.load(file)
         assert spec.name == file.stem

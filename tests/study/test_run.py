@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from deadly_work import Deadly
 from small_study import same_bits, small
 
 import estimators as est
@@ -155,22 +156,12 @@ def test_any_executor_gives_the_same_bits_and_what_fails_there_is_tried_again(un
         est.study(small(), executor=OfThisProcess(*[OSError("gone")] * 3), chunk=12, **QUIET)
 
 
-class Deadly(run.Repetitions):
-    """Kills the process that computes it, as often as there are files to take away."""
-
-    def compute(self, indices):
-        for file in sorted(Path(os.environ["RTAC_DEADLY"]).iterdir()):
-            file.unlink()
-            os.kill(os.getpid(), signal.SIGKILL)
-        return super().compute(indices)
-
-
 def test_processes_agree_bit_by_bit_and_a_worker_that_dies_is_replaced(tmp_path, undisturbed, monkeypatch):
     deaths = tmp_path / "deaths"
     deaths.mkdir()
     (deaths / "1").touch()
     monkeypatch.setenv("RTAC_DEADLY", str(deaths))
-    monkeypatch.setenv("PYTHONPATH", _environment()["PYTHONPATH"] + os.pathsep + str(Path(__file__).parents[1]))
+    monkeypatch.setenv("PYTHONPATH", _environment()["PYTHONPATH"] + os.pathsep + str(ROOT / "tests"))
     work = Deadly(small())
     with run._Pool(1) as pool:  # one process: starting it is what takes the time
         index, arrays = run.repeated(work, "", executor=pool, out=None, chunk=4, progress=False)
@@ -227,32 +218,6 @@ def test_data_that_cannot_be_made_are_a_reason_too():
     bad = [reason for reason in reasons if reason]
     assert 0 < len(bad) < 6
     assert all(reason.startswith("no truth: ValueError: Rig.eccentric_moment is too large") for reason in bad)
-
-
-def test_a_dask_cluster_gives_the_same_bits_although_a_worker_is_killed(tmp_path, undisturbed, monkeypatch):
-    distributed = pytest.importorskip("distributed")
-    import dask
-
-    deaths = tmp_path / "deaths"
-    deaths.mkdir()
-    (deaths / "1").touch()
-    monkeypatch.setenv("RTAC_DEADLY", str(deaths))
-    monkeypatch.setenv("PYTHONPATH", _environment()["PYTHONPATH"] + os.pathsep + str(Path(__file__).parents[1]))
-    work = Deadly(small())
-    with (
-        dask.config.set({"distributed.worker.daemon": False}),
-        distributed.LocalCluster(
-            n_workers=2,
-            threads_per_worker=1,
-            dashboard_address=None,
-            silence_logs="CRITICAL",
-            local_directory=str(tmp_path),
-        ) as cluster,
-        distributed.Client(cluster) as client,
-    ):
-        index, arrays = run.repeated(work, "", executor=client.get_executor(), out=None, chunk=3, progress=False)
-    assert same_bits(est.StudyResults(small(), index, work.layout, arrays), undisturbed)
-    assert not list(deaths.iterdir())
 
 
 def test_the_excitation_and_what_is_hidden_take_turns():

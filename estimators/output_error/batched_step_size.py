@@ -1,0 +1,90 @@
+"""Step size of many fits at once: for each the rule of `accurate_substeps`, by simulations side by side."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from estimators.core.data import CHANNELS, Data
+from estimators.core.residual import states_at_start
+from estimators.core.step_size import MOST_SUBSTEPS, STEP_ERROR
+from estimators.output_error.batched_fit import places_for, side_by_side
+from estimators.output_error.fit_case import Case
+from estimators.output_error.normal_equations import Columns, physical
+from rtac_jax import RTAC
+from rtac_jax.simulation import Steps, substeps_for, trajectories
+
+
+def substeps_of(cases: Sequence[Case]) -> list[int]:
+    """Return for each case the fewest Runge-Kutta steps per sample that are accurate enough where its fit begins.
+
+    Args:
+        cases: of one kind.
+    """
+    counts = [substeps_for(case.model, case.data.excitation) for case in cases]
+    coarse: dict[int, np.ndarray] = {}
+    looked_at = list(range(len(cases)))
+    while looked_at:
+        again: list[int] = []
+        for count in sorted({counts[number] for number in looked_at}):
+            here = [number for number in looked_at if counts[number] == count]
+            unknown = [number for number in here if number not in coarse]
+            coarse.update(zip(unknown, _simulated([cases[n] for n in unknown], count), strict=True))
+            for number, fine in zip(here, _simulated([cases[n] for n in here], 2 * count), strict=True):
+                if np.all(np.isfinite(fine)) and not _alike(cases[number], coarse[number], fine):
+                    counts[number], coarse[number] = 2 * count, fine
+                    if 2 * count < MOST_SUBSTEPS:
+                        again.append(number)
+        looked_at = again
+    return counts
+
+
+def _alike(case: Case, coarse: np.ndarray, fine: np.ndarray) -> bool:
+    noise = np.ones(len(CHANNELS))
+    noise[list(case.outputs)] = case.noise[:, 0]
+    squares = (((fine - coarse) / noise[:, None] * case.data.present) ** 2).sum(axis=0)
+    count = np.asarray(case.data.present).sum(axis=0)
+    interval = np.asarray(case.data.excitation.sample_time)
+    # Apart by sample time: in the mean over all, many short steps would hide that few long ones are too long.
+    alike = [interval == one for one in np.unique(interval)]
+    change = [np.sqrt(squares[:, c].sum(axis=1) / np.maximum(count[:, c].sum(axis=1), 1.0)) for c in alike]
+    return bool(np.all(np.array(change) < STEP_ERROR))
+
+
+def _simulated(cases: Sequence[Case], substeps: int) -> list[Float[np.ndarray, "sample output experiment"]]:
+    """Return the outputs of each case at its beginning."""
+    found: list[np.ndarray] = []
+    for first in range(0, len(cases), size := places_for(len(cases[0].experiments)) if cases else 1):
+        here = cases[first : first + size]
+        padded = [*here, *[here[-1]] * (size - len(here))]
+        data, columns, unknowns = side_by_side([(c.data, c.columns, c.unknowns) for c in padded])
+        one: Any = here[0]
+        shown = np.asarray(
+            _outputs(
+                one.model, one.names, one.held, jax.tree.map(jnp.asarray, data), jax.tree.map(jnp.asarray, columns),
+                jnp.asarray(unknowns), jnp.asarray(substeps),
+            )
+        )  # fmt: skip
+        width = len(one.experiments)
+        found += [shown[..., place * width : (place + 1) * width] for place in range(len(here))]
+    return found
+
+
+@eqx.filter_jit
+def _outputs(
+    model: RTAC,
+    names: tuple[str, ...],
+    held: tuple[str, ...],
+    data: Data,
+    columns: Columns,
+    unknowns: Array,
+    substeps: Steps,
+) -> Array:
+    values, start = physical(columns, unknowns)
+    here = model.with_values(dict(zip((*held, *names), (*columns.known, *values), strict=True)))
+    state = states_at_start(here, start, data.excitation)
+    return trajectories(here, state, data.excitation, samples=data.length, room=data.room, substeps=substeps)

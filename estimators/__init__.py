@@ -28,6 +28,7 @@ from estimators.study import Bootstrap, StudyResults, StudySpec, bootstrap, stud
 from estimators.uncertainty.attribution import SOURCES, Attribution
 from estimators.uncertainty.effect_cost import EffectCost, effect_cost
 from estimators.uncertainty.envelope import Envelope, envelope
+from estimators.validation.channel_consistency import ChannelConsistency, Inconsistency, channel_consistency
 from estimators.validation.simulation_error import Comparison, compare
 from rtac_jax import __version__
 
@@ -40,6 +41,7 @@ __all__ = [
     "BatchFit",
     "Bootstrap",
     "Candidate",
+    "ChannelConsistency",
     "ClosedForm",
     "Comparison",
     "ControlDesign",
@@ -55,6 +57,7 @@ __all__ = [
     "FrequencyResponse",
     "FrequencyResponses",
     "Improvement",
+    "Inconsistency",
     "LinearModel",
     "LinearModels",
     "NextExperiment",
@@ -69,6 +72,7 @@ __all__ = [
     "__version__",
     "agreement",
     "bootstrap",
+    "channel_consistency",
     "compare",
     "control",
     "covariances",

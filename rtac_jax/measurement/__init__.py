@@ -1,5 +1,6 @@
 """Measurements: experiments, files, and the signals in them."""
 
+from ._channel_checks import moving_at_rest
 from ._concerns import concerns
 from ._errors import RecordingError
 from ._excitation import (
@@ -37,6 +38,7 @@ __all__ = [
     "from_rest",
     "guarded_by_digest",
     "harmonic_grid",
+    "moving_at_rest",
     "multisine",
     "positive_negative",
     "prbs",

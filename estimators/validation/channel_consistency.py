@@ -22,8 +22,8 @@ from estimators.validation.equation_error import (
 from estimators.validation.mistakes import COARSE, DELAYS, Mistake, delays, usual_mistakes
 from rtac_jax.measurement import Experiment, Recording, moving_at_rest
 
-# What is undone must take nine tenths of the squared residual away, the fraction of the misfit from which on an effect explains it
-# in a diagnosis (`DiagnosisPolicy`), to be called the mistake.
+# What is undone must take nine tenths of the squared residual beyond the noise away, the fraction of the misfit from which on an
+# effect explains it in a diagnosis (`DiagnosisPolicy`), to be called the mistake.
 EXPLAINS = 0.1
 # Times the noise from which on a residual is looked into: what weak noise and 2,000 samples leave of clean recordings is below 2.
 SUSPICIOUS = 3.0
@@ -34,6 +34,7 @@ ALIKE = 1.15
 LEVEL = 9.81 * np.sin(np.deg2rad(2.0))
 # Experiments in which a mistake of all is looked for.
 _SEARCHED = 4
+_SURE = 3.0  # times what is asked of all, from which on two experiments settle that a mistake does not explain them
 _PROMISING = 0.7  # of the residual, below which a coarse delay is refined: the root of a half
 
 
@@ -145,13 +146,21 @@ class _Search:
         if as_recorded < SUSPICIOUS:
             return None
 
+        # Leaving out a few must not do better.
+        enough = min(ALIKE * max(self.agreed.residual, 1.0), _explained(as_recorded))
+
         def score(mistake: Mistake) -> float:
-            solution = self._all_undone(mistake, names) if mistake.every else None
+            if not mistake.every:
+                return np.inf
+            # What two experiments contradict, more of them do not save.
+            few = self._all_undone(mistake, [names[0], names[-1]]) if len(names) > 2 else None
+            if few is not None and few.residual > _SURE * enough:
+                return few.residual
+            solution = self._all_undone(mistake, names)
             return np.inf if solution is None else solution.residual
 
         best = _likeliest(_scored(score, ("cart_position", "arm_velocity", "current"), as_recorded), as_recorded)
-        # Or leaving out a few does better.
-        if best is None or best[2] > ALIKE * max(self.agreed.residual, 1.0):
+        if best is None or best[2] > enough:
             return None
         mistake, alike, after = best
         having = [name for name, e in self.experiments.items() if _undone(e, mistake) is not e]
@@ -315,6 +324,11 @@ def _scored(
     return found
 
 
+def _explained(as_recorded: float) -> float:
+    """Return what may be left, in standard deviations of the noise, of a residual that is explained."""
+    return float(np.sqrt(1.0 + EXPLAINS * max(as_recorded**2 - 1.0, 0.0)))
+
+
 def _likeliest(
     scores: Sequence[tuple[Mistake, float]], as_recorded: float
 ) -> tuple[Mistake, list[Mistake], float] | None:
@@ -322,7 +336,7 @@ def _likeliest(
     # Below the noise one is as good as the other.
     floored = [(mistake, max(score, 1.0)) for mistake, score in scores]
     least = min((score for _, score in floored), default=np.inf)
-    if not least**2 < EXPLAINS * as_recorded**2:
+    if not least <= _explained(as_recorded):
         return None
     alike = [mistake for mistake, score in floored if score <= ALIKE * least]
     return alike[0], alike[1:], least

@@ -1,7 +1,7 @@
 """Measurements: experiments, files, and the signals in them."""
 
 from ._channel_checks import moving_at_rest
-from ._concerns import concerns
+from ._concerns import concerns, contradictions
 from ._errors import RecordingError
 from ._excitation import (
     chirp,
@@ -33,6 +33,7 @@ __all__ = [
     "central_difference",
     "chirp",
     "concerns",
+    "contradictions",
     "crest_factor",
     "describe",
     "from_rest",

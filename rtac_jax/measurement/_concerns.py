@@ -1,6 +1,6 @@
 """Concerns about a recording. Every judgement is a guess from the data; nothing is changed by it."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 import scipy.ndimage
@@ -25,13 +25,21 @@ MEDIAN_TO_STD = 1.4826
 
 def concerns(recording: Recording) -> list[str]:
     """Return what looks wrong with `recording`, one sentence each; empty when nothing does."""
-    found = [*_about_recording(recording), *rest_concerns(recording), *unit_concerns(recording)]
-    # The same concern about many experiments is one sentence that lists them.
+    return [*_about_recording(recording), *contradictions(recording), *_by_sentence(recording, _about_experiment)]
+
+
+def contradictions(recording: Recording) -> list[str]:
+    """Return those of the concerns that no rig explains: channels that contradict each other, faults, and motion at rest."""
+    return [*rest_concerns(recording), *unit_concerns(recording), *_by_sentence(recording, _contradictions_of)]
+
+
+def _by_sentence(recording: Recording, of: Callable[[Experiment], Iterator[str]]) -> list[str]:
+    """Return what is said of each experiment; the same concern about many of them is one sentence that lists them."""
     places: dict[str, list[str]] = {}
     for experiment in recording:
-        for sentence in _about_experiment(experiment):
+        for sentence in of(experiment):
             places.setdefault(sentence, []).append(experiment.name)
-    return found + [f"{_listed(names)}: {sentence}" for sentence, names in places.items()]
+    return [f"{_listed(names)}: {sentence}" for sentence, names in places.items()]
 
 
 def _listed(names: list[str]) -> str:
@@ -86,14 +94,19 @@ def _about_experiment(experiment: Experiment) -> Iterator[str]:
             yield ("initial_arm_angle is not given either, so the starting angle must be estimated; note it next time.")
     if experiment.samples < SHORT_SAMPLES:
         yield f"it has fewer than {SHORT_SAMPLES} samples, which is little to fit; record for longer."
-    if not at_rest:
-        yield from channel_concerns(experiment)
     for name, signal in experiment.outputs.items():
-        if not at_rest and not _held(name, experiment):
-            yield from (f"{name} {sentence}" for sentence in momentary_faults(name, signal))
         yield from (f"{name} {sentence}" for sentence in _about_output(signal, at_rest, _held(name, experiment)))
         if not at_rest and not _held(name, experiment) and name != "arm_angle" and _moves(signal.values):
             yield from (f"{name} {sentence}" for sentence in _about_sampling(signal, experiment))
+
+
+def _contradictions_of(experiment: Experiment) -> Iterator[str]:
+    if experiment.kind == "rest":
+        return
+    yield from channel_concerns(experiment)
+    for name, signal in experiment.outputs.items():
+        if not _held(name, experiment):
+            yield from (f"{name} {sentence}" for sentence in momentary_faults(name, signal))
 
 
 def _moves(values: Float64[np.ndarray, " sample"]) -> bool:

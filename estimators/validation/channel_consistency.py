@@ -102,6 +102,11 @@ def channel_consistency(recording: Recording) -> ChannelConsistency:
 
     Source: equations (1) and (2) of the paper; Shinbrot, Trans. ASME 79 (1957); Rousseeuw, J. Am. Stat. Assoc. 79 (1984).
     """
+    with np.errstate(all="ignore"):  # numbers as large as 1e300 may overflow, and then they fit nothing
+        return _searched(recording)
+
+
+def _searched(recording: Recording) -> ChannelConsistency:
     search = _Search(recording)
     if not search.systems:
         return ChannelConsistency(0.0, {}, ())

@@ -25,6 +25,7 @@ _GAUSSIAN_KEPT = 0.607
 # Concentration steps of least trimmed squares; Rousseeuw and van Driessen, Data Min. Knowl. Discov. 12 (2006): two suffice to
 # tell which start leads where, and it hardly moves after three.
 _CONCENTRATIONS = 3
+_ENOUGH = 300  # steps for each coefficient, where Lawson and Hanson found three to suffice
 _NEAR_ZERO = 0.2  # of the fastest stretch: as `least_squares` has it for its weak form
 _ROUNDING = 1e-6  # of a term: what integrals over samples lose, the curvature between them included
 _LONGEST = 4096  # samples of an experiment that are looked at: minutes of a long one say nothing of units that its start does not
@@ -246,4 +247,6 @@ def _nonnegative(triangle: np.ndarray) -> np.ndarray:
     size = np.sqrt(np.sum(matrix**2, axis=0))
     size = np.where(size > 0, size, 1.0)
     reduced = np.asarray(np.linalg.qr(np.column_stack([matrix / size, target]), mode="r"))
-    return nnls(reduced[:, :-1], reduced[:, -1], maxiter=30 * len(size))[0] / size
+    if not np.all(np.isfinite(reduced)):
+        return np.zeros(len(size))
+    return nnls(reduced[:, :-1], reduced[:, -1], maxiter=_ENOUGH * len(size))[0] / size

@@ -11,10 +11,10 @@ from rtac_jax.measurement import INPUTS, OUTPUTS, Experiment, RecordingError, Si
 Undo = Callable[[Experiment], Experiment | None]
 Rig = Mapping[str, float]
 
-# How many samples a channel may be late: more than a sensor's or a drive's lag of ten milliseconds at the usual rates, which is an
-# effect of the catalogue, and up to where a test function of half a period no longer overlaps with its own.
+# Numbers of samples by which a channel may be late. Fewer are a lag of a sensor or a drive, ten milliseconds at the usual rates,
+# which is an effect of the catalogue; more are an eighth of the cart's period, and look like another sign or another experiment.
 DELAYS = (3, 4, 5, 6, 7, 8, 9, 10, 12, 14, 16)
-COARSE = (4, 8, 13)
+COARSE = (4, 8, 13)  # those that are tried first: one of them is within three samples of each of the others
 
 
 @dataclasses.dataclass(frozen=True)

@@ -16,8 +16,9 @@ _GRAVITY = 9.81
 _LARGEST_ACCELERATION = 10 * _GRAVITY
 # Three times the standard deviation with which an arm is set by hand [rad].
 _ANGLE_REACH = 0.3
-# A mean beyond five standard deviations of a motion about it: a sine stays within 1.5, a decay to its end within 5.
+# A mean beyond five times half the range of the largest motion: a cart that oscillates about it would have left every other one.
 _OFF_CENTRE = 5.0
+_ABOVE_NOISE = 3.0  # times the noise from which on a channel shows a motion
 # A gain between velocity and angle is no sensor's gain error beyond this factor.
 _GAIN = 1.3
 _FEWEST_LAG = 3  # samples; fewer are a sensor's lag, which is an effect of the catalogue
@@ -58,8 +59,16 @@ def channel_concerns(experiment: Experiment) -> Iterator[str]:
 
 
 def unit_concerns(recording: Recording) -> Iterator[str]:
-    """Yield experiments whose cart_position has another unit than that of the others, as noise and motion together show."""
+    """Yield experiments whose cart_position has an offset, or another unit than that of the others, as noise and motion show."""
     holders = [e for e in recording if e.kind != "rest" and e.cart == "free" and "cart_position" in e.outputs]
+    reach = max((0.5 * float(np.ptp(_bridged(e))) for e in holders), default=0.0)
+    for e in holders:
+        mean = float(np.mean(_bridged(e)))
+        if abs(mean) > _OFF_CENTRE * reach > 0:
+            yield (
+                f"{e.name}: cart_position moves about {mean:.3g} m, {abs(mean) / reach:.2g} times as far from 0 as it moves, so "
+                "it has an offset; subtract it."
+            )
     if len(holders) < 3:
         return
     motion, noise = (np.array([f(_bridged(e)) for e in holders]) for f in (np.std, _quiet))
@@ -113,6 +122,7 @@ def _moving(recording: Recording) -> dict[str, tuple[str, float, float, str]]:
 def _peak(values: Values, sample_time: float) -> tuple[float, float]:
     """Return the frequency [Hz] of the largest peak of at least two periods, and how far it stands above what is beside it."""
     time = np.arange(len(values))
+    values = values / max(float(np.max(np.abs(values))), 1e-300)
     straight = values - np.polyval(np.polyfit(time, values, 1), time)
     power = np.abs(np.fft.rfft(straight * np.hanning(len(values)))) ** 2
     first = 2
@@ -170,8 +180,10 @@ def _initial_angle(experiment: Experiment) -> Iterator[str]:
     if start is None:
         return
     if "arm_angle" in experiment.outputs:
-        first = float(np.nanmean(experiment.outputs["arm_angle"].values[:3]))
-        if not np.isfinite(first) or abs(first - start) < _ANGLE_REACH:
+        begins = experiment.outputs["arm_angle"].values[:3]
+        begins = begins[~np.isnan(begins)]
+        first = float(np.mean(begins)) if len(begins) else start
+        if abs(first - start) < _ANGLE_REACH:
             return
         if abs(start) > np.pi and abs(first - np.deg2rad(start)) < _ANGLE_REACH:
             yield "initial_arm_angle agrees with the first arm_angle only if it is in degrees; multiply it by 0.01745."
@@ -184,14 +196,9 @@ def _initial_angle(experiment: Experiment) -> Iterator[str]:
 def _position(experiment: Experiment) -> Iterator[str]:
     values = _bridged(experiment)
     size = float(np.std(values))
-    if size == 0:
+    # Noise alone has no frequency that says anything of accelerations.
+    if size <= _ABOVE_NOISE * _quiet(values):
         return
-    mean = float(np.mean(values))
-    if abs(mean) > _OFF_CENTRE * size:
-        yield (
-            f"cart_position moves about {mean:.3g} m, {abs(mean) / size:.2g} times as far from 0 as it moves, so it has an offset; "
-            "subtract it."
-        )
     frequency, _ = _peak(values, experiment.sample_time)
     acceleration = (2 * np.pi * frequency) ** 2 * np.sqrt(2) * size
     if acceleration > _LARGEST_ACCELERATION:

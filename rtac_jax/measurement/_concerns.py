@@ -25,12 +25,15 @@ MEDIAN_TO_STD = 1.4826
 
 def concerns(recording: Recording) -> list[str]:
     """Return what looks wrong with `recording`, one sentence each; empty when nothing does."""
-    return [*_about_recording(recording), *contradictions(recording), *_by_sentence(recording, _about_experiment)]
+    with np.errstate(all="ignore"):
+        return [*_about_recording(recording), *contradictions(recording), *_by_sentence(recording, _about_experiment)]
 
 
 def contradictions(recording: Recording) -> list[str]:
     """Return those of the concerns that no rig explains: channels that contradict each other, faults, and motion at rest."""
-    return [*rest_concerns(recording), *unit_concerns(recording), *_by_sentence(recording, _contradictions_of)]
+    # Numbers as large as 1e300 may overflow when they are squared, and nothing is said of them then.
+    with np.errstate(all="ignore"):
+        return [*rest_concerns(recording), *unit_concerns(recording), *_by_sentence(recording, _contradictions_of)]
 
 
 def _by_sentence(recording: Recording, of: Callable[[Experiment], Iterator[str]]) -> list[str]:

@@ -191,7 +191,7 @@ def test_clean_recordings_raise_no_concern(recordings):
     assert [unfounded(recording) for recording in [*recordings, *plain]] == [[]] * 22
 
 
-@pytest.mark.parametrize("draws", [10, pytest.param(43, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("draws", [6, pytest.param(43, marks=pytest.mark.slow)])
 def test_missing_effects_raise_no_concern(draws):
     found = {name: unfounded(recording) for name, recording in drawn_with_effects(draws, 1000).items()}
     assert {name: said for name, said in found.items() if said} == {}

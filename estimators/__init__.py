@@ -29,6 +29,7 @@ from estimators.study import Bootstrap, StudyResults, StudySpec, bootstrap, stud
 from estimators.uncertainty.attribution import SOURCES, Attribution
 from estimators.uncertainty.effect_cost import EffectCost, effect_cost
 from estimators.uncertainty.envelope import Envelope, envelope
+from estimators.validation.channel_consistency import ChannelConsistency, Inconsistency, channel_consistency
 from estimators.validation.simulation_error import Comparison, compare
 from rtac_jax import ResultFileError, __version__
 
@@ -41,6 +42,7 @@ __all__ = [
     "BatchFit",
     "Bootstrap",
     "Candidate",
+    "ChannelConsistency",
     "ClosedForm",
     "Comparison",
     "ControlDesign",
@@ -56,6 +58,7 @@ __all__ = [
     "FrequencyResponse",
     "FrequencyResponses",
     "Improvement",
+    "Inconsistency",
     "LinearModel",
     "LinearModels",
     "NextExperiment",
@@ -71,6 +74,7 @@ __all__ = [
     "__version__",
     "agreement",
     "bootstrap",
+    "channel_consistency",
     "compare",
     "control",
     "covariances",

@@ -1,11 +1,23 @@
 """`rtac fit`: parameters by every estimator."""
 
+from typing import Annotated, Any
+
+import typer
+
 from estimators.cli.captions import shown
 from estimators.cli.job import job, progress, say
 from estimators.cli.options import File, Json, Out, Validation
 
 
-def fit(file: File, validation: Validation = None, out: Out = None, json: Json = None) -> None:
+def fit(
+    file: File,
+    validation: Validation = None,
+    robust: Annotated[
+        bool, typer.Option("--robust", help="Let spikes and dropouts count for little in output error, and list them.")
+    ] = False,
+    out: Out = None,
+    json: Json = None,
+) -> None:
     """Fit by closed form, output error and prediction error side by side, with standard deviations, and test their agreement."""
     with job(file, validation, out, json) as work:
         import estimators as est
@@ -14,7 +26,7 @@ def fit(file: File, validation: Validation = None, out: Out = None, json: Json =
 
         model = work.model()
         closed = est.least_squares(model, work.train, weak=True)
-        found = work.fitted(model)
+        found = work.fitted(model, robust=robust)
         predicted, agreed = None, None
         try:
             predicted = est.prediction_error_nonlinear(found.model, work.train, from_model=True, progress=progress())
@@ -31,9 +43,12 @@ def fit(file: File, validation: Validation = None, out: Out = None, json: Json =
         starts = f"{found.statistics['agreed']} of {found.statistics['starts']} starts agree."
         ended = f"{est.RESULTS[found.result]} {starts}"
         table = fit_table(closed, found, predicted=predicted, agreed=agreed, spread=spread)
-        say(work.remark, table, ended, errors)
+        discounted = _discounted(found) if robust else ""
+        say(work.remark, table, ended, discounted, errors)
         beside = {"closed": closed, "predicted": predicted, "agreed": agreed, "spread": spread}
-        work.write_json(_report.fit_dict(found, train=trained, validation=tested, seconds=work.seconds, **beside))
+        content = _report.fit_dict(found, train=trained, validation=tested, seconds=work.seconds, **beside)
+        listed = [{**vars(one), "samples": list(one.samples)} for one in found.discounted]
+        work.write_json({**content, "concerns": work.doubts or [], "discounted": listed})
         if work.folder is not None:
             from estimators.plots import plot_comparison, plot_recording
 
@@ -44,8 +59,18 @@ def fit(file: File, validation: Validation = None, out: Out = None, json: Json =
                 captions = {"agreement": "Estimates by every way, with what chance allows between them.", **captions}
             skipped = [f"The closed form could not use {name}: {why}" for name, why in closed.skipped.items()]
             sections = [
-                ("Result", [work.remark, "" if agreed is None else agreed.verdict, ended, *skipped, errors]),
+                (
+                    "Result",
+                    [work.remark, "" if agreed is None else agreed.verdict, ended, discounted, *skipped, errors],
+                ),
                 ("Parameters", [_report.side_by_side(closed, found)]),
                 ("Figures", shown(figures, **captions)),
             ]
             work.write_report(f"Fit of {work.file}", figures, sections)
+
+
+def _discounted(found: Any) -> str:
+    """Say which samples a robust fit discounts."""
+    if not found.discounted:
+        return "The robust fit discounts no sample."
+    return "\n".join(["The robust fit discounts these samples:", *(f"- {one}" for one in found.discounted)])

@@ -27,6 +27,7 @@ def improved(work: Job, effects: Path | None = None) -> None:
         stop(NOT_POSSIBLE, work.not_split)
     candidates = offered(effects)
     model = work.model()
+    work.note_doubts()
     with work.explaining():
         found = est.improve(
             model, work.recording, validation=work.held_out.names, candidates=candidates, progress=progress()

@@ -27,6 +27,7 @@ class Job:
         train, held_out: what is fitted and what tests the fit; `held_out` is None where nothing can be spared.
         not_split: why not.
         remark: what a reader must know of the result beside it.
+        doubts: what contradicts itself in the recording; None before it was looked for.
         folder: for the report and the figures, or None.
         json: file for the numbers, or None.
     """
@@ -35,6 +36,7 @@ class Job:
         self, file: str, recording: Any, validation: str | None, folder: Path | None, json: Path | None, began: float
     ) -> None:
         self.file, self.recording, self.folder, self.json, self.began = file, recording, folder, json, began
+        self.doubts: list[str] | None = None
         self.names = _names(recording, validation)
         self.train, self.held_out, self.not_split = _split(recording, self.names)
         self.remark = (
@@ -64,12 +66,23 @@ class Job:
         except ValueError as error:
             stop(WRONG_USE, str(error))
 
-    def fitted(self, model: Any) -> Any:
+    def fitted(self, model: Any, *, robust: bool = False) -> Any:
         """Fit the training part by output error."""
         import estimators as est
 
+        options = {"robust": True} if robust else {}
+        self.note_doubts()
         with self.explaining():
-            return est.output_error(model, self.train, progress=progress())
+            return est.output_error(model, self.train, progress=progress(), **options)
+
+    def note_doubts(self) -> None:
+        """Note what contradicts itself or the equations of motion, which a fit would turn into confident numbers."""
+        from estimators.validation.channel_consistency import channel_consistency
+        from rtac_jax.measurement import contradictions
+
+        if self.doubts is None:
+            self.doubts = contradictions(self.recording) + channel_consistency(self.recording).concerns
+            self.remark = "\n".join([self.remark, *(f"Doubtful: {sentence}" for sentence in self.doubts)]).strip()
 
     def compared(self, fits: Any, labels: Sequence[str] | None = None) -> tuple[Any, Any]:
         """Compare fits with the training part and with what was held out, or None."""
@@ -88,13 +101,15 @@ class Job:
             yield
         except NotIdentifiableError as error:
             unmeasured = [said for said in concerns(self.recording) if "cart_position was not measured" in said]
-            if unmeasured:
-                raise NotIdentifiableError(f"{error} {unmeasured[0]}") from error
+            if more := unmeasured or self.doubts:
+                raise NotIdentifiableError(f"{error} {more[0]}") from error
             raise
         except DivergedError as error:
             scale = [said for said in concerns(self.recording) if said.startswith("The scale is not fixed")]
             if scale:
                 raise NotIdentifiableError(scale[0]) from error
+            if self.doubts:
+                raise DivergedError(f"{error} {self.doubts[0]}") from error
             raise
 
     def write_json(self, content: Any) -> None:

@@ -61,6 +61,10 @@ class _Tests:
         """Return the trapezoidal rule's error where the slope of a signal jumps at samples: dt^2 / 12 times the jump."""
         return self._windows(jumps, 2 * self.m + 1) @ self.weights[order] * self.dt / 12
 
+    def noise(self, level: float, order: int) -> float:
+        """Return the standard deviation that white noise of this level gives the integral."""
+        return float(level * np.sqrt(np.sum(self.weights[order] ** 2)))
+
     def largest(self, values: Values) -> Float[np.ndarray, " row"]:
         """Return the root mean square of a signal over each test function's support."""
         return np.sqrt(np.mean(self._windows(values, 2 * self.m + 1) ** 2, axis=1))
@@ -125,7 +129,9 @@ def integrated_terms(
     current = experiment.inputs.get("current")
     held = current is not None and current.intersample == "zoh"
     jumps = np.diff(current.values, prepend=current.values[:1]) if held and current is not None else zero
-    inertia = on_arm(angle, 2) if raw_angle is not None and raw_omega is None else on_arm(omega, 1)
+    from_angle = raw_angle is not None and raw_omega is None
+    inertia = on_arm(angle, 2) if from_angle else on_arm(omega, 1)
+    of_arm = ("arm_angle", 2) if from_angle else ("arm_velocity", 1)
 
     band = min(0.33 / dt, _BAND * frequency)
     smooth = _smooth(q, band * dt) if np.any(q) else q
@@ -164,6 +170,8 @@ def integrated_terms(
         arm_free=experiment.arm == "free",
         has_arm=raw_angle is not None or raw_omega is not None,
         lag=on_arm.lag,
+        noise=(on_cart.noise(levels.get("cart_position", 0.0), 2), on_arm.noise(levels.get(of_arm[0], 0.0), of_arm[1])),
+        weight=float(np.sum(on_cart.weights[0])),
     )
 
 

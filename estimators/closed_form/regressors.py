@@ -33,6 +33,8 @@ class Terms:
         sliding: rows of the cart's equation on which the sign of the velocity can be trusted.
         arm_free, has_arm: whether the arm may turn, and whether its motion was measured.
         lag: rows of the arm's equation from one to the next that integrates over none of the same samples.
+        noise: standard deviation that sensor noise gives the terms `mass` and `inertia`; zero where it was not worked out.
+        weight: of a constant term of the cart's equation: the integral of its test function, or one for samples.
     """
 
     name: str
@@ -43,6 +45,8 @@ class Terms:
     arm_free: bool
     has_arm: bool
     lag: int = 0
+    noise: tuple[float, float] = (0.0, 0.0)
+    weight: float = 1.0
 
     @property
     def driven(self) -> bool:

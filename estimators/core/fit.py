@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from estimators.core.discounted import Discounted
 from estimators.core.fisher_information import Information
 from estimators.core.result_base import Result
 from estimators.core.results import RESULTS
@@ -38,6 +39,8 @@ class Fit(Result):
         statistics: cost, or log_likelihood where predictions one sample ahead were fitted; steps, seconds, starts and how many
             agreed, substeps.
         marks: of each experiment's measurements, which tell it from another of the same name.
+        discounted: samples that hardly count, where the fit is robust.
+        weights: of the squares in a robust fit, [sample output], by experiment; empty where all count alike.
     """
 
     model: RTAC
@@ -49,6 +52,8 @@ class Fit(Result):
     experiments: tuple[str, ...]
     statistics: Mapping[str, Any]
     marks: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    discounted: tuple[Discounted, ...] = ()
+    weights: Mapping[str, Float[np.ndarray, "sample output"]] = dataclasses.field(default_factory=dict)
 
     @property
     def parameters(self) -> dict[str, Parameter]:
@@ -78,5 +83,9 @@ class Fit(Result):
             lines.append(f"{name:30s} {found.value:12.6g} {spread:>10s}  {found.unit}")
         for channel, rms in self.residual_std.items():
             lines.append(f"residual of {channel}: {rms:.4g} rms, {rms / self.noise[channel]:.2f} times its noise")
+        if self.weights:
+            lines.extend(str(one) for one in self.discounted)
+            if not self.discounted:
+                lines.append("robust fit: no sample is discounted")
         agreed = f"{self.statistics['agreed']} of {self.statistics['starts']} starts agree"
         return "\n".join([*lines, f"{RESULTS[self.result]} {agreed}."])

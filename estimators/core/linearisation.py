@@ -62,7 +62,16 @@ def at_fit(fit: Fit, recording: Recording, *, off_bounds: float = 0.0) -> Proble
         )
     deviation = np.array([fit.residual_std.get(channel, 1.0) for channel in CHANNELS])
     substeps = int(fit.statistics["substeps"])
-    return problem_of(fit.model, experiments, deviation, substeps=substeps, start=fit.start, off_bounds=off_bounds)
+    found = problem_of(fit.model, experiments, deviation, substeps=substeps, start=fit.start, off_bounds=off_bounds)
+    return found if not fit.weights else found._replace(arguments=_weighted(found.arguments, fit, experiments))
+
+
+def _weighted(arguments: Arguments, fit: Fit, experiments: Sequence[Experiment]) -> Arguments:
+    """Return the problem with the weights of a robust fit."""
+    present = np.asarray(arguments.data.present).copy()
+    for column, e in enumerate(experiments):
+        present[: e.samples, :, column] *= np.sqrt(fit.weights[e.name])
+    return dataclasses.replace(arguments, data=dataclasses.replace(arguments.data, present=jnp.asarray(present)))
 
 
 def problem_of(
@@ -155,5 +164,5 @@ def rows_at(problem: Problem) -> Rows:
 
 def with_outputs(problem: Problem, values: Array) -> Arguments:
     """Return the same problem for other measurements [sample output experiment]."""
-    data = dataclasses.replace(problem.arguments.data, values=values * problem.arguments.data.present)
+    data = dataclasses.replace(problem.arguments.data, values=values * (problem.arguments.data.present > 0))
     return dataclasses.replace(problem.arguments, data=data)

@@ -91,6 +91,8 @@ def covariances(fit: Fit, recording: Recording) -> Covariances:
     clusters = [origin[name] for name in fit.experiments]
     by_cluster, degrees = clustered(fit.information, clusters)
     names = fit.information.names
+    # Of a robust fit the derivative of a score is less than its weight.
+    meat = meat * fit.statistics.get("score_ratio", 1.0) ** 2
     many = np.full(len(names), np.inf)
     return Covariances(
         names,

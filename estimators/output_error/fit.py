@@ -23,6 +23,8 @@ from estimators.core.residual import diagonal_whitener, no_gain
 from estimators.core.results import RESULTS, DivergedError
 from estimators.core.sensor_noise import noise_levels
 from estimators.core.step_size import accurate_substeps
+from estimators.output_error.robust import Robust
+from estimators.output_error.robust import robust as robust_fit
 from estimators.prediction_error.noise_estimation import NoiseModel, run_filter, start_variance
 from rtac_jax import RTAC, require_configured
 from rtac_jax.measurement import Experiment, Recording
@@ -50,6 +52,7 @@ def output_error(
     tolerance: float = 1e-6,
     steps: int = 60,
     from_model: bool = False,
+    robust: bool = False,
     progress: bool = True,
 ) -> Fit:
     """Fit a model to all moving experiments of a recording at once by its simulation error.
@@ -64,6 +67,9 @@ def output_error(
         tolerance: relative change at which the optimiser stops.
         steps: optimiser steps in each stage.
         from_model: begin at the model's values only, as after adding an effect to a model that was fitted.
+        robust: let samples that lie too far off for noise, as spikes and dropouts do, count for little, and list them; see
+            `estimators.output_error.robust`. The standard deviations allow for it. What a missing effect leaves may be
+            discounted too, so look at the list.
         progress: show a bar.
 
     Raises:
@@ -99,10 +105,17 @@ def output_error(
         raise DivergedError(" ".join(failures))
     winner, stage = min(ends, key=lambda end: end[1].cost)
     agreed = sum(_same(end, stage, float(jnp.sum(data.present))) for _, end in ends)
+    weighted = None
+    if robust:
+        bar.set_description("output error, weighted")
+        weighted = run.weighted(stage)
+        stage = dataclasses.replace(stage, solved=weighted.solved, deviation=weighted.deviation, cost=weighted.cost)
     bar.close()
     found = information(stage.solved.factor, stage.space, stage.solved.unknowns)
     found.require_determined()
-    if not stage.solved.converged:
+    if weighted is not None and found.scores is not None:
+        found = dataclasses.replace(found, scores=weighted.score_ratio * found.scores)
+    if not stage.solved.converged or (weighted is not None and not weighted.settled):
         result = RESULTS.steps_exhausted
     elif stage.solved.pulled:
         result = RESULTS.pulled_off_bound
@@ -129,8 +142,13 @@ def output_error(
             "failures": tuple(failures),
             "substeps": stage.substeps,
             "seconds": time.perf_counter() - began,
+            **({} if weighted is None else {"score_ratio": weighted.score_ratio}),
         },
         marks={e.name: mark_of(e) for e in experiments},
+        discounted=() if weighted is None else weighted.discounted,
+        weights={}
+        if weighted is None
+        else {e.name: weighted.weights[: e.samples, :, i] for i, e in enumerate(experiments)},
     )
 
 
@@ -237,12 +255,27 @@ class _Run:
         return None
 
     def _solve(self, unknowns: Unknowns, arguments: Arguments, *, tolerance: float, most: int) -> Solved:
-        def show(text: str) -> None:
-            self.taken += 1
-            self.bar.update(1)
-            self.bar.set_postfix_str(text, refresh=False)
+        return solve_bounded(unknowns, arguments, tolerance=tolerance, most=most, progress=self._show)
 
-        return solve_bounded(unknowns, arguments, tolerance=tolerance, most=most, progress=show)
+    def weighted(self, stage: _Stage) -> Robust:
+        """Go on from the end of a descent with weights that discount what lies too far off for noise."""
+        return robust_fit(
+            stage.model,
+            self.data,
+            stage.space,
+            stage.solved.unknowns,
+            self.experiments,
+            substeps=stage.substeps,
+            noise=np.array([self.levels.get(channel, 1.0) for channel in CHANNELS]),
+            tolerance=1e-4,
+            steps=self.steps,
+            progress=self._show,
+        )
+
+    def _show(self, text: str) -> None:
+        self.taken += 1
+        self.bar.update(1)
+        self.bar.set_postfix_str(text, refresh=False)
 
     def _require_determined(self, space: Space, unknowns: Unknowns, arguments: Arguments) -> None:
         """Refuse data that leave parameters free, before the first step.

@@ -1,7 +1,8 @@
 """Measurements: experiments, files, and the signals in them."""
 
+from ._channel_checks import moving_at_rest
 from ._columns import FACTORS
-from ._concerns import concerns
+from ._concerns import concerns, contradictions
 from ._csv import csv_header
 from ._errors import RecordingError
 from ._excitation import (
@@ -35,12 +36,14 @@ __all__ = [
     "central_difference",
     "chirp",
     "concerns",
+    "contradictions",
     "crest_factor",
     "csv_header",
     "describe",
     "from_rest",
     "guarded_by_digest",
     "harmonic_grid",
+    "moving_at_rest",
     "multisine",
     "positive_negative",
     "prbs",

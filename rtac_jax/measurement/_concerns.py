@@ -1,14 +1,16 @@
 """Concerns about a recording. Every judgement is a guess from the data; nothing is changed by it."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 import scipy.ndimage
 from jaxtyping import Float64
 
+from ._channel_checks import channel_concerns, rest_concerns, unit_concerns
 from ._experiment import Experiment
+from ._momentary_faults import momentary_faults
 from ._recording import POSITIVE, Recording
-from ._signal import Signal
+from ._signal import OUTPUTS, Signal
 
 SHOWN_NAMES = 6
 SHORT_SAMPLES = 100
@@ -16,19 +18,31 @@ SHORT_PERIODS = 3
 SAMPLES_PER_PERIOD = 20
 OUTLIER_SIGMAS = 10
 OUTLIER_WINDOW = 51
+MOVING_SIGMAS = 2  # times the noise from which on a channel moves: three quarters of its power are motion
 # From the median of absolute values to the standard deviation, for Gaussian noise.
 MEDIAN_TO_STD = 1.4826
 
 
 def concerns(recording: Recording) -> list[str]:
     """Return what looks wrong with `recording`, one sentence each; empty when nothing does."""
-    found = list(_about_recording(recording))
-    # The same concern about many experiments is one sentence that lists them.
+    with np.errstate(all="ignore"):
+        return [*_about_recording(recording), *contradictions(recording), *_by_sentence(recording, _about_experiment)]
+
+
+def contradictions(recording: Recording) -> list[str]:
+    """Return those of the concerns that no rig explains: channels that contradict each other, faults, and motion at rest."""
+    # Numbers as large as 1e300 may overflow when they are squared, and nothing is said of them then.
+    with np.errstate(all="ignore"):
+        return [*rest_concerns(recording), *unit_concerns(recording), *_by_sentence(recording, _contradictions_of)]
+
+
+def _by_sentence(recording: Recording, of: Callable[[Experiment], Iterator[str]]) -> list[str]:
+    """Return what is said of each experiment; the same concern about many of them is one sentence that lists them."""
     places: dict[str, list[str]] = {}
     for experiment in recording:
-        for sentence in _about_experiment(experiment):
+        for sentence in of(experiment):
             places.setdefault(sentence, []).append(experiment.name)
-    return found + [f"{_listed(names)}: {sentence}" for sentence, names in places.items()]
+    return [f"{_listed(names)}: {sentence}" for sentence, names in places.items()]
 
 
 def _listed(names: list[str]) -> str:
@@ -85,8 +99,23 @@ def _about_experiment(experiment: Experiment) -> Iterator[str]:
         yield f"it has fewer than {SHORT_SAMPLES} samples, which is little to fit; record for longer."
     for name, signal in experiment.outputs.items():
         yield from (f"{name} {sentence}" for sentence in _about_output(signal, at_rest, _held(name, experiment)))
-        if not at_rest and not _held(name, experiment) and name != "arm_angle":
+        if not at_rest and not _held(name, experiment) and name != "arm_angle" and _moves(signal.values):
             yield from (f"{name} {sentence}" for sentence in _about_sampling(signal, experiment))
+
+
+def _contradictions_of(experiment: Experiment) -> Iterator[str]:
+    if experiment.kind == "rest":
+        return
+    yield from channel_concerns(experiment)
+    for name, signal in experiment.outputs.items():
+        if not _held(name, experiment):
+            yield from (f"{name} {sentence}" for sentence in momentary_faults(name, signal))
+
+
+def _moves(values: Float64[np.ndarray, " sample"]) -> bool:
+    """Return whether a channel shows more than noise, whose spectrum has no frequency that dominates."""
+    present = values[~np.isnan(values)]
+    return float(np.std(present)) > MOVING_SIGMAS * _noise_level(present)
 
 
 def _held(name: str, experiment: Experiment) -> bool:
@@ -127,7 +156,9 @@ def _about_sampling(signal: Signal, experiment: Experiment) -> Iterator[str]:
             f"is sampled fewer than {SAMPLES_PER_PERIOD} times in a period of its dominant {frequency:.3g} "
             "Hz; sample faster."
         )
-    if experiment.kind == "free" and frequency * experiment.duration < SHORT_PERIODS:
+    # Only the cart has a spring, and so a rhythm: a free arm drifts.
+    rhythm = signal.unit == OUTPUTS["cart_position"]
+    if rhythm and experiment.kind == "free" and frequency * experiment.duration < SHORT_PERIODS:
         yield f"covers fewer than {SHORT_PERIODS} periods of its dominant frequency; record for longer."
 
 

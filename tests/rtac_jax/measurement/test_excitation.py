@@ -114,7 +114,8 @@ def test_excitation_refuses(call, message):
 
 def good():
     position = DECAY + noise(2)
-    angle = forced(cart_position=position, arm_angle=T + noise(3), arm_velocity=np.sin(8 * T) + noise(4))
+    turned = (np.cos(1) - np.cos(8 * T + 1)) / 8
+    angle = forced(cart_position=position, arm_angle=turned + noise(3), arm_velocity=np.sin(8 * T + 1) + noise(4))
     return Recording((angle, rest("still")), {"total_mass": 1.2})
 
 

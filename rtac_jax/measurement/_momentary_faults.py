@@ -1,0 +1,169 @@
+"""Faults of a channel that last for a moment: dropouts, lost samples, and spikes of several samples. No model is needed."""
+
+from collections.abc import Iterator
+
+import numpy as np
+import scipy.ndimage
+from jaxtyping import Float64
+
+from ._signal import Signal
+
+Values = Float64[np.ndarray, " sample"]
+
+# Expected number of alarms in a channel of pure chance.
+CHANCE = 1e-6
+# Equal values in a row that are looked at; fewer come about by chance in every quantised signal.
+_SHORTEST_RUN = 5
+# Times the usual step between neighbours (a standard deviation of Gaussian steps), as `OUTLIER_SIGMAS` of lone samples.
+_SIGMAS = 10.0
+_NEARBY = 51  # samples in which a step is usual
+_WIDEST_SPIKE = 3  # samples
+_SLOPE_SAMPLES = 13  # neighbouring steps whose median is the slope
+MEDIAN_TO_STD = 1.4826
+
+
+def momentary_faults(name: str, signal: Signal) -> Iterator[str]:
+    """Yield a sentence for each kind of momentary fault of an output that moves.
+
+    Args:
+        name: of the channel. Only a position or an angle cannot jump; a velocity can, at an impact.
+        signal: the channel.
+    """
+    present = np.flatnonzero(~np.isnan(signal.values))
+    values = signal.values[present]
+    if len(values) <= 2 * _SLOPE_SAMPLES or np.ptp(values) == 0:
+        return
+    runs = dropouts(values)
+    inside = np.zeros(len(values), dtype=bool)
+    for first, last in runs:
+        inside[max(first - 2, 0) : last + 2] = True
+    if runs:
+        first, last = runs[0]
+        what = "zero" if values[first] == 0 else "one and the same value"
+        more = f", and {len(runs) - 1} times more" if len(runs) > 1 else ""
+        yield (
+            f"is exactly {what} for {last - first} samples from sample {present[first]} on{more}, as when the sensor "
+            "or the logger drops out; replace these samples by NaN."
+        )
+    steps = np.diff(values)
+    # Across a gap a step may be large.
+    usable = (np.diff(present) == 1) & ~inside[:-1] & ~inside[1:]
+    excess = np.where(usable, steps - scipy.ndimage.median_filter(steps, _SLOPE_SAMPLES, mode="reflect"), 0.0)
+    limit = _SIGMAS * _scatter_of_steps(values, steps)
+    spikes = _wide_spikes(excess, limit)
+    if spikes:
+        yield (
+            f"has {len(spikes)} spikes of two or three samples, the first at sample {present[spikes[0]]}; replace them by NaN, "
+            "or fit with robust=True."
+        )
+    if name == "arm_velocity":
+        return
+    jumps = _jumps(steps, excess, limit)
+    if len(jumps):
+        place = jumps[np.argmax(np.abs(excess[jumps]))]
+        size = abs(float(excess[place]))
+        more = f" ({len(jumps)} such places)" if len(jumps) > 1 else ""
+        turn = {"arm_angle": 2 * np.pi}.get(name, np.inf)
+        if abs(size - turn) < 0.05 * turn:
+            yield f"jumps by a whole turn at sample {present[place] + 1}{more}, as if wrapped; unwrap it (numpy.unwrap)."
+        else:
+            yield (
+                f"jumps by {size:.3g} {signal.unit} at sample {present[place] + 1}{more}, which nothing that has mass can, so "
+                "samples were lost there; cut the experiment in two (Experiment.cut)."
+            )
+
+
+def dropouts(values: Values) -> list[tuple[int, int]]:
+    """Return first and past-the-last index of runs of one value that are too long for chance.
+
+    A cart that has stopped shows one value too where the noise is below the resolution; it neither comes to it nor leaves it by a
+    jump. Where the sensor flickers, one value is a fault whatever comes next.
+    """
+    equal = np.concatenate([[False], np.diff(values) == 0, [False]]).astype(np.int8)
+    edges = np.flatnonzero(np.diff(equal))
+    firsts, lasts = edges[::2], edges[1::2] + 1
+    lengths = lasts - firsts
+    long = lengths >= _SHORTEST_RUN
+    if not long.any():
+        return []
+    usual = float(np.sum(lengths[~long] - 1) + 1) / max(len(values) - float(np.sum(lengths[long])), 1.0)
+    usual = min(usual, 1.0 - 1e-9)
+    still = _unchanged_by_noise(values)
+    logarithm = np.log(CHANCE / len(values))
+    needed, certain = (1 + logarithm / np.log(min(max(usual, p), 1 - 1e-9)) for p in (usual, still))
+    found = []
+    for first, last in zip(firsts[long], lasts[long], strict=True):
+        if last - first < needed or last - first == len(values):
+            continue
+        before, after = values[max(first - _NEARBY // 2, 0) : first], values[last : last + _NEARBY // 2]
+        nearby = np.abs(np.concatenate([np.diff(before), np.diff(after)]))
+        usual_step = MEDIAN_TO_STD * float(np.median(nearby)) if len(nearby) else np.inf
+        ends = [abs(float(x)) for x in (*(values[first] - before[-1:]), *(after[:1] - values[first]))]
+        if last - first >= certain or max(ends, default=0.0) > 0.5 * _SIGMAS * usual_step:
+            found.append((int(first), int(last)))
+    return found
+
+
+def _unchanged_by_noise(values: Values) -> float:
+    """Return the probability that two neighbouring samples of a sensor at rest are equal; 1 where it shows no white noise."""
+    third = np.diff(values, 3)
+    power = float(np.sum(third**2))
+    # Of white noise the third differences are correlated by -0.75, of a smooth motion by nearly 1.
+    if power == 0 or float(np.sum(third[1:] * third[:-1])) / power > -0.5:
+        return 1.0
+    noise = MEDIAN_TO_STD * float(np.median(np.abs(third))) / np.sqrt(20)
+    sizes = np.unique(np.abs(np.diff(values)))
+    sizes = sizes[sizes > 1e-9 * np.ptp(values)]
+    # The density of the difference of two samples at zero, times the width of a level.
+    return min(float(sizes[0]) / (2 * np.sqrt(np.pi) * noise), 1.0) if noise > 0.5 * float(sizes[0]) else 1.0
+
+
+def _scatter_of_steps(values: Values, steps: np.ndarray) -> np.ndarray:
+    """Return the standard deviation of a step by noise: the larger of that nearby and that of the whole signal.
+
+    It comes from third differences, which the motion hardly shows: of white noise they have the variance 20, steps 2.
+    """
+    third = np.abs(np.diff(values, 3, prepend=values[:1], append=values[-1:]))[: len(steps)]
+    scale = MEDIAN_TO_STD * np.sqrt(2 / 20)
+    nearby = scipy.ndimage.median_filter(third, _NEARBY, mode="reflect")
+    # Of a signal that is quantised more coarsely than its noise the median may be zero, and a level is its smallest step.
+    sizes = np.unique(np.abs(steps))
+    level = (
+        float(sizes[sizes > 1e-9 * np.ptp(values)][0])
+        if np.mean(np.abs(steps) <= 1e-9 * np.ptp(values)) > 0.02
+        else 0.0
+    )
+    return np.maximum(scale * np.maximum(nearby, np.median(third)), max(level, 1e-9 * np.ptp(values)))
+
+
+def _wide_spikes(excess: np.ndarray, limit: np.ndarray) -> list[int]:
+    """Return the first samples of spikes of two or three samples: a jump, nearly the same jump back, and little between."""
+    found = []
+    for first in np.flatnonzero(np.abs(excess) > limit):
+        height = excess[first]
+        for width in range(2, _WIDEST_SPIKE + 1):
+            if first + width >= len(excess):
+                continue
+            between = np.abs(excess[first + 1 : first + width])
+            around = np.abs(
+                np.concatenate([excess[max(first - 2, 0) : first], excess[first + width + 1 : first + width + 3]])
+            )
+            if abs(height + excess[first + width]) < 0.25 * abs(height) and np.all(
+                np.concatenate([between, around]) < 0.25 * abs(height)
+            ):
+                found.append(int(first) + 1)
+    return found
+
+
+def _jumps(steps: np.ndarray, excess: np.ndarray, limit: np.ndarray) -> np.ndarray:
+    """Return the places of single steps far beyond their neighbours', which differ among each other by less than half of that.
+
+    At an impact the steps before and after differ themselves, and about a spike there are two large ones.
+    """
+    found = []
+    for place in np.flatnonzero(np.abs(excess) > limit):
+        if 3 <= place < len(steps) - 3:
+            around = np.concatenate([steps[place - 3 : place], steps[place + 1 : place + 4]])
+            if abs(excess[place]) > 2 * np.ptp(around):
+                found.append(place)
+    return np.asarray(found, dtype=np.int64)

@@ -1,0 +1,197 @@
+"""Every usual mistake is named, in one experiment or in all; clean recordings, with hidden effects or without, are not accused."""
+
+import dataclasses
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from spoilt_recordings import (
+    FORCED,
+    FREE,
+    MOMENTARY,
+    OF_CHANNELS,
+    OF_THE_RIG,
+    POSITION,
+    VELOCITY,
+    changed,
+    everywhere,
+    in_one,
+    swapped,
+    with_rig,
+)
+
+import estimators as est
+from rtac_jax import virtual_rig
+from rtac_jax.measurement import concerns, moving_at_rest
+
+STUDY = Path(__file__).parents[2] / "studies" / "diagnosis.toml"
+
+
+@pytest.fixture(scope="module")
+def recordings():
+    """Without and with an encoder; nothing hidden."""
+    jobs = []
+    for number, encoder in enumerate((False, True)):
+        rig = dataclasses.replace(virtual_rig.Rig().drawn(100 + number), encoder=encoder)
+        plans = virtual_rig.standard_plans(seed=200 + number, duration=4.0, free=2, forced=3)
+        jobs.append((rig, plans, 300 + number))
+    return virtual_rig.record_many(jobs, step=5e-4)
+
+
+@pytest.fixture(scope="module")
+def clean(recordings):
+    return recordings[0]
+
+
+@pytest.mark.parametrize("mistake", OF_CHANNELS)
+def test_a_mistake_in_all_experiments_is_named(clean, mistake):
+    change, words = OF_CHANNELS[mistake]
+    found = est.channel_consistency(everywhere(clean, change))
+    assert len(found.concerns) == 1, found
+    having = {"sign of current", "current as force", "current late"}
+    assert found.concerns[0].startswith("forced_1, forced_2, forced_3: " if mistake in having else "all experiments: ")
+    assert words in found.concerns[0]
+
+
+@pytest.mark.parametrize("mistake", OF_CHANNELS)
+def test_a_mistake_in_one_experiment_is_named(clean, mistake):
+    change, words = OF_CHANNELS[mistake]
+    found = est.channel_consistency(in_one(clean, FORCED, change))
+    assert len(found.concerns) == 1, found
+    sentence = found.concerns[0]
+    assert sentence.startswith(f"experiment {FORCED} disagrees with all others; leaving it out takes the residual")
+    assert words in sentence
+    assert found.found[0].after < 1.5 < found.found[0].before
+    assert f"{found.found[0].before:.3g} to {found.found[0].after:.3g} times the noise" in sentence
+
+
+@pytest.mark.parametrize("mistake", ["position in mm", "velocity in rpm", "sign of velocity", "sample time doubled"])
+def test_a_mistake_in_a_free_decay_is_named(clean, mistake):
+    change, words = OF_CHANNELS[mistake]
+    found = est.channel_consistency(in_one(clean, FREE, change))
+    assert [one.experiment for one in found.found] == [FREE]
+    assert words in found.concerns[0]
+
+
+@pytest.mark.parametrize("mistake", OF_THE_RIG)
+def test_a_wrong_constant_is_named(recordings, mistake):
+    factors, words = OF_THE_RIG[mistake]
+    for recording in recordings:
+        found = est.channel_consistency(with_rig(recording, **factors))
+        assert len(found.concerns) == 1, found
+        assert words in found.concerns[0]
+        assert "only the ratio of total_mass to arm_inertia shows" in found.concerns[0]
+
+
+@pytest.mark.parametrize("mistake", MOMENTARY)
+def test_a_momentary_fault_and_a_wrong_kind_are_named_without_a_fit(clean, mistake):
+    name, change, words = MOMENTARY[mistake]
+    before = concerns(clean)
+    assert not any(words in said for said in before)
+    assert any(words in said for said in concerns(in_one(clean, name, change)))
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda e: changed(e, VELOCITY, lambda x: x * 180 / np.pi), "only if arm_velocity is in deg/s"),
+        (lambda e: changed(e, "arm_angle", lambda x: x * 180 / np.pi), "only if arm_angle is in degrees"),
+        (lambda e: changed(e, VELOCITY, lambda x: -x), "arm_angle turns against arm_velocity"),
+        (lambda e: dataclasses.replace(e, sample_time=2 * e.sample_time), "only if sample_time is twice the true one"),
+        (lambda e: changed(e, VELOCITY, lambda x: np.roll(x, 5)), "arm_velocity comes 5 samples after arm_angle"),
+        (lambda e: changed(e, "arm_angle", lambda x: (x + np.pi) % (2 * np.pi)), "jumps by a whole turn"),
+        (lambda e: dataclasses.replace(e, initial_arm_angle=np.rad2deg(e.initial_arm_angle)), "only if it is in degrees"),
+        (lambda e: dataclasses.replace(e, initial_arm_angle=e.initial_arm_angle + 1.0), "correct one of the two"),
+        (lambda e: changed(e, POSITION, lambda x: 1e3 * x), "more than 10 g"),
+        (lambda e: changed(e, POSITION, lambda x: x + 1.0), "so it has an offset"),
+        (lambda e: dataclasses.replace(e, sample_time=1e3 * e.sample_time), "more than half a turn from one sample"),
+    ],
+)  # fmt: skip
+def test_channels_of_one_experiment_are_held_against_each_other_without_a_fit(recordings, change, words):
+    said = [sentence for sentence in concerns(in_one(recordings[1], FORCED, change)) if words in sentence]
+    assert said
+    assert all(sentence.startswith(f"{FORCED}: ") for sentence in said)
+    assert not any(words in sentence for sentence in concerns(recordings[1]))
+
+
+def test_swapped_velocity_and_angle_are_named(recordings):
+    found = est.channel_consistency(in_one(recordings[1], FORCED, swapped(VELOCITY, "arm_angle")))
+    assert "arm_velocity and arm_angle fit when they are swapped" in found.concerns[0]
+
+
+def test_a_rest_that_moves_tells_no_noise(clean):
+    """Otherwise nothing would stand out of what it takes for noise."""
+    name, change, _ = MOMENTARY["rest that swings"]
+    both = in_one(in_one(clean, name, change), FORCED, OF_CHANNELS["sign of velocity"][0])
+    assert moving_at_rest(both) == [name]
+    assert "arm_velocity fits with the sign swapped" in est.channel_consistency(both).concerns[0]
+
+
+def test_the_symmetries_of_the_rig_are_offered_as_well(clean):
+    """The rig and its mirror image obey the same equations, and half a turn of the arm is a position that counts backwards."""
+    found = est.channel_consistency(in_one(clean, FORCED, OF_CHANNELS["sign of position"][0]))
+    assert found.found[0].alike == ("initial_arm_angle off by half a turn",)
+
+    def mirrored(e):
+        for channel in (POSITION, VELOCITY, "current"):
+            e = changed(e, channel, lambda x: -x)
+        return dataclasses.replace(e, initial_arm_angle=-e.initial_arm_angle)
+
+    assert est.channel_consistency(everywhere(clean, mirrored)).concerns == []
+
+
+def test_what_was_not_measured_is_not_held_against_anything(clean):
+    def bare(e):
+        return dataclasses.replace(e, outputs={VELOCITY: e.outputs[VELOCITY]}, initial_arm_angle=None)
+
+    found = est.channel_consistency(everywhere(clean, bare))
+    assert found.concerns == []
+    assert "No experiment shows enough" in str(found)
+    assert "no usual mistake explains more" in str(est.channel_consistency(clean))
+
+
+def drawn_with_effects(draws, first):
+    """One recording for each of so many draws of a hidden effect of the study of diagnosis, none of them among them."""
+    cases = [case for case in _cases(tomllib.loads(STUDY.read_text())) if "effect" in case]
+    order = np.random.default_rng(first).permutation(len(cases))[:draws]
+    jobs = []
+    for place, number in enumerate(order):
+        rig = dataclasses.replace(virtual_rig.Rig().drawn(first + place), **cases[number].get("values", {}))
+        plans = virtual_rig.standard_plans(
+            seed=first + place, duration=4.0, free=2, forced=3, played=cases[number].get("played")
+        )
+        jobs.append((rig, plans, first + place))
+    names = [f"{place}: {cases[number]['effect']}" for place, number in enumerate(order)]
+    return dict(zip(names, virtual_rig.record_many(jobs, step=5e-4), strict=True))
+
+
+def _cases(node):
+    if isinstance(node, dict):
+        yield node
+        node = list(node.values())
+    for child in node if isinstance(node, list) else ():
+        yield from _cases(child)
+
+
+def unfounded(recording):
+    """What is said of a recording beside what its channels lack."""
+    said = [sentence for sentence in concerns(recording) if "arm_angle was not measured" not in sentence]
+    return said + est.channel_consistency(recording).concerns
+
+
+def test_clean_recordings_raise_no_concern(recordings):
+    plain = virtual_rig.record_many(
+        [
+            (virtual_rig.Rig().drawn(n), virtual_rig.standard_plans(seed=n, duration=4.0, free=2, forced=3), n)
+            for n in range(20)
+        ],
+        step=5e-4,
+    )
+    assert [unfounded(recording) for recording in [*recordings, *plain]] == [[]] * 22
+
+
+@pytest.mark.parametrize("draws", [6, pytest.param(43, marks=pytest.mark.slow)])
+def test_missing_effects_raise_no_concern(draws):
+    found = {name: unfounded(recording) for name, recording in drawn_with_effects(draws, 1000).items()}
+    assert {name: said for name, said in found.items() if said} == {}

@@ -127,7 +127,8 @@ def test_what_could_be_a_path_is_no_name(name):
 
 
 def test_a_study_writes_into_its_folder_only(tmp_path):
-    estimators = tuple(Estimate("least_squares", name=name, options={"cutoff": 20.0}) for name in (NAMES[0], NAMES[2], NAMES[6], "../x"))
+    names = (NAMES[0], NAMES[2], NAMES[6], "../x")
+    estimators = tuple(Estimate("least_squares", name=name, options={"cutoff": 20.0}) for name in names)
     small(repetitions=2, name="../../" + NAMES[0], question=COMMENT, estimate=estimators).save(tmp_path / "one.toml")
     out = tmp_path / "in" / "out"
     result = call("study", "run", tmp_path / "one.toml", "--out", out)

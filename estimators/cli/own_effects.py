@@ -28,9 +28,12 @@ def with_own(file: Path | None) -> list[type[Effect]] | None:
     sys.modules[spec.name] = module  # where dataclasses look annotations up
     try:
         spec.loader.exec_module(module)
-    except Exception as error:  # whatever the user's own code may raise
+    except (Exception, SystemExit) as error:  # whatever the user's own code may raise
         del sys.modules[spec.name]
-        raise ValueError(f"{file}: cannot be run: {type(error).__name__}: {error}") from error
+        said = (str(error).strip().splitlines() or ["no reason given"])[0].rstrip(".")
+        raise ValueError(
+            f"{file}: cannot be run: {type(error).__name__}: {said}; mend it, or see the whole traceback with --debug."
+        ) from error
     defined = dict.fromkeys(c for c in vars(module).values() if inspect.isclass(c) and c.__module__ == module.__name__)
     effects = [c for c in defined if issubclass(c, Effect) and not inspect.isabstract(c)]
     # What others build on and has no name of its own is no effect.

@@ -50,7 +50,7 @@ def run(
         spec = est.StudySpec.load(file)
         if repetitions is not None:
             spec = dataclasses.replace(spec, repetitions=repetitions)
-        folder = out or Path(file.stem)
+        folder = out or _folder_beside(file)
         prepare()
         with _executor(executor) as chosen:
             found = est.study(spec, executor=chosen, out=folder, chunk=chunk, progress=progress())
@@ -106,6 +106,13 @@ def list_studies(
             if file.name != "study.toml":
                 lines.append(f"{file}: {spec.repetitions} repetitions. {spec.question}".strip())
         typer.echo("\n".join(lines) if lines else f"{folder}: there is no study here.")
+
+
+def _folder_beside(file: Path) -> Path:
+    """Return the folder here that has the file's name."""
+    if not file.stem.strip(". "):
+        stop(WRONG_USE, f"{file}: has no name before .toml that a folder could have; name one with --out.")
+    return Path(file.stem)
 
 
 def _finished(folder: Path) -> Any:

@@ -33,7 +33,8 @@ def accurate_substeps(model: RTAC, data: Data, space: Space, unknowns: Unknowns,
     coarse = run(substeps)
     while substeps < MOST_SUBSTEPS:
         fine = run(2 * substeps)
-        squares = ((fine - coarse) ** 2).sum(axis=0)
+        with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is seen below
+            squares = ((fine - coarse) ** 2).sum(axis=0)
         change = np.sqrt([squares[:, c].sum(axis=1) / np.maximum(count[:, c].sum(axis=1), 1.0) for c in alike])
         if not np.all(np.isfinite(fine)) or np.all(change < STEP_ERROR):
             break

@@ -1,12 +1,16 @@
 """The common style of all pictures: units with prefixes, line styles that differ in print, thinning of long signals."""
 
 import io
+import re
 import textwrap
+import warnings
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 from matplotlib.figure import Figure
+from matplotlib.text import Text
+from matplotlib.ticker import FixedFormatter, FuncFormatter
 
 Values = Float[np.ndarray, " sample"]
 
@@ -48,6 +52,10 @@ _PREFIXES = ((1e9, "G"), (1e6, "M"), (1e3, "k"), (1.0, ""), (1e-3, "m"), (1e-6, 
 _MOST_POINTS = 2000
 _DPI = 120  # a figure is as wide as a report at this, and its text stays sharp
 _WIDEST_TITLE = 10.2  # characters per inch at the size of a title
+_LONGEST_LABEL = 28  # characters beside an axis, which would else leave it no room
+_LONGEST_LINE = 120  # of any other text
+# What matplotlib's axes write as mathematics, and powers of ten of our own; whatever else holds a $ is a name.
+_POWER = re.compile(r"\$(\\mathdefault\{)?[-−]?[0-9.]*(\\times)?(10\^\{[-−]?[0-9]+\})?\}?\$")
 
 
 class Picture(Figure):
@@ -55,6 +63,14 @@ class Picture(Figure):
 
     def _repr_png_(self) -> bytes:
         return image_bytes(self, "png")
+
+    def draw(self, renderer: Any) -> None:
+        """Draw with names as they are written: no $ in one begins mathematics, and a long one is shortened."""
+        _show_as_written(self)
+        with warnings.catch_warnings():
+            # A script that the font lacks shows as boxes, and the report beside the picture has it.
+            warnings.filterwarnings("ignore", message="Glyph .* missing from font")
+            super().draw(renderer)
 
 
 class Scaled(NamedTuple):
@@ -105,6 +121,42 @@ def largest(values: Any) -> float:
     return float(np.max(found, where=np.isfinite(found), initial=0.0))
 
 
+class _AsWritten(FuncFormatter):
+    """Labels of ticks that were given as names: shortened, and without mathematics."""
+
+    def __init__(self, given: FixedFormatter | FuncFormatter) -> None:
+        super().__init__(lambda x, pos=None: _plain(given(x, pos)))
+
+
+def _plain(text: str) -> str:
+    return text if _POWER.fullmatch(text) else shortened(text, _LONGEST_LABEL).replace("$", r"\$")
+
+
+def _show_as_written(figure: Figure) -> None:
+    texts = figure.findobj(Text)  # which makes the ticks, too
+    kept = set()
+    for axis in (axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)):
+        # What a formatter writes changes while it is drawn, so that the formatter, not the text, has to know.
+        kept |= {id(part) for tick in (*axis.majorTicks, *axis.minorTicks) for part in (tick.label1, tick.label2)}
+        formatter = axis.get_major_formatter()
+        if isinstance(formatter, (FixedFormatter, FuncFormatter)) and not isinstance(formatter, _AsWritten):
+            axis.set_major_formatter(_AsWritten(formatter))
+    for text in texts:
+        if isinstance(text, Text) and id(text) not in kept:
+            text.set_parse_math(False)
+            text.set_text("\n".join(shortened(_narrow(line), _LONGEST_LINE) for line in text.get_text().split("\n")))
+
+
+def _narrow(line: str) -> str:
+    """Return a line with every word shortened that no line could be broken in."""
+    return re.sub(r"\S{40,}", lambda word: shortened(word[0], _LONGEST_LABEL), line)
+
+
+def shortened(text: str, most: int) -> str:
+    """Return text of at most so many characters: what is longer without its middle."""
+    return text if len(text) <= most else f"{text[: most - most // 3 - 1]}…{text[-(most // 3) :]}"
+
+
 def label(channel: str, unit: str) -> str:
     """Return name and unit for an axis."""
     name = NAMES[channel]
@@ -137,6 +189,7 @@ def worst_stretch(residual: Values, most: int = 1200) -> slice:
 
 def title(figure: Figure, text: str) -> None:
     """State the finding above the figure, broken into lines that fit."""
+    text = _narrow(text)
     width = int(_WIDEST_TITLE * figure.get_figwidth())
     lines = textwrap.wrap(text, width)
     if len(lines) > 1:  # no line of a single word: as narrow as the same number of lines allows

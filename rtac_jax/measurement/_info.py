@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from ._errors import printable
 from ._experiment import Experiment
 from ._recording import Recording
 from ._signal import Signal
@@ -30,8 +31,8 @@ def describe(recording: Recording) -> str:
         for name, value in recording.rig.items()
     )
     lines = [
-        f"rig: {recording.rig_name or 'not named'}; known beforehand: {known or 'nothing'}",
-        *(f"comment: {line}" for line in recording.comment.splitlines()),
+        f"rig: {printable(recording.rig_name) or 'not named'}; known beforehand: {known or 'nothing'}",
+        *(f"comment: {printable(line)}" for line in recording.comment.splitlines()),
         f"experiments: {len(recording)} ({counts}), {total} samples, {length:.6g} s",
     ]
     for experiment in recording:

@@ -18,6 +18,7 @@ from ._mat5 import Mat5
 if TYPE_CHECKING:
     from ._recording import Recording
 
+LONGEST_NAME = 63  # characters of a name in MATLAB; a damaged file may declare longer ones
 NUMERIC = ("double", "single", "int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64")
 
 
@@ -158,7 +159,9 @@ def _check_listed(names: Iterable[str], listed: Mapping[str, tuple[tuple[int, ..
 
 
 def _absent(name: str, there: Iterable[str]) -> str:
-    return f"{name}: there is no such variable; the file has {', '.join(there) or 'none'}."
+    return (
+        f"{name}: there is no such variable; the file has {', '.join(one[:LONGEST_NAME] for one in there) or 'none'}."
+    )
 
 
 def _vector(name: str, array: np.ndarray) -> Float64[np.ndarray, " sample"]:

@@ -15,6 +15,8 @@ INPUTS: Mapping[str, str] = MappingProxyType({"current": "A", "disturbance_force
 OUTPUTS: Mapping[str, str] = MappingProxyType({"cart_position": "m", "arm_velocity": "rad/s", "arm_angle": "rad"})
 
 INTERSAMPLE = ("zoh", "foh", "bl")
+# In SI units nothing on a rig is that large, and sums of squares of squares of such values are still numbers.
+LARGEST = 1e50
 
 
 def rebuild(record: Any) -> tuple[Any, ...]:
@@ -119,6 +121,16 @@ def _check_unit(place: str, signal: Signal, unit: str) -> None:
         raise RecordingError(f"{place}: the unit is {signal.unit!r}, but {unit!r} was expected; convert the values.")
 
 
+def _check_size(place: str, signal: Signal) -> None:
+    beyond = np.abs(signal.values) > LARGEST  # False where a sample is missing
+    if beyond.any():
+        index = int(np.argmax(beyond))
+        raise RecordingError(
+            f"{place}, sample {index}: the value is {signal.values[index]:g} {signal.unit}, which nothing on a rig reaches; "
+            "correct the values or their unit."
+        )
+
+
 def check_input(place: str, signal: Signal, unit: str) -> None:
     """Refuse an input of another unit, without a declared hold, or with a value that is not finite.
 
@@ -136,6 +148,7 @@ def check_input(place: str, signal: Signal, unit: str) -> None:
             f"{place}, sample {index}: the value is {signal.values[index]}, but an input must be finite "
             "everywhere; repair the sample or cut the experiment there."
         )
+    _check_size(place, signal)
 
 
 def check_output(place: str, signal: Signal, unit: str, *, still: bool) -> None:
@@ -156,6 +169,7 @@ def check_output(place: str, signal: Signal, unit: str, *, still: bool) -> None:
         raise RecordingError(
             f"{place}, sample {index}: the value is {values[index]}; mark a missing sample with NaN instead."
         )
+    _check_size(place, signal)
     present = values[~np.isnan(values)]
     if len(present) == 0:
         raise RecordingError(f"{place}: all {len(values)} samples are missing (NaN); leave the channel out.")

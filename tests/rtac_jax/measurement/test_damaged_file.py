@@ -6,6 +6,7 @@ import h5py
 import numpy as np
 import pytest
 from command_line import call
+from damaged_bytes import flipped, flipped_byte
 
 from rtac_jax.measurement import Experiment, Recording, RecordingError
 from rtac_jax.measurement._global_heap import endless
@@ -55,12 +56,6 @@ def read_or_refused(path, expected):
     return False
 
 
-def flipped(whole, bit):
-    damaged = bytearray(whole)
-    damaged[bit // 8] ^= 1 << (bit % 8)
-    return bytes(damaged)
-
-
 def test_no_flipped_bit_changes_a_number_unseen(path):
     whole, expected = path.read_bytes(), recording()
     refused = 0
@@ -68,6 +63,15 @@ def test_no_flipped_bit_changes_a_number_unseen(path):
         path.write_bytes(flipped(whole, int(bit)))
         refused += read_or_refused(path, expected)
     assert refused > FLIPS / 5  # the rest is space that nothing uses
+
+
+def test_no_flipped_byte_changes_a_number_unseen(path):
+    whole, expected = path.read_bytes(), recording()
+    refused = 0
+    for place in np.random.default_rng(0).integers(0, len(whole), 60):
+        path.write_bytes(flipped_byte(whole, int(place)))
+        refused += read_or_refused(path, expected)
+    assert refused > 10
 
 
 def test_every_flipped_bit_of_a_sample_is_refused_with_its_place(path):

@@ -5,6 +5,7 @@ import re
 import numpy as np
 import pytest
 import scipy.io
+from damaged_bytes import flipped
 
 from rtac_jax.measurement import Recording, RecordingError
 
@@ -33,9 +34,7 @@ def test_no_flipped_bit_of_a_header_ends_the_process(tmp_path, compressed):
     tags = [*range(8 * 124, 8 * 200), *random.integers(8 * 200, 8 * len(whole), 400)]
     refused = 0
     for bit in tags:
-        damaged = bytearray(whole)
-        damaged[bit // 8] ^= 1 << (bit % 8)
-        path.write_bytes(bytes(damaged))
+        path.write_bytes(flipped(whole, int(bit)))
         found = read_or_refused(path)
         refused += found is None
         if compressed and found is not None:  # the samples have a checksum there

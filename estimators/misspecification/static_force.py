@@ -14,6 +14,7 @@ from estimators.core.compilation import compile_only
 from estimators.core.data import Data
 from estimators.core.parameter_space import Space
 from estimators.core.threads import at_once
+from estimators.misspecification.force_formulas import CurveEvidence, Formula, formulas_of
 from estimators.misspecification.score_test import score_test
 from estimators.prediction_error.innovations import Innovations, Rows, error_at
 from rtac_jax import RTAC
@@ -90,6 +91,7 @@ class ForceCurve:
             wide hats where these explain more than the six most telling of twelve narrow ones.
         amounts: of each, as far as it explains more than chance.
         slow: speed below which friction fades [m/s or rad/s].
+        evidence: of the heights by folds of the data, from which `formulas` are made; None where it was not kept.
     """
 
     port: str
@@ -104,6 +106,7 @@ class ForceCurve:
     shapes: Float[np.ndarray, "shape knot"]
     amounts: Float[np.ndarray, " shape"]
     slow: float = 1e-4
+    evidence: CurveEvidence | None = None
 
     def __repr__(self) -> str:
         told = f"explains {self.explains:.1f}, p = {self.p_value:.2g}, largest {np.max(np.abs(self.force)):.3g}"
@@ -119,6 +122,40 @@ class ForceCurve:
             self.variable, between, port=self.port, shapes=self.shapes[:SHAPES] * size[:, None],
             amounts=self.amounts[:SHAPES] / size, slow=self.slow,
         )  # fmt: skip
+
+    def formulas(self, *, most: int = 5) -> list[Formula]:
+        """Propose laws for the missing force: sums of few terms with units, each ready as an effect, the best first.
+
+        They are ranked by the likelihood of data held out of their fits. Any shape that the model's own parameters explain, such as
+        a slope in the cart's position beside a spring, is left to these.
+
+        Args:
+            most: formulas to return.
+
+        Raises:
+            ValueError: the curve was made without the evidence that this needs.
+        """
+        if self.evidence is None:
+            raise ValueError("this curve holds no evidence to make formulas of; take one that est.diagnose made.")
+        return formulas_of(self.port, self.variable, self.at, self.evidence, self.slow, most=most)
+
+
+_QUARTERS = 4  # folds of a single experiment, or of two
+
+
+def _evidence(innovations: Innovations, rows: Rows, error: np.ndarray, basis: Rows) -> CurveEvidence:
+    """Return information and score of each experiment, or of quarters of the time where there are fewer than three."""
+    left = rows - basis @ (basis.T @ rows)
+    experiments = innovations.data.experiments
+    parts = zip(np.split(left, experiments), np.split(error, experiments), strict=True)
+    folds = [(a, e) for a, e in parts if np.any(e)]
+    if len(folds) < 3:
+        folds = [
+            pair
+            for a, e in folds
+            for pair in zip(np.array_split(a, _QUARTERS), np.array_split(e, _QUARTERS), strict=True)
+        ]
+    return CurveEvidence(np.stack([a.T @ a for a, _ in folds]), np.stack([-a.T @ e for a, e in folds]))
 
 
 def force_curves(
@@ -159,7 +196,7 @@ def force_curves(
             PORTS[port], VARIABLES[variable], test.explained - test.freedom * np.log(count),
             low + spacing * np.arange(KNOTS), test.coefficients, test.std,
             test.explained, test.excess, test.p_value, chosen.directions[:told] @ hats,
-            chosen.amounts[:told], slow[port],
+            chosen.amounts[:told], slow[port], _evidence(innovations, rows, error, basis),
         )  # fmt: skip
 
     found = [one for one in at_once(curve, _places(ranges)) if one is not None]

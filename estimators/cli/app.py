@@ -231,7 +231,15 @@ def diagnose(
         trained, tested = work.compared(fits, labels)
         table, errors = _report.candidate_table(found), _report.error_table(trained, tested)
         planned = _planned(work, base, found, candidates)
-        say(found.explanation, work.remark, table, _report.evidence_table(found), errors, planned or "")
+        say(
+            found.explanation,
+            work.remark,
+            table,
+            _report.evidence_table(found),
+            errors,
+            planned or "",
+            found.policy.words,
+        )
         work.write_json(
             _report.report_dict(
                 found, fit=fits[-1], train=trained, validation=tested, planned=planned, seconds=work.seconds
@@ -271,6 +279,7 @@ def diagnose(
                 ("Candidates", [table]),
                 ("Is anything missing?", [_report.evidence_table(found), _report.place_table(found)]),
                 ("Parameters", [_report.parameter_table(fits[-1], base=base if len(fits) > 1 else None)]),
+                ("Thresholds", [_report.policy_table(found.policy)]),
             ]
             work.write_report(f"Diagnosis of {work.file}", figures, sections)
 
@@ -324,6 +333,7 @@ def _improve(work: Job, effects: Path | None = None) -> None:
         errors,
         parameters,
         planned or "",
+        found.diagnoses[0].policy.words,
     )
     work.write_json(_report.report_dict(found, planned=planned, seconds=work.seconds))
     if work.folder is None:
@@ -368,6 +378,7 @@ def _improve(work: Job, effects: Path | None = None) -> None:
         ("Figures", _shown(figures, **captions)),
         ("Parameters", [parameters]),
         ("Candidates", tables),
+        ("Thresholds", [_report.policy_table(found.diagnoses[0].policy)]),
     ]
     work.write_report(f"Improvement of the model with {work.file}", figures, sections)
 

@@ -207,7 +207,7 @@ def error(before: FittedModel, after: FittedModel) -> float:
 
 def worth(name: str, told: Told) -> int:
     """How good a verdict is against what the rig hides; more is better."""
-    said = outcome(as_result(name, told))
+    said = outcome(as_result(name, *told[:3]))
     order = _ORDER[kind_of(name)]
     return order.index(said) if said in order else 0
 
@@ -241,7 +241,7 @@ def rates(kept: dict[tuple[str, int], Evidence], told: Judge) -> str:
     """One line a kind of case: how often each outcome came."""
     counts: dict[str, collections.Counter[str]] = collections.defaultdict(collections.Counter)
     for (name, _), evidence in kept.items():
-        counts[kind_of(name)][outcome(as_result(name, told(evidence)))] += 1
+        counts[kind_of(name)][outcome(as_result(name, *told(evidence)[:3]))] += 1
     return "\n".join(f"{kind}: {dict(several)}" for kind, several in counts.items())
 
 

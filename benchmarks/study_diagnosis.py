@@ -61,7 +61,7 @@ from estimators.core.data import moving
 from estimators.core.initial_state import scales_of
 from estimators.diagnosis.evidence import Evidence
 from estimators.diagnosis.model_extension import holding
-from estimators.diagnosis.verdict import Judgement, judge
+from estimators.diagnosis.verdict import judge
 from rtac_jax import virtual_rig
 from rtac_jax.effects import Effect
 
@@ -138,7 +138,7 @@ def keep(directory: Path, draws: range, kinds: Sequence[str], only: str, part: t
                 continue
             seconds = f", {time.perf_counter() - began:.0f} s"
         found = judge(Evidence.load(path))
-        counts[kind_of(name)][outcome(as_result(name, found))] += 1
+        counts[kind_of(name)][outcome(as_result(name, found.verdict, found.effects, found.rivals))] += 1
         print(f"draw {draw}, {name}: {found.verdict} {list(found.effects)}{seconds}", flush=True)
     for kind, outcomes in counts.items():
         print(kind, dict(outcomes))
@@ -183,9 +183,9 @@ def kind_of(name: str) -> str:
     return next(kind for kind, members in KINDS.items() if name in members)
 
 
-def as_result(name: str, found: Judgement) -> dict[str, Any]:
+def as_result(name: str, verdict: str, effects: Sequence[str], rivals: dict[str, tuple[str, ...]]) -> dict[str, Any]:
     """What `outcome` asks of a judgement."""
-    return {"case": name, "verdict": found.verdict, "steps": list(found.effects), "groups": found.rivals}
+    return {"case": name, "verdict": verdict, "steps": list(effects), "groups": rivals}
 
 
 def _with(model: rtac.RTAC, effects: Sequence[Effect]) -> rtac.RTAC:

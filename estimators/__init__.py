@@ -9,8 +9,10 @@ from estimators.core.result_base import load, save
 from estimators.core.results import RESULTS, DivergedError, NotIdentifiableError
 from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.diagnose import Diagnosis, diagnose
+from estimators.diagnosis.evidence import Evidence
 from estimators.diagnosis.improve import Improvement, improve
 from estimators.diagnosis.policy import DiagnosisPolicy
+from estimators.diagnosis.verdict import Judgement, judge
 from estimators.experiment_design.next_experiment import NextExperiment, PlannedExperiment, next_experiment
 from estimators.frequency_response.estimate import frequency_responses
 from estimators.frequency_response.response import FrequencyResponse, FrequencyResponses
@@ -53,12 +55,14 @@ __all__ = [
     "EffectCost",
     "Envelope",
     "Equality",
+    "Evidence",
     "Expected",
     "Fit",
     "FrequencyResponse",
     "FrequencyResponses",
     "Improvement",
     "Inconsistency",
+    "Judgement",
     "LinearModel",
     "LinearModels",
     "NextExperiment",
@@ -84,6 +88,7 @@ __all__ = [
     "expected_std",
     "frequency_responses",
     "improve",
+    "judge",
     "least_squares",
     "load",
     "next_experiment",

@@ -53,7 +53,15 @@ def diagnose(
         trained, tested = work.compared(fits, labels)
         table, errors = _report.candidate_table(found), _report.error_table(trained, tested)
         planned = plan_next(work, base, found, candidates)
-        say(found.explanation, work.remark, table, _report.evidence_table(found), errors, planned or "")
+        say(
+            found.explanation,
+            work.remark,
+            table,
+            _report.evidence_table(found),
+            errors,
+            planned or "",
+            found.policy.words,
+        )
         work.write_json(
             _report.report_dict(
                 found, fit=fits[-1], train=trained, validation=tested, planned=planned, seconds=work.seconds
@@ -93,5 +101,6 @@ def diagnose(
                 ("Candidates", [table]),
                 ("Is anything missing?", [_report.evidence_table(found), _report.place_table(found)]),
                 ("Parameters", [_report.parameter_table(fits[-1], base=base if len(fits) > 1 else None)]),
+                ("Thresholds", [_report.policy_table(found.policy)]),
             ]
             work.write_report(f"Diagnosis of {work.file}", figures, sections)

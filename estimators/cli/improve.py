@@ -50,6 +50,7 @@ def improved(work: Job, effects: Path | None = None) -> None:
         errors,
         parameters,
         planned or "",
+        found.diagnoses[0].policy.words,
     )
     work.write_json(_report.report_dict(found, planned=planned, seconds=work.seconds))
     if work.folder is None:
@@ -94,5 +95,6 @@ def improved(work: Job, effects: Path | None = None) -> None:
         ("Figures", shown(figures, **captions)),
         ("Parameters", [parameters]),
         ("Candidates", tables),
+        ("Thresholds", [_report.policy_table(found.diagnoses[0].policy)]),
     ]
     work.write_report(f"Improvement of the model with {work.file}", figures, sections)

@@ -3,7 +3,6 @@
 import dataclasses
 import json
 import os
-import tempfile
 import types
 import typing
 from collections.abc import Mapping
@@ -164,7 +163,7 @@ class Evidence:
     quiet: Mapping[int, tuple[Score, ...]]
     held_out: Mapping[tuple[int, int], HeldOut]
     simulations: Mapping[int, SimulationError]
-    policy: Mapping[str, float]
+    policy: Mapping[str, float | int]
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write the evidence to a file (JSON, with NaN and Infinity as numbers), aside first, and renamed once it is whole.
@@ -172,17 +171,11 @@ class Evidence:
         Raises:
             OSError: the file cannot be written.
         """
-        path = Path(path)
-        text = json.dumps({"format": FORMAT, "version": VERSION, "evidence": _plain(self)})
-        number, aside = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".part")
-        try:
-            with os.fdopen(number, "w", encoding="utf-8") as file:
-                file.write(text)
-            Path(aside).replace(path)
-        except BaseException:
-            Path(aside).unlink(missing_ok=True)
-            raise
-        return path
+        from rtac_jax.measurement.atomic_write import replacing  # reading and judging evidence need no rtac_jax
+
+        with replacing(path) as aside:
+            aside.write_text(json.dumps({"format": FORMAT, "version": VERSION, "evidence": _plain(self)}))
+        return Path(path)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> "Evidence":
@@ -204,7 +197,7 @@ class Evidence:
             )
         try:
             return _made(cls, found["evidence"])
-        except (KeyError, TypeError, AttributeError) as error:
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise ValueError(f"{path} is damaged: {error!r}") from None
 
 
@@ -221,14 +214,14 @@ def _plain(value: Any) -> Any:
 
 def _made(kind: Any, value: Any) -> Any:
     """Return what a type says that a value of JSON stands for."""
-    if dataclasses.is_dataclass(kind) and isinstance(kind, type):
+    if isinstance(kind, type) and dataclasses.is_dataclass(kind):
         kinds = typing.get_type_hints(kind)
         there = [field for field in dataclasses.fields(kind) if field.name in value]  # what came later has a default
         return typing.cast(Any, kind)(**{field.name: _made(kinds[field.name], value[field.name]) for field in there})
     origin, parts = typing.get_origin(kind), typing.get_args(kind)
     if origin in (typing.Union, types.UnionType):
-        (known,) = [part for part in parts if part is not type(None)]
-        return None if value is None else _made(known, value)
+        known = [part for part in parts if part is not type(None)]
+        return value if value is None or len(known) > 1 else _made(known[0], value)
     if origin is tuple:
         each = [parts[0]] * len(value) if parts[-1] is Ellipsis else parts
         return tuple(_made(part, one) for part, one in zip(each, value, strict=True))

@@ -178,16 +178,21 @@ class DiagnosisPolicy:
         own = f"the standard policy but for {', '.join(changed)}" if changed else "the standard policy"
         return f"Judged by {own} (version {VERSION}, {len(self.as_dict())} thresholds)."
 
-    def as_dict(self) -> dict[str, float]:
+    def as_dict(self) -> dict[str, float | int]:
         """Return every threshold by its name."""
         return dataclasses.asdict(self)
 
-    def __str__(self) -> str:
-        rows = [
-            f"{field.name:14s} {getattr(self, field.name):>8g}  {field.metadata['meaning']} ({field.metadata['source']})"
+    def rows(self) -> list[tuple[str, float | int, str, str]]:
+        """Return every threshold with its value, meaning and source."""
+        return [
+            (field.name, getattr(self, field.name), field.metadata["meaning"], field.metadata["source"])
             for field in dataclasses.fields(self)
         ]
-        return "\n".join(rows)
+
+    def __str__(self) -> str:
+        return "\n".join(
+            f"{name:16s} {value:>8g}  {meaning} ({source})" for name, value, meaning, source in self.rows()
+        )
 
 
 STANDARD = DiagnosisPolicy()

@@ -12,6 +12,7 @@ from estimators.core.fit import Fit, Parameter
 from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.diagnose import Diagnosis
 from estimators.diagnosis.improve import Improvement
+from estimators.diagnosis.policy import DiagnosisPolicy
 from estimators.diagnosis.ranking import ranked
 from estimators.experiment_design.next_experiment import NextExperiment
 from estimators.inference.hausman import Agreement
@@ -301,6 +302,12 @@ def evidence_table(diagnosis: Diagnosis) -> Table:
     return Table(
         tuple(header), tuple(rows), "Is anything missing? All tests together reject one right model in a hundred."
     )
+
+
+def policy_table(policy: DiagnosisPolicy) -> Table:
+    """Return a table of the thresholds by which a diagnosis judged."""
+    rows = [(name, f"{value:g}", meaning, source) for name, value, meaning, source in policy.rows()]
+    return Table(("threshold", "value", "meaning", "source"), tuple(rows), policy.words)
 
 
 def place_table(diagnosis: Diagnosis, most: int = 8) -> Table:

@@ -59,6 +59,8 @@ def test_hidden_effect_is_named(recordings: dict[str, rtac.Recording], name: str
         assert estimate.value == pytest.approx(truth, abs=5 * estimate.std + 0.02 * abs(truth)), (one, estimate)
     assert found.best is not None
     assert found.best.id == name
+    assert found.evidence is not None
+    assert est.judge(found.evidence).effects == (name,)
     assert any(test.rejects for test in found.tests)
     assert "repeats" in {test.test for test in found.tests}
 

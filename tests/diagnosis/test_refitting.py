@@ -190,8 +190,8 @@ def test_first_refits_are_those_that_do_not_diverge_in_the_order_asked(diverging
     search = Refused(known(base=0.0, cubic_spring=4.0, lvdt_lag=3.0, arm_coulomb=2.0, arm_stribeck=1.0))
     search.diverging = diverging
     near = [screened(effect) for effect in ("lvdt_lag", "arm_coulomb", "arm_stribeck")]
-    found, tested = search.first_refits(search.model(), screened("cubic_spring"), near)
+    found, tested = search.first_refits(search.refit(), screened("cubic_spring"), near)
     assert [(effect, refit.added) for effect, refit in found.items()] == [(effect, (effect,)) for effect in left]
     assert sorted(search.asked) == sorted(s.id for s in (screened("cubic_spring"), *near))
     assert (tested is None) == ("cubic_spring" in diverging)
-    assert list(search.refits(search.model(), near)) == [effect for effect in left if effect != "cubic_spring"]
+    assert list(search.refits(search.refit(), near)) == [effect for effect in left if effect != "cubic_spring"]

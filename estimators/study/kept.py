@@ -2,7 +2,7 @@
 
 import collections
 import dataclasses
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
@@ -44,16 +44,6 @@ class Kept:
     def dataset(self) -> Any:
         """All variables, as an `xarray.Dataset` where xarray is installed, else as a dictionary of `Labelled`."""
         return dataset({name: self[name] for name in self.arrays})
-
-    def select(self, *, hidden: str | None = None, excitation: str | None = None) -> Self:
-        """Return the repetitions in which this was hidden or played."""
-        kept = np.ones(len(self.index), dtype=bool)
-        for variable, wanted in (("hidden", hidden), ("excitation", excitation)):
-            if wanted is not None:
-                kept &= self.arrays[variable] == wanted
-        return dataclasses.replace(
-            self, index=self.index[kept], arrays={name: values[kept] for name, values in self.arrays.items()}
-        )
 
     @property
     def estimators(self) -> tuple[str, ...]:

@@ -34,6 +34,16 @@ class StudyResults(Kept):
         index, arrays = Storage(folder, spec.digest, layout).read(below=spec.repetitions)
         return cls(spec, index, layout, arrays)
 
+    def select(self, *, hidden: str | None = None, excitation: str | None = None) -> "StudyResults":
+        """Return the repetitions in which this was hidden or played."""
+        kept = np.ones(len(self.index), dtype=bool)
+        for variable, wanted in (("hidden", hidden), ("excitation", excitation)):
+            if wanted is not None:
+                kept &= self.arrays[variable] == wanted
+        return dataclasses.replace(
+            self, index=self.index[kept], arrays={name: values[kept] for name, values in self.arrays.items()}
+        )
+
     def summary(self, level: float = statistics.LEVEL) -> dict[str, Labelled]:
         """Statistics over the repetitions, each by estimator and parameter.
 

@@ -1,20 +1,29 @@
 """`rtac fit`: parameters by every estimator."""
 
 from estimators.cli.captions import shown
-from estimators.cli.job import job, progress, say
-from estimators.cli.options import File, Json, Out, Validation
+from estimators.cli.job import job, progress
+from estimators.cli.models import start_model
+from estimators.cli.options import Effects, File, Json, Model, Out, Save, Validation
 
 
-def fit(file: File, validation: Validation = None, out: Out = None, json: Json = None) -> None:
+def fit(
+    file: File,
+    validation: Validation = None,
+    model: Model = None,
+    effects: Effects = None,
+    save: Save = None,
+    out: Out = None,
+    json: Json = None,
+) -> None:
     """Fit by closed form, output error and prediction error side by side, with standard deviations, and test their agreement."""
-    with job(file, validation, out, json) as work:
+    with job(file, validation, out, json, save) as work:
         import estimators as est
         from estimators.reporting import report as _report
         from estimators.reporting.fit_table import fit_table
 
-        model = work.model()
-        closed = est.least_squares(model, work.train, weak=True)
-        found = work.fitted(model)
+        start = start_model(work, model, effects)
+        closed = est.least_squares(start, work.train, weak=True)
+        found = work.fitted(start, from_model=model is not None)
         predicted, agreed = None, None
         try:
             predicted = est.prediction_error_nonlinear(found.model, work.train, from_model=True, progress=progress())
@@ -31,7 +40,8 @@ def fit(file: File, validation: Validation = None, out: Out = None, json: Json =
         starts = f"{found.statistics['agreed']} of {found.statistics['starts']} starts agree."
         ended = f"{est.RESULTS[found.result]} {starts}"
         table = fit_table(closed, found, predicted=predicted, agreed=agreed, spread=spread)
-        say(work.remark, table, ended, errors)
+        work.say(work.remark, table, ended, errors)
+        work.save(found, save)
         beside = {"closed": closed, "predicted": predicted, "agreed": agreed, "spread": spread}
         work.write_json(_report.fit_dict(found, train=trained, validation=tested, seconds=work.seconds, **beside))
         if work.folder is not None:

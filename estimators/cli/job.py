@@ -35,6 +35,7 @@ class Job:
         self, file: str, recording: Any, validation: str | None, folder: Path | None, json: Path | None, began: float
     ) -> None:
         self.file, self.recording, self.folder, self.json, self.began = file, recording, folder, json, began
+        self.said: list[Any] = []
         self.names = _names(recording, validation)
         self.train, self.held_out, self.not_split = _split(recording, self.names)
         self.remark = (
@@ -53,6 +54,14 @@ class Job:
         """Caption of a picture of what tests the fit."""
         return "Experiments that were fitted." if self.held_out is None else "Held-out experiments."
 
+    def say(self, *blocks: Any) -> None:
+        """Print paragraphs and tables, once every file is written."""
+        self.said += blocks
+
+    def note(self, sentence: str) -> None:
+        """Add a sentence to the remark."""
+        self.remark = f"{self.remark} {sentence}".strip()
+
     def model(self) -> Any:
         """Return the paper's model with the constants of the file."""
         from estimators.core.data import moving
@@ -64,12 +73,13 @@ class Job:
         except ValueError as error:
             stop(WRONG_USE, str(error))
 
-    def fitted(self, model: Any) -> Any:
-        """Fit the training part by output error."""
+    def fitted(self, model: Any, *, from_model: bool = False) -> Any:
+        """Fit the training part by output error; begun at the model's values only, where they are those of a fit."""
         import estimators as est
 
         with self.explaining():
-            return est.output_error(model, self.train, progress=progress())
+            options = {"from_model": True} if from_model else {}
+            return est.output_error(model, self.train, progress=progress(), **options)
 
     def compared(self, fits: Any, labels: Sequence[str] | None = None) -> tuple[Any, Any]:
         """Compare fits with the training part and with what was held out, or None."""
@@ -96,6 +106,17 @@ class Job:
             if scale:
                 raise NotIdentifiableError(scale[0]) from error
             raise
+
+    def save(self, result: Any, path: Path | None) -> None:
+        """Keep a result, if a file was named."""
+        if path is not None:
+            from rtac_jax.storage import ResultFileError
+
+            try:
+                result.save(path)
+            except ResultFileError as error:
+                stop(WRONG_USE, f"--save: {error}")
+            self.said.append(f"saved: {path}")
 
     def write_json(self, content: Any) -> None:
         """Write the numbers, if a file was named."""
@@ -130,20 +151,48 @@ class Job:
         images = _report_file.write_figures(self.folder, figures)
         whole.append(("Settings and versions", [settings, _report_file.versions()]))
         _report_file.write_report(self.folder / "report.html", title, whole, images=images)
-        typer.echo(f"\nreport: {self.folder / 'report.html'}")
+        self.said.append(f"report: {self.folder / 'report.html'}")
 
 
 @contextmanager
-def job(file: Path, validation: str | None = None, out: Path | None = None, json: Path | None = None) -> Iterator[Job]:
+def job(
+    file: Path,
+    validation: str | None = None,
+    out: Path | None = None,
+    json: Path | None = None,
+    save: Path | None = None,
+) -> Iterator[Job]:
     """Yield a command's work on a recording; what goes wrong inside becomes one sentence and an exit status."""
     began = time.perf_counter()
     with answering():
         folder = None if out is None else writable_folder(out)
         if json is not None:
             writable_file(json, "--json")
+        if save is not None:
+            saving_to(save)
         recording = load(file)
         prepare()
-        yield Job(file.name, recording, validation, folder, json, began)
+        with printed_last(Job(file.name, recording, validation, folder, json, began)) as work:
+            yield work
+
+
+@contextmanager
+def printed_last(work: Job) -> Iterator[Job]:
+    """Print what a job says when its files are written; also where one cannot be, so that no result is lost."""
+    try:
+        yield work
+    finally:
+        if work.said:
+            say(*work.said)
+
+
+def saving_to(path: Path) -> None:
+    """Try, before anything is computed, whether a result can be kept in a file."""
+    from rtac_jax.storage import ENDINGS
+
+    if path.suffix.lower() not in ENDINGS:
+        stop(WRONG_USE, f"--save: is {path}; let the name end in {' or '.join(ENDINGS)}.")
+    writable_file(path, "--save")
 
 
 @contextmanager

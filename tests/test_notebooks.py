@@ -60,6 +60,27 @@ def test_notebook_is_kept_with_output_and_ends_in_an_assertion(path):
     assert any("image/png" in output.get("data", {}) for output in outputs), "kept with its figures"
 
 
+def _imported(source: str) -> list[str]:
+    """Every dotted name that a cell imports; what a cell asks of IPython is no Python."""
+    code = "\n".join(line for line in source.splitlines() if not line.startswith("%"))
+    nodes = list(ast.walk(ast.parse(code)))
+    plain = [alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names]
+    parts = [
+        f"{node.module}.{alias.name}" for node in nodes if isinstance(node, ast.ImportFrom) for alias in node.names
+    ]
+    return plain + parts
+
+
+@pytest.mark.parametrize("path", [pytest.param(path, id=path.stem) for path in NOTEBOOKS])
+def test_notebook_imports_nothing_private(path):
+    """What a reader copies into a script of his own must be there in the next version."""
+    import nbformat
+
+    imported = [name for cell in _code(nbformat.read(path, as_version=4)) for name in _imported(cell.source)]
+    assert any(name.split(".")[0] == "rtac_jax" for name in imported)
+    assert not [name for name in imported if any(part.startswith("_") for part in name.split("."))]
+
+
 @pytest.mark.parametrize("path", _cases())
 def test_notebook_runs(path, tmp_path, monkeypatch):
     import nbformat

@@ -11,6 +11,7 @@ from typer.core import TyperGroup
 from estimators.cli.compare import compare
 from estimators.cli.control import control
 from estimators.cli.demo import demo
+from estimators.cli.design import design
 from estimators.cli.diagnose import diagnose
 from estimators.cli.envelope import envelope
 from estimators.cli.fit import fit
@@ -18,6 +19,7 @@ from estimators.cli.importing import import_files
 from estimators.cli.improve import improve
 from estimators.cli.info import info
 from estimators.cli.job import show_tracebacks
+from estimators.cli.next_experiment import next_experiment
 from estimators.cli.study import study
 
 
@@ -63,9 +65,10 @@ def _options(
     show_tracebacks(debug)
 
 
-for _command in (demo, info, fit, compare, diagnose, improve, envelope, control):
-    app.command()(_command)
+app.command()(demo)
 app.command("import")(import_files)
+for _command in (info, fit, compare, diagnose, improve, next_experiment, design, envelope, control):
+    app.command()(_command)
 app.add_typer(study, name="study")
 
 if __name__ == "__main__":

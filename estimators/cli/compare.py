@@ -1,38 +1,111 @@
-"""`rtac compare`: model against measurement."""
+"""`rtac compare`: one model, or several, against measurement."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
 
 from estimators.cli.captions import shown
-from estimators.cli.job import job, say
-from estimators.cli.options import File, Json, Out, Validation
+from estimators.cli.job import WRONG_USE, Job, job, stop
+from estimators.cli.models import model_or_fit, seen
+from estimators.cli.options import Effects, File, Json, Out, Validation
+
+Models = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--model",
+        metavar="FILE.h5",
+        help="A saved model or fit to judge instead of the paper's; give it again for each of several.",
+        show_default=False,
+    ),
+]
 
 
-def compare(file: File, validation: Validation = None, out: Out = None, json: Json = None) -> None:
+def compare(
+    file: File,
+    validation: Validation = None,
+    models: Models = None,
+    effects: Effects = None,
+    out: Out = None,
+    json: Json = None,
+) -> None:
     """Compare model and measurements by channel and experiment, test the residuals, and show where the model fails."""
     with job(file, validation, out, json) as work:
         from estimators.reporting import report as _report
+        from estimators.reporting.several_models import models_dict, models_table
 
-        found = work.fitted(work.model())
-        trained, tested = work.compared(found)
+        fits, labels = _judged(work, models, effects)
+        trained, tested = work.compared(fits, labels)
         against = tested or trained
         rows = _report.comparison_rows(against)
-        table, errors = _report.comparison_table(rows), _report.error_table(trained, tested)
-        worst = against.models[0].worst(1)[0]
-        white = sum(row["whiteness_p"] > 0.01 for row in rows)
-        where = (
-            f"The model fails most in {worst.channel} of {worst.experiment}, by {worst.rms / worst.noise:.2f} times "
-            f"the noise; {white} of {len(rows)} residuals are white."
-        )
-        say(work.remark, table, where, errors)
-        content = _report.fit_dict(found, train=trained, validation=tested, seconds=work.seconds)
+        tables = []
+        for compared in against.models:
+            own = [row for row in rows if row["model"] == compared.label]
+            tables += [compared.label] * (len(fits) > 1) + [_report.comparison_table(own)]
+        errors = _report.error_table(trained, tested) if len(fits) == 1 else models_table(trained, tested)
+        where = "\n".join(_where(compared, rows, several=len(fits) > 1) for compared in against.models)
+        work.say(work.remark, *tables, where, errors)
+        if models is None:
+            content = _report.fit_dict(fits[0], train=trained, validation=tested, seconds=work.seconds)
+        else:
+            content = models_dict(fits, trained, tested, seconds=work.seconds)
         work.write_json({**content, "experiments": rows})
         if work.folder is not None:
             from estimators.plots import plot_comparison, plot_residuals
 
             figures = {"comparison": plot_comparison(against), "residuals": plot_residuals(against.models[0])}
-            remark = "Residual tests of the worst experiment."
+            first = f" ({labels[0]})" if len(fits) > 1 else ""
+            remark = f"Residual tests of the worst experiment{first}."
+            parameters = [
+                block
+                for label, fit in zip(labels, fits, strict=True)
+                for block in ([label] * (len(fits) > 1) + [_parameters(fit)])
+            ]
             sections = [
                 ("Result", [where, work.remark, errors]),
                 ("Figures", shown(figures, comparison=work.held, residuals=remark)),
-                ("Every experiment", [table]),
-                ("Parameters", [_report.parameter_table(found)]),
+                ("Every experiment", tables),
+                ("Parameters", parameters),
             ]
             work.write_report(f"Comparison with {work.file}", figures, sections)
+
+
+def _judged(work: Job, models: list[Path] | None, effects: Path | None) -> tuple[list[Any], list[str]]:
+    """Return fits or models and their labels; the paper's model, fitted to the training part, where none was named."""
+    if not models:
+        return [work.fitted(work.model())], ["model"]
+    work.model()  # so that a recording that no model suits is refused as ever
+    labels = [path.stem for path in models]
+    if len(set(labels)) < len(labels):
+        labels = [str(path) for path in models]
+    if len(set(labels)) < len(labels):
+        stop(WRONG_USE, "--model: names a file twice; give each once.")
+    fits = [model_or_fit(path, effects) for path in models]
+    if work.held_out is not None:
+        for label, fit in zip(labels, fits, strict=True):
+            if known := seen(fit, work.held_out):
+                work.note(
+                    f"{label} was fitted to {', '.join(known)}, which are held out here, so its error there is too good."
+                )
+    return fits, labels
+
+
+def _where(compared: Any, rows: list[dict[str, Any]], *, several: bool) -> str:
+    own = [row for row in rows if row["model"] == compared.label]
+    worst = compared.worst(1)[0]
+    white = sum(row["whiteness_p"] > 0.01 for row in own)
+    return (
+        f"{compared.label if several else 'The model'} fails most in {worst.channel} of {worst.experiment}, by "
+        f"{worst.rms / worst.noise:.2f} times the noise; {white} of {len(own)} residuals are white."
+    )
+
+
+def _parameters(fit: Any) -> Any:
+    """Return a table of the parameters; of a model without deviations."""
+    from estimators.reporting.html import Table
+    from estimators.reporting.report import parameter_table
+
+    if hasattr(fit, "information"):
+        return parameter_table(fit)
+    shown = fit.overview()
+    return Table(tuple(shown.header), tuple(tuple(row) for row in shown.rows))

@@ -7,8 +7,9 @@ import typer
 
 from estimators.cli.captions import shown
 from estimators.cli.conditions import Band, WeightOrder, band_of, enveloped, sides
-from estimators.cli.job import WRONG_USE, job, say, stop
-from estimators.cli.options import File, Json, Out, Validation
+from estimators.cli.job import WRONG_USE, job, stop
+from estimators.cli.models import any_fit, fitted_to
+from estimators.cli.options import Effects, File, Json, Model, Out, Save, Validation
 from rtac_jax.measurement.atomic_write import replacing
 
 _ORDERS = (2, 4)  # of nominal models that `control` tries: one mode, and the paper's two
@@ -32,6 +33,9 @@ def control(
     torque_limit: Annotated[float, typer.Option(metavar="NM", help="Of the motor, in N m.")] = 0.1,
     band: Band = None,
     validation: Validation = None,
+    model: Model = None,
+    effects: Effects = None,
+    save: Save = None,
     out: Out = None,
     json: Json = None,
 ) -> None:
@@ -40,7 +44,7 @@ def control(
     for name, value in (("--displacement", displacement), ("--torque-limit", torque_limit)):
         if not 0 < value < float("inf"):
             stop(WRONG_USE, f"{name} is {value:g}; give a positive number.")
-    with job(file, validation, out, json) as work:
+    with job(file, validation, out, json, save) as work:
         import estimators as est
         from estimators.controller.outcome import honesty, outcome
         from estimators.reporting import control as texts
@@ -50,15 +54,17 @@ def control(
         orders = _ORDERS if order is None else (order,)
         used, found = enveloped(work, between, orders, weight_order, "multiplicative_output", for_control=True)
         sample_time = work.recording[used.responses[0].name].sample_time
-        fit = work.fitted(work.model())
+        fit = any_fit(work, model, effects)
         made = est.control(
             fit, found, used.responses, sample_time=sample_time, displacement=1e-3 * displacement,
             torque_limit=torque_limit,
         )  # fmt: skip
+        whose = f"It was fitted to {'the same' if fitted_to(fit, work.train) else 'another'} recording."
         trained, tested = work.compared(fit)
         errors, parameters = report.error_table(trained, tested), report.parameter_table(fit)
-        said, honest, loops = outcome(made), [*honesty(made), texts.WEIGHTED], texts.design_table(made)
-        say(*said, *honest, loops, texts.controller_table(made), errors)
+        work.save(made, save)
+        said, honest, loops = outcome(made), [work.remark, *honesty(made), texts.WEIGHTED], texts.design_table(made)
+        work.say(*said, *honest, loops, texts.controller_table(made), errors)
         known = report.fit_dict(fit, train=trained, validation=tested, seconds=work.seconds)["parameters"]
         work.write_json(texts.design_dict(made, known, seconds=work.seconds))
         if work.folder is None:
@@ -89,7 +95,14 @@ def control(
                 "The envelope",
                 [*envelope_texts.remarks(made.covered, used), envelope_texts.models_table(made.covered)],
             ),
-            ("The nonlinear model", ["It was fitted to the same recording.", errors, parameters]),
+            (
+                "The nonlinear model",
+                [
+                    whose,
+                    errors,
+                    parameters,
+                ],
+            ),
         ]
         work.write_report(f"Controller for {work.file}", figures, sections, split=sides(made.covered))
 

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from estimators.cli.improve import improved
-from estimators.cli.job import Job, answering, prepare, writable_folder
+from estimators.cli.job import Job, answering, prepare, printed_last, writable_folder
 from estimators.cli.options import Json
 
 
@@ -28,4 +28,5 @@ def demo(
             f"{folder / 'demo.h5'}: {len(recording)} experiments on a virtual rig that has more physics than the "
             "paper's model. The loop does not know what.\n"
         )
-        improved(Job("demo.h5", recording, None, folder, json or folder / "result.json", began))
+        with printed_last(Job("demo.h5", recording, None, folder, json or folder / "result.json", began)) as work:
+            improved(work)

@@ -1,13 +1,11 @@
 """`rtac diagnose`: what is missing."""
 
 from functools import reduce
-from typing import Annotated
-
-import typer
 
 from estimators.cli.captions import BANDS, CONFUSION, DIAGNOSIS, WHERE, shown, without_limits
-from estimators.cli.job import job, progress, say
-from estimators.cli.options import Effects, File, Json, Out, Validation
+from estimators.cli.job import job, progress
+from estimators.cli.models import base_fit
+from estimators.cli.options import Effects, File, Json, Model, Out, Quick, Save, Validation
 from estimators.cli.own_effects import offered
 from estimators.cli.planned import plan_next, show_plan
 
@@ -15,33 +13,33 @@ from estimators.cli.planned import plan_next, show_plan
 def diagnose(
     file: File,
     validation: Validation = None,
-    quick: Annotated[
-        bool, typer.Option("--quick", help="Do not look again, for minutes, where the verdict would be unknown.")
-    ] = False,
+    quick: Quick = False,
+    model: Model = None,
     effects: Effects = None,
+    save: Save = None,
     out: Out = None,
     json: Json = None,
 ) -> None:
     """Rank the effects that the paper's model may be missing."""
-    with job(file, validation, out, json) as work:
+    with job(file, validation, out, json, save) as work:
         import estimators as est
         from estimators.diagnosis.model_extension import holding
         from estimators.reporting import report as _report
         from rtac_jax import RTAC
 
         candidates = offered(effects)
-        base = work.fitted(work.model())
+        base = base_fit(work, model, effects)
         found = est.diagnose(base, work.train, candidates=candidates, thorough=not quick, progress=progress())
         fits, labels = [base], ["base"]
         if found.additions:
             names = ", ".join(effect.id for effect in found.additions)
             free = reduce(RTAC.__add__, found.additions, base.model)
-            for model, held in (
+            for extended, held in (
                 (free, ""),
                 (holding(free, [effect.id for effect in found.additions]), ", held at the estimate of the diagnosis"),
             ):
                 try:
-                    fits.append(est.output_error(model, work.train, from_model=True, progress=progress()))
+                    fits.append(est.output_error(extended, work.train, from_model=True, progress=progress()))
                 except (est.NotIdentifiableError, est.DivergedError, FloatingPointError) as error:
                     failed = f"The model with {names}{held} could not be fitted by simulation: {error}"
                     work.remark = f"{work.remark} {failed}".strip()
@@ -53,15 +51,9 @@ def diagnose(
         trained, tested = work.compared(fits, labels)
         table, errors = _report.candidate_table(found), _report.error_table(trained, tested)
         planned = plan_next(work, base, found, candidates)
-        say(
-            found.explanation,
-            work.remark,
-            table,
-            _report.evidence_table(found),
-            errors,
-            planned or "",
-            found.policy.words,
-        )
+        work.save(found, save)
+        table_of_tests = _report.evidence_table(found)
+        work.say(found.explanation, work.remark, table, table_of_tests, errors, planned or "", found.policy.words)
         work.write_json(
             _report.report_dict(
                 found, fit=fits[-1], train=trained, validation=tested, planned=planned, seconds=work.seconds

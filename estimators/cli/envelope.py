@@ -7,8 +7,8 @@ import typer
 
 from estimators.cli.captions import shown
 from estimators.cli.conditions import Band, WeightOrder, band_of, enveloped, sides
-from estimators.cli.job import job, say
-from estimators.cli.options import File, Json, Out, Validation
+from estimators.cli.job import job
+from estimators.cli.options import File, Json, Out, Save, Validation
 
 
 class Kind(StrEnum):
@@ -52,12 +52,13 @@ def envelope(
     ] = Least.MEAN,
     band: Band = None,
     validation: Validation = None,
+    save: Save = None,
     out: Out = None,
     json: Json = None,
 ) -> None:
     """Fit one linear model and an uncertainty weight that cover all operating conditions."""
     between = band_of(band)
-    with job(file, validation, out, json) as work:
+    with job(file, validation, out, json, save) as work:
         from estimators.reporting import envelope as texts
 
         modes = (order + 1) // 2 if method is Method.PREDICTION_ERROR else None
@@ -65,7 +66,8 @@ def envelope(
         conditions, sources = texts.conditions_table(found, used.responses), texts.sources_table(found)
         models, said = texts.models_table(found), texts.remarks(found, used)
         linear = [] if used.models is None else texts.models_said(used.models)
-        say(found, *said[1:], *linear, conditions, sources)  # the envelope states its coverage itself
+        work.save(found, save)
+        work.say(found, *said[1:], *linear, conditions, sources)  # the envelope states its coverage itself
         work.write_json(texts.envelope_dict(found, used, seconds=work.seconds))
         if work.folder is None:
             return

@@ -5,8 +5,9 @@ from typing import Annotated, Any
 import typer
 
 from estimators.cli.captions import shown
-from estimators.cli.job import job, progress, say
-from estimators.cli.options import File, Json, Out, Validation
+from estimators.cli.job import job, progress
+from estimators.cli.models import start_model
+from estimators.cli.options import Effects, File, Json, Model, Out, Save, Validation
 
 
 def fit(
@@ -15,18 +16,21 @@ def fit(
     robust: Annotated[
         bool, typer.Option("--robust", help="Let spikes and dropouts count for little in output error, and list them.")
     ] = False,
+    model: Model = None,
+    effects: Effects = None,
+    save: Save = None,
     out: Out = None,
     json: Json = None,
 ) -> None:
     """Fit by closed form, output error and prediction error side by side, with standard deviations, and test their agreement."""
-    with job(file, validation, out, json) as work:
+    with job(file, validation, out, json, save) as work:
         import estimators as est
         from estimators.reporting import report as _report
         from estimators.reporting.fit_table import fit_table
 
-        model = work.model()
-        closed = est.least_squares(model, work.train, weak=True)
-        found = work.fitted(model, robust=robust)
+        start = start_model(work, model, effects)
+        closed = est.least_squares(start, work.train, weak=True)
+        found = work.fitted(start, from_model=model is not None, robust=robust)
         predicted, agreed = None, None
         try:
             predicted = est.prediction_error_nonlinear(found.model, work.train, from_model=True, progress=progress())
@@ -44,7 +48,8 @@ def fit(
         ended = f"{est.RESULTS[found.result]} {starts}"
         table = fit_table(closed, found, predicted=predicted, agreed=agreed, spread=spread)
         discounted = _discounted(found) if robust else ""
-        say(work.remark, table, ended, discounted, errors)
+        work.say(work.remark, table, ended, discounted, errors)
+        work.save(found, save)
         beside = {"closed": closed, "predicted": predicted, "agreed": agreed, "spread": spread}
         content = _report.fit_dict(found, train=trained, validation=tested, seconds=work.seconds, **beside)
         listed = [{**vars(one), "samples": list(one.samples)} for one in found.discounted]

@@ -4,21 +4,31 @@ from pathlib import Path
 from typing import Any
 
 from estimators.cli.captions import BANDS, CONFUSION, DIAGNOSIS, LADDER, WHERE, shown, without_limits
-from estimators.cli.job import NOT_POSSIBLE, Job, job, progress, say, stop
-from estimators.cli.options import Effects, File, Json, Out, Validation
+from estimators.cli.job import NOT_POSSIBLE, Job, job, progress, stop
+from estimators.cli.models import start_model
+from estimators.cli.options import Effects, File, Json, Model, Out, Quick, Save, Validation
 from estimators.cli.own_effects import offered
 from estimators.cli.planned import plan_next, show_plan
 
 
 def improve(
-    file: File, validation: Validation = None, effects: Effects = None, out: Out = None, json: Json = None
+    file: File,
+    validation: Validation = None,
+    quick: Quick = False,
+    model: Model = None,
+    effects: Effects = None,
+    save: Save = None,
+    out: Out = None,
+    json: Json = None,
 ) -> None:
     """Add what is missing, fit again, and check on experiments held out, until nothing more is missing."""
-    with job(file, validation, out, json) as work:
-        improved(work, effects)
+    with job(file, validation, out, json, save) as work:
+        improved(work, effects, quick=quick, model=model, save=save)
 
 
-def improved(work: Job, effects: Path | None = None) -> None:
+def improved(
+    work: Job, effects: Path | None = None, *, quick: bool = False, model: Path | None = None, save: Path | None = None
+) -> None:
     """Run the loop on a job, and say and write what it found."""
     import estimators as est
     from estimators.reporting import report as _report
@@ -26,12 +36,12 @@ def improved(work: Job, effects: Path | None = None) -> None:
     if work.held_out is None:
         stop(NOT_POSSIBLE, work.not_split)
     candidates = offered(effects)
-    model = work.model()
+    start = start_model(work, model, effects)
     work.note_doubts()
     with work.explaining():
         found = est.improve(
-            model, work.recording, validation=work.held_out.names, candidates=candidates, progress=progress()
-        )
+            start, work.recording, validation=work.held_out.names, candidates=candidates, thorough=not quick, progress=progress()
+        )  # fmt: skip
     errors = _report.error_table(found.train, found.validation)
     parameters = _report.parameter_table(found.final, base=found.base if found.added else None)
     said = [diagnosis.explanation for diagnosis in found.diagnoses]
@@ -42,16 +52,9 @@ def improved(work: Job, effects: Path | None = None) -> None:
         before = found.diagnoses[: found.diagnoses.index(open_question)]
         base = found.fits[sum(len(diagnosis.additions) for diagnosis in before)]
         planned = plan_next(work, base, open_question, candidates)
-    say(
-        *said,
-        found.ending,
-        work.remark,
-        _report.candidate_table(found.diagnoses[0]),
-        errors,
-        parameters,
-        planned or "",
-        found.diagnoses[0].policy.words,
-    )
+    table, judged = _report.candidate_table(found.diagnoses[0]), found.diagnoses[0].policy.words
+    work.say(found.headline, *said, found.ending, work.remark, table, errors, parameters, planned or "", judged)
+    work.save(found, save)
     work.write_json(_report.report_dict(found, planned=planned, seconds=work.seconds))
     if work.folder is None:
         return
@@ -90,7 +93,7 @@ def improved(work: Job, effects: Path | None = None) -> None:
         tables += [f"Diagnosis {number}: {diagnosis.verdict}.", _report.candidate_table(diagnosis)]
         tables += [_report.evidence_table(diagnosis), _report.place_table(diagnosis)]
     sections = [
-        (f"Verdict: {found.verdict}", [f"{finding(found)}.", *told, found.ending, work.remark]),
+        ("Verdict", [found.headline, f"{finding(found)}.", *told, found.ending, work.remark]),
         ("Error before and after", [errors]),
         ("Figures", shown(figures, **captions)),
         ("Parameters", [parameters]),

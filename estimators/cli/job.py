@@ -37,6 +37,7 @@ class Job:
     ) -> None:
         self.file, self.recording, self.folder, self.json, self.began = file, recording, folder, json, began
         self.doubts: list[str] | None = None
+        self.said: list[Any] = []
         self.names = _names(recording, validation)
         self.train, self.held_out, self.not_split = _split(recording, self.names)
         self.remark = (
@@ -55,6 +56,14 @@ class Job:
         """Caption of a picture of what tests the fit."""
         return "Experiments that were fitted." if self.held_out is None else "Held-out experiments."
 
+    def say(self, *blocks: Any) -> None:
+        """Print paragraphs and tables, once every file is written."""
+        self.said += blocks
+
+    def note(self, sentence: str) -> None:
+        """Add a sentence to the remark."""
+        self.remark = f"{self.remark} {sentence}".strip()
+
     def model(self) -> Any:
         """Return the paper's model with the constants of the file."""
         from estimators.core.data import moving
@@ -66,14 +75,14 @@ class Job:
         except ValueError as error:
             stop(WRONG_USE, str(error))
 
-    def fitted(self, model: Any, *, robust: bool = False) -> Any:
-        """Fit the training part by output error."""
+    def fitted(self, model: Any, *, from_model: bool = False, robust: bool = False) -> Any:
+        """Fit the training part by output error; begun at the model's values only, where they are those of a fit."""
         import estimators as est
 
         options = {"robust": True} if robust else {}
         self.note_doubts()
         with self.explaining():
-            return est.output_error(model, self.train, progress=progress(), **options)
+            return est.output_error(model, self.train, from_model=from_model, progress=progress(), **options)
 
     def note_doubts(self) -> None:
         """Note what contradicts itself or the equations of motion, which a fit would turn into confident numbers."""
@@ -112,6 +121,17 @@ class Job:
                 raise DivergedError(f"{error} {self.doubts[0]}") from error
             raise
 
+    def save(self, result: Any, path: Path | None) -> None:
+        """Keep a result, if a file was named."""
+        if path is not None:
+            from rtac_jax.storage import ResultFileError
+
+            try:
+                result.save(path)
+            except ResultFileError as error:
+                stop(WRONG_USE, f"--save: {error}")
+            self.said.append(f"saved: {path}")
+
     def write_json(self, content: Any) -> None:
         """Write the numbers, if a file was named."""
         from estimators.reporting import html as _report_file
@@ -145,20 +165,48 @@ class Job:
         images = _report_file.write_figures(self.folder, figures)
         whole.append(("Settings and versions", [settings, _report_file.versions()]))
         _report_file.write_report(self.folder / "report.html", title, whole, images=images)
-        typer.echo(f"\nreport: {self.folder / 'report.html'}")
+        self.said.append(f"report: {self.folder / 'report.html'}")
 
 
 @contextmanager
-def job(file: Path, validation: str | None = None, out: Path | None = None, json: Path | None = None) -> Iterator[Job]:
+def job(
+    file: Path,
+    validation: str | None = None,
+    out: Path | None = None,
+    json: Path | None = None,
+    save: Path | None = None,
+) -> Iterator[Job]:
     """Yield a command's work on a recording; what goes wrong inside becomes one sentence and an exit status."""
     began = time.perf_counter()
     with answering():
         folder = None if out is None else writable_folder(out)
         if json is not None:
             writable_file(json, "--json")
+        if save is not None:
+            saving_to(save)
         recording = load(file)
         prepare()
-        yield Job(file.name, recording, validation, folder, json, began)
+        with printed_last(Job(file.name, recording, validation, folder, json, began)) as work:
+            yield work
+
+
+@contextmanager
+def printed_last(work: Job) -> Iterator[Job]:
+    """Print what a job says when its files are written; also where one cannot be, so that no result is lost."""
+    try:
+        yield work
+    finally:
+        if work.said:
+            say(*work.said)
+
+
+def saving_to(path: Path) -> None:
+    """Try, before anything is computed, whether a result can be kept in a file."""
+    from rtac_jax.storage import ENDINGS
+
+    if path.suffix.lower() not in ENDINGS:
+        stop(WRONG_USE, f"--save: is {path}; let the name end in {' or '.join(ENDINGS)}.")
+    writable_file(path, "--save")
 
 
 @contextmanager

@@ -25,4 +25,19 @@ Effects = Annotated[
 Out = Annotated[
     Path | None, typer.Option(metavar="DIR", help="Folder for report.html and the figures.", show_default=False)
 ]
+Model = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE.h5",
+        help="Begin with a saved model, fit or improvement (its last model) instead of the paper's model.",
+        show_default=False,
+    ),
+]
+Save = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE.h5", help="Keep the result, for est.load and --model.", show_default=False),
+]
+Quick = Annotated[
+    bool, typer.Option("--quick", help="Do not look again, for minutes, where the verdict would be unknown.")
+]
 Json = Annotated[Path | None, typer.Option(metavar="FILE", help="Write the result as JSON.", show_default=False)]

@@ -43,6 +43,12 @@ def with_own(file: Path | None) -> list[type[Effect]] | None:
     return require_distinct([*CATALOGUE.values(), *own])
 
 
+def own_classes(effects: Path | None) -> list[type[Effect]]:
+    """Return the user's own effects that a Python file defines; none where there is no file."""
+    known = set(CATALOGUE.values())
+    return [effect for effect in offered(effects) or () if effect not in known]
+
+
 def offered(effects: Path | None) -> Any:
     """Return the catalogue with the user's own effects; None for the catalogue alone."""
     try:

@@ -54,8 +54,7 @@ def run(
         prepare()
         with _executor(executor) as chosen:
             found = est.study(spec, executor=chosen, out=folder, chunk=chunk, progress=progress())
-        say(found)
-        typer.echo(f"\nreport: {found.report(folder)}")
+        say(found, f"report: {found.report(folder)}")
 
 
 @study.command()
@@ -76,10 +75,9 @@ def show(
         found = _finished(folder)
         if not len(found.index):
             stop(NOT_POSSIBLE, f"{folder}: no repetition is finished yet.")
-        say(found)
         if report:
             prepare()
-            typer.echo(f"\nreport: {found.report(folder)}")
+        say(found, f"report: {found.report(folder)}" if report else "")
 
 
 @study.command(name="list")

@@ -81,21 +81,33 @@ class Improvement(Result):
         return " ".join([*said, self.stopped])
 
     @property
+    def mended(self) -> Verdict | None:
+        """The verdict on the last model, where effects were added and it was diagnosed again; None elsewhere."""
+        before_last = sum(len(diagnosis.additions) for diagnosis in self.diagnoses[:-1])
+        return self.diagnoses[-1].verdict if 0 < len(self.added) <= before_last else None
+
+    @property
     def headline(self) -> str:
         """What was found, in one sentence: what the first model lacked, and what the last one lacks."""
-        last = self.diagnoses[-1].verdict
         if not self.added:
             return {
                 "adequate": "The model is adequate: nothing is missing at the noise floor.",
                 "unknown": "The model fails, and no effect of the catalogue explains it.",
-            }.get(last, f"Found {last}, but nothing that was added serves the held-out experiments.")
+            }.get(
+                self.diagnoses[-1].verdict,
+                "The model fails, and what the diagnosis names does not serve held-out experiments.",
+            )
         names = [candidate.id for candidate in self.added]
         rivals = sorted({rival for candidate in self.added for rival in candidate.confusable_with})
         start = f"{', '.join(names)} {'was' if len(names) == 1 else 'were'} missing"
         if rivals:
             group = ", ".join(dict.fromkeys([*names, *rivals]))
             start = f"One of a group was missing ({group}), and the data cannot tell which"
-        end = "the mended model is adequate" if last == "adequate" else "the mended model still fails somewhere"
+        end = {
+            "adequate": "the mended model is adequate",
+            "unknown": "the mended model still fails, and no effect of the catalogue explains it",
+            None: "the mended model was not diagnosed again",
+        }.get(self.mended, "what a diagnosis of the mended model names does not serve held-out experiments")
         return f"{start}; {end}."
 
     def overview(self) -> Overview:
@@ -134,6 +146,7 @@ def improve(
     validation: Sequence[str] | None = None,
     candidates: Sequence[type[Effect]] | None = None,
     most: int = 4,
+    thorough: bool = True,
     policy: DiagnosisPolicy = STANDARD,
     progress: bool = True,
 ) -> Improvement:
@@ -154,6 +167,7 @@ def improve(
         validation: names of the experiments to hold out; by default every fourth of each kind.
         candidates: classes of effects to try; by default the whole catalogue.
         most: effects to add at most.
+        thorough: where a verdict would be unknown, look again at what raised no alarm; that may take minutes.
         policy: the thresholds of every diagnosis; see `DiagnosisPolicy`.
         progress: show bars.
 
@@ -177,7 +191,7 @@ def improve(
         # What is held was estimated too: a diagnosis may move it.
         released = fits[-1].model.release(*parameters_of(fits[-1].model, held))
         base = dataclasses.replace(fits[-1], model=released)
-        found = diagnose(base, train, candidates=candidates, policy=policy, progress=progress)
+        found = diagnose(base, train, candidates=candidates, thorough=thorough, policy=policy, progress=progress)
         diagnoses.append(found)
         if not found.additions:
             enough = found.verdict == "adequate"

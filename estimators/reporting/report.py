@@ -60,6 +60,7 @@ def report_dict(
             "format": FORMAT,
             "version": VERSION,
             "verdict": found.verdict,
+            "mended": found.mended if isinstance(found, Improvement) else None,
             "effects": effects,
             "candidates": [_candidate(c, c.id in accepted) for c in first.candidates],
             "parameters": _parameters(_with_held(fit, named)) if fit is not None else {},

@@ -7,6 +7,7 @@ import re
 from dataclasses import replace
 
 import pytest
+import typer
 from command_line import call, check_report, refused, reported
 
 import estimators
@@ -32,6 +33,7 @@ FIGURES = {
     },
 }  # fmt: skip
 TRIED = ("flexible_mode", "cubic_spring")
+SEVERAL = "compare, several models"
 HELD = "diagnose, where a simulation cannot fit what is missing"
 
 
@@ -68,7 +70,7 @@ def ran(file, tmp_path_factory):
 
         return remembered
 
-    def loop(model, recording, *, validation, candidates, progress):
+    def loop(model, recording, *, validation, candidates, thorough, progress):
         train, held_out = recording.split(validation)
         fits = tuple(fit for (name, _), fit in kept.items() if name == "output_error")
         (diagnosis,) = (record for (name, _), record in kept.items() if name == "diagnose")
@@ -83,6 +85,21 @@ def ran(file, tmp_path_factory):
         patch.setattr(estimators, "agreement", functools.partial(estimators.agreement, draws=40))
         for command in COMMANDS:
             found[command] = reported(command, file, tmp_path_factory.mktemp(command))
+
+        saved = tmp_path_factory.mktemp("saved")
+        for (name, _), fit in kept.items():
+            if name == "output_error":
+                fit.save(saved / f"{'mended' if 'flexible_mode' in fit.model else 'base'}.h5")
+        base = ("--model", saved / "base.h5")
+        for command, options in (("diagnose", base), ("improve", (*base, "--quick"))):
+            kept_in = saved / f"{command}.h5"
+            found[f"{command} --model"] = call(command, file, *options, "--save", kept_in), kept_in, kept
+        several = (*base, "--model", saved / "mended.h5", "--json", saved / "several.json", "--out", saved / "several")
+        found[SEVERAL] = (
+            call("compare", file, *several),
+            saved / "several",
+            json.loads((saved / "several.json").read_text()),
+        )
 
         remembered = estimators.output_error
 
@@ -164,7 +181,8 @@ def test_the_report_needs_nothing_else(ran, command):
 def test_the_json_has_the_form_that_was_agreed(ran, command):
     content = ran[command][2]
     assert set(content) == {
-        "format", "version", "verdict", "effects", "candidates", "parameters", "error", "next_experiment", "seconds", "policy",
+        "format", "version", "verdict", "mended", "effects", "candidates", "parameters", "error", "next_experiment",
+        "seconds", "policy",
     }  # fmt: skip
     assert content["verdict"] == "missing"
     assert content["next_experiment"] is None
@@ -206,6 +224,77 @@ def test_compare_says_where_the_model_fails(ran):
     assert {row["experiment"] for row in content["experiments"]} == {"forced_2"}
 
 
+@pytest.mark.parametrize("command", ["diagnose", "improve"])
+def test_a_command_begins_with_a_saved_fit_and_keeps_its_result(ran, command):
+    result, path, kept = ran[f"{command} --model"]
+    assert result.exit_code == 0, result.output
+    assert f"saved: {path}" in result.stdout
+    loaded = est.load(path)
+    if command == "improve":
+        assert loaded.verdict == "missing"
+        assert str(loaded.diagnoses[0]) == str(kept[("diagnose", "diagnose")])
+        assert list(loaded.final.model.ids) == [*loaded.base.model.ids[:2], "flexible_mode", *loaded.base.model.ids[2:]]
+        assert loaded.headline == "flexible_mode was missing; the mended model was not diagnosed again."
+        assert loaded.headline in result.stdout
+    else:
+        assert "The fit is that of base.h5." in " ".join(result.stdout.split())
+        assert str(loaded) == str(kept[("diagnose", "diagnose")])
+        assert loaded.effects[0].id == "flexible_mode"
+        assert str(loaded.additions[0]) == str(kept[("diagnose", "diagnose")].additions[0])
+
+
+def test_several_saved_models_are_judged_side_by_side(ran):
+    result, folder, content = ran[SEVERAL]
+    assert result.exit_code == 0, result.output
+    said = " ".join(result.stdout.split())
+    assert "base fails most in cart_position of forced_2" in said
+    assert "mended fails most in" in said
+    base, mended = content["models"]
+    assert [base["label"], mended["label"]] == ["base", "mended"]
+    errors = [model["error"]["validation"]["cart_position"]["rms_over_noise"] for model in (base, mended)]
+    assert errors[0] > 5
+    assert errors[1] < 1.5
+    assert mended["parameters"]["flexible_mode.frequency"]["value"] == pytest.approx(37.4, rel=0.01)
+    assert {row["model"] for row in content["experiments"]} == {"base", "mended"}
+    page = (folder / "report.html").read_text()
+    assert "mended" in page
+
+
+def test_a_file_that_holds_no_model_is_named(ran, file, tmp_path):
+    path = ran["diagnose --model"][1]
+    refused(call("improve", file, "--model", path), 2, "holds a Diagnosis", "give a model, a fit or an improvement")
+    refused(call("compare", file, "--model", file), 2, "--model: ", "holds no model or result")
+    refused(call("fit", file, "--save", tmp_path / "fit.txt"), 2, "--save", "end in .h5")
+    refused(call("compare", file, "--model", path, "--model", path), 2, "twice")
+
+
+def test_what_is_said_is_printed_when_the_files_are_written(file, tmp_path, monkeypatch):
+    order = []
+    monkeypatch.setattr(job, "say", lambda *blocks: order.append((blocks, (tmp_path / "x.json").exists())))
+    with job.job(file, None, None, tmp_path / "x.json") as work:
+        work.say("the result")
+        work.write_json({"a": 1})
+    assert order == [(("the result",), True)]
+
+
+def test_what_is_said_is_not_lost_where_a_file_cannot_be_written(file, tmp_path, monkeypatch):
+    def full(*_):
+        raise OSError(28, "No space left on device", "x.json")
+
+    monkeypatch.setattr("estimators.reporting.html.write_json", full)
+    said = []
+    monkeypatch.setattr(job, "say", lambda *blocks: said.append(blocks))
+
+    def run():
+        with job.job(file, None, None, tmp_path / "x.json") as work:
+            work.say("the result of an hour")
+            work.write_json({"a": 1})
+
+    with pytest.raises(typer.Exit):
+        run()
+    assert said == [("the result of an hour",)]
+
+
 def test_quick_takes_no_second_look(file, monkeypatch):
     asked = []
 
@@ -218,6 +307,33 @@ def test_quick_takes_no_second_look(file, monkeypatch):
     for flags in ([], ["--quick"]):
         refused(call("diagnose", file, *flags), 1, "that is enough")
     assert asked == [True, False]
+
+
+def test_quick_improves_without_second_looks(file, monkeypatch):
+    asked = []
+
+    def improved(*_, **options):
+        asked.append(options["thorough"])
+        raise ValueError("that is enough.")
+
+    monkeypatch.setattr(estimators, "improve", improved)
+    for flags in ([], ["--quick"]):
+        refused(call("improve", file, *flags), 1, "that is enough")
+    assert asked == [True, False]
+
+
+def test_info_as_json(file, recording, tmp_path):
+    result = call("info", file, "--json", tmp_path / "info.json")
+    assert result.exit_code == 0
+    content = json.loads((tmp_path / "info.json").read_text(), parse_constant=pytest.fail)
+    assert content["checksums"] is True
+    assert [e["name"] for e in content["experiments"]] == list(recording.names)
+    first = content["experiments"][0]
+    assert (first["kind"], first["sample_time"], first["repeat_of"]) == ("free", 0.005, None)
+    position = recording["free_1"].outputs["cart_position"].values
+    assert first["channels"]["cart_position"]["largest"] == position.max()
+    assert first["channels"]["cart_position"]["unit"] == "m"
+    assert all(sentence in result.stdout for sentence in content["concerns"])
 
 
 def test_info_describes_and_warns(file):

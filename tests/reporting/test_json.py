@@ -39,8 +39,8 @@ def test_the_json_has_one_form_whatever_the_verdict(verdict, command, tmp_path):
     write_json(tmp_path / "x.json", report_dict(found, fit=fitted(), train=loop.train, validation=loop.validation))
     content = json.loads((tmp_path / "x.json").read_text(), parse_constant=pytest.fail)
     assert list(content) == [
-        "format", "version", "verdict", "effects", "candidates", "parameters", "error", "next_experiment", "seconds", "policy",
-        "consequence",
+        "format", "version", "verdict", "mended", "effects", "candidates", "parameters", "error", "next_experiment", "seconds",
+        "policy", "consequence",
     ]  # fmt: skip
     assert content["verdict"] == verdict
     # The loop adds one of a group; a diagnosis names them all. Either says what it may be instead.

@@ -1,0 +1,93 @@
+"""Saved models on the command line: what a file holds, and whether its fit can be used as it stands."""
+
+from pathlib import Path
+from typing import Any
+
+from estimators.cli.job import WRONG_USE, Job, progress, stop
+from estimators.cli.own_effects import own_classes
+
+
+def loaded(path: Path, effects: Path | None = None, option: str = "--model") -> Any:
+    """Return what a file of results holds.
+
+    Args:
+        path: of the file.
+        effects: Python file with the user's own effects that it may hold.
+        option: that named the file, for a refusal.
+    """
+    import estimators as est
+
+    try:
+        return est.load(path, effects=own_classes(effects))
+    except (est.ResultFileError, OSError) as error:
+        stop(WRONG_USE, f"{option}: {error}")
+
+
+def model_or_fit(path: Path, effects: Path | None = None) -> Any:
+    """Return the model or the fit that a file holds; of an improvement the last fit."""
+    import estimators as est
+    from rtac_jax import RTAC
+
+    found = loaded(path, effects)
+    if isinstance(found, est.Improvement):
+        return found.final
+    if isinstance(found, est.Fit | RTAC):
+        return found
+    if isinstance(found, est.PredictorFit | est.ClosedForm):
+        return found.model
+    stop(WRONG_USE, f"--model: {path} holds a {type(found).__name__}; give a model, a fit or an improvement.")
+
+
+def start_model(work: Job, path: Path | None, effects: Path | None = None) -> Any:
+    """Return the model to begin with: that of a file, or the paper's with the constants of the recording."""
+    if path is None:
+        return work.model()
+    return _model_of(model_or_fit(path, effects))
+
+
+def base_fit(work: Job, path: Path | None, effects: Path | None = None) -> Any:
+    """Return the fit to begin with: that of a file where it is of the same data, else a fit of its model to these."""
+    if path is None:
+        return work.fitted(work.model())
+    import estimators as est
+
+    found = model_or_fit(path, effects)
+    if isinstance(found, est.Fit) and fitted_to(found, work.train):
+        work.note(f"The fit is that of {path.name}.")
+        return found
+    work.note(f"The model of {path.name} was fitted to this recording, from its values on.")
+    with work.explaining():
+        return est.output_error(_model_of(found), work.train, from_model=True, progress=progress())
+
+
+def any_fit(work: Job, path: Path | None, effects: Path | None = None) -> Any:
+    """Return the fit of a file, whatever it was made of; a model is fitted to this recording, and so is the paper's without one."""
+    if path is None or not hasattr(found := model_or_fit(path, effects), "information"):
+        return base_fit(work, path, effects)
+    work.note(f"The model is that of {path.name}, fitted to {len(found.experiments)} experiments.")
+    return found
+
+
+def fitted_to(fit: Any, recording: Any) -> bool:
+    """Return whether a fit was made of the moving experiments of a recording, and of no others."""
+    names = [e.name for e in _moving(recording)]
+    return set(names) == set(fit.experiments) == set(seen(fit, recording))
+
+
+def seen(fit: Any, recording: Any) -> list[str]:
+    """Return the names of the experiments in a recording that a fit was made of; none for a model."""
+    from estimators.core.data import mark_of
+
+    marks = getattr(fit, "marks", {})
+    return [e.name for e in _moving(recording) if marks.get(e.name) == mark_of(e)]
+
+
+def _moving(recording: Any) -> Any:
+    """Return what a fit takes of a recording."""
+    from estimators.core.data import moving, pieces
+
+    return pieces(moving(recording))
+
+
+def _model_of(found: Any) -> Any:
+    return getattr(found, "model", found)

@@ -1,0 +1,98 @@
+"""`rtac next-experiment`: the experiment that would tell apart what the data leave open."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from estimators.cli.captions import shown
+from estimators.cli.job import WRONG_USE, Job, job, progress, stop
+from estimators.cli.limits import TorqueLimit, Travel, positive
+from estimators.cli.models import base_fit, loaded
+from estimators.cli.options import Effects, File, Json, Model, Out, Quick, Validation
+from estimators.cli.own_effects import offered
+
+_PLAYED = (".csv", ".h5", ".hdf5")
+
+
+def next_experiment(
+    file: File,
+    play: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.csv|.h5", help="Write the recommended experiment for the rig to play.", show_default=False
+        ),
+    ] = None,
+    between: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ID,...",
+            help="Effects to tell apart, or one to be told from nothing; by default those that the diagnosis leaves open.",
+            show_default=False,
+        ),
+    ] = None,
+    travel: Travel = 15.0,
+    torque_limit: TorqueLimit = 0.1,
+    speed_limit: Annotated[float, typer.Option(metavar="RAD/S", help="Of the arm.")] = 55.0,
+    duration: Annotated[
+        float | None,
+        typer.Option(
+            metavar="S", help="Of the experiment; by default as the longest of the recording.", show_default=False
+        ),
+    ] = None,
+    diagnosis: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.h5", help="A diagnosis that was kept (--save); without one it is made.", show_default=False
+        ),
+    ] = None,
+    validation: Validation = None,
+    quick: Quick = False,
+    model: Model = None,
+    effects: Effects = None,
+    out: Out = None,
+    json: Json = None,
+) -> None:
+    """Plan the experiment that best tells apart the effects between which a diagnosis could not decide."""
+    positive({"--travel": travel, "--torque-limit": torque_limit, "--speed-limit": speed_limit})
+    if play is not None and play.suffix.lower() not in _PLAYED:
+        stop(WRONG_USE, f"--play: is {play}; let the name end in {', '.join(_PLAYED)}.")
+    with job(file, validation, out, json) as work:
+        import estimators as est
+        from estimators.reporting.html import cleaned
+        from estimators.reporting.report import FORMAT, VERSION
+
+        candidates = offered(effects)
+        base = base_fit(work, model, effects)
+        found = _found(work, base, diagnosis, effects, candidates, quick)
+        planned = est.next_experiment(
+            base, work.train, found, between=None if between is None else [name.strip() for name in between.split(",")],
+            candidates=candidates, travel=1e-3 * travel, torque_limit=torque_limit, speed_limit=speed_limit, duration=duration,
+            progress=progress(),
+        )  # fmt: skip
+        if play is not None:
+            planned.save(play)
+        how = "" if play is None else f"to be played: {play}"
+        work.say(found.overview().title, work.remark, planned, how)
+        content = {"format": FORMAT, "version": VERSION, "verdict": found.verdict, "next_experiment": planned.as_dict()}
+        work.write_json(cleaned({**content, "seconds": work.seconds}))
+        if work.folder is not None:
+            figures = {"next_experiment": planned.plot()}
+            caption = "How well every experiment within the limits would tell them apart, and the recommended one."
+            sections = [
+                ("Next experiment", [*str(planned).split("\n\n")[0].splitlines(), work.remark]),
+                ("Figures", shown(figures, next_experiment=caption)),
+            ]
+            work.write_report(f"Next experiment after {work.file}", figures, sections)
+
+
+def _found(work: Job, base: Any, path: Path | None, effects: Path | None, candidates: Any, quick: bool) -> Any:
+    """Return the diagnosis of a file, or make one."""
+    import estimators as est
+
+    if path is None:
+        return est.diagnose(base, work.train, candidates=candidates, thorough=not quick, progress=progress())
+    found = loaded(path, effects, "--diagnosis")
+    if not isinstance(found, est.Diagnosis):
+        stop(WRONG_USE, f"--diagnosis: {path} holds a {type(found).__name__}; give what `rtac diagnose --save` kept.")
+    return found

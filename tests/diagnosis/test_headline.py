@@ -1,0 +1,55 @@
+"""Words after the loop are true of the model that it leaves, not only of the one that it began with."""
+
+import dataclasses
+
+import pytest
+from made_up_results import OTHERS, diagnosis, improvement
+
+from rtac_jax.effects import CubicSpring
+
+NAMED = dataclasses.replace(diagnosis("missing"), additions=(CubicSpring(1.0),))
+
+
+def looped(*diagnoses, steps=2, **changes):
+    return dataclasses.replace(improvement(steps), diagnoses=diagnoses, **changes)
+
+
+@pytest.mark.parametrize(
+    ("last", "words"),
+    [
+        ("adequate", "flexible_mode was missing; the mended model is adequate."),
+        (
+            "unknown",
+            "flexible_mode was missing; the mended model still fails, and no effect of the catalogue explains it.",
+        ),
+        ("missing", "names does not serve held-out experiments."),
+    ],
+)
+def test_the_headline_tells_what_was_missing_from_what_is(last, words):
+    found = looped(NAMED, diagnosis(last))
+    assert found.headline.endswith(words)
+    assert found.mended == last
+    assert repr(found) == f"Improvement: {found.headline}"
+
+
+def test_a_last_model_that_was_not_diagnosed_is_not_judged():
+    found = looped(NAMED)
+    assert found.mended is None
+    assert found.headline == "flexible_mode was missing; the mended model was not diagnosed again."
+
+
+def test_a_group_is_named_as_a_group():
+    rivals = dataclasses.replace(OTHERS[0], id="flexible_mode", confusable_with=("cubic_spring",))
+    found = looped(NAMED, diagnosis("adequate"), added=(rivals,))
+    assert found.headline.startswith(
+        "One of a group was missing (flexible_mode, cubic_spring), and the data cannot tell which"
+    )
+
+
+def test_nothing_added_is_said_as_what_it_is():
+    assert (
+        looped(diagnosis("adequate"), steps=1).headline
+        == "The model is adequate: nothing is missing at the noise floor."
+    )
+    assert looped(diagnosis("unknown"), steps=1).headline.startswith("The model fails, and no effect of the catalogue")
+    assert looped(diagnosis("adequate"), steps=1).mended is None

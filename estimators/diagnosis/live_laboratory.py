@@ -45,6 +45,7 @@ class LiveLaboratory:
         facts: about the recording.
         policy: the thresholds by which is chosen what to compute.
         base: the record of the base model.
+        say: shows what is asked now.
     """
 
     def __init__(self, setting: Setting, fit: Fit, base: Refit, tested: Tested, workers: Workers) -> None:
@@ -68,12 +69,9 @@ class LiveLaboratory:
         self._simulations: dict[int, SimulationError] = {}
         self._coloured: list[FittedModel | None] = []  # empty until asked
         self._stretches = setting.stretches()
+        self.say = lambda text: setting.bar.set_description(f"diagnose: {text}")
         self.facts, self.policy = facts_of(setting, fit), setting.policy
         self.base = self._record(setting, base, tested)
-
-    def say(self, text: str) -> None:
-        """Show what is asked now."""
-        self._computed[0][0].bar.set_description(f"diagnose: {text}")
 
     def first_refits(
         self, before: FittedModel, first: Score, near: Sequence[Score], way: Way
@@ -151,7 +149,8 @@ class LiveLaboratory:
         """Return the tests of the innovations of a model, with what they were computed from."""
         if model.number not in self._tested:
             setting, refit = self.computed(model)
-            self._keep(model, run_tests(setting, refit))
+            self._tested[model.number] = tested = run_tests(setting, refit)
+            self._screened |= dict(zip(tested.findings.scores, tested.screened, strict=True))
         return self._tested[model.number]
 
     def evidence(self, *, thorough: bool) -> Evidence:
@@ -214,12 +213,9 @@ class LiveLaboratory:
         self._models.append(model)
         self._computed.append((setting, refit))
         if tested is not None:
-            self._keep(model, tested)
+            self._tested[model.number] = tested
+            self._screened |= dict(zip(tested.findings.scores, tested.screened, strict=True))
         return model
-
-    def _keep(self, model: FittedModel, tested: Tested) -> None:
-        self._tested[model.number] = tested
-        self._screened |= dict(zip(tested.findings.scores, tested.screened, strict=True))
 
 
 def facts_of(setting: Setting, fit: Fit) -> Facts:

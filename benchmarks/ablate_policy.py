@@ -110,6 +110,7 @@ _OFF: dict[str, dict[str, float]] = {
     "known: held-out gain where others know of the effect (0)": {"known": 0.0},
     "held-out gain must be positive (known 1)": {"known": 1.0},
     "loose: a shape that ran away gives way (never)": {"loose": math.inf},
+    "consequence: effects must take something off the error (0)": {"consequence": 0.0},
     "simulation_noise: the simulation's error is asked (never)": {"simulation_noise": math.inf},
     "simulation_poor: of a poor simulation (never)": {"simulation_poor": math.inf},
     "random_large: random forces in place of physics (never)": {"random_large": math.inf},
@@ -119,7 +120,12 @@ _OFF: dict[str, dict[str, float]] = {
 
 def rules() -> dict[str, Judge]:
     """The judgement with each rule switched off by itself."""
-    found = {name: by_policy(dataclasses.replace(STANDARD, **changed)) for name, changed in _OFF.items()}
+    known = STANDARD.as_dict()
+    found = {
+        name: by_policy(dataclasses.replace(STANDARD, **changed))
+        for name, changed in _OFF.items()
+        if set(changed) <= set(known)
+    }
     tests = {"repeats": "repeats", "curves": "static force", "lagged": "delayed force", "line": "spectral line"}
     found |= {f"test: {words}": without_test(name) for name, words in tests.items()}
     found["repeats have a veto on what is named"] = with_patch(removed_error, "removed_by_repeats", lambda *_: 1.0)

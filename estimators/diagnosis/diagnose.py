@@ -4,13 +4,12 @@ import dataclasses
 import time
 import warnings
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
 from tqdm import tqdm
 
-from estimators.core.compilation import Ahead, make_room
+from estimators.core.compilation import make_room
 from estimators.core.drawing import draw
 from estimators.core.fit import Fit
 from estimators.core.result_base import Result
@@ -19,12 +18,23 @@ from estimators.diagnosis.candidate_set import offered
 from estimators.diagnosis.choice import bic_gain, gain, held_out_gain
 from estimators.diagnosis.evidence import Evidence
 from estimators.diagnosis.explanation import SHAKEN, not_named, shaken, strayed, surer, without_the_physics, words
+from estimators.diagnosis.innovation_tests import (
+    latent_of,
+    limits_of,
+    lines_of,
+    pieces_of_tests,
+    places_of,
+    run_tests,
+)
 from estimators.diagnosis.live_laboratory import LiveLaboratory
+from estimators.diagnosis.noise_colour import recoloured
 from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
-from estimators.diagnosis.refitting import Search
+from estimators.diagnosis.refitting import compile_base, compile_for, fit_base, parameters_of, trusting
 from estimators.diagnosis.removed_error import Verdict, floor
+from estimators.diagnosis.setting import Setting, effect_of, setting_of
 from estimators.diagnosis.stepwise_selection import Selection, by_size
 from estimators.diagnosis.verdict import Consequence, Judgement, decide, judge
+from estimators.diagnosis.workers import Workers
 from estimators.inference.simulation_residual import SimulationResidual
 from estimators.misspecification.adequacy import AdequacyTest, alarming, excess_of, p_by_chance
 from estimators.misspecification.candidate_screening import correlations
@@ -160,18 +170,18 @@ def diagnose(
     if not classes:
         raise ValueError("no candidate is left: the model has every effect that was offered.")
     with tqdm(total=None, disable=not progress, desc="diagnose", unit=" steps", leave=False) as bar:
-        search = dataclasses.replace(Search.of(fit, recording, classes, bar), policy=policy)
+        setting = setting_of(fit, recording, classes, bar, policy)
         # Where some are in the model already, as in the loop, its other tests are still worth asking.
-        if not search.absent and not any(c.id in fit.model for c in candidates or ()):
+        if not setting.absent and not any(c.id in fit.model for c in candidates or ()):
             raise ValueError(
                 f"no candidate is left: nothing in the recording could show {', '.join(c.id for c in classes)}."
             )
         with warnings.catch_warnings():  # what threads do to the filters at the same time ends here
-            laboratory = _begun(search, fit)
+            laboratory = _begun(setting, fit, Workers())
             decide(laboratory, policy, thorough=thorough)
             evidence = laboratory.evidence(thorough=thorough)
         bar.set_description("diagnose: verdict")
-        told = _told(laboratory, evidence, judge(evidence, policy), [c for c in classes if c.id not in search.absent])
+        told = _told(laboratory, evidence, judge(evidence, policy), [c for c in classes if c.id not in setting.absent])
     if (
         told.simulation is not None
         and told.simulation.cause == "unexplained"
@@ -181,28 +191,27 @@ def diagnose(
     return dataclasses.replace(told, seconds=time.perf_counter() - began)
 
 
-def _begun(search: Search, fit: Fit) -> LiveLaboratory:
+def _begun(setting: Setting, fit: Fit, workers: Workers) -> LiveLaboratory:
     """Return a laboratory with the base model fitted and tested, while another thread compiles what comes next."""
-    search.bar.set_description("diagnose: predictor of the base model")
-    with ThreadPoolExecutor(1) as other:
-        other.submit(search.compile_base)
-        ahead = Ahead(other, search.pieces_of_tests())
-        search, base = search.recoloured(search.base())
-        search, base = search.trusting(base)
-        search.bar.set_description("diagnose: candidates")
-        return LiveLaboratory(search, fit, base, search.tested(base, ahead))
+    setting.bar.set_description("diagnose: predictor of the base model")
+    first = setting
+    with workers.compiling(pieces_of_tests(first), before=lambda: compile_base(first)) as ahead:
+        setting, base = recoloured(setting, fit_base(setting))
+        setting, base = trusting(setting, base)
+        setting.bar.set_description("diagnose: candidates")
+        return LiveLaboratory(setting, fit, base, run_tests(setting, base, ahead), workers)
 
 
 def _told(
     laboratory: LiveLaboratory, evidence: Evidence, found: Judgement, unshown: Sequence[type[Effect]]
 ) -> Diagnosis:
     """Return the verdict and its reasons, also of candidates that nothing in the recording could show."""
-    search, base = laboratory.computed(found.selection.base)
+    setting, base = laboratory.computed(found.selection.base)
     tested = laboratory.tested(found.selection.base)
     stood = found.simulation is None or not found.simulation.vetoes
-    latent = search.latent(base) if found.verdict == "unknown" and stood else ()
+    latent = latent_of(setting, base) if found.verdict == "unknown" and stood else ()
     candidates = _candidates(laboratory, found)
-    candidates += [_not_testable(c, float(np.log(search.samples))) for c in unshown]
+    candidates += [_not_testable(c, float(np.log(setting.samples))) for c in unshown]
     groups = [(step.id, *step.rivals) for step in found.steps]
     by_id = {c.id: c for c in candidates}
     _, final = laboratory.computed(found.final)
@@ -213,29 +222,29 @@ def _told(
             for group in groups
             for i in group
         ),
-        additions=tuple(search.effect(step.id, final) for step in found.steps),
+        additions=tuple(effect_of(setting, step.id, final) for step in found.steps),
         candidates=tuple(candidates),
         tests=found.selection.tests,
         left=found.left,
         removed=found.removed,
         curves=tested.curves,
         latent=latent,
-        places=search.places(base),
-        lines=search.lines(base),
+        places=places_of(setting, base),
+        lines=lines_of(setting, base),
         random_force=base.predictor.random_force,
         random_torque=base.predictor.random_torque,
         explanation="",
         seconds=0.0,
         simulation=found.simulation,
-        policy=search.policy,
+        policy=setting.policy,
         evidence=evidence,
         consequence=found.consequence,
         detectable=tuple(by_id[step.id] for step in found.detectable),
     )
-    return dataclasses.replace(told, explanation=_explanation(told, found, search, thorough=evidence.thorough))
+    return dataclasses.replace(told, explanation=_explanation(told, found, setting, thorough=evidence.thorough))
 
 
-def _explanation(told: Diagnosis, found: Judgement, search: Search, *, thorough: bool) -> str:
+def _explanation(told: Diagnosis, found: Judgement, setting: Setting, *, thorough: bool) -> str:
     """Return the verdict in plain words, with what it rests on and what would make it surer."""
     steps, further = found.steps, found.further
     text = words(
@@ -245,7 +254,7 @@ def _explanation(told: Diagnosis, found: Judgement, search: Search, *, thorough:
     if told.simulation is not None and further and not steps:
         text += without_the_physics(further)
     if steps and further:
-        text += not_named(further, told.left, search.samples)
+        text += not_named(further, told.left, setting.samples)
     alarms = alarming(found.selection.findings.scores, told.policy.critical)
     if steps and steps[0].id not in {s.id for s in alarms}:
         text += f" {steps[0].id} raised no alarm by itself: it was tried because what did explains less, or nothing."
@@ -259,15 +268,15 @@ def _explanation(told: Diagnosis, found: Judgement, search: Search, *, thorough:
     if not vetoed and not any(
         test.rejects for test in told.left
     ):  # or else random forces may stand for what is still missing
-        text += shaken(found.final.random_force, found.final.random_torque, search.left_out)
-    if search.assumed:
-        text += f" Coloured noise of {', '.join(search.assumed)} was assumed: the data are far more likely with it."
-    return text + surer(told.verdict, search.recording)
+        text += shaken(found.final.random_force, found.final.random_torque, setting.left_out)
+    if setting.assumed:
+        text += f" Coloured noise of {', '.join(setting.assumed)} was assumed: the data are far more likely with it."
+    return text + surer(told.verdict, setting.recording)
 
 
 def compile_diagnosis(model: RTAC, recording: Recording, candidates: Sequence[type[Effect]] | None) -> None:
     """Compile what `diagnose` will run first; for a thread beside the one that fits the model."""
-    Search.compile_for(model, recording, offered(model, candidates))
+    compile_for(model, recording, offered(model, candidates))
 
 
 def _not_testable(c: type[Effect], price: float) -> Candidate:
@@ -282,12 +291,13 @@ def _not_testable(c: type[Effect], price: float) -> Candidate:
 def _candidates(laboratory: LiveLaboratory, found: Judgement) -> list[Candidate]:
     """Return all candidates, those that improved the model first."""
     selection, samples, policy = found.selection, laboratory.facts.samples, laboratory.policy
-    search, _ = laboratory.computed(selection.base)
+    setting, base = laboratory.computed(selection.base)
     screened = laboratory.tested(selection.base).screened
     price = float(np.log(samples))
     best = {s.id: s for s in by_size(screened, price)}
     alike = correlations(best)
-    limits = laboratory.limits(selection.base)
+    beside_base = selection.base.number == laboratory.base.number
+    limits = laboratory.limits if beside_base else limits_of(setting, base, best)
     most = _most(selection, samples)
     within = set(found.effects)
     several = []
@@ -314,7 +324,7 @@ def _candidates(laboratory: LiveLaboratory, found: Judgement) -> list[Candidate]
                 bic_gain=bic_gain(samples, before, model),
                 held_out_gain=held_out_gain(laboratory, before, model, policy),
                 error_reduction=float(np.clip(removed / most, 0.0, 1.0)) if most > 0 else 0.0,
-                parameters=search.parameters(s.id, last),
+                parameters=parameters_of(s.id, last),
             )
         several.append(c)
     order = {step.id: place for place, step in enumerate(selection.steps)}

@@ -15,7 +15,7 @@ from estimators.core.residual import start_rows
 from estimators.core.threads import at_once
 from estimators.diagnosis.evidence import SimulationError
 from estimators.diagnosis.refit import Refit, Tested
-from estimators.diagnosis.setting import Setting, begun, by_name, shared
+from estimators.diagnosis.setting import Setting, begun, by_name, model_with, padded_space, shared, space_for
 from estimators.inference.shaken_simulation import signal_rms, simulation_deviation
 from estimators.inference.simulation_residual import known_noise
 from estimators.misspecification.candidate_screening import Group, NotNothingError, Screened, same, screen
@@ -38,248 +38,262 @@ _SLOW = 1e-2  # share of the rms speed below which a learned friction fades
 QUIET = np.log(1e-3**2)  # variance of random forces, in shares of the rms forces, where they should not hide an effect
 
 
-class Probing(Setting):
-    """The tests of the innovations of models with some of the candidates."""
+def pieces_of_tests(
+    setting: Setting, added: Sequence[str] = (), free: Sequence[str] | None = None
+) -> list[Callable[[], None]]:
+    """Return what compiles the code of `tested`, in the order in which that runs it, for another thread.
 
-    def pieces_of_tests(self, added: Sequence[str] = (), free: Sequence[str] | None = None) -> list[Callable[[], None]]:
-        """Return what compiles the code of `tested`, in the order in which that runs it, for another thread.
+    Args:
+        setting: of the diagnosis.
+        added: effects that the model has beside those of the base model.
+        free: its free parameters, by default those of the base model.
+    """
+    free = shared(setting.model) if free is None else free
+    alone = partial(_unfitted, setting, _model_beside(setting, added, ()), free)
+    groups = [
+        partial(_unfitted, setting, _model_beside(setting, added, group), free) for group in grouped(setting, added)
+    ]
+    return [
+        lambda: alone().compile_jacobian(),
+        *(partial(_compile, group) for group in groups),
+        lambda: compile_force_curves(alone()),
+        lambda: alone().compile_pushed(),
+    ]
 
-        Args:
-            added: effects that the model has beside those of the base model.
-            free: its free parameters, by default those of the base model.
-        """
-        free = shared(self.model) if free is None else free
-        alone = partial(self._unfitted, self._with(added, ()), free)
-        groups = [partial(self._unfitted, self._with(added, group), free) for group in self._grouped(added)]
-        return [
-            lambda: alone().compile_jacobian(),
-            *(partial(_compile, group) for group in groups),
-            lambda: compile_force_curves(alone()),
-            lambda: alone().compile_pushed(),
-        ]
 
-    def _grouped(self, added: Sequence[str]) -> list[list[str]]:
-        """Return the candidates that were not added, as they are simulated together.
+def grouped(setting: Setting, added: Sequence[str]) -> list[list[str]]:
+    """Return the candidates that were not added, as they are simulated together.
 
-        A model with all of them costs one compilation, and every probe the effort of all effects; where there are many
-        samples, a few smaller models are faster. The group of an effect that was added stays a model that is compiled.
-        """
-        count = _GROUPS if self.data.samples * self.data.experiments > _MANY else 1
-        groups = [[i for i in list(self.absent)[first::count] if i not in added] for first in range(count)]
-        return [group for group in groups if group]
+    A model with all of them costs one compilation, and every probe the effort of all effects; where there are many
+    samples, a few smaller models are faster. The group of an effect that was added stays a model that is compiled.
+    """
+    count = _GROUPS if setting.data.samples * setting.data.experiments > _MANY else 1
+    groups = [[i for i in list(setting.absent)[first::count] if i not in added] for first in range(count)]
+    return [group for group in groups if group]
 
-    def _with(self, added: Sequence[str], others: Sequence[str]) -> RTAC:
-        """Return the base model with effects at null: what was added, then others."""
-        return self.with_effects([self.absent[i] for i in self.absent if i in added or i in others])
 
-    def _unfitted(self, model: RTAC, free: Sequence[str]) -> Innovations:
-        """Return innovations for compiling only: the shapes are right, gains and whiteners are nothing."""
-        gain, whitener = (
-            jnp.asarray(np.zeros((self.data.room, count, len(CHANNELS), self.data.experiments)))
-            for count in (len(model.states), len(CHANNELS))
-        )
-        return Innovations(model, self.data, self.padded(model, free), whitener, gain, self.substeps)
+def _model_beside(setting: Setting, added: Sequence[str], others: Sequence[str]) -> RTAC:
+    """Return the base model with effects at null: what was added, then others."""
+    return model_with(setting, [setting.absent[i] for i in setting.absent if i in added or i in others])
 
-    def tested(self, refit: Refit, ahead: Ahead | None = None) -> Tested:
-        """Run all tests of the innovations of a model; `ahead` compiles `pieces_of_tests`."""
-        ready = _nothing if ahead is None else ahead.next
-        probed = self._innovations(refit, [], refit.free)
-        ready()
-        basis = orthonormal(probed.jacobian())
-        error = self._error(refit, probed, basis)
-        screened = self._screened(refit, probed, error, basis, ready)
-        scales = scales_of(self.model, self.experiments)
-        slow = (_SLOW * scales.velocity, _SLOW * scales.arm_velocity)
-        ready()
-        curves = force_curves(probed, error, basis, self._ranges(), slow)
-        stiffness = float(np.asarray(self.model.body.spring_stiffness))
-        ready()
-        delayed = delayed_forces(
-            probed, error, basis, self.experiments, frequency=scales.frequency, stiffness=stiffness
-        )  # fmt: skip
-        whitened, present = self._told(refit)
-        line = spectral_line(whitened, present, self.experiments)
-        repeats = repeat_test(whitened, present, self.experiments)
-        findings = Findings(
-            scores_of(screened),
-            tuple(StaticForce(c.port, c.variable, float(c.p_value), float(c.excess)) for c in curves),
-            tuple(LaggedForce(one.port, one.follows, float(one.p_value), float(one.excess)) for one in delayed),
-            line,
-            repeats,
-        )
-        return Tested(tuple(screened), tuple(curves), findings)
 
-    def quietly(self, refit: Refit) -> list[Screened]:
-        """Score candidates against a predictor with low process noise.
+def _unfitted(setting: Setting, model: RTAC, free: Sequence[str]) -> Innovations:
+    """Return innovations for compiling only: the shapes are right, gains and whiteners are nothing."""
+    gain, whitener = (
+        jnp.asarray(np.zeros((setting.data.room, count, len(CHANNELS), setting.data.experiments)))
+        for count in (len(model.states), len(CHANNELS))
+    )
+    return Innovations(model, setting.data, padded_space(setting, model, free), whitener, gain, setting.substeps)
 
-        Random forces that stand for a missing effect make the predictor follow the sensors, and hide from it what moves
-        slowly beside the samples. Such statistics only rank: the innovations are not white.
-        """
-        found = refit.predictor
-        noise = np.concatenate([np.minimum(found.noise[:2], QUIET), found.noise[2:]])
-        prior = self.prior.starting(refit.space)
-        passed = run_filter(refit.model, self.data, refit.space, found.physical, prior, noise, self.substeps).filtered
-        quiet = dataclasses.replace(refit, predictor=dataclasses.replace(found, noise=noise, filtered=passed))
-        probed = self._innovations(quiet, [], quiet.free)
-        basis = orthonormal(probed.jacobian())
-        return self._screened(quiet, probed, self._error(quiet, probed, basis), basis)
 
-    def simulation_error(self, fit: Fit, base: Refit) -> SimulationError:
-        """Return the simulation error of a fit beside what the random forces of a predictor would leave of it.
+def run_tests(setting: Setting, refit: Refit, ahead: Ahead | None = None) -> Tested:
+    """Run all tests of the innovations of a model; `ahead` compiles `pieces_of_tests`."""
+    ready = _nothing if ahead is None else ahead.next
+    probed = _innovations(setting, refit, [], refit.free)
+    ready()
+    basis = orthonormal(probed.jacobian())
+    error = _error(setting, refit, probed, basis)
+    screened = _screened(setting, refit, probed, error, basis, ready)
+    scales = scales_of(setting.model, setting.experiments)
+    slow = (_SLOW * scales.velocity, _SLOW * scales.arm_velocity)
+    ready()
+    curves = force_curves(probed, error, basis, _ranges(setting), slow)
+    stiffness = float(np.asarray(setting.model.body.spring_stiffness))
+    ready()
+    delayed = delayed_forces(
+        probed, error, basis, setting.experiments, frequency=scales.frequency, stiffness=stiffness
+    )  # fmt: skip
+    whitened, present = _counted(setting, refit)
+    line = spectral_line(whitened, present, setting.experiments)
+    repeats = repeat_test(whitened, present, setting.experiments)
+    findings = Findings(
+        scores_of(screened),
+        tuple(StaticForce(c.port, c.variable, float(c.p_value), float(c.excess)) for c in curves),
+        tuple(LaggedForce(one.port, one.follows, float(one.p_value), float(one.excess)) for one in delayed),
+        line,
+        repeats,
+    )
+    return Tested(tuple(screened), tuple(curves), findings)
 
-        Args:
-            fit: whose simulation it is.
-            base: the predictor of the same model.
-        """
-        known = [c for c in fit.residual_std if c in known_noise(self.recording)]
-        start = np.stack([fit.start[e.name] for e in self.experiments], axis=1)
-        space = begun(
-            self.space(base.model, base.free), base.model, dict(zip(start_rows(fit.model), start, strict=True))
-        )
-        values = base.values | {name: float(np.asarray(fit.model[name])) for name in shared(fit.model)}
-        physical = (
-            jnp.asarray([values[name] for name in space.names]), base.predictor.physical[1], space.start,
-        )  # fmt: skip
-        deviation = simulation_deviation(
-            base.model, self.data, space, physical, self.prior.starting(space), base.predictor.noise, self.substeps
-        )
-        signal = signal_rms(self.data)
-        rows = {c: CHANNELS.index(c) for c in known}
-        return SimulationError(
-            {c: float(fit.residual_std[c] / fit.noise[c]) for c in known},
-            {c: float(deviation[row]) / fit.noise[c] for c, row in rows.items() if np.isfinite(deviation[row])},
-            {c: float(signal[row]) / fit.noise[c] for c, row in rows.items()},
-            (float(base.predictor.random_force), float(base.predictor.random_torque)),
-        )
 
-    @property
-    def samples_per_radian(self) -> float:
-        """Samples in a radian of the cart's natural swing, over which random forces average."""
-        scales = scales_of(self.model, self.experiments)
-        return 1.0 / (scales.frequency * scales.sample_time)
+def quietly_screened(setting: Setting, refit: Refit) -> list[Screened]:
+    """Score candidates against a predictor with low process noise.
 
-    def places(self, refit: Refit) -> tuple[Place, ...]:
-        """Return the parts of the data by the size of their innovations, the largest excess first."""
-        whitened, present = self._told(refit)
-        return tuple(where(whitened, present, self.experiments))
+    Random forces that stand for a missing effect make the predictor follow the sensors, and hide from it what moves
+    slowly beside the samples. Such statistics only rank: the innovations are not white.
+    """
+    found = refit.predictor
+    noise = np.concatenate([np.minimum(found.noise[:2], QUIET), found.noise[2:]])
+    prior = setting.prior.starting(refit.space)
+    passed = run_filter(refit.model, setting.data, refit.space, found.physical, prior, noise, setting.substeps).filtered
+    quiet = dataclasses.replace(refit, predictor=dataclasses.replace(found, noise=noise, filtered=passed))
+    probed = _innovations(setting, quiet, [], quiet.free)
+    basis = orthonormal(probed.jacobian())
+    return _screened(setting, quiet, probed, _error(setting, quiet, probed, basis), basis)
 
-    def lines(self, refit: Refit) -> tuple[LineClass, ...]:
-        """Return the innovations by class of spectral line."""
-        whitened, present = self._told(refit)
-        return tuple(line_classes(whitened, present, self.experiments))
 
-    def latent(self, refit: Refit) -> tuple[LatentForce, ...]:
-        """Return the missing force in time."""
-        probed = self._innovations(refit, [], [])
-        scales = scales_of(self.model, self.experiments)
-        physical = (probed.space.values, refit.predictor.physical[1], probed.space.start)
-        return latent_forces(
-            probed.model, self.data, probed.space, physical, probed.gain,
-            self.substeps, self.experiments,
-            sensor_variance=np.exp(refit.predictor.noise[2:]) * self.prior.sensor**2,
-            start_variance=start_variance(probed.space),
-            force=scales.force, torque=scales.torque, frequency=scales.frequency,
-        )  # fmt: skip
+def simulation_error(setting: Setting, fit: Fit, base: Refit) -> SimulationError:
+    """Return the simulation error of a fit beside what the random forces of a predictor would leave of it.
 
-    def _screened(
-        self,
-        refit: Refit,
-        probed: Innovations,
-        error: np.ndarray,
-        basis: Rows,
-        ready: Callable[[], None] | None = None,
-    ) -> list[Screened]:
-        """Score candidates that were not added to a fitted model, against its innovations.
+    Args:
+        setting: of the diagnosis.
+        fit: whose simulation it is.
+        base: the predictor of the same model.
+    """
+    known = [c for c in fit.residual_std if c in known_noise(setting.recording)]
+    start = np.stack([fit.start[e.name] for e in setting.experiments], axis=1)
+    space = begun(
+        space_for(setting, base.model, base.free), base.model, dict(zip(start_rows(fit.model), start, strict=True))
+    )
+    values = base.values | {name: float(np.asarray(fit.model[name])) for name in shared(fit.model)}
+    physical = (
+        jnp.asarray([values[name] for name in space.names]), base.predictor.physical[1], space.start,
+    )  # fmt: skip
+    deviation = simulation_deviation(
+        base.model, setting.data, space, physical, setting.prior.starting(space), base.predictor.noise, setting.substeps
+    )
+    signal = signal_rms(setting.data)
+    rows = {c: CHANNELS.index(c) for c in known}
+    return SimulationError(
+        {c: float(fit.residual_std[c] / fit.noise[c]) for c in known},
+        {c: float(deviation[row]) / fit.noise[c] for c, row in rows.items() if np.isfinite(deviation[row])},
+        {c: float(signal[row]) / fit.noise[c] for c, row in rows.items()},
+        (float(base.predictor.random_force), float(base.predictor.random_torque)),
+    )
 
-        Raises:
-            ValueError: a candidate that is not nothing where its parameters are at null.
-        """
-        raw = self._raw(refit, probed)
-        try:
-            return screen(self._groups(refit, raw), error, basis, ready or _nothing, self.policy.critical)
-        except NotNothingError as found:
-            for i in found.ids:
-                alone = self._innovations(refit, [i], refit.free)
-                if not same(alone.at(np.asarray(alone.space.values)[None])[:, 0], raw):
-                    raise ValueError(
-                        f"candidates: {i} changes what the model predicts although its parameters are at null, or makes it "
-                        "NaN; correct null, or make what it adds finite and zero there."
-                    ) from None
-            raise ValueError(f"candidates: together {', '.join(found.ids)} make the model diverge at null.") from None
 
-    def _groups(self, refit: Refit, raw: np.ndarray) -> list[Group]:
-        return [
-            Group(self._innovations(refit, group, refit.free), [i for i in self.instances if i.id in group], raw)
-            for group in self._grouped(refit.added)
-        ]
+def places_of(setting: Setting, refit: Refit) -> tuple[Place, ...]:
+    """Return the parts of the data by the size of their innovations, the largest excess first."""
+    whitened, present = _counted(setting, refit)
+    return tuple(where(whitened, present, setting.experiments))
 
-    def limits(self, refit: Refit, best: Mapping[str, Screened]) -> dict[str, float]:
-        """Return the size from which on each candidate would be found beside a fitted model."""
-        probed = self._innovations(refit, [], refit.free)
-        basis = orthonormal(probed.jacobian())
 
-        def of(group: Group) -> dict[str, float]:
-            ids = {instance.id for instance in group.instances}
-            return detection_limits(group, [s for s in best.values() if s.id in ids], basis)
+def lines_of(setting: Setting, refit: Refit) -> tuple[LineClass, ...]:
+    """Return the innovations by class of spectral line."""
+    whitened, present = _counted(setting, refit)
+    return tuple(line_classes(whitened, present, setting.experiments))
 
-        parts = at_once(of, self._groups(refit, self._raw(refit, probed)))
-        return {i: limit for part in parts for i, limit in part.items()}
 
-    def _raw(self, refit: Refit, probed: Innovations) -> np.ndarray:
-        return probed.rows(self._told(refit)[0][None])[:, 0]
+def latent_of(setting: Setting, refit: Refit) -> tuple[LatentForce, ...]:
+    """Return the missing force in time."""
+    probed = _innovations(setting, refit, [], [])
+    scales = scales_of(setting.model, setting.experiments)
+    physical = (probed.space.values, refit.predictor.physical[1], probed.space.start)
+    return latent_forces(
+        probed.model, setting.data, probed.space, physical, probed.gain,
+        setting.substeps, setting.experiments,
+        sensor_variance=np.exp(refit.predictor.noise[2:]) * setting.prior.sensor**2,
+        start_variance=start_variance(probed.space),
+        force=scales.force, torque=scales.torque, frequency=scales.frequency,
+    )  # fmt: skip
 
-    def _error(self, refit: Refit, probed: Innovations, basis: Rows) -> np.ndarray:
-        """Return the innovations of a fitted model, without their part in the basis."""
-        raw = self._raw(refit, probed)
-        return raw - basis @ (basis.T @ raw)
 
-    def _innovations(self, refit: Refit, others: Sequence[str], free: Sequence[str]) -> Innovations:
-        """Return the innovations of a fitted model with some of the candidates at null."""
-        model = self._with(refit.added, others)
-        space = self.padded(model, free)
-        predictor = refit.predictor
-        space = begun(space, model, refit.start)
-        values = by_name(space, refit.space, predictor.physical[0])
-        space = dataclasses.replace(space, values=values, each_values=predictor.physical[1])
-        # A state that the filter does not know is not corrected.
-        gain = np.asarray(predictor.filtered.gain)
-        rows = {name: gain[:, i] for i, name in enumerate(refit.model.states)}
-        nothing = np.zeros_like(gain[:, 0])
-        placed = jnp.asarray(np.stack([rows.get(name, nothing) for name in model.states], axis=1))
-        sure = 1.0 - predictor.filtered.shaken[:, None, None]
-        return Innovations(model, self.data, space, predictor.filtered.whitener * sure, placed, self.substeps)
+def _screened(
+    setting: Setting,
+    refit: Refit,
+    probed: Innovations,
+    error: np.ndarray,
+    basis: Rows,
+    ready: Callable[[], None] | None = None,
+) -> list[Screened]:
+    """Score candidates that were not added to a fitted model, against its innovations.
 
-    def _told(self, refit: Refit) -> tuple[np.ndarray, np.ndarray]:
-        """Return the innovations, and 1 where there are any, but for stick-slip ambiguous samples.
+    Raises:
+        ValueError: a candidate that is not nothing where its parameters are at null.
+    """
+    raw = _raw(setting, refit, probed)
+    try:
+        return screen(_groups(setting, refit, raw), error, basis, ready or _nothing, setting.policy.critical)
+    except NotNothingError as found:
+        for i in found.ids:
+            alone = _innovations(setting, refit, [i], refit.free)
+            if not same(alone.at(np.asarray(alone.space.values)[None])[:, 0], raw):
+                raise ValueError(
+                    f"candidates: {i} changes what the model predicts although its parameters are at null, or makes it "
+                    "NaN; correct null, or make what it adds finite and zero there."
+                ) from None
+        raise ValueError(f"candidates: together {', '.join(found.ids)} make the model diverge at null.") from None
 
-        There the model's own rest is in doubt, and what it predicts says nothing of what it lacks.
-        """
-        filtered = refit.predictor.filtered
-        sure = ((1.0 - np.asarray(filtered.shaken)) * np.asarray(self.data.trusted))[:, None]
-        return np.asarray(filtered.innovations) * sure, np.asarray(self.data.present) * sure
 
-    def _ranges(self) -> dict[str, tuple[float, float]]:
-        """Return the values between which each variable moves."""
+def _groups(setting: Setting, refit: Refit, raw: np.ndarray) -> list[Group]:
+    return [
+        Group(_innovations(setting, refit, group, refit.free), [i for i in setting.instances if i.id in group], raw)
+        for group in grouped(setting, refit.added)
+    ]
 
-        def between(values: list[np.ndarray]) -> tuple[float, float]:
-            if not values:
-                return 0.0, 0.0
-            low, high = np.nanquantile(np.concatenate(values), [0.001, 0.999])
-            return float(low), float(high)
 
-        def outputs(channel: str) -> list[np.ndarray]:
-            return [e.outputs[channel].values for e in self.experiments if channel in e.outputs]
+def limits_of(setting: Setting, refit: Refit, best: Mapping[str, Screened]) -> dict[str, float]:
+    """Return the size from which on each candidate would be found beside a fitted model."""
+    probed = _innovations(setting, refit, [], refit.free)
+    basis = orthonormal(probed.jacobian())
 
-        scales = scales_of(self.model, self.experiments)
-        reach = 2.5 * scales.velocity if outputs("cart_position") else 0.0
-        arm = any(e.arm == "free" for e in self.experiments)
-        return {
-            "cart_position": between(outputs("cart_position")),
-            "cart_velocity": (-reach, reach),
-            "arm_angle": (-np.pi, np.pi) if arm else (0.0, 0.0),
-            "arm_velocity": between(outputs("arm_velocity")) if arm else (0.0, 0.0),
-            "current": between([e.inputs["current"].values for e in self.experiments if "current" in e.inputs]),
-        }
+    def of(group: Group) -> dict[str, float]:
+        ids = {instance.id for instance in group.instances}
+        return detection_limits(group, [s for s in best.values() if s.id in ids], basis)
+
+    parts = at_once(of, _groups(setting, refit, _raw(setting, refit, probed)))
+    return {i: limit for part in parts for i, limit in part.items()}
+
+
+def _raw(setting: Setting, refit: Refit, probed: Innovations) -> np.ndarray:
+    return probed.rows(_counted(setting, refit)[0][None])[:, 0]
+
+
+def _error(setting: Setting, refit: Refit, probed: Innovations, basis: Rows) -> np.ndarray:
+    """Return the innovations of a fitted model, without their part in the basis."""
+    raw = _raw(setting, refit, probed)
+    return raw - basis @ (basis.T @ raw)
+
+
+def _innovations(setting: Setting, refit: Refit, others: Sequence[str], free: Sequence[str]) -> Innovations:
+    """Return the innovations of a fitted model with some of the candidates at null."""
+    model = _model_beside(setting, refit.added, others)
+    space = padded_space(setting, model, free)
+    predictor = refit.predictor
+    space = begun(space, model, refit.start)
+    values = by_name(space, refit.space, predictor.physical[0])
+    space = dataclasses.replace(space, values=values, each_values=predictor.physical[1])
+    # A state that the filter does not know is not corrected.
+    gain = np.asarray(predictor.filtered.gain)
+    rows = {name: gain[:, i] for i, name in enumerate(refit.model.states)}
+    nothing = np.zeros_like(gain[:, 0])
+    placed = jnp.asarray(np.stack([rows.get(name, nothing) for name in model.states], axis=1))
+    sure = 1.0 - predictor.filtered.shaken[:, None, None]
+    return Innovations(model, setting.data, space, predictor.filtered.whitener * sure, placed, setting.substeps)
+
+
+def _counted(setting: Setting, refit: Refit) -> tuple[np.ndarray, np.ndarray]:
+    """Return the innovations, and 1 where there are any, but for stick-slip ambiguous samples.
+
+    There the model's own rest is in doubt, and what it predicts says nothing of what it lacks.
+    """
+    filtered = refit.predictor.filtered
+    sure = ((1.0 - np.asarray(filtered.shaken)) * np.asarray(setting.data.trusted))[:, None]
+    return np.asarray(filtered.innovations) * sure, np.asarray(setting.data.present) * sure
+
+
+def _ranges(setting: Setting) -> dict[str, tuple[float, float]]:
+    """Return the values between which each variable moves."""
+
+    def between(values: list[np.ndarray]) -> tuple[float, float]:
+        if not values:
+            return 0.0, 0.0
+        low, high = np.nanquantile(np.concatenate(values), [0.001, 0.999])
+        return float(low), float(high)
+
+    def outputs(channel: str) -> list[np.ndarray]:
+        return [e.outputs[channel].values for e in setting.experiments if channel in e.outputs]
+
+    scales = scales_of(setting.model, setting.experiments)
+    reach = 2.5 * scales.velocity if outputs("cart_position") else 0.0
+    arm = any(e.arm == "free" for e in setting.experiments)
+    return {
+        "cart_position": between(outputs("cart_position")),
+        "cart_velocity": (-reach, reach),
+        "arm_angle": (-np.pi, np.pi) if arm else (0.0, 0.0),
+        "arm_velocity": between(outputs("arm_velocity")) if arm else (0.0, 0.0),
+        "current": between([e.inputs["current"].values for e in setting.experiments if "current" in e.inputs]),
+    }
 
 
 def _compile(innovations: Callable[[], Innovations]) -> None:

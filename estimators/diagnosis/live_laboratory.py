@@ -16,11 +16,22 @@ from estimators.diagnosis.evidence import (
     Refitting,
     SimulationError,
 )
-from estimators.diagnosis.innovation_tests import scores_of
+from estimators.diagnosis.innovation_tests import limits_of, quietly_screened, run_tests, scores_of, simulation_error
 from estimators.diagnosis.laboratory import Way
+from estimators.diagnosis.noise_colour import coloured, recoloured
 from estimators.diagnosis.refit import Refit, Tested
-from estimators.diagnosis.refitting import Search
-from estimators.diagnosis.refitting import Way as RefitWay
+from estimators.diagnosis.refitting import (
+    extended_simulation,
+    fit_base,
+    held_out_gains,
+    looseness_of,
+    parameters_of,
+    refit_each,
+    refit_first,
+    refit_without,
+)
+from estimators.diagnosis.setting import Setting
+from estimators.diagnosis.workers import Workers
 from estimators.inference.simulation_residual import known_noise
 from estimators.misspecification.candidate_screening import Screened
 from estimators.misspecification.detection_limit import is_testable
@@ -36,20 +47,23 @@ class LiveLaboratory:
         facts: about the recording.
         policy: the thresholds by which is chosen what to compute.
         base: the record of the base model.
+        limits: size from which on each candidate would be found beside it.
+        say: shows what is asked now.
     """
 
-    def __init__(self, search: Search, fit: Fit, base: Refit, tested: Tested) -> None:
+    def __init__(self, setting: Setting, fit: Fit, base: Refit, tested: Tested, workers: Workers) -> None:
         """Begin with the base model and its tests.
 
         Args:
-            search: makes and fits models.
+            setting: the data and the candidates.
             fit: that is diagnosed.
             base: predictor of its model.
             tested: the tests of that.
+            workers: compute side by side.
         """
-        self._fit = fit
+        self._fit, self._workers = fit, workers
         self._models: list[FittedModel] = []
-        self._computed: list[tuple[Search, Refit]] = []
+        self._computed: list[tuple[Setting, Refit]] = []
         self._tested: dict[int, Tested] = {}
         self._quiet: dict[int, tuple[Score, ...]] = {}
         self._screened: dict[Score, Screened] = {}
@@ -57,39 +71,36 @@ class LiveLaboratory:
         self._held_out: dict[tuple[int, int], HeldOut] = {}
         self._simulations: dict[int, SimulationError] = {}
         self._coloured: list[FittedModel | None] = []  # empty until asked
-        self._stretches = search.stretches()
-        self._limits: dict[int, dict[str, float]] = {}
-        self.facts, self.policy = facts_of(search, fit), search.policy
-        self.base = self._record(search, base, tested)
+        self._stretches = setting.stretches()
+        self.say = lambda text: setting.bar.set_description(f"diagnose: {text}")
+        self.facts, self.policy = facts_of(setting, fit), setting.policy
+        self.base = self._record(setting, base, tested)
         best = by_statistic(tested.screened)
-        limits = self.limits(self.base)
-        blind = [i for i, s in best.items() if not s.instance.acts_by_contact and not is_testable(s, limits[i])]
+        self.limits = limits_of(setting, base, best)
+        blind = [i for i, s in best.items() if not s.instance.acts_by_contact and not is_testable(s, self.limits[i])]
         self.facts = dataclasses.replace(self.facts, untestable=tuple(sorted(blind)))
-
-    def say(self, text: str) -> None:
-        """Show what is asked now."""
-        self._computed[0][0].bar.set_description(f"diagnose: {text}")
 
     def first_refits(
         self, before: FittedModel, first: Score, near: Sequence[Score], way: Way
     ) -> dict[str, FittedModel]:
         """Refit a model with the first candidate and those near it, and test the first meanwhile."""
-        search, refit = self.computed(before)
+        setting, refit = self.computed(before)
         held = [self._screened[s] for s in near]
-        found, tested = search.first_refits(refit, self._screened[first], held, _way(search, way))
+        found, tested = refit_first(setting, refit, self._screened[first], held, way, self._workers)
         return self._added(before, [first, *near], way, found, {first.id: tested})
 
     def refits(self, before: FittedModel, several: Sequence[Score], way: Way) -> dict[str, FittedModel]:
         """Refit a model with each of several candidates."""
-        search, refit = self.computed(before)
-        found = search.refits(refit, [self._screened[s] for s in several], _way(search, way))
+        setting, refit = self.computed(before)
+        held = [self._screened[s] for s in several]
+        found = refit_each(setting, refit, held, way, self._workers)
         return self._added(before, several, way, found, {})
 
     def without(self, model: FittedModel, effect: str) -> FittedModel | None:
         """Refit a model without one of its added effects; None where it diverges."""
-        search, refit = self.computed(model)
+        setting, refit = self.computed(model)
         try:
-            found = self._record(search, search.without(refit, effect), None)
+            found = self._record(setting, refit_without(setting, refit, effect), None)
         except ArithmeticError:
             found = None
         after = None if found is None else found.number
@@ -103,8 +114,8 @@ class LiveLaboratory:
     def quiet_scores(self, model: FittedModel) -> tuple[Score, ...]:
         """Score candidates against a predictor with low process noise."""
         if model.number not in self._quiet:
-            search, refit = self.computed(model)
-            screened = search.quietly(refit)
+            setting, refit = self.computed(model)
+            screened = quietly_screened(setting, refit)
             scores = self._quiet[model.number] = scores_of(screened)
             self._screened |= dict(zip(scores, screened, strict=True))
         return self._quiet[model.number]
@@ -113,46 +124,40 @@ class LiveLaboratory:
         """Return what an effect gains where it was not estimated."""
         key = before.number, after.number
         if key not in self._held_out:
-            search, refit = self.computed(before)
-            self._held_out[key] = search.held_out(refit, self.computed(after)[1])
+            _, refit = self.computed(before)
+            self._held_out[key] = held_out_gains(refit, self.computed(after)[1])
         return self._held_out[key]
 
     def coloured(self) -> FittedModel | None:
         """Return the base model with coloured noise, if the data are likelier with it."""
         if not self._coloured:
-            search, base = self.computed(self.base)
-            other = search.coloured(base)
+            setting, base = self.computed(self.base)
+            other = coloured(setting, base, self._workers)
             if other is None:
                 self._coloured = [None]
             else:
-                other, coloured = other.recoloured(other.base())
-                self._coloured = [self._record(other, coloured, None)]
+                other, base = recoloured(other, fit_base(other))
+                self._coloured = [self._record(other, base, None)]
         return self._coloured[0]
 
     def simulation(self, model: FittedModel) -> SimulationError:
         """Return the error of a free simulation of a model: of a base model that of the fit that is diagnosed."""
         if model.number not in self._simulations:
-            search, refit = self.computed(model)
-            make = search.extended_simulation if model.added else search.simulation_error
-            self._simulations[model.number] = make(self._fit, refit)
+            setting, refit = self.computed(model)
+            make = extended_simulation if model.added else simulation_error
+            self._simulations[model.number] = make(setting, self._fit, refit)
         return self._simulations[model.number]
 
-    def limits(self, model: FittedModel) -> dict[str, float]:
-        """Return the size from which on each candidate would be found beside a model."""
-        if model.number not in self._limits:
-            search, refit = self.computed(model)
-            self._limits[model.number] = search.limits(refit, by_statistic(self.tested(model).screened))
-        return self._limits[model.number]
-
-    def computed(self, model: FittedModel) -> tuple[Search, Refit]:
+    def computed(self, model: FittedModel) -> tuple[Setting, Refit]:
         """Return what a record stands for, and what made it."""
         return self._computed[model.number]
 
     def tested(self, model: FittedModel) -> Tested:
         """Return the tests of the innovations of a model, with what they were computed from."""
         if model.number not in self._tested:
-            search, refit = self.computed(model)
-            self._keep(model, search.tested(refit))
+            setting, refit = self.computed(model)
+            self._tested[model.number] = tested = run_tests(setting, refit)
+            self._screened |= dict(zip(tested.findings.scores, tested.screened, strict=True))
         return self._tested[model.number]
 
     def evidence(self, *, thorough: bool) -> Evidence:
@@ -188,18 +193,18 @@ class LiveLaboratory:
         tested: dict[str, Tested | None],
     ) -> dict[str, FittedModel]:
         """Record refits with candidates, and those that diverged."""
-        search, _ = self.computed(before)
-        models = {i: self._record(search, refit, tested.get(i)) for i, refit in found.items()}
+        setting, _ = self.computed(before)
+        models = {i: self._record(setting, refit, tested.get(i)) for i, refit in found.items()}
         for s in several:
             after = models[s.id].number if s.id in models else None
             self._refits[before.number, way, s.id] = Refitting(before.number, way, s.id, s.shape, after)
         return models
 
-    def _record(self, search: Search, refit: Refit, tested: Tested | None) -> FittedModel:
+    def _record(self, setting: Setting, refit: Refit, tested: Tested | None) -> FittedModel:
         values = {
             f"{effect}.{name}": (parameter.value, parameter.std)
             for effect in refit.added
-            for name, parameter in search.parameters(effect, refit).items()
+            for name, parameter in parameters_of(effect, refit).items()
         }
         model = FittedModel(
             number=len(self._models),
@@ -207,24 +212,17 @@ class LiveLaboratory:
             parameters=len(refit.free),
             log_likelihood=float(refit.predictor.log_likelihood),
             by_stretch=tuple(by_stretch(refit.by_sample, self._stretches).tolist()),
-            looseness=search.looseness(refit),
+            looseness=looseness_of(refit),
             random_force=float(refit.predictor.random_force),
             random_torque=float(refit.predictor.random_torque),
             values=values,
         )
         self._models.append(model)
-        self._computed.append((search, refit))
+        self._computed.append((setting, refit))
         if tested is not None:
-            self._keep(model, tested)
+            self._tested[model.number] = tested
+            self._screened |= dict(zip(tested.findings.scores, tested.screened, strict=True))
         return model
-
-    def _keep(self, model: FittedModel, tested: Tested) -> None:
-        self._tested[model.number] = tested
-        self._screened |= dict(zip(tested.findings.scores, tested.screened, strict=True))
-
-
-def _way(search: Search, way: Way) -> RefitWay:
-    return search.thoroughly if way == "thorough" else search.with_effect
 
 
 def by_statistic(screened: Sequence[Screened]) -> dict[str, Screened]:
@@ -236,23 +234,23 @@ def by_statistic(screened: Sequence[Screened]) -> dict[str, Screened]:
     return best
 
 
-def facts_of(search: Search, fit: Fit) -> Facts:
+def facts_of(setting: Setting, fit: Fit) -> Facts:
     """Return what a judgement asks of the recording.
 
     Args:
-        search: of the diagnosis.
+        setting: of the diagnosis.
         fit: that is diagnosed.
     """
     return Facts(
-        samples=search.samples,
-        seconds=int(np.max(search.stretches())) + 1,
-        experiments=len(search.experiments),
-        rest=any(e.kind == "rest" for e in search.recording.experiments),
-        noise_known=bool(known_noise(search.recording) & set(fit.residual_std)),
-        samples_per_radian=float(search.samples_per_radian),
-        left_out=float(search.left_out),
+        samples=setting.samples,
+        seconds=int(np.max(setting.stretches())) + 1,
+        experiments=len(setting.experiments),
+        rest=any(e.kind == "rest" for e in setting.recording.experiments),
+        noise_known=bool(known_noise(setting.recording) & set(fit.residual_std)),
+        samples_per_radian=float(setting.samples_per_radian),
+        left_out=float(setting.left_out),
         noise={channel: float(level) for channel, level in fit.noise.items()},
-        effects={i: traits(effect) for i, effect in search.classes.items()},
+        effects={i: traits(effect) for i, effect in setting.classes.items()},
     )
 
 

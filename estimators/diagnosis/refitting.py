@@ -2,22 +2,18 @@
 
 import contextlib
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from functools import reduce
+from collections.abc import Mapping, Sequence
+from functools import partial, reduce
 from typing import Any
 
 import numpy as np
 
-from estimators.core.compilation import Ahead
-from estimators.core.data import CHANNELS
 from estimators.core.fisher_information import information
 from estimators.core.fit import Fit, Parameter
 from estimators.core.levenberg_marquardt import Arguments, factor
 from estimators.core.parameter_space import Space
 from estimators.core.residual import start_rows
 from estimators.core.results import NotIdentifiableError
-from estimators.core.threads import at_once, threads
 from estimators.diagnosis.contact_trials import (
     acting_on_arm,
     begins_of,
@@ -27,362 +23,307 @@ from estimators.diagnosis.contact_trials import (
     likeliest_begin,
 )
 from estimators.diagnosis.evidence import HeldOut, SimulationError
-from estimators.diagnosis.innovation_tests import QUIET, Probing
+from estimators.diagnosis.innovation_tests import QUIET, pieces_of_tests, run_tests, simulation_error
+from estimators.diagnosis.laboratory import Way
 from estimators.diagnosis.refit import Refit, Tested
-from estimators.diagnosis.setting import begun, by_name, shared
+from estimators.diagnosis.setting import Setting, begun, effect_of, model_with, set_up, shared, space_for
+from estimators.diagnosis.workers import Workers
 from estimators.misspecification.candidate_screening import Screened
 from estimators.output_error.fit import output_error
-from estimators.prediction_error.coloured_noise import ColouredNoise, Colours, likeliest_colours, rest_spectra
-from estimators.prediction_error.noise_estimation import compile_predictor, fit_noise, fit_predictor, without_shaken
+from estimators.prediction_error.noise_estimation import compile_predictor, fit_predictor, without_shaken
 from estimators.validation.model_comparison import by_sample, held_out
 from rtac_jax import RTAC
 from rtac_jax.effects import Effect
 from rtac_jax.measurement import Recording
 from rtac_jax.parameters import declarations
 
-_MEMORIES = (1.5, 4.0, 10.0, 25.0)  # correlation times of sensor noise that are tried, in samples
-_QUIETER = 6.0  # by how much in the logarithm of their variance random forces are lowered for that
-Way = Callable[[Refit, Screened], Refit]
-"""To refit the model before with a candidate."""
+
+def compile_for(model: RTAC, recording: Recording, classes: Sequence[type[Effect]]) -> None:
+    """Compile what the diagnosis of a model will run first, so that this can be done while the model is fitted."""
+    setting = set_up(model, recording, classes, {}, 1, None)
+    for piece in pieces_of_tests(setting):  # first: a fit begins with the filter too, and compiles it
+        piece()
+    _compile_fit(setting, model_with(setting, []), tuple(shared(model)))
 
 
-class Search(Probing):
-    """The fitted models of one diagnosis."""
+def compile_base(setting: Setting) -> None:
+    """Compile what `fit_base` will run after the filter, which it begins with and compiles itself."""
+    _compile_fit(setting, model_with(setting, []), tuple(shared(setting.model)), noise=False)
 
-    @classmethod
-    def of(cls, fit: Fit, recording: Recording, classes: Sequence[type[Effect]], bar: Any) -> "Search":
-        """Set up for the model of a fit."""
-        return cls.set_up(fit.model, recording, classes, fit.start, int(fit.statistics["substeps"]), bar)
 
-    @classmethod
-    def compile_for(cls, model: RTAC, recording: Recording, classes: Sequence[type[Effect]]) -> None:
-        """Compile what the diagnosis of a model will run first, so that this can be done while the model is fitted."""
-        search = cls.set_up(model, recording, classes, {}, 1, None)
-        for piece in search.pieces_of_tests():  # first: a fit begins with the filter too, and compiles it
-            piece()
-        search._compile_fit(search.with_effects([]), tuple(shared(model)))
+def fit_base(setting: Setting) -> Refit:
+    """Fit the base model."""
+    return fitted(setting, (), model_with(setting, []), tuple(shared(setting.model)), None, {})
 
-    def compile_base(self) -> None:
-        """Compile what `base` will run after the filter, which it begins with and compiles itself."""
-        self._compile_fit(self.with_effects([]), tuple(shared(self.model)), noise=False)
 
-    def base(self) -> Refit:
-        """Fit the base model."""
-        return self._fitted((), self.with_effects([]), tuple(shared(self.model)), None, {})
+def trusting(setting: Setting, base: Refit) -> tuple[Setting, Refit]:
+    """Return the setting, and the base model fitted again, where no stick-slip ambiguous sample counts.
 
-    def recoloured(self, base: Refit) -> "tuple[Search, Refit]":
-        """Return the search with the noise colour that rest and motion make likeliest, and the base model fitted again.
+    The samples are those of the base model, for all models: likelihoods compare only where they count the same
+    data.
+    """
+    if not np.any(base.predictor.filtered.shaken):
+        return setting, base
+    trusted = dataclasses.replace(setting, data=without_shaken(setting.data, base.predictor.filtered))
+    model = base.model.with_values(base.values)
+    return trusted, fitted(trusted, (), model, base.free, base.predictor.noise, base.start)
 
-        A rest record of a second or two leaves the correlation time open by a tenth or more, and motion shows that. What the
-        model leaves out must not be taken for colour, so the colour stays where the rest records do not speak against it;
-        without rest records only the reach of the search bounds it.
-        """
-        if self.colour is None:
-            return self, base
-        spectra = rest_spectra(self.recording.experiments)
-        kept = {name: v for name, v in base.values.items() if name.split(".")[0] != ColouredNoise.id}
-        noise = base.predictor.noise
 
-        def likelihood(colours: Colours) -> float:
-            rest = 0.0
-            for channel, colour in colours.items():
-                if channel in spectra:
-                    lost = spectra[channel].log_likelihood(*first[channel]) - spectra[channel].log_likelihood(*colour)
-                    if lost > self.policy.colour_spoken:
-                        return -np.inf
-                    rest -= lost
-            trial = dataclasses.replace(self, colour=ColouredNoise.of(colours))
-            model = trial.with_effects([]).with_values(kept)
-            space = begun(trial.space(model, base.free), model, base.start)
-            physical, prior = space.physical(space.unconstrained(start=False)), self.prior.starting(space)
-            return rest + fit_noise(model, self.data, space, physical, prior, noise, self.substeps).log_likelihood
+def refit_with(setting: Setting, before: Refit, s: Screened) -> Refit:
+    """Fit a model with one candidate more, all parameters together."""
+    model, free, added = _beginning(setting, before, s)
+    return fitted(setting, added, model, free, before.predictor.noise, before.start)
 
-        first = self.colour.colours
-        best, gained = likeliest_colours(first, likelihood)
-        if not gained >= self.policy.colour_mended:
-            return self, base
-        search = dataclasses.replace(self, colour=ColouredNoise.of(best))
-        model = search.with_effects([]).with_values(kept)
-        refit = search._fitted((), model, base.free, noise, base.start)
-        return (search, refit) if refit.predictor.log_likelihood > base.predictor.log_likelihood else (self, base)
 
-    def trusting(self, base: Refit) -> "tuple[Search, Refit]":
-        """Return the search, and the base model fitted again, where no stick-slip ambiguous sample counts.
+def refit_thoroughly(setting: Setting, before: Refit, s: Screened) -> Refit:
+    """Return the likelier of `refit_with` and, for a contact, `refit_by_trial`, or, for any other effect, `refit_by_simulation`.
 
-        The samples are those of the base model, for all models: likelihoods compare only where they count the same
-        data.
-        """
-        if not np.any(base.predictor.filtered.shaken):
-            return self, base
-        search = dataclasses.replace(self, data=without_shaken(self.data, base.predictor.filtered))
-        model = base.model.with_values(base.values)
-        return search, search._fitted((), model, base.free, base.predictor.noise, base.start)
+    Raises:
+        ArithmeticError: the model diverges, or leaves parameters free, in both.
+    """
+    filtered = other = None
+    with contextlib.suppress(ArithmeticError):
+        filtered = refit_with(setting, before, s)
+    contact = setting.classes[s.id].acts_by_contact
+    with contextlib.suppress(ArithmeticError):
+        other = refit_by_trial(setting, before, s) if contact else refit_by_simulation(setting, before, s, filtered)
+    refits = [refit for refit in (filtered, other) if refit is not None]
+    if not refits:
+        raise FloatingPointError(f"with {s.id} the model diverges, wherever its refit begins.")
+    return max(refits, key=lambda one: one.predictor.log_likelihood)
 
-    def with_effect(self, before: Refit, s: Screened) -> Refit:
-        """Fit a model with one candidate more, all parameters together."""
-        model, free, added = self._beginning(before, s)
-        return self._fitted(added, model, free, before.predictor.noise, before.start)
 
-    def thoroughly(self, before: Refit, s: Screened) -> Refit:
-        """Return the likelier of `with_effect` and, for a contact, `by_trial`, or, for any other effect, `by_simulation`.
+def refit_by_simulation(setting: Setting, before: Refit, s: Screened, filtered: Refit | None) -> Refit:
+    """Refit from where a free simulation ends.
 
-        Raises:
-            ArithmeticError: the model diverges, or leaves parameters free, in both.
-        """
-        filtered = other = None
-        with contextlib.suppress(ArithmeticError):
-            filtered = self.with_effect(before, s)
-        contact = self.classes[s.id].acts_by_contact
-        with contextlib.suppress(ArithmeticError):
-            other = self.by_trial(before, s) if contact else self.by_simulation(before, s, filtered)
-        refits = [refit for refit in (filtered, other) if refit is not None]
-        if not refits:
-            raise FloatingPointError(f"with {s.id} the model diverges, wherever its refit begins.")
-        return max(refits, key=lambda one: one.predictor.log_likelihood)
+    What swings fast misleads the start that the first samples show. The filter takes it for a large random torque, and the
+    fit to its innovations ends there. So the refit begins again from parameters and starts with which a simulation follows
+    the data, and from little random force. Simulations are fitted from the fit that is diagnosed, and from what the filter
+    found: of what rings for long a simulation follows only what it has the frequency of, which the filter finds from
+    farther away.
 
-    def by_simulation(self, before: Refit, s: Screened, filtered: Refit | None) -> Refit:
-        """Refit from where a free simulation ends.
+    Args:
+        setting: of the diagnosis.
+        before: the model without the candidate.
+        s: the candidate.
+        filtered: the refit by the filter, if there is one.
 
-        What swings fast misleads the start that the first samples show. The filter takes it for a large random torque, and the
-        fit to its innovations ends there. So the refit begins again from parameters and starts with which a simulation follows
-        the data, and from little random force. Simulations are fitted from the fit that is diagnosed, and from what the filter
-        found: of what rings for long a simulation follows only what it has the frequency of, which the filter finds from
-        farther away.
-
-        Args:
-            before: the model without the candidate.
-            s: the candidate.
-            filtered: the refit by the filter, if there is one.
-
-        Raises:
-            ArithmeticError: the model diverges, or leaves parameters free, from every simulation.
-        """
-        model, free, added = self._beginning(before, s)
-        begins = [reduce(RTAC.__add__, [effect for effect in model.effects if effect.id in added], self.model)]
-        if filtered is not None:
-            known = {name: value for name, value in filtered.values.items() if name in begins[0].parameters}
-            begins.append(begins[0].with_values(known))
-        simulated = []
-        for begin in begins:
-            with contextlib.suppress(ArithmeticError, NotIdentifiableError):
-                simulated.append(output_error(begin, self.recording, from_model=True, progress=False))
-        for found in sorted(simulated, key=lambda found: found.statistics["cost"]):
-            with contextlib.suppress(ArithmeticError):
-                return self._from_simulation(before, added, model, free, found)
-        raise FloatingPointError(f"with {s.id} the model diverges in a simulation.")
-
-    def by_trial(self, before: Refit, s: Screened) -> Refit:
-        """Refit what works by contact: trials of what moves it, a fit of all else, and a fit of all, in turn.
-
-        When a contact begins and ends moves by whole samples as a parameter changes, so the likelihood has steps, and the
-        derivative of the innovations says nothing of them: a fit alone ends a few percent from the truth, with random forces
-        for what it does not follow. So trials begin with little of these, at the likeliest of many sizes and shapes.
-
-        Raises:
-            ArithmeticError: the model diverges, or leaves parameters free.
-        """
-        model, free, added = self._extended(before, s)
-        model = model.with_values({n: v for n, v in before.values.items() if n in model.parameters})
-        moving = acting_on_arm(model, free)
-        others = tuple(name for name in free if name not in moving)
-
-        def placed(values: Mapping[str, float], each: Any) -> Space:
-            there = model.with_values(values)
-            return dataclasses.replace(begun(self.space(there, moving), there, before.start), each_values=each)
-
-        def climbed(space: Space, noise: np.ndarray, side: float) -> tuple[Space, np.ndarray]:
-            return climbed_by_trial(
-                model, self.data, space, self.prior.starting(space), noise, self.substeps, side=side
-            )
-
-        def fitted(space: Space, noise: np.ndarray) -> tuple[Refit, Space]:
-            values = dict(zip(space.names, np.asarray(space.values).tolist(), strict=True))
-            one = self._fitted(added, model.with_values(values), others, noise, before.start)
-            refit = self._fitted(added, model.with_values(one.values), free, one.predictor.noise, before.start)
-            return refit, placed(refit.values, refit.predictor.physical[1])
-
-        begins = begins_of(s.instance, s.amplitudes)
-        several = [placed({f"{s.id}.{n}": v for n, v in one.items()}, before.predictor.physical[1]) for one in begins]
-        few = few_random_forces(before.predictor.noise)
-        space = likeliest_begin(model, self.data, several, self.prior.starting(several[0]), few, self.substeps)
-        return in_turn(space, before, climbed, fitted)
-
-    def _from_simulation(
-        self, before: Refit, added: tuple[str, ...], model: RTAC, free: tuple[str, ...], found: Fit
-    ) -> Refit:
-        values = {name: parameter.value for name, parameter in found.parameters.items()}
-        noise = np.concatenate([np.minimum(before.predictor.noise[:2], QUIET), before.predictor.noise[2:]])
-        start = np.stack([found.start[e.name] for e in self.experiments], axis=1)
-        starts = dict(zip(start_rows(found.model), start, strict=True))
-        return self._fitted(added, model.with_values(values), free, noise, starts)
-
-    def extended_simulation(self, fit: Fit, final: Refit) -> SimulationError:
-        """Return the error of a simulation with the effects that were added, fitted from where the predictor is.
-
-        Where none can be fitted, the one without the effects says what is known.
-
-        Args:
-            fit: that is diagnosed.
-            final: the predictor of the model with the effects.
-        """
-        self.bar.set_description("diagnose: simulation with what was added")
-        extended = reduce(RTAC.__add__, [self.effect(i, final) for i in final.added], fit.model)
-        extended = extended.with_values({n: v for n, v in final.values.items() if n in extended.parameters})
-        try:
-            simulated = output_error(extended, self.recording, from_model=True, progress=False)
-            return self.simulation_error(simulated, final)
-        except (ArithmeticError, NotIdentifiableError):
-            return self.simulation_error(fit, final)
-
-    def without(self, refit: Refit, effect: str) -> Refit:
-        """Fit a model with one of its added effects less, all parameters together."""
-        added = tuple(i for i in refit.added if i != effect)
-        model = self.with_effects([e for i, e in self.absent.items() if i in added])
-        model = model.with_values({n: v for n, v in refit.values.items() if n in model.parameters})
-        free = tuple(name for name in refit.free if name.split(".")[0] != effect)
-        return self._fitted(added, model, free, refit.predictor.noise, refit.start)
-
-    def refitted(self, before: Refit, s: Screened, way: Way | None = None) -> Refit | None:
-        """Fit a model with one candidate more, by default `with_effect`; None if the model diverges with it."""
-        self.bar.set_description(f"diagnose: refit with {s.id}")
+    Raises:
+        ArithmeticError: the model diverges, or leaves parameters free, from every simulation.
+    """
+    model, free, added = _beginning(setting, before, s)
+    begins = [reduce(RTAC.__add__, [effect for effect in model.effects if effect.id in added], setting.model)]
+    if filtered is not None:
+        known = {name: value for name, value in filtered.values.items() if name in begins[0].parameters}
+        begins.append(begins[0].with_values(known))
+    simulated = []
+    for begin in begins:
         with contextlib.suppress(ArithmeticError, NotIdentifiableError):
-            return (way or self.with_effect)(before, s)
-        return None
+            simulated.append(output_error(begin, setting.recording, from_model=True, progress=False))
+    for found in sorted(simulated, key=lambda found: found.statistics["cost"]):
+        with contextlib.suppress(ArithmeticError):
+            return _from_simulation(setting, before, added, model, free, found)
+    raise FloatingPointError(f"with {s.id} the model diverges in a simulation.")
 
-    def refits(self, before: Refit, several: Sequence[Screened], way: Way | None = None) -> dict[str, Refit]:
-        """Refit with each of several candidates, but for those with which the model diverges."""
-        return _refits(several, at_once(lambda s: self.refitted(before, s, way), several))
 
-    def first_refits(
-        self, before: Refit, first: Screened, near: Sequence[Screened], way: Way | None = None
-    ) -> tuple[dict[str, Refit], Tested | None]:
-        """Refit with the first candidate and those near it, and test the first.
+def refit_by_trial(setting: Setting, before: Refit, s: Screened) -> Refit:
+    """Refit what works by contact: trials of what moves it, a fit of all else, and a fit of all, in turn.
 
-        Its tests are compiled while it is fitted, the others fitted while it is tested.
-        """
-        _, free, added = self._extended(before, first)
-        with ThreadPoolExecutor(threads() - 1) as pool:
-            code = Ahead(pool, self.pieces_of_tests(added, free))
-            begun = [pool.submit(self.refitted, before, s, way) for s in near]
-            try:
-                refit = self.refitted(before, first, way)
-                tested = None if refit is None else self.tested(refit, code)
-                # What no other thread has begun is done here, the last first, so that the two meet.
-                here = {
-                    s.id: self.refitted(before, s, way)
-                    for s, one in reversed(list(zip(near, begun, strict=True)))
-                    if one.cancel()
-                }
-                found = [here[s.id] if s.id in here else one.result() for s, one in zip(near, begun, strict=True)]
-            finally:
-                pool.shutdown(wait=False, cancel_futures=True)
-        return _refits([first, *near], [refit, *found]), tested
+    When a contact begins and ends moves by whole samples as a parameter changes, so the likelihood has steps, and the
+    derivative of the innovations says nothing of them: a fit alone ends a few percent from the truth, with random forces
+    for what it does not follow. So trials begin with little of these, at the likeliest of many sizes and shapes.
 
-    def coloured(self, base: Refit) -> "Search | None":
-        """Return the search with coloured sensor noise, if that makes the base model's data more likely; else None.
+    Raises:
+        ArithmeticError: the model diverges, or leaves parameters free.
+    """
+    model, free, added = _extended(setting, before, s)
+    model = model.with_values({n: v for n, v in before.values.items() if n in model.parameters})
+    moving = acting_on_arm(model, free)
+    others = tuple(name for name in free if name not in moving)
 
-        Rest records would tell; without them the likelihood has to.
-        """
-        count = np.asarray(self.data.present).sum(axis=(0, 2))
-        memories = np.unique(np.outer(np.unique(np.asarray(self.data.excitation.sample_time)), _MEMORIES))
-        best, likelihood = {}, base.predictor.log_likelihood
-        for channel in np.array(CHANNELS)[count > 0]:
-            trials = [{**best, str(channel): (1.0, float(memory))} for memory in memories]
-            values = at_once(lambda colours: self._likelihood_with(colours, base), trials)
-            for trial, value in zip(trials, values, strict=True):
-                if value > likelihood + self.policy.colour_gain:
-                    likelihood, best = value, trial
-        return dataclasses.replace(self, colour=ColouredNoise.of(best)) if best else None
+    def placed(values: Mapping[str, float], each: Any) -> Space:
+        there = model.with_values(values)
+        return dataclasses.replace(begun(space_for(setting, there, moving), there, before.start), each_values=each)
 
-    def _likelihood_with(self, colours: Colours, base: Refit) -> float:
-        """Return the log-likelihood of the base model with coloured noise."""
-        trial = dataclasses.replace(self, colour=ColouredNoise.of(colours))
-        model = trial.with_effects([])
-        space = trial.space(model, base.free)
-        space = dataclasses.replace(space, values=by_name(space, base.space, base.predictor.physical[0]))
-        physical = space.physical(space.unconstrained(start=False))
-        prior = self.prior.starting(space)
-        # Random forces may stand for what is colour: so from without them, too.
-        quiet = np.concatenate([base.predictor.noise[:2] - _QUIETER, base.predictor.noise[2:]])
-        return max(
-            fit_noise(model, self.data, space, physical, prior, noise, self.substeps).log_likelihood
-            for noise in (base.predictor.noise, quiet)
+    def climbed(space: Space, noise: np.ndarray, side: float) -> tuple[Space, np.ndarray]:
+        return climbed_by_trial(
+            model, setting.data, space, setting.prior.starting(space), noise, setting.substeps, side=side
         )
 
-    def held_out(self, before: Refit, after: Refit) -> HeldOut:
-        """Return what the effects of a model gain in each experiment if they are estimated from the others only."""
-        added = [place for place, name in enumerate(after.free) if name not in before.free]
-        change, known = held_out(after.triangles, len(after.predictor.unknowns.shared), added)
-        gains = np.asarray(after.predictor.filtered.log_likelihood) - np.asarray(
-            before.predictor.filtered.log_likelihood
-        )
-        return HeldOut(tuple((gains + change).tolist()), tuple(known.tolist()))
+    def climbed_and_fitted(space: Space, noise: np.ndarray) -> tuple[Refit, Space]:
+        values = dict(zip(space.names, np.asarray(space.values).tolist(), strict=True))
+        one = fitted(setting, added, model.with_values(values), others, noise, before.start)
+        refit = fitted(setting, added, model.with_values(one.values), free, one.predictor.noise, before.start)
+        return refit, placed(refit.values, refit.predictor.physical[1])
 
-    def parameters(self, effect: str, refit: Refit) -> dict[str, Parameter]:
-        """Return the parameters of an added effect with standard deviations."""
-        known = information(refit.triangles, refit.space, refit.predictor.unknowns)
-        deviations = dict(zip(known.names, np.sqrt(np.diagonal(known.covariance)), strict=True))
-        return {
-            name.split(".")[1]: Parameter(
-                float(value), float(deviations.get(name, 0.0)), refit.model.parameters[name].unit
-            )
-            for name, value in refit.values.items()
-            if name.split(".")[0] == effect
-        }
+    begins = begins_of(s.instance, s.amplitudes)
+    several = [placed({f"{s.id}.{n}": v for n, v in one.items()}, before.predictor.physical[1]) for one in begins]
+    few = few_random_forces(before.predictor.noise)
+    space = likeliest_begin(model, setting.data, several, setting.prior.starting(several[0]), few, setting.substeps)
+    return in_turn(space, before, climbed, climbed_and_fitted)
 
-    def looseness(self, refit: Refit) -> dict[str, float]:
-        """Return how loosely the data hold each added effect: the largest relative deviation that it takes part in."""
-        known = information(refit.triangles, refit.space, refit.predictor.unknowns)
-        return {effect: known.looseness(f"{effect}.") for effect in refit.added}
 
-    def _compile_fit(self, model: RTAC, free: Sequence[str], *, noise: bool = True) -> None:
-        space = self.space(model, free)
-        compile_predictor(model, self.data, space, self.prior.starting(space), self.substeps, noise=noise)
+def _from_simulation(
+    setting: Setting, before: Refit, added: tuple[str, ...], model: RTAC, free: tuple[str, ...], found: Fit
+) -> Refit:
+    values = {name: parameter.value for name, parameter in found.parameters.items()}
+    noise = np.concatenate([np.minimum(before.predictor.noise[:2], QUIET), before.predictor.noise[2:]])
+    start = np.stack([found.start[e.name] for e in setting.experiments], axis=1)
+    starts = dict(zip(start_rows(found.model), start, strict=True))
+    return fitted(setting, added, model.with_values(values), free, noise, starts)
 
-    def _beginning(self, before: Refit, s: Screened) -> tuple[RTAC, tuple[str, ...], tuple[str, ...]]:
-        """Return a model with one candidate more where its refit begins.
 
-        Returned beside it are its free parameters, and the ids of what was added to the base model.
-        """
-        declared = declarations(s.instance)
-        values = before.values
-        for name in declared:
-            start = float(np.asarray(getattr(s.instance, name)))
-            if name in s.amplitudes:
-                begin = float(s.begin[s.amplitudes.index(name)])
-                plausible = abs(start)
-                start = float(np.sign(begin) * np.clip(abs(begin), 0.05 * plausible, 20 * plausible))
-                start = start or 0.05 * plausible
-            values[f"{s.id}.{name}"] = start
-        model, free, added = self._extended(before, s)
-        return model.with_values({n: v for n, v in values.items() if n in model.parameters}), free, added
+def extended_simulation(setting: Setting, fit: Fit, final: Refit) -> SimulationError:
+    """Return the error of a simulation with the effects that were added, fitted from where the predictor is.
 
-    def _extended(self, before: Refit, s: Screened) -> tuple[RTAC, tuple[str, ...], tuple[str, ...]]:
-        """Return a model with one candidate more at null, its free parameters, and the ids of what was added."""
-        added = (*before.added, s.id)
-        declared = declarations(s.instance)
-        model = self.with_effects([effect for i, effect in self.absent.items() if i in added])
-        free = before.free + tuple(f"{s.id}.{n}" for n in declared if not declared[n].fixed)
-        return model, free, added
+    Where none can be fitted, the one without the effects says what is known.
 
-    def _fitted(
-        self,
-        added: tuple[str, ...],
-        model: RTAC,
-        free: tuple[str, ...],
-        noise: np.ndarray | None,
-        start: Mapping[str, np.ndarray],
-    ) -> Refit:
-        def show(text: str) -> None:
-            self.bar.update(1)
-            self.bar.set_postfix_str(text, refresh=False)
+    Args:
+        setting: of the diagnosis.
+        fit: that is diagnosed.
+        final: the predictor of the model with the effects.
+    """
+    setting.bar.set_description("diagnose: simulation with what was added")
+    extended = reduce(RTAC.__add__, [effect_of(setting, i, final) for i in final.added], fit.model)
+    extended = extended.with_values({n: v for n, v in final.values.items() if n in extended.parameters})
+    try:
+        simulated = output_error(extended, setting.recording, from_model=True, progress=False)
+        return simulation_error(setting, simulated, final)
+    except (ArithmeticError, NotIdentifiableError):
+        return simulation_error(setting, fit, final)
 
-        space = begun(self.space(model, free), model, start)
-        prior = self.prior.starting(space)
-        found = fit_predictor(model, self.data, space, prior, substeps=self.substeps, first=noise, progress=show)
-        arguments = Arguments(model, self.data, space, found.filtered.whitener, found.filtered.gain, self.substeps)
-        triangles = np.asarray(factor(found.unknowns, arguments))
-        return Refit(added, model, found, space, by_sample(found.filtered), free, triangles)
+
+def refit_without(setting: Setting, refit: Refit, effect: str) -> Refit:
+    """Fit a model with one of its added effects less, all parameters together."""
+    added = tuple(i for i in refit.added if i != effect)
+    model = model_with(setting, [e for i, e in setting.absent.items() if i in added])
+    model = model.with_values({n: v for n, v in refit.values.items() if n in model.parameters})
+    free = tuple(name for name in refit.free if name.split(".")[0] != effect)
+    return fitted(setting, added, model, free, refit.predictor.noise, refit.start)
+
+
+def _refit_or_none(setting: Setting, before: Refit, s: Screened, way: Way) -> Refit | None:
+    """Fit a model with one candidate more; None if the model diverges with it."""
+    setting.bar.set_description(f"diagnose: refit with {s.id}")
+    with contextlib.suppress(ArithmeticError, NotIdentifiableError):
+        return (refit_thoroughly if way == "thorough" else refit_with)(setting, before, s)
+    return None
+
+
+def refit_each(
+    setting: Setting, before: Refit, several: Sequence[Screened], way: Way, workers: Workers
+) -> dict[str, Refit]:
+    """Refit with each of several candidates, but for those with which the model diverges."""
+    return _refits(several, workers.each(lambda s: _refit_or_none(setting, before, s, way), several))
+
+
+def refit_first(
+    setting: Setting, before: Refit, first: Screened, near: Sequence[Screened], way: Way, workers: Workers
+) -> tuple[dict[str, Refit], Tested | None]:
+    """Refit with the first candidate and those near it, and test the first.
+
+    Its tests are compiled while it is fitted, the others fitted while it is tested.
+    """
+    _, free, added = _extended(setting, before, first)
+    refit, tested, found = workers.first_beside(
+        pieces_of_tests(setting, added, free),
+        partial(_refit_or_none, setting, before, first, way),
+        lambda one, code: run_tests(setting, one, code),
+        [partial(_refit_or_none, setting, before, s, way) for s in near],
+    )
+    return _refits([first, *near], [refit, *found]), tested
+
+
+def held_out_gains(before: Refit, after: Refit) -> HeldOut:
+    """Return what the effects of a model gain in each experiment if they are estimated from the others only."""
+    added = [place for place, name in enumerate(after.free) if name not in before.free]
+    change, known = held_out(after.triangles, len(after.predictor.unknowns.shared), added)
+    gains = np.asarray(after.predictor.filtered.log_likelihood) - np.asarray(before.predictor.filtered.log_likelihood)
+    return HeldOut(tuple((gains + change).tolist()), tuple(known.tolist()))
+
+
+def parameters_of(effect: str, refit: Refit) -> dict[str, Parameter]:
+    """Return the parameters of an added effect with standard deviations."""
+    known = information(refit.triangles, refit.space, refit.predictor.unknowns)
+    deviations = dict(zip(known.names, np.sqrt(np.diagonal(known.covariance)), strict=True))
+    return {
+        name.split(".")[1]: Parameter(float(value), float(deviations.get(name, 0.0)), refit.model.parameters[name].unit)
+        for name, value in refit.values.items()
+        if name.split(".")[0] == effect
+    }
+
+
+def looseness_of(refit: Refit) -> dict[str, float]:
+    """Return how loosely the data hold each added effect: the largest relative deviation that it takes part in."""
+    known = information(refit.triangles, refit.space, refit.predictor.unknowns)
+    return {effect: known.looseness(f"{effect}.") for effect in refit.added}
+
+
+def _compile_fit(setting: Setting, model: RTAC, free: Sequence[str], *, noise: bool = True) -> None:
+    space = space_for(setting, model, free)
+    compile_predictor(model, setting.data, space, setting.prior.starting(space), setting.substeps, noise=noise)
+
+
+def _beginning(setting: Setting, before: Refit, s: Screened) -> tuple[RTAC, tuple[str, ...], tuple[str, ...]]:
+    """Return a model with one candidate more where its refit begins.
+
+    Returned beside it are its free parameters, and the ids of what was added to the base model.
+    """
+    declared = declarations(s.instance)
+    values = before.values
+    for name in declared:
+        start = float(np.asarray(getattr(s.instance, name)))
+        if name in s.amplitudes:
+            begin = float(s.begin[s.amplitudes.index(name)])
+            plausible = abs(start)
+            start = float(np.sign(begin) * np.clip(abs(begin), 0.05 * plausible, 20 * plausible))
+            start = start or 0.05 * plausible
+        values[f"{s.id}.{name}"] = start
+    model, free, added = _extended(setting, before, s)
+    return model.with_values({n: v for n, v in values.items() if n in model.parameters}), free, added
+
+
+def _extended(setting: Setting, before: Refit, s: Screened) -> tuple[RTAC, tuple[str, ...], tuple[str, ...]]:
+    """Return a model with one candidate more at null, its free parameters, and the ids of what was added."""
+    added = (*before.added, s.id)
+    declared = declarations(s.instance)
+    model = model_with(setting, [effect for i, effect in setting.absent.items() if i in added])
+    free = before.free + tuple(f"{s.id}.{n}" for n in declared if not declared[n].fixed)
+    return model, free, added
+
+
+def fitted(
+    setting: Setting,
+    added: tuple[str, ...],
+    model: RTAC,
+    free: tuple[str, ...],
+    noise: np.ndarray | None,
+    start: Mapping[str, np.ndarray],
+) -> Refit:
+    """Fit a model by its predictions one sample ahead.
+
+    Args:
+        setting: of the diagnosis.
+        added: ids of the effects beyond the base model.
+        model: with them, at the values where the fit begins.
+        free: names of its free parameters.
+        noise: where its exponents begin; None for the prior.
+        start: states at the start by name, where they are known.
+
+    Raises:
+        ArithmeticError: the model diverges, or leaves parameters free.
+    """
+
+    def show(text: str) -> None:
+        setting.bar.update(1)
+        setting.bar.set_postfix_str(text, refresh=False)
+
+    space = begun(space_for(setting, model, free), model, start)
+    prior = setting.prior.starting(space)
+    found = fit_predictor(model, setting.data, space, prior, substeps=setting.substeps, first=noise, progress=show)
+    arguments = Arguments(model, setting.data, space, found.filtered.whitener, found.filtered.gain, setting.substeps)
+    triangles = np.asarray(factor(found.unknowns, arguments))
+    return Refit(added, model, found, space, by_sample(found.filtered), free, triangles)
 
 
 def _refits(several: Sequence[Screened], found: Sequence[Refit | None]) -> dict[str, Refit]:

@@ -3,12 +3,13 @@
 import dataclasses
 from collections.abc import Mapping, Sequence
 from functools import reduce
-from typing import Any, TypeVar
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 
 from estimators.core.data import CHANNELS, Data, moving, pieces
+from estimators.core.fit import Fit
 from estimators.core.initial_state import scales_of, space_of
 from estimators.core.parameter_space import Space
 from estimators.core.residual import start_rows
@@ -27,7 +28,6 @@ from rtac_jax.parameters import declarations
 from rtac_jax.simulation import Steps
 
 _ROOM = 8  # unknowns are padded to a multiple of this
-Kind = TypeVar("Kind", bound="Setting")
 
 
 @dataclasses.dataclass
@@ -53,42 +53,6 @@ class Setting:
     bar: Any
     policy: DiagnosisPolicy = STANDARD
 
-    @classmethod
-    def set_up(
-        cls: type[Kind],
-        model: RTAC,
-        recording: Recording,
-        classes: Sequence[type[Effect]],
-        starts: Mapping[str, np.ndarray],
-        substeps: int,
-        bar: Any,
-    ) -> Kind:
-        """Set up for a model; candidates that nothing in the recording could show are passed over."""
-        experiments = pieces(moving(recording))
-        scales = scales_of(model, experiments)
-        possible: dict[str, type[Effect]] = {}
-        instances: list[Effect] = []
-        absent: dict[str, Effect] = {}
-        for c in classes:
-            found = plausible(c, scales)
-            if found and can_show(c, experiments):
-                possible[c.id] = c
-                instances += list(found)
-                absent[c.id] = absent_like(found[len(found) // 2])
-        levels = dict(noise_levels(recording.experiments))
-        colours = colours_at_rest(recording.experiments)
-        # The first samples tell the start better than a simulation of a model that may be wrong, except for an angle
-        # that nobody measured.
-        blind = [e for e in experiments if e.initial_arm_angle is None and "arm_angle" not in e.outputs]
-        start = {e.name: starts[e.name] for e in blind if e.name in starts}
-        space = space_of(model, experiments, free=shared(model), start=start)
-        prior = NoiseModel.of(levels, recording.experiments, scales, space)
-        colour = ColouredNoise.of(colours) if colours else None
-        return cls(
-            model, recording, absent, colour, colour is not None, experiments, Data.of(experiments), prior, possible, instances,
-            jnp.asarray(substeps), start, bar,
-        )  # fmt: skip
-
     @property
     def assumed(self) -> tuple[str, ...]:
         """Channels whose noise was taken as coloured although no rest record shows it."""
@@ -106,29 +70,90 @@ class Setting:
         """Fraction of the measured values that do not count."""
         return 1.0 - self.samples / float(np.sum(np.asarray(self.data.present)))
 
+    @property
+    def samples_per_radian(self) -> float:
+        """Samples in a radian of the cart's natural swing, over which random forces average."""
+        scales = scales_of(self.model, self.experiments)
+        return 1.0 / (scales.frequency * scales.sample_time)
+
     def stretches(self) -> np.ndarray:
         """Return for every sample and experiment the number of the second that it belongs to."""
         return stretches(self.data)
 
-    def effect(self, effect: str, refit: Refit) -> Effect:
-        """Return an added effect at its estimated parameters."""
-        cls = self.classes[effect]
-        return cls(**{name: refit.values[f"{effect}.{name}"] for name in declarations(cls)})
 
-    def with_effects(self, effects: Sequence[Effect]) -> RTAC:
-        """Return the model with these effects, and with the colour of the sensors' noise."""
-        return reduce(RTAC.__add__, [*effects, *([self.colour] if self.colour is not None else [])], self.model)
+def setting_of(
+    fit: Fit, recording: Recording, classes: Sequence[type[Effect]], bar: Any, policy: DiagnosisPolicy = STANDARD
+) -> Setting:
+    """Set up for the model of a fit.
 
-    def space(self, model: RTAC, free: Sequence[str]) -> Space:
-        """Return the unknowns of a model with these parameters free."""
-        return space_of(model, self.experiments, free=free, start=self.start)
+    Args:
+        fit: that is diagnosed.
+        recording: that it was fitted to.
+        classes: of the candidates.
+        bar: shows progress.
+        policy: the thresholds.
+    """
+    return set_up(fit.model, recording, classes, fit.start, int(fit.statistics["substeps"]), bar, policy)
 
-    def padded(self, model: RTAC, free: Sequence[str]) -> Space:
-        """Return the unknowns with places past the end, so that a few parameters more need no new compilation."""
-        space = self.space(model, free)
-        active = np.full(max(-(-len(free) // _ROOM), 1) * _ROOM, len(space.names))
-        active[: len(space.active)] = np.asarray(space.active)
-        return dataclasses.replace(space, active=jnp.asarray(active))
+
+def set_up(
+    model: RTAC,
+    recording: Recording,
+    classes: Sequence[type[Effect]],
+    starts: Mapping[str, np.ndarray],
+    substeps: int,
+    bar: Any,
+    policy: DiagnosisPolicy = STANDARD,
+) -> Setting:
+    """Set up for a model; candidates that nothing in the recording could show are passed over."""
+    experiments = pieces(moving(recording))
+    scales = scales_of(model, experiments)
+    possible: dict[str, type[Effect]] = {}
+    instances: list[Effect] = []
+    absent: dict[str, Effect] = {}
+    for c in classes:
+        found = plausible(c, scales)
+        if found and can_show(c, experiments):
+            possible[c.id] = c
+            instances += list(found)
+            absent[c.id] = absent_like(found[len(found) // 2])
+    levels = dict(noise_levels(recording.experiments))
+    colours = colours_at_rest(recording.experiments)
+    # The first samples tell the start better than a simulation of a model that may be wrong, except for an angle
+    # that nobody measured.
+    blind = [e for e in experiments if e.initial_arm_angle is None and "arm_angle" not in e.outputs]
+    start = {e.name: starts[e.name] for e in blind if e.name in starts}
+    space = space_of(model, experiments, free=shared(model), start=start)
+    prior = NoiseModel.of(levels, recording.experiments, scales, space)
+    colour = ColouredNoise.of(colours) if colours else None
+    return Setting(
+        model, recording, absent, colour, colour is not None, experiments, Data.of(experiments), prior, possible, instances,
+        jnp.asarray(substeps), start, bar, policy,
+    )  # fmt: skip
+
+
+def effect_of(setting: Setting, effect: str, refit: Refit) -> Effect:
+    """Return an added effect at its estimated parameters."""
+    cls = setting.classes[effect]
+    return cls(**{name: refit.values[f"{effect}.{name}"] for name in declarations(cls)})
+
+
+def model_with(setting: Setting, effects: Sequence[Effect]) -> RTAC:
+    """Return the model with these effects, and with the colour of the sensors' noise."""
+    return reduce(RTAC.__add__, [*effects, *([setting.colour] if setting.colour is not None else [])], setting.model)
+
+
+def space_for(setting: Setting, model: RTAC, free: Sequence[str]) -> Space:
+    """Return the unknowns of a model with these parameters free."""
+    return space_of(model, setting.experiments, free=free, start=setting.start)
+
+
+def padded_space(setting: Setting, model: RTAC, free: Sequence[str]) -> Space:
+    """Return the unknowns with places past the end, so that a few parameters more need no new compilation."""
+    space = space_for(setting, model, free)
+    active = np.full(max(-(-len(free) // _ROOM), 1) * _ROOM, len(space.names))
+    active[: len(space.active)] = np.asarray(space.active)
+    return dataclasses.replace(space, active=jnp.asarray(active))
 
 
 def by_name(space: Space, other: Space, values: Any) -> Any:

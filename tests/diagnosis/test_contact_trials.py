@@ -11,8 +11,10 @@ import estimators as est
 import rtac_jax as rtac
 from estimators.core.parameter_space import Space
 from estimators.diagnosis.contact_trials import acting_on_arm, begins_of, few_random_forces, in_turn
+from estimators.diagnosis.innovation_tests import quietly_screened
 from estimators.diagnosis.refit import Refit
-from estimators.diagnosis.refitting import Search
+from estimators.diagnosis.refitting import fit_base, refit_thoroughly, refit_with
+from estimators.diagnosis.setting import setting_of
 from rtac_jax import virtual_rig
 from rtac_jax.effects import Backlash, Cogging, CubicSpring, CurrentLag, TachoBias
 
@@ -26,10 +28,10 @@ def test_a_play_is_found_where_a_fit_along_derivatives_ends_beside_it(seed: int,
     plans = virtual_rig.standard_plans(seed=seed + 1, sample_time=0.002, duration=2.0, free=1, forced=2, rest=1)
     recording = virtual_rig.record(rig, plans, seed=seed + 2)
     fit = est.output_error(rtac.RTAC.from_rig(recording), recording, progress=False)
-    search = Search.of(fit, recording, [Backlash], tqdm(disable=True))
-    base = search.base()
-    (play,) = search.quietly(base)
-    along, tried = search.with_effect(base, play), search.thoroughly(base, play)
+    setting = setting_of(fit, recording, [Backlash], tqdm(disable=True))
+    base = fit_base(setting)
+    (play,) = quietly_screened(setting, base)
+    along, tried = refit_with(setting, base, play), refit_thoroughly(setting, base, play)
     assert tried.predictor.log_likelihood > along.predictor.log_likelihood + 100
     assert tried.added == ("backlash",)
     assert set(tried.free) == {*base.free, "backlash.gap", "backlash.rotor"}

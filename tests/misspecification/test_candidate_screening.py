@@ -8,7 +8,9 @@ from tqdm import tqdm
 import estimators as est
 import rtac_jax as rtac
 from estimators.diagnosis import innovation_tests
-from estimators.diagnosis.refitting import Search
+from estimators.diagnosis.innovation_tests import grouped, run_tests
+from estimators.diagnosis.refitting import fit_base
+from estimators.diagnosis.setting import setting_of
 from rtac_jax.effects import CATALOGUE
 
 CANDIDATES = (
@@ -26,13 +28,13 @@ CANDIDATES = (
 def test_smaller_models_give_the_same_scores_as_one_for_all(monkeypatch: pytest.MonkeyPatch) -> None:
     recording = recorded({"cubic": {"cubic_spring": 5e4}}, first=40)["cubic"]
     fit = est.output_error(rtac.RTAC.from_rig(recording), recording, progress=False)
-    search = Search.of(fit, recording, [CATALOGUE[i] for i in CANDIDATES], tqdm(disable=True))
-    base = search.base()
+    setting = setting_of(fit, recording, [CATALOGUE[i] for i in CANDIDATES], tqdm(disable=True))
+    base = fit_base(setting)
     found = []
     for many, groups in ((np.inf, 1), (0, 4)):
         monkeypatch.setattr(innovation_tests, "_MANY", many)
-        assert len(search._grouped(())) == groups
-        found.append({(s.id, str(s.instance)): s for s in search.tested(base).screened})
+        assert len(grouped(setting, ())) == groups
+        found.append({(s.id, str(s.instance)): s for s in run_tests(setting, base).screened})
     one, several = found
     assert one.keys() == several.keys()
     assert {name for name, _ in one} == set(CANDIDATES)

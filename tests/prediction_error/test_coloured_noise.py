@@ -10,7 +10,9 @@ from tqdm import tqdm
 
 import estimators as est
 import rtac_jax as rtac
-from estimators.diagnosis.refitting import Search
+from estimators.diagnosis.noise_colour import recoloured
+from estimators.diagnosis.refitting import fit_base
+from estimators.diagnosis.setting import setting_of
 from estimators.prediction_error.coloured_noise import RestSpectrum, colours_at_rest, likeliest_colours, rest_spectra
 from rtac_jax.measurement import Experiment
 
@@ -84,15 +86,15 @@ def recordings():
 def test_motion_makes_the_colour_more_exact(recordings):
     recording = recordings["nothing"]
     fit = est.output_error(rtac.RTAC.from_rig(recording), recording, progress=False)
-    search = Search.of(fit, recording, [rtac.effects.Cogging], tqdm(disable=True))
-    base = search.base()
-    better, refit = search.recoloured(base)
+    setting = setting_of(fit, recording, [rtac.effects.Cogging], tqdm(disable=True))
+    base = fit_base(setting)
+    better, refit = recoloured(setting, base)
     assert refit.predictor.log_likelihood > base.predictor.log_likelihood
     assert better.colour is not None
     assert better.colour.colours.keys() == {"cart_position", "arm_velocity"}
-    assert search.colour is not None
+    assert setting.colour is not None
     before, after = (
-        np.log([memory / MEMORY for _, memory in one.colours.values()]) for one in (search.colour, better.colour)
+        np.log([memory / MEMORY for _, memory in one.colours.values()]) for one in (setting.colour, better.colour)
     )
     assert np.linalg.norm(after) < np.linalg.norm(before)
     for share, memory in better.colour.colours.values():
@@ -118,13 +120,13 @@ def test_the_colour_stays_where_the_rest_record_does_not_speak_against_it(record
             experiments.append(e)
     recording = rtac.Recording(tuple(experiments), rig=recordings["nothing"].rig)
     fit = est.output_error(rtac.RTAC.from_rig(recording), recording, progress=False)
-    search = Search.of(fit, recording, [rtac.effects.Cogging], tqdm(disable=True))
-    better, _ = search.recoloured(search.base())
-    assert search.colour is not None
+    setting = setting_of(fit, recording, [rtac.effects.Cogging], tqdm(disable=True))
+    better, _ = recoloured(setting, fit_base(setting))
+    assert setting.colour is not None
     assert better.colour is not None
     spectra = rest_spectra(recording.experiments)
     lost = {}
-    for channel, (share, memory) in search.colour.colours.items():
+    for channel, (share, memory) in setting.colour.colours.items():
         now_share, now = better.colour.colours[channel]
         assert memory < now < MEMORY, "the motion asks for more memory, and the rest record allows a little"
         least = spectra[channel].log_likelihood(share, memory)

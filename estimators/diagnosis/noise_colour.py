@@ -1,0 +1,86 @@
+"""The colour of the sensors' noise in a diagnosis: as rest and motion tell it, or as the likelihood asks for it."""
+
+import dataclasses
+
+import numpy as np
+
+from estimators.core.data import CHANNELS
+from estimators.diagnosis.refit import Refit
+from estimators.diagnosis.refitting import fitted
+from estimators.diagnosis.setting import Setting, begun, by_name, model_with, space_for
+from estimators.diagnosis.workers import Workers
+from estimators.prediction_error.coloured_noise import ColouredNoise, Colours, likeliest_colours, rest_spectra
+from estimators.prediction_error.noise_estimation import fit_noise
+
+_MEMORIES = (1.5, 4.0, 10.0, 25.0)  # correlation times of sensor noise that are tried, in samples
+_QUIETER = 6.0  # by how much in the logarithm of their variance random forces are lowered for that
+
+
+def recoloured(setting: Setting, base: Refit) -> tuple[Setting, Refit]:
+    """Return the setting with the noise colour that rest and motion make likeliest, and the base model fitted again.
+
+    A rest record of a second or two leaves the correlation time open by a tenth or more, and motion shows that. What the
+    model leaves out must not be taken for colour, so the colour stays where the rest records do not speak against it;
+    without rest records only the reach of the search bounds it.
+    """
+    if setting.colour is None:
+        return setting, base
+    spectra = rest_spectra(setting.recording.experiments)
+    kept = {name: v for name, v in base.values.items() if name.split(".")[0] != ColouredNoise.id}
+    noise = base.predictor.noise
+
+    def likelihood(colours: Colours) -> float:
+        rest = 0.0
+        for channel, colour in colours.items():
+            if channel in spectra:
+                lost = spectra[channel].log_likelihood(*first[channel]) - spectra[channel].log_likelihood(*colour)
+                if lost > setting.policy.colour_spoken:
+                    return -np.inf
+                rest -= lost
+        trial = dataclasses.replace(setting, colour=ColouredNoise.of(colours))
+        model = model_with(trial, []).with_values(kept)
+        space = begun(space_for(trial, model, base.free), model, base.start)
+        physical, prior = space.physical(space.unconstrained(start=False)), setting.prior.starting(space)
+        return rest + fit_noise(model, setting.data, space, physical, prior, noise, setting.substeps).log_likelihood
+
+    first = setting.colour.colours
+    best, gained = likeliest_colours(first, likelihood)
+    if not gained >= setting.policy.colour_mended:
+        return setting, base
+    trial = dataclasses.replace(setting, colour=ColouredNoise.of(best))
+    model = model_with(trial, []).with_values(kept)
+    refit = fitted(trial, (), model, base.free, noise, base.start)
+    return (trial, refit) if refit.predictor.log_likelihood > base.predictor.log_likelihood else (setting, base)
+
+
+def coloured(setting: Setting, base: Refit, workers: Workers) -> Setting | None:
+    """Return the setting with coloured sensor noise, if that makes the base model's data more likely; else None.
+
+    Rest records would tell; without them the likelihood has to.
+    """
+    count = np.asarray(setting.data.present).sum(axis=(0, 2))
+    memories = np.unique(np.outer(np.unique(np.asarray(setting.data.excitation.sample_time)), _MEMORIES))
+    best, likelihood = {}, base.predictor.log_likelihood
+    for channel in np.array(CHANNELS)[count > 0]:
+        trials = [{**best, str(channel): (1.0, float(memory))} for memory in memories]
+        values = workers.each(lambda colours: _likelihood_with(setting, colours, base), trials)
+        for trial, value in zip(trials, values, strict=True):
+            if value > likelihood + setting.policy.colour_gain:
+                likelihood, best = value, trial
+    return dataclasses.replace(setting, colour=ColouredNoise.of(best)) if best else None
+
+
+def _likelihood_with(setting: Setting, colours: Colours, base: Refit) -> float:
+    """Return the log-likelihood of the base model with coloured noise."""
+    trial = dataclasses.replace(setting, colour=ColouredNoise.of(colours))
+    model = model_with(trial, [])
+    space = space_for(trial, model, base.free)
+    space = dataclasses.replace(space, values=by_name(space, base.space, base.predictor.physical[0]))
+    physical = space.physical(space.unconstrained(start=False))
+    prior = setting.prior.starting(space)
+    # Random forces may stand for what is colour: so from without them, too.
+    quiet = np.concatenate([base.predictor.noise[:2] - _QUIETER, base.predictor.noise[2:]])
+    return max(
+        fit_noise(model, setting.data, space, physical, prior, noise, setting.substeps).log_likelihood
+        for noise in (base.predictor.noise, quiet)
+    )

@@ -13,6 +13,7 @@ ends with an error. Without Numba the peer is left out.
 import argparse
 import importlib.util
 import multiprocessing
+import os
 import resource
 import time
 from concurrent.futures import Executor, ProcessPoolExecutor
@@ -167,10 +168,17 @@ def _first(parameters: np.ndarray, measured: np.ndarray, angles: np.ndarray) -> 
     return first
 
 
-def peak_memory(_: int) -> float:
-    """Largest memory that this process has had [MiB]."""
+def used(_: int) -> tuple[int, float, float]:
+    """Return this process's number, largest memory [MiB] and processor time [s]."""
     time.sleep(0.2)  # so that every worker answers
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    now = resource.getrusage(resource.RUSAGE_SELF)
+    return os.getpid(), now.ru_maxrss / 1024, now.ru_utime + now.ru_stime
+
+
+def used_by(pool: Executor, workers: int) -> tuple[float, float]:
+    """Return the largest memory of a worker [MiB], and the processor time of all [s]."""
+    found = {number: (memory, seconds) for number, memory, seconds in pool.map(used, range(4 * workers))}
+    return max(memory for memory, _ in found.values()), sum(seconds for _, seconds in found.values())
 
 
 def study_of(repetitions: int, seed: int) -> Any:
@@ -179,7 +187,8 @@ def study_of(repetitions: int, seed: int) -> Any:
     from estimators.study import Estimate, Excitation, Fitted, Noise, Plant
 
     return est.StudySpec(
-        name="speed", repetitions=repetitions, seed=seed, plant=Plant(truth="model", spread=0.1),
+        name="speed", repetitions=repetitions, seed=seed,
+        plant=Plant(truth="model", values={n: [0.9 * x, 1.1 * x] for n, x in zip(FREE, (K, V, D), strict=True)}),
         noise=Noise(position=POSITION, velocity=VELOCITY),
         excitation=(Excitation(duration=SAMPLES * STEP, sample_time=STEP, free=DECAYS, forced=0, rest=1),),
         model=Fitted(free=FREE, start="truth"), estimate=(Estimate("output_error"),),
@@ -202,8 +211,7 @@ def require_same_residual(results: Any) -> float:
         moving = [e for e in recording if e.kind == "free"]
         measured = np.array([[e.outputs[c].values for c in ("cart_position", "arm_velocity")] for e in moving])
         angles = np.array([e.initial_arm_angle for e in moving])
-        # The simulator's constants are the paper's; this study's are spread, so both hold the paper's.
-        model = RTAC.from_rig(recording).with_values({"total_mass": M, "arm_inertia": J})
+        model = RTAC.from_rig(recording)
         model = model.fix(*(set(model.free) - set(FREE)))
         own = est.output_error_batch(model, [recording], progress=False)
         values = np.array([truth.values[name] for name in FREE])
@@ -216,23 +224,9 @@ def require_same_residual(results: Any) -> float:
     return worst
 
 
-def timed_study(pool: Executor, repetitions: int, workers: int) -> tuple[float, Any, list[float]]:
-    """Return seconds, results, and the memory of the workers after one chunk each and at the end [MiB]."""
-    import estimators as est
-
-    est.study(study_of(8 * workers, seed=2), executor=pool, chunk=1, progress=False)  # compiles
-    chunk = min(250, -(-repetitions // (2 * workers)))
-    est.study(study_of(chunk * workers, seed=3), executor=pool, chunk=chunk, progress=False)
-    memory = [max(pool.map(peak_memory, range(workers)))]
-    began = time.perf_counter()
-    results = est.study(study_of(repetitions, seed=1), executor=pool, chunk=chunk, progress=False)
-    seconds = time.perf_counter() - began
-    memory.append(max(pool.map(peak_memory, range(workers))))
-    return seconds, results, memory
-
-
 def main() -> None:
     """Time both and print the ratio."""
+    import estimators as est
     import rtac_jax as rtac
 
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -240,30 +234,37 @@ def main() -> None:
     parser.add_argument("--peer", type=int, default=60, help="repetitions of the peer, whose time is scaled up")
     parser.add_argument("--workers", type=int, default=2)
     chosen = parser.parse_args()
+    workers, count = chosen.workers, chosen.repetitions
     print(rtac.configure())
     spawned = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(chosen.workers, mp_context=spawned) as pool:
-        seconds, results, memory = timed_study(pool, chosen.repetitions, chosen.workers)
-    rate = seconds / chosen.repetitions
+    chunk = min(250, -(-count // (2 * workers)))
+    with ProcessPoolExecutor(workers, mp_context=spawned) as pool:
+        # Compiles, and takes the memory that a chunk takes.
+        est.study(study_of(chunk * workers, seed=2), executor=pool, chunk=chunk, progress=False)
+        (before, started), began = used_by(pool, workers), time.perf_counter()
+        results = est.study(study_of(count, seed=1), executor=pool, chunk=chunk, progress=False)
+        own = (time.perf_counter() - began) / count
+        after, ended = used_by(pool, workers)
+    own_processor = (ended - started) / count
     residual = float(results["quantities"].sel(estimator="output_error", quantity="residual").values.mean())
-    print(f"est.study: {chosen.repetitions} repetitions in {seconds:.1f} s, {1e3 * rate:.1f} ms each; {results.ending}")
-    print(
-        f"largest residual over noise {residual:.3f} in the mean; memory of a worker {memory[0]:.0f} MiB after one chunk,"
-    )
-    print(f"{memory[1]:.0f} MiB at the end")
+    each, processor = f"{1e3 * own:.1f} ms each", f"{1e3 * own_processor:.1f} ms"
+    print(f"est.study: {count} repetitions in {own * count:.1f} s, {each}, of a processor {processor}")
+    print(f"{results.ending} Largest residual over noise {residual:.3f} in the mean")
+    print(f"memory of a worker: {before:.0f} MiB after its first chunk, {after:.0f} MiB at the end")
     if importlib.util.find_spec("numba") is None:
         print("SciPy over Numba is left out: Numba is not installed here (pip install numba).")
         return
     print(f"on the same data both leave the same residual, to {require_same_residual(results):.0e}")
-    with ProcessPoolExecutor(chosen.workers, mp_context=spawned) as pool:
+    with ProcessPoolExecutor(workers, mp_context=spawned) as pool:
         for blocks, name in ((False, "as it stands"), (True, "with a Jacobian by blocks")):
-            list(pool.map(peer_repetition, range(1000, 1000 + 2 * chosen.workers), [blocks] * 2 * chosen.workers))
-            began = time.perf_counter()
+            list(pool.map(peer_repetition, range(1000, 1000 + 2 * workers), [blocks] * 2 * workers))
+            (_, started), began = used_by(pool, workers), time.perf_counter()
             left = list(pool.map(peer_repetition, range(chosen.peer), [blocks] * chosen.peer))
             each = (time.perf_counter() - began) / chosen.peer
+            processor = (used_by(pool, workers)[1] - started) / chosen.peer
             print(
-                f"SciPy over Numba, {name}: {1e3 * each:.0f} ms each ({np.mean(left):.3f} of the noise left), "
-                f"{each / rate:.1f} times as long"
+                f"SciPy over Numba, {name}: {1e3 * each:.0f} ms each, {each / own:.1f} times as long; of a processor "
+                f"{1e3 * processor:.0f} ms, {processor / own_processor:.1f} times ({np.mean(left):.3f} of the noise left)"
             )
 
 

@@ -2,7 +2,6 @@
 
 import collections
 import dataclasses
-import math
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
@@ -111,7 +110,8 @@ def fit_cases(
             found.update(done)
             progress(len(done))
 
-    workers = min(threads(), math.ceil(len(cases) / size))
+    # As many as have all their places filled: half-empty places cost as much as full ones.
+    workers = min(threads(), max(1, len(cases) // size))
     at_once(work, range(workers))
     return [found[number] for number in range(len(cases))]
 

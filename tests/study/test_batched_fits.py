@@ -7,11 +7,12 @@ import pytest
 from small_study import same_bits, small
 
 import estimators as est
-from estimators.study import Estimate, Excitation, Fitted, Plant
+from estimators.core.sensor_noise import noise_levels
+from estimators.study import Estimate, Excitation, Fitted, Plant, fit_chunk
 from estimators.study.batched_fits import fit_together, suits
 from estimators.study.chunk_size import per_chunk
-from estimators.study.fit_chunk import fit_chunk, model_for
-from estimators.study.outcome import Prepared, Value
+from estimators.study.fit_chunk import model_for
+from estimators.study.outcome import Outcome, Prepared, Value
 from estimators.study.recordings import recordings
 from estimators.study.truth import true_for
 
@@ -61,29 +62,41 @@ def test_more_than_there_are_places_for_have_the_same_bits():
     assert fit_together([several[n] for n in order], {}) == [together[n] for n in order]
 
 
-def test_a_fit_in_company_is_that_of_one_alone():
+def test_a_study_ends_fits_early_enough_and_not_too_early():
+    """A thousandth of a standard deviation from where `output_error_batch` ends, which its own tests hold against single fits."""
     several = prepared(3)
     for one, outcome in zip(several, fit_together(several, {}), strict=True):
         assert outcome is not None
-        alone = est.output_error(one.model, one.recording, from_model=True, progress=False)
-        for name in FREE:
+        found = est.output_error_batch(one.model, [one.recording], progress=False)
+        for place, name in enumerate(FREE):
             value: Value = outcome.values[name]
-            assert abs(value.value - alone.parameters[name].value) < 0.02 * value.std
-            assert value.std == pytest.approx(alone.parameters[name].std, rel=0.02)
+            assert abs(value.value - found.values[0, place]) < 0.01 * value.std
+            assert value.std == pytest.approx(found.std[0, place], rel=0.01)
+        levels = noise_levels(one.recording.experiments)
+        left = max(rms[0] / levels[channel] for channel, rms in found.residual_std.items())
+        assert outcome.quantities["residual"] == pytest.approx(left, rel=1e-4)
 
 
-def test_what_the_batch_leaves_open_is_fitted_alone_and_disturbs_nobody():
+def test_what_the_batch_leaves_open_is_fitted_alone_and_disturbs_nobody(monkeypatch):
     """A start that diverges, and dry friction that is not there and goes to its bound."""
     several = prepared(3)
-    broken = several[1]._replace(model=several[1].model.with_values({"spring_stiffness": 1e9}))
+    broken = several[1]._replace(model=several[1].model.with_values({"spring_stiffness": 1e12}))
     without = prepared(3, cart_coulomb=0.0)
-    found = fit_together([several[0], broken, several[2], *without], {})
+    chunk = [several[0], broken, several[2], *without]
+    found = fit_together(chunk, {})
     assert found[1] is None
     assert [found[0], found[2]] == [fit_together([several[n]], {})[0] for n in (0, 2)]
     assert any(outcome is None for outcome in found[3:])
-    ended = fit_chunk(Estimate("output_error"), [several[0], broken], "truth")
-    assert ended[0] == found[0]
-    assert isinstance(ended[1], str) or ended[1].verdict
+    alone: list[Prepared] = []
+
+    def single(one: Prepared, options: object, start: str) -> Outcome:
+        alone.append(one)
+        return Outcome(verdict="alone")
+
+    monkeypatch.setattr(fit_chunk, "_METHODS", {"output_error": single})
+    ended = fit_chunk.fit_chunk(Estimate("output_error"), chunk, "truth")
+    assert [one is not None for one in found] == [outcome.verdict != "alone" for outcome in ended]
+    assert [id(one) for one in alone] == [id(one) for one, outcome in zip(chunk, found, strict=True) if outcome is None]
 
 
 @pytest.mark.parametrize(

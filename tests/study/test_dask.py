@@ -15,7 +15,6 @@ import estimators as est
 from estimators.study import run
 
 ROOT = Path(__file__).parents[2]
-QUIET = {"progress": False}
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +61,7 @@ def test_the_example_of_the_readme_runs_on_two_workers(
     chunks = sorted(path.name for path in (tmp_path / "weak_form" / "chunks").iterdir())
     assert chunks == [f"{first:08d}.h5" for first in (0, 5, 10, 15)]
     found = names["found"]
-    here = est.study(found.spec, **QUIET)
+    here = est.study(found.spec, progress=False)
     assert same_bits(found, here)
     assert np.all(np.isfinite(found["estimate"].sel(parameter="v/k").values))
 
@@ -71,5 +70,5 @@ def test_the_bits_are_the_same_although_a_worker_is_killed(executor: Any, deaths
     (deaths / "1").touch()
     work = Deadly(small())
     index, arrays = run.repeated(work, "", executor=executor, out=None, chunk=3, progress=False)
-    assert same_bits(est.StudyResults(small(), index, work.layout, arrays), est.study(small(), **QUIET))
+    assert same_bits(est.StudyResults(small(), index, work.layout, arrays), est.study(small(), progress=False))
     assert not list(deaths.iterdir())

@@ -66,14 +66,18 @@ class Job:
 
     def model(self) -> Any:
         """Return the paper's model with the constants of the file."""
-        from estimators.core.data import moving
+        from estimators.core.data import moving, pieces
+        from estimators.output_error.memory import require_memory
         from rtac_jax import RTAC
 
         moving(self.recording)
         try:
-            return RTAC.from_rig(self.recording)
+            model = RTAC.from_rig(self.recording)
         except ValueError as error:
             stop(WRONG_USE, str(error))
+        if note := require_memory(model, pieces(moving(self.train))):
+            typer.echo(f"rtac: {note}", err=True)
+        return model
 
     def fitted(self, model: Any, *, from_model: bool = False, robust: bool = False) -> Any:
         """Fit the training part by output error; begun at the model's values only, where they are those of a fit."""

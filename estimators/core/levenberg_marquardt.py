@@ -11,6 +11,7 @@ from jaxtyping import Array
 
 from estimators.core.data import Data
 from estimators.core.parameter_space import Space, Unknowns
+from estimators.core.piecewise_triangle import piecewise_triangle, worth_cutting
 from estimators.core.residual import residual, triangle
 from rtac_jax import RTAC
 from rtac_jax.simulation import Steps
@@ -32,7 +33,8 @@ class Arguments(eqx.Module):
 
 
 def _factor(unknowns: Unknowns, arguments: Arguments) -> Array:
-    factor = triangle(
+    compressed = piecewise_triangle if worth_cutting(arguments.model, arguments.data) else triangle
+    factor = compressed(
         arguments.model,
         arguments.data,
         arguments.space,

@@ -83,10 +83,15 @@ def residual(
     """Return the residual: whitened output errors, and the starts' deviation from what is known of them."""
     physical = space.physical(unknowns)
     error = (data.values - predict(model, data, space, physical, substeps=substeps, gain=gain)) * data.present
+    return whitened(whitener, error), start_residual(space, unknowns)
+
+
+def start_residual(space: Space, unknowns: Unknowns) -> Float[Array, "start experiment"]:
+    """Return the starts' deviation from what is known of them, in units of its standard deviation."""
     if unknowns.start.shape[0] == 0:
-        return whitened(whitener, error), unknowns.start
-    known = jnp.where(space.start_held > 0, unknowns.start, (physical[2] - space.start) / space.start_spread)
-    return whitened(whitener, error), known
+        return unknowns.start
+    start = space.physical(unknowns)[2]
+    return jnp.where(space.start_held > 0, unknowns.start, (start - space.start) / space.start_spread)
 
 
 def triangle(
@@ -125,13 +130,16 @@ def triangle(
     rows = jnp.moveaxis(columns, 2, 0).reshape(count, -1, directions + 1)
     prior = jnp.moveaxis(jnp.concatenate([d_known, known[..., None]], axis=-1), 1, 0)
     rows = jnp.concatenate([rows, prior], axis=1)
-    factor = _triangular(rows)
-    # A positive diagonal makes the factor a continuous function of the unknowns.
+    return signed(triangular(rows))
+
+
+def signed(factor: Float[Array, "experiment row column"]) -> Float[Array, "experiment row column"]:
+    """Return triangular factors with a positive diagonal, which makes them continuous functions of the unknowns."""
     sign = jnp.where(jnp.diagonal(factor, axis1=1, axis2=2) < 0, -1.0, 1.0)
     return factor * sign[:, :, None]
 
 
-def _triangular(rows: Float[Array, "experiment row column"]) -> Float[Array, "experiment column column"]:
+def triangular(rows: Float[Array, "experiment row column"]) -> Float[Array, "experiment column column"]:
     """Return the triangular factor of each block, computed block by block.
 
     LAPACK on a tall matrix starts threads that fight for cores.

@@ -26,5 +26,9 @@ class NotIdentifiableError(ValueError):
     """Data that leave combinations of parameters free; the message names them and what would fix them."""
 
 
+class TooLargeError(ValueError):
+    """A recording that does not fit into memory; the message says how much it takes, and how to make it smaller."""
+
+
 class DivergedError(ArithmeticError):
     """A model that left all bounds; the message says where and what to try."""

@@ -1,6 +1,7 @@
 """Output error: the simulation that comes nearest to all measurements, with shared physics and separate starts."""
 
 import dataclasses
+import sys
 import time
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -23,6 +24,8 @@ from estimators.core.residual import diagonal_whitener, no_gain
 from estimators.core.results import RESULTS, DivergedError
 from estimators.core.sensor_noise import noise_levels
 from estimators.core.step_size import accurate_substeps
+from estimators.output_error.horizons import horizons
+from estimators.output_error.memory import require_memory
 from estimators.output_error.robust import Robust
 from estimators.output_error.robust import robust as robust_fit
 from estimators.prediction_error.noise_estimation import NoiseModel, run_filter, start_variance
@@ -74,6 +77,7 @@ def output_error(
 
     Raises:
         ValueError: nothing moves in the recording, or no parameter is free.
+        TooLargeError: the recording does not fit into the memory that is free.
         NotIdentifiableError: the data leave parameters free.
         DivergedError: the model diverges from every start.
         RuntimeError: JAX was not configured for double precision.
@@ -86,9 +90,12 @@ def output_error(
     if not model.free:
         raise ValueError("The model has no free parameter; release one with model.release(name).")
     levels = noise_levels(recording.experiments)
+    note = require_memory(model, experiments)
     data = Data.of(experiments)
     candidates = [("the model's values", model)] if from_model else _starts(model, recording, experiments, starts)
     bar = tqdm(total=None, disable=not progress, desc="output error", unit=" steps", leave=False)
+    if note and progress:
+        bar.write(note, file=sys.stderr)
     run = _Run(data, experiments, levels, tolerance, steps, bar)
     ends: list[tuple[str, _Stage]] = []
     failures = []
@@ -211,11 +218,12 @@ class _Run:
         if may_swing(model):
             simulated = Arguments(model, self.data, space, whitener, nothing, substeps)
             unknowns = best_starts([unknowns, at_rest(unknowns, space)], simulated, worth=_AT_REST)
+        parts = horizons(Arguments(model, self.data, space, whitener, nothing, substeps), unknowns)
         # A start whose free simulation is near already, as after adding what a diagnosis found, needs no guidance.
         begins_near = bool(np.all(self._deviation(model, space, unknowns, substeps, noise) < _GUIDED * noise))
         for share in () if begins_near else _CORRECTION:
-            gain, corrected = self._gain(model, space, unknowns, noise, scales, share, substeps)
-            arguments = Arguments(model, self.data, space, corrected, gain, substeps)
+            gain, corrected = self._gain(parts[0], model, space, unknowns, noise, scales, share, substeps)
+            arguments = Arguments(model, parts[0], space, corrected, gain, substeps)
             self._require_determined(space, unknowns, arguments)
             near = self._solve(unknowns, arguments, tolerance=1e-3, most=15)
             unknowns = near.unknowns
@@ -223,6 +231,9 @@ class _Run:
                 if near.cost > _HOPELESS * self.nearest:
                     return None
                 self.nearest = min(self.nearest, near.cost)
+        for part in () if begins_near else parts[:-1]:
+            arguments = Arguments(model, part, space, whitener, nothing, substeps)
+            unknowns = self._solve(unknowns, arguments, tolerance=1e-2, most=15).unknowns
         guided = self._simulated(model, space, unknowns, substeps)
         if (same := self._followed(guided, noise)) is not None:
             return same
@@ -288,16 +299,17 @@ class _Run:
                 information(np.asarray(first), space, unknowns).require_determined()
 
     def _gain(
-        self, model: RTAC, space: Space, unknowns: Unknowns, noise: np.ndarray, scales: Any, share: float, substeps: int
-    ) -> tuple[Array, Array]:
+        self, data: Data, model: RTAC, space: Space, unknowns: Unknowns, noise: np.ndarray, scales: Any, share: float,
+        substeps: int,
+    ) -> tuple[Array, Array]:  # fmt: skip
         # By the function that a diagnosis runs too, so that it is compiled once for both.
-        interval = float(np.min(np.asarray(self.data.excitation.sample_time)))
+        interval = float(np.min(np.asarray(data.excitation.sample_time)))
         known = NoiseModel(noise, np.ones_like(noise), scales.force, scales.torque, interval, start_variance(space))
         size = np.concatenate([np.full(2, 2 * np.log(share)), np.zeros(len(CHANNELS))])
         physical = space.physical(unknowns)
-        result = run_filter(model, self.data, space, physical, known, size, jnp.asarray(substeps)).filtered
+        result = run_filter(model, data, space, physical, known, size, jnp.asarray(substeps)).filtered
         # One whitener for all samples: enough for a start, and the same compiled function as for the simulation.
-        return result.gain, jnp.asarray(_settled(np.asarray(result.whitener), self.data))
+        return result.gain, jnp.asarray(_settled(np.asarray(result.whitener), data))
 
     def _simulated(
         self, model: RTAC, space: Space, unknowns: Unknowns, substeps: int

@@ -13,7 +13,7 @@ import pytest
 
 import rtac_jax as rtac
 from estimators.core.compilation import Ahead, compile_only, make_room
-from estimators.core.residual import _triangular
+from estimators.core.residual import triangular
 from estimators.core.threads import at_once
 
 
@@ -123,7 +123,7 @@ def test_work_that_fails_says_so_and_the_rest_is_left() -> None:
 def test_what_is_fitted_at_once_factors_one_matrix_after_the_other() -> None:
     """In a batch, LAPACK's calls wait for each other within XLA's threads: two batches at once would do so for ever."""
     rows = jnp.zeros((3, 2000, 4))
-    assert set(ranks_factored(_triangular, rows)) == {2}
+    assert set(ranks_factored(triangular, rows)) == {2}
     assert set(ranks_factored(jnp.linalg.qr, rows)) == {3}  # a batch would be seen
 
 

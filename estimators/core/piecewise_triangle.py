@@ -1,0 +1,196 @@
+"""The triangular factor of long experiments: their pieces side by side, a few at a time, so that memory stays bounded.
+
+A sensitivity of what is simulated is linear in the sensitivity of the state where a piece begins. So every piece is
+differentiated by its own first state and by the parameters, all pieces side by side, and the chain rule puts them together.
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from estimators.core.data import Data
+from estimators.core.parameter_space import Space, Unknowns
+from estimators.core.residual import signed, start_residual, states_at_start, triangular, whitened
+from rtac_jax import RTAC, Excitation
+from rtac_jax.effects import Input
+from rtac_jax.simulation import Steps, trajectories
+
+PIECE, LEAST_PIECE = 256, 64
+"""Samples of a piece: many more than there are states, so that the work by its first state is no burden; fewer where the
+experiments themselves are many."""
+SIDE_BY_SIDE = 1 << 15
+"""Samples of all pieces that are differentiated at a time; with 12 directions and 3 outputs they take some 50 MB."""
+LONG = 1 << 14
+"""Room of an experiment from which it is worth cutting: a quarter of a minute at 1 kHz."""
+MANY = 1 << 18
+"""Samples of all experiments from which they are cut however short they are: whole, their sensitivities take 0.5 GB."""
+
+
+def worth_cutting(model: RTAC, data: Data) -> bool:
+    """Return whether a factor should be computed by pieces; effects that look along a whole input cannot be cut."""
+    looks_ahead = any(isinstance(effect, Input) for effect in model.effects)
+    return not looks_ahead and (data.room >= LONG or data.room * data.experiments >= MANY)
+
+
+def piecewise_triangle(
+    model: RTAC,
+    data: Data,
+    space: Space,
+    unknowns: Unknowns,
+    whitener: Array,
+    *,
+    substeps: Steps,
+    gain: Array | None = None,
+) -> Float[Array, "experiment row column"]:
+    """Compress residual and Jacobian of each experiment as `triangle` does, which gives the same numbers.
+
+    Args:
+        model: that is simulated; without effects that look along a whole input.
+        data: what was measured.
+        space: of the unknowns.
+        unknowns: at which to compute.
+        whitener: [sample or 1, row, output, experiment].
+        substeps: Runge-Kutta steps per sample.
+        gain: of a prediction; None for a simulation.
+    """
+    many, states = data.experiments, len(model.states)
+    size = min(PIECE, max(LEAST_PIECE, SIDE_BY_SIDE // many))
+    pieces = max(1, SIDE_BY_SIDE // (size * many))
+    stretch = pieces * size
+    of_piece = _Directions(len(unknowns.shared) + len(unknowns.each), states)
+    every = of_piece.own + len(unknowns.start)
+
+    def placed(shared: Array, each: Array, times: int) -> RTAC:
+        """Return the model with parameters for as many copies of the experiments."""
+        own = jnp.tile(each, (1, times))
+        values, each_values, _ = space.physical(Unknowns(shared, own, jnp.zeros((0, own.shape[1]))))
+        return model.with_values(
+            dict(zip(space.names, values, strict=True)) | dict(zip(space.each, each_values, strict=True))
+        )
+
+    def begin(at: Unknowns) -> Array:
+        there = placed(at.shared, at.each, 1)
+        found = states_at_start(there, space.physical(at)[2], data.excitation)
+        return jnp.stack([jnp.broadcast_to(x, (many,)) for x in found])
+
+    def run(there: RTAC, state: Array, first: Array, times: int, length: int) -> tuple[Array, Array]:
+        """Return the states of so many pieces from their first ones, and the whitened error without the last sample."""
+        index = first + jnp.arange(length)[:, None] + size * jnp.arange(times)
+
+        def cut(x: Array | None) -> Any:
+            # What is beyond the arrays is masked below: an experiment that has ended holds its state.
+            return None if x is None else _columns(x[jnp.minimum(index, data.room - 1)])
+
+        samples = _left(data, first + size * jnp.arange(times))
+        given = data.excitation
+        sample_time, arm_free, cart_free = (
+            jnp.tile(x, times) for x in (given.sample_time, given.arm_free, given.cart_free)
+        )
+        excitation = Excitation(cut(given.current), cut(given.force), sample_time, arm_free, cart_free, samples)
+        within = jnp.arange(length)[:, None] < samples
+        values, present = cut(data.values), cut(data.present) * within[:, None]
+        path = trajectories(
+            there, tuple(state), excitation, room=length, samples=length, substeps=substeps, states=True,
+            measured=None if gain is None else (values, present), gain=cut(gain),
+        )  # fmt: skip
+        seen = there.outputs(tuple(jnp.moveaxis(path, 1, 0)))
+        shown = jnp.stack([jnp.broadcast_to(y, path[:, 0].shape) for y in seen], axis=1)
+        white = cut(whitener) if whitener.shape[0] > 1 else jnp.tile(whitener, (1, 1, 1, times))
+        return path, whitened(white, (values - shown) * present)[:-1]
+
+    def one_stretch(k: Array, carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        state, change, above = carry
+        first = k * stretch
+        path, _ = run(placed(unknowns.shared, unknowns.each, 1), state, first, 1, stretch + 1)
+        starts = jnp.moveaxis(path[:-1:size], 0, 1).reshape(states, pieces * many)
+
+        def local(shared: Array, each: Array, at: Array) -> tuple[Array, Array]:
+            there = placed(shared, each, pieces)
+            ends, error = run(there, at, first, pieces, size + 1)
+            return ends[-1], error
+
+        point = (unknowns.shared, unknowns.each, starts)
+        tangents = of_piece.tangents(unknowns, starts)
+        (_, error), (d_end, d_error) = jax.vmap(
+            lambda along: jax.jvp(local, point, along), out_axes=(None, -1)
+        )(tangents)  # fmt: skip
+        rows = jnp.moveaxis(jnp.concatenate([d_error, error[..., None]], axis=-1), 2, 0)
+        # One block for each piece, of its own directions, its first state and the error.
+        local_factor = triangular(rows.reshape(pieces * many, -1, of_piece.count + 1))
+        local_factor = local_factor.reshape(pieces, many, *local_factor.shape[1:])
+        d_end = jnp.moveaxis(d_end.reshape(states, pieces, many, of_piece.count), 0, 2)
+
+        def onward(change: Array, of_end: Array) -> tuple[Array, Array]:
+            by_own, by_state = of_end[..., : of_piece.own], of_end[..., of_piece.own :]
+            fresh = jnp.pad(by_own, ((0, 0), (0, 0), (0, every - of_piece.own)))
+            return fresh + jnp.einsum("est,etd->esd", by_state, change), change
+
+        change, before = jax.lax.scan(onward, change, d_end)
+        blocks = _by_unknowns(local_factor, before, of_piece.own, every)
+        blocks = jnp.moveaxis(blocks, 0, 1).reshape(many, -1, every + 1)
+        return path[-1], change, triangular(jnp.concatenate([above, blocks], axis=1))
+
+    directions = _identity(unknowns)
+    state, change = jax.vmap(lambda along: jax.jvp(begin, (unknowns,), (along,)), out_axes=(None, -1))(directions)
+    known, d_known = jax.vmap(
+        lambda along: jax.jvp(lambda at: start_residual(space, at), (unknowns,), (along,)), out_axes=(None, -1)
+    )(directions)  # fmt: skip
+    prior = jnp.moveaxis(jnp.concatenate([d_known, known[..., None]], axis=-1), 1, 0)
+    count = -(-data.length // stretch)
+    nothing = jnp.zeros((many, every + 1, every + 1))
+    carry = (state, jnp.moveaxis(change, 1, 0), nothing)
+    _, _, factor = jax.lax.fori_loop(0, count, one_stretch, carry)
+    return signed(triangular(jnp.concatenate([factor, prior], axis=1)))
+
+
+class _Directions:
+    """Directions in which a piece is differentiated: the parameters, then its first state."""
+
+    def __init__(self, own: int, states: int) -> None:
+        self.own, self.states = own, states
+        self.count = own + states
+
+    def tangents(self, unknowns: Unknowns, starts: Array) -> tuple[Array, Array, Array]:
+        shared, each = len(unknowns.shared), len(unknowns.each)
+        rows = jnp.eye(self.count)
+        columns = jnp.broadcast_to(rows[:, shared : self.own, None], (self.count, each, unknowns.each.shape[1]))
+        at_start = jnp.broadcast_to(rows[:, self.own :, None], (self.count, *starts.shape))
+        return rows[:, :shared], columns, at_start
+
+
+def _identity(unknowns: Unknowns) -> Unknowns:
+    width = [len(leaf) for leaf in unknowns]
+    rows = jnp.eye(sum(width))
+    parts, first = [], 0
+    for leaf, count in zip(unknowns, width, strict=True):
+        part = rows[:, first : first + count]
+        parts.append(part if leaf.ndim == 1 else jnp.broadcast_to(part[:, :, None], (len(rows), *leaf.shape)))
+        first += count
+    return Unknowns(*parts)
+
+
+def _columns(x: Float[Array, "sample piece *rest"]) -> Float[Array, "sample *other"]:
+    """Return what has a piece and, last, an experiment as axes with both as one."""
+    x = jnp.moveaxis(x, 1, -2)
+    return x.reshape(*x.shape[:-2], -1)
+
+
+def _left(data: Data, begin: Int[Array, " piece"]) -> Int[Array, " column"]:
+    """Return the samples that are left of each experiment where each piece begins, one piece after the other."""
+    given = data.excitation.samples
+    samples = jnp.full((data.experiments,), data.length) if given is None else jnp.minimum(given, data.length)
+    return jnp.maximum(samples - begin[:, None], 0).reshape(-1)
+
+
+def _by_unknowns(
+    factor: Float[Array, "piece experiment row column"],
+    change: Float[Array, "piece experiment state direction"],
+    own: int,
+    every: int,
+) -> Float[Array, "piece experiment row unknown"]:
+    """Return factors by a piece's own directions and first state as such by all unknowns, with the error last."""
+    through_state = jnp.einsum("pers,pesd->perd", factor[..., own:-1], change)
+    directly = jnp.pad(factor[..., :own], ((0, 0), (0, 0), (0, 0), (0, every - own)))
+    return jnp.concatenate([through_state + directly, factor[..., -1:]], axis=-1)

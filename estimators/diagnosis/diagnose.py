@@ -33,6 +33,7 @@ from estimators.diagnosis.verdict import (
     without_the_physics,
     words,
 )
+from estimators.diagnosis.wrong_constant import doubt
 from estimators.inference.simulation_residual import SimulationResidual
 from estimators.misspecification.adequacy import Evidence, alarming, excess_of, p_by_chance
 from estimators.misspecification.candidate_screening import correlations
@@ -130,7 +131,8 @@ def diagnose(
     Args:
         fit: of the base model to this recording.
         recording: that the model was fitted to.
-        candidates: classes of effects to try; by default the whole catalogue. Those of the model are passed over.
+        candidates: classes of effects to try; by default the whole catalogue, and that a constant is wrong which the model takes
+            as exact beside others. Those of the model are passed over.
         thorough: where the verdict would be unknown, look again at what raised no alarm; that may take minutes.
         policy: the thresholds; see `DiagnosisPolicy`.
         progress: show a bar.
@@ -274,6 +276,7 @@ def _explanation(told: Diagnosis, steps: Sequence[Step], found: _Found, further:
         text += shaken(final.random_force, final.random_torque, search.left_out)
     if search.assumed:
         text += f" Coloured noise of {', '.join(search.assumed)} was assumed: the data are far more likely with it."
+    text += doubt([c.id for c in told.effects], search.model)
     return text + surer(told.verdict, search.recording)
 
 

@@ -319,6 +319,7 @@ class Search(Probing):
         quiet = np.concatenate([base.predictor.noise[:2] - _QUIETER, base.predictor.noise[2:]])
         return max(
             fit_noise(model, self.data, space, physical, prior, noise, self.substeps).log_likelihood
+            - space.penalty(physical[0])
             for noise in (base.predictor.noise, quiet)
         )
 

@@ -60,8 +60,9 @@ def test_fit_finds_what_the_data_know_better_than_the_prior(fitted: est.Fit, off
     assert known["total_mass"].std == pytest.approx(1e-4 * RIG.total_mass, rel=0.01)
     assert known["spring_stiffness"].std > 0.99e-4 * known["spring_stiffness"].value
     held = est.output_error(rtac.RTAC.from_rig(off), off, progress=False)
-    assert abs(deviations(held)["torque_constant"]) > 20
-    assert held.parameters["torque_constant"].std < 0.1 * known["torque_constant"].std
+    torque = held.parameters["torque_constant"]
+    assert abs(torque.value - RIG.torque_constant) > 20 * torque.std
+    assert torque.std < 0.1 * known["torque_constant"].std
 
 
 def test_predictions_count_the_constants_too(fitted: est.Fit, uncertain: rtac.Recording) -> None:
@@ -133,9 +134,8 @@ def test_intervals_cover_where_the_constants_are_drawn() -> None:
                 {"spring_stiffness": RIG.spring_stiffness, "torque_constant": RIG.torque_constant}
             )
             found = est.output_error(start, one, from_model=True, progress=False)
-            inside[counted].append(
-                [abs(d) < 1.96 for n, d in deviations(found).items() if n != "arm_inertia" or counted]
-            )
+            apart = [(found.parameters[n], truth) for n, truth in TRUTH.items() if n != "arm_inertia"]
+            inside[counted].append([abs(p.value - truth) < 1.96 * p.std for p, truth in apart])
     covered = np.mean(inside[True], axis=0)
     assert np.all(covered > 0.84), covered  # of 40 at 0.95: less by chance in one of a thousand
     assert np.mean(np.mean(inside[False], axis=0)[1:3]) < 0.3, inside

@@ -35,6 +35,7 @@ from rtac_jax.excitation import Excitation
 from rtac_jax.measurement import Recording
 from rtac_jax.overview import Overview
 from rtac_jax.parameters import Declaration, declarations
+from rtac_jax.prior import Prior
 from rtac_jax.storage import save
 
 _PLACES = {name: place for place, name in enumerate(CATALOGUE)}
@@ -66,6 +67,8 @@ class RTAC(eqx.Module):
         effects: what else acts, in the order in which actuator and sensor stages follow each other; `+` keeps the catalogue's.
         fixed: names of parameters that are not estimated, though they could be.
         per_experiment: names of parameters that each experiment has for itself.
+        priors: of parameters that were measured by themselves and are known but for a standard deviation, by name. A fit
+            estimates those that are not fixed, and counts how far they are from what was measured.
 
     Parameters are named `total_mass` for the body's and `cart_viscous.coefficient` for an effect's.
     """
@@ -74,6 +77,7 @@ class RTAC(eqx.Module):
     effects: tuple[Effect, ...] = ()
     fixed: frozenset[str] = eqx.field(default=frozenset(), static=True)
     per_experiment: frozenset[str] = eqx.field(default=frozenset(), static=True)
+    priors: dict[str, Prior] = eqx.field(default_factory=dict)
 
     def __check_init__(self) -> None:
         ids = [effect.id for effect in self.effects]
@@ -98,7 +102,8 @@ class RTAC(eqx.Module):
     def from_rig(cls, recording: Recording) -> "RTAC":
         """Return the paper's model for the rig of a recording: known constants fixed, and what nothing excites left out.
 
-        The other parameters start at the paper's values; an estimator finds better ones from the data.
+        A constant with a standard deviation (`NAME_std`) is not fixed but has a prior. The other parameters start at the
+        paper's values; an estimator finds better ones from the data.
 
         Raises:
             ValueError: nothing moves in the recording, or it names a constant that the model does not have or that no rig
@@ -117,7 +122,7 @@ class RTAC(eqx.Module):
             effects += [CartViscous(0.5543), CartCoulomb(0.024)]
         if arm:
             effects.append(ArmViscous(1.39e-4, 1.49e-4))
-        fixed = set(recording.rig)
+        fixed = set(recording.rig) - set(recording.rig_std)
         if not arm:
             fixed |= {"arm_inertia", "eccentric_moment", "torque_constant"}
         if not cart:
@@ -138,7 +143,8 @@ class RTAC(eqx.Module):
                     f"/rig: {name} is {value:g} {model.parameters[name].unit}, which no rig has (the paper's is {paper:g}); "
                     "correct the value or its unit."
                 )
-        return model.with_values(known).fix(*(fixed & set(model.parameters)))
+        priors = {name: Prior(known[name], std) for name, std in recording.rig_std.items() if name not in fixed}
+        return cls(model.body, model.effects, priors=priors).with_values(known).fix(*(fixed & set(model.parameters)))
 
     # -- composition -------------------------------------------------------------------------------------------------
 
@@ -150,7 +156,7 @@ class RTAC(eqx.Module):
         at = max((i + 1 for i, place in enumerate(places[:-1]) if place <= places[-1]), default=0)
         effects = (*self.effects[:at], effect, *self.effects[at:])
         idle = {f"{effect.id}.{name}" for name in effect.idle}
-        return type(self)(self.body, effects, self.fixed | idle, self.per_experiment)
+        return type(self)(self.body, effects, self.fixed | idle, self.per_experiment, self.priors)
 
     def without(self, *ids: str) -> "RTAC":
         """Return the model less the effects with these ids.
@@ -163,7 +169,7 @@ class RTAC(eqx.Module):
             raise ValueError(f"the model has no effect {', '.join(missing)}; it has {', '.join(self.ids)}.")
         kept = tuple(effect for effect in self.effects if effect.id not in ids)
         gone = {name for name in self.parameters if name.split(".")[0] in ids}
-        return type(self)(self.body, kept, self.fixed - gone, self.per_experiment - gone)
+        return type(self)(self.body, kept, self.fixed - gone, self.per_experiment - gone, self.priors)
 
     @property
     def ids(self) -> tuple[str, ...]:
@@ -217,15 +223,15 @@ class RTAC(eqx.Module):
 
     def fix(self, *names: str) -> "RTAC":
         """Return the model with these parameters held at their values."""
-        return type(self)(self.body, self.effects, self.fixed | set(names), self.per_experiment)
+        return type(self)(self.body, self.effects, self.fixed | set(names), self.per_experiment, self.priors)
 
     def release(self, *names: str) -> "RTAC":
         """Return the model with these parameters estimated."""
-        return type(self)(self.body, self.effects, self.fixed - set(names), self.per_experiment)
+        return type(self)(self.body, self.effects, self.fixed - set(names), self.per_experiment, self.priors)
 
     def each_experiment(self, *names: str) -> "RTAC":
         """Return the model with a value of its own for each experiment in these parameters."""
-        return type(self)(self.body, self.effects, self.fixed, self.per_experiment | set(names))
+        return type(self)(self.body, self.effects, self.fixed, self.per_experiment | set(names), self.priors)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the model to a file (".h5") from which `rtac_jax.load` returns the same, bit for bit.
@@ -263,6 +269,11 @@ class RTAC(eqx.Module):
             note = "" if name in self.free else "  (fixed)"
             rows.append(f"{name:32s} {declared.symbol:10s} {shown:>12s} {declared.unit:10s} {declared.meaning}{note}")
         return "\n".join(rows)
+
+    @property
+    def uncertain(self) -> tuple[str, ...]:
+        """Names of the parameters that a fit estimates around what was measured of them beforehand."""
+        return tuple(name for name in self.priors if name in self.free and name not in self.per_experiment)
 
     # -- dynamics ----------------------------------------------------------------------------------------------------
 

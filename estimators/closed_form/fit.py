@@ -1,5 +1,6 @@
 """Closed form: equations (5) and (6) of the paper, by filtered differences or against test functions."""
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -38,7 +39,8 @@ def least_squares(
     equations are integrated against test functions instead, which takes the errors of the regressors away.
 
     Args:
-        model: gives the constants known beforehand (its fixed parameters) and which parameters there are.
+        model: gives the constants known beforehand (its fixed parameters, and those with a prior, which are held at their
+            values here; standard deviations count the priors') and which parameters there are.
         recording: with free or forced experiments; those at rest give the noise levels only.
         weak: integrate against test functions instead of differentiating.
         instruments: with `weak`, take the arm's velocity from before a test function began as the instrument for its friction, so
@@ -70,7 +72,8 @@ def least_squares(
     near = near_zero if near_zero is not None else 0.2 if weak else 0.05
     options = ClosedFormOptions(weak, instruments, weak if reaction is None else reaction, weighting, cutoff, near)
     levels = noise_levels(recording.experiments)
-    return closed_form(model, [e for e in recording.experiments if e.kind != "rest"], levels, options)
+    moves = [e for e in recording.experiments if e.kind != "rest"]
+    return with_constants(closed_form(model, moves, levels, options), moves, levels)
 
 
 def closed_form(
@@ -90,6 +93,8 @@ def closed_form(
         options: how the estimates are made.
         settled: the model is near the result already, as for a replicate of the same recording, so one turn will do.
     """
+    uncertain = model.uncertain
+    model = model.fix(*uncertain)
     skipped: dict[str, str] = {}
     used: dict[str, float] = {}
 
@@ -129,4 +134,36 @@ def closed_form(
         model, more = forced_stage(
             model, forced, weighting=options.weighting, alone=not ratios, instruments=options.instruments
         )
-    return ClosedForm(model, ratios, estimates | more, used, skipped, options)
+    return ClosedForm(model.release(*uncertain), ratios, estimates | more, used, skipped, options)
+
+
+def with_constants(found: ClosedForm, experiments: Sequence[Experiment], levels: Mapping[str, float]) -> ClosedForm:
+    """Return the estimates with standard deviations that count those of the constants.
+
+    Each constant is moved by its standard deviation, and every estimate moves with it; they are independent of each other and
+    of the noise.
+
+    Args:
+        found: of `closed_form`.
+        experiments: that it was made from.
+        levels: noise of each channel, SI units.
+    """
+
+    def again(moved: Mapping[str, float]) -> ClosedForm:
+        return closed_form(found.model.with_values(moved), experiments, levels, found.options, settled=True)
+
+    deviations = {n: float(found.model.priors[n].std) for n in found.model.uncertain}
+    if not deviations:
+        return found
+    here = again({})
+    there = [again({name: float(found.model[name]) + std}) for name, std in deviations.items()]
+
+    def widened(of: str) -> dict[str, Estimates]:
+        before, after = getattr(here, of), [getattr(one, of) for one in there]
+        wide = {}
+        for name, one in getattr(found, of).items():
+            moves = [other[name].value - before[name].value for other in after if name in other and name in before]
+            wide[name] = dataclasses.replace(one, std=float(np.sqrt(one.std**2 + np.sum(np.square(moves)))))
+        return wide
+
+    return dataclasses.replace(found, ratios=widened("ratios"), estimates=widened("estimates"))

@@ -43,8 +43,9 @@ class Estimates:
         names: of the experiments.
         each: the estimate from each experiment.
         value: the mean of those, as in the paper's Table 1.
-        std: standard deviation of that mean, from the scatter over experiments; it does not see what shifts all of them
-            alike. With few experiments take it with Student's distribution of one degree of freedom less than there are.
+        std: standard deviation of that mean, from the scatter over experiments and the standard deviations of constants that
+            were measured beforehand; it does not see what else shifts all of them alike. With few experiments take it with
+            Student's distribution of one degree of freedom less than there are.
         pooled: the estimate from all experiments stacked.
         unit: SI unit.
     """

@@ -71,7 +71,7 @@ def initial_states(
             state[2:, column] = first_values(outputs["arm_angle"], dt, frequency)
         else:
             state[2, column] = known if known is not None else 0.0
-            spread[2, column] = ANGLE_SPREAD if known is not None else UNKNOWN_ANGLE
+            spread[2, column] = angle_spread(experiment)
         if "arm_velocity" in outputs:
             state[3, column] = first_values(outputs["arm_velocity"], dt, frequency)[0]
         elif "arm_angle" not in outputs:
@@ -81,6 +81,13 @@ def initial_states(
         if experiment.arm == "locked":
             state[3, column], held[2:, column] = 0.0, 1.0
     return state, spread, held
+
+
+def angle_spread(experiment: Experiment) -> float:
+    """Return the standard deviation of what is known beforehand of the arm's angle at the start [rad]."""
+    if experiment.initial_arm_angle is None:
+        return UNKNOWN_ANGLE
+    return experiment.initial_arm_angle_std or ANGLE_SPREAD
 
 
 def scales_of(model: RTAC, experiments: Sequence[Experiment]) -> Scales:
@@ -156,6 +163,11 @@ def space_of(
                 found = np.asarray(start[experiment.name])
                 state[: len(found), column] = found
 
+    scale = np.array(np.broadcast_to(0.1 * size[:, None], state.shape))
+    for column, experiment in enumerate(experiments):
+        if experiment.initial_arm_angle_std is not None and "arm_angle" not in experiment.outputs:
+            scale[2, column] = experiment.initial_arm_angle_std
+
     def bounds(which: Sequence[str], side: int) -> jnp.ndarray:
         return jnp.asarray([declared[name].bounds[side] for name in which])
 
@@ -175,12 +187,26 @@ def space_of(
         each_upper=bounds(each, 1),
         each_scale=sizes(each),
         start=jnp.asarray(state),
-        start_scale=jnp.asarray(np.broadcast_to(0.1 * size[:, None], state.shape)),
+        start_scale=jnp.asarray(scale),
         start_spread=jnp.asarray(spread),
         start_held=jnp.asarray(held),
         names=names,
         each=each,
+        **_priors(model, names),
     )
+
+
+def _priors(model: RTAC, names: Sequence[str]) -> dict[str, jnp.ndarray]:
+    """Return what was measured beforehand of these parameters and its standard deviation, as `Space` takes them."""
+    uncertain = [name for name in model.uncertain if name in names]
+    if not uncertain:
+        return {}
+    known = np.array([float(np.asarray(model[name])) for name in names])
+    std = np.full(len(names), np.inf)
+    for name in uncertain:
+        known[names.index(name)] = float(model.priors[name].mean)
+        std[names.index(name)] = float(model.priors[name].std)
+    return {"known": jnp.asarray(known), "known_std": jnp.asarray(std)}
 
 
 def _size(model: RTAC, name: str, scales: Scales) -> float:

@@ -112,10 +112,20 @@ class Rows(NamedTuple):
     Attributes:
         jacobian: by physical parameters.
         residual: whitened; zero where nothing was measured.
+        known: slopes of how far constants are from what was measured of them beforehand, in standard deviations.
+        known_residual: these themselves.
     """
 
     jacobian: Float[np.ndarray, "sample output experiment parameter"]
     residual: Float[np.ndarray, "sample output experiment"]
+    known: Float[np.ndarray, "constant parameter"]
+    known_residual: Float[np.ndarray, " constant"]
+
+    @property
+    def gauss_newton(self) -> Float[np.ndarray, "parameter parameter"]:
+        """The Gauss-Newton matrix, constants included."""
+        flat = self.jacobian.reshape(-1, self.jacobian.shape[-1])
+        return flat.T @ flat + self.known.T @ self.known
 
 
 @eqx.filter_jit
@@ -159,7 +169,12 @@ def rows_at(problem: Problem) -> Rows:
             basis, _ = np.linalg.qr(own)
             whole = whole[:, :shared] - basis @ (basis.T @ whole[:, :shared])
         jacobian[:, :, i] = whole[: samples * outputs, :shared].reshape(samples, outputs, shared)
-    return Rows(jacobian[..., : len(problem.names)] / steepness, value)
+    space, free = arguments.space, np.asarray(arguments.space.active)[: len(problem.names)]
+    told = np.asarray(space.from_known(space.physical(unknowns)[0]))
+    known = np.zeros((len(told), len(problem.names)))
+    if space.known_std is not None:
+        known[free, np.arange(len(free))] = 1.0 / np.asarray(space.known_std)[free]
+    return Rows(jacobian[..., : len(problem.names)] / steepness, value, known, told)
 
 
 def with_outputs(problem: Problem, values: Array) -> Arguments:

@@ -32,6 +32,8 @@ class Space(eqx.Module):
         start_spread: standard deviations of what is known of them beforehand; infinite where nothing is.
         start_held: 1 where a state at the start is known exactly.
         names, each: names of the parameters.
+        known: what was measured beforehand of each shared parameter; its value where nothing was.
+        known_std: its standard deviation, infinite where nothing was; both None where that is so of all of them.
     """
 
     values: Float[Array, " parameter"]
@@ -49,6 +51,21 @@ class Space(eqx.Module):
     start_held: Float[Array, "start experiment"]
     names: tuple[str, ...] = eqx.field(static=True)
     each: tuple[str, ...] = eqx.field(static=True)
+    known: Float[Array, " parameter"] | None = None
+    known_std: Float[Array, " parameter"] | None = None
+
+    def from_known(self, shared: Float[Array, " parameter"]) -> Float[Array, " constant"]:
+        """Return how far the shared parameters are from what was measured of them, in standard deviations.
+
+        Zero where nothing was measured; empty where that is so of all of them.
+        """
+        if self.known is None or self.known_std is None:
+            return jnp.zeros(0)
+        return (shared - self.known) / self.known_std
+
+    def penalty(self, shared: Float[Array, " parameter"]) -> float:
+        """Return the negative logarithm of the priors' density, less a constant; not within compiled code."""
+        return 0.5 * float(np.sum(np.asarray(self.from_known(jnp.asarray(shared))) ** 2))
 
     @eqx.filter_jit
     def physical(self, unknowns: Unknowns) -> tuple[Array, Array, Array]:

@@ -106,6 +106,8 @@ def triangle(
 ) -> Float[Array, "experiment row column"]:
     """Compress residual and Jacobian of each experiment without loss to the triangular factor of [J, r].
 
+    What was measured of constants beforehand belongs to no experiment: an equal part of it is counted with each.
+
     Its columns are the shared unknowns, the experiment's own, its start, and last the residual. Sums of squares, gradients
     and Gauss-Newton matrices are those of the whole residual. Because experiments do not depend on each other's unknowns, one
     direction serves the same unknown of all experiments, and the cost does not grow with their number.
@@ -120,10 +122,15 @@ def triangle(
 
     tangents = Unknowns(*(basis(block, leaf) for block, leaf in enumerate(unknowns)))
 
+    def told(at: Unknowns) -> Any:
+        error, known = residual(model, data, space, at, whitener, substeps=substeps, gain=gain)
+        if space.known is None:
+            return error, known
+        constants = space.from_known(space.physical(at)[0]) / np.sqrt(count)
+        return error, jnp.concatenate([known, jnp.broadcast_to(constants[:, None], (len(constants), count))])
+
     def along(tangent: Unknowns) -> Any:
-        return jax.jvp(
-            lambda at: residual(model, data, space, at, whitener, substeps=substeps, gain=gain), (unknowns,), (tangent,)
-        )
+        return jax.jvp(told, (unknowns,), (tangent,))
 
     (error, known), (d_error, d_known) = jax.vmap(along, out_axes=(None, -1))(tangents)
     columns = jnp.concatenate([d_error, error[..., None]], axis=-1)

@@ -5,19 +5,21 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from estimators.diagnosis.effect_contract import explained, require_working
+from estimators.diagnosis.wrong_constant import wrong_constants
 from rtac_jax import RTAC
 from rtac_jax.effects import CATALOGUE, Effect
 from rtac_jax.parameters import Scales, declarations
 
 
 def offered(model: RTAC, candidates: Sequence[type[Effect]] | None) -> list[type[Effect]]:
-    """Return the candidate set: the whole catalogue or these candidates, without what the model has already.
+    """Return the candidate set: the whole catalogue and wrong constants, or these candidates, without what the model has already.
 
     Raises:
         ValueError: what is no class of effects, or one that is not declared well enough to be looked for.
     """
     classes = require_distinct(CATALOGUE.values() if candidates is None else candidates)
-    return [c for c in classes if c.id not in model]
+    found = [c for c in classes if c.id not in model]
+    return found + wrong_constants(model) if candidates is None else found
 
 
 def require_distinct(classes: Iterable[type[Effect]]) -> list[type[Effect]]:

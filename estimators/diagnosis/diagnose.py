@@ -35,6 +35,7 @@ from estimators.diagnosis.setting import Setting, effect_of, setting_of
 from estimators.diagnosis.stepwise_selection import Selection, by_size
 from estimators.diagnosis.verdict import Consequence, Judgement, decide, judge
 from estimators.diagnosis.workers import Workers
+from estimators.diagnosis.wrong_constant import doubt
 from estimators.inference.simulation_residual import SimulationResidual
 from estimators.misspecification.adequacy import AdequacyTest, alarming, excess_of, p_by_chance
 from estimators.misspecification.candidate_screening import correlations
@@ -151,7 +152,8 @@ def diagnose(
     Args:
         fit: of the base model to this recording.
         recording: that the model was fitted to.
-        candidates: classes of effects to try; by default the whole catalogue. Those of the model are passed over.
+        candidates: classes of effects to try; by default the whole catalogue, and that a constant is wrong which the model takes
+            as exact beside others. Those of the model are passed over.
         thorough: where the verdict would be unknown, look again at what raised no alarm; that may take minutes.
         policy: the thresholds; see `DiagnosisPolicy`.
         progress: show a bar.
@@ -271,6 +273,7 @@ def _explanation(told: Diagnosis, found: Judgement, setting: Setting, *, thoroug
         text += shaken(found.final.random_force, found.final.random_torque, setting.left_out)
     if setting.assumed:
         text += f" Coloured noise of {', '.join(setting.assumed)} was assumed: the data are far more likely with it."
+    text += doubt([c.id for c in told.effects], setting.model)
     return text + surer(told.verdict, setting.recording)
 
 

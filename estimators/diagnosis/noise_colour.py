@@ -82,5 +82,6 @@ def _likelihood_with(setting: Setting, colours: Colours, base: Refit) -> float:
     quiet = np.concatenate([base.predictor.noise[:2] - _QUIETER, base.predictor.noise[2:]])
     return max(
         fit_noise(model, setting.data, space, physical, prior, noise, setting.substeps).log_likelihood
+        - space.penalty(physical[0])
         for noise in (base.predictor.noise, quiet)
     )

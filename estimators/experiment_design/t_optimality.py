@@ -122,7 +122,8 @@ def _innovations(contest: Contest, experiments: Sequence[Experiment], start: Map
     wide = space_of(model, experiments, free=free, start=start)
     active = np.full(len(free) + _OWN, len(wide.names))
     active[: len(free)] = [wide.names.index(name) for name in free]
-    wide = dataclasses.replace(wide, active=jnp.asarray(active))
+    # Of constants that were measured, whatever their errors could change is projected out, however small these are.
+    wide = dataclasses.replace(wide, active=jnp.asarray(active), known=None, known_std=None)
     # A state that the filter does not know is not corrected.
     rows = {name: passed.gain[:, place] for place, name in enumerate(contest.base.states)}
     nothing = jnp.zeros_like(passed.gain[:, 0])

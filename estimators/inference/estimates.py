@@ -119,12 +119,13 @@ def _closed(
 
 def _simulated(problem: Problem, here: Vector) -> Callable[[Outputs], Vector]:
     """Return a Gauss-Newton step; the Jacobian of a simulation does not depend on what was measured."""
-    flat = (jacobian := rows_at(problem).jacobian).reshape(-1, jacobian.shape[-1])
-    step = -np.linalg.solve(flat.T @ flat, flat.T)
+    rows = rows_at(problem)
+    step = -np.linalg.solve(rows.gauss_newton, rows.jacobian.reshape(-1, len(here)).T)
+    by_constants = -np.linalg.solve(rows.gauss_newton, rows.known.T @ rows.known_residual)
 
     def again(values: Outputs) -> np.ndarray:
         arguments = with_outputs(problem, jnp.asarray(np.nan_to_num(values)))
-        return here + step @ np.asarray(plain_residual(problem.unknowns, arguments)[0]).ravel()
+        return here + by_constants + step @ np.asarray(plain_residual(problem.unknowns, arguments)[0]).ravel()
 
     return again
 
@@ -143,7 +144,8 @@ def _predicted(fit: PredictorFit, here: Vector) -> Callable[[Outputs], Vector]:
         a = dataclasses.replace(a, whitener=whitener, gain=passed.gain)
         rows = rows_at(problem._replace(arguments=a))
         flat = rows.jacobian.reshape(-1, len(here))
-        return here - np.linalg.solve(flat.T @ flat, flat.T @ rows.residual.ravel())
+        slope = flat.T @ rows.residual.ravel() + rows.known.T @ rows.known_residual
+        return here - np.linalg.solve(rows.gauss_newton, slope)
 
     return again
 

@@ -11,6 +11,7 @@ from scipy.stats import f as fisher
 from scipy.stats import t as student
 from tqdm import tqdm
 
+from estimators.closed_form.table1 import ClosedForm
 from estimators.core.data import CHANNELS
 from estimators.core.drawing import draw
 from estimators.core.fit import Fit
@@ -23,7 +24,7 @@ from estimators.inference.shaken_simulation import shaken_by, signal_rms
 from estimators.inference.simulation_residual import SimulationResidual, known_noise, simulation_residual
 from estimators.linear.fit import LinearModels
 from estimators.prediction_error.fit import PredictorFit
-from rtac_jax import require_configured
+from rtac_jax import RTAC, require_configured
 from rtac_jax.effects import CATALOGUE
 from rtac_jax.measurement import Recording
 
@@ -260,6 +261,7 @@ def agreement(
         raise ValueError(
             f"the fits used different experiments, one of them {', '.join(names[:3])}; fit them to the same recording."
         )
+    several = [_with_constants_of((predictors or fits)[0].model, result) for result in several]
     ways = [way_of(result, label, source, recording, modal=modal) for result, label in zip(several, said, strict=True)]
     shared = {(a, b): _common(ways[a], ways[b]) for a, b in itertools.combinations(range(len(ways)), 2)}
     if not any(shared.values()):
@@ -299,6 +301,17 @@ def agreement(
     return Agreement(
         names, units, said, asks, values, spread, pairs, level, draws, bool(predictors), misfit, simulation
     )
+
+
+def _with_constants_of(model: RTAC, result: Result) -> Result:
+    """Return a closed form about the constants that a fit has estimated.
+
+    It holds them where they were measured, and so all that it estimates is off alike: no failing of the model.
+    """
+    if not isinstance(result, ClosedForm):
+        return result
+    values = {name: float(model[name]) for name in model.uncertain if name in result.model.parameters}
+    return dataclasses.replace(result, model=result.model.with_values(values))
 
 
 def _simulation(fit: Fit, recording: Recording, predictors: Sequence[PredictorFit]) -> SimulationResidual:

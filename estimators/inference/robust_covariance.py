@@ -86,10 +86,12 @@ def covariances(fit: Fit, recording: Recording) -> Covariances:
     problem = at_fit(fit, recording)
     rows = rows_at(problem)
     meat, bread, independent = _coloured(rows, problem)
-    meat = meat * _spent(rows, problem)
+    meat = meat * _spent(rows, problem) + rows.known.T @ rows.known
     origin = origins(moving(recording))
     clusters = [origin[name] for name in fit.experiments]
-    by_cluster, degrees = clustered(fit.information, clusters)
+    by_cluster, degrees = clustered(_of_experiments(fit.information, rows), clusters)
+    # What was measured of constants beforehand is another observation, whose variance is known.
+    by_cluster = by_cluster + fit.information.covariance @ rows.known.T @ rows.known @ fit.information.covariance
     names = fit.information.names
     # Of a robust fit the derivative of a score is less than its weight.
     meat = meat * fit.statistics.get("score_ratio", 1.0) ** 2
@@ -105,14 +107,25 @@ def covariances(fit: Fit, recording: Recording) -> Covariances:
     )
 
 
+def _of_experiments(information: Information, rows: Rows) -> Information:
+    """Return scores and parts of the experiments alone, without their shares of what was measured of constants beforehand."""
+    if not len(rows.known) or information.parts is None or information.scores is None:
+        return information
+    share = 1.0 / len(information.scores)
+    return dataclasses.replace(
+        information,
+        parts=information.parts - share * rows.known.T @ rows.known,
+        scores=information.scores - share * rows.known.T @ rows.known_residual,
+    )
+
+
 def _coloured(rows: Rows, problem: Problem) -> tuple[Matrix, Matrix, float]:
     """Return the sum of the scores' autocovariance, the inverse of the Gauss-Newton matrix, and the number of stretches.
 
     A stretch has as many samples as lags are summed; how many that is, is chosen for each sample time by itself.
     """
     scores = np.einsum("sokp,sok->ksp", rows.jacobian, rows.residual)
-    flat = rows.jacobian.reshape(-1, rows.jacobian.shape[-1])
-    bread = np.linalg.inv(flat.T @ flat)
+    bread = np.linalg.inv(rows.gauss_newton)
     meat = np.einsum("ksp,ksq->pq", scores, scores)
     independent = 0.0
     interval = np.array([e.sample_time for e in problem.experiments])
@@ -184,8 +197,8 @@ def clustered(information: Information, clusters: list[str]) -> tuple[Matrix, Fl
         through = np.einsum("q,gqr,rs->gs", c, parts, bread)
         own = np.einsum("q,gqr,r->g", c, parts, c)
         omega = np.diag(own) - np.einsum("gs,hst,t->gh", through, parts, c)
-        trace = float(np.trace(omega))
-        if trace > 1e-9 * bread[p, p]:
-            scale[p] = np.sqrt(bread[p, p] / trace)
+        trace, white = float(np.trace(omega)), float(np.sum(own))  # white: the variance if the residual is
+        if trace > 1e-9 * white:
+            scale[p] = np.sqrt(white / trace)
             degrees[p] = trace**2 / float(np.sum(omega**2))
     return raw * np.outer(scale, scale), degrees

@@ -116,6 +116,7 @@ def screen(
 
     found = [s for part in at_once(held, groups) for s in part]
     clear = [s for s in found if s.statistic >= critical.alarm and len(s.amplitudes) == 1 and s.begin[0] != 0]
+    clear = [s for s in clear if s.instance.looked_at == 1.0]  # of the others proportion holds where it was looked at
     largest = sorted(clear, key=lambda s: -s.statistic)[:_TRIED]
     owner = {instance.id: group for group in groups for instance in group.instances}
     sized = at_once(lambda s: _sized(owner[s.id], error, basis, s), largest)
@@ -126,8 +127,12 @@ def screen(
 def _each(group: Group) -> Rows:
     """Return the change by each amplitude of each instance of a group by itself, per unit."""
     owners = [(i, amplitude) for i in group.instances for amplitude in type(i).amplitudes()]
-    columns = group.changes(*zip(*owners, strict=True))
-    return columns / [float(np.asarray(getattr(instance, amplitude))) for instance, amplitude in owners]
+    sizes = [i.looked_at * float(np.asarray(getattr(i, amplitude))) for i, amplitude in owners]
+    instances = [
+        i if i.looked_at == 1.0 else dataclasses.replace(i, **{amplitude: size})
+        for (i, amplitude), size in zip(owners, sizes, strict=True)
+    ]
+    return group.changes(instances, [amplitude for _, amplitude in owners]) / sizes
 
 
 def _one_by_one(

@@ -181,7 +181,7 @@ def force_curves(
         low, high = ranges[VARIABLES[variable].split(",")[0]]
         spacing = (high - low) / (KNOTS - 1)
         slopes = np.asarray(_derivatives(*_arguments(innovations, port, variable, low, spacing, slow[port])))
-        rows = innovations.rows(slopes)
+        rows = innovations.rows(slopes, innovations.constants_of_forces(len(slopes)))
         test = score_test(rows, error, basis, blocks)
         if test.freedom == 0:
             return None

@@ -79,7 +79,8 @@ def output_error_batch(
     a study knows the truth, or the fit around which it draws. A result does not depend on what is fitted beside it.
 
     Args:
-        model: whose free parameters are estimated, at the values where fits begin.
+        model: whose free parameters are estimated, at the values where fits begin. Constants with a prior are held at theirs,
+            and standard deviations do not count it.
         recordings: with experiments of the same names, lengths, inputs and outputs; what was measured, sample times, values of
             inputs, noise and starts may differ.
         start: values to begin at, of some free parameters, one number or one for each recording; elsewhere the model's.
@@ -98,6 +99,7 @@ def output_error_batch(
     began = time.perf_counter()
     if not recordings:
         raise ValueError("there is no recording; give at least one.")
+    model = model.fix(*model.uncertain)
     shared = tuple(name for name in model.free if name not in model.per_experiment)
     _require_one_shape(recordings)
     begin = _begin(shared, len(recordings), start)

@@ -60,6 +60,9 @@ def output_error(
 ) -> Fit:
     """Fit a model to all moving experiments of a recording at once by its simulation error.
 
+    What was measured of constants beforehand (`RTAC.priors`, which `RTAC.from_rig` takes from `NAME_std` of a recording) is
+    counted beside the measurements, so that constants are estimated and standard deviations count their uncertainty.
+
     The first start is the closed form, the second the values of the model itself, further ones are drawn around the first.
     From each it goes by one-step-ahead predictions with ever weaker correction to the free simulation.
 
@@ -167,6 +170,7 @@ def _starts(model: RTAC, recording: Recording, experiments: Sequence[Experiment]
     random = np.random.default_rng(0)
     for number in range(2, count):
         factors = {name: float(np.asarray(first[name])) * random.uniform(0.8, 1.2) for name in first.free}
+        factors |= {name: float(np.asarray(first[name])) for name in first.uncertain}
         found.append((f"draw {number - 1}", first.with_values(factors)))
     return found
 
@@ -247,7 +251,7 @@ class _Run:
             )
             unknowns = solved.unknowns
             deviation = self._deviation(model, space, unknowns, substeps, noise)
-            cost = _concentrated(deviation, self.data)
+            cost = _concentrated(deviation, self.data) + space.penalty(space.physical(unknowns)[0])
             if cost > best + 1.0 * float(jnp.sum(self.data.present)):
                 break  # hopeless beside another start: not worth the last digits
             whitener = diagonal_whitener(deviation, self.data)

@@ -90,10 +90,13 @@ def most_likely(
     def passed(at: _Point, noise: np.ndarray) -> tuple[float, _Seen]:
         run = run_filter(model, data, space, physical(at), prior, noise, substeps)
         weight = np.diagonal(np.asarray(run.filtered.whitener), axis1=1, axis2=2)
-        return -float(run.value), _Seen(np.asarray(run.filtered.innovations), np.moveaxis(weight, -1, 1))
+        return -float(run.value) - space.penalty(physical(at)[0]), _Seen(
+            np.asarray(run.filtered.innovations), np.moveaxis(weight, -1, 1)
+        )
 
     def triangles(at: _Point, noise: np.ndarray) -> Float[np.ndarray, "experiment row column"]:
-        return _triangles(lambda there: passed(there, noise)[1], at, reach, lower, upper, known.names)
+        blocks = _triangles(lambda there: passed(there, noise)[1], at, reach, lower, upper, known.names)
+        return _with_constants(blocks, space, physical(at)[0], places)
 
     at = _Point(np.asarray(found.physical[0])[places], np.asarray(found.physical[1]))
     noise = Noise(found.noise, found.log_likelihood, found.filtered)
@@ -121,7 +124,9 @@ def most_likely(
     columns[:, :, inside] = blocks[:, :, : len(inside)] * slope[inside]
     columns[:, :, len(slope) :] = blocks[:, :, len(inside) :]
     columns[:, :, len(slope) : -1] *= each_slope(space, unknowns).T[:, None]
-    likeliest = Predictor(unknowns, space.physical(unknowns), noise.exponents, noise.filtered, noise.log_likelihood)
+    values = space.physical(unknowns)
+    likelihood = noise.log_likelihood - space.penalty(values[0])
+    likeliest = Predictor(unknowns, values, noise.exponents, noise.filtered, likelihood)
     return likeliest, columns
 
 
@@ -158,6 +163,19 @@ def _triangles(
     residual = np.concatenate([centre.white, np.where(count, 1 - centre.white**2, 0.0) / np.sqrt(2)])
     rows = np.moveaxis(np.stack([*columns, residual], axis=-1), 2, 0)
     return np.stack([np.linalg.qr(block.reshape(-1, block.shape[-1]), mode="r") for block in rows])
+
+
+def _with_constants(
+    blocks: Float[np.ndarray, "experiment row column"], space: Space, shared: Array, places: np.ndarray
+) -> Float[np.ndarray, "experiment row column"]:
+    """Return the blocks with an equal part each of what was measured of constants beforehand."""
+    if space.known_std is None:
+        return blocks
+    weight = 1.0 / (np.asarray(space.known_std)[places] * np.sqrt(len(blocks)))
+    rows = np.zeros((len(places), blocks.shape[2]))
+    rows[:, : len(places)] = np.diag(weight)
+    rows[:, -1] = np.asarray(space.from_known(shared))[places] / np.sqrt(len(blocks))
+    return np.stack([np.linalg.qr(np.concatenate([block, rows]), mode="r") for block in blocks])
 
 
 def _along(ahead: _Seen, behind: _Seen, centre: _Seen) -> Float[np.ndarray, "sample output experiment"]:

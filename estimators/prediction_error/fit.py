@@ -158,7 +158,8 @@ def prediction_error_nonlinear(
     likelihood, in turn with the physics. Unlike the simulation of `output_error`, predictions forget a disturbance, so
     that the physics is not bent to explain it, and standard deviations count it.
 
-    The states at the start are taken from the first samples, as doubtful as those are; the filter mends them.
+    The states at the start are taken from the first samples, as doubtful as those are; the filter mends them. What was
+    measured of constants beforehand (`RTAC.priors`) is counted as by `output_error`.
 
     The filter is linear along its estimate, and dry friction is not: samples at which random forces may shake loose what
     dry friction holds do not count.

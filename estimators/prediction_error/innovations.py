@@ -22,7 +22,11 @@ Rows = Float[np.ndarray, "row column"]
 
 
 class Innovations:
-    """Innovations of a predictor with frozen gains, as a function of parameter values; rows are whitened samples."""
+    """Innovations of a predictor with frozen gains, as a function of parameter values; rows are whitened samples.
+
+    Where constants were measured beforehand, how far each is from that in standard deviations is a row more at the end. So
+    a projection on the free parameters leaves of a candidate what neither they nor the constants' errors explain.
+    """
 
     def __init__(self, model: RTAC, data: Data, space: Space, whitener: Array, gain: Array, substeps: Steps) -> None:
         self.model, self.data, self.space = model, data, space
@@ -36,13 +40,16 @@ class Innovations:
         def some(first: int) -> Rows:
             part = values[first : first + AT_ONCE]
             padded = np.concatenate([part, np.repeat(part[-1:], AT_ONCE - len(part), axis=0)])
-            return self.rows(np.asarray(_innovations(*self._arguments(padded)))[: len(part)])
+            found = np.asarray(_innovations(*self._arguments(padded)))[: len(part)]
+            return self.rows(found, np.stack([self._constants(one) for one in part]))
 
         return np.concatenate(at_once(some, range(0, len(values), AT_ONCE)), axis=1)
 
     def jacobian(self) -> Rows:
         """Return derivatives by the free shared parameters, scaled."""
-        return self.rows(np.asarray(_jacobian(*self._arguments(self._directions()))))
+        directions = self._directions()
+        slopes = self._constants(directions) - self._constants(np.zeros_like(directions))
+        return self.rows(np.asarray(_jacobian(*self._arguments(directions))), slopes)
 
     def pushed(self, current: np.ndarray, force: np.ndarray) -> Rows:
         """Return derivatives by currents [A] and cart forces [N] added to the inputs, each [direction sample experiment]."""
@@ -52,7 +59,8 @@ class Innovations:
             missing = AT_ONCE - len(parts[0])
             padded = [np.concatenate([p, np.zeros((missing, *p.shape[1:]))]) for p in parts]
             found = _pushed(*self._arguments(*padded))
-            columns.append(self.rows(np.asarray(found)[: len(parts[0])]))
+            shown = np.asarray(found)[: len(parts[0])]
+            columns.append(self.rows(shown, self.constants_of_forces(len(shown))))
         return np.concatenate(columns, axis=1)
 
     def compile(self) -> None:
@@ -78,17 +86,40 @@ class Innovations:
         unit = np.eye(len(self.space.names) + 1)[np.asarray(self.space.active), :-1]
         return unit * np.asarray(self.space.scale)
 
-    def rows(self, found: np.ndarray) -> Rows:
+    def rows(self, found: np.ndarray, constants: np.ndarray | None = None) -> Rows:
         """Return whitened samples [direction sample output experiment] as columns, channels that nobody measured left out.
 
         Rows of an experiment, and within it of a stretch of time, are neighbours.
+
+        Args:
+            found: of several directions.
+            constants: of each, the rows of constants that were measured beforehand; by default those of the present values.
         """
         there = found[:, : self.data.samples, self.used]
-        return np.moveaxis(there, 3, 1).reshape(len(found), -1).T
+        shown = np.moveaxis(there, 3, 1).reshape(len(found), -1)
+        if self.space.known is None:
+            return shown.T
+        if constants is None:
+            constants = np.broadcast_to(self._constants(), (len(found), self._constants().shape[-1]))
+        return np.concatenate([shown, constants], axis=1).T
+
+    def constants_of_forces(self, count: int) -> np.ndarray:
+        """Return the rows of constants for so many derivatives by forces, which change no constant: zeros."""
+        return np.zeros((count, self._constants().shape[-1]))
+
+    def _constants(self, values: np.ndarray | None = None) -> np.ndarray:
+        """Return how far constants are from what was measured beforehand; by default at the present values."""
+        at = np.asarray(self.space.values) if values is None else values
+        if self.space.known is None or self.space.known_std is None:
+            return np.zeros((*at.shape[:-1], 0))
+        # Of these only: a model with other effects has more parameters, and its rows have to be the same.
+        measured = np.isfinite(np.asarray(self.space.known_std))
+        return ((at - np.asarray(self.space.known)) / np.asarray(self.space.known_std))[..., measured]
 
     def blocks(self) -> np.ndarray:
         """Return for every row the number of the stretch of time that it belongs to; it never falls."""
-        return np.repeat(stretches(self.data)[: self.data.samples].T.reshape(-1), int(self.used.sum()))
+        samples = np.repeat(stretches(self.data)[: self.data.samples].T.reshape(-1), int(self.used.sum()))
+        return np.concatenate([samples, np.repeat(samples[-1:], self._constants().shape[-1])])
 
 
 def stretches(data: Data, seconds: float = 1.0) -> Int[np.ndarray, "sample experiment"]:

@@ -95,7 +95,7 @@ class Predictor:
         physical: all parameters and starts.
         noise: logarithms of the process variances (fractions of force and torque) and of the sensors' variance ratios.
         filtered: gains, whiteners and innovations.
-        log_likelihood: of all data that count.
+        log_likelihood: of all data that count, and of what was measured of constants beforehand.
     """
 
     unknowns: Unknowns
@@ -346,10 +346,11 @@ def fit_predictor(
         trial = solve_bounded(unknowns, arguments, tolerance=1e-4, most=20, progress=progress).unknowns
         moved = space.physical(trial)
         new = fit_noise(model, data, space, moved, prior, noise.exponents, substeps)
-        gained = new.log_likelihood - noise.log_likelihood
+        gained = new.log_likelihood - noise.log_likelihood + space.penalty(physical[0]) - space.penalty(moved[0])
         if gained > 0:
             unknowns, physical, noise = trial, moved, new
         failed = 0 if gained > _ENOUGH else failed + 1
         if failed == len(_LESS):
             break
-    return Predictor(unknowns, physical, noise.exponents, noise.filtered, noise.log_likelihood)
+    likelihood = noise.log_likelihood - space.penalty(physical[0])
+    return Predictor(unknowns, physical, noise.exponents, noise.filtered, likelihood)

@@ -80,6 +80,8 @@ class Effect(eqx.Module):
         free_start: whether a recording may begin with these states away from `start`, so that a fit estimates them.
         closed: whether the states follow in closed form over a step (`follow`) instead of by integrating `rate`. A lag
             is exact in this way and may be as short as it likes without asking for small steps.
+        looked_at: fraction of the plausible size at which a diagnosis looks at what it changes; below 1 for one that changes it far
+            from in proportion to its size, until the other parameters follow.
         acts_by_contact: whether parts hit each other, so that it acts at instants that move by whole steps as a parameter changes
             and derivatives do not tell of them.
     """
@@ -93,6 +95,7 @@ class Effect(eqx.Module):
     free_start: ClassVar[bool] = False
     closed: ClassVar[bool] = False
     needs_channel: ClassVar[str | None] = None
+    looked_at: ClassVar[float] = 1.0
     acts_by_contact: ClassVar[bool] = False
 
     def __check_init__(self) -> None:

@@ -13,6 +13,7 @@ _PROTOTYPE = "prototype study of 42 cases a setting"
 _UNSTUDIED = "set when the rule was added; never studied by itself"
 _FRACTIONS = (
     "removed", "static", "nested_level", "rival", "close", "line_left", "chance", "level", "known", "simulation_level",
+    "fall", "ahead_level",
 )  # fmt: skip
 
 
@@ -116,6 +117,21 @@ class DiagnosisPolicy:
         0.5,
         "gain in log-likelihood for which the colour of the rest records is changed",
         _UNSTUDIED,
+    )
+    fall: float = _threshold(
+        0.05,
+        "fraction by which an effect must lower the held-out error of simulation to be kept by `est.improve`",
+        _UNSTUDIED,
+    )
+    near_noise: float = _threshold(
+        1.5,
+        "held-out error of simulation over the noise below which any fall is enough for that",
+        _UNSTUDIED,
+    )
+    ahead_level: float = _threshold(
+        0.05,
+        "probability that an effect is kept for its predictions one sample ahead by chance",
+        "convention",
     )
     simulation_noise: float = _threshold(
         SimulationLimits.beyond,

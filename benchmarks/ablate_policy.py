@@ -81,8 +81,8 @@ def with_patch(module: Any, name: str, instead: Any) -> Judge:
     return told
 
 
-def _no_look(*_: Any) -> Any:
-    return mock.Mock(ranked=[], near=[], way="filter")
+def _no_look(*_: Any) -> stepwise_selection.Look:
+    return stepwise_selection.Look([], [], "filter")
 
 
 def _without_traits(trait: str, value: object) -> Judge:

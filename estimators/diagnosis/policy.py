@@ -13,7 +13,6 @@ _PROTOTYPE = "prototype study of 42 cases a setting"
 _UNSTUDIED = "set when the rule was added; never studied by itself"
 _FRACTIONS = (
     "removed", "static", "nested_level", "rival", "close", "line_left", "chance", "level", "known", "simulation_level",
-    "fall", "ahead_level",
 )  # fmt: skip
 
 
@@ -160,7 +159,7 @@ class DiagnosisPolicy:
                 raise ValueError(
                     f"DiagnosisPolicy.{field.name} is {getattr(self, field.name)}; give a number that is not negative."
                 )
-        for name in _FRACTIONS:
+        for name in (*_FRACTIONS, "fall", "ahead_level"):
             if getattr(self, name) > 1:
                 raise ValueError(f"DiagnosisPolicy.{name} is {getattr(self, name)}; it is a fraction, at most 1.")
         for name in ("refits", "effects", "hidden"):

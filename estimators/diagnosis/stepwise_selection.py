@@ -46,7 +46,7 @@ class Selection:
 
 
 @dataclasses.dataclass(frozen=True)
-class Look:
+class _Look:
     """The candidates of a first step, rejecting or not, in the order of how strongly they are suspected.
 
     Attributes:
@@ -97,14 +97,14 @@ def _near(ranked: Sequence[Score], strength: Callable[[Score], float], close: fl
     return [s for s in ranked[1:] if strength(s) > (1 - close) * strength(ranked[0])]
 
 
-def unalarmed(laboratory: Laboratory, found: Selection, policy: DiagnosisPolicy) -> Look:
+def unalarmed(laboratory: Laboratory, found: Selection, policy: DiagnosisPolicy) -> _Look:
     """Return candidates that are large, but act at a few instants only."""
     large = suspects(found.findings.scores, found.tests, policy.critical)
     ranked = by_size(large, math.log(laboratory.facts.samples))[: policy.refits]
-    return Look(ranked, _near(ranked, _statistic, policy.close), "filter")
+    return _Look(ranked, _near(ranked, _statistic, policy.close), "filter")
 
 
-def hidden(laboratory: Laboratory, found: Selection, policy: DiagnosisPolicy) -> Look:
+def hidden(laboratory: Laboratory, found: Selection, policy: DiagnosisPolicy) -> _Look:
     """Return candidates that random forces of the predictor may hide.
 
     Where the innovations are far from white, what is alike in every second tells more than what is large. And where the most that
@@ -122,7 +122,7 @@ def hidden(laboratory: Laboratory, found: Selection, policy: DiagnosisPolicy) ->
     several = (*together, *alike[: policy.hidden], *large[: policy.hidden], *contacts)
     ranked = list({s.id: s for s in several}.values())
     names = {s.id for s in together}
-    return Look(ranked, [s for s in ranked[1:] if s.id in names], "thorough")
+    return _Look(ranked, [s for s in ranked[1:] if s.id in names], "thorough")
 
 
 def second_looks(laboratory: Laboratory, found: Selection, policy: DiagnosisPolicy) -> Selection:
@@ -145,7 +145,7 @@ def improvements(
     base: FittedModel,
     findings: Findings,
     policy: DiagnosisPolicy,
-    look: Look | None = None,
+    look: _Look | None = None,
 ) -> tuple[list[Step], Tried]:
     """Select effects that improve the model one after the other; return them and what was tried.
 
@@ -187,7 +187,7 @@ def _next_step(
     seen: Findings,
     tried: Tried,
     policy: DiagnosisPolicy,
-    look: Look | None,
+    look: _Look | None,
 ) -> Step | None:
     """Refit a model with its suspects and return the best that leaves no large line; add all of them to those that were tried."""
     price = math.log(laboratory.facts.samples)

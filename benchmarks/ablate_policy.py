@@ -81,8 +81,10 @@ def with_patch(module: Any, name: str, instead: Any) -> Judge:
     return told
 
 
-def _no_look(*_: Any) -> Any:
-    return mock.Mock(ranked=[], near=[], way="filter")
+def without_look(name: str) -> Judge:
+    """The judgement where one of the second looks finds nobody to suspect."""
+    look = getattr(stepwise_selection, name)
+    return with_patch(stepwise_selection, name, lambda *found: dataclasses.replace(look(*found), ranked=[], near=[]))
 
 
 def _without_traits(trait: str, value: object) -> Judge:
@@ -130,8 +132,8 @@ def rules() -> dict[str, Judge]:
     found |= {f"test: {words}": without_test(name) for name, words in tests.items()}
     found["repeats have a veto on what is named"] = with_patch(removed_error, "removed_by_repeats", lambda *_: 1.0)
     found["what overshadows the alarms is tried"] = with_patch(stepwise_selection, "overshadowing", lambda *_: [])
-    found["second look: large, but at a few instants"] = with_patch(stepwise_selection, "unalarmed", _no_look)
-    found["second look: what random forces may hide"] = with_patch(stepwise_selection, "hidden", _no_look)
+    found["second look: large, but at a few instants"] = without_look("unalarmed")
+    found["second look: what random forces may hide"] = without_look("hidden")
     found["contacts are tried however little they show"] = _without_traits("contact", False)
     found["what rings comes first where a line is most"] = _without_traits("rings", False)
     found["too few data: a suspect vetoes"] = with_patch(verdict, "few_for", lambda *_: False)

@@ -205,7 +205,7 @@ def improve(
                 stopped = f"Stopped: {most} effects were added; more seem to be missing."
                 break
             label = "+ " + ", ".join([*(c.id for c in added), effect.id])
-            step = add_effect(fits[-1], tested[-1], effect, label, train, held_out, progress=progress)
+            step = add_effect(fits[-1], tested[-1], effect, label, train, held_out, policy=policy, progress=progress)
             if isinstance(step, str):
                 stopped = step
                 break

@@ -9,6 +9,7 @@ import numpy as np
 from estimators.core.data import mark_of
 from estimators.core.fit import Fit
 from estimators.core.results import RESULTS, DivergedError, NotIdentifiableError
+from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
 from estimators.output_error.fit import output_error
 from estimators.prediction_error.fit import prediction_error_nonlinear
 from estimators.validation.predictive_likelihood import OneStepAhead, one_step_ahead
@@ -16,9 +17,6 @@ from estimators.validation.simulation_error import Compared, compare
 from rtac_jax import RTAC
 from rtac_jax.effects import Effect
 from rtac_jax.measurement import Recording
-
-_CLEAR = 0.05  # fraction by which the held-out error has to fall for a simulation to tell
-_NEAR = 1.5  # error of simulation in units of the noise below which any fall will do where the effect is simply fitted
 
 
 @dataclasses.dataclass(frozen=True)
@@ -69,7 +67,15 @@ class Added:
 
 
 def add_effect(
-    before: Fit, tested: Compared, effect: Effect, label: str, train: Recording, held_out: Recording, *, progress: bool
+    before: Fit,
+    tested: Compared,
+    effect: Effect,
+    label: str,
+    train: Recording,
+    held_out: Recording,
+    *,
+    policy: DiagnosisPolicy = STANDARD,
+    progress: bool,
 ) -> Added | str:
     """Return the model with an effect more that serves the held-out experiments better, or why there is none.
 
@@ -80,6 +86,7 @@ def add_effect(
         label: for the comparison.
         train: the recording that is fitted.
         held_out: the recording that validates.
+        policy: the thresholds by which it is kept.
         progress: show bars.
     """
     extended = before.model + effect
@@ -101,19 +108,24 @@ def add_effect(
             reasons.append(f"Stopped: with {effect.id} the model could not be fitted: {error}")
             continue
         steps.append(Added(fit, test, way))
-        if _falls_clearly(min((one.tested for one in bases), key=_misfit), test, way):
+        if _falls_clearly(min((one.tested for one in bases), key=_misfit), test, way, policy):
             return steps[-1]
         reasons.append(f"Stopped: with {effect.id} the held-out error would not fall.")
     if not steps:
         return reasons[0]
-    return _foreseen(effect, bases, steps, train, held_out) or (
+    return _foreseen(effect, bases, steps, train, held_out, policy) or (
         f"{reasons[0]} Held at the estimate of the diagnosis, or fitted by predictions one sample ahead, it would not help "
         "clearly either, and predictions are no better with it."
     )
 
 
 def _foreseen(
-    effect: Effect, bases: Sequence[Added], steps: Sequence[Added], train: Recording, held_out: Recording
+    effect: Effect,
+    bases: Sequence[Added],
+    steps: Sequence[Added],
+    train: Recording,
+    held_out: Recording,
+    policy: DiagnosisPolicy,
 ) -> Added | None:
     """Return the model that predicts the held-out experiments best one sample ahead; None if none is better.
 
@@ -128,11 +140,15 @@ def _foreseen(
     known = max((ahead(one) for one in bases), key=_likelihood)
     several = [(one, ahead(one)) for one in steps]
     step, best = max(several, key=lambda pair: _likelihood(pair[1]))
-    if best.surpasses(known, of=len(several)):
+    if best.surpasses(known, of=len(several), level=policy.ahead_level):
         gain = best.log_likelihood - known.log_likelihood
         return dataclasses.replace(step, foreseen=Foreseen(effect.id, gain, known.errors, best.errors))
     freely, its = several[0]
-    if freely.way == "simulated" and _misfit(freely.tested) <= _misfit(tested) and not known.surpasses(its):
+    if (
+        freely.way == "simulated"
+        and _misfit(freely.tested) <= _misfit(tested)
+        and not known.surpasses(its, level=policy.ahead_level)
+    ):
         return freely
     return None
 
@@ -180,13 +196,13 @@ def parameters_of(model: RTAC, effects: Sequence[str]) -> list[str]:
     return [name for name in model.parameters if name.split(".")[0] in effects]
 
 
-def _falls_clearly(before: Compared, after: Compared, way: str) -> bool:
+def _falls_clearly(before: Compared, after: Compared, way: str, policy: DiagnosisPolicy) -> bool:
     """Return whether the error falls by a twentieth.
 
     Near the noise, where the effect is simply fitted, any fall will do.
     """
     error, first = _misfit(after), _misfit(before)
-    return error <= (1 - _CLEAR) * first or (way == "simulated" and error <= first and error < _NEAR)
+    return error <= (1 - policy.fall) * first or (way == "simulated" and error <= first and error < policy.near_noise)
 
 
 def _misfit(compared: Any) -> float:

@@ -123,6 +123,21 @@ class DiagnosisPolicy:
         "gain in log-likelihood for which the colour of the rest records is changed",
         _UNSTUDIED,
     )
+    fall: float = _threshold(
+        0.05,
+        "fraction by which an effect must lower the held-out error of simulation to be kept by `est.improve`",
+        _UNSTUDIED,
+    )
+    near_noise: float = _threshold(
+        1.5,
+        "held-out error of simulation over the noise below which any fall is enough for that",
+        _UNSTUDIED,
+    )
+    ahead_level: float = _threshold(
+        0.05,
+        "probability that an effect is kept for its predictions one sample ahead by chance",
+        "convention",
+    )
     simulation_noise: float = _threshold(
         SimulationLimits.beyond,
         "squared simulation error over the squared noise from which the model misses more than the sensors do",
@@ -150,7 +165,7 @@ class DiagnosisPolicy:
                 raise ValueError(
                     f"DiagnosisPolicy.{field.name} is {getattr(self, field.name)}; give a number that is not negative."
                 )
-        for name in _FRACTIONS:
+        for name in (*_FRACTIONS, "fall", "ahead_level"):
             if getattr(self, name) > 1:
                 raise ValueError(f"DiagnosisPolicy.{name} is {getattr(self, name)}; it is a fraction, at most 1.")
         for name in ("refits", "effects", "hidden"):

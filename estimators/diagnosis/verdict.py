@@ -91,7 +91,7 @@ def judge(evidence: Evidence, policy: DiagnosisPolicy = STANDARD) -> Judgement:
     """
     archive = Archive(evidence)
     found = decide(archive, policy, thorough=evidence.thorough)
-    changed = [f"noise with another {name}" for name in _COLOUR if evidence.policy[name] != getattr(policy, name)]
+    changed = [f"noise with another {name}" for name in _COLOUR if evidence.policy.get(name) != getattr(policy, name)]
     return dataclasses.replace(found, incomplete=(*archive.missing, *changed))
 
 

@@ -21,7 +21,6 @@ from estimators.validation.model_comparison import by_sample, vuong
 from rtac_jax import RTAC
 from rtac_jax.measurement import Experiment, Recording
 
-_CHANCE = 0.05  # probability of calling a model better that is not
 _FEWEST = 5  # seconds of data, below which their scatter says nothing
 
 
@@ -46,12 +45,13 @@ class OneStepAhead:
         """Log-likelihood of all samples, less a constant."""
         return float(np.sum(self.by_sample))
 
-    def surpasses(self, other: "OneStepAhead", *, of: int = 1) -> bool:
-        """Return whether this makes the same samples likelier, by more than chance does in one of twenty cases.
+    def surpasses(self, other: "OneStepAhead", *, of: int = 1, level: float = 0.05) -> bool:
+        """Return whether this makes the same samples likelier, by more than chance does.
 
         Args:
             other: predictions of the same samples by another model.
             of: number of models of which this is the likeliest.
+            level: probability of calling a model better that is not.
 
         Source: Vuong, Econometrica 57 (1989), on sums over seconds, with Student's t for few of them.
         """
@@ -59,7 +59,7 @@ class OneStepAhead:
         if seconds < _FEWEST:
             return False
         statistic = vuong(self.by_sample, other.by_sample, self.stretches, 0.0)
-        return bool(statistic > scipy.stats.t.isf(_CHANCE / of, seconds - 1))
+        return bool(statistic > scipy.stats.t.isf(level / of, seconds - 1))
 
 
 def one_step_ahead(

@@ -1,5 +1,6 @@
 """Vuong's test of two models that need not contain each other, on sums over stretches of time."""
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -28,6 +29,8 @@ def vuong_statistic(better: Sequence[float], other: Sequence[float], price: floa
     Source: Vuong, Econometrica 57 (1989), on sums over stretches of time.
     """
     gain = np.asarray(better) - np.asarray(other)
-    scatter = float(np.std(gain, ddof=1)) * np.sqrt(len(gain)) if len(gain) > 1 else 0.0
+    scatter = float(np.std(gain, ddof=1)) * math.sqrt(len(gain)) if len(gain) > 1 else 0.0
     total = float(np.sum(gain)) - price
-    return total / scatter if scatter > 0 else float(np.sign(total) * np.inf) if total else 0.0
+    if scatter > 0:
+        return total / scatter
+    return math.copysign(math.inf, total) if total else 0.0

@@ -1,0 +1,148 @@
+"""Saved models on the command line: a fit of the same data is used as it stands, another model is fitted to them."""
+
+import dataclasses
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from command_line import call, refused
+from small_experiments import forced, free, rest
+
+import estimators as est
+import estimators.cli.control
+import rtac_jax as rtac
+from estimators.cli import job, models
+from estimators.core.data import mark_of
+from estimators.core.fisher_information import Information
+from rtac_jax.effects import CubicSpring
+from rtac_jax.measurement import Recording
+
+MODEL = (rtac.RTAC.paper() + CubicSpring(8e4)).fix("total_mass")
+
+
+def recording():
+    return Recording((free(), forced(), forced("forced_2"), rest()), {"total_mass": 1.23, "arm_inertia": 9.5e-5})
+
+
+def fit_of(*experiments):
+    count = len(MODEL.free)
+    information = Information(MODEL.free, 1e-6 * np.eye(count), np.eye(count), np.full(count, 0.01))
+    return est.Fit(
+        MODEL, est.RESULTS.successful, information, {"cart_position": 1e-5}, {"cart_position": 1e-5}, {},
+        tuple(e.name for e in experiments), {"agreed": 1, "starts": 1}, {e.name: mark_of(e) for e in experiments},
+    )  # fmt: skip
+
+
+@pytest.fixture
+def work(tmp_path):
+    recording().save(tmp_path / "rig.h5")
+    with job.job(tmp_path / "rig.h5", "forced_2") as made:
+        yield made
+
+
+@pytest.fixture
+def fitted(monkeypatch):
+    """What was fitted from which model; the fit itself has tests of its own."""
+    found = []
+
+    def output_error(model, train, **options):
+        found.append((model, train.names, options.get("from_model", False)))
+        return "another fit"
+
+    monkeypatch.setattr(est, "output_error", output_error)
+    return found
+
+
+def test_a_fit_of_the_same_data_is_used_as_it_stands(work, fitted, tmp_path):
+    fit_of(*(e for e in work.train if e.kind != "rest")).save(tmp_path / "fit.h5")
+    found = models.base_fit(work, tmp_path / "fit.h5")
+    assert isinstance(found, est.Fit)
+    assert str(found.model) == str(MODEL)
+    assert not fitted
+    assert work.remark == "The fit is that of fit.h5."
+
+
+@pytest.mark.parametrize("other", ["fewer", "changed", "model", "improvement"])
+def test_another_model_is_fitted_from_its_values(work, fitted, tmp_path, other):
+    first, second = (e for e in work.train if e.kind != "rest")
+    if other == "fewer":
+        fit_of(first).save(tmp_path / "it.h5")
+    elif other == "changed":
+        fit_of(first, forced(second.name, cart_position=np.arange(2000.0))).save(tmp_path / "it.h5")
+    elif other == "model":
+        MODEL.save(tmp_path / "it.h5")
+    else:
+        from made_up_results import improvement
+
+        dataclasses.replace(improvement(), fits=(fit_of(first), fit_of(first))).save(tmp_path / "it.h5")
+    assert models.base_fit(work, tmp_path / "it.h5") == "another fit"
+    ((model, names, from_model),) = fitted
+    assert str(model) == str(MODEL)
+    assert (names, from_model) == (("free", "forced", "rest"), True)
+    assert "The model of it.h5 was fitted to this recording, from its values on." in work.remark
+
+
+def test_experiments_that_a_judged_fit_has_seen_are_named(tmp_path, monkeypatch):
+    recording().save(tmp_path / "rig.h5")
+    fit_of(recording()["forced_2"]).save(tmp_path / "greedy.h5")
+    heard = []
+
+    def compared(work, fits, labels):
+        heard.append(work.remark)
+        raise ValueError("that is enough.")
+
+    monkeypatch.setattr(job.Job, "compared", compared)
+    MODEL.save(tmp_path / "plain.h5")
+    arguments = ("--model", tmp_path / "greedy.h5", "--model", tmp_path / "plain.h5", "--validation", "forced_2")
+    refused(call("compare", tmp_path / "rig.h5", *arguments), 1, "that is enough")
+    assert heard == ["greedy was fitted to forced_2, which are held out here, so its error there is too good."]
+
+
+def test_a_controller_is_designed_for_a_fit_of_another_recording(tmp_path, monkeypatch, fitted):
+    recording().save(tmp_path / "conditions.h5")
+    fit_of(free("elsewhere")).save(tmp_path / "better.h5")
+    used = SimpleNamespace(responses=[SimpleNamespace(name="forced")])
+    taken = []
+
+    def control(fit, *_, **__):
+        taken.append(fit)
+        raise ValueError("that is enough.")
+
+    monkeypatch.setattr(estimators.cli.control, "enveloped", lambda *_, **__: (used, []))
+    monkeypatch.setattr(est, "control", control)
+    refused(call("control", tmp_path / "conditions.h5", "--model", tmp_path / "better.h5"), 1, "that is enough")
+    assert taken[0].experiments == ("elsewhere",)
+    assert str(taken[0].model) == str(MODEL)
+    assert not fitted
+
+
+def test_a_model_with_an_effect_of_ones_own_needs_its_file(tmp_path):
+    recording().save(tmp_path / "rig.h5")
+    source = '''
+from typing import ClassVar
+from rtac_jax import parameter
+from rtac_jax.effects import Force
+
+class MagneticSpring(Force):
+    """A force."""
+    id: ClassVar[str] = "magnetic_spring"
+    equation: ClassVar[str] = "-k_5 q^5"
+    source: ClassVar[str] = "own rig"
+    port: ClassVar[str] = "cart"
+    nature: ClassVar[str] = "conservative"
+    stiffness: object = parameter(symbol="k_5", unit="N/m^5", meaning="stiffness", null=0.0, plausible=1.0)
+
+    def force(self, motion, own):
+        return -self.stiffness * motion.cart_position**5, 0.0
+'''
+    (tmp_path / "mine.py").write_text(source)
+    names: dict = {"__name__": "session"}
+    exec(source, names)
+    (rtac.RTAC.paper() + names["MagneticSpring"](1e6)).save(tmp_path / "own.h5")
+    refused(
+        call("improve", tmp_path / "rig.h5", "--model", tmp_path / "own.h5"), 2, "the effect magnetic_spring of your own",
+        "--effects FILE.py",
+    )  # fmt: skip
+    found = models.model_or_fit(tmp_path / "own.h5", tmp_path / "mine.py")
+    assert found.ids[-1] == "magnetic_spring"
+    assert float(found["magnetic_spring.stiffness"]) == 1e6

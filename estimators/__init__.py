@@ -26,6 +26,7 @@ from estimators.output_error.fit import output_error
 from estimators.prediction_error.fit import PredictorFit, prediction_error_nonlinear
 from estimators.study import Bootstrap, StudyResults, StudySpec, bootstrap, study
 from estimators.uncertainty.attribution import SOURCES, Attribution
+from estimators.uncertainty.closed_form_check import ClosedFormCheck, closed_form_check
 from estimators.uncertainty.effect_cost import EffectCost, effect_cost
 from estimators.uncertainty.envelope import Envelope, envelope
 from estimators.validation.simulation_error import Comparison, compare
@@ -41,6 +42,7 @@ __all__ = [
     "Bootstrap",
     "Candidate",
     "ClosedForm",
+    "ClosedFormCheck",
     "Comparison",
     "ControlDesign",
     "Covariances",
@@ -69,6 +71,7 @@ __all__ = [
     "__version__",
     "agreement",
     "bootstrap",
+    "closed_form_check",
     "compare",
     "control",
     "covariances",

@@ -13,6 +13,7 @@ from estimators.diagnosis.policy import DiagnosisPolicy
 from estimators.experiment_design.next_experiment import NextExperiment, PlannedExperiment, next_experiment
 from estimators.frequency_response.estimate import frequency_responses
 from estimators.frequency_response.response import FrequencyResponse, FrequencyResponses
+from estimators.inference.constancy import constancy
 from estimators.inference.cramer_rao import Expected, expected_std
 from estimators.inference.hausman import Agreement, agreement
 from estimators.inference.profile_likelihood import Profile, profile
@@ -73,6 +74,7 @@ __all__ = [
     "bootstrap",
     "closed_form_check",
     "compare",
+    "constancy",
     "control",
     "covariances",
     "diagnose",

@@ -16,6 +16,7 @@ from estimators.diagnosis.verdict import Judgement, judge
 from estimators.experiment_design.next_experiment import NextExperiment, PlannedExperiment, next_experiment
 from estimators.frequency_response.estimate import frequency_responses
 from estimators.frequency_response.response import FrequencyResponse, FrequencyResponses
+from estimators.inference.constancy import constancy
 from estimators.inference.cramer_rao import Expected, expected_std
 from estimators.inference.hausman import Agreement, agreement
 from estimators.inference.profile_likelihood import Profile, profile
@@ -29,6 +30,7 @@ from estimators.output_error.fit import output_error
 from estimators.prediction_error.fit import PredictorFit, prediction_error_nonlinear
 from estimators.study import Bootstrap, StudyResults, StudySpec, bootstrap, study
 from estimators.uncertainty.attribution import SOURCES, Attribution
+from estimators.uncertainty.closed_form_check import ClosedFormCheck, closed_form_check
 from estimators.uncertainty.effect_cost import EffectCost, effect_cost
 from estimators.uncertainty.envelope import Envelope, envelope
 from estimators.validation.channel_consistency import ChannelConsistency, Inconsistency, channel_consistency
@@ -46,6 +48,7 @@ __all__ = [
     "Candidate",
     "ChannelConsistency",
     "ClosedForm",
+    "ClosedFormCheck",
     "Comparison",
     "ControlDesign",
     "Covariances",
@@ -79,7 +82,9 @@ __all__ = [
     "agreement",
     "bootstrap",
     "channel_consistency",
+    "closed_form_check",
     "compare",
+    "constancy",
     "control",
     "covariances",
     "diagnose",

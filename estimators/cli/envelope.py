@@ -1,13 +1,13 @@
 """`rtac envelope`: one linear model and an uncertainty weight for many operating conditions."""
 
 from enum import StrEnum
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from estimators.cli.captions import shown
 from estimators.cli.conditions import Band, WeightOrder, band_of, enveloped, sides
-from estimators.cli.job import job
+from estimators.cli.job import Job, job
 from estimators.cli.options import File, Json, Out, Save, Validation
 
 
@@ -66,16 +66,18 @@ def envelope(
         conditions, sources = texts.conditions_table(found, used.responses), texts.sources_table(found)
         models, said = texts.models_table(found), texts.remarks(found, used)
         linear = [] if used.models is None else texts.models_said(used.models)
+        check, sentence = _closed_form(work, found, used)
+        said.append(sentence)
         work.save(found, save)
         work.say(found, *said[1:], *linear, conditions, sources)  # the envelope states its coverage itself
-        work.write_json(texts.envelope_dict(found, used, seconds=work.seconds))
+        work.write_json(texts.envelope_dict(found, used, seconds=work.seconds, closed_form=check))
         if work.folder is None:
             return
         from estimators.plots import plot_envelope, plot_responses
         from estimators.plots.envelope import finding
 
         found.save_mat(work.folder / "envelope.mat")
-        figures = {"envelope": plot_envelope(found), "responses": plot_responses(used.responses)}
+        figures = {"envelope": plot_envelope(found, check), "responses": plot_responses(used.responses)}
         captions = {
             "envelope": "Top: every condition and the nominal model. Below: how far each condition lies from it and the "
             "weight above them; |W| < 1 (0 dB) is where a controller may act. Bottom: what the distance comes from.",
@@ -96,3 +98,14 @@ def envelope(
             pictured = shown(figures, linear_models="The models and their residuals.")
             sections.insert(2, ("Linear models of the conditions", [*linear, *pictured]))
         work.write_report(f"Envelope of {work.file}", figures, sections, split=sides(found))
+
+
+def _closed_form(work: Job, found: Any, used: Any) -> tuple[Any, str]:
+    """Return the closed form beside an envelope and its sentence, or None and why there is none."""
+    from estimators.uncertainty.closed_form_check import closed_form_check
+
+    try:
+        check = closed_form_check(work.recording, found, used.responses)
+    except ValueError as error:
+        return None, f"The closed form cannot be held against the envelope: {error}"
+    return check, check.words

@@ -16,6 +16,8 @@ from rtac_jax.measurement import Experiment, Recording
 
 _TURNS = 4
 _DRY = "cart_coulomb.level"
+_NEAR = 0.05  # of the rms velocity, below which the sign of a filtered velocity is wrong
+_NEAR_WEAK = 0.2  # of the cart's fastest stretch, below which a test function is left out of the weak form
 AS_IN_PAPER: Mapping[str, Any] = {"weighting": "none", "near_zero": 0.0}
 """Options of `least_squares` that leave out what the paper does not write of: weights, and samples where the cart hardly moves."""
 
@@ -56,7 +58,8 @@ def least_squares(
             fastest stretch; by default 0.2.
 
     Returns:
-        Estimates per experiment and together. A stage without suitable experiments leaves the model's values.
+        Estimates per experiment and together; those of filtered measurements with the weak form's beside them, which shows their
+        bias. A stage without suitable experiments leaves the model's values.
 
     Raises:
         ValueError: an option is unknown or does not go with another.
@@ -69,11 +72,22 @@ def least_squares(
         raise ValueError("cutoff belongs to the filter, and the weak form has none; leave out cutoff, or weak=True.")
     if instruments and not weak:
         raise ValueError("instruments are integrals over earlier test functions; add weak=True.")
-    near = near_zero if near_zero is not None else 0.2 if weak else 0.05
+    near = near_zero if near_zero is not None else _NEAR_WEAK if weak else _NEAR
     options = ClosedFormOptions(weak, instruments, weak if reaction is None else reaction, weighting, cutoff, near)
     levels = noise_levels(recording.experiments)
     moves = [e for e in recording.experiments if e.kind != "rest"]
-    return with_constants(closed_form(model, moves, levels, options), moves, levels)
+    found = with_constants(closed_form(model, moves, levels, options), moves, levels)
+    if weak:
+        return found
+    beside = ClosedFormOptions(True, False, True, weighting, None, _NEAR_WEAK)
+    return dataclasses.replace(found, weak=with_constants(closed_form(model, moves, levels, beside), moves, levels))
+
+
+def starting_values(model: RTAC, recording: Recording) -> RTAC:
+    """Return the model with the default estimates of `least_squares`, and compute nothing beside them."""
+    options = ClosedFormOptions(False, False, False, "residual", None, _NEAR)
+    moving = [e for e in recording.experiments if e.kind != "rest"]
+    return closed_form(model, moving, noise_levels(recording.experiments), options).model
 
 
 def closed_form(

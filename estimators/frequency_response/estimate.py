@@ -1,13 +1,15 @@
 """Frequency responses of every condition without a model: best linear approximation, noise and distortion apart."""
 
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Complex128, Float64
 from scipy.signal.windows import hann
 
 from estimators.frequency_response.angle_reconstruction import arm_angles
-from estimators.frequency_response.local_polynomial import VanishingError, local_response
+from estimators.frequency_response.batched_local_polynomial import local_responses
+from estimators.frequency_response.local_polynomial import LocalFit, VanishingError, one_by_one
 from estimators.frequency_response.periodic import Lines, periodic_response
 from estimators.frequency_response.response import FrequencyResponse, FrequencyResponses
 from rtac_jax import RTAC
@@ -18,6 +20,9 @@ _SHOWN = (3, 0.3)  # so many lines have to be as certain, standard deviation ove
 _PERIODIC = 1e-6  # of its root mean square, by which a periodic input may differ from period to period
 _SILENT = 0.2  # of what is not zero, which may be zero in another period
 _HALF_WIDTH = 12
+_DEGREE = 2
+_POLES = 2
+_COMPILED = 500  # lines of all conditions, from which the compiled program pays for its start: 0.1 s of NumPy
 
 
 def frequency_responses(
@@ -32,8 +37,8 @@ def frequency_responses(
     band: tuple[float | int, float | int] | None = None,
     frequency: Float64[np.ndarray, " frequency"] | None = None,
     half_width: int = _HALF_WIDTH,
-    degree: int = 2,
-    poles: int = 2,
+    degree: int = _DEGREE,
+    poles: int = _POLES,
     realisations: Mapping[str, Sequence[str]] | None = None,
     angles: Mapping[str, Float64[np.ndarray, " sample"]] | None = None,
     model: RTAC | None = None,
@@ -82,20 +87,21 @@ def frequency_responses(
         raise ValueError(f"method: is {method!r}; use 'periodic' or 'local'.")
     groups = _groups(recording, realisations)
     turned = arm_angles(recording, [n for names in groups.values() for n in names], angles, model) if compensate else {}
+    ready: dict[str, Lines | _Spectra] = {}
+    for name in dict.fromkeys(n for names in groups.values() for n in names):
+        experiment = recording[name]
+        into, out = _signals(experiment, input, output, discard)
+        theta = turned.get(name)
+        x = into if theta is None else into * _between(np.cos(theta))[discard:]
+        repeats = period is not None and _repeated(x, period) is not None
+        if method == "periodic" or (method is None and repeats):
+            ready[name] = _periodic(experiment, x, out, period, into, degree, band)
+        else:
+            ready[name] = _spectra(experiment, x, out, into, band, frequency)
+    lines_of = {name: _held(one) for name, one in _fitted(ready, half_width, degree, poles).items()}
     found = []
     for condition, names in groups.items():
-        each = []
-        for name in names:
-            experiment = recording[name]
-            into, out = _signals(experiment, input, output, discard)
-            theta = turned.get(name)
-            x = into if theta is None else into * _between(np.cos(theta))[discard:]
-            repeats = period is not None and _repeated(x, period) is not None
-            if method == "periodic" or (method is None and repeats):
-                lines = _periodic(experiment, x, out, period, into, degree, band)
-            else:
-                lines = _local(experiment, x, out, into, band, frequency, half_width, degree, poles)
-            each.append(_continuous(lines, experiment, input))
+        each = [_continuous(lines_of[name], recording[name], input) for name in names]
         start = recording[names[0]].initial_arm_angle
         angle = None if turned.get(names[0]) is None else float(np.mean(turned[names[0]][discard:]))
         rms = float(np.sqrt(np.mean([np.mean(recording[n].inputs[input].values[discard:] ** 2) for n in names])))
@@ -103,6 +109,63 @@ def frequency_responses(
         check_shown(one)
         found.append(one)
     return FrequencyResponses(tuple(found))
+
+
+def condition_responses(
+    recording: Recording,
+    names: Sequence[str],
+    *,
+    frequency: Float64[np.ndarray, " frequency"],
+    half_width: Mapping[str, int],
+) -> dict[str, FrequencyResponse | ValueError]:
+    """Return what `frequency_responses` gives of each experiment by "local" on one grid, or why it gives nothing.
+
+    Args:
+        recording: with these experiments, and those at rest that tell the tachometer's bias.
+        names: of the experiments, each a condition.
+        frequency: [rad/s] the grid.
+        half_width: of the local fit, by name.
+    """
+    found: dict[str, FrequencyResponse | ValueError] = {}
+    ready: dict[str, _Spectra] = {}
+    angles: dict[str, np.ndarray] = {}
+    for name in names:
+        experiment = recording[name]
+        try:
+            angles |= arm_angles(recording, [name])
+            into, out = _signals(experiment, "current", "cart_position", 0)
+            ready[name] = _spectra(experiment, into * _between(np.cos(angles[name])), out, into, None, frequency)
+        except ValueError as error:
+            found[name] = error
+    for width in sorted(set(half_width.values())):
+        alike = {name: one for name, one in ready.items() if half_width[name] == width}
+        try:
+            fitted = _fitted(alike, width, _DEGREE, _POLES)
+        except ValueError:  # a record is too short for this width
+            fitted = {}
+            for name, one in alike.items():
+                try:
+                    fitted |= _fitted({name: one}, width, _DEGREE, _POLES)
+                except ValueError as error:
+                    fitted[name] = error
+        for name, lines in fitted.items():
+            experiment = recording[name]
+            try:
+                each = [_continuous(_held(lines), experiment, "current")]
+                rms = float(np.sqrt(np.mean(experiment.inputs["current"].values ** 2)))
+                angle = float(np.mean(angles[name]))
+                one = _condition(name, each, rms, angle, True, ("current", "cart_position"))
+                check_shown(one)
+                found[name] = one
+            except ValueError as error:
+                found[name] = error
+    return {name: found[name] for name in names}
+
+
+def _held(lines: Lines | ValueError) -> Lines:
+    if isinstance(lines, ValueError):
+        raise lines
+    return lines
 
 
 def _groups(recording: Recording, realisations: Mapping[str, Sequence[str]] | None) -> dict[str, list[str]]:
@@ -178,12 +241,23 @@ def _periodic(
     )
 
 
-def _local(
+class _Spectra(NamedTuple):
+    """What a local fit of one experiment takes."""
+
+    experiment: Experiment
+    into: Complex128[np.ndarray, "_bin"]
+    out: Complex128[np.ndarray, "_bin"]
+    lines: Float64[np.ndarray, "_line"]
+    step: float  # between lines [rad/s]
+    played: Float64[np.ndarray, "_sample"]
+
+
+def _spectra(
     experiment: Experiment, x: np.ndarray, y: np.ndarray, played: np.ndarray, band: tuple[float | int, float | int] | None,
-    frequency: np.ndarray | None, half_width: int, degree: int, poles: int,
-) -> Lines:  # fmt: skip
+    frequency: np.ndarray | None,
+) -> _Spectra:  # fmt: skip
     spectrum, out = np.fft.rfft(x), np.fft.rfft(y)
-    step = 2 * np.pi / (len(x) * experiment.sample_time)  # between lines [rad/s]
+    step = 2 * np.pi / (len(x) * experiment.sample_time)
     if frequency is not None:
         lines = frequency / step
     elif band is not None:
@@ -197,23 +271,54 @@ def _local(
             f"/experiments/{experiment.name}: no line, or lines outside {step:.3g} to {step * (len(spectrum) - 1):.3g} rad/s, "
             "are asked for; change band or frequency."
         )
-    lines = np.asarray(lines, dtype=np.float64)
-    try:
-        fit = local_response(spectrum, out, lines, half_width=half_width, degree=degree, poles=poles)
-    except VanishingError as error:
-        raise _vanishing(experiment, error.line * step) from None
-    near = np.clip(
-        np.rint(lines).astype(np.int64)[:, None] + np.arange(-half_width, half_width + 1), 1, len(spectrum) - 1
-    )
+    return _Spectra(experiment, spectrum, out, np.asarray(lines, dtype=np.float64), step, played)
+
+
+def _fitted(
+    ready: Mapping[str, "Lines | _Spectra"], half_width: int, degree: int, poles: int
+) -> dict[str, Lines | ValueError]:
+    """Fit all that is not fitted yet: in one compiled call where there are many lines, else by NumPy.
+
+    An experiment whose input vanishes at a line has its error instead.
+    """
+    waiting = {name: one for name, one in ready.items() if isinstance(one, _Spectra)}
+    many = sum(len(one.lines) for one in waiting.values()) >= _COMPILED
+    spectra = [(one.into, one.out, one.lines) for one in waiting.values()]
+    together = local_responses if many else one_by_one
+    fits = dict(zip(waiting, together(spectra, half_width=half_width, degree=degree, poles=poles), strict=True))
+    found: dict[str, Lines | ValueError] = {}
+    for name, one in ready.items():
+        if not isinstance(one, _Spectra):
+            found[name] = one
+            continue
+        fit = fits[name]
+        if isinstance(fit, VanishingError):
+            found[name] = _vanishing(one.experiment, fit.line * one.step)
+            continue
+        try:
+            found[name] = _judged(one, fit, half_width)
+        except ValueError as error:
+            found[name] = error
+    return found
+
+
+def _judged(one: _Spectra, fit: LocalFit, half_width: int) -> Lines:
+    """Return a local fit with its coherence.
+
+    Raises:
+        ValueError: the current itself vanishes around a line.
+    """
+    lines, bins = one.lines, len(one.into)
+    near = np.clip(np.rint(lines).astype(np.int64)[:, None] + np.arange(-half_width, half_width + 1), 1, bins - 1)
     # cos(theta) spreads the current over all lines, so that what vanishes shows in the current itself, under a window from which
     # little leaks where a period is cut.
-    current = np.abs(np.fft.rfft(played * hann(len(played), sym=False)))
+    current = np.abs(np.fft.rfft(one.played * hann(len(one.played), sym=False)))
     silent = np.max(current[near], axis=1) < _EXCITED * np.max(current[1:])
     if silent.any():
-        raise _vanishing(experiment, float(lines[np.argmax(silent)]) * step)
-    power = np.mean(np.abs(spectrum[near]) ** 2, axis=1) * np.abs(fit.response) ** 2
+        raise _vanishing(one.experiment, float(lines[np.argmax(silent)]) * one.step)
+    power = np.mean(np.abs(one.into[near]) ** 2, axis=1) * np.abs(fit.response) ** 2
     coherence = power / (power + fit.noise**2)
-    return Lines(lines * step, fit.response, fit.std, fit.std, None, None, coherence, fit.freedom)
+    return Lines(lines * one.step, fit.response, fit.std, fit.std, None, None, coherence, fit.freedom)
 
 
 def _vanishing(experiment: Experiment, frequency: float) -> ValueError:

@@ -1,13 +1,14 @@
 """Frequency response and transient from neighbouring lines of a spectrum: local polynomials and local fractions."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Complex128, Float64, Int, Real
+from jaxtyping import Bool, Complex128, Float64, Int, Real
 
 # Two take off the bias by noise; more would let a pole chase the noise of single lines where the data show none.
-_REFINEMENTS = 2
-_NOTHING = 1e-9  # of the largest line, below which an input is rounding
+REFINEMENTS = 2
+NOTHING = 1e-9  # of the largest line, below which an input is rounding
 
 
 class VanishingError(ValueError):
@@ -28,9 +29,9 @@ class LocalFit(NamedTuple):
         freedom: complex degrees of freedom of `noise`.
     """
 
-    response: Complex128[np.ndarray, " line"]
-    std: Float64[np.ndarray, " line"]
-    noise: Float64[np.ndarray, " line"]
+    response: Complex128[np.ndarray, "_line"]
+    std: Float64[np.ndarray, "_line"]
+    noise: Float64[np.ndarray, "_line"]
     freedom: int
 
 
@@ -67,6 +68,71 @@ def local_response(
 
     Source: Schoukens, Vandersteen, Barbe and Pintelon (2009), and for the fractions McKelvey and Guerin (2012).
     """
+    into_near, target, distance = windows_of(into, out, lines, half_width=half_width, degree=degree, poles=poles)
+    width, unknowns = target.shape[1], 2 * (degree + 1) + poles
+    powers = distance[:, :, None] ** np.arange(max(degree, poles) + 1)
+    regressors = np.concatenate(
+        [
+            powers[:, :, : degree + 1] * into_near[:, :, None],
+            powers[:, :, : degree + 1].astype(np.complex128),
+            -powers[:, :, 1 : poles + 1] * target[:, :, None],
+        ],
+        axis=2,
+    )
+    scale = np.sqrt(np.mean(np.abs(regressors) ** 2, axis=1, keepdims=True))
+    refuse_vanishing(lines, scale[:, 0, 0] <= NOTHING * np.max(np.abs(into[1:]), initial=0.0))
+    regressors /= np.where(scale > 0, scale, 1.0)
+    upper = np.linalg.qr(regressors, mode="r")
+    diagonal = np.abs(np.diagonal(upper, axis1=1, axis2=2))
+    refuse_vanishing(lines, diagonal[:, : degree + 1].min(axis=1) < NOTHING * diagonal.max(axis=1))
+    solution, first_row, left = _least_squares(regressors, target)
+    if poles:
+        # With noise on the output that equation has noise among its regressors, so the fraction itself is fitted next.
+        solution, first_row, left = _refined(
+            solution / scale[:, 0], target, regressors, scale, powers[:, :, 1 : poles + 1], 2 * (degree + 1)
+        )
+    solution, first_row = solution[:, 0] / scale[:, 0, 0], first_row / scale[:, 0, 0]
+    freedom = width - unknowns
+    noise = np.sqrt(np.sum(np.abs(left) ** 2, axis=1) / freedom)
+    return LocalFit(solution, noise * first_row, noise, freedom)
+
+
+# Axes without a name that counts: several spectra have each their own lengths.
+Spectra = tuple[Complex128[np.ndarray, "_bin"], Complex128[np.ndarray, "_bin"], Real[np.ndarray, "_line"]]
+"""Discrete Fourier transforms of an input and an output, and the lines asked for."""
+
+
+def one_by_one(
+    spectra: Sequence[Spectra], *, half_width: int, degree: int = 2, poles: int = 2
+) -> list[LocalFit | VanishingError]:
+    """Return `local_response` of several spectra, or its error where an input vanishes."""
+    found: list[LocalFit | VanishingError] = []
+    for into, out, lines in spectra:
+        try:
+            found.append(local_response(into, out, lines, half_width=half_width, degree=degree, poles=poles))
+        except VanishingError as error:
+            found.append(error)
+    return found
+
+
+class Windows(NamedTuple):
+    """Two spectra around each line."""
+
+    into: Complex128[np.ndarray, "line neighbour"]
+    out: Complex128[np.ndarray, "line neighbour"]
+    distance: Float64[np.ndarray, "line neighbour"]  # of the neighbours from the line, in half widths
+
+
+def windows_of(
+    into: Complex128[np.ndarray, " bin"],
+    out: Complex128[np.ndarray, " bin"],
+    lines: Real[np.ndarray, " line"],
+    *,
+    half_width: int,
+    degree: int,
+    poles: int,
+) -> Windows:
+    """Cut the lines beside each line out of two spectra; arguments and errors are those of `local_response`."""
     width = 2 * half_width + 1
     unknowns = 2 * (degree + 1) + poles
     if width <= unknowns:
@@ -81,37 +147,17 @@ def local_response(
     # Zero frequency holds the offset of the sensor, and no window contains it.
     first = np.clip(np.rint(lines).astype(np.int64) - half_width, 1, len(out) - width)
     window = first[:, None] + np.arange(width)
-    distance = (window - lines[:, None]) / half_width
-    powers = distance[:, :, None] ** np.arange(max(degree, poles) + 1)
-    regressors = np.concatenate(
-        [
-            powers[:, :, : degree + 1] * into[window][:, :, None],
-            powers[:, :, : degree + 1].astype(np.complex128),
-            -powers[:, :, 1 : poles + 1] * out[window][:, :, None],
-        ],
-        axis=2,
-    )
-    scale = np.sqrt(np.mean(np.abs(regressors) ** 2, axis=1, keepdims=True))
-    vanishes = scale[:, 0, 0] <= _NOTHING * np.max(np.abs(into[1:]), initial=0.0)
+    return Windows(into[window], out[window], (window - lines[:, None]) / half_width)
+
+
+def refuse_vanishing(lines: Real[np.ndarray, " line"], vanishes: Bool[np.ndarray, " line"]) -> None:
+    """Refuse lines around which the input shows no response.
+
+    Raises:
+        VanishingError: names the first of them.
+    """
     if vanishes.any():
         raise VanishingError(float(lines[np.argmax(vanishes)]))
-    regressors /= np.where(scale > 0, scale, 1.0)
-    upper = np.linalg.qr(regressors, mode="r")
-    diagonal = np.abs(np.diagonal(upper, axis1=1, axis2=2))
-    weak = diagonal[:, : degree + 1].min(axis=1) < _NOTHING * diagonal.max(axis=1)
-    if weak.any():
-        raise VanishingError(float(lines[np.argmax(weak)]))
-    target = out[window]
-    solution, first_row, left = _least_squares(regressors, target)
-    if poles:
-        # With noise on the output that equation has noise among its regressors, so the fraction itself is fitted next.
-        solution, first_row, left = _refined(
-            solution / scale[:, 0], target, regressors, scale, powers[:, :, 1 : poles + 1], 2 * (degree + 1)
-        )
-    solution, first_row = solution[:, 0] / scale[:, 0, 0], first_row / scale[:, 0, 0]
-    freedom = width - unknowns
-    noise = np.sqrt(np.sum(np.abs(left) ** 2, axis=1) / freedom)
-    return LocalFit(solution, noise * first_row, noise, freedom)
 
 
 def _least_squares(matrix: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -142,7 +188,7 @@ def _refined(
         return np.concatenate([top / below[:, :, None], by_poles], axis=2)
 
     value, below = model(scaled)
-    for _ in range(_REFINEMENTS):
+    for _ in range(REFINEMENTS):
         step, _, _ = _least_squares(jacobian(value, below), target - value)
         moved = scaled + step
         fresh, fresh_below = model(moved)

@@ -11,14 +11,14 @@ _EXCITED = 1e-6  # of the largest harmonic, from which a harmonic counts as exci
 _NEIGHBOURS = 14
 _DETECTORS = 8  # harmonics left out, nearest to a line, that tell its distortion
 
-Curve = Float64[np.ndarray, " frequency"]
+Curve = Float64[np.ndarray, "_frequency"]  # each condition has its own lines
 
 
 class Lines(NamedTuple):
     """A response at the lines of one experiment; see `FrequencyResponse`."""
 
     frequency: Curve
-    response: Complex128[np.ndarray, " frequency"]
+    response: Complex128[np.ndarray, "_frequency"]
     std: Curve
     noise_std: Curve
     odd: Curve | None

@@ -8,14 +8,18 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from estimators.core.data import CHANNELS, origins
+from estimators.core.data import CHANNELS, Data, moving, origins, pieces
 from estimators.core.fit import Fit
-from estimators.core.levenberg_marquardt import Arguments, plain_residual
+from estimators.core.initial_state import space_of
+from estimators.core.levenberg_marquardt import Arguments, plain_residual, solve
 from estimators.core.linearisation import Problem, at_fit
 from estimators.core.parameter_space import Unknowns
-from estimators.core.residual import diagonal_whitener, predict
+from estimators.core.residual import diagonal_whitener, no_gain, predict
+from estimators.core.sensor_noise import noise_levels
+from estimators.core.step_size import accurate_substeps
 from estimators.prediction_error.fit import PredictorFit
 from estimators.prediction_error.smoothed_initial_state import smoothed_start
+from rtac_jax import RTAC
 from rtac_jax.measurement import Experiment, Recording
 
 Outputs = Float[np.ndarray, "sample output experiment"]
@@ -45,7 +49,35 @@ class Shuffled:
         Where the sensors' noise was recorded at rest or stated and the residual is clearly above it, the residual is made
         as large as the noise: were the model right, there would be no more.
         """
-        problem = at_fit(fit, recording)
+        return cls._about(at_fit(fit, recording), fit.residual_std, fit.noise, recording, block)
+
+    @classmethod
+    def of_model(cls, model: RTAC, recording: Recording, *, block: float) -> "Shuffled":
+        """Build replicates around the simulation of a model at its own values, as a closed form gives it.
+
+        Only the states at the start of each experiment are fitted.
+
+        Raises:
+            FloatingPointError: the model diverges.
+        """
+        levels = noise_levels(recording.experiments)
+        experiments = pieces(moving(recording))
+        data, space = Data.of(experiments), space_of(model, experiments, free=[])
+        noise = np.array([levels.get(channel, 1.0) for channel in CHANNELS])
+        unknowns = space.unconstrained()
+        substeps = accurate_substeps(model, data, space, unknowns, noise)
+        arguments = Arguments(model, data, space, diagonal_whitener(noise, data), no_gain(model, data), substeps)
+        at = solve(unknowns, arguments, tolerance=1e-4, most=20).unknowns
+        problem = Problem(arguments, at, tuple(experiments), ())
+        left = np.asarray(plain_residual(at, arguments)[0])
+        count = np.maximum(np.asarray(data.present).sum(axis=(0, 2)), 1.0)
+        rms = noise * np.sqrt((left**2).sum(axis=(0, 2)) / count)
+        return cls._about(problem, dict(zip(CHANNELS, rms, strict=True)), levels, recording, block)
+
+    @classmethod
+    def _about(
+        cls, problem: Problem, rms: Mapping[str, float], noise: Mapping[str, float], recording: Recording, block: float
+    ) -> "Shuffled":
         arguments = dataclasses.replace(
             problem.arguments, whitener=diagonal_whitener(np.ones(len(CHANNELS)), problem.arguments.data)
         )
@@ -57,8 +89,8 @@ class Shuffled:
         known = any(e.kind == "rest" for e in recording.experiments)
         for row, channel in enumerate(CHANNELS):
             stated = any(e.outputs[channel].noise_std is not None for e in problem.experiments if channel in e.outputs)
-            if channel in fit.noise and (known or stated):
-                excess = fit.residual_std[channel] / fit.noise[channel]
+            if channel in noise and (known or stated):
+                excess = rms[channel] / noise[channel]
                 error[:, row] /= excess if excess > _EXCESS else 1.0
         return cls(problem, simulated, np.where(present, error, np.nan), lengths)
 

@@ -18,7 +18,7 @@ from estimators.core.fit import Fit
 from estimators.core.initial_state import scales_of
 from estimators.core.linearisation import at_fit
 from estimators.inference.assumptions import ASSUMES
-from estimators.inference.bootstrap import Shaken, Shuffled
+from estimators.inference.bootstrap import Shaken, Shuffled, Source
 from estimators.inference.estimates import MODAL, Result, Way, label_of, way_of
 from estimators.inference.shaken_simulation import shaken_by, signal_rms
 from estimators.inference.simulation_residual import SimulationResidual, known_noise, simulation_residual
@@ -219,12 +219,13 @@ def agreement(
 
     Where `prediction_error_nonlinear` is among the results, a replicate is its model struck by random forces and torques as
     large as it estimated; else it is the first output error's simulation with its residual, in blocks and in random order, as
-    the noise. The first kind counts disturbances of the rig, and so what they hide; the second takes them for a failing.
+    the noise, or without an output error the first closed form's, whose starts alone are fitted. The first kind counts
+    disturbances of the rig, and so what they hide; the second takes them for a failing.
     An output error that disturbances have led far astray, its residual many times the noise, is better left out.
 
     Args:
         results: of `least_squares`, `output_error`, `prediction_error_nonlinear` and `prediction_error`; at least one of the
-            second or third, and a closed form should be made with `weak=True`.
+            first three, and a closed form should be made with `weak=True`.
         recording: the one that all were made from.
         labels: of the results, each another.
         level: of the test.
@@ -247,17 +248,25 @@ def agreement(
     fits = [r for r in several if isinstance(r, Fit)]
     if len(several) < 2:
         raise ValueError("agreement holds estimates against each other; give two results or more.")
-    if not fits and not predictors:
+    closed = [r for r in several if isinstance(r, ClosedForm)]
+    if not fits and not predictors and not closed:
         raise ValueError(
-            "agreement needs a fit, whose simulation stands for the truth; add est.output_error's or "
-            "est.prediction_error_nonlinear's result."
+            "agreement needs an estimate of the physics, whose simulation stands for the truth; add est.least_squares's (with "
+            "weak=True), est.output_error's or est.prediction_error_nonlinear's result."
         )
     said = tuple(labels) if labels is not None else _labels(several)
     if len(said) != len(several) or len(set(said)) < len(said):
         raise ValueError(f"{len(several)} results need as many labels, each another, not {', '.join(said)}.")
-    source = Shaken.of(predictors[0]) if predictors else Shuffled.of(fits[0], recording, block=block)
+    if predictors:
+        source: Source = Shaken.of(predictors[0])
+    elif fits:
+        source = Shuffled.of(fits[0], recording, block=block)
+    else:
+        source = Shuffled.of_model(closed[0].model, recording, block=block)
     modal = any(isinstance(r, LinearModels) for r in several)
-    for names in {tuple(r.experiments) for r in (*fits, *predictors)} - {tuple((predictors or fits)[0].experiments)}:
+    for names in {tuple(r.experiments) for r in (*fits, *predictors)} - {
+        tuple(one.experiments) for one in (*predictors, *fits)[:1]
+    }:
         raise ValueError(
             f"the fits used different experiments, one of them {', '.join(names[:3])}; fit them to the same recording."
         )

@@ -13,7 +13,7 @@ from tqdm import tqdm
 
 from estimators.core.drawing import draw
 from estimators.frequency_response.response import FrequencyResponses
-from estimators.linear.homogeneity_test import Equality, equality_of
+from estimators.linear.homogeneity_test import Covariates, Equality, equality_of
 from estimators.linear.initialisation import Pair, pole_pairs
 from estimators.linear.model import LinearModel, Unknown
 from estimators.linear.model_sets import STRUCTURES, Scale, Structure
@@ -68,16 +68,18 @@ class LinearModels:
         """Return G of each condition on a grid [rad/s] with standard deviations, as `envelope` takes them."""
         return FrequencyResponses(tuple(one.frequency_response(omega) for one in self.models))
 
-    def equality(self, *, level: float = 0.01) -> Equality:
+    def equality(self, *, level: float = 0.01, covariates: Covariates | None = None) -> Equality:
         """Test whether all conditions have the same parameters; if not, name what drifts, and with which covariate.
 
         Args:
             level: of significance.
+            covariates: further ones, by name and condition, for instance {"temperature": {"run_1": 21.5, ...}}; a drift is
+                looked for with these beside the amplitudes of output and input, the arm's angle and the order of time.
 
         Raises:
-            ValueError: fewer than three conditions.
+            ValueError: fewer than three conditions, or a covariate lacks a value.
         """
-        return equality_of(self.models, level)
+        return equality_of(self.models, level, covariates)
 
     @property
     def verdict(self) -> str:

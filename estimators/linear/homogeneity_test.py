@@ -1,6 +1,6 @@
 """Test of homogeneity: whether the parameters of a linear model are the same in all conditions, and what drifts."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,9 +13,14 @@ from estimators.linear.model import LinearModel
 
 _DETERMINED = 0.5  # standard deviation over value
 _SINGULAR = 1e-9  # of correlations
+Covariates = Mapping[str, Mapping[str, float]]
+"""Further covariates: by name, and then by condition or experiment."""
+
 _WORDS = {
     "amplitude": "the amplitude (output rms)",
+    "input": "the input's amplitude (rms)",
     "angle": "the arm's angle (cos² θ₀)",
+    "mean_angle": "the mean arm angle (θ₀ [rad])",
     "time": "the order of time",
 }
 
@@ -25,8 +30,8 @@ class Trend:
     """The weighted regression of one quantity on one covariate.
 
     Attributes:
-        covariate: "amplitude", the rms of the output; "angle", cos^2 of the mean arm angle; "time", the order of the
-            conditions.
+        covariate: "amplitude", the rms of the output; "input", that of the input; "angle", cos^2 of the mean arm angle, and
+            "mean_angle", the angle itself; "time", the order of the conditions; or one that was given.
         slope, slope_std: change of the quantity over the range of the covariate. The deviation counts what scatters
             beyond the estimates' own uncertainty.
         share: fraction of the scatter's chi-square that the regression removes [1].
@@ -85,7 +90,7 @@ class Equality:
         if self.equal:
             return ()
         bound = self.level / len(self.names)
-        order = np.argsort(-np.sum((self.values - self.common) ** 2 / self.std**2, axis=0))
+        order = np.argsort(-np.nansum((self.values - self.common) ** 2 / self.std**2, axis=0))
         return tuple(self.names[i] for i in order if self.p_values[i] < bound) or (self.names[order[0]],)
 
     def best_trend(self, name: str) -> Trend | None:
@@ -113,7 +118,7 @@ class Equality:
                 said.append(f"{name[0].upper()}{name[1:]} scatters, with nothing that was looked at.")
             else:
                 said.append(
-                    f"{name[0].upper()}{name[1:]} drifts with {_WORDS[trend.covariate]}: {trend.slope:+.3g} ± "
+                    f"{name[0].upper()}{name[1:]} drifts with {covariate_words(trend.covariate)}: {trend.slope:+.3g} ± "
                     f"{trend.slope_std:.1g}{unit} over its range, {100 * trend.share:.0f} % of the scatter."
                 )
         return " ".join(said)
@@ -123,7 +128,7 @@ class Equality:
             f"{'quantity':24s} {'mean':>12s} {'its std':>9s} {'scatter/std':>11s} {'p':>9s}  drifts with",
         ]
         for i, name in enumerate(self.names):
-            sigma = float(np.sqrt(np.mean((self.values[:, i] - self.common[i]) ** 2 / self.std[:, i] ** 2)))
+            sigma = float(np.sqrt(np.nanmean((self.values[:, i] - self.common[i]) ** 2 / self.std[:, i] ** 2)))
             trend = self.best_trend(name) if name in self.drifting else None
             rows.append(
                 f"{name:24s} {self.common[i]:12.5g} {self.common_std[i]:9.2g} {sigma:11.2f} {self.p_values[i]:9.2g}  "
@@ -138,11 +143,44 @@ class Equality:
         return draw(self)
 
 
-def equality_of(models: Sequence[LinearModel], level: float) -> Equality:
-    """Test whether the models of all conditions have the same parameters, at this level of significance.
+def covariate_words(name: str) -> str:
+    """Return what a covariate is, in words."""
+    return _WORDS.get(name, name)
+
+
+def given_covariates(given: Covariates | None, names: Sequence[str]) -> dict[str, Float[np.ndarray, " condition"]]:
+    """Return covariates that a user gave, in the order of these conditions.
 
     Raises:
-        ValueError: fewer than three conditions determine their modes.
+        ValueError: a condition has no value, or one that is not finite, or too many were given.
+    """
+    found = {}
+    for covariate, values in (given or {}).items():
+        missing = [name for name in names if name not in values]
+        if missing:
+            raise ValueError(f"covariates: {covariate} has no value for {missing[0]}; give one for each condition.")
+        found[covariate] = np.array([float(values[name]) for name in names])
+        if not np.all(np.isfinite(found[covariate])):
+            wrong = names[int(np.argmin(np.isfinite(found[covariate])))]
+            raise ValueError(f"covariates: {covariate} of {wrong} is not finite; give a number.")
+    return found
+
+
+def varying(covariates: Mapping[str, Float[np.ndarray, " condition"]]) -> dict[str, Float[np.ndarray, " condition"]]:
+    """Return the covariates that differ between conditions."""
+    return {name: x for name, x in covariates.items() if np.ptp(x) > 1e-9 * np.max(np.abs(x))}
+
+
+def equality_of(models: Sequence[LinearModel], level: float, given: Covariates | None = None) -> Equality:
+    """Test whether the models of all conditions have the same parameters, at this level of significance.
+
+    Args:
+        models: of the conditions, in the order of time.
+        level: of significance.
+        given: further covariates, by name and condition.
+
+    Raises:
+        ValueError: fewer than three conditions determine their modes, or a covariate lacks a value.
     """
     everyone = models
     models = [m for m in everyone if not m.undetermined and _known(m)]
@@ -166,13 +204,15 @@ def equality_of(models: Sequence[LinearModel], level: float) -> Equality:
     alone = np.sum(weight * values, axis=0) / np.sum(weight, axis=0)
     each = np.sum(weight * (values - alone) ** 2, axis=0)
     covariates = {"amplitude": np.array([float(np.sqrt(np.nanmean(m.output**2))) for m in models])}
+    covariates["input"] = np.array([m.input_rms for m in models])
     angles = [m.arm_angle for m in models]
     if all(angle is not None for angle in angles):
         covariates["angle"] = np.cos(np.array(angles, dtype=float)) ** 2
-    covariates["time"] = np.arange(1, len(models) + 1, dtype=float)
-    covariates = {name: x for name, x in covariates.items() if np.ptp(x) > 1e-9 * np.max(np.abs(x))}
+        covariates["mean_angle"] = np.array(angles, dtype=float)
+    covariates["time"] = np.array([1 + place for place, m in enumerate(everyone) if m in models], dtype=float)
+    covariates = varying(covariates | given_covariates(given, [m.name for m in models]))
     trends = tuple(
-        tuple(_trend(name, x, values[:, i], std[:, i]) for name, x in covariates.items())
+        tuple(trend_of(name, x, values[:, i], np.diag(weight[:, i])) for name, x in covariates.items())
         for i in range(values.shape[1])
     )
     return Equality(
@@ -189,19 +229,21 @@ def _known(model: LinearModel) -> bool:
     return bool(np.all(model.std[:count] < _DETERMINED * model.values[:count]))
 
 
-def _trend(
-    name: str, covariate: Float[np.ndarray, " condition"], values: Float[np.ndarray, " condition"],
-    std: Float[np.ndarray, " condition"],
-) -> Trend:  # fmt: skip
+def trend_of(
+    name: str,
+    covariate: Float[np.ndarray, " condition"],
+    values: Float[np.ndarray, " condition"],
+    precision: Float[np.ndarray, "condition condition"],
+) -> Trend:
+    """Regress the values of a quantity on a covariate, weighted by the inverse of their covariance."""
     x = (covariate - np.min(covariate)) / np.ptp(covariate)
-    columns = np.stack([np.ones_like(x), x], axis=1) / std[:, None]
-    target = values / std
-    found, *_ = np.linalg.lstsq(columns, target, rcond=None)
-    left = float(np.sum((target - columns @ found) ** 2))
-    flat = columns[:, :1] @ np.linalg.lstsq(columns[:, :1], target, rcond=None)[0]
-    before = float(np.sum((target - flat) ** 2))
+    columns = np.stack([np.ones_like(x), x], axis=1)
+    information = columns.T @ precision @ columns
+    found = np.linalg.solve(information, columns.T @ precision @ values)
+    away, flat = values - columns @ found, values - np.sum(precision @ values) / np.sum(precision)
+    left, before = float(away @ precision @ away), float(flat @ precision @ flat)
     freedom = len(x) - 2
     excess = max(left / freedom, 1.0)
-    slope_std = float(np.sqrt(excess * np.linalg.inv(columns.T @ columns)[1, 1]))
+    slope_std = float(np.sqrt(excess * np.linalg.inv(information)[1, 1]))
     p_value = float(2 * scipy.stats.t.sf(abs(found[1]) / slope_std, freedom))
     return Trend(name, float(found[1]), slope_std, 1 - left / before if before > 0 else 0.0, p_value)

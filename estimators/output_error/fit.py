@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from tqdm import tqdm
 
-from estimators.closed_form.fit import least_squares
+from estimators.closed_form.fit import starting_values
 from estimators.core.active_bounds import OFF_BOUNDS, solve_bounded
 from estimators.core.data import CHANNELS, Data, mark_of, moving, pieces
 from estimators.core.fisher_information import information
@@ -163,7 +163,7 @@ def output_error(
 
 
 def _starts(model: RTAC, recording: Recording, experiments: Sequence[Experiment], count: int) -> list[tuple[str, RTAC]]:
-    first = least_squares(model, recording).model
+    first = starting_values(model, recording)
     found = [("the closed form", first)]
     if count > 1:
         found.append(("the model's values", model))

@@ -9,14 +9,17 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MultipleLocator, NullFo
 from estimators.frequency_response.response import FrequencyResponse, FrequencyResponses
 from estimators.plots.style import HATCHES, SMALL, UNITS, Picture, picture, tidy, title
 from estimators.uncertainty.attribution import SOURCES
+from estimators.uncertainty.closed_form_check import ClosedFormCheck
 from estimators.uncertainty.effect_cost import EffectCost
 from estimators.uncertainty.envelope import Envelope
 from estimators.uncertainty.nominal_model import log_measure
+from estimators.uncertainty.uncertainty_structures import errors
 
 _PLANT: dict[str, Any] = {"color": "0.6", "linewidth": 0.7}
 _HELD: dict[str, Any] = {"color": "0.35", "linewidth": 0.7, "linestyle": (0, (1, 1.5))}
 _NOMINAL: dict[str, Any] = {"color": "#08306b", "linewidth": 2.0}
 _WEIGHT: dict[str, Any] = {"color": "#e6550d", "linewidth": 2.0, "linestyle": "--"}
+_CLOSED: dict[str, Any] = {"color": "black", "linewidth": 1.3, "linestyle": "-."}
 _TONES = ("#08306b", "#e6550d", "0.75", "white")
 _WORDS = {
     "unmodelled": "unmodelled by P₀",
@@ -63,8 +66,13 @@ def plot_responses(responses: FrequencyResponses) -> Picture:
     return figure
 
 
-def plot_envelope(envelope: Envelope) -> Picture:
-    """Draw Fig. 6: responses with the nominal model, the model errors with the weight, and the sources of the errors."""
+def plot_envelope(envelope: Envelope, closed_form: ClosedFormCheck | None = None) -> Picture:
+    """Draw Fig. 6: responses with the nominal model, the model errors with the weight, and the sources of the errors.
+
+    Args:
+        envelope: to be drawn.
+        closed_form: drawn beside the responses, in all panels but the last.
+    """
     figure = picture(8.0, 8.6)
     axes = figure.subplots(4, 1, sharex=True, height_ratios=[2.0, 1.0, 1.7, 1.0])
     draw_responses(axes[0], envelope)
@@ -77,6 +85,14 @@ def plot_envelope(envelope: Envelope) -> Picture:
     axes[1].yaxis.set_major_locator(MultipleLocator(90))
     axes[1].set_ylabel("Phase [deg]", fontsize=SMALL)
     draw_profile(axes[2], envelope)
+    if closed_form is not None:
+        omega, word = closed_form.frequency, "closed form, linearised"
+        axes[0].semilogx(omega, _decibel(np.abs(closed_form.response)), **_CLOSED, label=word)
+        axes[1].semilogx(omega, phase + _degrees(closed_form.response / nominal), **_CLOSED)
+        gap = np.abs(errors(closed_form.response[None], nominal, envelope.kind))[0]
+        axes[2].semilogx(omega, _decibel(np.maximum(gap, 1e-3 * envelope.profile.max())), **_CLOSED, label=word)
+        axes[0].legend(fontsize=SMALL, loc="lower left", framealpha=0.9)
+        axes[2].legend(fontsize=SMALL, loc="lower left", ncols=3, framealpha=0.9)
     _draw_sources(axes[3], envelope)
     axes[3].set_xlabel("Frequency [rad/s]", fontsize=SMALL)
     for panel in (axes[1], axes[3]):

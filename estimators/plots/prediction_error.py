@@ -87,7 +87,7 @@ def plot_equality(found: Equality) -> Picture:
         if trend is None:
             x, words = np.arange(1, len(found.conditions) + 1, dtype=float), _WORDS["time"]
         else:
-            x, words = found.covariates[trend.covariate], _WORDS[trend.covariate]
+            x, words = found.covariates[trend.covariate], _WORDS.get(trend.covariate, trend.covariate)
         if words == _WORDS["time"]:
             axes.xaxis.set_major_locator(MaxNLocator(integer=True))
         common, spread = found.common[i], 1.96 * found.common_std[i]

@@ -11,7 +11,7 @@ import scipy.stats
 from jaxtyping import Float
 from tqdm import tqdm
 
-from estimators.closed_form.fit import least_squares
+from estimators.closed_form.fit import starting_values
 from estimators.core.active_bounds import OFF_BOUNDS
 from estimators.core.data import CHANNELS, Data, moving, pieces
 from estimators.core.drawing import draw
@@ -186,7 +186,7 @@ def prediction_error_nonlinear(
         raise ValueError("The model has no free parameter; release one with model.release(name).")
     levels = noise_levels(recording.experiments)
     data = Data.of(experiments)
-    start = model if from_model else least_squares(model, recording).model
+    start = model if from_model else starting_values(model, recording)
     shared = [name for name in start.free if name not in start.per_experiment]
     space = space_of(start, experiments, free=shared)
     scales = scales_of(start, experiments)

@@ -11,6 +11,7 @@ from estimators.linear.fit import LinearModels
 from estimators.reporting.html import Table
 from estimators.reporting.report import FORMAT, VERSION
 from estimators.uncertainty.attribution import SOURCE_WORDS, SOURCES
+from estimators.uncertainty.closed_form_check import ClosedFormCheck
 from estimators.uncertainty.condition_selection import UsableConditions
 from estimators.uncertainty.coverage import Coverage
 from estimators.uncertainty.envelope import Envelope
@@ -18,7 +19,9 @@ from estimators.uncertainty.envelope import Envelope
 _BANDS = 4
 
 
-def envelope_dict(found: Envelope, used: UsableConditions, *, seconds: float) -> dict[str, Any]:
+def envelope_dict(
+    found: Envelope, used: UsableConditions, *, seconds: float, closed_form: ClosedFormCheck | None = None
+) -> dict[str, Any]:
     """Return an envelope, ready for `write_json`; complex numbers are pairs of real and imaginary part."""
     distance = found.distance(used.responses)
     inside = distance <= 1
@@ -55,6 +58,14 @@ def envelope_dict(found: Envelope, used: UsableConditions, *, seconds: float) ->
         "conditions": conditions,
         "left_out": dict(used.left_out),
         "method": "local" if used.models is None else "prediction-error",
+        "closed_form": None
+        if closed_form is None
+        else {
+            "inside": closed_form.inside,
+            "in_words": closed_form.words,
+            "response": pairs(closed_form.response),
+            "needed": closed_form.needed.tolist(),
+        },
         "linear_models": None if used.models is None else models_said(used.models),
         "seconds": seconds,
     }
@@ -164,8 +175,27 @@ def remarks(found: Envelope, used: UsableConditions) -> list[str]:
             f"The arm's angle of {', '.join(used.integrated)} was integrated from its velocity, as none was measured; it drifts, "
             "and with it cos(theta)."
         )
+    said += _near_ninety_degrees(used)
     said += [f"Left out: {name}: {why.rstrip('.')}." for name, why in used.left_out.items()]
     return said
+
+
+def _near_ninety_degrees(used: UsableConditions) -> list[str]:
+    """State what the conditions in which the motor hardly moves the cart show, and what they cannot."""
+    if not used.without_grip:
+        return []
+    known = {one.name: 100 * float(np.median(one.std / np.abs(one.response))) for one in used.responses}
+    each = ", ".join(
+        f"{name} (cos θ of {used.grips[name]:.2g} rms; "
+        + (f"known to {known[name]:.0f} %" if name in known else "left out")
+        + ")"
+        for name in used.without_grip
+    )
+    return [
+        f"Arm near ±90°: {each}. There the coupling vanishes: the motor's push on the cart, the eccentric moment and the arm's "
+        "reaction go with cos θ, so the current shows the arm alone (torque constant over inertia, its friction), not the gain "
+        "from current to cart, nor the cart's mode, which only a free decay or a push on the cart shows there."
+    ]
 
 
 def models_said(models: LinearModels) -> list[str]:

@@ -1,15 +1,18 @@
 """Selection of the experiments that show a frequency response, all on one grid."""
 
 import re
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from estimators.frequency_response.estimate import DrownedError, check_shown, frequency_responses
-from estimators.frequency_response.response import FrequencyResponses
+from estimators.frequency_response.estimate import DrownedError, check_shown, condition_responses
+from estimators.frequency_response.response import FrequencyResponse, FrequencyResponses
 from estimators.linear.fit import LinearModels, prediction_error
 from rtac_jax.measurement import Experiment, Recording
 
+# rms of cos(theta), below which a fifth of the motor's push at most reaches the cart: 14 dB less, of a response whose noise stays.
+LEAST_GRIP = 0.2
 _INPUT, _OUTPUT = "current", "cart_position"
 _EDGES = (0.002, 0.998)  # of an input's energy, between which its band lies
 _MOST_LINES = 300  # of the grid: more make the envelope no closer
@@ -25,6 +28,8 @@ class UsableConditions:
         responses: of the conditions that could be used.
         left_out: why each other forced experiment could not.
         integrated: those of them whose angle was not measured but integrated from the arm's velocity.
+        grips: rms of cos(theta) of every forced experiment whose angle was measured: the fraction of the motor's push that reaches
+            the cart.
         models: that the responses are of, by the prediction error method, and those left out as hardly known; None where
             they are by local polynomials.
     """
@@ -33,6 +38,12 @@ class UsableConditions:
     left_out: dict[str, str]
     models: LinearModels | None = None
     integrated: tuple[str, ...] = ()
+    grips: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def without_grip(self) -> tuple[str, ...]:
+        """Names of the experiments, used or not, whose arm stood near 90 degrees."""
+        return tuple(name for name, grip in self.grips.items() if grip < LEAST_GRIP)
 
 
 def usable_conditions(
@@ -64,25 +75,26 @@ def usable_conditions(
         raise ValueError(_too_few([e.name for e in kept], left_out))
     grid = _grid(kept, band)
     rests = [e.name for e in recording if e.kind == "rest"]  # they tell the tachometer's bias
+    widths = {e.name: int(np.clip(round(_WINDOW * e.duration), _LEAST, _MOST)) for e in kept}
     found, shown = [], []
-    for e in kept:
-        half = int(np.clip(round(_WINDOW * e.duration), _LEAST, _MOST))
-        try:
-            only = recording.select([e.name, *rests])
-            found += frequency_responses(only, method="local", frequency=grid, half_width=half)
-            shown.append(e.name)
-        except DrownedError as error:
-            left_out[e.name] = str(error)
-        except ValueError as error:
-            if modes is None:
-                left_out[e.name] = str(error)
-            else:  # what a local fit lacks, a model may not
-                shown.append(e.name)
+    for name, one in condition_responses(recording, list(widths), frequency=grid, half_width=widths).items():
+        if isinstance(one, FrequencyResponse):
+            found.append(one)
+            shown.append(name)
+        elif modes is None or isinstance(one, DrownedError):
+            left_out[name] = str(one)
+        else:  # what a local fit lacks, a model may not
+            shown.append(name)
     if len(shown) < 2:
         raise ValueError(_too_few(shown, left_out))
     integrated = tuple(name for name in shown if "arm_angle" not in recording[name].outputs)
+    grips = {
+        e.name: float(np.sqrt(np.nanmean(np.cos(e.outputs["arm_angle"].values) ** 2)))
+        for e in kept
+        if "arm_angle" in e.outputs
+    }
     if modes is None:
-        return UsableConditions(FrequencyResponses(tuple(found)), left_out, None, integrated)
+        return UsableConditions(FrequencyResponses(tuple(found)), left_out, None, integrated, grips)
     models = prediction_error(recording.select([*shown, *rests]), modes=modes, progress=progress)
     known = []
     for one in models.responses(grid):
@@ -94,7 +106,7 @@ def usable_conditions(
     if len(known) < 2:
         raise ValueError(_too_few([one.name for one in known], left_out))
     integrated = tuple(one.name for one in known if one.name in integrated)
-    return UsableConditions(FrequencyResponses(tuple(known)), left_out, models, integrated)
+    return UsableConditions(FrequencyResponses(tuple(known)), left_out, models, integrated, grips)
 
 
 def _unfit(experiment: Experiment) -> str:

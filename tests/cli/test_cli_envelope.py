@@ -55,6 +55,26 @@ def test_the_weight_lies_above_every_condition(ran):
         np.testing.assert_allclose(factored(system, omega), at(system, omega), rtol=1e-5)
 
 
+def test_the_linearised_closed_form_is_beside_the_envelope(ran):
+    """Against equations (1) and (2) at small motions; the rig has dry friction, so its responses are damped more."""
+    text, _, content = ran
+    omega = np.array(content["frequency"])
+    s = 1j * omega
+    cart = RIG.total_mass * s**2 + RIG.cart_viscous * s + RIG.spring_stiffness
+    arm = RIG.arm_inertia * s**2 + 0.5 * (RIG.arm_viscous_positive + RIG.arm_viscous_negative) * s
+    truth = -RIG.eccentric_moment * s**2 * RIG.torque_constant / (cart * arm - (RIG.eccentric_moment * s**2) ** 2)
+    closed = np.array(content["closed_form"]["response"]) @ [1, 1j]
+    assert np.max(np.abs(closed / truth - 1)) < 0.01
+    nominal, weight = at(content["nominal"], omega), at(content["weight"], omega)
+    needed = np.abs(closed / nominal - 1) / np.abs(weight)
+    assert content["closed_form"]["needed"] == pytest.approx(needed.tolist(), rel=1e-5)
+    assert content["closed_form"]["inside"] == bool(np.all(needed <= 1))
+    words = content["closed_form"]["in_words"]
+    assert f"lies {'inside' if np.all(needed <= 1) else 'outside'} W" in words
+    assert f"{omega[np.argmax(needed)]:.3g} rad/s" in words
+    assert words in text.stdout
+
+
 def test_the_nominal_model_has_the_mode_of_the_rig(ran):
     poles = [complex(*pair) for pair in ran[2]["nominal"]["poles"]]
     natural = np.sqrt(RIG.spring_stiffness / RIG.total_mass)

@@ -365,6 +365,24 @@ def test_table_1_has_the_papers_form(as_in_paper: est.ClosedForm, disturbed: rta
     assert "Not consistent by the paper's rule of 30 %: K_v1" in str(loose)
 
 
+def test_the_printout_says_that_v_and_d_are_biased_and_shows_the_weak_form(quiet: rtac.Recording) -> None:
+    model = rtac.RTAC.from_rig(quiet)
+    found, weak = est.least_squares(model, quiet), est.least_squares(model, quiet, weak=True)
+    text = str(found)
+    assert "v and d are biased here" in text
+    assert found.weak is not None
+    for name, one in every(weak).items():
+        assert every(found.weak)[name].value == pytest.approx(one.value, rel=1e-12), name
+    row = next(line for line in text.splitlines() if line.startswith("v/k "))
+    assert f"{weak.ratios['v/k'].value:.4g}" in row
+    # What is said of the bias is so: v is 8 to 17 % too large, several of its stated deviations, and the weak form is not.
+    assert 0.05 < error(found, "v/k") < 0.2
+    assert error(found, "v/k") * TRUTH["v/k"] > 3 * found.ratios["v/k"].std
+    assert abs(error(weak, "v/k")) < 0.3 * error(found, "v/k")
+    assert "biased" not in str(weak)
+    assert weak.weak is None
+
+
 def test_table_1_as_a_picture(as_in_paper: est.ClosedForm) -> None:
     figure = as_in_paper.plot()
     assert "paper's rule of 30 %" in figure.get_suptitle()

@@ -328,3 +328,23 @@ def test_one_table_says_it_all(clean: rtac.Recording) -> None:
     row = next(line for line in text.splitlines() if line.startswith("spring_stiffness"))
     assert f"{fit.parameters['spring_stiffness'].value:.6g}" in row
     assert f"{closed.estimates['spring_stiffness'].value:.6g}" in row
+
+
+def test_a_closed_form_and_a_linear_fit_are_compared_without_an_output_error() -> None:
+    """The closed form's own simulation stands for the truth: they agree on a clean rig, not on one whose spring is cubic."""
+    verdicts = {}
+    for name, rig in (("clean", RIG), ("cubic", dataclasses.replace(RIG, cubic_spring=8e4))):
+        recording = recorded(rig, 3)
+        closed = est.least_squares(rtac.RTAC.from_rig(recording), recording, weak=True)
+        other = est.least_squares(rtac.RTAC.from_rig(recording), recording, weak=True, weighting="inertia")
+        linear = est.prediction_error(recording, structure="output_error", progress=False)
+        labels = ("closed form", "inertia", "linear")
+        found = agreement([closed, other, linear], recording, labels=labels, draws=30, progress=False)
+        assert not found.disturbed
+        assert found.simulation is None
+        place = found.names.index("natural frequency")
+        assert np.isfinite(found.values[[0, 2], place]).all()
+        verdicts[name] = found
+    assert not verdicts["clean"].rejected, str(verdicts["clean"])
+    pair = next(p for p in verdicts["cubic"].pairs if p.labels == ("closed form", "linear"))
+    assert pair.p_value < 0.01, str(verdicts["cubic"])

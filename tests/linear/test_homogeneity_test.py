@@ -35,13 +35,43 @@ def test_a_drift_is_found_and_named():
     assert test.drifting[0] == "natural frequency"
     trend = test.best_trend("natural frequency")
     assert trend is not None
-    assert trend.covariate == "amplitude"
-    assert trend.share > 0.8
-    # 0.02 of 10.5 rad/s over inputs from 0.5 to 2; the output's rms grows a little less evenly.
-    assert trend.slope == pytest.approx(-0.02 * 1.5 * np.sqrt(110), rel=0.2)
-    assert "drifts with the amplitude" in str(test)
+    # The truth drifts with the size of the input, and the output's rms, which grows a little less evenly, follows.
+    assert trend.covariate == "input"
+    assert trend.share > 0.9
+    # 0.02 of 10.5 rad/s over inputs from 0.5 to 2.
+    assert trend.slope == pytest.approx(-0.02 * 1.5 * np.sqrt(110), rel=0.1)
+    assert "drifts with the input's amplitude" in str(test)
+    output = next(t for t in test.trends[test.names.index("natural frequency")] if t.covariate == "amplitude")
+    assert output.share > 0.8
+    assert output.slope == pytest.approx(-0.02 * 1.5 * np.sqrt(110), rel=0.2)
     assert "drifts" in test.plot()._suptitle.get_text()
     assert found.plot()._suptitle.get_text()
+
+
+def test_a_drift_with_what_only_the_user_knows_is_found_and_named():
+    """The spring softens with a temperature that has nothing to do with amplitude or order."""
+    random = np.random.default_rng(9)
+    warm = random.permutation(np.linspace(18.0, 30.0, 9))
+    experiments = []
+    for i, degrees in enumerate(warm):
+        current = random.standard_normal(1200)
+        system = scipy.signal.tf2ss([2.0, 30.0], [1.0, 1.6, 110.0 * (1 - 0.002 * (degrees - 18.0)) ** 2])
+        a, b, c, d, _ = scipy.signal.cont2discrete(system, DT)
+        out = scipy.signal.dlsim((a, b, c, d, DT), current[:, None])[1][:, 0] + 0.05 * random.standard_normal(1200)
+        experiments.append(
+            Experiment.of(f"run_{i + 1}", kind="forced", sample_time=DT, current=current, cart_position=out)
+        )
+    found = est.prediction_error(Recording(tuple(experiments)), structure="output_error", compensate=False)
+    assert found.equality().best_trend("natural frequency") is None
+    measured = {e.name: float(t) for e, t in zip(experiments, warm, strict=True)}
+    test = found.equality(covariates={"temperature": measured})
+    trend = test.best_trend("natural frequency")
+    assert trend is not None
+    assert trend.covariate == "temperature"
+    assert trend.slope == pytest.approx(-0.002 * 12 * np.sqrt(110), rel=0.15)
+    assert "Natural frequency drifts with temperature" in test.verdict
+    with pytest.raises(ValueError, match="temperature has no value for run_2"):
+        found.equality(covariates={"temperature": {"run_1": 20.0}})
 
 
 def test_equal_conditions_are_called_equal_as_often_as_said():

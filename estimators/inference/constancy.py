@@ -1,0 +1,137 @@
+"""Test of constancy: whether the parameters of a nonlinear fit are the same in every experiment, and what they drift with."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import scipy.stats
+from jaxtyping import Float
+
+from estimators.core.data import moving
+from estimators.core.fit import Fit
+from estimators.core.linearisation import at_fit, rows_at
+from estimators.linear.homogeneity_test import Covariates, Equality, given_covariates, trend_of, varying
+from rtac_jax import require_configured
+from rtac_jax.measurement import Experiment, Recording
+
+# Information on a parameter in one experiment over that of the richest; with less, one linear step says nothing of it there.
+_SHOWN = 1e-4
+_LEAST = 3  # experiments that a trend and what scatters beside it need
+
+
+def constancy(fit: Fit, recording: Recording, *, covariates: Covariates | None = None, level: float = 0.01) -> Equality:
+    """Test whether every experiment has the parameters of a fit; if not, name what drifts, and with which covariate.
+
+    One parameter after the other is set free in every experiment, while the others, common to all, follow, by one
+    Gauss-Newton step from the fit: the estimates of experiments that fit alone would leave undetermined are told so, too. A
+    drift is looked for with the rms of input and output, the mean arm angle where it was measured, the place of the
+    experiment in the recording and whatever is given. The residual is taken as white
+    with the rms that the fit left, as the fit's own standard deviations take it.
+
+    Args:
+        fit: of output error.
+        recording: that was fitted.
+        covariates: further ones, by name and experiment, for instance {"temperature": {"free_1": 21.5, ...}}, or a time.
+        level: of significance.
+
+    Returns:
+        Estimates by experiment, NaN where it does not show the parameter; p-values, trends and a verdict.
+
+    Raises:
+        ValueError: fewer than three experiments, the recording is another, or a covariate lacks a value.
+        RuntimeError: JAX was not configured for double precision.
+
+    Source: a test of parameter constancy by scores as in Nyblom, J. Am. Stat. Assoc. 84 (1989), with experiments for times.
+    """
+    require_configured()
+    problem = at_fit(fit, recording)
+    experiments = problem.experiments
+    if len(experiments) < _LEAST:
+        raise ValueError(f"constancy: {len(experiments)} experiment(s) show no drift; give at least {_LEAST}.")
+    rows = rows_at(problem)
+    information = np.einsum("soep,soeq->epq", rows.jacobian, rows.jacobian)
+    slope = np.einsum("soep,soe->ep", rows.jacobian, rows.residual)
+    names = problem.names
+    estimates = np.array([float(np.asarray(fit.model[name])) for name in names])
+    every = _covariates(experiments, recording, covariates)
+    shape = (len(experiments), len(names))
+    values, std = np.full(shape, np.nan), np.full(shape, np.nan)
+    common, common_std, p_values = estimates.copy(), np.zeros(len(names)), np.ones(len(names))
+    trends = []
+    for i in range(len(names)):
+        shown = information[:, i, i] > _SHOWN * np.max(information[:, i, i])
+        if np.sum(shown) < _LEAST:
+            trends.append(())
+            common_std[i] = fit.parameters[names[i]].std
+            continue
+        away, precision = _by_experiment(information, slope, i, shown)
+        each = estimates[i] + away
+        values[shown, i], std[shown, i] = each, np.sqrt(np.diagonal(np.linalg.inv(precision)))
+        weight = np.sum(precision, axis=0)
+        common[i], common_std[i] = float(weight @ each / np.sum(weight)), float(1 / np.sqrt(np.sum(weight)))
+        beside = each - common[i]
+        p_values[i] = scipy.stats.chi2.sf(beside @ precision @ beside, int(np.sum(shown)) - 1)
+        told = varying({name: x[shown] for name, x in every.items()})
+        trends.append(tuple(trend_of(name, x, each, precision) for name, x in told.items()))
+    chi_square, freedom = _jointly(information, slope)
+    return Equality(
+        names=names, units=tuple(fit.model.parameters[name].unit for name in names),
+        conditions=tuple(e.name for e in experiments), values=values, std=std, common=common, common_std=common_std,
+        chi_square=chi_square, freedom=freedom, p_value=float(scipy.stats.chi2.sf(chi_square, freedom)), p_values=p_values,
+        trends=tuple(trends), covariates=every,
+        left_out=tuple(e.name for e, row in zip(experiments, values, strict=True) if np.all(np.isnan(row))), level=level,
+    )  # fmt: skip
+
+
+def _by_experiment(
+    information: Float[np.ndarray, "experiment parameter parameter"],
+    slope: Float[np.ndarray, "experiment parameter"],
+    place: int,
+    shown: np.ndarray,
+) -> tuple[Float[np.ndarray, " experiment"], Float[np.ndarray, "experiment experiment"]]:
+    """Return steps of one parameter in each experiment and their precision, with the other parameters eliminated."""
+    others = np.arange(information.shape[1]) != place
+    total = np.sum(information, axis=0)
+    size = 1 / np.sqrt(np.diagonal(total))
+    between = information[shown][:, place, others] * size[others]
+    inverse = np.linalg.pinv(total[np.ix_(others, others)] * np.outer(size[others], size[others]), hermitian=True)
+    precision = np.diag(information[shown, place, place]) - between @ inverse @ between.T
+    wanted = slope[shown, place] - between @ inverse @ (np.sum(slope, axis=0)[others] * size[others])
+    return -np.linalg.solve(precision, wanted), precision
+
+
+def _jointly(
+    information: Float[np.ndarray, "experiment parameter parameter"], slope: Float[np.ndarray, "experiment parameter"]
+) -> tuple[float, int]:
+    """Return chi-square of all parameters being free in all experiments against common ones, and its freedom."""
+    size = 1 / np.sqrt(np.diagonal(np.sum(information, axis=0)))
+    scaled, scores = information * np.outer(size, size), slope * size
+
+    def explained(matrix: np.ndarray, score: np.ndarray) -> tuple[float, int]:
+        values, vectors = np.linalg.eigh(matrix)
+        kept = values > _SHOWN * np.max(values)
+        return float(np.sum((vectors[:, kept].T @ score) ** 2 / values[kept])), int(np.sum(kept))
+
+    each = [explained(a, g) for a, g in zip(scaled, scores, strict=True)]
+    together = explained(np.sum(scaled, axis=0), np.sum(scores, axis=0))
+    return sum(e[0] for e in each) - together[0], max(1, sum(e[1] for e in each) - together[1])
+
+
+def _covariates(
+    experiments: Sequence[Experiment], recording: Recording, given: Covariates | None
+) -> dict[str, Float[np.ndarray, " experiment"]]:
+    def rms(values: np.ndarray) -> float:
+        return float(np.sqrt(np.nanmean(values**2)))
+
+    channel = next(
+        (c for c in ("cart_position", "arm_angle", "arm_velocity") if all(c in e.outputs for e in experiments)), ""
+    )
+    found = {}
+    if channel:
+        found["amplitude"] = np.array([rms(e.outputs[channel].values) for e in experiments])
+    found["input"] = np.array([rms(e.inputs["current"].values) if "current" in e.inputs else 0.0 for e in experiments])
+    if all("arm_angle" in e.outputs for e in experiments):
+        angle = np.array([float(np.nanmean(e.outputs["arm_angle"].values)) for e in experiments])
+        found |= {"mean_angle": angle, "angle": np.cos(angle) ** 2}
+    order = {e.name: float(1 + place) for place, e in enumerate(moving(recording))}
+    found["time"] = np.array([order.get(e.name, float(1 + n)) for n, e in enumerate(experiments)])
+    return varying(found | given_covariates(given, [e.name for e in experiments]))

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from estimators.core.fisher_information import Information
+from estimators.core.information_criteria import InformationCriteria
 from estimators.core.results import RESULTS
 from rtac_jax import RTAC
 
@@ -34,7 +35,7 @@ class Fit:
         start: states at the start of each experiment, SI units.
         experiments: names of the experiments.
         statistics: cost, or log_likelihood where predictions one sample ahead were fitted; steps, seconds, starts and how many
-            agreed, substeps.
+            agreed, substeps; samples of each channel, and the number of unknowns.
         marks: of each experiment's measurements, which tell it from another of the same name.
     """
 
@@ -58,6 +59,16 @@ class Fit:
             if name not in self.model.per_experiment
         }
 
+    @property
+    def criteria(self) -> InformationCriteria | None:
+        """AIC, BIC and FPE; None for a model that is held at what a diagnosis estimated.
+
+        The simulation's errors count as white, which they are where nothing is missing from the model.
+        """
+        if "samples" not in self.statistics:
+            return None
+        return InformationCriteria.of_rms(self.residual_std, self.statistics["samples"], self.statistics["unknowns"])
+
     def __str__(self) -> str:
         lines = [f"{'parameter':30s} {'value':>12s} {'std':>10s}  unit"]
         for name, found in self.parameters.items():
@@ -66,4 +77,6 @@ class Fit:
         for channel, rms in self.residual_std.items():
             lines.append(f"residual of {channel}: {rms:.4g} rms, {rms / self.noise[channel]:.2f} times its noise")
         agreed = f"{self.statistics['agreed']} of {self.statistics['starts']} starts agree"
+        if self.criteria is not None:
+            lines.append(str(self.criteria))
         return "\n".join([*lines, f"{RESULTS[self.result]} {agreed}."])

@@ -8,14 +8,13 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
-from scipy.fft import next_fast_len
-from scipy.signal.windows import parzen
-from scipy.stats import chi2, norm
 
 from estimators.core.active_bounds import solve_bounded
+from estimators.core.correlation import LAGS, CrossCorrelation, Whiteness, centred, cross_correlation, whiteness
 from estimators.core.data import CHANNELS, Data, mark_of, moving
 from estimators.core.drawing import draw
 from estimators.core.fit import Fit
+from estimators.core.information_criteria import InformationCriteria
 from estimators.core.initial_rest import at_rest, best_starts, may_swing, squares
 from estimators.core.initial_state import space_of
 from estimators.core.levenberg_marquardt import Arguments, plain_residual
@@ -24,7 +23,9 @@ from estimators.core.residual import diagonal_whitener, no_gain
 from estimators.core.results import DivergedError
 from estimators.core.sensor_noise import noise_levels
 from estimators.core.step_size import accurate_substeps
+from estimators.prediction_error.fit import PredictorFit
 from estimators.validation.extrapolation import beyond
+from estimators.validation.prediction_ahead import ahead_of
 from rtac_jax import RTAC, require_configured
 from rtac_jax.measurement import Experiment, Recording
 
@@ -34,6 +35,7 @@ _NOISE = 1.2  # mean square of an error over its noise, from which on a start is
 _LOST = 1e100  # an output beyond this has left all bounds, and its square would overflow
 
 Values = Float[np.ndarray, " sample"]
+Fitted = Fit | PredictorFit | RTAC
 
 
 @dataclasses.dataclass(frozen=True)
@@ -77,7 +79,8 @@ class Trace:
 
     def autocorrelation(self, lags: int = 50) -> tuple[Float[np.ndarray, " lag"], float]:
         """Return the residual's autocorrelation at lags 0 to `lags`, and the 99 % band for white noise."""
-        return _correlation(self.residual, self.residual, lags)
+        found = self._whiteness(min(lags, len(self.time) - 1))
+        return np.append(1.0, found.autocorrelation), found.band
 
     def cross_correlation(self, lags: int = 50) -> tuple[Float[np.ndarray, " lag"], float]:
         """Return the correlation of the residual with the input 0 to `lags` samples before, and its 99 % band.
@@ -86,54 +89,24 @@ class Trace:
 
         Source: Bartlett, J. R. Statist. Soc. Suppl. 8 (1946); Ljung, System Identification (1999), section 16.6.
         """
-        found, _ = _correlation(self.residual, self.current, lags)
-        return found, _independence_band(self.residual, self.current)
+        found = self.input_correlation(lags)
+        return found.values[found.lags >= 0], found.band
+
+    def input_correlation(self, lags: int = 50) -> CrossCorrelation:
+        """Return the correlation of the residual with the input at lags -`lags` to `lags`, with its 99 % band.
+
+        At negative lags the input follows the residual, as feedback makes it.
+        """
+        return cross_correlation(self.residual, self.current, lags)
 
     @property
     def whiteness_p(self) -> float:
         """Probability that white noise is at least as correlated over 25 lags (Ljung and Box, Biometrika 65, 1978)."""
-        lags = int(min(25, np.sum(np.isfinite(self.residual)) // 4))
-        if lags < 1:
-            return 1.0
-        correlation, _ = self.autocorrelation(lags)
-        count = int(np.sum(np.isfinite(self.residual)))
-        statistic = count * (count + 2) * np.sum(correlation[1:] ** 2 / (count - np.arange(1, lags + 1)))
-        return float(chi2.sf(statistic, lags))
+        lags = int(min(LAGS, np.sum(np.isfinite(self.residual)) // 4))
+        return 1.0 if lags < 1 else self._whiteness(lags).p_value
 
-
-def _correlation(a: Values, b: Values, lags: int) -> tuple[np.ndarray, float]:
-    """Return the cross-correlation, and the 99 % band if one of the two is white."""
-    x, z = _centred(a), _centred(b)
-    lags = min(lags, len(x) - 1)
-    size = np.sqrt(np.sum(x**2) * np.sum(z**2))
-    found = np.array([np.sum(x[k:] * z[: len(z) - k]) for k in range(lags + 1)])
-    return found / size if size > 0 else 0 * found, float(norm.ppf(0.995) / np.sqrt(max(np.isfinite(a).sum(), 1)))
-
-
-def _independence_band(a: Values, b: Values) -> float:
-    """Return the 99 % band of the cross-correlation of independent signals.
-
-    Its variance is sum_k R_a(k) R_b(k) / N.
-    """
-    own = _autocorrelation(_centred(a)) * _autocorrelation(_centred(b))
-    # Over all lags the sum would be the mean square of the correlations themselves, and nothing could stand out of it;
-    # and Parzen's window keeps it positive, which a cut would not.
-    longest = max(len(own) // 3, 1)
-    weight = parzen(2 * longest - 1)[longest - 1 :]
-    inflation = own[0] + 2 * float(np.sum((weight * own[:longest])[1:]))
-    return float(norm.ppf(0.995) * np.sqrt(inflation / len(own)))
-
-
-def _autocorrelation(x: Values) -> Float[np.ndarray, " lag"]:
-    """Return the autocorrelation at all lags; one at lag zero also where there is no signal."""
-    length = next_fast_len(2 * len(x))
-    found = np.fft.irfft(np.abs(np.fft.rfft(x, length)) ** 2, length)[: len(x)]
-    return found / found[0] if found[0] > 0 else np.eye(1, len(x))[0]
-
-
-def _centred(a: Values) -> Values:
-    """Return the signal without its mean, and zero where nothing was measured."""
-    return np.nan_to_num(a - np.nanmean(a)) if np.isfinite(a).any() else np.zeros_like(a)
+    def _whiteness(self, lags: int) -> Whiteness:
+        return whiteness(centred(self.residual), np.isfinite(self.residual).astype(float), lags)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -156,6 +129,7 @@ class Compared:
         start: states at the start that were used, by experiment.
         beyond: experiments in which a learned force of the model is asked beyond its range; the variable, and at which fraction
             of the samples.
+        criteria: AIC, BIC and FPE of the fit, on what it was fitted to; None where no fit was given.
     """
 
     label: str
@@ -163,6 +137,7 @@ class Compared:
     traces: tuple[Trace, ...]
     start: Mapping[str, Float[np.ndarray, " state"]]
     beyond: Mapping[str, tuple[str, float]]
+    criteria: InformationCriteria | None = None
 
     @property
     def errors(self) -> dict[str, ChannelError]:
@@ -187,12 +162,19 @@ class Compared:
 
 @dataclasses.dataclass(frozen=True)
 class Comparison:
-    """The result of `compare`: one or several models against the same measurements."""
+    """The result of `compare`: one or several models against the same measurements.
+
+    Attributes:
+        models: each with its traces.
+        ahead: samples by which the models predict; None for free simulations.
+    """
 
     models: tuple[Compared, ...]
+    ahead: int | None = None
 
     def __str__(self) -> str:
-        lines = [
+        lines = [] if self.ahead is None else [f"predictions {self.ahead} sample(s) ahead"]
+        lines += [
             f"{'model':18s} {'experiment':16s} {'channel':14s} {'fit':>8s} {'rms':>10s} {'rms/noise':>10s}  residual"
         ]
         for compared in self.models:
@@ -207,6 +189,8 @@ class Comparison:
                     f"{compared.label:18s} {'all':16s} {channel:14s} {error.fit_percent:7.2f}% {error.rms:10.4g} "
                     f"{error.rms_over_noise:10.2f}"
                 )
+            if compared.criteria is not None:
+                lines.append(f"{compared.label}: {compared.criteria}, of the fit on what it was fitted to")
             for experiment, (variable, share) in compared.beyond.items():
                 lines.append(
                     f"{compared.label}: at {100 * share:.0f} % of {experiment} {variable} lies beyond the range of the learned "
@@ -220,16 +204,18 @@ class Comparison:
 
 
 def compare(
-    fits: Fit | RTAC | Sequence[Fit | RTAC],
+    fits: Fitted | Sequence[Fitted],
     recording: Recording,
     *,
     labels: Sequence[str] | None = None,
     start_samples: int | None = None,
+    ahead: int | None = None,
 ) -> Comparison:
-    """Simulate models freely and hold them against a recording.
+    """Simulate models freely, or predict some samples ahead, and hold them against a recording.
 
     The states at the start, and parameters that each experiment has for itself, are fitted to the experiment; everything
-    else is the model's.
+    else is the model's. Predictions begin at the state to which a Kalman filter mends the model at each sample, with the
+    random forces and the sensor noise of a `PredictorFit`, or, for other fits, those that make the recording likeliest.
 
     Args:
         fits: one or several fits or models.
@@ -237,13 +223,16 @@ def compare(
         labels: one for each of them.
         start_samples: use only so many samples to set the start, and leave them out of the error; by default the whole
             experiment sets its start, or its beginning where it is very long and the arm cannot wander.
+        ahead: predict so many samples ahead instead; the first so many of an experiment do not count.
 
     Raises:
-        ValueError: nothing moves in the recording, or the labels do not fit.
+        ValueError: nothing moves in the recording, the labels do not fit, or `ahead` is not positive.
         DivergedError: a model leaves all bounds in an experiment; the message names both.
     """
     require_configured()
-    several = [fits] if isinstance(fits, Fit | RTAC) else list(fits)
+    if ahead is not None and ahead < 1:
+        raise ValueError(f"ahead: is {ahead}; give at least 1 sample, or None for a free simulation.")
+    several = [fits] if isinstance(fits, Fit | PredictorFit | RTAC) else list(fits)
     names = list(labels) if labels is not None else ["model"] if len(several) == 1 else _default_labels(several)
     if len(names) != len(several):
         raise ValueError(f"{len(several)} models need as many labels, not {len(names)}.")
@@ -254,26 +243,28 @@ def compare(
         levels |= {c: s for c, s in fitted.noise.items() if c in levels}
     return Comparison(
         tuple(
-            _compare_one(fit, label, experiments, levels, start_samples)
+            _compare_one(fit, label, experiments, levels, start_samples, ahead)
             for fit, label in zip(several, names, strict=True)
-        )
+        ),
+        ahead,
     )
 
 
-def _default_labels(fits: Sequence[Fit | RTAC]) -> list[str]:
-    models = [fit.model if isinstance(fit, Fit) else fit for fit in fits]
+def _default_labels(fits: Sequence[Fitted]) -> list[str]:
+    models = [fit if isinstance(fit, RTAC) else fit.model for fit in fits]
     common = set.intersection(*(set(m.ids) for m in models))
     return [("+ " + ", ".join(i for i in m.ids if i not in common)) if set(m.ids) - common else "base" for m in models]
 
 
 def _compare_one(
-    fit: Fit | RTAC,
+    fit: Fitted,
     label: str,
     experiments: Sequence[Experiment],
     levels: Mapping[str, float],
     start_samples: int | None,
+    ahead: int | None,
 ) -> Compared:
-    model = fit.model if isinstance(fit, Fit) else fit
+    model = fit if isinstance(fit, RTAC) else fit.model
     known = None
     if isinstance(fit, Fit):
         same = [e.name for e in experiments if fit.marks.get(e.name) == mark_of(e)]
@@ -287,7 +278,16 @@ def _compare_one(
     starts: dict[str, np.ndarray] = {}
     far: dict[str, tuple[str, float]] = {}
     for group in groups:
-        simulated, start, used = _simulated(model, label, group, levels, known, start_samples, _substeps(fit))
+        if ahead is None:
+            simulated, start, used = _simulated(model, label, group, levels, known, start_samples, _substeps(fit))
+        else:
+            blind = [e for e in group if e.initial_arm_angle is None and "arm_angle" not in e.outputs]
+            begun = {e.name: known[e.name] for e in blind if known is not None and e.name in known}
+            if unknown := [e for e in blind if e.name not in begun]:
+                begun |= _simulated(model, label, unknown, levels, None, start_samples, _substeps(fit))[1]
+            predictor = fit if isinstance(fit, PredictorFit) else None
+            simulated, start = ahead_of(model, group, levels, ahead=ahead, fit=predictor, starts=begun)
+            used = max(ahead, start_samples or 0)
         starts |= start
         for column, e in enumerate(group):
             shown = {c: simulated[: e.samples, row, column] for row, c in enumerate(CHANNELS) if c in e.outputs}
@@ -307,11 +307,12 @@ def _compare_one(
                         levels[channel],
                     )
                 )
-    return Compared(label, model, tuple(traces), starts, far)
+    criteria = None if isinstance(fit, RTAC) else fit.criteria
+    return Compared(label, model, tuple(traces), starts, far, criteria)
 
 
-def _substeps(fit: Fit | RTAC) -> int | None:
-    return int(fit.statistics["substeps"]) if isinstance(fit, Fit) else None
+def _substeps(fit: Fitted) -> int | None:
+    return None if isinstance(fit, RTAC) else int(fit.statistics["substeps"])
 
 
 def _simulated(

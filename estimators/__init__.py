@@ -5,6 +5,8 @@ from estimators.closed_form.table1 import ClosedForm
 from estimators.controller.design import control
 from estimators.controller.outcome import ControlDesign
 from estimators.core.fit import Fit
+from estimators.core.information_criteria import InformationCriteria
+from estimators.core.parameter_correlation import ParameterCorrelations
 from estimators.core.results import RESULTS, DivergedError, NotIdentifiableError
 from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.diagnose import Diagnosis, diagnose
@@ -15,6 +17,7 @@ from estimators.frequency_response.estimate import frequency_responses
 from estimators.frequency_response.response import FrequencyResponse, FrequencyResponses
 from estimators.inference.cramer_rao import Expected, expected_std
 from estimators.inference.hausman import Agreement, agreement
+from estimators.inference.model_response import model_response
 from estimators.inference.profile_likelihood import Profile, profile
 from estimators.inference.robust_covariance import Covariances, covariances
 from estimators.linear.fit import LinearModels, prediction_error
@@ -28,6 +31,7 @@ from estimators.study import Bootstrap, StudyResults, StudySpec, bootstrap, stud
 from estimators.uncertainty.attribution import SOURCES, Attribution
 from estimators.uncertainty.effect_cost import EffectCost, effect_cost
 from estimators.uncertainty.envelope import Envelope, envelope
+from estimators.validation.recommendation import Recommendation, recommended
 from estimators.validation.simulation_error import Comparison, compare
 from rtac_jax import __version__
 
@@ -55,13 +59,16 @@ __all__ = [
     "FrequencyResponse",
     "FrequencyResponses",
     "Improvement",
+    "InformationCriteria",
     "LinearModel",
     "LinearModels",
     "NextExperiment",
     "NotIdentifiableError",
+    "ParameterCorrelations",
     "PlannedExperiment",
     "PredictorFit",
     "Profile",
+    "Recommendation",
     "ResidualTest",
     "StudyResults",
     "StudySpec",
@@ -79,11 +86,13 @@ __all__ = [
     "frequency_responses",
     "improve",
     "least_squares",
+    "model_response",
     "next_experiment",
     "output_error",
     "output_error_batch",
     "prediction_error",
     "prediction_error_nonlinear",
     "profile",
+    "recommended",
     "study",
 ]

@@ -114,7 +114,8 @@ def fit(file: File, validation: Validation = None, out: Out = None, json: Json =
     with job(file, validation, out, json) as work:
         import estimators as est
         from estimators.reporting import report as _report
-        from estimators.reporting.fit_table import fit_table
+        from estimators.reporting import summary
+        from estimators.reporting.fit_table import estimates_table, fit_table, recommended_table
 
         model = work.model()
         closed = est.least_squares(model, work.train, weak=True)
@@ -135,34 +136,60 @@ def fit(file: File, validation: Validation = None, out: Out = None, json: Json =
         starts = f"{found.statistics['agreed']} of {found.statistics['starts']} starts agree."
         ended = f"{est.RESULTS[found.result]} {starts}"
         table = fit_table(closed, found, predicted=predicted, agreed=agreed, spread=spread)
-        say(work.remark, table, ended, errors)
+        advice = est.recommended(found, trained.models[0], predicted=predicted, spread=spread)
+        first = recommended_table(advice, found)
+        said = f"{found.criteria} of output error" + (
+            f"\n{predicted.criteria} of prediction error" if predicted else ""
+        )
+        say(work.remark, f"{first}\n{advice}", table, said, ended, errors)
         beside = {"closed": closed, "predicted": predicted, "agreed": agreed, "spread": spread}
+        beside["advice"] = advice
         work.write_json(_report.fit_dict(found, train=trained, validation=tested, seconds=work.seconds, **beside))
         if work.folder is not None:
-            from estimators.plots import plot_comparison, plot_recording
+            from estimators.plots import plot_comparison, plot_correlations, plot_recording, plot_residuals
 
-            figures = {"comparison": plot_comparison(tested or trained), "recording": plot_recording(work.recording)}
-            captions = {"comparison": work.held, "recording": "The recording."}
+            figures = {
+                "comparison": plot_comparison(tested or trained),
+                "residuals": plot_residuals(trained.models[0]),
+                "correlations": plot_correlations(found.correlations()),
+                "recording": plot_recording(work.recording),
+            }
+            captions = {"comparison": work.held, "residuals": "Residual tests of the worst of the fitted experiments."}
+            captions |= {"correlations": "Ellipses of two standard deviations, and correlations, of output error."}
+            captions |= {"recording": "The recording."}
             if agreed is not None:
                 figures = {"agreement": agreed.plot(), **figures}
                 captions = {"agreement": "Estimates by every way, with what chance allows between them.", **captions}
             skipped = [f"The closed form could not use {name}: {why}" for name, why in closed.skipped.items()]
             sections = [
-                ("Result", [work.remark, "" if agreed is None else agreed.verdict, ended, *skipped, errors]),
-                ("Parameters", [_report.side_by_side(closed, found)]),
+                ("Result", [work.remark, "" if agreed is None else agreed.verdict, ended, *skipped, said, errors]),
+                (
+                    "Parameters",
+                    [first, estimates_table(closed, found, predicted=predicted, agreed=agreed, spread=spread)],
+                ),
                 ("Figures", _shown(figures, **captions)),
             ]
-            work.write_report(f"Fit of {work.file}", figures, sections)
+            bullets = summary.of_fit(found, advice, trained, tested, file=work.file)
+            work.write_report(f"Fit of {work.file}", figures, sections, summary=bullets, traces=tested or trained)
 
 
 @app.command()
-def compare(file: File, validation: Validation = None, out: Out = None, json: Json = None) -> None:
+def compare(
+    file: File,
+    validation: Validation = None,
+    ahead: Annotated[
+        int | None, typer.Option(min=1, metavar="SAMPLES", help="Predict so many samples ahead instead of simulating.")
+    ] = None,
+    out: Out = None,
+    json: Json = None,
+) -> None:
     """Compare model and measurements by channel and experiment, test the residuals, and show where the model fails."""
     with job(file, validation, out, json) as work:
         from estimators.reporting import report as _report
+        from estimators.reporting import summary
 
         found = work.fitted(work.model())
-        trained, tested = work.compared(found)
+        trained, tested = work.compared(found, ahead=ahead)
         against = tested or trained
         rows = _report.comparison_rows(against)
         table, errors = _report.comparison_table(rows), _report.error_table(trained, tested)
@@ -172,7 +199,7 @@ def compare(file: File, validation: Validation = None, out: Out = None, json: Js
             f"The model fails most in {worst.channel} of {worst.experiment}, by {worst.rms / worst.noise:.2f} times "
             f"the noise; {white} of {len(rows)} residuals are white."
         )
-        say(work.remark, table, where, errors)
+        say(work.remark, table, where, f"{found.criteria}, of the fit", errors)
         content = _report.fit_dict(found, train=trained, validation=tested, seconds=work.seconds)
         work.write_json({**content, "experiments": rows})
         if work.folder is not None:
@@ -186,7 +213,8 @@ def compare(file: File, validation: Validation = None, out: Out = None, json: Js
                 ("Every experiment", [table]),
                 ("Parameters", [_report.parameter_table(found)]),
             ]
-            work.write_report(f"Comparison with {work.file}", figures, sections)
+            bullets = summary.of_comparison(trained, tested, file=work.file)
+            work.write_report(f"Comparison with {work.file}", figures, sections, summary=bullets, traces=against)
 
 
 @app.command()
@@ -205,6 +233,7 @@ def diagnose(
         import estimators as est
         from estimators.diagnosis.model_extension import holding
         from estimators.reporting import report as _report
+        from estimators.reporting import summary
         from rtac_jax import RTAC
 
         candidates = _candidates(effects)
@@ -272,7 +301,8 @@ def diagnose(
                 ("Is anything missing?", [_report.evidence_table(found), _report.place_table(found)]),
                 ("Parameters", [_report.parameter_table(fits[-1], base=base if len(fits) > 1 else None)]),
             ]
-            work.write_report(f"Diagnosis of {work.file}", figures, sections)
+            bullets = summary.of_diagnosis(found, trained, tested, file=work.file)
+            work.write_report(f"Diagnosis of {work.file}", figures, sections, summary=bullets, traces=tested or trained)
 
 
 @app.command()
@@ -297,6 +327,7 @@ def _candidates(effects: Path | None) -> Any:
 def _improve(work: Job, effects: Path | None = None) -> None:
     import estimators as est
     from estimators.reporting import report as _report
+    from estimators.reporting import summary
 
     if work.held_out is None:
         stop(NOT_POSSIBLE, work.not_split)
@@ -369,7 +400,9 @@ def _improve(work: Job, effects: Path | None = None) -> None:
         ("Parameters", [parameters]),
         ("Candidates", tables),
     ]
-    work.write_report(f"Improvement of the model with {work.file}", figures, sections)
+    bullets = summary.of_diagnosis(found, found.train, found.validation, file=work.file)
+    title = f"Improvement of the model with {work.file}"
+    work.write_report(title, figures, sections, summary=bullets, traces=found.validation)
 
 
 def _planned(work: Job, base: Any, found: Any, candidates: Any) -> Any:

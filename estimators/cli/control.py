@@ -75,15 +75,17 @@ def envelope(
         conditions, sources = texts.conditions_table(found, used.responses), texts.sources_table(found)
         models, said = texts.models_table(found), texts.remarks(found, used)
         linear = [] if used.models is None else texts.models_said(used.models)
-        say(found, *said[1:], *linear, conditions, sources)  # the envelope states its coverage itself
-        work.write_json(texts.envelope_dict(found, used, seconds=work.seconds))
+        fitted, beside = _closed_form_beside(work, found)
+        say(found, *beside, *said[1:], *linear, conditions, sources)  # the envelope states its coverage itself
+        work.write_json(texts.envelope_dict(found, used, seconds=work.seconds, fitted=fitted))
         if work.folder is None:
             return
         from estimators.plots import plot_envelope, plot_responses
         from estimators.plots.envelope import finding
+        from estimators.reporting.summary import of_envelope
 
         found.save_mat(work.folder / "envelope.mat")
-        figures = {"envelope": plot_envelope(found), "responses": plot_responses(used.responses)}
+        figures = {"envelope": plot_envelope(found, fitted), "responses": plot_responses(used.responses)}
         captions = {
             "envelope": "Top: every condition and the nominal model. Below: how far each condition lies from it and the "
             "weight above them; |W| < 1 (0 dB) is where a controller may act. Bottom: what the distance comes from.",
@@ -91,7 +93,7 @@ def envelope(
             "95 % band.",
         }
         sections = [
-            ("Envelope", [f"{finding(found)}.", *said]),
+            ("Envelope", [f"{finding(found)}.", *beside, *said]),
             ("Figures", _shown(figures, captions)),
             ("Nominal model and weight", [models]),
             ("Where the gaps come from", [sources]),
@@ -105,7 +107,8 @@ def envelope(
                 {"linear_models": figures["linear_models"]}, {"linear_models": "The models and their residuals."}
             )
             sections.insert(2, ("Linear models of the conditions", [*linear, *shown]))
-        work.write_report(f"Envelope of {work.file}", figures, sections, split=_sides(found))
+        bullets = of_envelope(found, [] if fitted is None or fitted.agrees else beside, file=work.file)
+        work.write_report(f"Envelope of {work.file}", figures, sections, split=_sides(found), summary=bullets)
 
 
 def control(
@@ -136,10 +139,13 @@ def control(
             stop(WRONG_USE, f"{name} is {value:g}; give a positive number.")
     with job(file, validation, out, json) as work:
         import estimators as est
+        from estimators.controller.design import with_arm_spring
         from estimators.controller.outcome import honesty, outcome
         from estimators.reporting import control as texts
         from estimators.reporting import envelope as envelope_texts
         from estimators.reporting import report
+        from estimators.reporting.summary import of_control
+        from estimators.uncertainty.fitted_model import fitted_in_envelope
 
         orders = _ORDERS if order is None else (order,)
         used, found = _enveloped(work, between, orders, weight_order, "multiplicative_output", for_control=True)
@@ -151,10 +157,11 @@ def control(
         )  # fmt: skip
         trained, tested = work.compared(fit)
         errors, parameters = report.error_table(trained, tested), report.parameter_table(fit)
+        fitted = fitted_in_envelope(fit.model, made.covered, response=with_arm_spring(fit.model, made.actuation))
         said, honest, loops = outcome(made), [*honesty(made), texts.WEIGHTED], texts.design_table(made)
-        say(*said, *honest, loops, texts.controller_table(made), errors)
+        say(*said, *fitted.sentences(), *honest, loops, texts.controller_table(made), errors)
         known = report.fit_dict(fit, train=trained, validation=tested, seconds=work.seconds)["parameters"]
-        work.write_json(texts.design_dict(made, known, seconds=work.seconds))
+        work.write_json(texts.design_dict(made, known, seconds=work.seconds, fitted=fitted))
         if work.folder is None:
             return
         from estimators.plots import plot_batch, plot_closed_loop, plot_envelope, plot_margins, plot_synthesis
@@ -165,7 +172,7 @@ def control(
             "batch": plot_batch(made.off, free=made.off_free, within=made.within),
             "synthesis": plot_synthesis(made.synthesis),
             "margins": plot_margins(made.margins),
-            "envelope": plot_envelope(made.covered),
+            "envelope": plot_envelope(made.covered, fitted),
         }
         captions = {
             "closed_loop": "The fitted nonlinear model, sampled controller, limited torque, noisy sensors.",
@@ -181,11 +188,17 @@ def control(
             ("The controller", [texts.controller_table(made)]),
             (
                 "The envelope",
-                [*envelope_texts.remarks(made.covered, used), envelope_texts.models_table(made.covered)],
+                [
+                    *fitted.sentences(),
+                    *envelope_texts.remarks(made.covered, used),
+                    envelope_texts.models_table(made.covered),
+                ],
             ),
             ("The nonlinear model", ["It was fitted to the same recording.", errors, parameters]),
         ]
-        work.write_report(f"Controller for {work.file}", figures, sections, split=_sides(made.covered))
+        bullets = of_control(made, [] if fitted.agrees else fitted.sentences())
+        title, sides = f"Controller for {work.file}", _sides(made.covered)
+        work.write_report(title, figures, sections, split=sides, summary=bullets, traces=tested or trained)
 
 
 def _enveloped(
@@ -231,6 +244,21 @@ def _enveloped(
     if not found:
         raise refusals[0]
     return used, found
+
+
+def _closed_form_beside(work: Job, found: Any) -> tuple[Any, list[str]]:
+    """Return the model fitted in closed form beside an envelope, and what is to be said of it; None where none can be fitted.
+
+    The closed form takes milliseconds and is consistent in its weak form; `control` has the fit by output error.
+    """
+    import estimators as est
+    from estimators.uncertainty.fitted_model import fitted_in_envelope
+
+    try:
+        fitted = fitted_in_envelope(est.least_squares(work.model(), work.train, weak=True).model, found)
+    except (ValueError, ArithmeticError) as error:
+        return None, [f"The envelope was held against no fitted model: {error}"]
+    return fitted, fitted.sentences()
 
 
 def _sides(found: Any) -> tuple[list[str], list[str]]:

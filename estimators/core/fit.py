@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from estimators.core.fisher_information import Information
 from estimators.core.information_criteria import InformationCriteria
+from estimators.core.parameter_correlation import ParameterCorrelations
 from estimators.core.results import RESULTS
 from rtac_jax import RTAC
 
@@ -58,6 +59,17 @@ class Fit:
             for name, declared in self.model.parameters.items()
             if name not in self.model.per_experiment
         }
+
+    def correlations(self) -> ParameterCorrelations:
+        """Return the correlations of the free shared parameters, with the ellipses of any two."""
+        found = self.parameters
+        names = self.information.names
+        return ParameterCorrelations(
+            names,
+            tuple(found[name].unit for name in names),
+            np.array([found[name].value for name in names]),
+            self.information.covariance,
+        )
 
     @property
     def criteria(self) -> InformationCriteria | None:

@@ -21,6 +21,7 @@ from estimators.core.information_criteria import InformationCriteria
 from estimators.core.initial_state import scales_of, space_of
 from estimators.core.levenberg_marquardt import Arguments, diverged, factor
 from estimators.core.linearisation import Problem
+from estimators.core.parameter_correlation import ParameterCorrelations
 from estimators.core.parameter_space import Space, number_of_unknowns
 from estimators.core.results import DivergedError
 from estimators.core.sensor_noise import noise_levels
@@ -95,6 +96,17 @@ class PredictorFit:
             for name, declared in self.model.parameters.items()
             if name not in self.model.per_experiment
         }
+
+    def correlations(self) -> ParameterCorrelations:
+        """Return the correlations of the free shared parameters, with the ellipses of any two."""
+        found = self.parameters
+        names = self.information.names
+        return ParameterCorrelations(
+            names,
+            tuple(found[name].unit for name in names),
+            np.array([found[name].value for name in names]),
+            self.information.covariance,
+        )
 
     @property
     def criteria(self) -> InformationCriteria:

@@ -4,6 +4,7 @@ import functools
 import json
 import math
 import re
+import shlex
 from dataclasses import replace
 
 import pytest

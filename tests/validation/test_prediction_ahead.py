@@ -31,7 +31,9 @@ def fit(shaken: tuple[rtac.Recording, rtac.RTAC]) -> est.PredictorFit:
     return est.prediction_error_nonlinear(shaken[1], shaken[0], from_model=True, progress=False)
 
 
-def test_the_further_ahead_the_larger_the_error(shaken: tuple[rtac.Recording, rtac.RTAC], fit: est.PredictorFit) -> None:
+def test_the_further_ahead_the_larger_the_error(
+    shaken: tuple[rtac.Recording, rtac.RTAC], fit: est.PredictorFit
+) -> None:
     recording, _ = shaken
     by_horizon = {k: est.compare(fit, recording, ahead=k) for k in (1, 10, 50)}
     errors = {k: found.models[0].errors for k, found in by_horizon.items()}

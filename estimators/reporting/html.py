@@ -226,6 +226,8 @@ figcaption, .caption { color: #555; font-size: 0.9rem; }
   .summary { padding: 0.2rem 0.6rem; }
   .summary ul { padding-left: 1.1rem; }
   p, li, td { overflow-wrap: anywhere; }
+  figure { overflow-x: auto; }
+  figure img { max-width: none; width: 40rem; }
   table.stacks, .stacks tbody, .stacks tr, .stacks td { display: block; }
   .stacks thead { display: none; }
   .stacks caption { display: block; }

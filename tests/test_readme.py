@@ -49,9 +49,20 @@ def test_three_calls_lead_from_conditions_to_a_controller(
     assert f"closed loop {made.closed.settling_time()[0]:.2f} s" in made.plot().get_suptitle()
 
 
-def test_the_other_examples_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_other_examples_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.chdir(tmp_path)
     for block in BLOCKS[1:]:
         if block not in (CONDITIONS, CONTROL):
             exec(block, {})
     assert rtac.Recording.load("rig.h5").rig["total_mass"] == 1.23
+    both = rtac.Recording.load("both.h5")
+    assert both.names == (
+        "free_1",
+        "free_2",
+    )  # what one block has written and the next has read, beside a logger's file
+    np.testing.assert_allclose(
+        both["free_2"].outputs["cart_position"].values, both["free_1"].outputs["cart_position"].values, atol=1e-7
+    )
+    assert "arm_angle was not measured" in capsys.readouterr().out  # what looks wrong is printed

@@ -164,7 +164,15 @@ def control(
         work.write_json(texts.design_dict(made, known, seconds=work.seconds, fitted=fitted))
         if work.folder is None:
             return
-        from estimators.plots import plot_batch, plot_closed_loop, plot_envelope, plot_margins, plot_synthesis
+        from estimators.plots import (
+            plot_batch,
+            plot_bode,
+            plot_closed_loop,
+            plot_envelope,
+            plot_margins,
+            plot_poles_zeros,
+            plot_synthesis,
+        )
 
         _save_mat(work.folder / "controller.mat", texts.design_mat(made))
         figures = {
@@ -173,6 +181,8 @@ def control(
             "synthesis": plot_synthesis(made.synthesis),
             "margins": plot_margins(made.margins),
             "envelope": plot_envelope(made.covered, fitted),
+            "bode": plot_bode(fit, used.responses),
+            "poles": plot_poles_zeros(fit),
         }
         captions = {
             "closed_loop": "The fitted nonlinear model, sampled controller, limited torque, noisy sensors.",
@@ -180,6 +190,8 @@ def control(
             "synthesis": "S, T and C S of the nominal loop, under what the weights allow.",
             "margins": "Below 1 robust stability, or performance, holds for every linear plant of the envelope.",
             "envelope": "What the controller was designed for: the conditions with the electric spring on the arm.",
+            "bode": "The fitted model, linearised without dry friction and without the spring, over the measured responses.",
+            "poles": "Poles and zeros of the fitted model, from current to cart position.",
         }
         sections = [
             ("Controller", said),

@@ -99,7 +99,7 @@ def cross_correlation(error: Values, signal: Values, lags: int = LAGS) -> CrossC
     length = scipy.fft.next_fast_len(len(x) + lags, real=True)
     product = np.fft.irfft(np.fft.rfft(x, length) * np.conj(np.fft.rfft(z, length)), length)
     size = np.sqrt(np.sum(x**2) * np.sum(z**2))
-    both = np.concatenate([product[length - lags :], product[: lags + 1]])
+    both = np.concatenate([product[len(product) - lags :], product[: lags + 1]])
     return CrossCorrelation(
         np.arange(-lags, lags + 1.0), both / size if size > 0 else 0.0 * both, independence_band(x, z)
     )

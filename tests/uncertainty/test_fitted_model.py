@@ -60,9 +60,9 @@ def test_a_peak_that_friction_took_away_is_told_with_number_and_frequency(held_b
     said, remedy = found.sentences()
     assert f"{gap.max():.1f} times outside W, most at {found.frequency[gap.argmax()]:.3g} rad/s" in said
     assert f"{-found.peak_db:.1f} dB below" in said
-    assert "multisine between 1.2 and 2.2 Hz" in remedy
-    # The arm swings half a radian in rms about theta = 0: K_m i = J theta'' at the resonance.
-    swing = 0.5 * float(MODEL["arm_inertia"]) * found.resonance**2 / float(MODEL["torque_constant"])
+    assert "with r the frequency over 1.66 Hz, for 20 s or longer" in remedy
+    # The arm swings about half a radian in rms about theta = 0: K_m i = J theta'' at the resonance.
+    swing = 0.55 * float(MODEL["arm_inertia"]) * found.resonance**2 / float(MODEL["torque_constant"])
     assert f"{1e3 * swing:.2g} mA rms" in remedy
 
 

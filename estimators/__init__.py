@@ -5,6 +5,8 @@ from estimators.closed_form.table1 import ClosedForm
 from estimators.controller.design import control
 from estimators.controller.outcome import ControlDesign
 from estimators.core.fit import Fit
+from estimators.core.information_criteria import InformationCriteria
+from estimators.core.parameter_correlation import ParameterCorrelations
 from estimators.core.result_base import load, save
 from estimators.core.results import RESULTS, DivergedError, NotIdentifiableError
 from estimators.diagnosis.candidate import Candidate
@@ -19,6 +21,7 @@ from estimators.frequency_response.response import FrequencyResponse, FrequencyR
 from estimators.inference.constancy import constancy
 from estimators.inference.cramer_rao import Expected, expected_std
 from estimators.inference.hausman import Agreement, agreement
+from estimators.inference.model_response import model_response
 from estimators.inference.profile_likelihood import Profile, profile
 from estimators.inference.robust_covariance import Covariances, covariances
 from estimators.linear.fit import LinearModels, prediction_error
@@ -34,6 +37,7 @@ from estimators.uncertainty.closed_form_check import ClosedFormCheck, closed_for
 from estimators.uncertainty.effect_cost import EffectCost, effect_cost
 from estimators.uncertainty.envelope import Envelope, envelope
 from estimators.validation.channel_consistency import ChannelConsistency, Inconsistency, channel_consistency
+from estimators.validation.recommendation import Recommendation, recommended
 from estimators.validation.simulation_error import Comparison, compare
 from rtac_jax import ResultFileError, __version__
 
@@ -65,14 +69,17 @@ __all__ = [
     "FrequencyResponses",
     "Improvement",
     "Inconsistency",
+    "InformationCriteria",
     "Judgement",
     "LinearModel",
     "LinearModels",
     "NextExperiment",
     "NotIdentifiableError",
+    "ParameterCorrelations",
     "PlannedExperiment",
     "PredictorFit",
     "Profile",
+    "Recommendation",
     "ResidualTest",
     "ResultFileError",
     "StudyResults",
@@ -96,12 +103,14 @@ __all__ = [
     "judge",
     "least_squares",
     "load",
+    "model_response",
     "next_experiment",
     "output_error",
     "output_error_batch",
     "prediction_error",
     "prediction_error_nonlinear",
     "profile",
+    "recommended",
     "save",
     "study",
 ]

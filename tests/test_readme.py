@@ -10,6 +10,7 @@ import pytest
 
 import estimators
 import rtac_jax as rtac
+from estimators.uncertainty.fitted_model import fitted_in_envelope
 
 BLOCKS = re.findall(r"```python\n(.*?)```", Path(__file__).parents[1].joinpath("README.md").read_text(), re.DOTALL)
 
@@ -40,6 +41,9 @@ def test_three_calls_lead_from_conditions_to_a_controller(
     names: dict[str, Any] = {}
     exec(CONTROL.replace("rtac.configure()", ""), names)
     made = names["made"]
+    # The nominal model meets the fitted one; on the paper's rig, with more current, its peak was 15 dB under it.
+    beside = fitted_in_envelope(names["fit"].model, names["covered"])
+    assert beside.agrees, beside.sentences()
     assert made.closed.settling_time()[0] < 3.0 < 4.4 < made.free.settling_time()[0]
     assert np.all(made.covered.gaps <= made.covered.weight_magnitude())
     printed = capsys.readouterr().out
@@ -49,9 +53,20 @@ def test_three_calls_lead_from_conditions_to_a_controller(
     assert f"closed loop {made.closed.settling_time()[0]:.2f} s" in made.plot().get_suptitle()
 
 
-def test_the_other_examples_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_other_examples_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.chdir(tmp_path)
     for block in BLOCKS[1:]:
         if block not in (CONDITIONS, CONTROL):
             exec(block, {})
     assert rtac.Recording.load("rig.h5").rig["total_mass"] == 1.23
+    both = rtac.Recording.load("both.h5")
+    assert both.names == (
+        "free_1",
+        "free_2",
+    )  # what one block has written and the next has read, beside a logger's file
+    np.testing.assert_allclose(
+        both["free_2"].outputs["cart_position"].values, both["free_1"].outputs["cart_position"].values, atol=1e-7
+    )
+    assert "arm_angle was not measured" in capsys.readouterr().out  # what looks wrong is printed

@@ -26,16 +26,20 @@ def compare(
     validation: Validation = None,
     models: Models = None,
     effects: Effects = None,
+    ahead: Annotated[
+        int | None, typer.Option(min=1, metavar="SAMPLES", help="Predict so many samples ahead instead of simulating.")
+    ] = None,
     out: Out = None,
     json: Json = None,
 ) -> None:
     """Compare model and measurements by channel and experiment, test the residuals, and show where the model fails."""
     with job(file, validation, out, json) as work:
         from estimators.reporting import report as _report
+        from estimators.reporting import summary
         from estimators.reporting.several_models import models_dict, models_table
 
         fits, labels = _judged(work, models, effects)
-        trained, tested = work.compared(fits, labels)
+        trained, tested = work.compared(fits, labels, ahead=ahead)
         against = tested or trained
         rows = _report.comparison_rows(against)
         tables = []
@@ -44,7 +48,12 @@ def compare(
             tables += [compared.label] * (len(fits) > 1) + [_report.comparison_table(own)]
         errors = _report.error_table(trained, tested) if len(fits) == 1 else models_table(trained, tested)
         where = "\n".join(_where(compared, rows, several=len(fits) > 1) for compared in against.models)
-        work.say(work.remark, *tables, where, errors)
+        criteria = [
+            f"{fit.criteria}, of the fit {label}"
+            for label, fit in zip(labels, fits, strict=True)
+            if hasattr(fit, "criteria")
+        ]
+        work.say(work.remark, *tables, where, *criteria, errors)
         if models is None:
             content = _report.fit_dict(fits[0], train=trained, validation=tested, seconds=work.seconds)
         else:
@@ -67,7 +76,8 @@ def compare(
                 ("Every experiment", tables),
                 ("Parameters", parameters),
             ]
-            work.write_report(f"Comparison with {work.file}", figures, sections)
+            bullets = summary.of_comparison(trained, tested, file=work.file)
+            work.write_report(f"Comparison with {work.file}", figures, sections, summary=bullets, traces=against)
 
 
 def _judged(work: Job, models: list[Path] | None, effects: Path | None) -> tuple[list[Any], list[str]]:

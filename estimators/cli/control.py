@@ -46,10 +46,13 @@ def control(
             stop(WRONG_USE, f"{name} is {value:g}; give a positive number.")
     with job(file, validation, out, json, save) as work:
         import estimators as est
+        from estimators.controller.design import with_arm_spring
         from estimators.controller.outcome import honesty, outcome
         from estimators.reporting import control as texts
         from estimators.reporting import envelope as envelope_texts
         from estimators.reporting import report
+        from estimators.reporting.summary import of_control
+        from estimators.uncertainty.fitted_model import fitted_in_envelope
 
         orders = _ORDERS if order is None else (order,)
         used, found = enveloped(work, between, orders, weight_order, "multiplicative_output", for_control=True)
@@ -62,14 +65,23 @@ def control(
         whose = f"It was fitted to {'the same' if fitted_to(fit, work.train) else 'another'} recording."
         trained, tested = work.compared(fit)
         errors, parameters = report.error_table(trained, tested), report.parameter_table(fit)
+        fitted = fitted_in_envelope(fit.model, made.covered, response=with_arm_spring(fit.model, made.actuation))
         work.save(made, save)
         said, honest, loops = outcome(made), [work.remark, *honesty(made), texts.WEIGHTED], texts.design_table(made)
-        work.say(*said, *honest, loops, texts.controller_table(made), errors)
+        work.say(*said, *fitted.sentences(), *honest, loops, texts.controller_table(made), errors)
         known = report.fit_dict(fit, train=trained, validation=tested, seconds=work.seconds)["parameters"]
-        work.write_json(texts.design_dict(made, known, seconds=work.seconds))
+        work.write_json(texts.design_dict(made, known, seconds=work.seconds, fitted=fitted))
         if work.folder is None:
             return
-        from estimators.plots import plot_batch, plot_closed_loop, plot_envelope, plot_margins, plot_synthesis
+        from estimators.plots import (
+            plot_batch,
+            plot_bode,
+            plot_closed_loop,
+            plot_envelope,
+            plot_margins,
+            plot_poles_zeros,
+            plot_synthesis,
+        )
 
         _save_mat(work.folder / "controller.mat", texts.design_mat(made))
         figures = {
@@ -77,7 +89,9 @@ def control(
             "batch": plot_batch(made.off, free=made.off_free, within=made.within),
             "synthesis": plot_synthesis(made.synthesis),
             "margins": plot_margins(made.margins),
-            "envelope": plot_envelope(made.covered),
+            "envelope": plot_envelope(made.covered, fitted=fitted),
+            "bode": plot_bode(fit, used.responses),
+            "poles": plot_poles_zeros(fit),
         }
         captions = {
             "closed_loop": "The fitted nonlinear model, sampled controller, limited torque, noisy sensors.",
@@ -85,6 +99,8 @@ def control(
             "synthesis": "S, T and C S of the nominal loop, under what the weights allow.",
             "margins": "Below 1 robust stability, or performance, holds for every linear plant of the envelope.",
             "envelope": "What the controller was designed for: the conditions with the electric spring on the arm.",
+            "bode": "The fitted model, linearised without dry friction and without the spring, over the measured responses.",
+            "poles": "Poles and zeros of the fitted model, from current to cart position.",
         }
         sections = [
             ("Controller", said),
@@ -93,7 +109,11 @@ def control(
             ("The controller", [texts.controller_table(made)]),
             (
                 "The envelope",
-                [*envelope_texts.remarks(made.covered, used), envelope_texts.models_table(made.covered)],
+                [
+                    *fitted.sentences(),
+                    *envelope_texts.remarks(made.covered, used),
+                    envelope_texts.models_table(made.covered),
+                ],
             ),
             (
                 "The nonlinear model",
@@ -104,7 +124,9 @@ def control(
                 ],
             ),
         ]
-        work.write_report(f"Controller for {work.file}", figures, sections, split=sides(made.covered))
+        bullets = of_control(made, [] if fitted.agrees else fitted.sentences())
+        title, split = f"Controller for {work.file}", sides(made.covered)
+        work.write_report(title, figures, sections, split=split, summary=bullets, traces=tested or trained)
 
 
 def _save_mat(path: Path, content: dict[str, Any]) -> None:

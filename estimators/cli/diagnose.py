@@ -25,6 +25,7 @@ def diagnose(
         import estimators as est
         from estimators.diagnosis.model_extension import holding
         from estimators.reporting import report as _report
+        from estimators.reporting import summary
         from rtac_jax import RTAC
 
         candidates = offered(effects)
@@ -95,4 +96,5 @@ def diagnose(
                 ("Parameters", [_report.parameter_table(fits[-1], base=base if len(fits) > 1 else None)]),
                 ("Thresholds", [_report.policy_table(found.policy)]),
             ]
-            work.write_report(f"Diagnosis of {work.file}", figures, sections)
+            bullets = summary.of_diagnosis(found, trained, tested, file=work.file)
+            work.write_report(f"Diagnosis of {work.file}", figures, sections, summary=bullets, traces=tested or trained)

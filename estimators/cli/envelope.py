@@ -68,13 +68,15 @@ def envelope(
         linear = [] if used.models is None else texts.models_said(used.models)
         check, sentence = _closed_form(work, found, used)
         said.append(sentence)
+        fitted, beside = _fitted_beside(work, found)
         work.save(found, save)
-        work.say(found, *said[1:], *linear, conditions, sources)  # the envelope states its coverage itself
-        work.write_json(texts.envelope_dict(found, used, seconds=work.seconds, closed_form=check))
+        work.say(found, *beside, *said[1:], *linear, conditions, sources)  # the envelope states its coverage itself
+        work.write_json(texts.envelope_dict(found, used, seconds=work.seconds, closed_form=check, fitted=fitted))
         if work.folder is None:
             return
         from estimators.plots import plot_envelope, plot_responses
         from estimators.plots.envelope import finding
+        from estimators.reporting.summary import of_envelope
 
         found.save_mat(work.folder / "envelope.mat")
         figures = {"envelope": plot_envelope(found, check), "responses": plot_responses(used.responses)}
@@ -85,7 +87,7 @@ def envelope(
             "95 % band.",
         }
         sections = [
-            ("Envelope", [f"{finding(found)}.", *said]),
+            ("Envelope", [f"{finding(found)}.", *beside, *said]),
             ("Figures", shown(figures, **captions)),
             ("Nominal model and weight", [models]),
             ("Where the gaps come from", [sources]),
@@ -97,7 +99,8 @@ def envelope(
             figures["linear_models"] = plot_prediction_error(used.models)
             pictured = shown(figures, linear_models="The models and their residuals.")
             sections.insert(2, ("Linear models of the conditions", [*linear, *pictured]))
-        work.write_report(f"Envelope of {work.file}", figures, sections, split=sides(found))
+        bullets = of_envelope(found, [] if fitted is None or fitted.agrees else beside, file=work.file)
+        work.write_report(f"Envelope of {work.file}", figures, sections, split=sides(found), summary=bullets)
 
 
 def _closed_form(work: Job, found: Any, used: Any) -> tuple[Any, str]:
@@ -109,3 +112,18 @@ def _closed_form(work: Job, found: Any, used: Any) -> tuple[Any, str]:
     except ValueError as error:
         return None, f"The closed form cannot be held against the envelope: {error}"
     return check, check.words
+
+
+def _fitted_beside(work: Job, found: Any) -> tuple[Any, list[str]]:
+    """Return the model fitted in closed form beside an envelope, and what is to be said of it; None where none can be fitted.
+
+    The closed form takes milliseconds and is consistent in its weak form; `control` has the fit by output error.
+    """
+    import estimators as est
+    from estimators.uncertainty.fitted_model import fitted_in_envelope
+
+    try:
+        fitted = fitted_in_envelope(est.least_squares(work.model(), work.train, weak=True).model, found)
+    except (ValueError, ArithmeticError) as error:
+        return None, [f"The envelope was held against no fitted model: {error}"]
+    return fitted, fitted.sentences()

@@ -26,7 +26,8 @@ def fit(
     with job(file, validation, out, json, save) as work:
         import estimators as est
         from estimators.reporting import report as _report
-        from estimators.reporting.fit_table import fit_table
+        from estimators.reporting import summary
+        from estimators.reporting.fit_table import estimates_table, fit_table, recommended_table
 
         start = start_model(work, model, effects)
         closed = est.least_squares(start, work.train, weak=True)
@@ -47,18 +48,30 @@ def fit(
         starts = f"{found.statistics['agreed']} of {found.statistics['starts']} starts agree."
         ended = f"{est.RESULTS[found.result]} {starts}"
         table = fit_table(closed, found, predicted=predicted, agreed=agreed, spread=spread)
+        advice = est.recommended(found, trained.models[0], predicted=predicted, spread=spread)
+        first = recommended_table(advice, found)
+        criteria = f"{found.criteria} of output error" + (
+            f"\n{predicted.criteria} of prediction error" if predicted else ""
+        )
         discounted = _discounted(found) if robust else ""
-        work.say(work.remark, table, ended, discounted, errors)
+        work.say(work.remark, f"{first}\n{advice}", table, criteria, ended, discounted, errors)
         work.save(found, save)
-        beside = {"closed": closed, "predicted": predicted, "agreed": agreed, "spread": spread}
+        beside = {"closed": closed, "predicted": predicted, "agreed": agreed, "spread": spread, "advice": advice}
         content = _report.fit_dict(found, train=trained, validation=tested, seconds=work.seconds, **beside)
         listed = [{**vars(one), "samples": list(one.samples)} for one in found.discounted]
         work.write_json({**content, "concerns": work.doubts or [], "discounted": listed})
         if work.folder is not None:
-            from estimators.plots import plot_comparison, plot_recording
+            from estimators.plots import plot_comparison, plot_correlations, plot_recording, plot_residuals
 
-            figures = {"comparison": plot_comparison(tested or trained), "recording": plot_recording(work.recording)}
-            captions = {"comparison": work.held, "recording": "The recording."}
+            figures = {
+                "comparison": plot_comparison(tested or trained),
+                "residuals": plot_residuals(trained.models[0]),
+                "correlations": plot_correlations(found.correlations()),
+                "recording": plot_recording(work.recording),
+            }
+            captions = {"comparison": work.held, "residuals": "Residual tests of the worst of the fitted experiments."}
+            captions |= {"correlations": "Ellipses of two standard deviations, and correlations, of output error."}
+            captions |= {"recording": "The recording."}
             if agreed is not None:
                 figures = {"agreement": agreed.plot(), **figures}
                 captions = {"agreement": "Estimates by every way, with what chance allows between them.", **captions}
@@ -66,12 +79,24 @@ def fit(
             sections = [
                 (
                     "Result",
-                    [work.remark, "" if agreed is None else agreed.verdict, ended, discounted, *skipped, errors],
+                    [
+                        work.remark,
+                        "" if agreed is None else agreed.verdict,
+                        ended,
+                        discounted,
+                        *skipped,
+                        criteria,
+                        errors,
+                    ],
                 ),
-                ("Parameters", [_report.side_by_side(closed, found)]),
+                (
+                    "Parameters",
+                    [first, estimates_table(closed, found, predicted=predicted, agreed=agreed, spread=spread)],
+                ),
                 ("Figures", shown(figures, **captions)),
             ]
-            work.write_report(f"Fit of {work.file}", figures, sections)
+            bullets = summary.of_fit(found, advice, trained, tested, file=work.file)
+            work.write_report(f"Fit of {work.file}", figures, sections, summary=bullets, traces=tested or trained)
 
 
 def _discounted(found: Any) -> str:

@@ -32,6 +32,7 @@ def improved(
     """Run the loop on a job, and say and write what it found."""
     import estimators as est
     from estimators.reporting import report as _report
+    from estimators.reporting import summary
 
     if work.held_out is None:
         stop(NOT_POSSIBLE, work.not_split)
@@ -100,4 +101,6 @@ def improved(
         ("Candidates", tables),
         ("Thresholds", [_report.policy_table(found.diagnoses[0].policy)]),
     ]
-    work.write_report(f"Improvement of the model with {work.file}", figures, sections)
+    bullets = summary.of_diagnosis(found, found.train, found.validation, file=work.file)
+    title = f"Improvement of the model with {work.file}"
+    work.write_report(title, figures, sections, summary=bullets, traces=found.validation)

@@ -1,7 +1,10 @@
 """The frame of every command of `rtac` around its work: read, refuse in one sentence, hold out, write."""
 
+import datetime
+import hashlib
 import os
 import secrets
+import shlex
 import stat
 import sys
 import time
@@ -30,6 +33,7 @@ class Job:
         doubts: what contradicts itself in the recording; None before it was looked for.
         folder: for the report and the figures, or None.
         json: file for the numbers, or None.
+        path: of the file that was read, or None.
     """
 
     def __init__(
@@ -38,6 +42,7 @@ class Job:
         self.file, self.recording, self.folder, self.json, self.began = file, recording, folder, json, began
         self.doubts: list[str] | None = None
         self.said: list[Any] = []
+        self.path: Path | None = None
         self.names = _names(recording, validation)
         self.train, self.held_out, self.not_split = _split(recording, self.names)
         self.remark = (
@@ -50,6 +55,14 @@ class Job:
     def seconds(self) -> float:
         """Seconds since the command began."""
         return time.perf_counter() - self.began
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of the file that was read; empty where there is none."""
+        if self.path is None:
+            return ""
+        with open(self.path, "rb") as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()
 
     @property
     def held(self) -> str:
@@ -97,12 +110,12 @@ class Job:
             self.doubts = contradictions(self.recording) + channel_consistency(self.recording).concerns
             self.remark = "\n".join([self.remark, *(f"Doubtful: {sentence}" for sentence in self.doubts)]).strip()
 
-    def compared(self, fits: Any, labels: Sequence[str] | None = None) -> tuple[Any, Any]:
-        """Compare fits with the training part and with what was held out, or None."""
+    def compared(self, fits: Any, labels: Sequence[str] | None = None, *, ahead: int | None = None) -> tuple[Any, Any]:
+        """Compare fits with the training part and with what was held out, or None; predicting some samples ahead, if asked."""
         import estimators as est
 
-        tested = None if self.held_out is None else est.compare(fits, self.held_out, labels=labels)
-        return est.compare(fits, self.train, labels=labels), tested
+        tested = None if self.held_out is None else est.compare(fits, self.held_out, labels=labels, ahead=ahead)
+        return est.compare(fits, self.train, labels=labels, ahead=ahead), tested
 
     @contextmanager
     def explaining(self) -> Iterator[None]:
@@ -150,22 +163,41 @@ class Job:
         sections: Sequence[tuple[str, Sequence[Any]]],
         *,
         split: tuple[Sequence[str], Sequence[str]] | None = None,
+        summary: Any = None,
+        traces: Any = None,
     ) -> None:
-        """Write figures and report.html; `split` names what was fitted and held out, where that is not the job's own."""
+        """Write figures and report.html.
+
+        Args:
+            title: of the page.
+            figures: by the names of their files.
+            sections: of the page.
+            split: names what was fitted and held out, where that is not the job's own.
+            summary: three bullets that the page begins with.
+            traces: a comparison whose signals the reader can zoom.
+        """
         from estimators.reporting import html as _report_file
+        from estimators.reporting.trace_viewer import trace_viewer
 
         assert self.folder is not None
         fitted, apart = split or (self.train.names, self.held_out.names if self.held_out is not None else ())
         settings = _report_file.Table(
             ("setting", "value"),
             (
+                ("command", shlex.join(["rtac", *sys.argv[1:]])),
                 ("recording", self.file),
+                ("SHA-256 of the file", self.digest),
+                ("date", datetime.datetime.now().astimezone().isoformat(sep=" ", timespec="minutes")),
                 ("fitted to", ", ".join(fitted)),
                 ("held out", ", ".join(apart) or "nothing"),
                 ("took", f"{self.seconds:.0f} s"),
             ),
         )
         whole = [(heading, [block for block in blocks if block != ""]) for heading, blocks in sections]
+        if summary is not None:
+            whole[0][1].insert(0, summary)
+        if traces is not None:
+            whole.insert(min(2, len(whole)), ("Signals", [trace_viewer(traces)]))
         images = _report_file.write_figures(self.folder, figures)
         whole.append(("Settings and versions", [settings, _report_file.versions()]))
         _report_file.write_report(self.folder / "report.html", title, whole, images=images)
@@ -190,7 +222,9 @@ def job(
             saving_to(save)
         recording = load(file)
         prepare()
-        with printed_last(Job(file.name, recording, validation, folder, json, began)) as work:
+        work = Job(file.name, recording, validation, folder, json, began)
+        work.path = file
+        with printed_last(work):
             yield work
 
 

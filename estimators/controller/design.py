@@ -1,12 +1,12 @@
 """Design of a controller from an envelope and a fitted model, and its trial on that model."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import control as ct
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Complex128, Float
 
 from estimators.controller.outcome import OFF, ControlDesign
 from estimators.controller.plant_sampling import plants_inside
@@ -35,6 +35,7 @@ from rtac_jax.control import (
 
 PLANTS = 2000  # in each batch
 SOONER = 2 / 3  # of the time without a controller, within which a plant has to settle
+Curve = Float[np.ndarray, " frequency"]
 _SHORTEST, _LONGEST = 8.0, 64.0  # s, of a simulation
 _ANGLE = 1e-3  # rad, noise of an angle that the recording does not have
 
@@ -159,9 +160,7 @@ def _with_spring(model: RTAC, actuation: Actuation, found: Envelope, responses: 
     The spring is no part of the recording, so each response is multiplied by what the spring does to the linearised
     model. The nominal model gets the spring's two states alone, and the weight covers what that leaves out.
     """
-    s = 1j * found.frequency
-    plain, held = (nominal_plant(model, units=Units.si(), actuation=a)(s) for a in (None, actuation))
-    factor = np.asarray(held) / np.asarray(plain)
+    factor = _spring_factor(model, actuation, found.frequency)
     changed = [
         dataclasses.replace(
             one, response=one.response * factor, std=one.std * np.abs(factor), noise_std=one.noise_std * np.abs(factor)
@@ -176,6 +175,28 @@ def _with_spring(model: RTAC, actuation: Actuation, found: Envelope, responses: 
         FrequencyResponses(tuple(changed)), nominal=_series(found.nominal, spring), order_weight=order,
         minimise=found.minimise, held_out=[int(i) for i in np.flatnonzero(found.held_out)], progress=False,
     )  # fmt: skip
+
+
+def _spring_factor(model: RTAC, actuation: Actuation, omega: Curve) -> Complex128[np.ndarray, " frequency"]:
+    """Return what the electric spring multiplies the linearised model's response by."""
+    plain, held = (nominal_plant(model, units=Units.si(), actuation=a)(1j * omega) for a in (None, actuation))
+    return np.asarray(held) / np.asarray(plain)
+
+
+def with_arm_spring(model: RTAC, actuation: Actuation) -> Callable[[Curve], Complex128[np.ndarray, " frequency"]]:
+    """Return the linearised model's response from current [A] to cart position [m], with the electric spring on the arm.
+
+    Args:
+        model: of the rig.
+        actuation: gives the spring.
+    """
+    plant = linearise(model, drive="current")["cart_position", "current"]
+
+    def response(omega: Curve) -> Complex128[np.ndarray, " frequency"]:
+        alone = np.asarray(plant(1j * omega)).ravel()
+        return (alone * _spring_factor(model, actuation, omega)).astype(np.complex128)
+
+    return response
 
 
 def _series(first: ct.TransferFunction, then: ct.TransferFunction) -> ct.TransferFunction:

@@ -9,6 +9,8 @@ from jaxtyping import Float
 
 from estimators.core.discounted import Discounted
 from estimators.core.fisher_information import Information
+from estimators.core.information_criteria import InformationCriteria
+from estimators.core.parameter_correlation import ParameterCorrelations
 from estimators.core.result_base import Result
 from estimators.core.results import RESULTS
 from rtac_jax import RTAC
@@ -37,7 +39,7 @@ class Fit(Result):
         start: states at the start of each experiment, SI units.
         experiments: names of the experiments.
         statistics: cost, or log_likelihood where predictions one sample ahead were fitted; steps, seconds, starts and how many
-            agreed, substeps.
+            agreed, substeps; samples of each channel, and the number of unknowns.
         marks: of each experiment's measurements, which tell it from another of the same name.
         discounted: samples that hardly count, where the fit is robust.
         weights: of the squares in a robust fit, [sample output], by experiment; empty where all count alike.
@@ -76,6 +78,27 @@ class Fit(Result):
         left = f"Residual over noise: {far}." if far else ""
         return Overview(title, ("parameter", "value", "std", "unit"), rows, (RESULTS[self.result], left))
 
+    def correlations(self) -> ParameterCorrelations:
+        """Return the correlations of the free shared parameters, with the ellipses of any two."""
+        found = self.parameters
+        names = self.information.names
+        return ParameterCorrelations(
+            names,
+            tuple(found[name].unit for name in names),
+            np.array([found[name].value for name in names]),
+            self.information.covariance,
+        )
+
+    @property
+    def criteria(self) -> InformationCriteria | None:
+        """AIC, BIC and FPE; None for a model that is held at what a diagnosis estimated.
+
+        The simulation's errors count as white, which they are where nothing is missing from the model.
+        """
+        if "samples" not in self.statistics:
+            return None
+        return InformationCriteria.of_rms(self.residual_std, self.statistics["samples"], self.statistics["unknowns"])
+
     def __str__(self) -> str:
         lines = [f"{'parameter':30s} {'value':>12s} {'std':>10s}  unit"]
         for name, found in self.parameters.items():
@@ -88,4 +111,6 @@ class Fit(Result):
             if not self.discounted:
                 lines.append("robust fit: no sample is discounted")
         agreed = f"{self.statistics['agreed']} of {self.statistics['starts']} starts agree"
+        if self.criteria is not None:
+            lines.append(str(self.criteria))
         return "\n".join([*lines, f"{RESULTS[self.result]} {agreed}."])

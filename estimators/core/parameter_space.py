@@ -111,3 +111,10 @@ class Space(eqx.Module):
         rows = np.asarray(self.start)[: len(self.start) * start]
         shared = jnp.asarray(np.where(inside, shared, 0.0))
         return Unknowns(shared, jnp.asarray(each), jnp.asarray(np.zeros_like(rows)))
+
+
+def number_of_unknowns(space: Space, unknowns: Unknowns) -> int:
+    """Return the number of unknowns that a fit estimates: placeholders and starts that are held do not count."""
+    shared = int(np.sum(np.asarray(space.active) < len(space.names)))
+    starts = int(np.sum(1 - np.asarray(space.start_held))) if unknowns.start.shape[0] else 0
+    return shared + int(np.size(unknowns.each)) + starts

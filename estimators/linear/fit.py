@@ -82,6 +82,16 @@ class LinearModels:
         return equality_of(self.models, level, covariates)
 
     @property
+    def aic(self) -> float:
+        """Akaike's criterion, summed over conditions, which share no parameter; less a constant."""
+        return sum(one.aic for one in self.models)
+
+    @property
+    def bic(self) -> float:
+        """The Bayesian criterion, summed over conditions; less a constant."""
+        return sum(one.bic for one in self.models)
+
+    @property
     def verdict(self) -> str:
         """The number of conditions that the model set suits, and what is wrong with the others."""
         said: dict[str, list[str]] = {}
@@ -109,6 +119,9 @@ class LinearModels:
             least = min(self.searched.values())
             tried = ", ".join(f"{modes}: {bic - least:+.0f}" for modes, bic in self.searched.items())
             lines.append(f"BIC beside the best, by modes: {tried}")
+        lines.append(
+            f"AIC {self.aic:.1f}, BIC {self.bic:.1f}, summed over conditions, less a constant; FPE in each model's fpe"
+        )
         return "\n".join([*lines, self.verdict])
 
     def plot(self, omega: Float[np.ndarray, " frequency"] | None = None) -> Any:

@@ -3,10 +3,10 @@
 from collections.abc import Sequence
 
 import numpy as np
-import scipy.fft
 import scipy.linalg
 from jaxtyping import Complex128, Float
 
+from estimators.core.correlation import autocovariance
 from estimators.linear.model_sets import Structure
 from estimators.linear.predictor import Rows
 
@@ -217,13 +217,6 @@ def reflections(coefficients: Float[np.ndarray, " order"]) -> Float[np.ndarray, 
         found[place] = np.arctanh(k)
         current = (current[:-1] - k * current[:-1][::-1]) / (1 - k * k)
     return found
-
-
-def autocovariance(values: Float[np.ndarray, " sample"], lags: int) -> Float[np.ndarray, " lag"]:
-    """Return the sum of products at lags 0 ... `lags`, over the number of values."""
-    spectrum = np.fft.rfft(values, scipy.fft.next_fast_len(len(values) + lags, real=True))
-    length = scipy.fft.next_fast_len(len(values) + lags, real=True)
-    return np.fft.irfft(np.abs(spectrum) ** 2, length)[: lags + 1] / len(values)
 
 
 def autoregression(covariance: Float[np.ndarray, " lag"], order: int) -> Float[np.ndarray, " order"]:

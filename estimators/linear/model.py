@@ -213,6 +213,12 @@ class Unknown:
 
     def roots(self) -> tuple[Any, Any, Any, Any]:
         """Return poles and zeros, and standard deviations of their real and imaginary parts."""
+        (poles, of_poles), (zeros, of_zeros) = self.root_covariances()
+        std = [np.sqrt(np.diagonal(c, axis1=1, axis2=2)) for c in (of_poles, of_zeros)]
+        return poles, std[0], zeros, std[1]
+
+    def root_covariances(self) -> list[tuple[Any, Float[np.ndarray, "root 2 2"]]]:
+        """Return poles, then zeros, each with the covariance of their real and imaginary parts."""
         (top, below), (d_top, d_below) = (
             [np.asarray(x) for x in part]
             for part in _numerator_and_denominator(self.structure, jnp.asarray(self.theta), self.scale)
@@ -223,9 +229,9 @@ class Unknown:
             roots = roots[np.argsort(np.abs(roots), kind="stable")]
             change = np.stack([np.polyval(column, roots) for column in slope.T], axis=1)
             moved = -change / np.polyval(np.polyder(polynomial), roots)[:, None]
-            std = [np.sqrt(np.einsum("rp,pq,rq->r", part, self.covariance, part)) for part in (moved.real, moved.imag)]
-            found += [roots, np.stack(std, axis=1)]
-        return found[0], found[1], found[2], found[3]
+            parts = np.stack([moved.real, moved.imag], axis=1)
+            found.append((roots, np.einsum("rip,pq,rjq->rij", parts, self.covariance, parts)))
+        return found
 
     def quantities(self) -> tuple[Float[np.ndarray, " quantity"], Float[np.ndarray, "quantity unknown"]]:
         """Return natural frequencies, damping ratios, gains, feedthrough, modes by rising frequency; and their derivatives."""

@@ -7,12 +7,12 @@ import scipy.signal
 import scipy.stats
 from jaxtyping import Float
 
-from estimators.linear.initialisation import autocovariance, autoregression
+from estimators.core.correlation import LEVEL, autocovariance, quantile, whiteness
+from estimators.linear.initialisation import autoregression
 
 Colour = tuple[Float[np.ndarray, " order"], float]
 """The autoregression that whitens errors, leading one included, and the variance that it leaves."""
 
-_LEVEL = 0.01
 _DETERMINED = 1e-7  # singular value of the scaled Jacobian, below which a combination of parameters was not fitted
 _LONGEST = 20  # order of the autoregression that stands for the colour of the errors
 
@@ -28,6 +28,9 @@ class ResidualTest:
         cross_band: the same if the errors are independent of the input, whatever their colour; one for each lag.
         white_p: probability of autocorrelations as large by chance, all lags together.
         cross_p: the same for the cross-correlations.
+        feedback_correlation: with the input 1, 2, ... samples later [1], at negative lags: where the input follows the errors,
+            as in a closed loop. No test counts it.
+        feedback_band: of those.
     """
 
     autocorrelation: Float[np.ndarray, " lag"]
@@ -36,16 +39,18 @@ class ResidualTest:
     cross_band: Float[np.ndarray, " from_zero"]
     white_p: float
     cross_p: float
+    feedback_correlation: Float[np.ndarray, " lag"]
+    feedback_band: Float[np.ndarray, " lag"]
 
     @property
     def white(self) -> bool:
         """Whether whiteness stands at 1 %."""
-        return self.white_p >= _LEVEL
+        return self.white_p >= LEVEL
 
     @property
     def independent(self) -> bool:
         """Whether independence of the input stands at 1 %."""
-        return self.cross_p >= _LEVEL
+        return self.cross_p >= LEVEL
 
     def verdict(self, noise_modelled: bool) -> str:
         """Return the outcome in words, with what to do."""
@@ -90,14 +95,11 @@ def residual_test(
     """
     count = float(np.sum(present))
     lags = int(min(lags, len(error) // 4))
-    own = autocovariance(error, lags)
-    auto = own[1:] / own[0]
-    pairs = autocovariance(present, lags)[1:] * len(present)
-    statistic = count * (count + 2) * float(np.sum(auto**2 / np.maximum(pairs, 1.0)))
-    white_p = float(scipy.stats.chi2.sf(statistic, max(lags - noise_parameters, 1)))
-
-    shifted = np.stack([np.append(np.zeros(k), signal[: len(signal) - k]) for k in range(lags + 1)], axis=1)
-    shifted = shifted * present[:, None]
+    own = whiteness(error, present, lags, fitted=noise_parameters)
+    length = len(signal)
+    after = [np.append(np.zeros(k), signal[: length - k]) for k in range(lags + 1)]
+    before = [np.append(signal[k:], np.zeros(k)) for k in range(1, lags + 1)]
+    shifted = np.stack([*after, *before], axis=1) * present[:, None]
     cross = shifted.T @ error
     span, strength, _ = np.linalg.svd(
         jacobian / np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300), full_matrices=False
@@ -109,18 +111,20 @@ def residual_test(
     # The variance was taken over all samples, of which those that are missing have no error.
     variance = innovation * len(error) / max(count - span.shape[1], 1.0) * coloured.T @ coloured
     size = np.sqrt(np.sum(error**2) * np.sum(signal**2))
-    values, vectors = np.linalg.eigh(variance)
+    values, vectors = np.linalg.eigh(variance[: lags + 1, : lags + 1])
     kept = values > 1e-6 * values[-1]
-    parts = (vectors[:, kept].T @ cross) ** 2 / values[kept]
+    parts = (vectors[:, kept].T @ cross[: lags + 1]) ** 2 / values[kept]
     cross_p = float(scipy.stats.chi2.sf(np.sum(parts), int(np.sum(kept))))
-    quantile = float(scipy.stats.norm.isf(_LEVEL / 2))
+    cross, band = cross / size, quantile() * np.sqrt(np.diagonal(variance)) / size
     return ResidualTest(
-        auto,
-        quantile / np.sqrt(count),
-        cross / size,
-        quantile * np.sqrt(np.diagonal(variance)) / size,
-        white_p,
+        own.autocorrelation,
+        own.band,
+        cross[: lags + 1],
+        band[: lags + 1],
+        own.p_value,
         cross_p,
+        cross[lags + 1 :],
+        band[lags + 1 :],
     )
 
 

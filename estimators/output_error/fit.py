@@ -19,7 +19,7 @@ from estimators.core.fit import Fit
 from estimators.core.initial_rest import at_rest, best_starts, may_swing
 from estimators.core.initial_state import scales_of, space_of
 from estimators.core.levenberg_marquardt import Arguments, Solved, diverged, factor, plain_residual
-from estimators.core.parameter_space import Space, Unknowns
+from estimators.core.parameter_space import Space, Unknowns, number_of_unknowns
 from estimators.core.residual import diagonal_whitener, no_gain
 from estimators.core.results import RESULTS, DivergedError
 from estimators.core.sensor_noise import noise_levels
@@ -151,6 +151,12 @@ def output_error(
             "winner": winner,
             "failures": tuple(failures),
             "substeps": stage.substeps,
+            "samples": {
+                c: int(n)
+                for c, n in zip(CHANNELS, np.asarray(data.present).sum(axis=(0, 2)), strict=True)
+                if c in levels
+            },
+            "unknowns": number_of_unknowns(stage.space, stage.solved.unknowns),
             "seconds": time.perf_counter() - began,
             **({} if weighted is None else {"score_ratio": weighted.score_ratio}),
         },

@@ -5,6 +5,7 @@ from typing import Any
 
 from estimators.closed_form.table1 import ClosedForm
 from estimators.controller.outcome import ControlDesign
+from estimators.core.parameter_correlation import ParameterCorrelations
 from estimators.diagnosis.diagnose import Diagnosis
 from estimators.diagnosis.improve import Improvement
 from estimators.experiment_design.next_experiment import NextExperiment
@@ -15,6 +16,7 @@ from estimators.linear.fit import LinearModels
 from estimators.linear.homogeneity_test import Equality
 from estimators.plots.agreement import plot_agreement
 from estimators.plots.bands import plot_bands
+from estimators.plots.bode import plot_bode
 from estimators.plots.comparison import plot_comparison
 from estimators.plots.confusion import plot_confusion
 from estimators.plots.control import plot_batch, plot_closed_loop, plot_margins, plot_synthesis
@@ -22,6 +24,8 @@ from estimators.plots.diagnosis import plot_diagnosis
 from estimators.plots.envelope import plot_effect_cost, plot_envelope, plot_responses
 from estimators.plots.improvement import plot_improvement
 from estimators.plots.next_experiment import plot_next_experiment
+from estimators.plots.parameter_correlation import plot_correlations
+from estimators.plots.pole_zero import plot_poles_zeros
 from estimators.plots.prediction_error import plot_equality, plot_innovations, plot_prediction_error
 from estimators.plots.profile import plot_profile
 from estimators.plots.recording import plot_recording
@@ -59,6 +63,7 @@ for _type, _picture in {
     Improvement: plot_improvement,
     LinearModels: plot_prediction_error,
     NextExperiment: plot_next_experiment,
+    ParameterCorrelations: plot_correlations,
     PredictorFit: plot_innovations,
     Profile: plot_profile,
 }.items():
@@ -75,10 +80,12 @@ __all__ = [
     "plot_agreement",
     "plot_bands",
     "plot_batch",
+    "plot_bode",
     "plot_closed_loop",
     "plot_comparison",
     "plot_confusion",
     "plot_confusions",
+    "plot_correlations",
     "plot_coverage",
     "plot_diagnosis",
     "plot_effect_cost",
@@ -91,6 +98,7 @@ __all__ = [
     "plot_margins",
     "plot_next_experiment",
     "plot_pairs",
+    "plot_poles_zeros",
     "plot_prediction_error",
     "plot_profile",
     "plot_recording",

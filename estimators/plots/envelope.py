@@ -12,6 +12,7 @@ from estimators.uncertainty.attribution import SOURCES
 from estimators.uncertainty.closed_form_check import ClosedFormCheck
 from estimators.uncertainty.effect_cost import EffectCost
 from estimators.uncertainty.envelope import Envelope
+from estimators.uncertainty.fitted_model import FittedInEnvelope
 from estimators.uncertainty.nominal_model import log_measure
 from estimators.uncertainty.uncertainty_structures import errors
 
@@ -20,6 +21,7 @@ _HELD: dict[str, Any] = {"color": "0.35", "linewidth": 0.7, "linestyle": (0, (1,
 _NOMINAL: dict[str, Any] = {"color": "#08306b", "linewidth": 2.0}
 _WEIGHT: dict[str, Any] = {"color": "#e6550d", "linewidth": 2.0, "linestyle": "--"}
 _CLOSED: dict[str, Any] = {"color": "black", "linewidth": 1.3, "linestyle": "-."}
+_FITTED: dict[str, Any] = {"color": "#31a354", "linewidth": 1.4, "linestyle": "-."}
 _TONES = ("#08306b", "#e6550d", "0.75", "white")
 _WORDS = {
     "unmodelled": "unmodelled by P₀",
@@ -66,12 +68,15 @@ def plot_responses(responses: FrequencyResponses) -> Picture:
     return figure
 
 
-def plot_envelope(envelope: Envelope, closed_form: ClosedFormCheck | None = None) -> Picture:
+def plot_envelope(
+    envelope: Envelope, closed_form: ClosedFormCheck | None = None, fitted: FittedInEnvelope | None = None
+) -> Picture:
     """Draw Fig. 6: responses with the nominal model, the model errors with the weight, and the sources of the errors.
 
     Args:
-        envelope: to be drawn.
+        envelope: of several conditions.
         closed_form: drawn beside the responses, in all panels but the last.
+        fitted: the fitted physical model beside it, whose curve is drawn too.
     """
     figure = picture(8.0, 8.6)
     axes = figure.subplots(4, 1, sharex=True, height_ratios=[2.0, 1.0, 1.7, 1.0])
@@ -82,6 +87,14 @@ def plot_envelope(envelope: Envelope, closed_form: ClosedFormCheck | None = None
         # About the nominal phase, so that a crossing of 180 degrees is no jump.
         axes[1].semilogx(envelope.frequency, phase + _degrees(plant / nominal), **(_HELD if held else _PLANT))
     axes[1].semilogx(envelope.frequency, phase, **_NOMINAL)
+    if fitted is not None:
+        beside = fitted.response / envelope.nominal_response(fitted.frequency)
+        along = np.interp(fitted.frequency, envelope.frequency, phase)
+        axes[0].semilogx(
+            fitted.frequency, _decibel(np.abs(fitted.response)), **_FITTED, label="fitted model, linearised"
+        )
+        axes[1].semilogx(fitted.frequency, along + _degrees(beside), **_FITTED)
+        axes[0].legend(fontsize=SMALL, loc="lower left", framealpha=0.9)
     axes[1].yaxis.set_major_locator(MultipleLocator(90))
     axes[1].set_ylabel("Phase [deg]", fontsize=SMALL)
     draw_profile(axes[2], envelope)
@@ -92,6 +105,11 @@ def plot_envelope(envelope: Envelope, closed_form: ClosedFormCheck | None = None
         gap = np.abs(errors(closed_form.response[None], nominal, envelope.kind))[0]
         axes[2].semilogx(omega, _decibel(np.maximum(gap, 1e-3 * envelope.profile.max())), **_CLOSED, label=word)
         axes[0].legend(fontsize=SMALL, loc="lower left", framealpha=0.9)
+    if fitted is not None and envelope.kind.startswith("multiplicative"):
+        gap = np.abs(fitted.response / envelope.nominal_response(fitted.frequency) - 1)
+        axes[2].semilogx(fitted.frequency, _decibel(np.maximum(gap, 1e-3)), **_FITTED, label="fitted model")
+        axes[2].set_ylim(top=max(axes[2].get_ylim()[1], float(_decibel(gap).max()) + 3))
+    if closed_form is not None or fitted is not None:
         axes[2].legend(fontsize=SMALL, loc="lower left", ncols=3, framealpha=0.9)
     _draw_sources(axes[3], envelope)
     axes[3].set_xlabel("Frequency [rad/s]", fontsize=SMALL)

@@ -64,7 +64,8 @@ def _correlations(left: Any, right: Any, found: LinearModels) -> None:
         tests = one.residuals
         lags = np.arange(1, len(tests.autocorrelation) + 1)
         left.plot(lags, tests.autocorrelation / tests.white_band, **_LINE)
-        right.plot(np.append(0, lags), tests.cross_correlation / tests.cross_band, **_LINE)
+        both = [(tests.feedback_correlation / tests.feedback_band)[::-1], tests.cross_correlation / tests.cross_band]
+        right.plot(np.concatenate([-lags[::-1], [0], lags]), np.concatenate(both), **_LINE)
     for axes, words in (
         (left, "Autocorrelation of the\nerrors / 99 % band"),
         (right, "Correlation with the\ninput / 99 % band"),

@@ -99,10 +99,11 @@ def _cross_correlation(axes: Any, trace: Trace) -> None:
         axes.set_title("no input to correlate with", fontsize=9, loc="left")
         tidy(axes)
         return
-    found, band = trace.cross_correlation(_LAGS)
-    _stems(axes, found, band, first=0)
-    outside = int(np.sum(np.abs(found) > band))
-    axes.set_title(f"{outside} of {len(found)} outside the 99 % band", fontsize=9, loc="left")
+    found = trace.input_correlation(_LAGS)
+    _stems(axes, found.values, found.band, first=int(found.lags[0]))
+    axes.axvline(0, color="black", linewidth=0.6, linestyle=":")
+    axes.set_title(f"{found.outside} of {_LAGS + 1} at lags ≥ 0 outside", fontsize=9, loc="left")
+    axes.set_xlabel("Lag [samples]   (below 0: feedback)", fontsize=SMALL)
 
 
 def _stems(axes: Any, found: np.ndarray, band: float, *, first: int) -> None:

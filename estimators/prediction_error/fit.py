@@ -7,33 +7,32 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-import scipy.stats
 from jaxtyping import Float
 from tqdm import tqdm
 
 from estimators.closed_form.fit import starting_values
 from estimators.core.active_bounds import OFF_BOUNDS
+from estimators.core.correlation import LAGS, LEVEL, whiteness
 from estimators.core.data import CHANNELS, Data, moving, pieces
 from estimators.core.drawing import draw
 from estimators.core.fisher_information import Information, each_deviations, information
 from estimators.core.fit import Parameter
+from estimators.core.information_criteria import InformationCriteria
 from estimators.core.initial_state import scales_of, space_of
 from estimators.core.levenberg_marquardt import Arguments, diverged, factor
 from estimators.core.linearisation import Problem
-from estimators.core.parameter_space import Space
+from estimators.core.parameter_correlation import ParameterCorrelations
+from estimators.core.parameter_space import Space, number_of_unknowns
 from estimators.core.result_base import Result
 from estimators.core.results import DivergedError
 from estimators.core.sensor_noise import noise_levels
 from estimators.core.step_size import accurate_substeps
-from estimators.linear.initialisation import autocovariance
 from estimators.prediction_error.fisher_scoring import most_likely
+from estimators.prediction_error.innovations import one_step_rms
 from estimators.prediction_error.noise_estimation import NoiseModel, Predictor, fit_trusted
 from rtac_jax import RTAC, require_configured
 from rtac_jax.measurement import Experiment, Recording
 from rtac_jax.overview import Overview
-
-_LAGS = 25
-_LEVEL = 0.01
 
 
 @dataclasses.dataclass(frozen=True)
@@ -70,7 +69,7 @@ class PredictorFit(Result):
         whiteness: of the innovations, by experiment and channel.
         log_likelihood: of all data, less a constant.
         experiments: names of the experiments.
-        statistics: substeps, samples and seconds.
+        statistics: substeps, samples, seconds, number of unknowns, and rms of the prediction errors by channel.
         problem: that was solved, at its solution.
         prior: of the noise.
         noise_exponents: the estimated noise as `run_filter` takes it.
@@ -100,10 +99,28 @@ class PredictorFit(Result):
             if name not in self.model.per_experiment
         }
 
+    def correlations(self) -> ParameterCorrelations:
+        """Return the correlations of the free shared parameters, with the ellipses of any two."""
+        found = self.parameters
+        names = self.information.names
+        return ParameterCorrelations(
+            names,
+            tuple(found[name].unit for name in names),
+            np.array([found[name].value for name in names]),
+            self.information.covariance,
+        )
+
+    @property
+    def criteria(self) -> InformationCriteria:
+        """AIC, BIC and FPE, of predictions one sample ahead."""
+        count = self.statistics["samples"]
+        value = self.log_likelihood - 0.5 * count * float(np.log(2 * np.pi))
+        return InformationCriteria(value, self.statistics["unknowns"], int(count), self.statistics["one_step_rms"])
+
     @property
     def verdict(self) -> str:
         """The verdict of the whiteness tests on the model."""
-        bound = _LEVEL / len(self.whiteness)
+        bound = LEVEL / len(self.whiteness)
         coloured = sorted((w for w in self.whiteness if w.p_value < bound), key=lambda w: w.p_value)
         if not coloured:
             return "The innovations are white: a random force and torque explain what the physics leaves."
@@ -136,7 +153,7 @@ class PredictorFit(Result):
         lines.append(f"{'random torque on the arm':30s} {self.torque_noise:12.3g} {'':10s}  N m/sqrt(Hz)")
         for channel, level in self.noise.items():
             lines.append(f"{'sensor noise of ' + channel:30s} {level:12.3g}")
-        return "\n".join([*lines, self.verdict])
+        return "\n".join([*lines, str(self.criteria), self.verdict])
 
     def plot(self) -> Any:
         """Draw the autocorrelation of the innovations with its band."""
@@ -239,6 +256,8 @@ def prediction_error_nonlinear(
         statistics={
             "substeps": substeps,
             "samples": float(jnp.sum(data.counted)),
+            "unknowns": number_of_unknowns(space, found.unknowns) + 2 + len(levels),  # and force, torque, sensors
+            "one_step_rms": one_step_rms(found.filtered),
             "seconds": time.perf_counter() - began,
         },
         problem=Problem(arguments, found.unknowns, tuple(experiments), known.names),
@@ -258,15 +277,10 @@ def _whiteness(found: Predictor, data: Data, experiments: list[Experiment]) -> t
     for column, experiment in enumerate(experiments):
         for row, channel in enumerate(CHANNELS):
             count = float(np.sum(counts[:, row, column]))
-            if count < 2 * _LAGS:
+            if count < 2 * LAGS:
                 continue
             error = innovations[: experiment.samples, row, column]
-            own = autocovariance(error, _LAGS)
-            auto = own[1:] / own[0]
-            here = counts[: experiment.samples, row, column]
-            left = np.array([max(here[lag:] @ here[:-lag], 1.0) for lag in range(1, _LAGS + 1)])  # pairs that count
-            p_value = float(scipy.stats.chi2.sf(count * (count + 2) * np.sum(auto**2 / left), _LAGS))
-            band = float(scipy.stats.norm.isf(_LEVEL / 2) / np.sqrt(count))
+            own = whiteness(error, counts[: experiment.samples, row, column])
             rms = float(np.sqrt(np.sum(error**2) / count))
-            result.append(Whiteness(experiment.name, channel, rms, auto, band, p_value))
+            result.append(Whiteness(experiment.name, channel, rms, own.autocorrelation, own.band, own.p_value))
     return tuple(result)

@@ -10,10 +10,11 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from estimators.core.compilation import compile_only
-from estimators.core.data import Data
+from estimators.core.data import CHANNELS, Data
 from estimators.core.parameter_space import Space
 from estimators.core.residual import predict, whitened
 from estimators.core.threads import at_once
+from estimators.prediction_error.ekf import Filtered
 from rtac_jax import RTAC
 from rtac_jax.simulation import Steps
 
@@ -195,3 +196,18 @@ def orthonormal(columns: Rows) -> Float[np.ndarray, "row basis"]:
     size = np.sqrt(np.sum(columns**2, axis=0))
     q, r = np.linalg.qr(columns / np.where(size > 0, size, 1.0))
     return q[:, np.abs(np.diagonal(r)) > 1e-10]
+
+
+def one_step_rms(passed: Filtered) -> dict[str, float]:
+    """Return the rms of the prediction errors one sample ahead, by channel [its unit], over the samples that count."""
+    whitener = np.moveaxis(np.asarray(passed.whitener), 3, 1)  # [sample experiment row output]
+    there = np.diagonal(whitener, axis1=2, axis2=3) > 0
+    # A row of zeros stands for a sample that was not measured.
+    square = whitener + np.eye(len(CHANNELS)) * ~there[..., None, :]
+    white = np.swapaxes(np.asarray(passed.innovations), 1, 2)[..., None]
+    error = np.linalg.solve(square, white)[..., 0]
+    return {
+        channel: float(np.sqrt(np.mean(error[..., row][there[..., row]] ** 2)))
+        for row, channel in enumerate(CHANNELS)
+        if there[..., row].any()
+    }

@@ -7,15 +7,18 @@ import control as ct
 import numpy as np
 
 from estimators.controller.outcome import ControlDesign, _seconds
-from estimators.reporting.envelope import coverage_dict, roots, system_dict
+from estimators.reporting.envelope import coverage_dict, fitted_dict, roots, system_dict
 from estimators.reporting.html import Table
 from estimators.reporting.report import FORMAT, VERSION
+from estimators.uncertainty.fitted_model import FittedInEnvelope
 from rtac_jax.control import ClosedLoop
 
 WEIGHTED = "P0 keeps closest to the responses where they are large, as limited torque does nothing elsewhere."
 
 
-def design_dict(found: ControlDesign, fit_parameters: Mapping[str, Any], *, seconds: float) -> dict[str, Any]:
+def design_dict(
+    found: ControlDesign, fit_parameters: Mapping[str, Any], *, seconds: float, fitted: FittedInEnvelope
+) -> dict[str, Any]:
     """Return a controller and what it achieves, ready for `write_json`."""
     synthesis = found.synthesis
     return {
@@ -63,6 +66,7 @@ def design_dict(found: ControlDesign, fit_parameters: Mapping[str, Any], *, seco
             )
             if batch is not None
         },
+        "fitted_model": fitted_dict(fitted),
         "parameters": dict(fit_parameters),
         "seconds": seconds,
     }

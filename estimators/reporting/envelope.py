@@ -15,12 +15,18 @@ from estimators.uncertainty.closed_form_check import ClosedFormCheck
 from estimators.uncertainty.condition_selection import UsableConditions
 from estimators.uncertainty.coverage import Coverage
 from estimators.uncertainty.envelope import Envelope
+from estimators.uncertainty.fitted_model import FittedInEnvelope
 
 _BANDS = 4
 
 
 def envelope_dict(
-    found: Envelope, used: UsableConditions, *, seconds: float, closed_form: ClosedFormCheck | None = None
+    found: Envelope,
+    used: UsableConditions,
+    *,
+    seconds: float,
+    closed_form: ClosedFormCheck | None = None,
+    fitted: FittedInEnvelope | None = None,
 ) -> dict[str, Any]:
     """Return an envelope, ready for `write_json`; complex numbers are pairs of real and imaginary part."""
     distance = found.distance(used.responses)
@@ -67,7 +73,21 @@ def envelope_dict(
             "needed": closed_form.needed.tolist(),
         },
         "linear_models": None if used.models is None else models_said(used.models),
+        "fitted_model": None if fitted is None else fitted_dict(fitted),
         "seconds": seconds,
+    }
+
+
+def fitted_dict(fitted: FittedInEnvelope) -> dict[str, Any]:
+    """Return how far the fitted model lies from an envelope."""
+    return {
+        "agrees": fitted.agrees,
+        "distance": fitted.distance,
+        "distance_at": fitted.at,
+        "nominal_peak_over_fitted_db": fitted.peak_db,
+        "resonance": fitted.resonance,
+        "spurious_modes": list(fitted.spurious),
+        "in_words": fitted.sentences(),
     }
 
 

@@ -1,4 +1,4 @@
-"""The parameters after a fit with all that is known of them, as one text: what `rtac fit` prints."""
+"""The parameters after a fit with all that is known of them: what `rtac fit` prints, and the tables of its report."""
 
 import numpy as np
 
@@ -7,6 +7,8 @@ from estimators.core.fit import Fit
 from estimators.inference.hausman import Agreement
 from estimators.inference.robust_covariance import Covariances
 from estimators.prediction_error.fit import PredictorFit
+from estimators.reporting.html import Table
+from estimators.validation.recommendation import RULE, Recommendation
 
 
 def fit_table(
@@ -29,6 +31,58 @@ def fit_table(
     Returns:
         One table, the verdict, the combinations that the data determine worst, and Table 1 of the closed form.
     """
+    parts = [_aligned(_rows(closed, fit, predicted, agreed, spread))]
+    if predicted is not None:
+        parts.append(
+            f"Prediction error takes a random force of {predicted.force_noise:.3g} N/sqrt(Hz) on the cart and a random torque "
+            f"of {predicted.torque_noise:.3g} N m/sqrt(Hz) on the arm into account."
+        )
+    if agreed is not None:
+        parts.append(agreed.verdict)
+    if weak := fit.information.weakest():
+        parts.append("\n".join(f"{text[0].upper()}{text[1:]}." for text in weak))
+    if skipped := [f"The closed form could not use {name}: {why}" for name, why in closed.skipped.items()]:
+        parts.append("\n".join(skipped))
+    return "\n\n".join([*parts, f"Table 1 of these data\n{closed}"])
+
+
+def estimates_table(
+    closed: ClosedForm,
+    fit: Fit,
+    *,
+    predicted: PredictorFit | None = None,
+    agreed: Agreement | None = None,
+    spread: Covariances | None = None,
+) -> Table:
+    """Return the same numbers as a table of a report, where every standard deviation says what it takes for granted."""
+    header, *rows = _rows(closed, fit, predicted, agreed, spread)
+    names = iter(("closed form std", "output error std", "prediction error std"))
+    words = {
+        "coloured": "output error std, coloured residual",
+        "clustered": "output error std, independent experiments",
+    }
+    words |= {"sigmas apart": "sigmas apart [1]"}
+    head = tuple(next(names) if word == "std" else words.get(word, word) for word in header)
+    return Table(head, tuple(tuple(row) for row in rows), f"In the unit of each row. {RULE}")
+
+
+def recommended_table(advice: Recommendation, fit: Fit) -> Table:
+    """Return the estimates to use: one value and one standard deviation for each parameter."""
+    rows = tuple(
+        (name, f"{p.value:.6g}", _short(p.std) if name in fit.information.names else "fixed", p.unit)
+        for name, p in advice.parameters.items()
+    )
+    return Table(("parameter", "recommended", "std", "unit"), rows, str(advice))
+
+
+def _rows(
+    closed: ClosedForm,
+    fit: Fit,
+    predicted: PredictorFit | None,
+    agreed: Agreement | None,
+    spread: Covariances | None,
+) -> list[list[str]]:
+    """Return all estimates with all standard deviations, one parameter a row, under a header."""
     header = ["parameter", "unit", "closed form", "std", "output error", "std"]
     if spread is not None:
         header += ["coloured", "clustered"]
@@ -52,19 +106,7 @@ def fit_table(
         if agreed is not None:
             row.append(f"{apart[name]:.1f}" if name in apart else "")
         rows.append(row)
-    parts = [_aligned(rows)]
-    if predicted is not None:
-        parts.append(
-            f"Prediction error takes a random force of {predicted.force_noise:.3g} N/sqrt(Hz) on the cart and a random torque "
-            f"of {predicted.torque_noise:.3g} N m/sqrt(Hz) on the arm into account."
-        )
-    if agreed is not None:
-        parts.append(agreed.verdict)
-    if weak := fit.information.weakest():
-        parts.append("\n".join(f"{text[0].upper()}{text[1:]}." for text in weak))
-    if skipped := [f"The closed form could not use {name}: {why}" for name, why in closed.skipped.items()]:
-        parts.append("\n".join(skipped))
-    return "\n\n".join([*parts, f"Table 1 of these data\n{closed}"])
+    return rows
 
 
 def _apart(agreed: Agreement | None, fit: Fit) -> dict[str, float]:

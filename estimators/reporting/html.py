@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 
 from rtac_jax.measurement.atomic_write import replacing
 
+_NARROW = 3  # columns that fit into the width of a telephone
 _WORDS = ("fixed",)  # that may stand in a column of numbers
 _PACKAGES = ("rtac-jax", "jax", "optimistix", "numpy", "scipy", "matplotlib")
 
@@ -54,7 +55,24 @@ class Shown:
     caption: str
 
 
-Block = str | Table | Shown
+@dataclasses.dataclass(frozen=True)
+class Bullets:
+    """The beginning of a report: what was found, how sure that is, and what to do next."""
+
+    found: str
+    sure: str
+    next: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Embedded:
+    """A part of a page that is HTML already, and the script that it needs, which a page holds once."""
+
+    markup: str
+    script: str = ""
+
+
+Block = str | Table | Shown | Bullets | Embedded
 Section = tuple[str, Sequence[Block]]
 
 
@@ -127,6 +145,8 @@ def write_report(
         body.append(f'<section class="{"summary" if number == 0 else "part"}"><h2>{html.escape(heading)}</h2>')
         body += [_block(block, images or {}) for block in blocks]
         body.append("</section>")
+    scripts = dict.fromkeys(b.script for _, blocks in sections for b in blocks if isinstance(b, Embedded) and b.script)
+    body += [f"<script>\n{script}</script>" for script in scripts]
     page = (
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
@@ -146,6 +166,11 @@ def _marked(text: str) -> str:
 def _block(block: Block, images: Mapping[Figure, bytes]) -> str:
     if isinstance(block, str):
         return f"<p>{_marked(block)}</p>"
+    if isinstance(block, Embedded):
+        return block.markup
+    if isinstance(block, Bullets):
+        heads = (("Found", block.found), ("How sure", block.sure), ("Next", block.next))
+        return f"<ul>{''.join(f'<li><b>{head}.</b> {_marked(text)}</li>' for head, text in heads)}</ul>"
     if isinstance(block, Shown):
         from estimators.plots.style import image_bytes
 
@@ -157,13 +182,18 @@ def _block(block: Block, images: Mapping[Figure, bytes]) -> str:
     kinds = [' class="n"' if block.numeric(i) else "" for i in range(len(block.header))]
 
     def row(cells: Sequence[str], tag: str) -> str:
-        inside = (f"<{tag}{kind}>{_marked(cell)}</{tag}>" for cell, kind in zip(cells, kinds, strict=True))
+        # A narrow page sets the cells of a row below each other, each behind the head of its column.
+        heads = (f' data-head="{_marked(head)}"' if tag == "td" else "" for head in block.header)
+        inside = (
+            f"<{tag}{kind}{head}>{_marked(cell)}</{tag}>" for cell, kind, head in zip(cells, kinds, heads, strict=True)
+        )
         return f"<tr>{''.join(inside)}</tr>"
 
     caption = f"<caption>{_marked(block.caption)}</caption>" if block.caption else ""
     rows = "\n".join(row(cells, "td") for cells in block.rows)
     head = f"<thead>{row(block.header, 'th')}</thead>"
-    return f'<div class="wide"><table>{caption}{head}\n<tbody>{rows}</tbody></table></div>'
+    stacks = ' class="stacks"' if len(block.header) > _NARROW else ""
+    return f'<div class="wide"><table{stacks}>{caption}{head}\n<tbody>{rows}</tbody></table></div>'
 
 
 _STYLE = """
@@ -183,5 +213,28 @@ td:last-child, th:last-child { padding-right: 0; }
 .wide { overflow-x: auto; }
 figure { margin: 1rem 0 1.6rem; }
 img { max-width: 100%; height: auto; }
-figcaption { color: #555; font-size: 0.9rem; }
+figcaption, .caption { color: #555; font-size: 0.9rem; }
+.summary li { margin: 0.3rem 0; overflow-wrap: anywhere; }
+.viewer svg { width: 100%; height: auto; touch-action: pan-y; cursor: grab; border: 1px solid #e3e3e3; }
+.viewer .bar { display: flex; flex-wrap: wrap; gap: 0.3rem; margin-bottom: 0.3rem; }
+.viewer select, .viewer button { font: inherit; font-size: 0.85rem; max-width: 100%; }
+.viewer .grid { stroke: #e3e3e3; }
+.viewer .tick { font: 11px system-ui, sans-serif; fill: #444; }
+.viewer .legend span { border-left: 1.2rem solid; padding-left: 0.4rem; margin-right: 1rem; font-size: 0.85rem; }
+@media (max-width: 600px) {
+  body { margin: 0.5rem auto; padding: 0 0.6rem; }
+  .summary { padding: 0.2rem 0.6rem; }
+  .summary ul { padding-left: 1.1rem; }
+  p, li, td { overflow-wrap: anywhere; }
+  figure { overflow-x: auto; }
+  figure img { max-width: none; width: 40rem; }
+  table.stacks, .stacks tbody, .stacks tr, .stacks td { display: block; }
+  .stacks thead { display: none; }
+  .stacks caption { display: block; }
+  .stacks tr { border-bottom: 2px solid #888; padding: 0.3rem 0; }
+  .stacks td { display: flex; justify-content: space-between; gap: 1rem; border-bottom: 1px solid #eee; white-space: normal;
+    padding-right: 0; text-align: right; }
+  .stacks td:empty { display: none; }
+  .stacks td::before { content: attr(data-head); color: #555; text-align: left; flex: none; max-width: 45%; }
+}
 """

@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 
 from estimators.closed_form.table1 import ClosedForm
+from estimators.core.correlation import LAGS
 from estimators.core.fit import Fit, Parameter
+from estimators.core.information_criteria import InformationCriteria
 from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.diagnose import Diagnosis
 from estimators.diagnosis.improve import Improvement
@@ -19,7 +21,9 @@ from estimators.inference.hausman import Agreement
 from estimators.inference.robust_covariance import Covariances
 from estimators.prediction_error.fit import PredictorFit
 from estimators.reporting.html import Table, cleaned
-from estimators.validation.simulation_error import Compared, Comparison
+from estimators.validation.recommendation import Recommendation
+from estimators.validation.simulation_error import Compared, Comparison, Trace
+from rtac_jax.measurement import OUTPUTS
 
 FORMAT, VERSION = "rtac-report", 1
 
@@ -83,6 +87,7 @@ def fit_dict(
     predicted: PredictorFit | None = None,
     agreed: Agreement | None = None,
     spread: Covariances | None = None,
+    advice: Recommendation | None = None,
 ) -> dict[str, Any]:
     """Return parameters and errors of a fit, and beside it other estimators, their agreement, and other deviations."""
     found: dict[str, Any] = {
@@ -91,7 +96,16 @@ def fit_dict(
         "parameters": _parameters(_every(fit)),
         "error": {"train": _before_after(train), "validation": _before_after(validation)},
         "seconds": seconds,
+        "criteria": None if fit.criteria is None else _criteria(fit.criteria),
+        "correlations": {"names": list(fit.information.names), "matrix": fit.correlations().matrix.tolist()},
     }
+    if advice is not None:
+        found["recommended"] = {
+            "estimator": advice.estimator,
+            "std_for": advice.deviation,
+            "sound": advice.sound,
+            "parameters": _parameters(advice.parameters),
+        }
     if closed is not None:
         found["closed_form"] = {
             name: {"value": e.value, "std": e.std, "unit": e.unit} for name, e in closed.estimates.items()
@@ -101,6 +115,7 @@ def fit_dict(
             "parameters": _parameters(predicted.parameters),
             "force_noise": predicted.force_noise,
             "torque_noise": predicted.torque_noise,
+            "criteria": _criteria(predicted.criteria),
         }
     if agreed is not None:
         pairs = [
@@ -133,6 +148,7 @@ def comparison_rows(comparison: Comparison) -> list[dict[str, Any]]:
                 "rms": t.rms,
                 "rms_over_noise": t.rms / t.noise,
                 "whiteness_p": t.whiteness_p,
+                "correlations": _correlations(t),
             }
             for compared in comparison.models
             for t in compared.worst(len(compared.traces))
@@ -149,6 +165,20 @@ def _consequence(diagnosis: Diagnosis) -> dict[str, Any] | None:
         "simulated": diagnosis.consequence.simulated,
         "detectable": [c.id for c in diagnosis.detectable],
     }
+
+
+def _criteria(found: InformationCriteria) -> dict[str, Any]:
+    return {"aic": found.aic, "bic": found.bic, "fpe": found.fpe, "unknowns": found.unknowns, "samples": found.samples}
+
+
+def _correlations(trace: Trace) -> dict[str, Any]:
+    """Return the residual's correlations with itself and with the input, with their 99 % bands; lags in samples."""
+    own, band = trace.autocorrelation(LAGS)
+    found: dict[str, Any] = {"autocorrelation": own.tolist(), "autocorrelation_band": band}
+    if np.any(trace.current):
+        cross = trace.input_correlation(LAGS)
+        found |= {"lags": cross.lags.tolist(), "with_input": cross.values.tolist(), "with_input_band": cross.band}
+    return found
 
 
 def _effect(candidate: Candidate, known: Mapping[str, Parameter]) -> dict[str, Any]:
@@ -230,14 +260,21 @@ def error_table(train: Comparison, validation: Comparison | None) -> Table:
             continue
         before, after = comparison.models[0].errors, comparison.models[-1].errors
         for channel, error in before.items():
-            row = [which, channel, f"{error.fit_percent:.2f}", f"{error.rms:.3g}", f"{error.rms_over_noise:.2f}"]
+            row = [
+                which,
+                f"{channel} [{OUTPUTS[channel]}]",
+                f"{error.fit_percent:.2f}",
+                f"{error.rms:.3g}",
+                f"{error.rms_over_noise:.2f}",
+            ]
             if two:
                 then = after[channel]
                 row += [f"{then.fit_percent:.2f}", f"{then.rms:.3g}", f"{then.rms_over_noise:.2f}"]
             rows.append(tuple(row))
-    header = ["data", "channel", "fit [%]", "rms [SI]", "rms/noise"]
-    header += ["fit after [%]", "rms after [SI]", "rms/noise after"] if two else []
-    return Table(tuple(header), tuple(rows), "Error of free simulation; the noise is that of the sensor.")
+    header = ["data", "channel [unit]", "fit [%]", "rms [unit]", "rms/noise [1]"]
+    header += ["fit after [%]", "rms after [unit]", "rms/noise after [1]"] if two else []
+    what = "free simulation" if train.ahead is None else f"predictions {train.ahead} sample(s) ahead"
+    return Table(tuple(header), tuple(rows), f"Error of {what}; the noise is that of the sensor.")
 
 
 def parameter_table(fit: Fit, *, base: Fit | None = None) -> Table:
@@ -270,13 +307,13 @@ def side_by_side(closed: ClosedForm, fit: Fit) -> Table:
 
 def comparison_table(rows: Sequence[Mapping[str, Any]]) -> Table:
     """Return a table of the error of every channel of every experiment, as `comparison_rows` gives it."""
-    header = ("experiment", "channel", "fit [%]", "rms [SI]", "rms/noise", "residual")
+    header = ("experiment", "channel [unit]", "fit [%]", "rms [unit]", "rms/noise [1]", "residual")
     return Table(
         header,
         tuple(
             (
                 row["experiment"],
-                row["channel"],
+                f"{row['channel']} [{OUTPUTS[row['channel']]}]",
                 "" if row["fit_percent"] is None else f"{row['fit_percent']:.2f}",
                 f"{row['rms']:.3g}",
                 f"{row['rms_over_noise']:.2f}",
@@ -297,7 +334,7 @@ def evidence_table(diagnosis: Diagnosis) -> Table:
             then = after.get(test.test)
             row[3:3] = [""] if then is None else [f"{'rejects' if then.rejects else 'passes'} (p {then.p_value:.2g})"]
         rows.append(tuple(row))
-    header = ["test", "p", "base model", "in words"]
+    header = ["test", "p [1]", "base model", "in words"]
     if diagnosis.additions:
         header.insert(3, "with what was added")
     return Table(
@@ -316,7 +353,7 @@ def place_table(diagnosis: Diagnosis, most: int = 8) -> Table:
     rows = [
         (p.by, p.label, p.channel, f"{p.value:.2f}", f"{p.high:.2f}") for p in diagnosis.places[:most] if p.excess > 1
     ]
-    header = ("by", "part", "channel", "mean square", "99 % bound")
+    header = ("by", "part", "channel", "mean square / noise variance [1]", "99 % bound [1]")
     return Table(header, tuple(rows), "Squared innovations where they exceed what chance allows, worst first.")
 
 
@@ -338,7 +375,7 @@ def candidate_table(diagnosis: Diagnosis) -> Table:
                 "accepted" if c.id in accepted else "",
             )
         )
-    header = ("effect", "score", "p", "BIC gain", "explains [%]", "would be found from", "")
+    header = ("effect", "score [1]", "p [1]", "BIC gain [1]", "explains [%]", "would be found from", "")
     return Table(
         header,
         tuple(rows),

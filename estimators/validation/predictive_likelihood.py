@@ -8,14 +8,14 @@ import numpy as np
 import scipy.stats
 from jaxtyping import Array, Float, Int
 
-from estimators.core.data import CHANNELS, Data, moving, pieces
+from estimators.core.data import Data, moving, pieces
 from estimators.core.fit import Fit
 from estimators.core.initial_state import scales_of, space_of
 from estimators.core.parameter_space import Space
 from estimators.core.sensor_noise import noise_levels
 from estimators.prediction_error.coloured_noise import ColouredNoise, colours_at_rest
 from estimators.prediction_error.ekf import Filtered
-from estimators.prediction_error.innovations import stretches
+from estimators.prediction_error.innovations import one_step_rms, stretches
 from estimators.prediction_error.noise_estimation import NoiseModel, fit_noise, run_filter
 from estimators.validation.model_comparison import by_sample, vuong
 from rtac_jax import RTAC
@@ -124,14 +124,4 @@ def _values(space: Space) -> tuple[Array, Array, Array]:
 
 
 def _errors(passed: Filtered, levels: Mapping[str, float]) -> dict[str, float]:
-    whitener = np.moveaxis(np.asarray(passed.whitener), 3, 1)  # [sample experiment row output]
-    there = np.diagonal(whitener, axis1=2, axis2=3) > 0
-    # A row of zeros stands for a sample that was not measured.
-    square = whitener + np.eye(len(CHANNELS)) * ~there[..., None, :]
-    white = np.swapaxes(np.asarray(passed.innovations), 1, 2)[..., None]
-    error = np.linalg.solve(square, white)[..., 0]
-    return {
-        channel: float(np.sqrt(np.mean(error[..., row][there[..., row]] ** 2)) / levels[channel])
-        for row, channel in enumerate(CHANNELS)
-        if there[..., row].any()
-    }
+    return {channel: rms / levels[channel] for channel, rms in one_step_rms(passed).items()}

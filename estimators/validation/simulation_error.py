@@ -8,14 +8,12 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
-from scipy.fft import next_fast_len
-from scipy.signal.windows import parzen
-from scipy.stats import chi2, norm
 
 from estimators.core.active_bounds import solve_bounded
 from estimators.core.data import CHANNELS, Data, mark_of, moving
 from estimators.core.drawing import draw
 from estimators.core.fit import Fit
+from estimators.core.information_criteria import InformationCriteria
 from estimators.core.initial_rest import at_rest, best_starts, may_swing, squares
 from estimators.core.initial_state import space_of
 from estimators.core.levenberg_marquardt import Arguments, plain_residual
@@ -25,7 +23,10 @@ from estimators.core.result_base import Result
 from estimators.core.results import DivergedError
 from estimators.core.sensor_noise import noise_levels
 from estimators.core.step_size import accurate_substeps
+from estimators.prediction_error.fit import PredictorFit
 from estimators.validation.extrapolation import beyond
+from estimators.validation.prediction_ahead import ahead_of
+from estimators.validation.trace import Trace
 from rtac_jax import RTAC, require_configured
 from rtac_jax.measurement import Experiment, Recording
 from rtac_jax.overview import Overview
@@ -35,107 +36,7 @@ _LONG, _BEGINNING = 8192, 2048
 _NOISE = 1.2  # mean square of an error over its noise, from which on a start is sought elsewhere
 _LOST = 1e100  # an output beyond this has left all bounds, and its square would overflow
 
-Values = Float[np.ndarray, " sample"]
-
-
-@dataclasses.dataclass(frozen=True)
-class Trace:
-    """The measurement of one channel of one experiment beside its simulation.
-
-    Attributes:
-        experiment, channel: names.
-        time: [s].
-        measured, simulated: SI units; NaN where nothing was measured.
-        current: motor current or, without one, the disturbance force, for the cross-correlation.
-        used: whether a sample counts in the error (those that only set the start do not).
-        noise: standard deviation of the sensor's noise.
-    """
-
-    experiment: str
-    channel: str
-    time: Values
-    measured: Values
-    simulated: Values
-    current: Values
-    used: Any
-    noise: float
-
-    @property
-    def residual(self) -> Values:
-        """Measured less simulated, NaN where it does not count."""
-        return np.where(self.used, self.measured - self.simulated, np.nan)
-
-    @property
-    def rms(self) -> float:
-        """Root mean square of the residual, SI units."""
-        return float(np.sqrt(np.nanmean(self.residual**2)))
-
-    @property
-    def fit_percent(self) -> float:
-        """100 (1 - |y - yhat| / |y - mean y|); minus infinity for a constant output."""
-        measured = np.where(self.used, self.measured, np.nan)
-        spread = np.sqrt(np.nanmean((measured - np.nanmean(measured)) ** 2))
-        return float(100 * (1 - self.rms / spread)) if spread > 0 else float("-inf")
-
-    def autocorrelation(self, lags: int = 50) -> tuple[Float[np.ndarray, " lag"], float]:
-        """Return the residual's autocorrelation at lags 0 to `lags`, and the 99 % band for white noise."""
-        return _correlation(self.residual, self.residual, lags)
-
-    def cross_correlation(self, lags: int = 50) -> tuple[Float[np.ndarray, " lag"], float]:
-        """Return the correlation of the residual with the input 0 to `lags` samples before, and its 99 % band.
-
-        The band is that of independence, whatever the colours of both.
-
-        Source: Bartlett, J. R. Statist. Soc. Suppl. 8 (1946); Ljung, System Identification (1999), section 16.6.
-        """
-        found, _ = _correlation(self.residual, self.current, lags)
-        return found, _independence_band(self.residual, self.current)
-
-    @property
-    def whiteness_p(self) -> float:
-        """Probability that white noise is at least as correlated over 25 lags (Ljung and Box, Biometrika 65, 1978)."""
-        lags = int(min(25, np.sum(np.isfinite(self.residual)) // 4))
-        if lags < 1:
-            return 1.0
-        correlation, _ = self.autocorrelation(lags)
-        count = int(np.sum(np.isfinite(self.residual)))
-        statistic = count * (count + 2) * np.sum(correlation[1:] ** 2 / (count - np.arange(1, lags + 1)))
-        return float(chi2.sf(statistic, lags))
-
-
-def _correlation(a: Values, b: Values, lags: int) -> tuple[np.ndarray, float]:
-    """Return the cross-correlation, and the 99 % band if one of the two is white."""
-    x, z = _centred(a), _centred(b)
-    lags = min(lags, len(x) - 1)
-    size = np.sqrt(np.sum(x**2) * np.sum(z**2))
-    found = np.array([np.sum(x[k:] * z[: len(z) - k]) for k in range(lags + 1)])
-    return found / size if size > 0 else 0 * found, float(norm.ppf(0.995) / np.sqrt(max(np.isfinite(a).sum(), 1)))
-
-
-def _independence_band(a: Values, b: Values) -> float:
-    """Return the 99 % band of the cross-correlation of independent signals.
-
-    Its variance is sum_k R_a(k) R_b(k) / N.
-    """
-    own = _autocorrelation(_centred(a)) * _autocorrelation(_centred(b))
-    # Over all lags the sum would be the mean square of the correlations themselves, and nothing could stand out of it;
-    # and Parzen's window keeps it positive, which a cut would not.
-    longest = max(len(own) // 3, 1)
-    weight = parzen(2 * longest - 1)[longest - 1 :]
-    inflation = own[0] + 2 * float(np.sum((weight * own[:longest])[1:]))
-    return float(norm.ppf(0.995) * np.sqrt(inflation / len(own)))
-
-
-def _autocorrelation(x: Values) -> Float[np.ndarray, " lag"]:
-    """Return the autocorrelation at all lags; one at lag zero also where there is no signal."""
-    length = next_fast_len(2 * len(x))
-    found = np.fft.irfft(np.abs(np.fft.rfft(x, length)) ** 2, length)[: len(x)]
-    return found / found[0] if found[0] > 0 else np.eye(1, len(x))[0]
-
-
-def _centred(a: Values) -> Values:
-    """Return the signal without its mean, and zero where nothing was measured."""
-    return np.nan_to_num(a - np.nanmean(a)) if np.isfinite(a).any() else np.zeros_like(a)
+Fitted = Fit | PredictorFit | RTAC
 
 
 @dataclasses.dataclass(frozen=True)
@@ -158,6 +59,7 @@ class Compared:
         start: states at the start that were used, by experiment.
         beyond: experiments in which a learned force of the model is asked beyond its range; the variable, and at which fraction
             of the samples.
+        criteria: AIC, BIC and FPE of the fit, on what it was fitted to; None where no fit was given.
     """
 
     label: str
@@ -165,6 +67,7 @@ class Compared:
     traces: tuple[Trace, ...]
     start: Mapping[str, Float[np.ndarray, " state"]]
     beyond: Mapping[str, tuple[str, float]]
+    criteria: InformationCriteria | None = None
 
     @property
     def errors(self) -> dict[str, ChannelError]:
@@ -189,9 +92,15 @@ class Compared:
 
 @dataclasses.dataclass(frozen=True, repr=False)
 class Comparison(Result):
-    """The result of `compare`: one or several models against the same measurements."""
+    """The result of `compare`: one or several models against the same measurements.
+
+    Attributes:
+        models: each with its traces.
+        ahead: samples by which the models predict; None for free simulations.
+    """
 
     models: tuple[Compared, ...]
+    ahead: int | None = None
 
     def overview(self) -> Overview:
         """Return the error of every model in every channel."""
@@ -205,7 +114,8 @@ class Comparison(Result):
         return Overview(title, ("model", "channel", "fit [%]", "rms [SI]", "rms over noise"), rows)
 
     def __str__(self) -> str:
-        lines = [
+        lines = [] if self.ahead is None else [f"predictions {self.ahead} sample(s) ahead"]
+        lines += [
             f"{'model':18s} {'experiment':16s} {'channel':14s} {'fit':>8s} {'rms':>10s} {'rms/noise':>10s}  residual"
         ]
         for compared in self.models:
@@ -220,6 +130,8 @@ class Comparison(Result):
                     f"{compared.label:18s} {'all':16s} {channel:14s} {error.fit_percent:7.2f}% {error.rms:10.4g} "
                     f"{error.rms_over_noise:10.2f}"
                 )
+            if compared.criteria is not None:
+                lines.append(f"{compared.label}: {compared.criteria}, of the fit on what it was fitted to")
             for experiment, (variable, share) in compared.beyond.items():
                 lines.append(
                     f"{compared.label}: at {100 * share:.0f} % of {experiment} {variable} lies beyond the range of the learned "
@@ -233,16 +145,18 @@ class Comparison(Result):
 
 
 def compare(
-    fits: Fit | RTAC | Sequence[Fit | RTAC],
+    fits: Fitted | Sequence[Fitted],
     recording: Recording,
     *,
     labels: Sequence[str] | None = None,
     start_samples: int | None = None,
+    ahead: int | None = None,
 ) -> Comparison:
-    """Simulate models freely and hold them against a recording.
+    """Simulate models freely, or predict some samples ahead, and hold them against a recording.
 
     The states at the start, and parameters that each experiment has for itself, are fitted to the experiment; everything
-    else is the model's.
+    else is the model's. Predictions begin at the state to which a Kalman filter mends the model at each sample, with the
+    random forces and the sensor noise of a `PredictorFit`, or, for other fits, those that make the recording likeliest.
 
     Args:
         fits: one or several fits or models.
@@ -250,13 +164,16 @@ def compare(
         labels: one for each of them.
         start_samples: use only so many samples to set the start, and leave them out of the error; by default the whole
             experiment sets its start, or its beginning where it is very long and the arm cannot wander.
+        ahead: predict so many samples ahead instead; the first so many of an experiment do not count.
 
     Raises:
-        ValueError: nothing moves in the recording, or the labels do not fit.
+        ValueError: nothing moves in the recording, the labels do not fit, or `ahead` is not positive.
         DivergedError: a model leaves all bounds in an experiment; the message names both.
     """
     require_configured()
-    several = [fits] if isinstance(fits, Fit | RTAC) else list(fits)
+    if ahead is not None and ahead < 1:
+        raise ValueError(f"ahead: is {ahead}; give at least 1 sample, or None for a free simulation.")
+    several = [fits] if isinstance(fits, Fit | PredictorFit | RTAC) else list(fits)
     names = list(labels) if labels is not None else ["model"] if len(several) == 1 else _default_labels(several)
     if len(names) != len(several):
         raise ValueError(f"{len(several)} models need as many labels, not {len(names)}.")
@@ -267,26 +184,28 @@ def compare(
         levels |= {c: s for c, s in fitted.noise.items() if c in levels}
     return Comparison(
         tuple(
-            _compare_one(fit, label, experiments, levels, start_samples)
+            _compare_one(fit, label, experiments, levels, start_samples, ahead)
             for fit, label in zip(several, names, strict=True)
-        )
+        ),
+        ahead,
     )
 
 
-def _default_labels(fits: Sequence[Fit | RTAC]) -> list[str]:
-    models = [fit.model if isinstance(fit, Fit) else fit for fit in fits]
+def _default_labels(fits: Sequence[Fitted]) -> list[str]:
+    models = [fit if isinstance(fit, RTAC) else fit.model for fit in fits]
     common = set.intersection(*(set(m.ids) for m in models))
     return [("+ " + ", ".join(i for i in m.ids if i not in common)) if set(m.ids) - common else "base" for m in models]
 
 
 def _compare_one(
-    fit: Fit | RTAC,
+    fit: Fitted,
     label: str,
     experiments: Sequence[Experiment],
     levels: Mapping[str, float],
     start_samples: int | None,
+    ahead: int | None,
 ) -> Compared:
-    model = fit.model if isinstance(fit, Fit) else fit
+    model = fit if isinstance(fit, RTAC) else fit.model
     known = None
     if isinstance(fit, Fit):
         same = [e.name for e in experiments if fit.marks.get(e.name) == mark_of(e)]
@@ -300,7 +219,16 @@ def _compare_one(
     starts: dict[str, np.ndarray] = {}
     far: dict[str, tuple[str, float]] = {}
     for group in groups:
-        simulated, start, used = _simulated(model, label, group, levels, known, start_samples, _substeps(fit))
+        if ahead is None:
+            simulated, start, used = _simulated(model, label, group, levels, known, start_samples, _substeps(fit))
+        else:
+            blind = [e for e in group if e.initial_arm_angle is None and "arm_angle" not in e.outputs]
+            begun = {e.name: known[e.name] for e in blind if known is not None and e.name in known}
+            if unknown := [e for e in blind if e.name not in begun]:
+                begun |= _simulated(model, label, unknown, levels, None, start_samples, _substeps(fit))[1]
+            predictor = fit if isinstance(fit, PredictorFit) else None
+            simulated, start = ahead_of(model, group, levels, ahead=ahead, fit=predictor, starts=begun)
+            used = max(ahead, start_samples or 0)
         starts |= start
         for column, e in enumerate(group):
             shown = {c: simulated[: e.samples, row, column] for row, c in enumerate(CHANNELS) if c in e.outputs}
@@ -320,11 +248,12 @@ def _compare_one(
                         levels[channel],
                     )
                 )
-    return Compared(label, model, tuple(traces), starts, far)
+    criteria = None if isinstance(fit, RTAC) else fit.criteria
+    return Compared(label, model, tuple(traces), starts, far, criteria)
 
 
-def _substeps(fit: Fit | RTAC) -> int | None:
-    return int(fit.statistics["substeps"]) if isinstance(fit, Fit) else None
+def _substeps(fit: Fitted) -> int | None:
+    return None if isinstance(fit, RTAC) else int(fit.statistics["substeps"])
 
 
 def _simulated(

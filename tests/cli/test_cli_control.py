@@ -27,8 +27,16 @@ def ran(file, tmp_path_factory):
 
 
 def test_the_report_is_whole(ran):
-    assert "envelope" in check_report(*ran)
+    assert {"envelope", "bode", "poles"} <= check_report(*ran)
     assert (ran[1] / "controller.mat").exists()
+    result, folder, content = ran
+    # Beside the envelope with the spring on the arm, said on the screen, in the JSON, and in the bullets where they part.
+    beside = content["fitted_model"]
+    assert beside["resonance"] == pytest.approx(np.sqrt(RIG.spring_stiffness / RIG.total_mass), rel=0.05)
+    assert beside["agrees"] == (len(beside["in_words"]) == 1)
+    assert all(said in result.stdout for said in beside["in_words"])
+    page = (folder / "report.html").read_text()
+    assert all(f"<b>{head}.</b>" in page for head in ("Found", "How sure", "Next"))
 
 
 def released(law, duration=8.0, inner=10):

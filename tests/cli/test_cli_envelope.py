@@ -26,6 +26,24 @@ def test_the_report_is_whole(ran):
     assert (ran[1] / "envelope.mat").exists()
 
 
+def test_the_fitted_model_is_held_against_the_envelope(ran):
+    """Against equations (1) and (2) of the rig at small motions, without dry friction, in plain NumPy."""
+    result, _, content = ran
+    omega = np.array(content["frequency"])
+    s = 1j * omega
+    arm = RIG.arm_inertia * s**2 + 0.5 * (RIG.arm_viscous_positive + RIG.arm_viscous_negative) * s
+    cart = RIG.total_mass * s**2 + RIG.cart_viscous * s + RIG.spring_stiffness
+    push = RIG.eccentric_moment * s**2
+    truth = -push * RIG.torque_constant / (cart * arm - push**2)
+    distance = np.max(np.abs(truth / at(content["nominal"], omega) - 1) / np.abs(at(content["weight"], omega)))
+    beside = content["fitted_model"]
+    assert beside["distance"] == pytest.approx(distance, rel=0.3)  # the grid is coarse, and the model was fitted
+    assert not beside["agrees"]  # the cart of this rig rubs
+    assert beside["nominal_peak_over_fitted_db"] < 0
+    assert f"{beside['distance']:.1f} times outside W" in result.stdout
+    assert "play a multisine of" in result.stdout
+
+
 def at(system, omega):
     return np.polyval(system["numerator"], 1j * omega) / np.polyval(system["denominator"], 1j * omega)
 

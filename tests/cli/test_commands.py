@@ -1,9 +1,13 @@
 """The command line: what it writes, what it says, and how it refuses."""
 
+import datetime
 import functools
+import hashlib
+import html
 import json
 import math
 import re
+import shlex
 from dataclasses import replace
 
 import pytest
@@ -24,7 +28,7 @@ from rtac_jax.virtual_rig import Rig, record, standard_plans
 
 COMMANDS = ("fit", "compare", "diagnose", "improve")
 FIGURES = {
-    "fit": {"agreement", "comparison", "recording"},
+    "fit": {"agreement", "comparison", "residuals", "correlations", "recording"},
     "compare": {"comparison", "residuals"},
     "diagnose": {"diagnosis", "where", "confusion", "bands", "comparison", "residuals"},
     "improve": {
@@ -170,7 +174,8 @@ def test_the_report_needs_nothing_else(ran, command):
     page = (ran[command][1] / "report.html").read_text()
     assert "http://" not in page
     assert "https://" not in page
-    assert "<script" not in page
+    assert not re.search(r"<script[^>]*src", page)  # nothing is loaded: the viewer of signals stands in the page
+    assert page.count('class="viewer"') == 1
     assert all(source.startswith("data:image/png;base64,") for source in re.findall(r'src="([^"]*)', page))
     assert page.count("<img") == len(FIGURES[command])
     assert "rig &amp; &lt;co&gt;.h5" in page
@@ -216,6 +221,56 @@ def test_fit_sets_both_estimates_side_by_side(ran):
         content["parameters"]["torque_constant"]["std"], rel=0.5
     )
     assert set(content["std"]) == {"plain", "sandwich", "clustered"}
+
+
+def test_fit_recommends_one_estimate_and_shows_all_deviations_in_its_report(ran):
+    result, folder, content = ran["fit"]
+    # The rig has a flexible mode that the model lacks.
+    advice = content["recommended"]
+    assert not advice["sound"]
+    assert advice["estimator"] == "output error"
+    for name in content["correlations"]["names"]:
+        kinds = [content["std"][kind][name] for kind in ("sandwich", "clustered") if content["std"][kind][name]]
+        assert advice["parameters"][name]["std"] == max(kinds)
+    assert "Recommended: output error, with the standard deviation for a coloured residual" in result.stdout
+    assert content["criteria"]["bic"] > content["criteria"]["aic"]
+    assert f"AIC {content['criteria']['aic']:.1f}" in result.stdout
+    page = (folder / "report.html").read_text()
+    heads = ("closed form std", "output error std, coloured residual", "output error std, independent experiments")
+    assert all(f"{head}</th>" in page for head in heads)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_report_says_first_what_was_found_how_sure_and_what_next_and_where_it_comes_from(ran, file, command):
+    page = (ran[command][1] / "report.html").read_text()
+    summary = page[page.index('class="summary"') : page.index("</section>")]
+    places = [summary.index(f"<b>{head}.</b>") for head in ("Found", "How sure", "Next")]
+    assert places == sorted(places)
+    assert places[0] < min(summary.index(block) for block in ("<p>", "<table") if block in summary)
+    assert summary.count("<li>") == 3
+    assert hashlib.sha256(file.read_bytes()).hexdigest() in page
+    assert datetime.date.today().isoformat() in page
+    assert '<td data-head="setting">command</td>' in page
+    if command in ("fit", "compare"):
+        assert f"rtac diagnose {html.escape(shlex.quote(file.name))}" in summary
+    elif command == "diagnose":
+        assert "Missing: flexible_mode (" in summary
+        assert "rtac improve" in summary
+
+
+def test_compare_gives_correlations_at_both_signs_of_lag_and_predicts_ahead(ran, file, tmp_path, monkeypatch):
+    row = ran["compare"][2]["experiments"][0]["correlations"]
+    assert row["lags"] == list(range(-25, 26))
+    assert len(row["with_input"]) == 51
+    assert len(row["autocorrelation"]) == 26
+    assert row["autocorrelation"][0] == 1.0
+    assert row["autocorrelation_band"] > 0
+    target = tmp_path / "x.json"
+    monkeypatch.setattr(estimators, "output_error", functools.partial(output_error, from_model=True))
+    result = call("compare", file, "--ahead", 1, "--json", target)
+    assert result.exit_code == 0, result.output
+    near = json.loads(target.read_text())["error"]["validation"]["before"]["cart_position"]["rms"]
+    assert near < 0.5 * ran["compare"][2]["error"]["validation"]["before"]["cart_position"]["rms"]
 
 
 def test_compare_says_where_the_model_fails(ran):
@@ -453,7 +508,7 @@ def test_a_report_escapes_what_it_is_given(tmp_path):
     assert "&lt;title&gt; &amp; more" in page
     for raw in ("<b>", "<h>", "<p><p>", "<caption><caption>"):
         assert raw not in page
-    assert '<td class="n">1.5</td>' in page
+    assert '<td class="n" data-head="n">1.5</td>' in page
 
 
 @pytest.mark.parametrize("progress", [True, False])

@@ -1,0 +1,138 @@
+"""The three bullets that a report begins with: what was found, how sure that is, and what to do next."""
+
+import math
+import shlex
+
+from estimators.controller.outcome import ControlDesign, outcome
+from estimators.core.fit import Fit
+from estimators.diagnosis.candidate import Candidate
+from estimators.diagnosis.diagnose import Diagnosis
+from estimators.diagnosis.improve import Improvement
+from estimators.plots.envelope import finding
+from estimators.reporting.html import Bullets
+from estimators.uncertainty.envelope import Envelope
+from estimators.validation.recommendation import Recommendation
+from estimators.validation.simulation_error import Compared, Comparison
+
+_NOISE = 1.2  # error over noise up to which a model follows the data, as in the titles of the pictures
+
+
+def of_fit(fit: Fit, advice: Recommendation, trained: Comparison, tested: Comparison | None, *, file: str) -> Bullets:
+    """Return the bullets of a fit.
+
+    Args:
+        fit: of output error.
+        advice: which estimates to use.
+        trained: the fit on what was fitted.
+        tested: the same on what was held out.
+        file: name of the recording.
+    """
+    against = (tested or trained).models[0]
+    free = [(name, p) for name, p in advice.parameters.items() if name in fit.information.names and p.value]
+    known = sorted(free, key=lambda pair: abs(pair[1].std / pair[1].value))
+    worst = f"; worst known: {_parameter(*known[-1])}" if known else ""
+    best = f" Best known: {_parameter(*known[0])}{worst}." if known else ""
+    return Bullets(
+        f"{len(fit.information.names)} parameters; {_error(against, tested is not None)}.", f"{advice}{best}",
+        _after(against, file, "rtac envelope and rtac control, given recordings of several conditions"),
+    )  # fmt: skip
+
+
+def of_comparison(trained: Comparison, tested: Comparison | None, *, file: str) -> Bullets:
+    """Return the bullets of a comparison; arguments as of `of_fit`."""
+    against = (tested or trained).models[0]
+    white = sum(trace.whiteness_p > 0.01 for trace in against.traces)
+    kind = "held out" if tested is not None else "fitted, so that nothing validates them"
+    return Bullets(
+        f"{_error(against, tested is not None)[0].upper()}{_error(against, tested is not None)[1:]}.",
+        f"{white} of {len(against.traces)} residuals are white at 1 %; these experiments were {kind}.",
+        _after(against, file, "nothing: the model follows these data to their noise"),
+    )
+
+
+def of_diagnosis(
+    found: Diagnosis | Improvement, trained: Comparison, tested: Comparison | None, *, file: str
+) -> Bullets:
+    """Return the bullets of a diagnosis or of a loop of them; arguments as of `of_fit`."""
+    effects = found.added if isinstance(found, Improvement) and found.added else _named(found)
+    named = "; ".join(_effect(c) for c in effects)
+    on_the_way = f"; added on the way: {named}" if named else ""
+    whats = {
+        "adequate": "Nothing is missing from the model at the noise floor",
+        "missing": f"Missing: {named}" if named else "An effect is missing",
+        "ambiguous": f"One of a group is missing, and these data cannot tell which: {named}",
+        "unknown": f"The model fails, and no effect of the catalogue explains it{on_the_way}",
+    }
+    what = whats[found.verdict]
+    if isinstance(found, Improvement) and found.verdict == "adequate" and named:
+        what = f"Added: {named}; nothing more is missing at the noise floor"
+    before, after = ((tested or trained).models[n] for n in (0, -1))
+    sure = f"{_error(before, tested is not None)}"
+    if before is not after:
+        ratio = {c: (e.rms_over_noise, after.errors[c].rms_over_noise) for c, e in before.errors.items()}
+        falls = ", ".join(f"{channel.replace('_', ' ')} {a:.3g} to {b:.3g}" for channel, (a, b) in ratio.items())
+        kind = "experiments that no fit has seen" if tested is not None else "the fitted experiments"
+        sure = f"error over noise on {kind}: {falls}"
+    rivals = sorted({name for c in effects for name in c.confusable_with})
+    sure += f"; confusable with {', '.join(rivals)}" if rivals else ""
+    steps = {
+        "adequate": "Use the model: rtac envelope and rtac control, given recordings of several conditions.",
+        "missing": f"rtac improve {shlex.quote(file)}, which adds it and goes on.",
+        "ambiguous": "Record the experiment that tells them apart (next_experiment.h5 where one could be planned), join it, and "
+        "diagnose again.",
+        "unknown": "Look where and at which frequency the force acts (below); use its learned curve, or give an effect of your "
+        "own with --effects.",
+    }
+    if isinstance(found, Improvement):
+        steps["missing"] = "Use the model with it, in the range of motion that was recorded."
+    return Bullets(f"{what}.", f"{sure[0].upper()}{sure[1:]}.", steps[found.verdict])
+
+
+def of_envelope(found: Envelope, warnings: list[str], *, file: str) -> Bullets:
+    """Return the bullets of an envelope; `warnings` say where the fitted model does not meet it."""
+    step = warnings[-1] if warnings else f"rtac control {shlex.quote(file)}."
+    return Bullets(f"{finding(found)}.", f"{found.coverage}. {warnings[0] if warnings else ''}".strip(), step)
+
+
+def of_control(found: ControlDesign, warnings: list[str]) -> Bullets:
+    """Return the bullets of a controller; `warnings` say where the fitted model does not meet the envelope."""
+    said = outcome(found)
+    held = found.shares["parameter_covariance"]
+    sure = f"{100 * held:.1f} % of plants drawn from the covariance of the fit hold; {found.covered.coverage}."
+    step = "Load controller.mat, or the matrices of the JSON, and try it on the rig with the torque limited."
+    if not found.helps:
+        step = "Do not use it; see below what narrows the envelope."
+    return Bullets(said[0], " ".join([sure, *warnings[:1]]), warnings[-1] if warnings else step)
+
+
+def _named(found: Diagnosis | Improvement) -> tuple[Candidate, ...]:
+    return found.diagnoses[0].effects if isinstance(found, Improvement) else found.effects
+
+
+def _effect(candidate: Candidate) -> str:
+    inside = ", ".join(
+        f"{name} {p.value:.4g}{f' +- {p.std:.2g}' if math.isfinite(p.std) and p.std else ''} {p.unit}".strip()
+        for name, p in candidate.parameters.items()
+    )
+    return f"{candidate.id}{f' ({inside})' if inside else ''}"
+
+
+def _parameter(name: str, p: object) -> str:
+    value, std, unit = (getattr(p, part) for part in ("value", "std", "unit"))
+    return f"{name} {value:.5g} +- {std:.2g} {unit} ({100 * abs(std / value):.2g} %)"
+
+
+def _error(compared: Compared, held_out: bool) -> str:
+    worst = compared.worst(1)[0]
+    kind = "held-out" if held_out else "fitted"
+    return (
+        f"the model leaves at most {worst.rms / worst.noise:.3g} times the noise of the {kind} experiments, in "
+        f"{worst.channel.replace('_', ' ')} of {worst.experiment}"
+    )
+
+
+def _after(compared: Compared, file: str, good: str) -> str:
+    worst = compared.worst(1)[0]
+    if worst.rms > _NOISE * worst.noise:
+        return f"rtac diagnose {shlex.quote(file)}, which says what is missing."
+    return f"{good[0].upper()}{good[1:]}."

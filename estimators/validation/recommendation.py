@@ -1,0 +1,74 @@
+"""One estimate and one standard deviation of each parameter, where several are at hand, by a stated rule."""
+
+import dataclasses
+from collections.abc import Mapping
+
+import numpy as np
+
+from estimators.core.correlation import LEVEL
+from estimators.core.fit import Fit, Parameter
+from estimators.inference.robust_covariance import Covariances
+from estimators.prediction_error.fit import PredictorFit
+from estimators.validation.simulation_error import Compared
+
+RULE = (
+    "The rule: output error with its plain standard deviation where its residuals are white; else prediction error, where its "
+    "innovations are; else output error with the larger of the deviations for a coloured residual and for independent experiments."
+)
+
+
+@dataclasses.dataclass(frozen=True)
+class Recommendation:
+    """The estimates to use, and why.
+
+    Attributes:
+        parameters: value, standard deviation and unit; the deviation of a fixed parameter is zero.
+        estimator: "output error" or "prediction error".
+        deviation: what the standard deviations take for granted, in words.
+        sound: whether the model passes the test of its own residuals; otherwise no standard deviation holds what the model lacks.
+    """
+
+    parameters: Mapping[str, Parameter]
+    estimator: str
+    deviation: str
+    sound: bool
+
+    def __str__(self) -> str:
+        said = f"Recommended: {self.estimator}, with the standard deviation for {self.deviation}."
+        if not self.sound:
+            said += " The residuals are coloured: something is missing, and no deviation counts it; ask est.diagnose."
+        return said
+
+
+def recommended(
+    fit: Fit, fitted: Compared, *, predicted: PredictorFit | None = None, spread: Covariances | None = None
+) -> Recommendation:
+    """Return one estimate and one standard deviation of each parameter.
+
+    Output error is the maximum of the likelihood where its residual is white, and nothing does better; prediction error is it
+    where random forces act and its innovations are white. Where neither holds, the deviations of output error that assume
+    least are the ones to give.
+
+    Args:
+        fit: of output error.
+        fitted: the same model compared with the recording that was fitted.
+        predicted: prediction error of the same model on the same recording.
+        spread: covariances of the fit.
+
+    Source: Ljung, System Identification (1999), sections 7.4 and 9.3; White, Econometrica 50 (1982).
+    """
+    bound = LEVEL / max(len(fitted.traces), 1)  # all traces together reject one right model in a hundred
+    if all(trace.whiteness_p >= bound for trace in fitted.traces):
+        return Recommendation(fit.parameters, "output error", "a white residual, which it has", True)
+    if predicted is not None and all(w.p_value >= LEVEL / len(predicted.whiteness) for w in predicted.whiteness):
+        return Recommendation(predicted.parameters, "prediction error", "white innovations, which it has", True)
+    if spread is None:
+        return Recommendation(fit.parameters, "output error", "a white residual, which it has not", False)
+    kinds = {"a coloured residual": spread.std("sandwich"), "independent experiments": spread.std("clustered")}
+    found = {
+        name: dataclasses.replace(
+            p, std=max([s[name] for s in kinds.values() if np.isfinite(s.get(name, np.nan))], default=p.std)
+        )
+        for name, p in fit.parameters.items()
+    }
+    return Recommendation(found, "output error", f"{' or '.join(kinds)}, the larger of both", False)

@@ -1,0 +1,85 @@
+"""Whether the fitted model meets the envelope: said with the number and the frequency, and only where it does not."""
+
+import control as ct
+import numpy as np
+import pytest
+
+import estimators as est
+from estimators.plots import plot_envelope
+from estimators.uncertainty.fitted_model import fitted_in_envelope
+from rtac_jax import RTAC
+
+MODEL = RTAC.paper()
+OMEGA = np.geomspace(6.3, 31.0, 80)
+
+
+def rig(omega, *, damping=1.0):
+    """Equation (1) and (2) at small motions, in plain NumPy, with the cart's friction this many times as large."""
+    value = {name: float(MODEL[name]) for name in MODEL.parameters}
+    s = 1j * omega
+    arm = value["arm_inertia"] * s**2 + 0.5 * (value["arm_viscous.positive"] + value["arm_viscous.negative"]) * s
+    cart = value["total_mass"] * s**2 + damping * value["cart_viscous.coefficient"] * s + value["spring_stiffness"]
+    push = value["eccentric_moment"] * s**2
+    return -push * value["torque_constant"] / (cart * arm - push**2)
+
+
+def envelope(damping, **options):
+    plants = np.stack([factor * rig(OMEGA, damping=damping) for factor in (0.9, 1.0, 1.1)])
+    return est.envelope(plants, omega=OMEGA, order_nominal=2, progress=False, **options)
+
+
+def test_responses_of_the_model_itself_hold_it():
+    found = fitted_in_envelope(MODEL, envelope(1.0))
+    assert found.agrees
+    assert found.distance < 1
+    assert abs(found.peak_db) < 1.5
+    assert found.resonance == pytest.approx(10.42, rel=0.01)
+    (said,) = found.sentences()
+    assert "inside W" in said
+    np.testing.assert_allclose(found.response, rig(found.frequency), rtol=1e-9)
+
+
+@pytest.fixture(scope="module")
+def held_by_friction():
+    """Responses of a cart that moves so little that dry friction damps it seven times as much."""
+    covered = envelope(7.0)
+    return covered, fitted_in_envelope(MODEL, covered)
+
+
+def test_a_peak_that_friction_took_away_is_told_with_number_and_frequency(held_by_friction):
+    covered, found = held_by_friction
+    assert not found.agrees
+    true = (
+        np.abs(rig(np.linspace(8, 13, 5000))).max() / np.abs(covered.nominal_response(np.linspace(8, 13, 5000))).max()
+    )
+    assert found.peak_db == pytest.approx(-20 * np.log10(true), abs=0.3)
+    gap = np.abs(rig(found.frequency) / covered.nominal_response(found.frequency) - 1) / covered.weight_magnitude(
+        found.frequency
+    )
+    assert found.distance == pytest.approx(gap.max(), rel=1e-9)
+    said, remedy = found.sentences()
+    assert f"{gap.max():.1f} times outside W, most at {found.frequency[gap.argmax()]:.3g} rad/s" in said
+    assert f"{-found.peak_db:.1f} dB below" in said
+    assert "with r the frequency over 1.66 Hz, for 20 s or longer" in remedy
+    # The arm swings about half a radian in rms about theta = 0: K_m i = J theta'' at the resonance.
+    swing = 0.55 * float(MODEL["arm_inertia"]) * found.resonance**2 / float(MODEL["torque_constant"])
+    assert f"{1e3 * swing:.2g} mA rms" in remedy
+
+
+def test_a_mode_that_the_model_has_not_is_named():
+    mode = ct.tf([1.0, 2.0, 6.8**2], [1.0, 0.2, 6.6**2])
+    plain = ct.tf([-1.2], [1.0, 0.47, 10.42**2])
+    plants = np.stack([factor * rig(OMEGA) for factor in (0.9, 1.1)])
+    covered = est.envelope(plants, omega=OMEGA, nominal=plain * mode, within_db=60.0, progress=False)
+    found = fitted_in_envelope(MODEL, covered)
+    assert found.spurious == pytest.approx((6.6,), rel=0.03)
+    assert "has a mode at 6.6 rad/s that the fitted model has not" in found.sentences()[0]
+
+
+def test_the_picture_shows_the_fitted_curve(held_by_friction):
+    covered, found = held_by_friction
+    with_it, without = plot_envelope(covered, found), plot_envelope(covered)
+    assert "fitted model, linearised" in [text.get_text() for text in with_it.get_axes()[0].get_legend().get_texts()]
+    assert "fitted model" in [text.get_text() for text in with_it.get_axes()[2].get_legend().get_texts()]
+    assert len(with_it.get_axes()[1].lines) == len(without.get_axes()[1].lines) + 1
+    with_it.draw_without_rendering()

@@ -1,0 +1,61 @@
+"""One estimate and one standard deviation, by the rule that is stated."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from made_up_results import NOISE, compared
+
+from estimators.core.fisher_information import Information
+from estimators.core.fit import Fit
+from estimators.core.results import RESULTS
+from estimators.inference.robust_covariance import Covariances
+from estimators.prediction_error.fit import PredictorFit, Whiteness
+from estimators.validation.recommendation import recommended
+from rtac_jax import RTAC
+
+MODEL = RTAC.paper()
+NAMES = ("spring_stiffness", "torque_constant")
+
+
+def information(*std):
+    return Information(NAMES, np.diag(np.square(std)), np.eye(2), np.ones(2))
+
+
+FIT = Fit(MODEL, RESULTS.successful, information(0.1, 1e-4), NOISE, NOISE, {}, ("free_1", "forced_1"), {})
+SPREAD = Covariances(
+    NAMES, np.array([132.6, 0.08]), ("N/m", "N m/A"), np.diag([0.1**2, 1e-8]), np.diag([0.3**2, 4e-8]),
+    np.diag([0.2**2, np.nan]), {},
+)  # fmt: skip
+
+
+def predictor(p_value):
+    """Predictions whose innovations have this probability of being white."""
+    found = object.__new__(PredictorFit)
+    model = MODEL.with_values({"spring_stiffness": 130.0})
+    white = Whiteness("free_1", "cart_position", 1.0, np.zeros(25), 0.1, p_value)
+    for name, value in {"model": model, "information": information(0.5, 2e-4), "whiteness": (white,)}.items():
+        object.__setattr__(found, name, value)
+    return found
+
+
+def test_a_white_residual_is_served_best_by_output_error():
+    found = recommended(FIT, compared("model", 0.0), predicted=predictor(0.5), spread=SPREAD)
+    assert (found.estimator, found.sound) == ("output error", True)
+    assert found.parameters["spring_stiffness"].std == pytest.approx(0.1)
+
+
+def test_a_coloured_one_by_predictions_if_these_are_white():
+    found = recommended(FIT, compared("model", 5.0), predicted=predictor(0.5), spread=SPREAD)
+    assert (found.estimator, found.sound) == ("prediction error", True)
+    assert dataclasses.astuple(found.parameters["spring_stiffness"])[:2] == pytest.approx((130.0, 0.5))
+
+
+@pytest.mark.parametrize("predicted", [None, predictor(1e-9)])
+def test_where_nothing_is_white_the_larger_robust_deviation_is_given_and_the_reader_told(predicted):
+    found = recommended(FIT, compared("model", 5.0), predicted=predicted, spread=SPREAD)
+    assert (found.estimator, found.sound) == ("output error", False)
+    assert found.parameters["spring_stiffness"].std == pytest.approx(0.3)
+    assert found.parameters["torque_constant"].std == pytest.approx(2e-4)  # one cluster alone tells nothing
+    assert found.parameters["total_mass"].std == 0.0
+    assert "something is missing" in str(found)

@@ -1,8 +1,10 @@
 """A long experiment without an encoder: from its beginning on, by pieces, to the parameters of the rig."""
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
+from small_experiments import forced
 
 import estimators as est
 from estimators.core import piecewise_triangle
@@ -13,7 +15,7 @@ from estimators.core.residual import diagonal_whitener, no_gain
 from estimators.output_error import horizons as module
 from estimators.output_error.horizons import horizons
 from rtac_jax import RTAC, virtual_rig
-from rtac_jax.measurement import from_rest, multisine
+from rtac_jax.measurement import Recording, from_rest, multisine
 
 SAMPLES, STEP = 20_000, 5e-3
 
@@ -51,10 +53,11 @@ def arguments_of(recording):
     return Arguments(model, data, space, white, no_gain(model, data), 1), space.unconstrained(off_bounds=0.05)
 
 
-def test_horizons_grow_up_to_all_samples(recording, monkeypatch):
-    short = recording["forced"].cut(0, 400)
+def test_horizons_grow_up_to_all_samples(monkeypatch):
+    short = Recording((forced().cut(0, 400),), {"total_mass": 1.23, "arm_inertia": 9.5e-5})
+    given, unknowns = arguments_of(short)
     monkeypatch.setattr(module, "FIRST", 64)
-    given, unknowns = arguments_of(type(recording)((short,), recording.rig))
+    monkeypatch.setattr(module, "factor", lambda *_: jnp.zeros((1, 2, 2)))
     monkeypatch.setattr(module, "information", lambda *_: Shown([]))
     assert [part.samples for part in horizons(given, unknowns)] == [64, 400]
     monkeypatch.setattr(module, "GROWTH", 2)

@@ -270,7 +270,8 @@ def agreement(
         raise ValueError(
             f"the fits used different experiments, one of them {', '.join(names[:3])}; fit them to the same recording."
         )
-    several = [_with_constants_of((predictors or fits)[0].model, result) for result in several]
+    if fitted := [*predictors, *fits]:
+        several = [_with_constants_of(fitted[0].model, result) for result in several]
     ways = [way_of(result, label, source, recording, modal=modal) for result, label in zip(several, said, strict=True)]
     shared = {(a, b): _common(ways[a], ways[b]) for a, b in itertools.combinations(range(len(ways)), 2)}
     if not any(shared.values()):

@@ -143,11 +143,14 @@ class ForceCurve:
 _QUARTERS = 4  # folds of a single experiment, or of two
 
 
-def _evidence(innovations: Innovations, rows: Rows, error: np.ndarray, basis: Rows) -> CurveEvidence:
+def _evidence(
+    innovations: Innovations, rows: Rows, error: np.ndarray, basis: Float[np.ndarray, "row explained"]
+) -> CurveEvidence:
     """Return information and score of each experiment, or of quarters of the time where there are fewer than three."""
     left = rows - basis @ (basis.T @ rows)
     experiments = innovations.data.experiments
-    parts = zip(np.split(left, experiments), np.split(error, experiments), strict=True)
+    measured = experiments * innovations.data.samples * int(innovations.used.sum())  # what follows are constants
+    parts = zip(np.split(left[:measured], experiments), np.split(error[:measured], experiments), strict=True)
     folds = [(a, e) for a, e in parts if np.any(e)]
     if len(folds) < 3:
         folds = [

@@ -87,7 +87,7 @@ def test_experiments_that_a_judged_fit_has_seen_are_named(tmp_path, monkeypatch)
     fit_of(recording()["forced_2"]).save(tmp_path / "greedy.h5")
     heard = []
 
-    def compared(work, fits, labels):
+    def compared(work, fits, labels, ahead=None):
         heard.append(work.remark)
         raise ValueError("that is enough.")
 

@@ -1,5 +1,8 @@
 """The test of a lagged force by itself, on innovations made by plain NumPy: its level, and what it sees."""
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
@@ -20,6 +23,7 @@ class Linear(Innovations):
 
     def __init__(self, data: Data) -> None:
         self.data = data
+        self.space: Any = SimpleNamespace(known=None)  # no constant is uncertain
         self.used = np.array([True, False, True])
         self.added: list[tuple[np.ndarray, np.ndarray]] = []
 

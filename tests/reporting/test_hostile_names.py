@@ -63,7 +63,7 @@ class Page(HTMLParser):
 
 TAGS = {"html", "head", "meta", "title", "style", "body", "h1", "h2", "section", "p", "div", "table", "caption", "thead", "tbody",
         "tr", "th", "td", "figure", "img", "figcaption"}  # fmt: skip
-ATTRIBUTES = {"lang", "charset", "name", "content", "class", "alt", "src"}
+ATTRIBUTES = {"lang", "charset", "name", "content", "class", "alt", "src", "data-head"}
 
 
 def harmless(path):

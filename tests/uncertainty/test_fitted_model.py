@@ -78,7 +78,7 @@ def test_a_mode_that_the_model_has_not_is_named():
 
 def test_the_picture_shows_the_fitted_curve(held_by_friction):
     covered, found = held_by_friction
-    with_it, without = plot_envelope(covered, found), plot_envelope(covered)
+    with_it, without = plot_envelope(covered, fitted=found), plot_envelope(covered)
     assert "fitted model, linearised" in [text.get_text() for text in with_it.get_axes()[0].get_legend().get_texts()]
     assert "fitted model" in [text.get_text() for text in with_it.get_axes()[2].get_legend().get_texts()]
     assert len(with_it.get_axes()[1].lines) == len(without.get_axes()[1].lines) + 1

@@ -248,6 +248,8 @@ def agreement(
     fits = [r for r in several if isinstance(r, Fit)]
     if len(several) < 2:
         raise ValueError("agreement holds estimates against each other; give two results or more.")
+    if len({id(r) for r in several}) < len(several):
+        raise ValueError("one result is given twice, and agrees with itself; give each once.")
     closed = [r for r in several if isinstance(r, ClosedForm)]
     if not fits and not predictors and not closed:
         raise ValueError(

@@ -297,7 +297,7 @@ def test_wrong_use_is_refused(clean: rtac.Recording) -> None:
     closed = est.least_squares(model, clean, weak=True)
     with pytest.raises(ValueError, match="two results or more"):
         agreement([closed], clean)
-    with pytest.raises(ValueError, match="needs a fit"):
+    with pytest.raises(ValueError, match="given twice"):
         agreement([closed, closed], clean)
     fit = est.output_error(model, clean, from_model=True, progress=False)
     with pytest.raises(ValueError, match="more than 21"):

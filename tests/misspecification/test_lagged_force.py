@@ -23,7 +23,7 @@ class Linear(Innovations):
 
     def __init__(self, data: Data) -> None:
         self.data = data
-        self.space: Any = SimpleNamespace(known=None)  # no constant is uncertain
+        self.space: Any = SimpleNamespace(known=None, known_std=None, values=np.zeros(0))  # no constant is uncertain
         self.used = np.array([True, False, True])
         self.added: list[tuple[np.ndarray, np.ndarray]] = []
 

@@ -189,14 +189,22 @@ def test_fig_8_from_the_printed_problem(relax, settles):
 
 
 def test_the_printed_problem_is_less_robust_than_our_own_design(design):
-    """Of plants whose parameters are up to 15 % off, nine in ten settle in time; of our own design 98 to 99 in a hundred."""
+    """Of plants whose parameters are up to 15 % off, nine in ten settle in time with the optimal controller of the printed problem.
+
+    Of the one that is a little less than optimal, which settles later, three in four; of our own design 98 to 99 in a hundred.
+    """
     units, acting, plant, _, own = design
     batch, shares = drawn("15 %", 1000), {}
-    for name, made in (("printed", mixed_sensitivity(paper_nominal(), paper_weights())), ("own", own)):
+    printed = {
+        name: mixed_sensitivity(paper_nominal(), paper_weights(), relax=relax)
+        for name, relax in (("optimal", 1.0), ("relaxed", 1.15))
+    }
+    for name, made in (printed | {"own": own}).items():
         controller = discretise(made.controller, plant, 0.005)
         result = closed_loop(batch, controller, units=units, actuation=acting, torque_constant=KM)
         shares[name] = np.mean(result.holds(within=3.0))
-    assert 0.84 < shares["printed"] < 0.94
+    assert 0.87 < shares["optimal"] < 0.95
+    assert 0.70 < shares["relaxed"] < 0.84
     assert shares["own"] > 0.975
 
 

@@ -85,7 +85,7 @@ def _states_jvp(primals: Any, tangents: Any, *, room: int, most: int) -> tuple[A
 
 
 def _onward(model: RTAC, state: Array, current: Any, force: Any, frame: Excitation, begin: Any, substeps: Any) -> Array:
-    """One Runge-Kutta step, with the states as one array."""
+    """Take one Runge-Kutta step, with the states as one array."""
     now, push = (None if x is None else tuple(x) for x in (current, force))
     step = frame.sample_time / substeps
     after = runge_kutta(model, tuple(state), now, push, frame, step=step, begin=begin, substeps=substeps)

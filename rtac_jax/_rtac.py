@@ -375,7 +375,7 @@ class RTAC(eqx.Module):
 
     @property
     def steps_apart(self) -> bool:
-        """Whether an effect needs to know where an integration step began, because it is not integrated itself."""
+        """Return whether an effect needs to know where an integration step began, because it is not integrated itself."""
         return any(effect.closed or isinstance(effect, Impact) for effect in self.effects)
 
     def since(self, state: tuple[Any, ...], current: Any, step: Any, last: Any) -> Since:

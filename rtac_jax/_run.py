@@ -20,7 +20,7 @@ _STABILITY = 0.5  # step times fastest rate; a classic Runge-Kutta step then err
 
 
 def is_traced(*trees: Any) -> bool:
-    """Whether JAX traces any number in these, to compile, to differentiate or to batch."""
+    """Return whether JAX traces any number in these, to compile, to differentiate or to batch."""
     return any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(trees))
 
 

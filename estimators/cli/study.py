@@ -59,7 +59,7 @@ def run(
 
 @study.command()
 def status(folder: Folder) -> None:
-    """How much of a study is finished, and how often it failed."""
+    """Return how much of a study is finished, and how often it failed."""
     with _answering():
         found = _finished(folder)
         say(f"{folder}: {found.spec.name}, {found.ending}")
@@ -122,7 +122,7 @@ def _finished(folder: Path) -> Any:
 
 @contextmanager
 def _answering() -> Iterator[None]:
-    """As for every command; a wrong description or folder is wrong use."""
+    """Answer as every command does; a wrong description or folder is wrong use."""
     from estimators.study import SpecError, StorageError, WorkerError
 
     with answering():

@@ -50,12 +50,12 @@ class Terms:
 
     @property
     def driven(self) -> bool:
-        """Whether there was a motor current."""
+        """Return whether there was a motor current."""
         return bool(np.any(self.arm["current"]))
 
     @property
     def pushed(self) -> bool:
-        """Whether there was a disturbance force."""
+        """Return whether there was a disturbance force."""
         return bool(np.any(self.cart["force"]))
 
 

@@ -75,7 +75,7 @@ class ClosedForm:
 
     @property
     def consistent(self) -> bool:
-        """Whether every estimate scatters over the experiments by less than 30 % of its mean, the paper's rule."""
+        """Return whether every estimate scatters over the experiments by less than 30 % of its mean, the paper's rule."""
         known = [e.consistency for e in {**self.ratios, **self.estimates}.values() if np.isfinite(e.consistency)]
         return bool(known) and all(c < CONSISTENT for c in known)
 

@@ -78,7 +78,7 @@ class ControlDesign(Result):
 
     @property
     def helps(self) -> bool:
-        """Whether the fitted model settles sooner with the controller than without."""
+        """Return whether the fitted model settles sooner with the controller than without."""
         return bool(self.closed.settling_time()[0] < self.free.settling_time()[0])
 
     def overview(self) -> Overview:

@@ -49,7 +49,7 @@ class InformationCriteria:
 
     @property
     def bic(self) -> float:
-        """The Bayesian criterion, -2 log L + d log N (Schwarz 1978), Rissanen's description length times two."""
+        """Return the Bayesian criterion, -2 log L + d log N (Schwarz 1978), Rissanen's description length times two."""
         return -2 * self.log_likelihood + float(np.log(self.samples)) * self.unknowns
 
     @property

@@ -123,7 +123,7 @@ class Rows(NamedTuple):
 
     @property
     def gauss_newton(self) -> Float[np.ndarray, "parameter parameter"]:
-        """The Gauss-Newton matrix, constants included."""
+        """Return the Gauss-Newton matrix, constants included."""
         flat = self.jacobian.reshape(-1, self.jacobian.shape[-1])
         return flat.T @ flat + self.known.T @ self.known
 

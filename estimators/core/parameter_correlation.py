@@ -77,7 +77,7 @@ class ParameterCorrelations:
 
     @property
     def verdict(self) -> str:
-        """The two parameters that the data tell apart worst, in words."""
+        """Return the two parameters that the data tell apart worst, in words."""
         found = self.strongest()
         if found is None:
             return "One parameter is free"

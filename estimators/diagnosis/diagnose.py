@@ -102,7 +102,7 @@ class Diagnosis(Result):
 
     @property
     def best(self) -> Effect | None:
-        """The first effect to be added; None if there is none."""
+        """Return the first effect to be added; None if there is none."""
         return self.additions[0] if self.additions else None
 
     def overview(self) -> Overview:

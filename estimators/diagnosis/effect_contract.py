@@ -112,7 +112,7 @@ def _fault(error: Exception) -> str:
 
 
 def _line(c: type[Effect], error: Exception) -> str:
-    """Where in the user's file it failed."""
+    """Return where in the user's file it failed."""
     try:
         file = inspect.getfile(c)
     except (TypeError, OSError):  # typed in, without a file

@@ -55,17 +55,17 @@ class Improvement(Result):
 
     @property
     def base(self) -> Fit:
-        """The fit without any effect added."""
+        """Return the fit without any effect added."""
         return self.fits[0]
 
     @property
     def final(self) -> Fit:
-        """The fit with all effects added."""
+        """Return the fit with all effects added."""
         return self.fits[-1]
 
     @property
     def ending(self) -> str:
-        """The effects that were held, or kept for their predictions, if any, and why the loop ended."""
+        """Return the effects that were held, or kept for their predictions, if any, and why the loop ended."""
         said = [str(one) for one in self.foreseen]
         if self.predicted:
             said.append(
@@ -82,13 +82,13 @@ class Improvement(Result):
 
     @property
     def mended(self) -> Verdict | None:
-        """The verdict on the last model, where effects were added and it was diagnosed again; None elsewhere."""
+        """Return the verdict on the last model, where effects were added and it was diagnosed again; None elsewhere."""
         before_last = sum(len(diagnosis.additions) for diagnosis in self.diagnoses[:-1])
         return self.diagnoses[-1].verdict if 0 < len(self.added) <= before_last else None
 
     @property
     def headline(self) -> str:
-        """What was found, in one sentence: what the first model lacked, and what the last one lacks."""
+        """Return what was found, in one sentence: what the first model lacked, and what the last one lacks."""
         if not self.added:
             return {
                 "adequate": "The model is adequate: nothing is missing at the noise floor.",

@@ -21,7 +21,7 @@ class Laboratory(Protocol):
 
     @property
     def base(self) -> FittedModel:
-        """The base model."""
+        """Return the base model."""
         ...
 
     def say(self, text: str) -> None:

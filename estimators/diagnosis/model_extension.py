@@ -36,7 +36,7 @@ class Foreseen:
 
     @property
     def channel(self) -> str:
-        """The channel in which the predictions gain most."""
+        """Return the channel in which the predictions gain most."""
         return max(self.before, key=lambda c: self.before[c] / self.after[c])
 
     def __str__(self) -> str:

@@ -174,12 +174,12 @@ class DiagnosisPolicy:
 
     @property
     def critical(self) -> CriticalValues:
-        """The thresholds of the tests of adequacy."""
+        """Return the thresholds of the tests of adequacy."""
         return CriticalValues(self.alarm, self.chance, self.level)
 
     @property
     def simulation(self) -> SimulationLimits:
-        """The thresholds of the simulation's error."""
+        """Return the thresholds of the simulation's error."""
         return SimulationLimits(self.simulation_noise, self.simulation_poor, self.random_large, self.simulation_level)
 
     @property

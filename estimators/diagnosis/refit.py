@@ -37,7 +37,7 @@ class Refit:
 
     @property
     def values(self) -> dict[str, float]:
-        """All shared parameters by name."""
+        """Return all shared parameters by name."""
         return dict(zip(self.space.names, np.asarray(self.predictor.physical[0]).tolist(), strict=True))
 
     @property

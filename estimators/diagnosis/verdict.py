@@ -66,17 +66,17 @@ class Judgement:
 
     @property
     def effects(self) -> tuple[str, ...]:
-        """The ids of the effects that are named."""
+        """Return the ids of the effects that are named."""
         return tuple(step.id for step in self.steps)
 
     @property
     def rivals(self) -> dict[str, tuple[str, ...]]:
-        """The ids that the data cannot tell from each named effect."""
+        """Return the ids that the data cannot tell from each named effect."""
         return {step.id: step.rivals for step in self.steps}
 
     @property
     def final(self) -> FittedModel:
-        """The model with the named effects; the base model if there is none."""
+        """Return the model with the named effects; the base model if there is none."""
         return self.steps[-1].model if self.steps else self.selection.base
 
 

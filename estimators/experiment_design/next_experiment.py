@@ -51,7 +51,7 @@ class PlannedExperiment:
 
     @property
     def smallest(self) -> float:
-        """The separation of the pair that it separates least."""
+        """Return the separation of the pair that it separates least."""
         return min(self.separation.values())
 
 
@@ -75,12 +75,12 @@ class NextExperiment:
 
     @property
     def best(self) -> PlannedExperiment:
-        """The recommended experiment."""
+        """Return the recommended experiment."""
         return self.ranked[0]
 
     @property
     def told_apart(self) -> str:
-        """The effects in words: one from its rivals, or all from each other."""
+        """Return the effects in words: one from its rivals, or all from each other."""
         pairs = list(self.already)
         sure = next((i for i in self.effects if len(self.effects) > 2 and all(i in pair for pair in pairs)), None)
         if sure is None:
@@ -89,7 +89,7 @@ class NextExperiment:
 
     @property
     def plan(self) -> Plan:
-        """The plan of the recommended experiment."""
+        """Return the plan of the recommended experiment."""
         return self.best.plan
 
     @property

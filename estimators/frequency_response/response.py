@@ -100,7 +100,7 @@ class FrequencyResponses(Result):
 
     @property
     def frequency(self) -> Curve:
-        """The common grid [rad/s].
+        """Return the common grid [rad/s].
 
         Raises:
             ValueError: the conditions have different grids.
@@ -116,13 +116,13 @@ class FrequencyResponses(Result):
 
     @property
     def response(self) -> Complex128[np.ndarray, "condition frequency"]:
-        """All responses on the common grid."""
+        """Return all responses on the common grid."""
         _ = self.frequency
         return np.stack([one.response for one in self.conditions])
 
     @property
     def std(self) -> Float64[np.ndarray, "condition frequency"]:
-        """All standard deviations on the common grid."""
+        """Return all standard deviations on the common grid."""
         _ = self.frequency
         return np.stack([one.std for one in self.conditions])
 

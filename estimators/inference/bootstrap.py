@@ -96,12 +96,12 @@ class Shuffled:
 
     @property
     def experiments(self) -> tuple[Experiment, ...]:
-        """The experiments of the fit."""
+        """Return the experiments of the fit."""
         return self.problem.experiments
 
     @property
     def measured(self) -> Outputs:
-        """The recorded measurements."""
+        """Return the recorded measurements."""
         return _measured(self.problem)
 
     def draw(self, random: np.random.Generator) -> Outputs:
@@ -147,12 +147,12 @@ class Shaken:
 
     @property
     def experiments(self) -> tuple[Experiment, ...]:
-        """The experiments of the fit."""
+        """Return the experiments of the fit."""
         return self.problem.experiments
 
     @property
     def measured(self) -> Outputs:
-        """The recorded measurements."""
+        """Return the recorded measurements."""
         return _measured(self.problem)
 
     def draw(self, random: np.random.Generator) -> Outputs:

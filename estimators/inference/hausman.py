@@ -96,12 +96,12 @@ class Agreement:
 
     @property
     def rejected(self) -> bool:
-        """Whether any two disagree by more than chance allows; the level is shared between the pairs."""
+        """Return whether any two disagree by more than chance allows; the level is shared between the pairs."""
         return any(pair.p_value < self.level / len(self.pairs) for pair in self.pairs)
 
     @property
     def worst(self) -> Disagreement:
-        """The two estimators that disagree most clearly."""
+        """Return the two estimators that disagree most clearly."""
         return min(self.pairs, key=lambda pair: pair.p_value)
 
     @property
@@ -126,7 +126,7 @@ class Agreement:
 
     @property
     def verdict(self) -> str:
-        """The verdict in words: whether they agree, which assumption fails, and what to look at next."""
+        """Return the verdict in words: whether they agree, which assumption fails, and what to look at next."""
         smallest = self.worst.p_value
         if not self.rejected:
             chance = f"differences as large as these come about by chance (p = {smallest:.2g})."

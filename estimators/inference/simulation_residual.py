@@ -65,12 +65,12 @@ class SimulationResidual:
 
     @property
     def vetoes(self) -> bool:
-        """Whether no model may be called adequate, and no agreement a confirmation, with such an error."""
+        """Return whether no model may be called adequate, and no agreement a confirmation, with such an error."""
         return self.cause not in ("noise", "shaken")
 
     @property
     def headline(self) -> str:
-        """The cause in one line, with the numbers that carry it."""
+        """Return the cause in one line, with the numbers that carry it."""
         said = {
             "noise": "The simulation follows the recording down to the noise",
             "shaken": "One sample ahead nothing is missing; random forces explain the simulation's error",

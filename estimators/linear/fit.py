@@ -88,12 +88,12 @@ class LinearModels:
 
     @property
     def bic(self) -> float:
-        """The Bayesian criterion, summed over conditions; less a constant."""
+        """Return the Bayesian criterion, summed over conditions; less a constant."""
         return sum(one.bic for one in self.models)
 
     @property
     def verdict(self) -> str:
-        """The number of conditions that the model set suits, and what is wrong with the others."""
+        """Return the number of conditions that the model set suits, and what is wrong with the others."""
         said: dict[str, list[str]] = {}
         for one in self.models:
             said.setdefault(one.verdict, []).append(one.name)

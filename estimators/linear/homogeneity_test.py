@@ -81,7 +81,7 @@ class Equality:
 
     @property
     def equal(self) -> bool:
-        """Whether equality of all quantities stands."""
+        """Return whether equality of all quantities stands."""
         return self.p_value >= self.level
 
     @property
@@ -103,7 +103,7 @@ class Equality:
 
     @property
     def verdict(self) -> str:
-        """The verdict in words: equal or not, which quantity drifts, and with what."""
+        """Return the verdict in words: equal or not, which quantity drifts, and with what."""
         if self.equal:
             return (
                 f"The {len(self.conditions)} conditions have one set of parameters, as far as these data tell "

@@ -167,7 +167,7 @@ class LinearModel:
 
     @property
     def verdict(self) -> str:
-        """The verdict of the residual tests, and what else is wrong with the fit."""
+        """Return the verdict of the residual tests, and what else is wrong with the fit."""
         said = self.residuals.verdict(self.structure.noise > 0)
         if self.undetermined:
             said += f"; the data leave {self.undetermined} combination(s) of unknowns free: fewer modes or noise_order would do"

@@ -67,7 +67,7 @@ class Structure:
 
     @property
     def count(self) -> int:
-        """All unknowns: G, H, the start of G and the start of H, in this order."""
+        """Return all unknowns: G, H, the start of G and the start of H, in this order."""
         return self.dynamics + self.noise + 2 * self.modes + self.noise_starts
 
     def with_modes(self, modes: int) -> "Structure":

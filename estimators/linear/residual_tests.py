@@ -44,12 +44,12 @@ class ResidualTest:
 
     @property
     def white(self) -> bool:
-        """Whether whiteness stands at 1 %."""
+        """Return whether whiteness stands at 1 %."""
         return self.white_p >= LEVEL
 
     @property
     def independent(self) -> bool:
-        """Whether independence of the input stands at 1 %."""
+        """Return whether independence of the input stands at 1 %."""
         return self.cross_p >= LEVEL
 
     def verdict(self, noise_modelled: bool) -> str:

@@ -51,7 +51,7 @@ class AdequacyTest:
 
     @property
     def rejects(self) -> bool:
-        """Whether it says that something is missing."""
+        """Return whether it says that something is missing."""
         return self.alarmed and self.p_value < self.level
 
 

@@ -15,7 +15,7 @@ class Scored(Protocol):
 
     @property
     def id(self) -> str:
-        """Of the effect."""
+        """Return the id of the effect."""
         ...
 
     @property
@@ -30,7 +30,7 @@ class Scored(Protocol):
 
     @property
     def p_value(self) -> float:
-        """By the model's variance or by the scatter over seconds of data, whichever is larger."""
+        """Return the p-value by the model's variance or by the scatter over seconds of data, whichever is larger."""
         ...
 
 
@@ -132,7 +132,7 @@ class RepeatTest:
 
     @property
     def excess(self) -> float:
-        """The same of all data, if it is as large in each; zero where chance left less than noise does."""
+        """Return the same of all data, if it is as large in each; zero where chance left less than noise does."""
         return max(self.shared, 0.0) / self.part
 
 

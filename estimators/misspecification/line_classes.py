@@ -35,7 +35,7 @@ class LineClass:
 
     @property
     def shows(self) -> str:
-        """The kind of model error that a large ratio shows."""
+        """Return the kind of model error that a large ratio shows."""
         return _SHOWS[self.lines]
 
 

@@ -34,7 +34,7 @@ class Place:
 
     @property
     def excess(self) -> float:
-        """The mean square over its bound."""
+        """Return the mean square over its bound."""
         return self.value / self.high
 
 

@@ -40,7 +40,7 @@ class ScoreTest:
 
     @property
     def excess(self) -> float:
-        """The explained part beyond what chance explains."""
+        """Return the explained part beyond what chance explains."""
         return self.explained - self.freedom
 
 

@@ -54,7 +54,7 @@ class BatchFit:
 
     @property
     def successful(self) -> np.ndarray:
-        """Whether each fit converged [recording]."""
+        """Return whether each fit converged [recording]."""
         return np.array([result == RESULTS.successful for result in self.result])
 
     def __repr__(self) -> str:

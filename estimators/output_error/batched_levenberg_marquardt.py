@@ -140,7 +140,7 @@ def one_step(
     )
 
     def close(at: Batch) -> Array:
-        """Whether the minimum of the linearised problem is near."""
+        """Return whether the minimum of the linearised problem is near."""
         _, left = _newton(weighted(at, columns), shared, at.damping)
         return jnp.sqrt(2.0 * jnp.maximum(left, 0.0)) < nearness[jnp.minimum(at.stage, last - 1)]
 

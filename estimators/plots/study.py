@@ -63,7 +63,7 @@ def plot_estimates(found: StudyResults) -> Picture:
 
 
 def plot_coverage(found: StudyResults) -> Picture:
-    """How often the stated 95 % interval holds the truth, by parameter and estimator, with its own confidence interval."""
+    """Return how often the stated 95 % interval holds the truth, by parameter and estimator, with its own confidence interval."""
     names = _shown(found)
     summary = found.summary()
     figure = picture(8.6, 1.6 + 0.42 * len(names))

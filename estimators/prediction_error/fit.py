@@ -119,7 +119,7 @@ class PredictorFit(Result):
 
     @property
     def verdict(self) -> str:
-        """The verdict of the whiteness tests on the model."""
+        """Return the verdict of the whiteness tests on the model."""
         bound = LEVEL / len(self.whiteness)
         coloured = sorted((w for w in self.whiteness if w.p_value < bound), key=lambda w: w.p_value)
         if not coloured:

@@ -21,7 +21,7 @@ _TAKEN = ("steps", "from_model", "starts")  # the second start is not looked at 
 
 
 def suits(estimate: Estimate, start: str) -> bool:
-    """Whether the fits of a study can be made side by side, which the study alone decides.
+    """Return whether the fits of a study can be made side by side, which the study alone decides.
 
     They descend from the truth by simulation; a fit that begins elsewhere is led by predictions, one after the other.
     """

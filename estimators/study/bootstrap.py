@@ -164,22 +164,22 @@ class Replicates(Work):
 
     @property
     def name(self) -> str:
-        """What a bar of progress shows."""
+        """Return what a bar of progress shows."""
         return "bootstrap"
 
     @property
     def count(self) -> int:
-        """How many there are."""
+        """Return how many there are."""
         return self.repetitions
 
     @property
     def per_chunk(self) -> int:
-        """How many one chunk has by default."""
+        """Return how many one chunk has by default."""
         return _PER_CHUNK
 
     @property
     def layout(self) -> Layout:
-        """What a replicate keeps."""
+        """Return what a replicate keeps."""
         return Layout({"estimate": ("parameter",)}, {"reason": ()}, {"parameter": self.fit.information.names})
 
     @property
@@ -192,7 +192,7 @@ class Replicates(Work):
 
     @property
     def description(self) -> str:
-        """As TOML."""
+        """Return the description as TOML."""
         return toml(
             {
                 "bootstrap": {
@@ -206,7 +206,7 @@ class Replicates(Work):
 
     @functools.cached_property
     def source(self) -> Shuffled | Shaken:
-        """What replicates are drawn from.
+        """Return what replicates are drawn from.
 
         Raises:
             ValueError: the recording is not the one that was fitted.

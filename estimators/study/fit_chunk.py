@@ -73,7 +73,7 @@ def model_for(spec: StudySpec, truth: Truth, recording: Recording) -> RTAC:
 
 
 def parameters_of(spec: StudySpec) -> tuple[str, ...]:
-    """All that the estimators of a study may estimate, and a few besides."""
+    """Return all that the estimators of a study may estimate, and a few besides."""
     from estimators.study.spec import parameter_names
 
     methods = {estimate.method for estimate in spec.estimate}

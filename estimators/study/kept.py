@@ -28,7 +28,7 @@ class Kept:
     arrays: Arrays
 
     def __getitem__(self, variable: str) -> Labelled:
-        """One variable with the names of its axes: "truth", "estimate", "std", "reason", ...
+        """Return one variable with the names of its axes: "truth", "estimate", "std", "reason", ...
 
         Raises:
             KeyError: there is none of that name, or it was not kept.
@@ -42,7 +42,7 @@ class Kept:
 
     @property
     def dataset(self) -> Any:
-        """All variables, as an `xarray.Dataset` where xarray is installed, else as a dictionary of `Labelled`."""
+        """Return all variables, as an `xarray.Dataset` where xarray is installed, else as a dictionary of `Labelled`."""
         return dataset({name: self[name] for name in self.arrays})
 
     @property
@@ -58,7 +58,7 @@ class Kept:
 
     @property
     def failures(self) -> dict[str, dict[str, int]]:
-        """How often each estimator failed for each reason, the most frequent first."""
+        """Return how often each estimator failed for each reason, the most frequent first."""
         return {
             name: dict(collections.Counter(r for r in self.arrays["reason"][:, n] if r).most_common())
             for n, name in enumerate(self.estimators)
@@ -66,7 +66,7 @@ class Kept:
 
     @property
     def has_estimates(self) -> bool:
-        """Whether any parameter was estimated."""
+        """Return whether any parameter was estimated."""
         return bool(np.any(np.isfinite(self.arrays.get("estimate", np.zeros(0)))))
 
     def _by_estimator(self, values: np.ndarray) -> Labelled:

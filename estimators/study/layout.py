@@ -39,7 +39,7 @@ class Layout:
         return found | {name: np.full(self.shape(name, repetitions), "", dtype=object) for name in self.texts}
 
     def table(self) -> dict[str, Any]:
-        """As plain dictionaries, which JSON can hold."""
+        """Return the layout as plain dictionaries, which JSON can hold."""
         return {
             "numbers": {name: list(axes) for name, axes in self.numbers.items()},
             "texts": {name: list(axes) for name, axes in self.texts.items()},

@@ -25,27 +25,27 @@ class Repetitions(Work):
 
     @property
     def name(self) -> str:
-        """Of the study."""
+        """Return the name of the study."""
         return self.spec.name
 
     @property
     def count(self) -> int:
-        """How many there are."""
+        """Return how many there are."""
         return self.spec.repetitions
 
     @property
     def digest(self) -> str:
-        """What all numbers depend on."""
+        """Return what all numbers depend on."""
         return self.spec.digest
 
     @property
     def per_chunk(self) -> int:
-        """How many one chunk has by default."""
+        """Return how many one chunk has by default."""
         return per_chunk(self.spec)
 
     @property
     def layout(self) -> Layout:
-        """What a repetition keeps."""
+        """Return what a repetition keeps."""
         return layout_of(self.spec)
 
     def compute(self, indices: Sequence[int]) -> Arrays:

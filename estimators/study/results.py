@@ -63,7 +63,7 @@ class StudyResults(Kept):
         return statistics.quantities(self)
 
     def envelope_coverage(self, estimator: str | None = None, level: float = statistics.LEVEL) -> dict[str, float]:
-        """How often an envelope holds what it states: the fraction of new conditions inside beside the stated probability.
+        """Return how often an envelope holds what it states: the fraction of new conditions inside beside the stated probability.
 
         Returns:
             `stated`: mean probability; `inside`: mean fraction of new conditions; `kept`: fraction of envelopes of which at
@@ -107,7 +107,7 @@ class StudyResults(Kept):
 
     @property
     def ending(self) -> str:
-        """How much of the study is finished, and how often it failed."""
+        """Return how much of the study is finished, and how often it failed."""
         return tables.ending(self)
 
     def said(self) -> list[str]:
@@ -118,7 +118,7 @@ class StudyResults(Kept):
         return tables.text(self)
 
     def plot(self, which: str | None = None) -> Any:
-        """One picture: "estimates", "coverage", "pairs", "confusion" or "envelopes"; by default the first that suits the study.
+        """Return a picture: "estimates", "coverage", "pairs", "confusion" or "envelopes"; by default the first that suits.
 
         Raises:
             ValueError: the study has no such picture.

@@ -12,12 +12,12 @@ class Work(abc.ABC):
     @property
     @abc.abstractmethod
     def name(self) -> str:
-        """What a bar of progress shows."""
+        """Return what a bar of progress shows."""
 
     @property
     @abc.abstractmethod
     def count(self) -> int:
-        """How many repetitions there are."""
+        """Return how many repetitions there are."""
 
     @property
     @abc.abstractmethod
@@ -27,12 +27,12 @@ class Work(abc.ABC):
     @property
     @abc.abstractmethod
     def per_chunk(self) -> int:
-        """How many one chunk has, if nobody says otherwise."""
+        """Return how many one chunk has, if nobody says otherwise."""
 
     @property
     @abc.abstractmethod
     def layout(self) -> Layout:
-        """What a repetition keeps."""
+        """Return what a repetition keeps."""
 
     @abc.abstractmethod
     def compute(self, indices: Sequence[int]) -> Arrays:

@@ -33,12 +33,12 @@ class ClosedFormCheck:
 
     @property
     def inside(self) -> bool:
-        """Whether it lies inside W at every frequency."""
+        """Return whether it lies inside W at every frequency."""
         return bool(np.all(self.needed <= 1.0))
 
     @property
     def words(self) -> str:
-        """One sentence: inside W or outside, and where."""
+        """Return one sentence: inside W or outside, and where."""
         at = int(np.argmax(self.needed))
         most = f"|Δ| of {self.needed[at]:.3g} at {self.frequency[at]:.3g} rad/s"
         if self.inside:

@@ -51,7 +51,7 @@ class FittedInEnvelope:
 
     @property
     def agrees(self) -> bool:
-        """Whether the fitted model lies inside, and P_0 has its peak and no other."""
+        """Return whether the fitted model lies inside, and P_0 has its peak and no other."""
         return self.distance <= 1 and abs(self.peak_db) <= _FAR and not self.spurious
 
     def sentences(self) -> list[str]:

@@ -78,7 +78,7 @@ class ChannelConsistency:
 
     @property
     def concerns(self) -> list[str]:
-        """One sentence for each inconsistency."""
+        """Return one sentence for each inconsistency."""
         return [one.sentence for one in self.found]
 
     def __str__(self) -> str:

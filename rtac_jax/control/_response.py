@@ -67,7 +67,7 @@ class ClosedLoop:
 
     @property
     def wound_up(self) -> Bool[np.ndarray, " plant"]:
-        """Whether the arm left its half of the circle, |theta - theta_0| > pi/2, beyond which its push turns round."""
+        """Return whether the arm left its half of the circle, |theta - theta_0| > pi/2, beyond which its push turns round."""
         return ~(self.arm_swing <= 0.5 * np.pi)
 
     def holds(self, *, within: float = 3.0, fraction: float = 0.1) -> Bool[np.ndarray, " plant"]:

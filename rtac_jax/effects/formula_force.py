@@ -31,7 +31,7 @@ class Term(NamedTuple):
 
     @property
     def shaped(self) -> bool:
-        """Whether a parameter of its own shapes the term."""
+        """Return whether a parameter of its own shapes the term."""
         return self.kind in _SHAPED and self.number == 0
 
     def value(self, x: Any, shape: Any, slow: Any, xp: Any = np) -> Any:

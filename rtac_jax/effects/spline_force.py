@@ -108,7 +108,7 @@ class SplineForce(Force):
 
     @property
     def depends_on(self) -> str:
-        """The variable, one of `VARIABLES`."""
+        """Return the variable, one of `VARIABLES`."""
         return VARIABLES[int(np.argmax([float(x) for x in self.variable]))]
 
     @property

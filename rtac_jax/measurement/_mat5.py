@@ -183,7 +183,7 @@ def _text(name: memoryview) -> str:
 
 
 def _unpacked(body: memoryview, most: int, whole: bool = False) -> memoryview:
-    """At most so many bytes of a compressed element; with its checksum, where all of it is asked for."""
+    """Return at most so many bytes of a compressed element; with its checksum, where all of it is asked for."""
     unpacker = zlib.decompressobj()
     result = unpacker.decompress(body, most)
     if whole and not unpacker.eof:

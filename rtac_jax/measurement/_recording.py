@@ -167,12 +167,12 @@ class Recording:
 
     @property
     def rig_attributes(self) -> dict[str, float]:
-        """The constants and, as `NAME_std`, their standard deviations, as a file keeps them."""
+        """Return the constants and, as `NAME_std`, their standard deviations, as a file keeps them."""
         return dict(self.rig) | {f"{name}{STD}": value for name, value in self.rig_std.items()}
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The names of the experiments, in order."""
+        """Return the names of the experiments, in order."""
         return tuple(experiment.name for experiment in self.experiments)
 
     def select(self, names: Iterable[str]) -> "Recording":

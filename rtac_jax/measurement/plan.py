@@ -73,7 +73,7 @@ class Plan:
 
     @property
     def hold(self) -> str:
-        """The true behaviour of the inputs between samples."""
+        """Return the true behaviour of the inputs between samples."""
         return self.played or self.intersample
 
     @property

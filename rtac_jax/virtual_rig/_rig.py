@@ -306,7 +306,7 @@ class Rig:
 
     @property
     def apart(self) -> bool:
-        """Whether rotor and arm turn against each other."""
+        """Return whether rotor and arm turn against each other."""
         return self.backlash > 0 or math.isfinite(self.shaft_stiffness)
 
     @property

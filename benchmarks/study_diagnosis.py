@@ -62,6 +62,7 @@ from estimators.core.initial_state import scales_of
 from estimators.diagnosis.evidence import Evidence
 from estimators.diagnosis.model_extension import holding
 from estimators.diagnosis.verdict import judge
+from estimators.study import naming
 from rtac_jax import virtual_rig
 from rtac_jax.effects import Effect
 
@@ -279,24 +280,9 @@ def read(path: Path) -> list[dict]:
 
 
 def outcome(result: dict) -> str:
-    """What the verdict was worth: every effect that was hidden has to be in a group of its own."""
-    truth = hidden_in(result["case"])
-    if result["verdict"] not in ("missing", "ambiguous"):
-        return result["verdict"]
-    groups = [{step, *result["groups"][step]} for step in result["steps"]]
-    fewer = min(len(groups), len(truth))
-    matched = max(
-        sum(one in group for one, group in zip(some, order, strict=True))
-        for some in itertools.permutations(truth, fewer)
-        for order in itertools.combinations(groups, fewer)
-    )
-    if matched < fewer or not set(truth) <= set(EFFECTS):
-        return "wrong"
-    if len(groups) > len(truth):
-        return "right and more"
-    if len(groups) < len(truth):
-        return "a part"
-    return "right" if all(len(group) == 1 for group in groups) else "in the group"
+    """What the verdict was worth, as in `est.study`."""
+    named = " + ".join("|".join([step, *result["groups"][step]]) for step in result["steps"])
+    return naming.outcome(" + ".join(hidden_in(result["case"])), result["verdict"], named)
 
 
 def table(path: Path) -> str:

@@ -66,9 +66,7 @@ def envelope(
         conditions, sources = texts.conditions_table(found, used.responses), texts.sources_table(found)
         models, said = texts.models_table(found), texts.remarks(found, used)
         linear = [] if used.models is None else texts.models_said(used.models)
-        check, sentence = _closed_form(work, found, used)
-        said.append(sentence)
-        fitted, beside = _fitted_beside(work, found)
+        check, fitted, beside = _closed_form(work, found, used)
         work.save(found, save)
         work.say(found, *beside, *said[1:], *linear, conditions, sources)  # the envelope states its coverage itself
         work.write_json(texts.envelope_dict(found, used, seconds=work.seconds, closed_form=check, fitted=fitted))
@@ -103,27 +101,20 @@ def envelope(
         work.write_report(f"Envelope of {work.file}", figures, sections, split=sides(found), summary=bullets)
 
 
-def _closed_form(work: Job, found: Any, used: Any) -> tuple[Any, str]:
-    """Return the closed form beside an envelope and its sentence, or None and why there is none."""
-    from estimators.uncertainty.closed_form_check import closed_form_check
-
-    try:
-        check = closed_form_check(work.recording, found, used.responses)
-    except ValueError as error:
-        return None, f"The closed form cannot be held against the envelope: {error}"
-    return check, check.words
-
-
-def _fitted_beside(work: Job, found: Any) -> tuple[Any, list[str]]:
-    """Return the model fitted in closed form beside an envelope, and what is to be said of it; None where none can be fitted.
+def _closed_form(work: Job, found: Any, used: Any) -> tuple[Any, Any, list[str]]:
+    """Return the closed form beside an envelope, where the nominal model meets it, and what is to be said of both.
 
     The closed form takes milliseconds and is consistent in its weak form; `control` has the fit by output error.
+
+    Returns:
+        None for both where there is no closed form, and why there is none.
     """
-    import estimators as est
+    from estimators.uncertainty.closed_form_check import closed_form_check
     from estimators.uncertainty.fitted_model import fitted_in_envelope
 
     try:
-        fitted = fitted_in_envelope(est.least_squares(work.model(), work.train, weak=True).model, found)
+        check = closed_form_check(work.recording, found, used.responses)
+        fitted = fitted_in_envelope(check.model, found)
     except (ValueError, ArithmeticError) as error:
-        return None, [f"The envelope was held against no fitted model: {error}"]
-    return fitted, fitted.sentences()
+        return None, None, [f"The closed form cannot be held against the envelope: {error}"]
+    return check, fitted, [check.words, *([] if fitted.agrees else fitted.sentences())]

@@ -8,6 +8,16 @@ import pytest
 from typer.testing import CliRunner
 
 from estimators.cli import app as cli
+from rtac_jax.measurement import Recording
+from rtac_jax.virtual_rig import Rig, record, standard_plans
+
+COMMANDS = ("fit", "compare", "diagnose", "improve")
+
+
+def hidden_mode() -> Recording:
+    """A small recording of a rig with a second body on its cart."""
+    rig = Rig(flexible_mass=0.12, flexible_damping=0.03, position_noise=2e-6, quantisation_bits=16)
+    return record(rig, standard_plans(seed=3, duration=4.0, free=1, forced=2, rest=1), seed=3)
 
 
 def call(*arguments):

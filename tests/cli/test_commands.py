@@ -1,18 +1,17 @@
-"""The command line: what it writes, what it says, and how it refuses."""
+"""The command line: what it writes and what it says."""
 
 import datetime
 import functools
 import hashlib
 import html
 import json
-import math
 import re
 import shlex
 from dataclasses import replace
 
 import pytest
 import typer
-from command_line import call, check_report, refused, reported
+from command_line import COMMANDS, call, check_report, hidden_mode, refused, reported
 
 import estimators
 import estimators as est
@@ -20,13 +19,10 @@ import estimators.diagnosis.candidate_set
 from estimators import Improvement
 from estimators.cli import job
 from estimators.output_error.fit import output_error
-from estimators.reporting.html import Table, write_json, write_report
 from rtac_jax import RTAC
 from rtac_jax.effects import CATALOGUE
 from rtac_jax.measurement import Recording
-from rtac_jax.virtual_rig import Rig, record, standard_plans
 
-COMMANDS = ("fit", "compare", "diagnose", "improve")
 FIGURES = {
     "fit": {"agreement", "comparison", "residuals", "correlations", "recording"},
     "compare": {"comparison", "residuals"},
@@ -43,8 +39,7 @@ HELD = "diagnose, where a simulation cannot fit what is missing"
 
 @pytest.fixture(scope="module")
 def recording():
-    rig = Rig(flexible_mass=0.12, flexible_damping=0.03, position_noise=2e-6, quantisation_bits=16)
-    return record(rig, standard_plans(seed=3, duration=4.0, free=1, forced=2, rest=1), seed=3)
+    return hidden_mode()
 
 
 @pytest.fixture(scope="module")
@@ -404,111 +399,11 @@ def test_help_names_every_command():
     assert all(command in result.stdout for command in (*COMMANDS, "info", "demo"))
 
 
-# -- refusals --------------------------------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def bad_files(file, tmp_path):
-    text = tmp_path / "text.h5"
-    text.write_text("time,position\n0,1\n")
-    cut = tmp_path / "cut.h5"
-    cut.write_bytes(file.read_bytes()[:3000])
-    return {"text": text, "cut": cut, "missing": tmp_path / "missing.h5", "folder": tmp_path}
-
-
-@pytest.mark.parametrize("command", ["info", *COMMANDS])
-@pytest.mark.parametrize("which", ["text", "cut", "missing", "folder"])
-def test_an_unreadable_file_is_wrong_use(bad_files, command, which):
-    refused(call(command, bad_files[which]), 2, str(bad_files[which]))
-
-
-@pytest.mark.parametrize("command", COMMANDS)
-def test_an_unknown_name_for_validation_is_wrong_use(file, command):
-    refused(call(command, file, "--validation", "free_1,fred"), 2, "fred", "forced_2")
-    refused(call(command, file, "--validation", ","), 2, "choose among")
-
-
-def test_an_experiment_at_rest_cannot_validate(file):
-    refused(call("fit", file, "--validation", "rest_1"), 2, "rest_1")
-
-
-@pytest.mark.parametrize("option", ["--out", "--json"])
-def test_a_place_that_cannot_be_written_is_wrong_use(file, option):
-    # Below a file there can be no folder, whoever asks.
-    refused(call("fit", file, option, file / "below" / "it"), 2, "cannot be written to")
-
-
-def test_a_folder_is_no_json_file(file, tmp_path):
-    refused(call("fit", file, "--json", tmp_path), 2, "folder")
-
-
-def test_wrong_arguments_are_wrong_use(file):
-    assert call("fit").exit_code == 2
-    assert call("fit", file, "--nonsense").exit_code == 2
-    assert call("nonsense").exit_code == 2
-
-
-@pytest.mark.parametrize("command", COMMANDS)
-def test_rest_records_alone_do_not_allow_it(recording, tmp_path, command):
-    recording.select(["rest_1"]).save(tmp_path / "rest.h5")
-    refused(call(command, tmp_path / "rest.h5"), 1)
-
-
-def test_one_moving_experiment_cannot_be_improved_upon(recording, tmp_path):
-    recording.select(["forced_1", "rest_1"]).save(tmp_path / "one.h5")
-    refused(call("improve", tmp_path / "one.h5"), 1, "nothing can be held out")
-
-
-def test_a_constant_that_no_model_has_is_named(recording, tmp_path):
-    Recording(recording.experiments, {"arm_length": 0.1}).save(tmp_path / "odd.h5")
-    refused(call("fit", tmp_path / "odd.h5"), 2, "arm_length", "arm_inertia")
-
-
-def test_an_unknown_scale_does_not_allow_it(recording, tmp_path):
-    Recording(recording.experiments).save(tmp_path / "unscaled.h5")
-    refused(call("fit", tmp_path / "unscaled.h5"), 1, "total_mass", "arm_inertia", "scale")
-
-
-def test_an_interruption_has_a_status_of_its_own(file, monkeypatch):
-    def interrupt(_):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(Recording, "load", staticmethod(interrupt))
-    refused(call("info", file), 130, "interrupted")
-
-
-# -- parts -----------------------------------------------------------------------------------------------------------
-
-
 def test_names_may_hold_commas(recording):
     odd = replace(recording["free_1"], name="free, slow")
     assert job._names(Recording((odd,)), "free, slow") == ["free, slow"]
     assert job._names(recording, "free_1, forced_1") == ["free_1", "forced_1"]
     assert job._names(recording, None) is None
-
-
-def test_json_has_no_nan(tmp_path):
-    write_json(tmp_path / "x.json", {"a": [math.nan, math.inf, 1.5], "b": (1, True, None, "ä")})
-    assert json.loads((tmp_path / "x.json").read_text()) == {"a": [None, None, 1.5], "b": [1, True, None, "ä"]}
-
-
-def test_a_failed_write_leaves_the_old_file(tmp_path):
-    target = tmp_path / "x.json"
-    write_json(target, {"a": 1})
-    with pytest.raises(TypeError):
-        write_json(target, {"a": object()})
-    assert json.loads(target.read_text()) == {"a": 1}
-    assert [path.name for path in tmp_path.iterdir()] == ["x.json"]
-
-
-def test_a_report_escapes_what_it_is_given(tmp_path):
-    table = Table(("<b>", "n"), (("a & b", "1.5"), ("", "-2")), "<caption>")
-    write_report(tmp_path / "r.html", "<title> & more", [("<h>", ["<p>", table])])
-    page = (tmp_path / "r.html").read_text()
-    assert "&lt;title&gt; &amp; more" in page
-    for raw in ("<b>", "<h>", "<p><p>", "<caption><caption>"):
-        assert raw not in page
-    assert '<td class="n" data-head="n">1.5</td>' in page
 
 
 @pytest.mark.parametrize("progress", [True, False])

@@ -9,8 +9,9 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 
+from rtac_jax._excited_parts import excited_parts
+from rtac_jax._model_tables import overview_of, table_of
 from rtac_jax._rigid_body import RigidBody
 from rtac_jax._since import Since, through
 from rtac_jax._sincos import sincos
@@ -53,10 +54,6 @@ _PAPER = {
 # How far a known constant may be from the paper's, up or down. A rig as large as a building has 10^9 times the inertia;
 # beyond this, what is squared and divided in a fit overflows.
 FARTHEST = 1e15
-
-
-def _shown(value: np.ndarray) -> str:
-    return f"{float(value):.6g}" if value.ndim == 0 else f"{value.size} values"
 
 
 class RTAC(eqx.Module):
@@ -109,26 +106,8 @@ class RTAC(eqx.Module):
             ValueError: nothing moves in the recording, or it names a constant that the model does not have or that no rig
                 has.
         """
-        moves = [e for e in recording.experiments if e.kind != "rest"]
-        if not moves:
-            raise ValueError("the recording holds rest records only; add an experiment in which the rig moves.")
-        if all(e.arm == "locked" and e.cart == "clamped" for e in moves):
-            raise ValueError("arm and cart are both held in every experiment; add one in which either moves.")
-        arm = any(e.arm == "free" for e in moves)
-        cart = any(e.cart == "free" for e in moves)
-        driven = any("current" in e.inputs and np.any(e.inputs["current"].values != 0) for e in moves)
-        effects: list[Effect] = []
-        if cart:
-            effects += [CartViscous(0.5543), CartCoulomb(0.024)]
-        if arm:
-            effects.append(ArmViscous(1.39e-4, 1.49e-4))
-        fixed = set(recording.rig) - set(recording.rig_std)
-        if not arm:
-            fixed |= {"arm_inertia", "eccentric_moment", "torque_constant"}
-        if not cart:
-            fixed |= {"total_mass", "eccentric_moment", "spring_stiffness"}
-        if not driven:
-            fixed.add("torque_constant")
+        effects, unexcited = excited_parts(recording)
+        fixed = (set(recording.rig) - set(recording.rig_std)) | unexcited
         known = {name: float(value) for name, value in recording.rig.items()}
         model = cls(RigidBody(**_PAPER), tuple(effects))
         unknown = sorted(set(known) - set(model.parameters))
@@ -244,12 +223,7 @@ class RTAC(eqx.Module):
 
     def overview(self) -> Overview:
         """Return every parameter with its value, and whether it is estimated."""
-        rows = []
-        for name, declared in self.parameters.items():
-            shown = _shown(np.asarray(self[name]))
-            rows.append((name, declared.symbol, shown, declared.unit, "" if name in self.free else "fixed"))
-        title = f"rigid body with {', '.join(self.ids)}" if self.effects else "rigid body without any effect"
-        return Overview(title, ("parameter", "symbol", "value", "unit", ""), rows)
+        return overview_of(self)
 
     def __repr__(self) -> str:
         what = ", ".join(self.ids) or "no effect"
@@ -263,12 +237,7 @@ class RTAC(eqx.Module):
 
     def table(self) -> str:
         """Return a table of parameters with symbol, value, unit and meaning, one a line."""
-        rows = []
-        for name, declared in self.parameters.items():
-            shown = _shown(np.asarray(self[name]))
-            note = "" if name in self.free else "  (fixed)"
-            rows.append(f"{name:32s} {declared.symbol:10s} {shown:>12s} {declared.unit:10s} {declared.meaning}{note}")
-        return "\n".join(rows)
+        return table_of(self)
 
     @property
     def uncertain(self) -> tuple[str, ...]:

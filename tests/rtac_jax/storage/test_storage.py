@@ -166,7 +166,7 @@ def rewritten(file, change):
         ("rtac_jax._rtac.Gone", "does not have"),
         ("rtac_jax.gone.RTAC", "does not have"),
         ("os.system", "of the package os"),
-        ("rtac_jax._rtac.np", "is no record of results"),
+        ("rtac_jax._rtac.jnp", "is no record of results"),
         ("rtac_jax._rtac.eqx", "is no record of results"),
         ("rtac_jax._rtac.sincos", "is no record of results"),
         ("rtac_jax.measurement._recording.Path", "is no record of results"),

@@ -118,7 +118,8 @@ def test_what_a_file_cannot_hold_is_refused_before_it_is_written(tmp_path):
 
 def test_a_recording_prints_what_is_in_it_and_no_samples():
     assert "experiments: 4 (3 forced, 1 rest)" in str(recording())
-    assert "500 samples" in str(recording())
+    assert "forced; 500 samples of 0.333333 s" in str(recording())
+    assert "cart_position      m     0.7264  3        0.1" in str(recording())
     assert len(str(recording())) < 3000
     assert len(repr(recording())) < 200
 

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float, Int
 
 from estimators.core.data import Data
 from estimators.core.parameter_space import Space, Unknowns
-from estimators.core.residual import signed, start_residual, states_at_start, triangular, whitened
+from estimators.core.residual import prior_residual, signed, states_at_start, triangular, whitened
 from rtac_jax import RTAC, Excitation
 from rtac_jax.effects import Input
 from rtac_jax.simulation import Steps, trajectories
@@ -59,21 +59,25 @@ def piecewise_triangle(
     size = min(PIECE, max(LEAST_PIECE, SIDE_BY_SIDE // many))
     pieces = max(1, SIDE_BY_SIDE // (size * many))
     stretch = pieces * size
-    of_piece = _Directions(len(unknowns.shared) + len(unknowns.each), states)
-    every = of_piece.own + len(unknowns.start)
+    own, every = len(unknowns.shared) + len(unknowns.each), sum(len(leaf) for leaf in unknowns)
+    directions = _identity(unknowns)
 
     def placed(shared: Array, each: Array, times: int) -> RTAC:
-        """Return the model with parameters for as many copies of the experiments."""
-        own = jnp.tile(each, (1, times))
-        values, each_values, _ = space.physical(Unknowns(shared, own, jnp.zeros((0, own.shape[1]))))
-        return model.with_values(
-            dict(zip(space.names, values, strict=True)) | dict(zip(space.each, each_values, strict=True))
-        )
+        """Return the model with physical parameters for as many copies of the experiments."""
+        values = dict(zip(space.names, shared, strict=True))
+        return model.with_values(values | dict(zip(space.each, jnp.tile(each, (1, times)), strict=True)))
 
-    def begin(at: Unknowns) -> Array:
-        there = placed(at.shared, at.each, 1)
-        found = states_at_start(there, space.physical(at)[2], data.excitation)
-        return jnp.stack([jnp.broadcast_to(x, (many,)) for x in found])
+    def physical(at: Unknowns) -> tuple[Array, Array, Array, Array]:
+        """Return the physical parameters, the first states, and the deviation from what was known beforehand."""
+        shared, each, start = space.physical(at)
+        found = states_at_start(placed(shared, each, 1), start, data.excitation)
+        return shared, each, jnp.stack([jnp.broadcast_to(x, (many,)) for x in found]), prior_residual(space, at, many)
+
+    # Once, before the loop: XLA for processors fails to compile what it draws out of the loop of this itself.
+    (shared, each, state, known), (d_shared, d_each, d_state, d_known) = jax.lax.optimization_barrier(
+        jax.vmap(lambda along: jax.jvp(physical, (unknowns,), (along,)), out_axes=(None, 0))(directions)
+    )
+    now = placed(shared, each, 1)
 
     def run(there: RTAC, state: Array, first: Array, times: int, length: int) -> tuple[Array, Array]:
         """Return the states of so many pieces from their first ones, and the whitened error without the last sample."""
@@ -103,7 +107,7 @@ def piecewise_triangle(
     def one_stretch(k: Array, carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         state, change, above = carry
         first = k * stretch
-        path, _ = run(placed(unknowns.shared, unknowns.each, 1), state, first, 1, stretch + 1)
+        path, _ = run(now, state, first, 1, stretch + 1)
         starts = jnp.moveaxis(path[:-1:size], 0, 1).reshape(states, pieces * many)
 
         def local(shared: Array, each: Array, at: Array) -> tuple[Array, Array]:
@@ -111,53 +115,38 @@ def piecewise_triangle(
             ends, error = run(there, at, first, pieces, size + 1)
             return ends[-1], error
 
-        point = (unknowns.shared, unknowns.each, starts)
-        tangents = of_piece.tangents(unknowns, starts)
+        # Directions of a piece: the parameters, then its first state.
+        by_state = jnp.broadcast_to(jnp.eye(own + states)[:, own:, None], (own + states, *starts.shape))
+        tangents = (_padded(d_shared[:own], states), _padded(d_each[:own], states), by_state)
         (_, error), (d_end, d_error) = jax.vmap(
-            lambda along: jax.jvp(local, point, along), out_axes=(None, -1)
+            lambda along: jax.jvp(local, (shared, each, starts), along), out_axes=(None, -1)
         )(tangents)  # fmt: skip
         rows = jnp.moveaxis(jnp.concatenate([d_error, error[..., None]], axis=-1), 2, 0)
         # One block for each piece, of its own directions, its first state and the error.
-        local_factor = triangular(rows.reshape(pieces * many, -1, of_piece.count + 1))
+        local_factor = triangular(rows.reshape(pieces * many, -1, own + states + 1))
         local_factor = local_factor.reshape(pieces, many, *local_factor.shape[1:])
-        d_end = jnp.moveaxis(d_end.reshape(states, pieces, many, of_piece.count), 0, 2)
+        d_end = jnp.moveaxis(d_end.reshape(states, pieces, many, own + states), 0, 2)
 
         def onward(change: Array, of_end: Array) -> tuple[Array, Array]:
-            by_own, by_state = of_end[..., : of_piece.own], of_end[..., of_piece.own :]
-            fresh = jnp.pad(by_own, ((0, 0), (0, 0), (0, every - of_piece.own)))
-            return fresh + jnp.einsum("est,etd->esd", by_state, change), change
+            fresh = jnp.pad(of_end[..., :own], ((0, 0), (0, 0), (0, every - own)))
+            return fresh + jnp.einsum("est,etd->esd", of_end[..., own:], change), change
 
         change, before = jax.lax.scan(onward, change, d_end)
-        blocks = _by_unknowns(local_factor, before, of_piece.own, every)
+        blocks = _by_unknowns(local_factor, before, own, every)
         blocks = jnp.moveaxis(blocks, 0, 1).reshape(many, -1, every + 1)
         return path[-1], change, triangular(jnp.concatenate([above, blocks], axis=1))
 
-    directions = _identity(unknowns)
-    state, change = jax.vmap(lambda along: jax.jvp(begin, (unknowns,), (along,)), out_axes=(None, -1))(directions)
-    known, d_known = jax.vmap(
-        lambda along: jax.jvp(lambda at: start_residual(space, at), (unknowns,), (along,)), out_axes=(None, -1)
-    )(directions)  # fmt: skip
-    prior = jnp.moveaxis(jnp.concatenate([d_known, known[..., None]], axis=-1), 1, 0)
+    prior = jnp.moveaxis(jnp.concatenate([jnp.moveaxis(d_known, 0, -1), known[..., None]], axis=-1), 1, 0)
     count = -(-data.length // stretch)
     nothing = jnp.zeros((many, every + 1, every + 1))
-    carry = (state, jnp.moveaxis(change, 1, 0), nothing)
+    carry = (state, jnp.moveaxis(d_state, (0, 2), (2, 0)), nothing)
     _, _, factor = jax.lax.fori_loop(0, count, one_stretch, carry)
     return signed(triangular(jnp.concatenate([factor, prior], axis=1)))
 
 
-class _Directions:
-    """Directions in which a piece is differentiated: the parameters, then its first state."""
-
-    def __init__(self, own: int, states: int) -> None:
-        self.own, self.states = own, states
-        self.count = own + states
-
-    def tangents(self, unknowns: Unknowns, starts: Array) -> tuple[Array, Array, Array]:
-        shared, each = len(unknowns.shared), len(unknowns.each)
-        rows = jnp.eye(self.count)
-        columns = jnp.broadcast_to(rows[:, shared : self.own, None], (self.count, each, unknowns.each.shape[1]))
-        at_start = jnp.broadcast_to(rows[:, self.own :, None], (self.count, *starts.shape))
-        return rows[:, :shared], columns, at_start
+def _padded(tangents: Float[Array, "direction *rest"], more: int) -> Float[Array, "more_directions *rest"]:
+    """Return tangents with as many directions more, along which nothing changes."""
+    return jnp.concatenate([tangents, jnp.zeros((more, *tangents.shape[1:]))])
 
 
 def _identity(unknowns: Unknowns) -> Unknowns:

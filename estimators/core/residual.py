@@ -94,6 +94,18 @@ def start_residual(space: Space, unknowns: Unknowns) -> Float[Array, "start expe
     return jnp.where(space.start_held > 0, unknowns.start, (start - space.start) / space.start_spread)
 
 
+def prior_residual(space: Space, unknowns: Unknowns, experiments: int) -> Float[Array, "row experiment"]:
+    """Return the deviation from what was known beforehand, in units of its standard deviation: starts, then constants.
+
+    What was measured of constants belongs to no experiment: an equal part of it is counted with each.
+    """
+    of_start = start_residual(space, unknowns)
+    if space.known is None:
+        return of_start
+    constants = space.from_known(space.physical(unknowns)[0]) / np.sqrt(experiments)
+    return jnp.concatenate([of_start, jnp.broadcast_to(constants[:, None], (len(constants), experiments))])
+
+
 def triangle(
     model: RTAC,
     data: Data,
@@ -105,8 +117,6 @@ def triangle(
     gain: Array | None = None,
 ) -> Float[Array, "experiment row column"]:
     """Compress residual and Jacobian of each experiment without loss to the triangular factor of [J, r].
-
-    What was measured of constants beforehand belongs to no experiment: an equal part of it is counted with each.
 
     Its columns are the shared unknowns, the experiment's own, its start, and last the residual. Sums of squares, gradients
     and Gauss-Newton matrices are those of the whole residual. Because experiments do not depend on each other's unknowns, one
@@ -122,15 +132,12 @@ def triangle(
 
     tangents = Unknowns(*(basis(block, leaf) for block, leaf in enumerate(unknowns)))
 
-    def told(at: Unknowns) -> Any:
-        error, known = residual(model, data, space, at, whitener, substeps=substeps, gain=gain)
-        if space.known is None:
-            return error, known
-        constants = space.from_known(space.physical(at)[0]) / np.sqrt(count)
-        return error, jnp.concatenate([known, jnp.broadcast_to(constants[:, None], (len(constants), count))])
+    def rows_of(at: Unknowns) -> tuple[Array, Array]:
+        error, _ = residual(model, data, space, at, whitener, substeps=substeps, gain=gain)
+        return error, prior_residual(space, at, count)
 
     def along(tangent: Unknowns) -> Any:
-        return jax.jvp(told, (unknowns,), (tangent,))
+        return jax.jvp(rows_of, (unknowns,), (tangent,))
 
     (error, known), (d_error, d_known) = jax.vmap(along, out_axes=(None, -1))(tangents)
     columns = jnp.concatenate([d_error, error[..., None]], axis=-1)

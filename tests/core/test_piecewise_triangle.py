@@ -1,6 +1,9 @@
 """Factors by pieces are those of the whole, whatever the lengths, the effects and the gains; so are fits."""
 
 import dataclasses
+import os
+import subprocess
+import sys
 
 import jax
 import jax.numpy as jnp
@@ -53,6 +56,7 @@ def factors(model, found, monkeypatch, *, corrected=False, piece=64):
     monkeypatch.setattr(module, "SIDE_BY_SIDE", 3 * 2 * piece)
     data = Data.of(found.experiments)
     space = space_of(model, found.experiments, free=[n for n in model.free if n not in model.per_experiment])
+    assert (space.known is not None) == bool(found.rig_std)
     unknowns = space.unconstrained(off_bounds=0.05)
     gain = None
     if corrected:  # every state by the output that shows it, differently at every sample
@@ -89,6 +93,47 @@ def test_the_factor_by_pieces_is_that_of_the_whole(effects, each, corrected, mon
     size = np.linalg.norm(whole, axis=1, keepdims=True)
     size[size == 0] = 1.0
     np.testing.assert_allclose(pieces / size, whole / size, atol=1e-11)
+
+
+def test_what_was_measured_of_constants_counts_in_both(monkeypatch):
+    found = dataclasses.replace(recording(), rig_std={"arm_inertia": 1e-7})
+    model = RTAC.from_rig(found)
+    exact = model_with(dataclasses.replace(found, rig_std={}))
+    whole, pieces = factors(model, found, monkeypatch)
+    size = np.linalg.norm(whole, axis=1, keepdims=True)
+    np.testing.assert_allclose(pieces / size, whole / size, atol=1e-11)
+    assert whole.shape[-1] == factors(exact, dataclasses.replace(found, rig_std={}), monkeypatch)[0].shape[-1] + 1
+
+
+AS_USERS_DO = """
+import jax, numpy as np
+import rtac_jax as rtac
+from estimators.core import piecewise_triangle as module
+from estimators.core.data import Data
+from estimators.core.initial_state import space_of
+from estimators.core.levenberg_marquardt import Arguments, factor
+from estimators.core.residual import diagonal_whitener, no_gain
+
+rtac.configure(cache=None)
+time = 5e-3 * np.arange(400)
+one = rtac.Experiment.of("forced", kind="forced", sample_time=5e-3, current=0.2 * np.sin(9 * time),
+                         cart_position=5e-3 * np.cos(10.4 * time), arm_velocity=3 * np.sin(9 * time), initial_arm_angle=0.3)
+found = rtac.Recording((one,), {"total_mass": 1.23, "arm_inertia": 9.5e-5})
+model, data = rtac.RTAC.from_rig(found), Data.of([one])
+space = space_of(model, [one], free=list(model.free))
+given = Arguments(model, data, space, diagonal_whitener(np.array([1e-5, 1e-2, 1e-3]), data), no_gain(model, data), 1)
+module.LONG, module.PIECE, module.LEAST_PIECE, module.SIDE_BY_SIDE = 1, 64, 64, 128
+print(np.isfinite(np.asarray(factor(space.unconstrained(off_bounds=0.05), given))).all())
+"""
+
+
+def test_long_experiments_compile_without_the_flags_of_the_tests():
+    environment = {name: value for name, value in os.environ.items() if name != "XLA_FLAGS"}
+    child = subprocess.run(
+        [sys.executable, "-c", AS_USERS_DO], env=environment, capture_output=True, text=True, timeout=300, check=False
+    )
+    assert child.returncode == 0, child.stderr[-2000:]
+    assert child.stdout.split() == ["True"]
 
 
 def test_what_is_long_is_cut_and_what_looks_along_a_whole_input_is_not():

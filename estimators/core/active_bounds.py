@@ -7,7 +7,7 @@ import numpy as np
 
 from estimators.core.bound_transform import to_unconstrained
 from estimators.core.fisher_information import each_deviations, each_slope, information, slope_of
-from estimators.core.levenberg_marquardt import Arguments, Solved, factor, solve
+from estimators.core.levenberg_marquardt import NEGLIGIBLE, Arguments, Solved, factor, solve
 from estimators.core.parameter_space import Space, Unknowns
 
 _NEAR = 0.3  # standard deviations from its bound at which a parameter is held there
@@ -25,7 +25,13 @@ no nearer to null either."""
 
 
 def solve_bounded(
-    unknowns: Unknowns, arguments: Arguments, *, tolerance: float = 1e-6, most: int = 60, progress: object = None
+    unknowns: Unknowns,
+    arguments: Arguments,
+    *,
+    tolerance: float = 1e-6,
+    gain: float = NEGLIGIBLE,
+    most: int = 60,
+    progress: object = None,
 ) -> Solved:
     """Minimise the sum of squares as `solve` does, with parameters that run to a bound held on it.
 
@@ -38,9 +44,8 @@ def solve_bounded(
     while True:
         turn += 1
         space, at = _holding(whole, unknowns, held)
-        solved = solve(
-            at, dataclasses.replace(arguments, space=space), tolerance=tolerance, most=most, progress=progress
-        )
+        within = dataclasses.replace(arguments, space=space)
+        solved = solve(at, within, tolerance=tolerance, gain=gain, most=most, progress=progress)
         unknowns = solved.unknowns
         full = np.asarray(factor(unknowns, dataclasses.replace(arguments, space=whole))) if held else solved.factor
         before = dict(held)

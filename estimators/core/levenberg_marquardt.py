@@ -19,6 +19,11 @@ from rtac_jax.simulation import Steps
 _HOPELESS = 1e30
 # A gain in log-likelihood that moves no parameter by a fiftieth of its standard deviation.
 _NOTHING = 2e-4
+NEGLIGIBLE = 1e-6
+"""Gain in log-likelihood that a last step may promise and need not be taken: none moves a parameter by 0.0015 of its standard
+deviation."""
+# Singular values of less than this fraction of the largest are of unknowns that do nothing.
+_RANK = 1e-12
 
 
 class Arguments(eqx.Module):
@@ -56,6 +61,34 @@ def factor(unknowns: Unknowns, arguments: Arguments) -> Array:
 def diverged(factor: Array) -> bool:
     """Return whether the factor is that of a model that left all bounds."""
     return bool(np.max(np.asarray(factor)[:, -1, -1]) >= _HOPELESS)
+
+
+def promised_gain(factor: np.ndarray, shared: int) -> float:
+    """Return the gain in log-likelihood that a full step of Gauss and Newton promises: half the squared Newton decrement.
+
+    Args:
+        factor: the triangular factors of residual and Jacobian, per experiment.
+        shared: number of unknowns that all experiments share; they come first.
+
+    Source: Boyd and Vandenberghe, Convex Optimization (2004), section 9.5.1.
+    """
+    residual = factor[..., -1:]
+    both = np.concatenate([factor[..., :shared], residual], axis=-1)
+    # What each experiment has for itself explains its part first; the shared unknowns part of what is left.
+    basis = _basis(factor[..., shared:-1])
+    part = np.swapaxes(basis, -1, -2) @ both
+    left = (both - basis @ part).reshape(-1, shared + 1)
+    together = _basis(left[:, :-1]).T @ left[:, -1]
+    return 0.5 * float(np.sum(part[..., -1] ** 2) + together @ together)
+
+
+def _basis(columns: np.ndarray) -> np.ndarray:
+    """Return an orthonormal basis of what the columns of matrices span, with zeros in place of what they do not."""
+    if columns.shape[-1] == 0:
+        return columns
+    left, size, _ = np.linalg.svd(columns, full_matrices=False)
+    counts = size > _RANK * np.maximum(size[..., :1], np.finfo(float).tiny)
+    return left * counts[..., None, :]
 
 
 @eqx.filter_jit
@@ -120,7 +153,13 @@ class Solved(NamedTuple):
 
 
 def solve(
-    unknowns: Unknowns, arguments: Arguments, *, tolerance: float = 1e-6, most: int = 60, progress: Any = None
+    unknowns: Unknowns,
+    arguments: Arguments,
+    *,
+    tolerance: float = 1e-6,
+    gain: float = NEGLIGIBLE,
+    most: int = 60,
+    progress: Any = None,
 ) -> Solved:
     """Minimise the sum of squares.
 
@@ -128,6 +167,7 @@ def solve(
         unknowns: to begin at.
         arguments: of the residual.
         tolerance: relative change of unknowns and residual below which it stops.
+        gain: promised by a full step, below which it stops too.
         most: steps to try.
         progress: called with a line of text after every step.
 
@@ -141,24 +181,28 @@ def solve(
         raise FloatingPointError(
             "The model diverges at the start values; give start values nearer to the rig, or check the units."
         )
+    best, shared = np.asarray(trial), len(unknowns.shared)
+    if promised_gain(best, shared) < gain:
+        return Solved(unknowns, best, 0.5 * float(np.sum(best[..., -1] ** 2)), 0, True)
     state = _init(solver, unknowns, trial)
-    cost, quiet, converged, step, best = np.inf, 0, False, 0, trial
+    cost, quiet, converged, step = np.inf, 0, False, 0
     for step in range(1, most + 1):
         before = unknowns
         unknowns, state, value = _step(solver, unknowns, state, trial)
-        if not _same(unknowns, before):  # the trial was taken
-            best = trial
         now = float(value)
+        taken = not _same(unknowns, before)
+        if taken:
+            best = np.asarray(trial)
         if progress is not None:
             progress(f"step {step}, cost {now:.6g}")
         if now < cost:
             quiet = quiet + 1 if cost - now < max(0.1 * tolerance * now, _NOTHING) else 0
             cost = now
-        if bool(state.terminate) or quiet >= 2:
+        if bool(state.terminate) or quiet >= 2 or (taken and promised_gain(best, shared) < gain):
             converged = True
             break
         trial = factor(state.y_eval, arguments)
-    return Solved(unknowns, np.asarray(best), cost, step, converged)
+    return Solved(unknowns, best, cost, step, converged)
 
 
 def _same(one: Unknowns, other: Unknowns) -> bool:

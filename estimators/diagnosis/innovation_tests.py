@@ -26,7 +26,7 @@ from estimators.misspecification.line_classes import LineClass, line_classes
 from estimators.misspecification.replication_test import repeat_test
 from estimators.misspecification.residual_maps import Place, where
 from estimators.misspecification.spectral_line_test import spectral_line
-from estimators.misspecification.static_force import compile_force_curves, force_curves
+from estimators.misspecification.static_force import force_curves
 from estimators.prediction_error.innovations import Innovations, Rows, orthonormal
 from estimators.prediction_error.latent_force import LatentForce, latent_forces
 from estimators.prediction_error.noise_estimation import run_filter, start_variance
@@ -54,10 +54,8 @@ def pieces_of_tests(
         partial(_unfitted, setting, _model_beside(setting, added, group), free) for group in grouped(setting, added)
     ]
     return [
-        lambda: alone().compile_jacobian(),
+        lambda: alone().compile_derivatives(),
         *(partial(_compile, group) for group in groups),
-        lambda: compile_force_curves(alone()),
-        lambda: alone().compile_pushed(),
     ]
 
 
@@ -96,10 +94,8 @@ def run_tests(setting: Setting, refit: Refit, ahead: Ahead | None = None) -> Tes
     screened = _screened(setting, refit, probed, error, basis, ready)
     scales = scales_of(setting.model, setting.experiments)
     slow = (_SLOW * scales.velocity, _SLOW * scales.arm_velocity)
-    ready()
     curves = force_curves(probed, error, basis, _ranges(setting), slow)
     stiffness = float(np.asarray(setting.model.body.spring_stiffness))
-    ready()
     delayed = delayed_forces(
         probed, error, basis, setting.experiments, frequency=scales.frequency, stiffness=stiffness
     )  # fmt: skip

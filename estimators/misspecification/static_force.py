@@ -2,75 +2,19 @@
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any, ClassVar
 
-import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
-from estimators.core.compilation import compile_only
-from estimators.core.data import Data
-from estimators.core.parameter_space import Space
 from estimators.core.threads import at_once
 from estimators.misspecification.force_formulas import CurveEvidence, Formula, formulas_of
 from estimators.misspecification.score_test import score_test
-from estimators.prediction_error.innovations import Innovations, Rows, error_at
-from rtac_jax import RTAC
-from rtac_jax.effects import Force, Motion, States
-from rtac_jax.effects.spline_force import PORTS, SHAPES, VARIABLES, SplineForce, on_curve
-from rtac_jax.simulation import Steps
+from estimators.prediction_error.force_probe import KNOTS, ForceProbe
+from estimators.prediction_error.innovations import Innovations, Rows
+from rtac_jax.effects.spline_force import PORTS, SHAPES, VARIABLES, SplineForce
 
-KNOTS = 12
 # As many hats as a learned force has shapes, over the whole range, as heights at the knots.
 _WIDE = np.maximum(0.0, 1.0 - np.abs(np.linspace(0, SHAPES - 1, KNOTS) - np.arange(SHAPES)[:, None]))
-
-
-class Probe(Force):
-    """An unknown force at one port as a piecewise linear function of one variable; for `jax.jvp` at zero only."""
-
-    id: ClassVar[str] = "probe"
-    equation: ClassVar[str] = "sum of hat functions"
-    source: ClassVar[str] = "de Boor, A Practical Guide to Splines (1978), chapter 3"
-    port: ClassVar[str] = "cart or arm"
-    nature: ClassVar[str] = "source"
-
-    heights: Float[Array, " knot"]
-    on: Float[Array, "2"]
-    variable: Float[Array, " variable"]
-    first: Array
-    spacing: Array
-    slow: Array
-
-    def force(self, motion: Motion, own: States) -> tuple[Any, Any]:
-        """Return force on the cart [N] and torque on the arm [N m] at the present value of the variable."""
-        # At zero heights it does not matter how the hats change with the motion, and stopping that saves half the time.
-        at, rubs = jax.lax.stop_gradient(on_curve(motion, self.variable, self.first, self.spacing, self.slow))
-        at = jnp.clip(at, 0.0, KNOTS - 1.0)
-        total = sum(self.heights[k] * (jnp.maximum(0.0, 1.0 - jnp.abs(at - k)) * rubs) for k in range(KNOTS))
-        return self.on[0] * total, self.on[1] * total
-
-
-@eqx.filter_jit
-def _derivatives(
-    model: RTAC,
-    probe: Probe,
-    directions: Array,
-    data: Data,
-    space: Space,
-    whitener: Array,
-    gain: Array,
-    substeps: Steps,
-) -> Array:
-    """Return derivatives of the innovations by the heights of a probe at zero."""
-
-    def function(heights: Array) -> Array:
-        probed = model + eqx.tree_at(lambda p: p.heights, probe, heights)
-        return error_at(probed, data, space, whitener, gain, space.values, substeps)
-
-    zero = jnp.zeros(KNOTS)
-    return jax.vmap(lambda t: jax.jvp(function, (zero,), (t,))[1])(directions)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -183,8 +127,7 @@ def force_curves(
         port, variable = place
         low, high = ranges[VARIABLES[variable].split(",")[0]]
         spacing = (high - low) / (KNOTS - 1)
-        slopes = np.asarray(_derivatives(*_arguments(innovations, port, variable, low, spacing, slow[port])))
-        rows = innovations.rows(slopes, innovations.constants_of_forces(len(slopes)))
+        rows = innovations.by_force(ForceProbe.between(port, variable, low, high, slow[port]))
         test = score_test(rows, error, basis, blocks)
         if test.freedom == 0:
             return None
@@ -216,19 +159,3 @@ def _places(ranges: Mapping[str, tuple[float, float]]) -> list[tuple[int, int]]:
             if high > low and ("," not in variable or rubbed[variable.split(",")[0]] == port):
                 found.append((place, index))
     return found
-
-
-def compile_force_curves(innovations: Innovations) -> None:
-    """Compile what `force_curves` will run, and run nothing."""
-    compile_only(_derivatives, *_arguments(innovations, 0, 0, 0.0, 1.0, 1.0))
-
-
-def _arguments(
-    innovations: Innovations, port: int, variable: int, low: float, spacing: float, slow: float
-) -> tuple[Any, ...]:
-    probe = Probe(
-        jnp.asarray(np.zeros(KNOTS)), jnp.asarray(np.eye(2)[port]), jnp.asarray(np.eye(len(VARIABLES))[variable]),
-        jnp.asarray(low), jnp.asarray(spacing), jnp.asarray(slow),
-    )  # fmt: skip
-    i = innovations
-    return i.model, probe, jnp.asarray(np.eye(KNOTS)), i.data, i.space, i.whitener, i.gain, i.substeps

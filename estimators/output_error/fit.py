@@ -18,7 +18,7 @@ from estimators.core.fisher_information import information
 from estimators.core.fit import Fit
 from estimators.core.initial_rest import at_rest, best_starts, may_swing
 from estimators.core.initial_state import scales_of, space_of
-from estimators.core.levenberg_marquardt import Arguments, Solved, diverged, factor, plain_residual
+from estimators.core.levenberg_marquardt import NEGLIGIBLE, Arguments, Solved, diverged, factor, plain_residual
 from estimators.core.parameter_space import Space, Unknowns, number_of_unknowns
 from estimators.core.residual import diagonal_whitener, no_gain
 from estimators.core.results import RESULTS, DivergedError
@@ -45,6 +45,12 @@ _HOPELESS = 5.0
 # A start leads where another one did if, once both were guided, the rms of what sets their simulations apart is less than this
 # many times the noise of every sensor: no measurement could tell them from each other.
 _ALIKE = 0.3
+# Gain in log-likelihood for which a stage that only makes a start for the next takes no further step; where a start that was
+# guided is held against another's, both have to be nearer to where they lead.
+_START, _GUIDANCE = 1.0, 1e-2
+# Passes with the channels weighed by what the one before left: at most so many, to the last digits once a pass gains less than
+# the second in log-likelihood, and until one gains less than the third.
+_REWEIGHTINGS, _REWEIGHTED, _SETTLED = 10, 1.0, 1e-2
 
 
 def output_error(
@@ -235,7 +241,7 @@ class _Run:
             gain, corrected = self._gain(parts[0], model, space, unknowns, noise, scales, share, substeps)
             arguments = Arguments(model, parts[0], space, corrected, gain, substeps)
             self._require_determined(space, unknowns, arguments)
-            near = self._solve(unknowns, arguments, tolerance=1e-3, most=15)
+            near = self._solve(unknowns, arguments, tolerance=1e-3, gain=_GUIDANCE, most=15)
             unknowns = near.unknowns
             if share == _CORRECTION[0]:
                 if near.cost > _HOPELESS * self.nearest:
@@ -243,24 +249,29 @@ class _Run:
                 self.nearest = min(self.nearest, near.cost)
         for part in () if begins_near else parts[:-1]:
             arguments = Arguments(model, part, space, whitener, nothing, substeps)
-            unknowns = self._solve(unknowns, arguments, tolerance=1e-2, most=15).unknowns
+            unknowns = self._solve(unknowns, arguments, tolerance=1e-2, gain=_GUIDANCE, most=15).unknowns
         guided = self._simulated(model, space, unknowns, substeps)
         if (same := self._followed(guided, noise)) is not None:
             return same
-        deviation = noise
-        cost, solved = np.inf, None
-        for last in (False, False, True):
+        deviation, cost, solved = self._rms(guided, noise), np.inf, None
+        nearly = False
+        for _ in range(_REWEIGHTINGS):
+            # Each channel counts by what the pass before left of it, so that in the end its deviation is estimated, too.
+            whitener = diagonal_whitener(deviation, self.data)
             arguments = Arguments(model, self.data, space, whitener, nothing, substeps)
             self._require_determined(space, unknowns, arguments)
-            solved = self._solve(
-                unknowns, arguments, tolerance=self.tolerance if last else 1e-2, most=self.steps if last else 15
-            )
+            if nearly:
+                solved = self._solve(unknowns, arguments, tolerance=self.tolerance, most=self.steps)
+            else:
+                solved = self._solve(unknowns, arguments, tolerance=1e-2, gain=_START, most=15)
             unknowns = solved.unknowns
             deviation = self._deviation(model, space, unknowns, substeps, noise)
-            cost = _concentrated(deviation, self.data) + space.penalty(space.physical(unknowns)[0])
+            before, cost = cost, _concentrated(deviation, self.data) + space.penalty(space.physical(unknowns)[0])
             if cost > best + 1.0 * float(jnp.sum(self.data.present)):
                 break  # hopeless beside another start: not worth the last digits
-            whitener = diagonal_whitener(deviation, self.data)
+            if nearly and before - cost < _SETTLED:
+                break
+            nearly = nearly or before - cost < _REWEIGHTED
         assert solved is not None
         end = _Stage(model, space, solved, deviation, cost, substeps)
         self.followed.append((guided, end))
@@ -275,8 +286,10 @@ class _Run:
                 return end
         return None
 
-    def _solve(self, unknowns: Unknowns, arguments: Arguments, *, tolerance: float, most: int) -> Solved:
-        return solve_bounded(unknowns, arguments, tolerance=tolerance, most=most, progress=self._show)
+    def _solve(
+        self, unknowns: Unknowns, arguments: Arguments, *, tolerance: float, gain: float = NEGLIGIBLE, most: int
+    ) -> Solved:
+        return solve_bounded(unknowns, arguments, tolerance=tolerance, gain=gain, most=most, progress=self._show)
 
     def weighted(self, stage: _Stage) -> Robust:
         """Go on from the end of a descent with weights that discount what lies too far off for noise."""
@@ -330,7 +343,9 @@ class _Run:
         return np.asarray(plain_residual(unknowns, arguments)[0])
 
     def _deviation(self, model: RTAC, space: Space, unknowns: Unknowns, substeps: int, noise: np.ndarray) -> np.ndarray:
-        error = self._simulated(model, space, unknowns, substeps)
+        return self._rms(self._simulated(model, space, unknowns, substeps), noise)
+
+    def _rms(self, error: np.ndarray, noise: np.ndarray) -> np.ndarray:
         count = np.maximum(np.asarray(self.data.present).sum(axis=(0, 2)), 1.0)
         rms = np.sqrt((error**2).sum(axis=(0, 2)) / count)
         # A channel cannot be trusted beyond its sensor, or one that happens to fit would drown the others.

@@ -1,7 +1,7 @@
 """Innovations of a predictor with frozen gains, and how they would change with parameters or added inputs."""
 
 import dataclasses
-from typing import Any
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -15,10 +15,13 @@ from estimators.core.parameter_space import Space
 from estimators.core.residual import predict, whitened
 from estimators.core.threads import at_once
 from estimators.prediction_error.ekf import Filtered
+from estimators.prediction_error.force_probe import KNOTS, ForceProbe
 from rtac_jax import RTAC
 from rtac_jax.simulation import Steps
 
 AT_ONCE = 8
+DIRECTIONS = 12
+"""Directions that are differentiated at a time: as many as an unknown force has heights."""
 Rows = Float[np.ndarray, "row column"]
 
 
@@ -41,7 +44,7 @@ class Innovations:
         def some(first: int) -> Rows:
             part = values[first : first + AT_ONCE]
             padded = np.concatenate([part, np.repeat(part[-1:], AT_ONCE - len(part), axis=0)])
-            found = np.asarray(_innovations(*self._arguments(padded)))[: len(part)]
+            found = np.asarray(_innovations(*self._arguments(), jnp.asarray(padded), self.substeps))[: len(part)]
             return self.rows(found, np.stack([self._constants(one) for one in part]))
 
         return np.concatenate(at_once(some, range(0, len(values), AT_ONCE)), axis=1)
@@ -50,37 +53,49 @@ class Innovations:
         """Return derivatives by the free shared parameters, scaled."""
         directions = self._directions()
         slopes = self._constants(directions) - self._constants(np.zeros_like(directions))
-        return self.rows(np.asarray(_jacobian(*self._arguments(directions))), slopes)
+        return self._derivatives(slopes, values=directions)
 
     def pushed(self, current: np.ndarray, force: np.ndarray) -> Rows:
         """Return derivatives by currents [A] and cart forces [N] added to the inputs, each [direction sample experiment]."""
+        return self._derivatives(self._constants_of_forces(len(current)), current=current, force=force)
+
+    def by_force(self, probe: ForceProbe) -> Rows:
+        """Return derivatives by the heights of an unknown force, one column each."""
+        return self._derivatives(self._constants_of_forces(KNOTS), probe, heights=np.eye(KNOTS))
+
+    def _derivatives(self, constants: np.ndarray, probe: ForceProbe | None = None, **along: np.ndarray) -> Rows:
+        """Return derivatives along directions, of `_Along`; along what is not given nothing changes."""
+        probe = _no_force() if probe is None else probe
         columns = []
-        for first in range(0, len(current), AT_ONCE):
-            parts = [added[first : first + AT_ONCE] for added in (current, force)]
-            missing = AT_ONCE - len(parts[0])
-            padded = [np.concatenate([p, np.zeros((missing, *p.shape[1:]))]) for p in parts]
-            found = _pushed(*self._arguments(*padded))
-            shown = np.asarray(found)[: len(parts[0])]
-            columns.append(self.rows(shown, self.constants_of_forces(len(shown))))
+        for first in range(0, len(constants), DIRECTIONS):
+            part = {name: rows[first : first + DIRECTIONS] for name, rows in along.items()}
+            count = len(constants[first : first + DIRECTIONS])
+            found = _derivatives(*self._arguments(), probe, self._along(**part), self.substeps)
+            columns.append(self.rows(np.asarray(found)[:count], constants[first : first + count]))
         return np.concatenate(columns, axis=1)
+
+    def _along(self, **given: np.ndarray) -> "_Along":
+        """Return as many directions as are compiled, from the rows that are given; the rest is zero."""
+        added = (self.data.room, self.data.experiments)
+        shapes = {"values": (len(self.space.names),), "heights": (KNOTS,), "current": added, "force": added}
+        found = {}
+        for name, shape in shapes.items():
+            rows = np.zeros((DIRECTIONS, *shape))
+            rows[: len(given.get(name, ()))] = given.get(name, 0.0)
+            found[name] = jnp.asarray(rows)
+        return _Along(**found)
 
     def compile(self) -> None:
         """Compile `at`, and run nothing."""
         several = np.repeat(np.asarray(self.space.values)[None], AT_ONCE, axis=0)
-        compile_only(_innovations, *self._arguments(several))
+        compile_only(_innovations, *self._arguments(), jnp.asarray(several), self.substeps)
 
-    def compile_jacobian(self) -> None:
-        """Compile `jacobian`, and run nothing."""
-        compile_only(_jacobian, *self._arguments(self._directions()))
+    def compile_derivatives(self) -> None:
+        """Compile `jacobian`, `pushed` and `by_force`, which are one program; and run nothing."""
+        compile_only(_derivatives, *self._arguments(), _no_force(), self._along(), self.substeps)
 
-    def compile_pushed(self) -> None:
-        """Compile `pushed`, and run nothing."""
-        nothing = np.zeros((AT_ONCE, self.data.room, self.data.experiments))
-        compile_only(_pushed, *self._arguments(nothing, nothing))
-
-    def _arguments(self, *several: np.ndarray) -> tuple[Any, ...]:
-        several_of = [jnp.asarray(one) for one in several]
-        return (self.model, self.data, self.space, self.whitener, self.gain, *several_of, self.substeps)
+    def _arguments(self) -> tuple[RTAC, Data, Space, Array, Array]:
+        return self.model, self.data, self.space, self.whitener, self.gain
 
     def _directions(self) -> np.ndarray:
         # A free parameter past the end is none: its direction, and so its column, is zero.
@@ -104,7 +119,7 @@ class Innovations:
             constants = np.broadcast_to(self._constants(), (len(found), self._constants().shape[-1]))
         return np.concatenate([shown, constants], axis=1).T
 
-    def constants_of_forces(self, count: int) -> np.ndarray:
+    def _constants_of_forces(self, count: int) -> np.ndarray:
         """Return the rows of constants for so many derivatives by forces, which change no constant: zeros."""
         return np.zeros((count, self._constants().shape[-1]))
 
@@ -159,34 +174,59 @@ def _innovations(
     return jax.vmap(lambda v: error_at(model, data, space, whitener, gain, v, substeps))(values)
 
 
+def _no_force() -> ForceProbe:
+    return ForceProbe.between(0, 0, 0.0, 1.0, 1.0)
+
+
+class _Along(NamedTuple):
+    """Directions along which innovations are differentiated.
+
+    Attributes:
+        values: of the shared parameters, physical.
+        heights: of an unknown force, in its unit.
+        current: added to the input [A].
+        force: added to the input [N].
+    """
+
+    values: Float[Array, "direction parameter"]
+    heights: Float[Array, "direction knot"]
+    current: Float[Array, "direction sample experiment"]
+    force: Float[Array, "direction sample experiment"]
+
+
 @eqx.filter_jit
-def _jacobian(
-    model: RTAC, data: Data, space: Space, whitener: Array, gain: Array, directions: Array, substeps: Steps
+def _derivatives(
+    model: RTAC,
+    data: Data,
+    space: Space,
+    whitener: Array,
+    gain: Array,
+    probe: ForceProbe,
+    along: _Along,
+    substeps: Steps,
 ) -> Array:
-    def function(values: Array) -> Array:
-        return error_at(model, data, space, whitener, gain, values, substeps)
+    """Return the derivatives of the innovations along directions, at no unknown force and at the inputs that were measured.
 
-    return jax.vmap(lambda t: jax.jvp(function, (space.values,), (t,))[1])(directions)
+    All that is linear in the innovations is one program, or each would compile the same physics again.
+    """
 
+    def with_added(known: Array | None, added: Array) -> Array:
+        # By parts: an addition at an index to zeros would be computed by the compiler, which takes seconds.
+        first = added[:, None]
+        return first if known is None else jnp.concatenate([known[:, :1] + first, known[:, 1:]], axis=1)
 
-@eqx.filter_jit
-def _pushed(
-    model: RTAC, data: Data, space: Space, whitener: Array, gain: Array, current: Array, force: Array, substeps: Steps
-) -> Array:
-    nothing = jnp.zeros((data.room, 1, data.experiments))
-
-    def function(added: tuple[Array, Array]) -> Array:
-        excitation = data.excitation
-        inputs = [
-            (nothing if known is None else known).at[:, 0].add(extra)
-            for known, extra in zip((excitation.current, excitation.force), added, strict=True)
-        ]
-        pushed = dataclasses.replace(excitation, current=inputs[0], force=inputs[1])
+    def function(values: Array, heights: Array, current: Array, force: Array) -> Array:
+        probed = model + eqx.tree_at(lambda p: p.heights, probe, heights)
+        given = data.excitation
+        pushed = dataclasses.replace(
+            given, current=with_added(given.current, current), force=with_added(given.force, force)
+        )
         changed = dataclasses.replace(data, excitation=pushed)
-        return error_at(model, changed, space, whitener, gain, space.values, substeps)
+        return error_at(probed, changed, space, whitener, gain, values, substeps)
 
-    zero = jnp.zeros((data.room, data.experiments))
-    return jax.vmap(lambda *t: jax.jvp(function, ((zero, zero),), (t,))[1])(current, force)
+    nothing = jnp.zeros((data.room, data.experiments))
+    point = (space.values, jnp.zeros(KNOTS), nothing, nothing)
+    return jax.vmap(lambda direction: jax.jvp(function, point, tuple(direction))[1])(along)
 
 
 def orthonormal(columns: Rows) -> Float[np.ndarray, "row basis"]:

@@ -32,6 +32,8 @@ _FEWEST = 200  # samples of that part
 _MUCH = 100.0  # gain in log-likelihood that a step must promise to be called far off
 _LESS = (0.0, 4.0)  # by how much in the logarithm of the variance
 _ENOUGH = 1.0  # gain in log-likelihood that is worth another round
+# Gain in log-likelihood for which physics at frozen gains takes no further step: none moves a parameter by 0.05 deviations.
+_PHYSICS = 1e-3
 _SHOWN = 10.0  # how much wider the cart's position at the start is taken to lie than its scale
 
 
@@ -343,7 +345,8 @@ def fit_predictor(
             used = np.concatenate([np.maximum(noise.exponents[:2] - _LESS[failed], _LEAST), noise.exponents[2:]])
             passed = run_filter(model, data, space, physical, prior, used, substeps).filtered
         arguments = Arguments(model, data, space, passed.whitener, passed.gain, substeps)
-        trial = solve_bounded(unknowns, arguments, tolerance=1e-4, most=20, progress=progress).unknowns
+        solved = solve_bounded(unknowns, arguments, tolerance=1e-4, gain=_PHYSICS, most=20, progress=progress)
+        trial = solved.unknowns
         moved = space.physical(trial)
         new = fit_noise(model, data, space, moved, prior, noise.exponents, substeps)
         gained = new.log_likelihood - noise.log_likelihood + space.penalty(physical[0]) - space.penalty(moved[0])

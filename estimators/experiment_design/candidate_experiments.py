@@ -2,11 +2,10 @@
 
 import dataclasses
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 
 from rtac_jax import RTAC, Simulation, simulate
 from rtac_jax.measurement import Experiment, Plan, multisine
@@ -124,7 +123,7 @@ def feasible(model: RTAC, plans: Sequence[Plan], limits: Limits, *, lower: bool)
     shown: dict[str, Simulation] = {}
     gain = float(np.asarray(model["torque_constant"]))
     for attempt in range(_ROUNDS if lower else 1):
-        shown = simulate(model, [_blank(plan) for plan in plans], start={plan.name: start_of(plan) for plan in plans})
+        shown = simulate(model, [plan.to_simulate() for plan in plans], start={plan.name: plan.start for plan in plans})
         refused = {}
         for place, plan in enumerate(plans):
             states = shown[plan.name].states
@@ -150,43 +149,18 @@ def feasible(model: RTAC, plans: Sequence[Plan], limits: Limits, *, lower: bool)
 
 def predicted(plan: Plan, shown: Simulation, channels: Sequence[str]) -> Experiment:
     """Return a plan as the experiment that the model expects of it; a channel in which nothing moves is left out."""
-    return _experiment(plan, {c: getattr(shown, c) for c in _shows(plan, shown, channels)})
-
-
-def start_of(plan: Plan) -> tuple[float, float, float, float]:
-    """Return cart position [m], cart velocity [m/s], arm angle [rad] and arm velocity [rad/s] at the start."""
-    return plan.initial_position, plan.initial_velocity, plan.initial_angle, plan.initial_arm_velocity
+    return plan.experiment({c: getattr(shown, c) for c in _shows(plan, shown, channels)})
 
 
 def _shows(plan: Plan, shown: Simulation, channels: Sequence[str]) -> list[str]:
     """Return the channels in which something moves."""
-    held = {
-        "cart_position": plan.cart == "clamped",
-        "arm_velocity": plan.arm == "locked",
-        "arm_angle": plan.arm == "locked",
-    }
-    return [c for c in channels if not held[c] and np.ptp(getattr(shown, c)) > 0]
+    return [c for c in channels if c not in plan.held and np.ptp(getattr(shown, c)) > 0]
 
 
 def _named(plan: Plan, asked: Plan) -> Plan:
     if plan.current is None or plan.current is asked.current:
         return plan
     return dataclasses.replace(plan, name=f"{plan.name}, lowered to {np.max(np.abs(plan.current)):.2g} A")
-
-
-def _blank(plan: Plan) -> Experiment:
-    # Only the inputs of this one are looked at, but an experiment in which nothing shows would be refused.
-    ramp = np.arange(plan.samples, dtype=float)
-    return predicted(plan, Simulation(ramp, ramp, ramp, ramp, {}), _CHANNELS)
-
-
-def _experiment(plan: Plan, outputs: Mapping[str, Float[np.ndarray, " sample"]]) -> Experiment:
-    return Experiment.of(
-        plan.name, kind=plan.kind, sample_time=plan.sample_time, current=plan.current,
-        disturbance_force=plan.disturbance_force, intersample=plan.intersample, initial_arm_angle=plan.initial_angle,
-        arm=plan.arm, cart=plan.cart, cart_position=outputs.get("cart_position"), arm_velocity=outputs.get("arm_velocity"),
-        arm_angle=outputs.get("arm_angle"),
-    )  # fmt: skip
 
 
 def _degrees(angle: float) -> str:

@@ -11,7 +11,6 @@ from jaxtyping import Float
 from estimators.core.data import CHANNELS, Data
 from estimators.core.initial_state import space_of
 from estimators.diagnosis.setting import absent_like
-from estimators.experiment_design.candidate_experiments import start_of
 from estimators.experiment_design.hypotheses import MODEL, Contest
 from estimators.prediction_error.ekf import filtered
 from estimators.prediction_error.innovations import Innovations, Rows
@@ -37,7 +36,7 @@ def separations(
     model with neither.
     """
     experiments = [*recorded, *planned]
-    start = dict(contest.start) | {plan.name: np.array(start_of(plan)) for plan in plans}
+    start = dict(contest.start) | {plan.name: np.array(plan.start) for plan in plans}
     innovations = _innovations(contest, experiments, start)
     space = innovations.space
     points = [(MODEL, np.asarray(space.values), np.zeros(0, dtype=int))]

@@ -102,19 +102,8 @@ def expected_std(
 
 def _experiment(model: RTAC, plan: Plan) -> Experiment:
     """Return a plan as the experiment that the model expects of it."""
-
-    def of(position: np.ndarray | None, arm: np.ndarray | None) -> Experiment:
-        return Experiment.of(
-            plan.name, kind=plan.kind, sample_time=plan.sample_time, current=plan.current,
-            disturbance_force=plan.disturbance_force, initial_arm_angle=plan.initial_angle, arm=plan.arm, cart=plan.cart,
-            cart_position=None if plan.cart == "clamped" else position, arm_velocity=None if plan.arm == "locked" else arm,
-        )  # fmt: skip
-
-    # Only the inputs of this one are looked at, but an experiment in which nothing shows would be refused.
-    ramp = np.arange(plan.samples, dtype=float)
-    blank = of(ramp, ramp)
+    asked = plan.to_simulate()
     if plan.kind == "rest":
-        return blank
-    start = (plan.initial_position, plan.initial_velocity, plan.initial_angle, plan.initial_arm_velocity)
-    shown = simulate(model, [blank], start={plan.name: start})[plan.name]
-    return of(np.asarray(shown.cart_position), np.asarray(shown.arm_velocity))
+        return asked
+    shown = simulate(model, asked, start={plan.name: plan.start})
+    return plan.experiment({channel: np.asarray(getattr(shown, channel)) for channel in asked.outputs})

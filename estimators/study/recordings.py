@@ -101,10 +101,7 @@ def _simulated(spec: StudySpec, jobs: Mapping[int, tuple[RTAC, Sequence[virtual_
         index: Simulated(
             model,
             [bare[index][n] for n in moving[index]],
-            [
-                (p.initial_position, p.initial_velocity, p.initial_angle, p.initial_arm_velocity)
-                for p in (plans[n] for n in moving[index])
-            ],
+            [p.start for p in (plans[n] for n in moving[index])],
         )
         for index, (model, plans) in jobs.items()
         if moving[index]

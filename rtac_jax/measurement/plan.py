@@ -1,9 +1,13 @@
 """The plan of an experiment to be carried out."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
+from jaxtyping import Float
+
+from ._experiment import Experiment
 
 HOLDS = ("zoh", "foh", "bl")
 """What an input may do between its samples."""
@@ -80,3 +84,33 @@ class Plan:
     def samples(self) -> int:
         """Number of samples N."""
         return round(self.duration / self.sample_time)
+
+    @property
+    def start(self) -> tuple[float, float, float, float]:
+        """Cart position [m], cart velocity [m/s], arm angle [rad] and arm velocity [rad/s] at the start."""
+        return self.initial_position, self.initial_velocity, self.initial_angle, self.initial_arm_velocity
+
+    @property
+    def held(self) -> frozenset[str]:
+        """Outputs that cannot change, because cart or arm is held."""
+        arm = ("arm_velocity", "arm_angle") if self.arm == "locked" else ()
+        return frozenset(arm + (("cart_position",) if self.cart == "clamped" else ()))
+
+    def experiment(self, outputs: Mapping[str, Float[np.ndarray, " sample"]], **more: Any) -> Experiment:
+        """Return what is recorded when the plan is carried out and these are its outputs, SI units.
+
+        Args:
+            outputs: measured, by channel.
+            more: of `Experiment.of`, as `noise_std`.
+        """
+        return Experiment.of(
+            self.name, kind=self.kind, sample_time=self.sample_time, current=self.current,
+            disturbance_force=self.disturbance_force, intersample=self.intersample, initial_arm_angle=self.initial_angle,
+            arm=self.arm, cart=self.cart, **outputs, **more,
+        )  # fmt: skip
+
+    def to_simulate(self) -> Experiment:
+        """Return the plan as an experiment of which only the inputs are looked at; its outputs are ramps."""
+        # An experiment in which nothing shows would be refused.
+        ramp = np.arange(self.samples, dtype=float)
+        return self.experiment({c: ramp for c in ("cart_position", "arm_velocity") if c not in self.held})

@@ -1,7 +1,6 @@
 """Carry out plans on a virtual rig, and record what its sensors show."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -153,17 +152,4 @@ def _experiment(rig: Rig, plan: Plan, outputs: dict[str, np.ndarray], write_nois
             noise[name] = float(np.sqrt(spread**2 + bit**2 / 12))
         if rig.encoder:
             noise["arm_angle"] = rig.angle_noise
-    fields: dict[str, Any] = {
-        "kind": plan.kind,
-        "sample_time": plan.sample_time,
-        "current": plan.current,
-        "disturbance_force": plan.disturbance_force,
-        "intersample": plan.intersample,
-        "initial_arm_angle": plan.initial_angle,
-        "arm": plan.arm,
-        "cart": plan.cart,
-        "repeat_of": plan.repeat_of,
-        "noise_std": noise,
-        **outputs,
-    }
-    return Experiment.of(plan.name, **fields)
+    return plan.experiment(outputs, repeat_of=plan.repeat_of, noise_std=noise)

@@ -221,6 +221,17 @@ def test_more_noise_and_less_time_are_expected_to_cost(recording: rtac.Recording
         assert loud[name] == pytest.approx(2 * std, rel=0.1), name
 
 
+def test_inputs_that_run_straight_between_samples_tell_less_than_held_ones() -> None:
+    """Of a fast current straight lines pass less than steps do, and the arm moves less against the same noise."""
+    turn = 0.8 * np.pi  # of the current's phase in a sample
+    held = virtual_rig.Plan("fast", "forced", 10.0, 0.05, current=0.1 * np.cos(turn * np.arange(200)), cart="clamped")
+    straight = dataclasses.replace(held, intersample="foh")
+    model = rtac.RTAC.paper().fix(*(n for n in rtac.RTAC.paper().free if n != "torque_constant"))
+    steps, lines = (expected_std(model, [plan], noise=NOISE).std["torque_constant"] for plan in (held, straight))
+    # A hold integrates to h / (z - 1), straight lines to h (z + 1) / (2 (z - 1)), at z = exp(j turn).
+    assert lines == pytest.approx(steps / np.cos(turn / 2), rel=0.05)
+
+
 def test_what_a_plan_cannot_tell_is_said_beforehand() -> None:
     plan = plans()[0]
     found = expected_std(rtac.RTAC.paper(), [plan], noise=NOISE)

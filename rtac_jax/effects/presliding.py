@@ -1,5 +1,6 @@
 """Dry friction by bristles: what is stuck yields a little before it slides (Dahl), for the cart and for the arm."""
 
+from abc import abstractmethod
 from typing import Any, ClassVar
 
 import jax.numpy as jnp
@@ -20,22 +21,44 @@ def _bent(bent: Any, path: Any, yields_at: Any) -> Any:
     return end - (end - bent) * jnp.exp(-jnp.abs(path) / yields_at)
 
 
-class CartPresliding(Force):
+class _Presliding(Force):
+    """Dry friction by bristles, which depends on the path but not on time: known in closed form while it leads one way."""
+
+    source: ClassVar[str] = "Dahl, Aerospace Corporation TOR-0158 (1968); Canudas de Wit and others, IEEE TAC 40 (1995)"
+    nature: ClassVar[str] = "dissipative"
+    free_start: ClassVar[bool] = True
+    closed: ClassVar[bool] = True
+    place: ClassVar[str]
+    speed: ClassVar[str]
+
+    @abstractmethod
+    def yields_at(self) -> Any:
+        """Return the deflection at which stuck bristles yield."""
+
+    def start(self, motion: Motion) -> States:
+        return (0.0 * getattr(motion, self.place),)
+
+    def rate(self, motion: Motion, own: States) -> States:
+        return (_bend(own[0], getattr(motion, self.speed), self.yields_at()),)
+
+    def follow(self, motion: Motion, own: States) -> States:
+        path = getattr(motion, self.place) - getattr(motion.began, self.place)
+        return (_bent(own[0], path, self.yields_at()),)
+
+
+class CartPresliding(_Presliding):
     """Dry friction of the cart whose bearings yield before they slide; beside it there is no other dry friction left, as a rule.
 
-    The friction depends on the path of the cart but not on time, so the state is known in closed form while the cart goes one way.
     A hysteretic spring is much alike, but wider.
     """
 
     id: ClassVar[str] = "cart_presliding"
     equation: ClassVar[str] = "-f z / z_y, z' = q' - |q'| z / z_y"
     contains: ClassVar[tuple[str, ...]] = ("cart_coulomb",)
-    source: ClassVar[str] = "Dahl, Aerospace Corporation TOR-0158 (1968); Canudas de Wit and others, IEEE TAC 40 (1995)"
     port: ClassVar[str] = "cart"
-    nature: ClassVar[str] = "dissipative"
     states: ClassVar[dict[str, str]] = {"deflection": "m"}
-    free_start: ClassVar[bool] = True
-    closed: ClassVar[bool] = True
+    place: ClassVar[str] = "cart_position"
+    speed: ClassVar[str] = "cart_velocity"
 
     level: Scalar = parameter(
         symbol="f", unit="N", bounds=(0.0, np.inf), meaning="friction of the cart when it slides", null=0.0,
@@ -49,28 +72,20 @@ class CartPresliding(Force):
     def force(self, motion: Motion, own: States) -> tuple[Any, Any]:
         return -self.level * own[0] / self.displacement, 0.0
 
-    def start(self, motion: Motion) -> States:
-        return (0.0 * motion.cart_position,)
-
-    def rate(self, motion: Motion, own: States) -> States:
-        return (_bend(own[0], motion.cart_velocity, self.displacement),)
-
-    def follow(self, motion: Motion, own: States) -> States:
-        return (_bent(own[0], motion.cart_position - motion.began.cart_position, self.displacement),)
+    def yields_at(self) -> Any:
+        return self.displacement
 
 
-class ArmPresliding(Force):
+class ArmPresliding(_Presliding):
     """Dry friction of the arm whose bearings and brushes yield before they slide."""
 
     id: ClassVar[str] = "arm_presliding"
     equation: ClassVar[str] = "-tau z / z_y, z' = theta' - |theta'| z / z_y"
     contains: ClassVar[tuple[str, ...]] = ("arm_coulomb",)
-    source: ClassVar[str] = "Dahl, Aerospace Corporation TOR-0158 (1968); Canudas de Wit and others, IEEE TAC 40 (1995)"
     port: ClassVar[str] = "arm"
-    nature: ClassVar[str] = "dissipative"
     states: ClassVar[dict[str, str]] = {"deflection": "rad"}
-    free_start: ClassVar[bool] = True
-    closed: ClassVar[bool] = True
+    place: ClassVar[str] = "arm_angle"
+    speed: ClassVar[str] = "arm_velocity"
 
     level: Scalar = parameter(
         symbol="tau", unit="N m", bounds=(0.0, np.inf), meaning="friction of the arm when it slides", null=0.0,
@@ -84,11 +99,5 @@ class ArmPresliding(Force):
     def force(self, motion: Motion, own: States) -> tuple[Any, Any]:
         return 0.0, -self.level * own[0] / self.angle
 
-    def start(self, motion: Motion) -> States:
-        return (0.0 * motion.arm_angle,)
-
-    def rate(self, motion: Motion, own: States) -> States:
-        return (_bend(own[0], motion.arm_velocity, self.angle),)
-
-    def follow(self, motion: Motion, own: States) -> States:
-        return (_bent(own[0], motion.arm_angle - motion.began.arm_angle, self.angle),)
+    def yields_at(self) -> Any:
+        return self.angle

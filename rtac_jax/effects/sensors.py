@@ -4,6 +4,7 @@ A lag's state is how far the sensor shows more than there is. So it is zero wher
 that moves the rig is seen at once, as it should be through a lag that vanishes.
 """
 
+from abc import abstractmethod
 from typing import Any, ClassVar
 
 import jax.numpy as jnp
@@ -23,16 +24,42 @@ def _gain(reads: str) -> Any:
     )
 
 
+def _late(meaning: str, samples: float) -> Any:
+    return parameter(
+        symbol="tau", unit="s", bounds=(0.0, np.inf), meaning=meaning, null=0.0,
+        plausible=lambda s: samples * s.sample_time,
+    )  # fmt: skip
+
+
 def _lag_rate(time_constant: Any, ahead: Any, speed: Any) -> States:
     acts = time_constant > 0
     return (jnp.where(acts, -ahead / jnp.where(acts, time_constant, 1.0) - speed, 0.0),)
 
 
-def _ahead(by: Any, time_constant: Any, motion: Motion, place: str, speed: str) -> Any:
-    """Return the lead of a lagged position or angle after the step, with the speeds at both ends of the step."""
-    change = getattr(motion, place) - getattr(motion.began, place)
-    bend = 0.5 * motion.step * (getattr(motion, speed) - getattr(motion.began, speed))
-    return behind(by, time_constant / motion.step, change, bend)
+class _LatePosition(Sensor):
+    """A position or an angle that is read late: the output that the effect needs, and the velocity that changes it."""
+
+    closed: ClassVar[bool] = True
+    place: ClassVar[str]
+    speed: ClassVar[str]
+
+    @abstractmethod
+    def lag(self) -> Any:
+        """Return the time constant of the lag [s]."""
+
+    def read(self, outputs: Outputs, own: States) -> Outputs:
+        return outputs._replace(**{self.place: getattr(outputs, self.place) + own[0]})
+
+    def start(self, motion: Motion) -> States:
+        return (-self.lag() * getattr(motion, self.speed),)
+
+    def rate(self, motion: Motion, own: States) -> States:
+        return _lag_rate(self.lag(), own[0], getattr(motion, self.speed))
+
+    def follow(self, motion: Motion, own: States) -> States:
+        change = getattr(motion, self.place) - getattr(motion.began, self.place)
+        bend = 0.5 * motion.step * (getattr(motion, self.speed) - getattr(motion.began, self.speed))
+        return (behind(own[0], self.lag() / motion.step, change, bend),)
 
 
 class TachoGain(Sensor):
@@ -76,10 +103,7 @@ class TachoLag(Sensor):
     states: ClassVar[dict[str, str]] = {"ahead": "rad/s"}
     closed: ClassVar[bool] = True
 
-    time_constant: Scalar = parameter(
-        symbol="tau", unit="s", bounds=(0.0, np.inf), meaning="time constant of the tachometer", null=0.0,
-        plausible=lambda s: 2.0 * s.sample_time,
-    )  # fmt: skip
+    time_constant: Scalar = _late("time constant of the tachometer", 2.0)
 
     def read(self, outputs: Outputs, own: States) -> Outputs:
         return outputs._replace(arm_velocity=outputs.arm_velocity + own[0])
@@ -151,7 +175,7 @@ class LvdtNonlinearity(Sensor):
         return outputs._replace(cart_position=q + self.cubic * q**3)
 
 
-class LvdtLag(Sensor):
+class LvdtLag(_LatePosition):
     """A first-order lag of the LVDT's demodulator behind the cart's position."""
 
     id: ClassVar[str] = "lvdt_lag"
@@ -159,27 +183,16 @@ class LvdtLag(Sensor):
     source: ClassVar[str] = _FIRST_ORDER
     needs_channel: ClassVar[str | None] = "cart_position"
     states: ClassVar[dict[str, str]] = {"ahead": "m"}
-    closed: ClassVar[bool] = True
+    place: ClassVar[str] = "cart_position"
+    speed: ClassVar[str] = "cart_velocity"
 
-    time_constant: Scalar = parameter(
-        symbol="tau", unit="s", bounds=(0.0, np.inf), meaning="time constant of the LVDT", null=0.0,
-        plausible=lambda s: 2.0 * s.sample_time,
-    )  # fmt: skip
+    time_constant: Scalar = _late("time constant of the LVDT", 2.0)
 
-    def read(self, outputs: Outputs, own: States) -> Outputs:
-        return outputs._replace(cart_position=outputs.cart_position + own[0])
-
-    def start(self, motion: Motion) -> States:
-        return (-self.time_constant * motion.cart_velocity,)
-
-    def rate(self, motion: Motion, own: States) -> States:
-        return _lag_rate(self.time_constant, own[0], motion.cart_velocity)
-
-    def follow(self, motion: Motion, own: States) -> States:
-        return (_ahead(own[0], self.time_constant, motion, "cart_position", "cart_velocity"),)
+    def lag(self) -> Any:
+        return self.time_constant
 
 
-class ChannelDelay(Sensor):
+class ChannelDelay(_LatePosition):
     """A cart position that is sampled later than the arm's channels, as behind a multiplexer.
 
     The delay is Pade's approximation of first order, whose error is (w tau)^3 / 12 at the frequency w: under 1e-4 for
@@ -191,24 +204,16 @@ class ChannelDelay(Sensor):
     source: ClassVar[str] = "Golub and Van Loan, Matrix Computations (2013), section 9.3, Pade approximation of exp"
     needs_channel: ClassVar[str | None] = "cart_position"
     states: ClassVar[dict[str, str]] = {"ahead": "m"}
-    closed: ClassVar[bool] = True
+    place: ClassVar[str] = "cart_position"
+    speed: ClassVar[str] = "cart_velocity"
 
-    delay: Scalar = parameter(
-        symbol="tau", unit="s", bounds=(0.0, np.inf), meaning="delay of the cart's position", null=0.0,
-        plausible=lambda s: s.sample_time,
-    )  # fmt: skip
+    delay: Scalar = _late("delay of the cart's position", 1.0)
+
+    def lag(self) -> Any:
+        return 0.5 * self.delay
 
     def read(self, outputs: Outputs, own: States) -> Outputs:
         return outputs._replace(cart_position=outputs.cart_position + 2.0 * own[0])
-
-    def start(self, motion: Motion) -> States:
-        return (-0.5 * self.delay * motion.cart_velocity,)
-
-    def rate(self, motion: Motion, own: States) -> States:
-        return _lag_rate(0.5 * self.delay, own[0], motion.cart_velocity)
-
-    def follow(self, motion: Motion, own: States) -> States:
-        return (_ahead(own[0], 0.5 * self.delay, motion, "cart_position", "cart_velocity"),)
 
 
 class EncoderGain(Sensor):
@@ -241,7 +246,7 @@ class EncoderOffset(Sensor):
         return outputs._replace(arm_angle=outputs.arm_angle + self.offset)
 
 
-class EncoderLag(Sensor):
+class EncoderLag(_LatePosition):
     """An encoder counter that is read late, or filtered, with a first-order lag."""
 
     id: ClassVar[str] = "encoder_lag"
@@ -249,21 +254,10 @@ class EncoderLag(Sensor):
     source: ClassVar[str] = _FIRST_ORDER
     needs_channel: ClassVar[str | None] = "arm_angle"
     states: ClassVar[dict[str, str]] = {"ahead": "rad"}
-    closed: ClassVar[bool] = True
+    place: ClassVar[str] = "arm_angle"
+    speed: ClassVar[str] = "arm_velocity"
 
-    time_constant: Scalar = parameter(
-        symbol="tau", unit="s", bounds=(0.0, np.inf), meaning="time constant of the encoder", null=0.0,
-        plausible=lambda s: 2.0 * s.sample_time,
-    )  # fmt: skip
+    time_constant: Scalar = _late("time constant of the encoder", 2.0)
 
-    def read(self, outputs: Outputs, own: States) -> Outputs:
-        return outputs._replace(arm_angle=outputs.arm_angle + own[0])
-
-    def start(self, motion: Motion) -> States:
-        return (-self.time_constant * motion.arm_velocity,)
-
-    def rate(self, motion: Motion, own: States) -> States:
-        return _lag_rate(self.time_constant, own[0], motion.arm_velocity)
-
-    def follow(self, motion: Motion, own: States) -> States:
-        return (_ahead(own[0], self.time_constant, motion, "arm_angle", "arm_velocity"),)
+    def lag(self) -> Any:
+        return self.time_constant

@@ -14,7 +14,6 @@ from rtac_jax.parameters import Scalar, parameter
 
 # A heavier cart swings slower until its spring follows: at a percent that outweighs the rest, at 1e-4 it is a hundredth of it.
 _LOOKED_AT = 1e-2
-_SOURCE = "weighing, or a bifilar test, of the rig itself"
 
 
 def _error(of: str) -> Any:
@@ -23,15 +22,23 @@ def _error(of: str) -> Any:
     )
 
 
-class WrongTotalMass(Force):
+class _WrongConstant(Force):
+    """More or less of a constant than was known of it beforehand; no force but where the constant makes one."""
+
+    source: ClassVar[str] = "weighing, or a bifilar test, of the rig itself"
+    nature: ClassVar[str] = "conservative"
+    looked_at: ClassVar[float] = _LOOKED_AT
+
+    def force(self, motion: Motion, own: States) -> tuple[Any, Any]:
+        return 0.0, 0.0
+
+
+class WrongTotalMass(_WrongConstant):
     """A cart with its arm that is heavier or lighter than it was weighed."""
 
     id: ClassVar[str] = "wrong_total_mass"
     equation: ClassVar[str] = "M + m + dM"
-    source: ClassVar[str] = _SOURCE
     port: ClassVar[str] = "cart"
-    nature: ClassVar[str] = "conservative"
-    looked_at: ClassVar[float] = _LOOKED_AT
 
     missing: Scalar = parameter(
         symbol="dM", unit="kg", meaning="mass beyond the constant", null=0.0, plausible=lambda s: 0.01 * s.mass
@@ -40,38 +47,26 @@ class WrongTotalMass(Force):
     def cart_mass(self) -> Any:
         return self.missing
 
-    def force(self, motion: Motion, own: States) -> tuple[Any, Any]:
-        return 0.0, 0.0
 
-
-class WrongArmInertia(Force):
+class WrongArmInertia(_WrongConstant):
     """An arm whose inertia about its axis is not the constant."""
 
     id: ClassVar[str] = "wrong_arm_inertia"
     equation: ClassVar[str] = "(1 + g) J"
-    source: ClassVar[str] = _SOURCE
     port: ClassVar[str] = "arm"
-    nature: ClassVar[str] = "conservative"
-    looked_at: ClassVar[float] = _LOOKED_AT
 
     error: Scalar = _error("arm's inertia")
 
     def arm_inertia(self, body: RigidBody) -> Any:
         return self.error * body.arm_inertia
 
-    def force(self, motion: Motion, own: States) -> tuple[Any, Any]:
-        return 0.0, 0.0
 
-
-class WrongSpringStiffness(Force):
+class WrongSpringStiffness(_WrongConstant):
     """A spring whose stiffness is not the constant."""
 
     id: ClassVar[str] = "wrong_spring_stiffness"
     equation: ClassVar[str] = "-g k q"
-    source: ClassVar[str] = _SOURCE
     port: ClassVar[str] = "cart"
-    nature: ClassVar[str] = "conservative"
-    looked_at: ClassVar[float] = _LOOKED_AT
 
     error: Scalar = _error("spring's stiffness")
 
@@ -79,15 +74,13 @@ class WrongSpringStiffness(Force):
         return -self.error * motion.body.spring_stiffness * motion.cart_position, 0.0
 
 
-class WrongTorqueConstant(Force):
+class WrongTorqueConstant(_WrongConstant):
     """A motor whose torque for each ampere is not the constant."""
 
     id: ClassVar[str] = "wrong_torque_constant"
     equation: ClassVar[str] = "g K_m i"
-    source: ClassVar[str] = _SOURCE
     port: ClassVar[str] = "actuator"
     nature: ClassVar[str] = "source"
-    looked_at: ClassVar[float] = _LOOKED_AT
 
     error: Scalar = _error("torque constant")
 

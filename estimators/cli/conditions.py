@@ -7,12 +7,13 @@ from typing import Annotated, Any
 import typer
 
 from estimators.cli.job import WRONG_USE, Job, progress, stop
+from estimators.cli.options import option
 
 _IMPORTANCE = (0.5, 1.0)  # powers of the responses' size by which P0 for `control` keeps closest where they are large
 WeightOrder = Annotated[int, typer.Option(min=0, max=8, help="Poles and zeros of the uncertainty weight.")]
 Band = Annotated[
     str | None,
-    typer.Option(metavar="LOW,HIGH", help="Band in Hz; by default where all currents have energy.", show_default=False),
+    option("LOW,HIGH", "Band in Hz; by default where all currents have energy."),
 ]
 
 

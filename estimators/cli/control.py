@@ -7,7 +7,8 @@ import typer
 
 from estimators.cli.captions import shown
 from estimators.cli.conditions import Band, WeightOrder, band_of, enveloped, sides
-from estimators.cli.job import WRONG_USE, job, stop
+from estimators.cli.job import job
+from estimators.cli.limits import TorqueLimit, positive
 from estimators.cli.models import any_fit, fitted_to
 from estimators.cli.options import Effects, File, Json, Model, Out, Save, Validation
 from rtac_jax.measurement.atomic_write import replacing
@@ -30,7 +31,7 @@ def control(
     displacement: Annotated[
         float, typer.Option(metavar="MM", help="From which the cart is to be brought to rest, in mm.")
     ] = 15.0,
-    torque_limit: Annotated[float, typer.Option(metavar="NM", help="Of the motor, in N m.")] = 0.1,
+    torque_limit: TorqueLimit = 0.1,
     band: Band = None,
     validation: Validation = None,
     model: Model = None,
@@ -41,9 +42,7 @@ def control(
 ) -> None:
     """Design an H-infinity controller for the envelope, and try it on the fitted nonlinear model."""
     between = band_of(band)
-    for name, value in (("--displacement", displacement), ("--torque-limit", torque_limit)):
-        if not 0 < value < float("inf"):
-            stop(WRONG_USE, f"{name} is {value:g}; give a positive number.")
+    positive({"--displacement": displacement, "--torque-limit": torque_limit})
     with job(file, validation, out, json, save) as work:
         import estimators as est
         from estimators.controller.design import with_arm_spring

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from estimators.cli.job import WRONG_USE, answering, say, stop, writable_file
+from estimators.cli.options import option
 
 _UNIT = re.compile(r"^(?P<column>.*?)\s*\[(?P<unit>[^\[\]]*)\]$")
 _SAME = {
@@ -26,10 +27,6 @@ _HDF5 = (".h5", ".hdf5")
 _TIME, _MAT = "time", ".mat"
 
 
-def _repeated(metavar: str, help: str) -> Any:
-    return typer.Option(metavar=metavar, help=help, show_default=False)
-
-
 Pairs = list[str] | None
 
 
@@ -44,39 +41,35 @@ def import_files(
     ],
     channel: Annotated[
         Pairs,
-        _repeated(
-            'NAME="COLUMN [UNIT]"', "The column of a channel and its unit; without a unit, that of the recording."
-        ),
+        option('NAME="COLUMN [UNIT]"', "The column of a channel and its unit; without a unit, that of the recording."),
     ] = None,
-    kind: Annotated[Pairs, _repeated("free|forced|rest", "One for all files, or one for each in their order.")] = None,
-    time: Annotated[str | None, _repeated('"COLUMN [UNIT]"', "The column of the times; s, ms or us.")] = None,
-    sample_time: Annotated[float | None, _repeated("SECONDS", "Instead of a column of times.")] = None,
+    kind: Annotated[Pairs, option("free|forced|rest", "One for all files, or one for each in their order.")] = None,
+    time: Annotated[str | None, option('"COLUMN [UNIT]"', "The column of the times; s, ms or us.")] = None,
+    sample_time: Annotated[float | None, option("SECONDS", "Instead of a column of times.")] = None,
     name: Annotated[
-        Pairs, _repeated("NAME", "Of the experiments, one for each file; by default the files' names.")
+        Pairs, option("NAME", "Of the experiments, one for each file; by default the files' names.")
     ] = None,
     angle: Annotated[
-        list[float] | None, _repeated("RAD", "Arm angle at the start, one for all files or one for each.")
+        list[float] | None, option("RAD", "Arm angle at the start, one for all files or one for each.")
     ] = None,
     scale: Annotated[
         Pairs,
-        _repeated(
-            "NAME=FACTOR", "Recording's unit per unit of the column, for a unit that is not known, such as volts."
-        ),
+        option("NAME=FACTOR", "Recording's unit per unit of the column, for a unit that is not known, such as volts."),
     ] = None,
     rig: Annotated[
-        Pairs, _repeated("NAME=VALUE", "A constant known beforehand, SI units, such as total_mass=1.23.")
+        Pairs, option("NAME=VALUE", "A constant known beforehand, SI units, such as total_mass=1.23.")
     ] = None,
-    noise: Annotated[Pairs, _repeated("NAME=STD", "Standard deviation of a sensor's noise, SI units.")] = None,
+    noise: Annotated[Pairs, option("NAME=STD", "Standard deviation of a sensor's noise, SI units.")] = None,
     remove_mean: Annotated[
-        Pairs, _repeated("NAME", "A channel that loses its mean, as that of a sensor with an offset.")
+        Pairs, option("NAME", "A channel that loses its mean, as that of a sensor with an offset.")
     ] = None,
     intersample: Annotated[
-        Pairs, _repeated("NAME=zoh|foh|bl", "What an input does between samples; held (zoh) by default.")
+        Pairs, option("NAME=zoh|foh|bl", "What an input does between samples; held (zoh) by default.")
     ] = None,
     arm: Annotated[str, typer.Option(metavar="free|locked", help="Whether the arm could turn.")] = "free",
     cart: Annotated[str, typer.Option(metavar="free|clamped", help="Whether the cart could move.")] = "free",
     start: Annotated[int, typer.Option(help="First sample to take, of every file.")] = 0,
-    end: Annotated[int | None, _repeated("SAMPLE", "The sample after the last to take.")] = None,
+    end: Annotated[int | None, option("SAMPLE", "The sample after the last to take.")] = None,
     delimiter: Annotated[str, typer.Option(help="Between the columns of a CSV file.")] = ",",
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Show what was understood, and write nothing.")] = False,
 ) -> None:
@@ -214,9 +207,9 @@ class _Columns:
     def only_here(self, wanted: Mapping[str, Any]) -> dict[str, Any]:
         """Return the options of a reader without what they say of channels that this file does not have."""
         found = dict(wanted)
-        for option in ("scale", "noise_std", "remove_mean"):
-            kept = [name for name in wanted[option] if name not in self.left_out]
-            found[option] = {n: wanted[option][n] for n in kept} if isinstance(wanted[option], dict) else kept
+        for key in ("scale", "noise_std", "remove_mean"):
+            kept = [name for name in wanted[key] if name not in self.left_out]
+            found[key] = {n: wanted[key][n] for n in kept} if isinstance(wanted[key], dict) else kept
         return found
 
     def table(self, experiment: Any, scale: Mapping[str, float]) -> str:

@@ -9,7 +9,7 @@ from estimators.cli.captions import shown
 from estimators.cli.job import WRONG_USE, Job, job, progress, stop
 from estimators.cli.limits import TorqueLimit, Travel, positive
 from estimators.cli.models import base_fit, loaded
-from estimators.cli.options import Effects, File, Json, Model, Out, Quick, Validation
+from estimators.cli.options import Effects, File, Json, Model, Out, Quick, Validation, option
 from estimators.cli.own_effects import offered
 
 _PLAYED = (".csv", ".h5", ".hdf5")
@@ -19,16 +19,13 @@ def next_experiment(
     file: File,
     play: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE.csv|.h5", help="Write the recommended experiment for the rig to play.", show_default=False
-        ),
+        option("FILE.csv|.h5", "Write the recommended experiment for the rig to play."),
     ] = None,
     between: Annotated[
         str | None,
-        typer.Option(
-            metavar="ID,...",
-            help="Effects to tell apart, or one to be told from nothing; by default those that the diagnosis leaves open.",
-            show_default=False,
+        option(
+            "ID,...",
+            "Effects to tell apart, or one to be told from nothing; by default those that the diagnosis leaves open.",
         ),
     ] = None,
     travel: Travel = 15.0,
@@ -36,15 +33,11 @@ def next_experiment(
     speed_limit: Annotated[float, typer.Option(metavar="RAD/S", help="Of the arm.")] = 55.0,
     duration: Annotated[
         float | None,
-        typer.Option(
-            metavar="S", help="Of the experiment; by default as the longest of the recording.", show_default=False
-        ),
+        option("S", "Of the experiment; by default as the longest of the recording."),
     ] = None,
     diagnosis: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE.h5", help="A diagnosis that was kept (--save); without one it is made.", show_default=False
-        ),
+        option("FILE.h5", "A diagnosis that was kept (--save); without one it is made."),
     ] = None,
     validation: Validation = None,
     quick: Quick = False,

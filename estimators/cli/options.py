@@ -1,43 +1,35 @@
 """Arguments and options that several commands of `rtac` have."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+
+
+def option(metavar: str, help: str) -> Any:
+    """Declare an option that is nothing by default, so that no default is shown."""
+    return typer.Option(metavar=metavar, help=help, show_default=False)
+
 
 File = Annotated[Path, typer.Argument(help="Recording (HDF5).", metavar="FILE", show_default=False)]
 Validation = Annotated[
     str | None,
-    typer.Option(
-        metavar="NAME,...",
-        help="Experiments to hold out; by default every fourth of each kind.",
-        show_default=False,
-    ),
+    option("NAME,...", "Experiments to hold out; by default every fourth of each kind."),
 ]
 Effects = Annotated[
     Path | None,
-    typer.Option(
-        metavar="FILE.py",
-        help="Effects of your own: every class of effects in this file is looked for beside the catalogue.",
-        show_default=False,
-    ),
+    option("FILE.py", "Effects of your own: every class of effects in this file is looked for beside the catalogue."),
 ]
-Out = Annotated[
-    Path | None, typer.Option(metavar="DIR", help="Folder for report.html and the figures.", show_default=False)
-]
+Out = Annotated[Path | None, option("DIR", "Folder for report.html and the figures.")]
 Model = Annotated[
     Path | None,
-    typer.Option(
-        metavar="FILE.h5",
-        help="Begin with a saved model, fit or improvement (its last model) instead of the paper's model.",
-        show_default=False,
-    ),
+    option("FILE.h5", "Begin with a saved model, fit or improvement (its last model) instead of the paper's model."),
 ]
 Save = Annotated[
     Path | None,
-    typer.Option(metavar="FILE.h5", help="Keep the result, for est.load and --model.", show_default=False),
+    option("FILE.h5", "Keep the result, for est.load and --model."),
 ]
 Quick = Annotated[
     bool, typer.Option("--quick", help="Do not look again, for minutes, where the verdict would be unknown.")
 ]
-Json = Annotated[Path | None, typer.Option(metavar="FILE", help="Write the result as JSON.", show_default=False)]
+Json = Annotated[Path | None, option("FILE", "Write the result as JSON.")]

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from estimators.cli.job import NOT_POSSIBLE, WRONG_USE, answering, prepare, progress, say, stop
+from estimators.cli.options import option
 
 study = typer.Typer(
     help="Monte Carlo studies: how uncertain estimates are, whether what is stated of them is true, and what a diagnosis names.",
@@ -22,16 +23,12 @@ def run(
     file: Annotated[Path, typer.Argument(metavar="FILE.toml", help="Description of the study.", show_default=False)],
     out: Annotated[
         Path | None,
-        typer.Option(
-            metavar="DIR", help="Folder of the results; by default the file's name without .toml.", show_default=False
-        ),
+        option("DIR", "Folder of the results; by default the file's name without .toml."),
     ] = None,
     executor: Annotated[
         str | None,
-        typer.Option(
-            metavar="processes|dask://ADDRESS",
-            help="Where to compute: one process for each core, or a dask scheduler; by default in this process.",
-            show_default=False,
+        option(
+            "processes|dask://ADDRESS", "A process for each core, or a dask scheduler; by default all in this process."
         ),
     ] = None,
     repetitions: Annotated[

@@ -1,7 +1,7 @@
 """Measurements: experiments, files, and the signals in them."""
 
 from ._channel_checks import moving_at_rest
-from ._columns import FACTORS
+from ._columns import FACTORS, ImportOptions
 from ._concerns import concerns, contradictions
 from ._csv import csv_header
 from ._errors import RecordingError
@@ -29,6 +29,7 @@ __all__ = [
     "INPUTS",
     "OUTPUTS",
     "Experiment",
+    "ImportOptions",
     "Plan",
     "Recording",
     "RecordingError",

@@ -1,7 +1,9 @@
-"""Conversion of named columns of a foreign file to one experiment, shared by the MAT and CSV importers."""
+"""Conversion of named columns of a foreign file to a recording of one experiment, shared by the MAT and CSV importers."""
 
-from collections.abc import Collection, Mapping
-from typing import Any
+import os
+from collections.abc import Callable, Collection, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypedDict
 
 import numpy as np
 from jaxtyping import Float64
@@ -9,6 +11,9 @@ from jaxtyping import Float64
 from ._errors import RecordingError
 from ._experiment import Experiment
 from ._signal import INPUTS, OUTPUTS, finite, positive
+
+if TYPE_CHECKING:
+    from ._recording import Recording
 
 # Factor from a unit that a file may use to the unit of the layout.
 FACTORS: Mapping[str, Mapping[str, float]] = {
@@ -21,6 +26,65 @@ FACTORS: Mapping[str, Mapping[str, float]] = {
 }
 UNITS = {**INPUTS, **OUTPUTS}
 UNIFORM = 1e-6
+
+
+class ImportOptions(TypedDict, total=False):
+    """What `Recording.from_mat` and `Recording.from_csv` may be told of a file beside its channels and its kind.
+
+    Attributes:
+        time: name of the column with the times [s]; either this or `sample_time` [s] is given.
+        sample_time: [s].
+        name: of the experiment; that of the file where it is not given.
+        units: of the file by channel, and of "time" ("mm", "deg/s", "ms", ...); those of the layout where absent.
+        scale: factor of your own by channel, the layout's unit per unit of the column.
+        start, stop: samples that are taken, from `start` up to but without `stop`.
+        remove_mean: channels that lose their mean over these.
+        rig: constants, each with an optional `NAME_std`, as in `Recording`.
+        intersample, noise_std, initial_arm_angle, initial_arm_angle_std, arm, cart: as in `Experiment.of`.
+    """
+
+    time: str | None
+    sample_time: float | None
+    name: str | None
+    units: Mapping[str, str] | None
+    scale: Mapping[str, float] | None
+    start: int
+    stop: int | None
+    remove_mean: Collection[str]
+    rig: Mapping[str, float] | None
+    intersample: str | Mapping[str, str]
+    noise_std: Mapping[str, float] | None
+    initial_arm_angle: float | None
+    initial_arm_angle_std: float | None
+    arm: str
+    cart: str
+
+
+def imported(
+    path: str | os.PathLike[str],
+    read: Callable[[list[str]], Mapping[str, Float64[np.ndarray, " sample"]]],
+    channels: Mapping[str, str],
+    kind: str,
+    options: ImportOptions,
+) -> "Recording":
+    """Return the recording of one experiment in a foreign file, of which `read` returns the columns of these names.
+
+    Raises:
+        RecordingError: names the column, option or sample that is wrong.
+    """
+    from ._recording import Recording
+
+    told: dict[str, Any] = dict(options)
+    name, rig = told.pop("name", None), told.pop("rig", None)
+    by_channel = {key: options.get(key) for key in ("units", "scale", "remove_mean")}
+    wanted = check_options(channels, options.get("time"), options.get("sample_time"), by_channel)
+    try:
+        experiment = assemble(
+            read(wanted), name=Path(path).stem if name is None else name, channels=channels, kind=kind, **told
+        )
+    except RecordingError as error:
+        raise RecordingError(f"{os.fspath(path)}: {error}") from error.__cause__
+    return Recording((experiment,), rig or {})
 
 
 def check_options(
@@ -53,14 +117,13 @@ def assemble(
     *,
     name: str,
     channels: Mapping[str, str],
-    time: str | None,
-    sample_time: float | None,
-    units: Mapping[str, str] | None,
-    scale: Mapping[str, float] | None,
-    start: int,
-    stop: int | None,
-    remove_mean: Collection[str],
-    first_row: int = 0,
+    time: str | None = None,
+    sample_time: float | None = None,
+    units: Mapping[str, str] | None = None,
+    scale: Mapping[str, float] | None = None,
+    remove_mean: Collection[str] = (),
+    start: int = 0,
+    stop: int | None = None,
     **conditions: Any,
 ) -> Experiment:
     """Return the experiment in samples `start` to `stop` of the columns, in the units of the layout.
@@ -85,7 +148,7 @@ def assemble(
         signals[channel] = values
     if time is not None:
         seconds = columns[time][start:stop] * _factor("time", units or {}, {})
-        sample_time = uniform_step(seconds, time, start + first_row)
+        sample_time = uniform_step(seconds, time, start)
     return Experiment.of(name, sample_time=sample_time, **signals, **conditions)  # pyright: ignore[reportArgumentType] - `of` checks them
 
 

@@ -3,21 +3,19 @@
 import csv
 import math
 import os
-from collections.abc import Callable, Collection, Iterable, Mapping
-from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from collections.abc import Callable, Iterable, Mapping
+from typing import TYPE_CHECKING, TypeVar, Unpack
 
 import numpy as np
 from jaxtyping import Float64
 
-from ._columns import assemble, check_options
+from ._columns import ImportOptions, imported
 from ._errors import RecordingError
 from .atomic_write import replacing
 
 if TYPE_CHECKING:
     from ._recording import Recording
 
-HEADER_ROWS = 1
 Read = TypeVar("Read")
 
 
@@ -26,59 +24,19 @@ def from_csv(
     *,
     channels: Mapping[str, str],
     kind: str,
-    time: str | None = None,
-    sample_time: float | None = None,
     delimiter: str = ",",
-    name: str | None = None,
-    units: Mapping[str, str] | None = None,
-    scale: Mapping[str, float] | None = None,
-    start: int = 0,
-    stop: int | None = None,
-    remove_mean: Collection[str] = (),
-    intersample: str | Mapping[str, str] = "zoh",
-    noise_std: Mapping[str, float] | None = None,
-    initial_arm_angle: float | None = None,
-    initial_arm_angle_std: float | None = None,
-    arm: str = "free",
-    cart: str = "free",
-    rig: Mapping[str, float] | None = None,
+    **options: Unpack[ImportOptions],
 ) -> "Recording":
     """Import a recording of one experiment from the columns of a CSV file whose first row names them.
 
     `channels` maps channels to columns, as in `{"current": "i_motor", "cart_position": "x"}`. Either `time`,
     the column with the times [s], or `sample_time` [s] is given. An empty cell and "nan" mean a missing
-    sample. The other options are those of `from_mat`.
+    sample. The other options are those of `ImportOptions`.
 
     Raises `FileNotFoundError`, or `RecordingError` naming the row (counted from 1, with the header) and the
     column.
     """
-    from ._recording import Recording
-
-    options = {"units": units, "scale": scale, "remove_mean": remove_mean}
-    wanted = check_options(channels, time, sample_time, options)
-    try:
-        experiment = assemble(
-            _read_columns(path, wanted, delimiter),
-            name=Path(path).stem if name is None else name,
-            channels=channels,
-            time=time,
-            sample_time=sample_time,
-            units=units,
-            scale=scale,
-            start=start,
-            stop=stop,
-            remove_mean=remove_mean,
-            kind=kind,
-            intersample=intersample,
-            noise_std=noise_std,
-            initial_arm_angle=initial_arm_angle,
-            initial_arm_angle_std=initial_arm_angle_std,
-            arm=arm,
-            cart=cart,
-        )
-    except RecordingError as error:
-        raise RecordingError(f"{os.fspath(path)}: {error}") from error.__cause__
-    return Recording((experiment,), rig or {})
+    return imported(path, lambda names: _read_columns(path, names, delimiter), channels, kind, options)
 
 
 def csv_header(path: str | os.PathLike[str], delimiter: str = ",") -> list[str]:

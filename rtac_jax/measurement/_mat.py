@@ -1,16 +1,15 @@
 """Import from MATLAB files, version 5 and 7.3, with an explicit channel mapping."""
 
 import os
-from collections.abc import Collection, Iterable, Mapping
-from pathlib import Path
-from typing import TYPE_CHECKING
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Unpack
 
 import h5py
 import numpy as np
 import scipy.io
 from jaxtyping import Float64
 
-from ._columns import assemble, check_options
+from ._columns import ImportOptions, imported
 from ._errors import RecordingError
 from ._hdf5 import MOST_ELEMENTS, Budget, guarded, open_hdf5
 from ._mat5 import Mat5
@@ -23,65 +22,17 @@ NUMERIC = ("double", "single", "int8", "uint8", "int16", "uint16", "int32", "uin
 
 
 def from_mat(
-    path: str | os.PathLike[str],
-    *,
-    channels: Mapping[str, str],
-    kind: str,
-    sample_time: float | None = None,
-    time: str | None = None,
-    name: str | None = None,
-    units: Mapping[str, str] | None = None,
-    scale: Mapping[str, float] | None = None,
-    start: int = 0,
-    stop: int | None = None,
-    remove_mean: Collection[str] = (),
-    intersample: str | Mapping[str, str] = "zoh",
-    noise_std: Mapping[str, float] | None = None,
-    initial_arm_angle: float | None = None,
-    initial_arm_angle_std: float | None = None,
-    arm: str = "free",
-    cart: str = "free",
-    rig: Mapping[str, float] | None = None,
+    path: str | os.PathLike[str], *, channels: Mapping[str, str], kind: str, **options: Unpack[ImportOptions]
 ) -> "Recording":
     """Import a recording of one experiment from the variables of a MAT file (v5 or v7.3).
 
     `channels` maps channels to variables, as in `{"disturbance_force": "V1", "cart_position": "V2"}`; each
-    variable is a vector. Either `sample_time` [s] or `time`, the variable with the times [s], is given.
-    `units` maps channels, and "time", to the file's unit ("mm", "deg/s", "ms", ...; the unit of the layout where absent);
-    `scale` maps them to a factor of your own. `start` and `stop` choose samples, and the channels in
-    `remove_mean` lose their mean over these. `rig` is as in `Recording`: constants, each with an optional
-    `NAME_std`. The rest is as in `Experiment.of`; the name is that of the file where it is not given.
+    variable is a vector. Either `sample_time` [s] or `time`, the variable with the times [s], is given. The other
+    options are those of `ImportOptions`.
 
     Raises `FileNotFoundError`, or `RecordingError` naming the variable, option or sample that is wrong.
     """
-    from ._recording import Recording
-
-    options = {"units": units, "scale": scale, "remove_mean": remove_mean}
-    wanted = check_options(channels, time, sample_time, options)
-    try:
-        columns = _read_vectors(path, wanted)
-        experiment = assemble(
-            columns,
-            name=Path(path).stem if name is None else name,
-            channels=channels,
-            time=time,
-            sample_time=sample_time,
-            units=units,
-            scale=scale,
-            start=start,
-            stop=stop,
-            remove_mean=remove_mean,
-            kind=kind,
-            intersample=intersample,
-            noise_std=noise_std,
-            initial_arm_angle=initial_arm_angle,
-            initial_arm_angle_std=initial_arm_angle_std,
-            arm=arm,
-            cart=cart,
-        )
-    except RecordingError as error:
-        raise RecordingError(f"{os.fspath(path)}: {error}") from error.__cause__
-    return Recording((experiment,), rig or {})
+    return imported(path, lambda names: _read_vectors(path, names), channels, kind, options)
 
 
 def _read_vectors(path: str | os.PathLike[str], names: Iterable[str]) -> dict[str, Float64[np.ndarray, " sample"]]:

@@ -10,15 +10,15 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from rtac_jax._equations import RIGID_STATES, derivative, settle
 from rtac_jax._excited_parts import excited_parts
 from rtac_jax._model_tables import overview_of, table_of
 from rtac_jax._rigid_body import RigidBody
-from rtac_jax._since import Since, through
+from rtac_jax._since import Since
 from rtac_jax._sincos import sincos
 from rtac_jax._stopping import brought_to_rest
 from rtac_jax.effects import (
     CATALOGUE,
-    Actuator,
     ArmViscous,
     CartCoulomb,
     CartViscous,
@@ -31,7 +31,6 @@ from rtac_jax.effects import (
     Outputs,
     Sensor,
 )
-from rtac_jax.effects._interface import in_parts
 from rtac_jax.excitation import Excitation
 from rtac_jax.measurement import Recording
 from rtac_jax.overview import Overview
@@ -40,8 +39,6 @@ from rtac_jax.prior import Prior
 from rtac_jax.storage import save
 
 _PLACES = {name: place for place, name in enumerate(CATALOGUE)}
-_PORTS = ("on the cart", "on the arm")
-RIGID_STATES = {"cart_position": "m", "cart_velocity": "m/s", "arm_angle": "rad", "arm_velocity": "rad/s"}
 
 _PAPER = {
     "total_mass": 1.23,
@@ -285,49 +282,7 @@ class RTAC(eqx.Module):
             since: the beginning of the integration step; from there states with a closed form are followed, so that
                 `state` holds their values at the beginning and their derivatives are zero. None: all are integrated.
         """
-        position, velocity, angle, arm_velocity, *_ = state
-        sine, cosine = sincos(angle)
-        body = self.body
-        own = self._own_states(state)
-        rates: dict[str, tuple[Any, ...]] = {}
-        motion = Motion(position, velocity, angle, arm_velocity, sine, cosine, current, body)
-        if since is not None:
-            motion = since.seen_from(motion)
-
-        def act(effect: Effect) -> tuple[Any, ...]:
-            """Return the rates of an effect; its states are brought to this instant."""
-            if not effect.closed or since is None:
-                return in_parts(effect.rate(motion, own[effect.id]), effect, "rate", tuple(effect.states))
-            if not isinstance(effect, Sensor):
-                own[effect.id] = effect.during(motion, own[effect.id])
-            return (0.0 * position,) * len(effect.states)
-
-        for effect in self.effects:
-            if isinstance(effect, Actuator):
-                before = own[effect.id]
-                rates[effect.id] = act(effect)
-                motion = through(effect, motion, before, own[effect.id])
-
-        cart = force - body.spring_stiffness * position + body.eccentric_moment * arm_velocity**2 * sine
-        arm = body.torque_constant * motion.current
-        for effect in self.effects:
-            if not isinstance(effect, (Actuator, Sensor)):
-                rates[effect.id] = act(effect)
-            if isinstance(effect, Force):
-                on_cart, on_arm = in_parts(effect.force(motion, own[effect.id]), effect, "force", _PORTS)
-                cart, arm = cart + on_cart, arm + on_arm
-            elif isinstance(effect, DryFriction):
-                on_cart, on_arm = in_parts(effect.levels(motion, own[effect.id]), effect, "levels", _PORTS)
-                cart, arm = cart - way[0] * on_cart, arm - way[1] * on_arm
-
-        cart_cart, cart_arm, arm_arm = self._mobility(cosine, arm_free, cart_free)
-        result = (velocity, cart_cart * cart + cart_arm * arm, arm_velocity, cart_arm * cart + arm_arm * arm)
-        motion = motion._replace(cart_acceleration=result[1], arm_acceleration=result[3])
-        for effect in self.effects:
-            if isinstance(effect, Sensor):
-                rates[effect.id] = act(effect)
-            result += rates[effect.id]
-        return result
+        return derivative(self, state, current, force, arm_free, cart_free, way, since)
 
     def driven(self, excitation: Excitation) -> Excitation:
         """Return the excitation as it reaches the rig, after the effects on how inputs run between and across samples."""
@@ -361,27 +316,9 @@ class RTAC(eqx.Module):
             arm_free: 1 where the arm may turn, 0 where it is locked.
             cart_free: 1 where the cart may move, 0 where it is clamped.
         """
-        own = self._own_states(after)
-        motion = since.seen_from(self.since(after, since.last, since.step, since.last).motion)
-        rigid = list(after[:4])
-        for effect in self.effects:
-            if isinstance(effect, Actuator):
-                before = own[effect.id]
-                own[effect.id] = effect.follow(motion, before) if effect.closed else before
-                motion = through(effect, motion, before, own[effect.id])
-        for effect in self.effects:
-            if isinstance(effect, Impact):
-                _, cart_arm, arm_arm = self._mobility(motion.cos_angle, arm_free, cart_free)
-                own[effect.id], impulse, moment = effect.strike(motion, own[effect.id], arm_arm)
-                rigid[0], rigid[1] = rigid[0] + cart_arm * moment, rigid[1] + cart_arm * impulse
-                rigid[2], rigid[3] = rigid[2] + arm_arm * moment, rigid[3] + arm_arm * impulse
-        motion = motion._replace(**dict(zip(RIGID_STATES, rigid, strict=True)))
-        for effect in self.effects:
-            if effect.closed and not isinstance(effect, Actuator):
-                own[effect.id] = effect.follow(motion, own[effect.id])
-        return (*rigid, *(x for effect in self.effects for x in own[effect.id]))
+        return settle(self, after, since, arm_free, cart_free)
 
-    def _mobility(self, cosine: Any, arm_free: Any, cart_free: Any) -> tuple[Any, Any, Any]:
+    def mobility(self, cosine: Any, arm_free: Any, cart_free: Any) -> tuple[Any, Any, Any]:
         """Return the inverse of the mass matrix: the accelerations by a unit force and a unit torque."""
         body = self.body
         mass, inertia = body.total_mass, body.arm_inertia
@@ -394,7 +331,7 @@ class RTAC(eqx.Module):
 
     def pushes(self, state: tuple[Any, ...], arm_free: Any, cart_free: Any) -> tuple[Any, Any, Any]:
         """Return accelerations by a unit force and a unit torque: cart by force, either by the other's, arm by torque."""
-        return self._mobility(sincos(state[2])[1], arm_free, cart_free)
+        return self.mobility(sincos(state[2])[1], arm_free, cart_free)
 
     def slide(self, state: tuple[Any, ...]) -> tuple[Any, Any]:
         """Return the directions in which cart and arm slide at the start of a step."""
@@ -423,20 +360,21 @@ class RTAC(eqx.Module):
         """Return the largest dry friction force on the cart [N] and torque on the arm [N m], of each effect that has any."""
         rubbing = [effect for effect in self.effects if isinstance(effect, DryFriction)]
         sine, cosine = sincos(state[2])
-        own = self._own_states(state)
+        own = self.own_states(state)
         motion = Motion(state[0], state[1], state[2], state[3], sine, cosine, 0.0, self.body)
         return [effect.levels(motion, own[effect.id]) for effect in rubbing]
 
     def outputs(self, state: tuple[Any, ...]) -> Outputs:
         """Return the outputs of the sensors in a state."""
         shown = Outputs(state[0], state[3], state[2])
-        own = self._own_states(state)
+        own = self.own_states(state)
         # What the sensors look at comes before the sensors themselves.
         for effect in sorted(self.effects, key=lambda effect: isinstance(effect, Sensor)):
             shown = effect.read(shown, own[effect.id])
         return shown
 
-    def _own_states(self, state: tuple[Any, ...]) -> dict[str, tuple[Any, ...]]:
+    def own_states(self, state: tuple[Any, ...]) -> dict[str, tuple[Any, ...]]:
+        """Return the states of each effect, by its id."""
         own, at = {}, len(RIGID_STATES)
         for effect in self.effects:
             own[effect.id] = tuple(state[at : at + len(effect.states)])

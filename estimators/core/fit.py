@@ -16,6 +16,8 @@ from estimators.core.results import RESULTS
 from rtac_jax import RTAC
 from rtac_jax.overview import Overview
 
+HEADER = ("parameter", "value", "std", "unit")
+
 
 @dataclasses.dataclass(frozen=True)
 class Parameter:
@@ -26,8 +28,48 @@ class Parameter:
     unit: str
 
 
+class ModelFit(Result):
+    """The estimates of a model's parameters, with the standard deviations that the data's information gives."""
+
+    __slots__ = ()
+    model: RTAC
+    information: Information
+
+    @property
+    def parameters(self) -> dict[str, Parameter]:
+        """Every shared parameter with its standard deviation."""
+        deviations = dict(zip(self.information.names, np.sqrt(np.diagonal(self.information.covariance)), strict=True))
+        return {
+            name: Parameter(float(np.asarray(self.model[name])), float(deviations.get(name, 0.0)), declared.unit)
+            for name, declared in self.model.parameters.items()
+            if name not in self.model.per_experiment
+        }
+
+    def correlations(self) -> ParameterCorrelations:
+        """Return the correlations of the free shared parameters, with the ellipses of any two."""
+        found = self.parameters
+        names = self.information.names
+        return ParameterCorrelations(
+            names,
+            tuple(found[name].unit for name in names),
+            np.array([found[name].value for name in names]),
+            self.information.covariance,
+        )
+
+    def rows(self) -> list[tuple[str, str, str, str]]:
+        """Return every shared parameter as text: name, value, standard deviation and unit."""
+        return [
+            (name, f"{p.value:.6g}", f"{p.std:.2g}" if name in self.information.names else "fixed", p.unit)
+            for name, p in self.parameters.items()
+        ]
+
+    def lines(self) -> list[str]:
+        """Return the same as lines of equal columns, below a head."""
+        return [f"{name:30s} {value:>12s} {std:>10s}  {unit}" for name, value, std, unit in (HEADER, *self.rows())]
+
+
 @dataclasses.dataclass(frozen=True, repr=False)
-class Fit(Result):
+class Fit(ModelFit):
     """The result of `output_error`.
 
     Attributes:
@@ -57,37 +99,12 @@ class Fit(Result):
     discounted: tuple[Discounted, ...] = ()
     weights: Mapping[str, Float[np.ndarray, "sample output"]] = dataclasses.field(default_factory=dict)
 
-    @property
-    def parameters(self) -> dict[str, Parameter]:
-        """Every shared parameter with its standard deviation."""
-        deviations = dict(zip(self.information.names, np.sqrt(np.diagonal(self.information.covariance)), strict=True))
-        return {
-            name: Parameter(float(np.asarray(self.model[name])), float(deviations.get(name, 0.0)), declared.unit)
-            for name, declared in self.model.parameters.items()
-            if name not in self.model.per_experiment
-        }
-
     def overview(self) -> Overview:
         """Return outcome, and parameters with standard deviations."""
-        rows = [
-            (name, f"{p.value:.6g}", f"{p.std:.2g}" if name in self.information.names else "fixed", p.unit)
-            for name, p in self.parameters.items()
-        ]
         far = ", ".join(f"{c} {rms / self.noise[c]:.2f}" for c, rms in self.residual_std.items())
         title = f"{len(self.information.names)} parameters fitted to {len(self.experiments)} experiments"
         left = f"Residual over noise: {far}." if far else ""
-        return Overview(title, ("parameter", "value", "std", "unit"), rows, (RESULTS[self.result], left))
-
-    def correlations(self) -> ParameterCorrelations:
-        """Return the correlations of the free shared parameters, with the ellipses of any two."""
-        found = self.parameters
-        names = self.information.names
-        return ParameterCorrelations(
-            names,
-            tuple(found[name].unit for name in names),
-            np.array([found[name].value for name in names]),
-            self.information.covariance,
-        )
+        return Overview(title, HEADER, self.rows(), (RESULTS[self.result], left))
 
     @property
     def criteria(self) -> InformationCriteria | None:
@@ -100,10 +117,7 @@ class Fit(Result):
         return InformationCriteria.of_rms(self.residual_std, self.statistics["samples"], self.statistics["unknowns"])
 
     def __str__(self) -> str:
-        lines = [f"{'parameter':30s} {'value':>12s} {'std':>10s}  unit"]
-        for name, found in self.parameters.items():
-            spread = f"{found.std:.2g}" if name in self.information.names else "fixed"
-            lines.append(f"{name:30s} {found.value:12.6g} {spread:>10s}  {found.unit}")
+        lines = self.lines()
         for channel, rms in self.residual_std.items():
             lines.append(f"residual of {channel}: {rms:.4g} rms, {rms / self.noise[channel]:.2f} times its noise")
         if self.weights:

@@ -16,14 +16,12 @@ from estimators.core.correlation import LAGS, LEVEL, whiteness
 from estimators.core.data import CHANNELS, Data, moving, pieces
 from estimators.core.drawing import draw
 from estimators.core.fisher_information import Information, each_deviations, information
-from estimators.core.fit import Parameter
+from estimators.core.fit import HEADER, ModelFit
 from estimators.core.information_criteria import InformationCriteria
 from estimators.core.initial_state import scales_of, space_of
 from estimators.core.levenberg_marquardt import Arguments, diverged, factor
 from estimators.core.linearisation import Problem
-from estimators.core.parameter_correlation import ParameterCorrelations
 from estimators.core.parameter_space import Space, number_of_unknowns
-from estimators.core.result_base import Result
 from estimators.core.results import DivergedError
 from estimators.core.sensor_noise import noise_levels
 from estimators.core.step_size import accurate_substeps
@@ -56,7 +54,7 @@ class Whiteness:
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
-class PredictorFit(Result):
+class PredictorFit(ModelFit):
     """The result of `prediction_error_nonlinear`.
 
     Attributes:
@@ -90,27 +88,6 @@ class PredictorFit(Result):
     noise_exponents: Float[np.ndarray, " noise"] = dataclasses.field(repr=False)
 
     @property
-    def parameters(self) -> dict[str, Parameter]:
-        """Every shared parameter with its standard deviation."""
-        deviations = dict(zip(self.information.names, np.sqrt(np.diagonal(self.information.covariance)), strict=True))
-        return {
-            name: Parameter(float(np.asarray(self.model[name])), float(deviations.get(name, 0.0)), declared.unit)
-            for name, declared in self.model.parameters.items()
-            if name not in self.model.per_experiment
-        }
-
-    def correlations(self) -> ParameterCorrelations:
-        """Return the correlations of the free shared parameters, with the ellipses of any two."""
-        found = self.parameters
-        names = self.information.names
-        return ParameterCorrelations(
-            names,
-            tuple(found[name].unit for name in names),
-            np.array([found[name].value for name in names]),
-            self.information.covariance,
-        )
-
-    @property
     def criteria(self) -> InformationCriteria:
         """AIC, BIC and FPE, of predictions one sample ahead."""
         count = self.statistics["samples"]
@@ -132,18 +109,11 @@ class PredictorFit(Result):
 
     def overview(self) -> Overview:
         """Return parameters with standard deviations, and what the innovations say of the model."""
-        rows = [
-            (name, f"{p.value:.6g}", f"{p.std:.2g}" if name in self.information.names else "fixed", p.unit)
-            for name, p in self.parameters.items()
-        ]
         title = f"{len(self.information.names)} parameters from predictions of {len(self.experiments)} experiments"
-        return Overview(title, ("parameter", "value", "std", "unit"), rows, (self.verdict,))
+        return Overview(title, HEADER, self.rows(), (self.verdict,))
 
     def __str__(self) -> str:
-        lines = [f"{'parameter':30s} {'value':>12s} {'std':>10s}  unit"]
-        for name, found in self.parameters.items():
-            spread = f"{found.std:.2g}" if name in self.information.names else "fixed"
-            lines.append(f"{name:30s} {found.value:12.6g} {spread:>10s}  {found.unit}")
+        lines = self.lines()
         for name, std in self.each_std.items():
             values = np.asarray(self.model[name])
             unit = self.model.parameters[name].unit

@@ -313,7 +313,8 @@ def _candidates(laboratory: LiveLaboratory, found: Judgement) -> list[Candidate]
             p_value=p_by_chance(s, len(screened)),
             detection_limit=limit,
             unit=declarations(s.instance)[first].unit,
-            testable=is_testable(s, limit) or s.id in within,  # what acts by contact shows once the filter follows it
+            # What acts by contact shows once the filter follows it.
+            testable=is_testable(s, limit, policy.testable) or s.id in within,
             correlation=alike[s.id],
         )
         if s.id in selection.tried:

@@ -225,7 +225,7 @@ def limits_of(setting: Setting, refit: Refit, best: Mapping[str, Screened]) -> d
 
     def of(group: Group) -> dict[str, float]:
         ids = {instance.id for instance in group.instances}
-        return detection_limits(group, [s for s in best.values() if s.id in ids], basis)
+        return detection_limits(group, [s for s in best.values() if s.id in ids], basis, setting.policy.testable)
 
     parts = at_once(of, _groups(setting, refit, _raw(setting, refit, probed)))
     return {i: limit for part in parts for i, limit in part.items()}

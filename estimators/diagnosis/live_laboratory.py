@@ -77,7 +77,8 @@ class LiveLaboratory:
         self.base = self._record(setting, base, tested)
         best = by_statistic(tested.screened)
         self.limits = limits_of(setting, base, best)
-        blind = [i for i, s in best.items() if not s.instance.acts_by_contact and not is_testable(s, self.limits[i])]
+        shown = {i for i, s in best.items() if is_testable(s, self.limits[i], setting.policy.testable)}
+        blind = [i for i, s in best.items() if not s.instance.acts_by_contact and i not in shown]
         self.facts = dataclasses.replace(self.facts, untestable=tuple(sorted(blind)))
 
     def first_refits(

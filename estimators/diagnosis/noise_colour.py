@@ -25,7 +25,7 @@ def recoloured(setting: Setting, base: Refit) -> tuple[Setting, Refit]:
     """
     if setting.colour is None:
         return setting, base
-    spectra = rest_spectra(setting.recording.experiments)
+    spectra = rest_spectra(setting.recording.experiments, setting.policy.colour)
     kept = {name: v for name, v in base.values.items() if name.split(".")[0] != ColouredNoise.id}
     noise = base.predictor.noise
 

@@ -5,15 +5,16 @@ from typing import Any
 
 from estimators.inference.simulation_residual import SimulationLimits
 from estimators.misspecification.findings import CriticalValues
+from estimators.prediction_error.colour_limits import ColourLimits
 
-VERSION = 3
+VERSION = 4
 """Of the standard policy: counts up when a threshold comes, goes or changes."""
 
 _PROTOTYPE = "prototype study of 42 cases a setting"
 _UNSTUDIED = "set when the rule was added; never studied by itself"
 _FRACTIONS = (
     "removed", "static", "nested_level", "rival", "close", "line_left", "chance", "level", "known", "simulation_level",
-    "consequence",
+    "consequence", "colour_doubt", "colour_little",
 )  # fmt: skip
 
 
@@ -108,6 +109,21 @@ class DiagnosisPolicy:
         "relative standard deviation from which data leave a combination of parameters free",
         _UNSTUDIED,
     )
+    testable: float = _threshold(
+        30.0,
+        "detection limit over the plausible size from which the data cannot show an effect, and none is named",
+        _UNSTUDIED,
+    )
+    colour_doubt: float = _threshold(
+        ColourLimits.doubt,
+        "p-value below which the noise of a rest record is not white",
+        _UNSTUDIED,
+    )
+    colour_little: float = _threshold(
+        ColourLimits.little,
+        "fraction of coloured noise that is left out of account",
+        _UNSTUDIED,
+    )
     colour_gain: float = _threshold(
         10.0,
         "gain in log-likelihood for which noise without a rest record is taken as coloured",
@@ -176,6 +192,11 @@ class DiagnosisPolicy:
     def critical(self) -> CriticalValues:
         """Return the thresholds of the tests of adequacy."""
         return CriticalValues(self.alarm, self.chance, self.level)
+
+    @property
+    def colour(self) -> ColourLimits:
+        """Return the thresholds of noise at rest."""
+        return ColourLimits(self.colour_doubt, self.colour_little)
 
     @property
     def simulation(self) -> SimulationLimits:

@@ -118,7 +118,7 @@ def set_up(
             instances += list(found)
             absent[c.id] = absent_like(found[len(found) // 2])
     levels = dict(noise_levels(recording.experiments))
-    colours = colours_at_rest(recording.experiments)
+    colours = colours_at_rest(recording.experiments, policy.colour)
     # The first samples tell the start better than a simulation of a model that may be wrong, except for an angle
     # that nobody measured.
     blind = [e for e in experiments if e.initial_arm_angle is None and "arm_angle" not in e.outputs]

@@ -17,7 +17,11 @@ from estimators.inference.simulation_residual import (
 )
 from estimators.misspecification.adequacy import AdequacyTest, alarming, few_for
 
-_COLOUR = ("colour_gain", "colour_spoken", "colour_mended")
+_COMPUTED = {
+    "noise": ("colour_doubt", "colour_little", "colour_gain", "colour_spoken", "colour_mended"),
+    "candidates": ("testable",),
+}
+"""Thresholds that the evidence was computed by, and what of it."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -91,7 +95,13 @@ def judge(evidence: Evidence, policy: DiagnosisPolicy = STANDARD) -> Judgement:
     """
     archive = Archive(evidence)
     found = decide(archive, policy, thorough=evidence.thorough)
-    changed = [f"noise with another {name}" for name in _COLOUR if evidence.policy.get(name) != getattr(policy, name)]
+    # Evidence of an earlier version was computed by the standard values of what has become a threshold since.
+    changed = [
+        f"{what} with another {name}"
+        for what, names in _COMPUTED.items()
+        for name in names
+        if evidence.policy.get(name, getattr(STANDARD, name)) != getattr(policy, name)
+    ]
     return dataclasses.replace(found, incomplete=(*archive.missing, *changed))
 
 

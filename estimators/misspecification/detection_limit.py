@@ -13,13 +13,12 @@ from rtac_jax.parameters import declarations
 
 _NEAR = 1.5  # of the chi-square at the limit, to either side, within which proportion holds
 _LEAST = 1e-3  # of the limit by proportion, the smallest size that is looked at
-TESTABLE = 30.0  # times the plausible size: what shows from there on only cannot be shown
 _ROUNDS = 2
 
 
-def is_testable(s: Screened, limit: float) -> bool:
-    """Return whether the data could show a candidate, from its detection limit, at a size that is plausible or not far from it."""
-    return bool(np.isfinite(limit) and limit < TESTABLE * abs(_plausible(s)))
+def is_testable(s: Screened, limit: float, most: float) -> bool:
+    """Return whether the data could show a candidate, from its detection limit, below `most` times its plausible size."""
+    return bool(np.isfinite(limit) and limit < most * abs(_plausible(s)))
 
 
 def main_amplitude(s: Screened) -> str:
@@ -29,18 +28,18 @@ def main_amplitude(s: Screened) -> str:
     return s.amplitudes[min(alike, key=lambda i: float(s.limit[i]))]
 
 
-def detection_limits(group: Group, several: Sequence[Screened], basis: Rows) -> dict[str, float]:
+def detection_limits(group: Group, several: Sequence[Screened], basis: Rows, most: float) -> dict[str, float]:
     """Return for every candidate the size of its main amplitude at which screening would reject.
 
     A template of a plausible size says so by proportion. At that limit the innovations are computed once more, and where the
-    template explains more or less of their change, the size is looked for. Infinite where no size up to `TESTABLE` times the
+    template explains more or less of their change, the size is looked for. Infinite where no size up to `most` times the
     plausible one is enough.
     """
-    found = {s.id: limit if (limit := _by_proportion(s)) < _most(s) else np.inf for s in several}
+    found = {s.id: limit if (limit := _by_proportion(s)) < _largest(s, most) else np.inf for s in several}
     sound = [s for s in several if np.isfinite(found[s.id])]
     shown = _scores(group, basis, sound, [found[s.id] for s in sound])
     off = [(s, not there >= _alarm(s)) for s, there in zip(sound, shown, strict=True) if not _as_foreseen(s, there)]
-    looked_for = at_once(lambda one: _looked_for(group, basis, one[0], more=one[1]), off)
+    looked_for = at_once(lambda one: _looked_for(group, basis, one[0], most if one[1] else None), off)
     return found | {s.id: limit for (s, _), limit in zip(off, looked_for, strict=True)}
 
 
@@ -53,10 +52,10 @@ def _by_proportion(s: Screened) -> float:
     return float(s.limit[s.amplitudes.index(main_amplitude(s))])
 
 
-def _most(s: Screened) -> float:
+def _largest(s: Screened, most: float) -> float:
     """Return the largest size that is looked at: beyond its bounds no estimate may go."""
     low, high = declarations(s.instance)[main_amplitude(s)].bounds
-    return min(TESTABLE * abs(_plausible(s)), high if _plausible(s) > 0 else -low)
+    return min(most * abs(_plausible(s)), high if _plausible(s) > 0 else -low)
 
 
 def _alarm(s: Screened) -> float:
@@ -91,10 +90,10 @@ def _explained(s: Screened, change: np.ndarray) -> float:
     return float(np.sum((orthonormal(s.templates).T @ change) ** 2)) if along > 0 else 0.0
 
 
-def _looked_for(group: Group, basis: Rows, s: Screened, *, more: bool) -> float:
-    """Search the smallest size on finer and finer grids that rejects, larger or smaller than by proportion."""
+def _looked_for(group: Group, basis: Rows, s: Screened, most: float | None) -> float:
+    """Search the smallest size on finer and finer grids that rejects, above the one by proportion; None: below it."""
     linear, alarm = _by_proportion(s), _alarm(s)
-    low, high = (linear, _most(s)) if more else (_LEAST * linear, linear)
+    low, high = (_LEAST * linear, linear) if most is None else (linear, _largest(s, most))
     if not low < high:
         return np.inf
     for _ in range(_ROUNDS):

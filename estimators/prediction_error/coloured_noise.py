@@ -18,6 +18,7 @@ from scipy.special import expit, logit
 from scipy.stats import chi2
 
 from estimators.core.data import CHANNELS
+from estimators.prediction_error.colour_limits import COLOUR_LIMITS, ColourLimits
 from rtac_jax.effects import Motion, Outputs, Sensor, States
 from rtac_jax.measurement import Experiment
 from rtac_jax.parameters import Scalar, parameter
@@ -31,8 +32,6 @@ _MEMORIES = (1.5, 5.0, 20.0)  # correlation times from which the likeliest is lo
 _RANGE = ((-6.0, 6.0), (-1.0, 6.0))  # of the logarithms of share over rest, and of the correlation time in samples
 _REACH = (1.0, 0.3)  # first steps in the logarithms of share over rest, and of correlation time
 _CLOSER = 0.5 ** np.arange(6)  # fractions of a step, tried where it leads to what cannot be
-_LITTLE = 0.05  # fraction of coloured noise that is not worth a state
-_DOUBT = 1e-4  # p-value below which the noise of a rest record is not white
 _MOST = 0.98  # the rest is white: quantisation at least
 
 
@@ -119,7 +118,9 @@ class RestSpectrum:
     interval: float
 
     @classmethod
-    def of(cls, experiments: Sequence[Experiment], channel: str) -> "RestSpectrum | None":
+    def of(
+        cls, experiments: Sequence[Experiment], channel: str, doubt: float = ColourLimits.doubt
+    ) -> "RestSpectrum | None":
         """Compute them for records that are long enough and show a noise that is not white; None where there is none."""
         angle, power, products, count, interval = [], [], np.zeros(_LAGS + 1), 0, 0.0
         for e in experiments:
@@ -136,7 +137,7 @@ class RestSpectrum:
             power.append(np.abs(np.fft.rfft(values)[lines]) ** 2 / samples)
             products += [values[: samples - k] @ values[k:] for k in range(_LAGS + 1)]
             count, interval = count + samples, e.sample_time
-        if not count or chi2.sf(count * np.sum((products[1:] / products[0]) ** 2), _LAGS) > _DOUBT:
+        if not count or chi2.sf(count * np.sum((products[1:] / products[0]) ** 2), _LAGS) > doubt:
             return None
         return cls(np.concatenate(angle), np.concatenate(power), interval)
 
@@ -159,16 +160,16 @@ class RestSpectrum:
         return float(expit(found.x[0])), self.interval * float(np.exp(found.x[1]))
 
 
-def rest_spectra(experiments: Sequence[Experiment]) -> dict[str, RestSpectrum]:
+def rest_spectra(experiments: Sequence[Experiment], limits: ColourLimits = COLOUR_LIMITS) -> dict[str, RestSpectrum]:
     """Return the periodograms of the channels whose rest records are not white."""
-    found = {channel: RestSpectrum.of(experiments, channel) for channel in CHANNELS}
+    found = {channel: RestSpectrum.of(experiments, channel, limits.doubt) for channel in CHANNELS}
     return {channel: one for channel, one in found.items() if one is not None}
 
 
-def colours_at_rest(experiments: Sequence[Experiment]) -> Colours:
+def colours_at_rest(experiments: Sequence[Experiment], limits: ColourLimits = COLOUR_LIMITS) -> Colours:
     """Estimate fraction and correlation time [s] of coloured noise, for channels whose rest records are not white."""
-    found = {channel: one.colour() for channel, one in rest_spectra(experiments).items()}
-    return {channel: (share, memory) for channel, (share, memory) in found.items() if share > _LITTLE}
+    found = {channel: one.colour() for channel, one in rest_spectra(experiments, limits).items()}
+    return {channel: (share, memory) for channel, (share, memory) in found.items() if share > limits.little}
 
 
 def likeliest_colours(first: Colours, likelihood: Callable[[Colours], float]) -> tuple[Colours, float]:

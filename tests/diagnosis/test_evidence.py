@@ -133,6 +133,8 @@ def test_a_policy_that_asks_for_what_was_not_computed_says_so() -> None:
     assert any("refit of" in missing for missing in found.incomplete)
     colour = est.judge(evidence, dataclasses.replace(STANDARD, colour_spoken=1.0))
     assert colour.incomplete == ("noise with another colour_spoken",)
+    shown = est.judge(evidence, dataclasses.replace(STANDARD, testable=5.0))
+    assert shown.incomplete == ("candidates with another testable",)
 
 
 def test_what_a_model_diverged_with_is_not_missing_from_the_evidence() -> None:

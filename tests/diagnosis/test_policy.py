@@ -4,6 +4,7 @@ import dataclasses
 import importlib
 from typing import Any
 
+import numpy as np
 import pytest
 from known_search import Known, force, known, screened, sized
 
@@ -12,7 +13,10 @@ from estimators.diagnosis.choice import chosen
 from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
 from estimators.diagnosis.stepwise_selection import improvements
 from estimators.misspecification.adequacy import adequacy_tests
+from estimators.misspecification.candidate_screening import Screened
+from estimators.misspecification.detection_limit import is_testable
 from estimators.misspecification.findings import Findings
+from rtac_jax.effects import CubicSpring
 
 GAINS = known(base=-1000.0, cubic_spring=-900.0, lvdt_lag=-903.0)
 
@@ -56,11 +60,19 @@ def test_what_is_no_threshold_is_refused(wrong: dict[str, Any], said: str) -> No
     assert next(iter(wrong)) in str(caught.value)
 
 
-@pytest.mark.parametrize("module", ["adequacy", "candidate_screening", "findings"])
+@pytest.mark.parametrize("module", ["adequacy", "candidate_screening", "detection_limit", "findings"])
 def test_no_statistic_keeps_a_threshold_of_the_judgement(module: str) -> None:
     held = vars(importlib.import_module(f"estimators.misspecification.{module}"))
     thresholds = {name for name, value in held.items() if name.isupper() and isinstance(value, int | float)}
-    assert thresholds <= {"_ROUNDING", "_THRESHOLD", "_TRIED"}  # of numbers, and of where a fit begins
+    assert thresholds <= {
+        "_ROUNDING",
+        "_THRESHOLD",
+        "_TRIED",
+        "_NEAR",
+        "_LEAST",
+        "_ROUNDS",
+        "AT_ONCE",
+    }  # of numbers, and of searches
 
 
 @pytest.mark.parametrize(
@@ -84,6 +96,13 @@ def test_the_alarm_of_a_policy_decides_which_candidate_is_tried() -> None:
     for changed in ({"alarm": 30.0}, {"chance": 1e-10}):
         stricter = dataclasses.replace(STANDARD, **changed)
         assert improvements(search, search.base, findings, stricter)[0] == []
+
+
+def test_the_policy_decides_what_the_data_can_show() -> None:
+    spring = CubicSpring(2.0)
+    found = Screened("cubic_spring", spring, ("stiffness",), np.zeros(1), 0.0, 1.0, np.array([50.0]), np.ones((3, 1)))
+    assert is_testable(found, 50.0, STANDARD.testable)
+    assert not is_testable(found, 50.0, 20.0)
 
 
 def test_the_level_of_a_policy_decides_what_rejects() -> None:

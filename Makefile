@@ -4,6 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 DOCS_STAMP := $(VENV)/.installed-docs
+BENCH_STAMP := $(VENV)/.installed-bench
 
 # Two workers share the cores: threads of linear algebra beside them only wait for each other.
 PYTEST := OMP_NUM_THREADS=1 MPLBACKEND=agg $(BIN)/python -m pytest -n 2 --dist loadfile
@@ -22,6 +23,10 @@ $(STAMP): pyproject.toml constraints.txt
 $(DOCS_STAMP): $(STAMP)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[docs]'
 	touch $(DOCS_STAMP)
+
+$(BENCH_STAMP): $(STAMP)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[test,bench]'
+	touch $(BENCH_STAMP)
 
 demo: $(STAMP)
 	$(BIN)/rtac demo --out demo
@@ -45,13 +50,8 @@ lint: $(STAMP)
 docs: $(DOCS_STAMP)
 	$(BIN)/mkdocs build --strict
 
-bench: $(STAMP)
-	$(BIN)/python benchmarks/bench_simulation.py
-	$(BIN)/python benchmarks/bench_prediction_error.py
-	$(BIN)/python benchmarks/bench_subspace.py
-	$(BIN)/python benchmarks/bench_weight.py
-	$(BIN)/python benchmarks/bench_diagnosis.py
-	$(BIN)/python benchmarks/bench_study.py
+bench: $(BENCH_STAMP)
+	$(BIN)/python benchmarks/run.py
 
 notebooks: $(STAMP)
 	for f in notebooks/*.ipynb; do $(BIN)/python -m jupyter execute --inplace $$f || exit 1; done

@@ -7,13 +7,12 @@ timed twice: as calls of `prediction_error`, and as calls of the compiled fit al
 tests and covariances. With --optimistix the same fit is done by optimistix's LevenbergMarquardt under vmap.
 """
 
-import argparse
-import time
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import scipy.signal
+from measuring import Found, hand_back, once, parser
 
 import estimators as est
 import rtac_jax as rtac
@@ -24,13 +23,9 @@ STEP = 0.01  # s
 
 def best_of(repeats: int, work: Callable[[], Any]) -> tuple[float, Any]:
     """Shortest wall time [s] of several runs after one that compiles, and what the last one returned."""
-    found = work()
-    times = []
-    for _ in range(repeats):
-        began = time.perf_counter()
-        found = work()
-        times.append(time.perf_counter() - began)
-    return min(times), found
+    work()
+    runs = [once(work) for _ in range(repeats)]
+    return min(seconds for seconds, _ in runs), runs[-1][1]
 
 
 def conditions(count: int, samples: int) -> Recording:
@@ -99,13 +94,16 @@ def compiled(structure: str, data: Recording, repeats: int, *, optimistix: bool)
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--conditions", type=int, default=20)
-    parser.add_argument("--samples", type=int, default=5000)
-    parser.add_argument("--repeats", type=int, default=3)
-    parser.add_argument("--optimistix", action="store_true")
-    chosen = parser.parse_args()
+    made = parser(__doc__)
+    made.add_argument("--conditions", type=int, default=20)
+    made.add_argument("--samples", type=int, default=5000)
+    made.add_argument("--repeats", type=int, default=3)
+    made.add_argument("--optimistix", action="store_true")
+    chosen = made.parse_args()
+    if chosen.small:
+        chosen.conditions, chosen.samples, chosen.repeats = 3, 500, 1
     rtac.configure()
+    rows: list[dict[str, Any]] = []
     data = conditions(chosen.conditions, chosen.samples)
     print(f"{chosen.conditions} conditions of {chosen.samples} samples; seconds, after compilation")
     print(f"{'':14s} {'':>12s} {'at once':>9s} {'loop':>9s} {'ratio':>6s} {'difference':>11s} {'optimistix':>11s}")
@@ -124,8 +122,12 @@ def main() -> None:
         looped, alone = best_of(chosen.repeats, loop)
         away = max(float(np.max(np.abs(a.values / b.values - 1))) for a, b in zip(together, alone, strict=True))
         print(f"{structure:14s} {'whole call':>12s} {batch:9.3f} {looped:9.3f} {looped / batch:6.1f} {away:11.1e}")
+        rows.append({"structure": structure, "batch": batch, "loop": looped, "difference": away})
         batch, looped, other = compiled(structure, data, chosen.repeats, optimistix=chosen.optimistix)
         print(f"{'':14s} {'fit alone':>12s} {batch:9.3f} {looped:9.3f} {looped / batch:6.1f} {'':11s} {other:11.3f}")
+        rows[-1] |= {"fit_batch": batch, "fit_loop": looped}
+    found: Found = {"rows": rows}
+    hand_back(chosen, found)
 
 
 if __name__ == "__main__":

@@ -10,7 +10,6 @@ stands, once with a Jacobian that knows that a start acts on its own decay only.
 ends with an error. Without Numba the peer is left out.
 """
 
-import argparse
 import importlib.util
 import multiprocessing
 import os
@@ -20,6 +19,7 @@ from concurrent.futures import Executor, ProcessPoolExecutor
 from typing import Any
 
 import numpy as np
+from measuring import Found, hand_back, parser, peak_megabytes
 
 STEP, SAMPLES, DECAYS = 0.005, 833, 6
 FREE = ("spring_stiffness", "cart_viscous.coefficient", "cart_coulomb.level")
@@ -172,7 +172,7 @@ def used(_: int) -> tuple[int, float, float]:
     """Return this process's number, largest memory [MiB] and processor time [s]."""
     time.sleep(0.2)  # so that every worker answers
     now = resource.getrusage(resource.RUSAGE_SELF)
-    return os.getpid(), now.ru_maxrss / 1024, now.ru_utime + now.ru_stime
+    return os.getpid(), peak_megabytes(), now.ru_utime + now.ru_stime
 
 
 def used_by(pool: Executor, workers: int) -> tuple[float, float]:
@@ -229,11 +229,13 @@ def main() -> None:
     import estimators as est
     import rtac_jax as rtac
 
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--repetitions", type=int, default=1000)
-    parser.add_argument("--peer", type=int, default=60, help="repetitions of the peer, whose time is scaled up")
-    parser.add_argument("--workers", type=int, default=2)
-    chosen = parser.parse_args()
+    made = parser(__doc__)
+    made.add_argument("--repetitions", type=int, default=1000)
+    made.add_argument("--peer", type=int, default=60, help="repetitions of the peer, whose time is scaled up")
+    made.add_argument("--workers", type=int, default=2)
+    chosen = made.parse_args()
+    if chosen.small:
+        chosen.repetitions, chosen.peer = 8, 2
     workers, count = chosen.workers, chosen.repetitions
     print(rtac.configure())
     spawned = multiprocessing.get_context("spawn")
@@ -251,9 +253,14 @@ def main() -> None:
     print(f"est.study: {count} repetitions in {own * count:.1f} s, {each}, of a processor {processor}")
     print(f"{results.ending} Largest residual over noise {residual:.3f} in the mean")
     print(f"memory of a worker: {before:.0f} MiB after its first chunk, {after:.0f} MiB at the end")
+    found: Found = {
+        "ratios": {},
+        "seconds": {"study_1000": round(1000 * own, 2)},
+        "rows": [{"tool": "est.study", "wall": own, "processor": own_processor, "megabytes": [before, after]}],
+    }
     if importlib.util.find_spec("numba") is None:
         print("SciPy over Numba is left out: Numba is not installed here (pip install numba).")
-        return
+        return hand_back(chosen, found)
     print(f"on the same data both leave the same residual, to {require_same_residual(results):.0e}")
     with ProcessPoolExecutor(workers, mp_context=spawned) as pool:
         for blocks, name in ((False, "as it stands"), (True, "with a Jacobian by blocks")):
@@ -266,6 +273,9 @@ def main() -> None:
                 f"SciPy over Numba, {name}: {1e3 * each:.0f} ms each, {each / own:.1f} times as long; of a processor "
                 f"{1e3 * processor:.0f} ms, {processor / own_processor:.1f} times ({np.mean(left):.3f} of the noise left)"
             )
+            found["rows"].append({"tool": f"SciPy over Numba, {name}", "wall": each, "processor": processor})
+            found["ratios"]["study_vs_scipy_numba" + "_blocks" * blocks] = round(each / own, 3)
+    return hand_back(chosen, found)
 
 
 if __name__ == "__main__":

@@ -1,0 +1,125 @@
+"""Other ways to simulate the rig: C by hand, Numba, NumPy, SciPy and diffrax; what is not installed is left out."""
+
+import importlib.util
+import re
+import shutil
+import subprocess
+import tempfile
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from measuring import best_of
+from rig_equations import KM, KV1, KV2, ME, SMOOTH_ARM, SMOOTH_CART, START, STEP, D, J, K, M, V, currents, slope
+
+FLOOR = Path(__file__).parent / "floor"
+C = "C by hand, the floor"
+
+
+class Row(NamedTuple):
+    """What was run, how many trajectories at once, and ns per step and trajectory."""
+
+    name: str
+    trajectories: int
+    nanoseconds: float
+
+
+def of_c() -> list[Row]:
+    """The hand-written programs of `floor/`, where there are a compiler and AVX-512; each prints its best of five."""
+    compiler = shutil.which("gcc")
+    rows = []
+    with tempfile.TemporaryDirectory() as folder:
+        for name, options, count in (("rk4_scalar", ["-lm"], 1), ("rk4_limit", ["-DALG", "-lmvec", "-lm"], 512)):
+            program, source = str(Path(folder) / name), str(FLOOR / f"{name}.c")
+            command = [str(compiler), "-O3", "-march=native", "-ffast-math", "-o", program, source, *options]
+            try:
+                subprocess.run(command, check=True, capture_output=True)
+                said = subprocess.run([program], check=True, capture_output=True, text=True).stdout
+            except (OSError, subprocess.CalledProcessError):
+                continue  # no compiler, another processor or C library
+            rows.append(Row(C, count, min(float(x) for x in re.findall(r"([\d.]+) ns", said))))
+    return rows
+
+
+def of_scipy(steps: int) -> Row:
+    """`solve_ivp` (RK45), restarted at each sample, as a held current asks for."""
+    from scipy.integrate import solve_ivp
+
+    held = currents(steps, 1)[:, 0]
+
+    def work() -> None:
+        at = np.array(START)
+        for current in held:
+            at = solve_ivp(slope, (0.0, STEP), at, args=(current,), first_step=STEP, rtol=1e-4, atol=1e-8).y[:, -1]
+
+    return Row("SciPy solve_ivp", 1, 1e9 * best_of(1, work) / steps)
+
+
+def of_numpy(trajectories: int, steps: int) -> Row:
+    """Classic Runge-Kutta in NumPy, all trajectories at once."""
+    held = currents(steps, trajectories)
+
+    def work() -> None:
+        at = np.zeros((4, trajectories))
+        at[0] = START[0]
+        for current in held:
+            a = np.array(slope(0.0, at, current))
+            b = np.array(slope(0.0, at + STEP / 2 * a, current))
+            c = np.array(slope(0.0, at + STEP / 2 * b, current))
+            d = np.array(slope(0.0, at + STEP * c, current))
+            at = at + STEP / 6 * (a + 2 * b + 2 * c + d)
+
+    return Row("NumPy RK4", trajectories, 1e9 * best_of(1, work) / steps / trajectories)
+
+
+def of_numba(trajectories: int, steps: int, repeats: int) -> tuple[Row, np.ndarray] | None:
+    """The same Runge-Kutta compiled by Numba, one trajectory after another; with the final cart positions."""
+    if importlib.util.find_spec("numba") is None:
+        return None
+    import numba
+
+    derivative = numba.njit(fastmath=True)(slope)
+
+    @numba.njit(fastmath=True)
+    def integrate(held, shown):
+        for n in range(held.shape[1]):
+            q, w, p, r = START
+            for k in range(held.shape[0]):
+                i, h = held[k, n], STEP
+                shown[k, 0, n], shown[k, 1, n] = q, r
+                a = derivative(0.0, (q, w, p, r), i)
+                b = derivative(0.0, (q + h / 2 * a[0], w + h / 2 * a[1], p + h / 2 * a[2], r + h / 2 * a[3]), i)
+                c = derivative(0.0, (q + h / 2 * b[0], w + h / 2 * b[1], p + h / 2 * b[2], r + h / 2 * b[3]), i)
+                d = derivative(0.0, (q + h * c[0], w + h * c[1], p + h * c[2], r + h * c[3]), i)
+                q += h / 6 * (a[0] + 2 * b[0] + 2 * c[0] + d[0])
+                w += h / 6 * (a[1] + 2 * b[1] + 2 * c[1] + d[1])
+                p += h / 6 * (a[2] + 2 * b[2] + 2 * c[2] + d[2])
+                r += h / 6 * (a[3] + 2 * b[3] + 2 * c[3] + d[3])
+
+    held, shown = currents(steps, trajectories), np.empty((steps, 2, trajectories))
+    seconds = best_of(repeats, lambda: integrate(held, shown))
+    return Row("Numba RK4", trajectories, 1e9 * seconds / steps / trajectories), shown[-1, 0]
+
+
+def of_diffrax(trajectories: int, steps: int, repeats: int) -> tuple[Row, np.ndarray] | None:
+    """diffrax by the same Runge-Kutta steps, trajectories side by side by `vmap`; with the final cart positions."""
+    if importlib.util.find_spec("diffrax") is None:
+        return None
+    import jax
+    import jax.numpy as jnp
+    from diffrax_runge_kutta import simulate
+
+    def derivative(state, current):
+        q, dq, angle, rate = state
+        sign = dq / jnp.sqrt(dq * dq + SMOOTH_CART**2)
+        share = 0.5 * (1 + rate / jnp.sqrt(rate * rate + SMOOTH_ARM**2))
+        torque = KM * current - (KV2 + (KV1 - KV2) * share) * rate
+        force = -K * q - V * dq - D * sign + ME * rate * rate * jnp.sin(angle)
+        exchange = ME * jnp.cos(angle)
+        scale = 1 / (M * J - exchange * exchange)
+        return jnp.stack([dq, (J * force - exchange * torque) * scale, rate, (M * torque - exchange * force) * scale])
+
+    run = jax.jit(jax.vmap(lambda held: simulate(derivative, jnp.asarray(START), held, STEP)))
+    held = jnp.asarray(currents(steps, trajectories).T)
+    seconds = best_of(repeats, lambda: jax.block_until_ready(run(held)))
+    return Row("diffrax RK4", trajectories, 1e9 * seconds / steps / trajectories), np.asarray(run(held))[:, -1, 0]

@@ -8,18 +8,32 @@ take the smooth sign x / sqrt(x^2 + s^2). Peers that are not installed are left 
 as many as the C program takes.
 """
 
+from typing import Any, NamedTuple
+
 import numpy as np
-from measuring import Found, best_of, hand_back, load, parser
+from measuring import best_of, hand_back, load, parser
 from rig_equations import START, STEP, currents
-from simulation_peers import C, Row, of_c, of_diffrax, of_numba, of_numpy, of_scipy
+from simulation_peers import C, Row, of_c, of_diffrax, of_numba, of_numpy, of_scan, of_scipy
 
 import rtac_jax as rtac
 
 OWN = "rtac_jax, dry friction"
 
 
-def compiled_loop(trajectories: int, steps: int, repeats: int, *, dry: bool) -> tuple[Row, np.ndarray]:
-    """The time loop that every estimator runs; with the final cart positions."""
+class Cost(NamedTuple):
+    """What XLA makes of a step of the time loop, by its own account."""
+
+    trajectories: int
+    kernels: int
+    """Loops over all trajectories that are called one after the other."""
+    operations: float
+    """Of floating point, for each trajectory."""
+    bytes: float
+    """Read and written by these kernels, for each trajectory."""
+
+
+def compiled_loop(trajectories: int, steps: int, repeats: int, *, dry: bool) -> tuple[Row, Cost, np.ndarray]:
+    """The time loop that every estimator runs; with what a step costs, and the final cart positions."""
     import equinox as eqx
     import jax
     import jax.numpy as jnp
@@ -36,10 +50,17 @@ def compiled_loop(trajectories: int, steps: int, repeats: int, *, dry: bool) -> 
     start = tuple(jnp.full(trajectories, x) for x in START)
     run = eqx.filter_jit(lambda m, s, e: loop(m, s, e, samples=steps, substeps=jnp.asarray(1)))
     seconds = best_of(repeats, lambda: jax.block_until_ready(run(model, start, excitation)))
-    name = OWN if dry else "rtac_jax, viscous friction only"
-    return Row(name, trajectories, 1e9 * seconds / steps / trajectories), np.asarray(run(model, start, excitation))[
-        -1, 0
-    ]
+    row = Row(OWN if dry else "rtac_jax, viscous friction only", trajectories, 1e9 * seconds / steps / trajectories)
+    made = run.lower(model, start, excitation).compile().compiled
+    return row, cost_of(made, trajectories), np.asarray(run(model, start, excitation))[-1, 0]
+
+
+def cost_of(made: Any, trajectories: int) -> Cost:
+    """Return what a step costs, of a compiled time loop: XLA counts the body of a loop once, and what is around it is little."""
+    counted = made.cost_analysis()
+    bodies = [part.count(" fusion(") + part.count(" copy(") for part in made.as_text().split("\n\n")]
+    operations, moved = counted["flops"] / trajectories, counted["bytes accessed"] / trajectories
+    return Cost(trajectories, max(bodies), round(operations, 1), round(moved, 1))
 
 
 def public_calls(trajectories: int, steps: int, single: int, repeats: int) -> list[Row]:
@@ -92,29 +113,38 @@ def main() -> None:
     steps, single = (100, 200) if chosen.small else (chosen.steps, chosen.single)
     print(rtac.configure())
     rows: list[Row] = []
+    costs: list[Cost] = []
     end = np.zeros(1)
     for n, length in ((1, single), (count, steps)):
         for dry in (True, False):
-            row, found = compiled_loop(n, length, repeats, dry=dry)
+            row, cost, found = compiled_loop(n, length, repeats, dry=dry)
             rows.append(row)
-            end = found if dry else end
+            if dry:
+                costs.append(cost)
+                end = found
     # C first: whoever else uses the machine meanwhile should meet both alike.
     rows += of_c()
     rows += [*public_calls(count, steps, single, repeats), of_scipy(min(steps, 500)), of_numpy(count, steps)]
     ends = {}
-    for peer in (of_numba, of_diffrax):
+    for peer in (of_scan, of_numba, of_diffrax):
         for n, length in ((1, single), (count, steps)):
             if (made_by := peer(n, length, repeats)) is not None:
                 rows.append(made_by[0])
                 ends[made_by[0].name] = made_by[1]
     print(f"{steps} steps of {1e3 * STEP:g} ms, of one trajectory {single}; load of the machine {load()}\n")
     print(table(rows))
+    for cost in costs:
+        print(
+            f"a step of {cost.trajectories} at once: {cost.kernels} kernels, and for each trajectory {cost.operations:.0f} "
+            f"operations and {cost.bytes:.0f} bytes between memory and registers"
+        )
     for name, other in ends.items():
         print(f"largest difference of the cart's end position from {name}'s: {1e6 * np.abs(end - other).max():.2g} µm")
     missing = {"Numba RK4", "diffrax RK4", C} - {row.name for row in rows}
     if missing:
         print("not here: " + ", ".join(sorted(missing)))
-    hand_back(chosen, {"ratios": ratios(rows), "rows": [row._asdict() for row in rows]} if rows else Found())
+    of_loop = [cost._asdict() for cost in costs]
+    hand_back(chosen, {"ratios": ratios(rows), "rows": [row._asdict() for row in rows], "a_step": of_loop})
 
 
 if __name__ == "__main__":

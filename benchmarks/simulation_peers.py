@@ -6,7 +6,7 @@ import shutil
 import subprocess
 import tempfile
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from measuring import best_of
@@ -101,6 +101,40 @@ def of_numba(trajectories: int, steps: int, repeats: int) -> tuple[Row, np.ndarr
     return Row("Numba RK4", trajectories, 1e9 * seconds / steps / trajectories), shown[-1, 0]
 
 
+def _stacked_slope(state: Any, current: Any) -> Any:
+    """`slope` for JAX, the state as one vector."""
+    import jax.numpy as jnp
+
+    q, dq, angle, rate = state
+    sign = dq / jnp.sqrt(dq * dq + SMOOTH_CART**2)
+    share = 0.5 * (1 + rate / jnp.sqrt(rate * rate + SMOOTH_ARM**2))
+    torque = KM * current - (KV2 + (KV1 - KV2) * share) * rate
+    force = -K * q - V * dq - D * sign + ME * rate * rate * jnp.sin(angle)
+    exchange = ME * jnp.cos(angle)
+    scale = 1 / (M * J - exchange * exchange)
+    return jnp.stack([dq, (J * force - exchange * torque) * scale, rate, (M * torque - exchange * force) * scale])
+
+
+def of_scan(trajectories: int, steps: int, repeats: int) -> tuple[Row, np.ndarray]:
+    """The same Runge-Kutta as a bare `jax.lax.scan` of a vector of four states: what XLA can do with one trajectory."""
+    import jax
+    import jax.numpy as jnp
+
+    def step(at: Any, i: Any) -> tuple[Any, Any]:
+        a = _stacked_slope(at, i)
+        b = _stacked_slope(at + STEP / 2 * a, i)
+        c = _stacked_slope(at + STEP / 2 * b, i)
+        d = _stacked_slope(at + STEP * c, i)
+        return at + STEP / 6 * (a + 2 * b + 2 * c + d), at[jnp.array([0, 3])]
+
+    run = jax.jit(jax.vmap(lambda held: jax.lax.scan(step, jnp.asarray(START), held)[1]))
+    held = jnp.asarray(currents(steps, trajectories).T)
+    seconds = best_of(repeats, lambda: jax.block_until_ready(run(held)))
+    return Row("a bare jax.lax.scan", trajectories, 1e9 * seconds / steps / trajectories), np.asarray(run(held))[
+        :, -1, 0
+    ]
+
+
 def of_diffrax(trajectories: int, steps: int, repeats: int) -> tuple[Row, np.ndarray] | None:
     """diffrax by the same Runge-Kutta steps, trajectories side by side by `vmap`; with the final cart positions."""
     if importlib.util.find_spec("diffrax") is None:
@@ -109,17 +143,7 @@ def of_diffrax(trajectories: int, steps: int, repeats: int) -> tuple[Row, np.nda
     import jax.numpy as jnp
     from diffrax_runge_kutta import simulate
 
-    def derivative(state, current):
-        q, dq, angle, rate = state
-        sign = dq / jnp.sqrt(dq * dq + SMOOTH_CART**2)
-        share = 0.5 * (1 + rate / jnp.sqrt(rate * rate + SMOOTH_ARM**2))
-        torque = KM * current - (KV2 + (KV1 - KV2) * share) * rate
-        force = -K * q - V * dq - D * sign + ME * rate * rate * jnp.sin(angle)
-        exchange = ME * jnp.cos(angle)
-        scale = 1 / (M * J - exchange * exchange)
-        return jnp.stack([dq, (J * force - exchange * torque) * scale, rate, (M * torque - exchange * force) * scale])
-
-    run = jax.jit(jax.vmap(lambda held: simulate(derivative, jnp.asarray(START), held, STEP)))
+    run = jax.jit(jax.vmap(lambda held: simulate(_stacked_slope, jnp.asarray(START), held, STEP)))
     held = jnp.asarray(currents(steps, trajectories).T)
     seconds = best_of(repeats, lambda: jax.block_until_ready(run(held)))
     return Row("diffrax RK4", trajectories, 1e9 * seconds / steps / trajectories), np.asarray(run(held))[:, -1, 0]

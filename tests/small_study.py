@@ -3,9 +3,11 @@
 import dataclasses
 from typing import Any
 
-from estimators.study import Estimate, Excitation, Plant, StudyResults, StudySpec
+from estimators.study import Estimate, Excitation, Fitted, Plant, StudyResults, StudySpec
 
 SHORT = Excitation(duration=0.4, free=1, forced=0, rest=0)
+DECAYS = Excitation(duration=1.0, free=3, forced=0, rest=1)
+FREE = ("spring_stiffness", "cart_viscous.coefficient", "cart_coulomb.level")
 
 
 def small(**changes: Any) -> StudySpec:
@@ -19,6 +21,17 @@ def small(**changes: Any) -> StudySpec:
         excitation=(SHORT,),
     )
     return dataclasses.replace(spec, **changes)
+
+
+def batched(**changes: Any) -> StudySpec:
+    """Decays of two kinds, fitted by output error side by side."""
+    fits: dict[str, Any] = {
+        "repetitions": 8,
+        "excitation": (DECAYS, dataclasses.replace(DECAYS, name="two", free=2)),
+        "model": Fitted(free=FREE, start="truth"),
+        "estimate": (Estimate("output_error"),),
+    }
+    return small(**fits | changes)
 
 
 def same_bits(one: StudyResults, other: StudyResults) -> bool:

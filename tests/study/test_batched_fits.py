@@ -4,11 +4,11 @@ import dataclasses
 
 import numpy as np
 import pytest
-from small_study import same_bits, small
+from small_study import DECAYS, FREE, batched, same_bits, small
 
 import estimators as est
 from estimators.core.sensor_noise import noise_levels
-from estimators.study import Estimate, Excitation, Fitted, Plant, fit_chunk
+from estimators.study import Estimate, Fitted, Plant, fit_chunk, run
 from estimators.study.batched_fits import fit_together, suits
 from estimators.study.chunk_size import per_chunk
 from estimators.study.fit_chunk import model_for
@@ -17,14 +17,7 @@ from estimators.study.recordings import recordings
 from estimators.study.truth import true_for
 
 QUIET = {"progress": False}
-FREE = ("spring_stiffness", "cart_viscous.coefficient", "cart_coulomb.level")
-DECAYS = Excitation(duration=1.0, free=3, forced=0, rest=1)
-SPEC = small(
-    repetitions=8,
-    excitation=(DECAYS, dataclasses.replace(DECAYS, name="two", free=2)),
-    model=Fitted(free=FREE, start="truth"),
-    estimate=(Estimate("output_error"),),
-)
+SPEC = batched()
 
 
 def prepared(count: int, **rig: float) -> list[Prepared]:
@@ -44,6 +37,12 @@ def test_the_bits_do_not_depend_on_the_chunk(whole, chunk):
     """Cut into chunks of other sizes, a repetition has other company, and another place among it."""
     assert set(whole["verdict"].values[:, 0]) == {"successful"}
     assert same_bits(est.study(SPEC, chunk=chunk, **QUIET), whole)
+
+
+def test_the_bits_do_not_depend_on_the_process(whole):
+    """Two spawned processes, each with some of the chunks, beside this one."""
+    with run._Pool(2) as pool:
+        assert same_bits(est.study(SPEC, executor=pool, chunk=3, **QUIET), whole)
 
 
 def test_the_bits_do_not_depend_on_what_else_is_in_the_study(whole):

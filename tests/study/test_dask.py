@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from deadly_work import Deadly
-from small_study import same_bits, small
+from small_study import batched, same_bits, small
 
 import estimators as est
 from estimators.study import run
@@ -64,6 +64,12 @@ def test_the_example_of_the_readme_runs_on_two_workers(
     here = est.study(found.spec, progress=False)
     assert same_bits(found, here)
     assert np.all(np.isfinite(found["estimate"].sel(parameter="v/k").values))
+
+
+def test_fits_side_by_side_have_the_bits_that_they_have_here(executor: Any) -> None:
+    there = est.study(batched(), executor=executor, chunk=3, progress=False)
+    assert set(there["verdict"].values[:, 0]) == {"successful"}
+    assert same_bits(there, est.study(batched(), progress=False))
 
 
 def test_the_bits_are_the_same_although_a_worker_is_killed(executor: Any, deaths: Path) -> None:

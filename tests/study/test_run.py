@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from deadly_work import Deadly
-from small_study import same_bits, small
+from small_study import batched, same_bits, small
 
 import estimators as est
 from estimators.study import Excitation, Noise, Plant, StorageError, WorkerError, fit_chunk, run, storage
@@ -61,9 +61,15 @@ def test_a_changed_study_is_refused_and_changes_nothing(tmp_path):
     assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == kept
 
 
-def test_three_kills_lose_nothing_and_leave_no_trace(tmp_path):
+@pytest.mark.parametrize(
+    "spec",
+    [
+        pytest.param(small(repetitions=150), id="closed form"),
+        pytest.param(batched(repetitions=150), id="fits side by side", marks=pytest.mark.slow),
+    ],
+)
+def test_three_kills_lose_nothing_and_leave_no_trace(tmp_path, spec):
     """The process dies by SIGKILL three times, at moments drawn by chance, while it computes."""
-    spec = small(repetitions=150)
     whole = est.study(spec, **QUIET)
     out, file = tmp_path / "study", tmp_path / "study.toml"
     spec.save(file)
@@ -95,6 +101,26 @@ est.study({str(file)!r}, out={str(out)!r}, chunk=2, progress=False)
     assert same_bits(again, whole)
     assert {name: (out / "chunks" / name).read_bytes() for name in kept} == kept
     assert not list(out.rglob("*.part"))
+
+
+@pytest.mark.slow
+def test_memory_stays_as_it_is_however_many_repetitions_there_are():
+    """Of one process after 100 repetitions and after 400 more, in chunks of one size; each records 200 kB."""
+    code = f"""
+import dataclasses, resource, sys
+import estimators as est, rtac_jax
+from estimators.study import Excitation, Plant
+sys.path.insert(0, {str(ROOT / "tests")!r})
+from small_study import small
+rtac_jax.configure()
+spec = small(excitation=(Excitation(duration=20.0, free=3, forced=0, rest=0),), plant=Plant(truth="model", spread=0.1))
+for count, seed in ((100, 1), (400, 2)):
+    est.study(dataclasses.replace(spec, repetitions=count, seed=seed), chunk=10, progress=False)
+    print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+"""
+    said = subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=_environment(), capture_output=True, check=True)
+    few, many = map(float, said.stdout.split())
+    assert many - few < 40.0  # MiB; half of what was recorded
 
 
 def _environment() -> dict[str, str]:

@@ -40,8 +40,8 @@ def test_the_bits_do_not_depend_on_the_chunk(whole, chunk):
 
 
 def test_the_bits_do_not_depend_on_the_process(whole):
-    """Two spawned processes, each with some of the chunks, beside this one."""
-    with run._Pool(2) as pool:
+    """A spawned process beside this one; on two, dask's test has it."""
+    with run._Pool(1) as pool:  # starting it is what takes the time
         assert same_bits(est.study(SPEC, executor=pool, chunk=3, **QUIET), whole)
 
 

@@ -8,6 +8,7 @@ from estimators.core.fit import Parameter
 from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.diagnose import Diagnosis
 from estimators.diagnosis.improve import Improvement
+from estimators.diagnosis.learned_force import LearnedForce
 from estimators.diagnosis.model_extension import Foreseen
 from estimators.misspecification.adequacy import AdequacyTest
 from estimators.misspecification.residual_maps import Place
@@ -144,6 +145,10 @@ def alike(count, correlation):
     return tuple(candidate(name, 50.0 - n, correlation=table[name]) for n, name in enumerate(names))
 
 
+LEARNED = LearnedForce(
+    "cart", "cart_position", np.linspace(-0.012, 0.014, 12), 0.05 * np.linspace(-1, 1, 12) ** 3, np.full(12, 0.002),
+    {"forced_1": 0.2}, ("force on the cart [N] = (2e+04 N/m^3) q^3",),
+)  # fmt: skip
 FORESEEN = Foreseen(
     "flexible_mode", 140.0, {"cart_position": 1.6, "arm_velocity": 1.3}, {"cart_position": 1.1, "arm_velocity": 1.2}
 )

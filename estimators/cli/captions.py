@@ -17,6 +17,10 @@ WHERE = (
     "beyond what chance exceeds in one of a hundred; these are bold."
 )
 BANDS = "Error of free simulation by frequency, in units of the sensor's noise in the same band."
+LEARNED = (
+    "The force that was learned as a last resort. It names no physics: it makes the error fall where it was learned, and is not "
+    "known beyond. What the model's own parameters explain, such as a slope, is theirs."
+)
 LADDER = "Left: error of free simulation in units of the sensor noise. Right: the worst of the experiments held out."
 
 

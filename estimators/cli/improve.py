@@ -3,10 +3,10 @@
 from pathlib import Path
 from typing import Any
 
-from estimators.cli.captions import BANDS, CONFUSION, DIAGNOSIS, LADDER, WHERE, shown, without_limits
+from estimators.cli.captions import BANDS, CONFUSION, DIAGNOSIS, LADDER, LEARNED, WHERE, shown, without_limits
 from estimators.cli.job import NOT_POSSIBLE, Job, job, progress, stop
 from estimators.cli.models import start_model
-from estimators.cli.options import Effects, File, Json, Model, Out, Quick, Save, Validation
+from estimators.cli.options import Effects, File, Json, Model, NoLearnedForce, Out, Quick, Save, Validation
 from estimators.cli.own_effects import offered
 from estimators.cli.planned import plan_next, show_plan
 
@@ -15,6 +15,7 @@ def improve(
     file: File,
     validation: Validation = None,
     quick: Quick = False,
+    no_learned_force: NoLearnedForce = False,
     model: Model = None,
     effects: Effects = None,
     save: Save = None,
@@ -23,11 +24,17 @@ def improve(
 ) -> None:
     """Add what is missing, fit again, and check on experiments held out, until nothing more is missing."""
     with job(file, validation, out, json, save) as work:
-        improved(work, effects, quick=quick, model=model, save=save)
+        improved(work, effects, quick=quick, learned_force=not no_learned_force, model=model, save=save)
 
 
 def improved(
-    work: Job, effects: Path | None = None, *, quick: bool = False, model: Path | None = None, save: Path | None = None
+    work: Job,
+    effects: Path | None = None,
+    *,
+    quick: bool = False,
+    learned_force: bool = True,
+    model: Path | None = None,
+    save: Path | None = None,
 ) -> None:
     """Run the loop on a job, and say and write what it found."""
     import estimators as est
@@ -39,12 +46,15 @@ def improved(
     candidates = offered(effects)
     start = start_model(work, model, effects)
     work.note_doubts()
+    options: dict[str, Any] = {} if learned_force else {"learned_force": False}
     with work.explaining():
         found = est.improve(
-            start, work.recording, validation=work.held_out.names, candidates=candidates, thorough=not quick, progress=progress()
+            start, work.recording, validation=work.held_out.names, candidates=candidates, thorough=not quick,
+            progress=progress(), **options,
         )  # fmt: skip
+    extended = len(found.validation.models) > 1
     errors = _report.error_table(found.train, found.validation)
-    parameters = _report.parameter_table(found.final, base=found.base if found.added else None)
+    parameters = _report.parameter_table(found.final, base=found.base if extended else None)
     said = [diagnosis.explanation for diagnosis in found.diagnoses]
     told = [without_limits(text) for text in said]
     open_question = next((d for d in found.diagnoses if d.verdict == "ambiguous"), None)
@@ -65,6 +75,7 @@ def improved(
         plot_confusion,
         plot_diagnosis,
         plot_improvement,
+        plot_learned_force,
         plot_recording,
         plot_residuals,
         plot_where,
@@ -74,6 +85,8 @@ def improved(
     leaves = "What the {} model leaves of the worst experiment."
     figures: dict[str, Any] = {"improvement": plot_improvement(found)}
     captions = {"improvement": LADDER}
+    if found.learned is not None:
+        figures["learned_force"], captions["learned_force"] = plot_learned_force(found), LEARNED
     for number, diagnosis in enumerate(found.diagnoses, 1):
         figures[f"diagnosis_{number}"] = plot_diagnosis(diagnosis, recording=work.train)
         captions[f"diagnosis_{number}"] = f"Diagnosis {number}. {DIAGNOSIS}"
@@ -84,7 +97,7 @@ def improved(
     figures["comparison"], captions["comparison"] = plot_comparison(found.validation), "Held-out experiments."
     figures["residuals_before"] = plot_residuals(found.train.models[0])
     captions["residuals_before"] = leaves.format("base")
-    if found.added:
+    if extended:
         figures["residuals_after"] = plot_residuals(found.train.models[-1])
         captions["residuals_after"] = leaves.format("last")
     figures["recording"], captions["recording"] = plot_recording(work.recording), "The recording."

@@ -32,4 +32,10 @@ Save = Annotated[
 Quick = Annotated[
     bool, typer.Option("--quick", help="Do not look again, for minutes, where the verdict would be unknown.")
 ]
+NoLearnedForce = Annotated[
+    bool,
+    typer.Option(
+        "--no-learned-force", help="Do not add a learned force as a last resort where the verdict is unknown."
+    ),
+]
 Json = Annotated[Path | None, option("FILE", "Write the result as JSON.")]

@@ -10,12 +10,13 @@ from estimators.core.drawing import draw
 from estimators.core.fit import Fit
 from estimators.core.result_base import Result
 from estimators.diagnosis.diagnose import Candidate, Diagnosis, Verdict, compile_diagnosis, diagnose
-from estimators.diagnosis.model_extension import Foreseen, add_effect, parameters_of
+from estimators.diagnosis.learned_force import LearnedForce, learn_force
+from estimators.diagnosis.model_extension import Added, Foreseen, add_effect, parameters_of
 from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
 from estimators.output_error.fit import output_error
 from estimators.validation.simulation_error import Comparison, compare
 from rtac_jax import RTAC
-from rtac_jax.effects import CATALOGUE, Effect
+from rtac_jax.effects import CATALOGUE, Effect, SplineForce
 from rtac_jax.measurement import Recording
 from rtac_jax.overview import Overview
 
@@ -39,6 +40,7 @@ class Improvement(Result):
             likelier one sample ahead.
         stopped: why the loop ended.
         seconds: duration [s].
+        learned: the learned force of the last model, a last resort where the last diagnosis knows no effect; None elsewhere.
     """
 
     fits: tuple[Fit, ...]
@@ -52,6 +54,7 @@ class Improvement(Result):
     foreseen: tuple[Foreseen, ...]
     stopped: str
     seconds: float
+    learned: LearnedForce | None = None
 
     @property
     def base(self) -> Fit:
@@ -65,7 +68,7 @@ class Improvement(Result):
 
     @property
     def ending(self) -> str:
-        """Return the effects that were held, or kept for their predictions, if any, and why the loop ended."""
+        """Return what was held, or kept for its predictions, if anything, why the loop ended, and what was learned."""
         said = [str(one) for one in self.foreseen]
         if self.predicted:
             said.append(
@@ -78,17 +81,36 @@ class Improvement(Result):
                 f"Held at the estimate of the diagnosis, because a fit by simulation fails or serves held-out experiments worse: "
                 f"{', '.join(self.held)}.",
             )
-        return " ".join([*said, self.stopped])
+        return " ".join([*said, self.stopped, *([str(self.learned)] if self.learned is not None else [])])
 
     @property
     def mended(self) -> Verdict | None:
-        """Return the verdict on the last model, where effects were added and it was diagnosed again; None elsewhere."""
+        """Return the verdict on the last model without a learned force, where effects were added and it was diagnosed again.
+
+        None elsewhere.
+        """
         before_last = sum(len(diagnosis.additions) for diagnosis in self.diagnoses[:-1])
         return self.diagnoses[-1].verdict if 0 < len(self.added) <= before_last else None
 
     @property
     def headline(self) -> str:
-        """Return what was found, in one sentence: what the first model lacked, and what the last one lacks."""
+        """Return what was found, in a sentence or two: what the first model lacked, what the last one lacks, what was learned."""
+        if self.learned is None:
+            return self._named
+        return (
+            f"{self._named} A learned force on the {self.learned.port} against {self.learned.variable}, which is no physical "
+            f"effect, changes the held-out error {self._change}."
+        )
+
+    @property
+    def _change(self) -> str:
+        """Return what the learned force does to the held-out error over the noise, by channel."""
+        before, after = (model.errors for model in self.validation.models[-2:])
+        falls = [f"of {c} from {e.rms_over_noise:.3g} to {after[c].rms_over_noise:.3g}" for c, e in before.items()]
+        return f"{' and '.join(falls)} times the noise"
+
+    @property
+    def _named(self) -> str:
         if not self.added:
             return {
                 "adequate": "The model is adequate: nothing is missing at the noise floor.",
@@ -139,6 +161,11 @@ class Improvement(Result):
         return draw(self)
 
 
+def _held(steps: Sequence[tuple[str, Added]]) -> tuple[str, ...]:
+    """Return the ids of what was added and is held at the estimate of a diagnosis."""
+    return tuple(name for name, step in steps if step.way == "held")
+
+
 def improve(
     model: RTAC,
     recording: Recording,
@@ -147,6 +174,7 @@ def improve(
     candidates: Sequence[type[Effect]] | None = None,
     most: int = 4,
     thorough: bool = True,
+    learned_force: bool = True,
     policy: DiagnosisPolicy = STANDARD,
     progress: bool = True,
 ) -> Improvement:
@@ -168,6 +196,8 @@ def improve(
         candidates: classes of effects to try; by default the whole catalogue.
         most: effects to add at most.
         thorough: where a verdict would be unknown, look again at what raised no alarm; that may take minutes.
+        learned_force: where the last verdict is unknown, add a learned force as a last resort (`LearnedForce`), if the held-out
+            error clearly falls. The verdict stays.
         policy: the thresholds of every diagnosis; see `DiagnosisPolicy`.
         progress: show bars.
 
@@ -179,18 +209,16 @@ def improve(
     train, held_out = recording.split(validation)
     with ThreadPoolExecutor(1) as other:
         other.submit(compile_diagnosis, model, train, candidates)
-        fits = [output_error(model, train, progress=progress)]
-        tested = [compare(fits[0], held_out, labels=["base"]).models[0]]
+        base = output_error(model, train, progress=progress)
+        steps = [("", Added(base, compare(base, held_out, labels=["base"]).models[0], "simulated"))]
     diagnoses: list[Diagnosis] = []
     added: list[Candidate] = []
-    held: list[str] = []
-    foreseen: list[Foreseen] = []
-    predicted = False
     stopped = ""
     while not stopped:
+        last = steps[-1][1]
         # What is held was estimated too: a diagnosis may move it.
-        released = fits[-1].model.release(*parameters_of(fits[-1].model, held))
-        base = dataclasses.replace(fits[-1], model=released)
+        released = last.fit.model.release(*parameters_of(last.fit.model, _held(steps)))
+        base = dataclasses.replace(last.fit, model=released)
         found = diagnose(base, train, candidates=candidates, thorough=thorough, policy=policy, progress=progress)
         diagnoses.append(found)
         if not found.additions:
@@ -205,23 +233,29 @@ def improve(
                 stopped = f"Stopped: {most} effects were added; more seem to be missing."
                 break
             label = "+ " + ", ".join([*(c.id for c in added), effect.id])
-            step = add_effect(fits[-1], tested[-1], effect, label, train, held_out, policy=policy, progress=progress)
+            last = steps[-1][1]
+            step = add_effect(last.fit, last.tested, effect, label, train, held_out, policy=policy, progress=progress)
             if isinstance(step, str):
                 stopped = step
                 break
-            if step.way == "held":
-                held.append(effect.id)
-            predicted = step.way == "predicted"
-            if step.foreseen is not None:
-                foreseen.append(step.foreseen)
-            fits.append(step.fit)
-            tested.append(step.tested)
+            steps.append((effect.id, step))
             added.append(known[effect.id])
-        if not stopped and not [c for c in (candidates or CATALOGUE.values()) if c.id not in fits[-1].model]:
+        if not stopped and not [c for c in (candidates or CATALOGUE.values()) if c.id not in steps[-1][1].fit.model]:
             stopped = "Stopped: every candidate was added."
+    learned: LearnedForce | None = None
+    if learned_force and diagnoses[-1].verdict == "unknown":
+        last = steps[-1][1]
+        resort = learn_force(last.fit, last.tested, diagnoses[-1], train, held_out, policy=policy, progress=progress)
+        if isinstance(resort, str):
+            stopped = f"{stopped} {resort}"
+        else:
+            steps.append((SplineForce.id, resort[0]))
+            learned = resort[1]
+    fits = [step.fit for _, step in steps]
+    tested = [step.tested for _, step in steps]
     labels = [model.label for model in tested]
-    last = diagnoses[-1].verdict
-    verdict: Verdict = "unknown" if last in ("missing", "ambiguous") else last
+    said = diagnoses[-1].verdict
+    verdict: Verdict = "unknown" if said in ("missing", "ambiguous") else said
     if added:
         verdict = "ambiguous" if any(c.confusable_with for c in added) else "missing"
     return Improvement(
@@ -231,9 +265,10 @@ def improve(
         verdict=verdict,
         train=compare(fits, train, labels=labels),
         validation=Comparison(tuple(tested)),
-        held=tuple(held),
-        predicted=predicted,
-        foreseen=tuple(foreseen),
+        held=_held(steps),
+        predicted=steps[-1][1].way == "predicted",
+        foreseen=tuple(step.foreseen for _, step in steps if step.foreseen is not None),
         stopped=stopped,
         seconds=time.perf_counter() - began,
+        learned=learned,
     )

@@ -108,7 +108,7 @@ def add_effect(
             reasons.append(f"Stopped: with {effect.id} the model could not be fitted: {error}")
             continue
         steps.append(Added(fit, test, way))
-        if _falls_clearly(min((one.tested for one in bases), key=_misfit), test, way, policy):
+        if _falls_clearly(min((one.tested for one in bases), key=misfit), test, way, policy):
             return steps[-1]
         reasons.append(f"Stopped: with {effect.id} the held-out error would not fall.")
     if not steps:
@@ -146,7 +146,7 @@ def _foreseen(
     freely, its = several[0]
     if (
         freely.way == "simulated"
-        and _misfit(freely.tested) <= _misfit(tested)
+        and misfit(freely.tested) <= misfit(tested)
         and not known.surpasses(its, level=policy.ahead_level)
     ):
         return freely
@@ -201,11 +201,11 @@ def _falls_clearly(before: Compared, after: Compared, way: str, policy: Diagnosi
 
     Near the noise, where the effect is simply fitted, any fall will do.
     """
-    error, first = _misfit(after), _misfit(before)
+    error, first = misfit(after), misfit(before)
     return error <= (1 - policy.fall) * first or (way == "simulated" and error <= first and error < policy.near_noise)
 
 
-def _misfit(compared: Any) -> float:
+def misfit(compared: Any) -> float:
     """Return the mean over the channels of the error in units of the noise.
 
     In a mean no channel can hide another.

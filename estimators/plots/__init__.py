@@ -23,6 +23,7 @@ from estimators.plots.control import plot_batch, plot_closed_loop, plot_margins,
 from estimators.plots.diagnosis import plot_diagnosis
 from estimators.plots.envelope import plot_effect_cost, plot_envelope, plot_responses
 from estimators.plots.improvement import plot_improvement
+from estimators.plots.learned_force import plot_learned_force
 from estimators.plots.next_experiment import plot_next_experiment
 from estimators.plots.parameter_correlation import plot_correlations
 from estimators.plots.pole_zero import plot_poles_zeros
@@ -95,6 +96,7 @@ __all__ = [
     "plot_estimates",
     "plot_improvement",
     "plot_innovations",
+    "plot_learned_force",
     "plot_margins",
     "plot_next_experiment",
     "plot_pairs",

@@ -34,13 +34,14 @@ def finding(improvement: Improvement) -> str:
     first, last = improvement.validation.models[0].errors, improvement.validation.models[-1].errors
     channel = max(first, key=lambda c: first[c].rms_over_noise)
     before, after = first[channel].rms_over_noise, last[channel].rms_over_noise
-    if not improvement.added:
+    if len(improvement.validation.models) == 1:
         if improvement.verdict == "adequate":
             return f"Nothing is missing: the held-out error of {NAMES[channel]} is {times(before)} times the noise"
         return (
             f"No effect could be added: the held-out error of {NAMES[channel]} stays at {times(before)} times the noise"
         )
-    names = ", ".join(c.id for c in improvement.added)
+    learned = ["a learned force, which is no physical effect,"] if improvement.learned is not None else []
+    names = " and ".join([*([", ".join(c.id for c in improvement.added)] if improvement.added else []), *learned])
     if improvement.foreseen and after > 0.95 * before:
         last = improvement.foreseen[-1]
         fall = f"from {times(last.before[last.channel])} to {times(last.after[last.channel])} times the noise"
@@ -76,6 +77,7 @@ def _ladder(axes: Any, improvement: Improvement) -> None:
         _numbers(axes, last, [final for _, final in ends], left=False)
     axes.text(0.01, 1 / 1.03, "noise floor", transform=axes.get_yaxis_transform(), va="top", fontsize=SMALL)
     names = ["base", *(f"+ {c.id}" for c in improvement.added)]
+    names += ["+ learned force"] if improvement.learned is not None else []
     axes.set_xticks(list(steps), names, rotation=0 if len(names) < 4 else 20)
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     if high / low > 10:

@@ -57,6 +57,7 @@ def report_dict(
         known = _with_held(found.final, named)
     else:
         first, named, known = found, found.effects, {}
+    learned = found.learned if isinstance(found, Improvement) else None
     effects = [_effect(candidate, known) for candidate in named]
     accepted = {effect["id"] for effect in effects}
     return cleaned(
@@ -73,6 +74,7 @@ def report_dict(
             "seconds": found.seconds if seconds is None else seconds,
             "policy": first.policy.as_dict(),
             "consequence": _consequence(first),
+            "learned_force": learned.as_dict() if learned is not None else None,
         }
     )
 

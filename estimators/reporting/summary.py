@@ -64,8 +64,14 @@ def of_diagnosis(
         "unknown": f"The model fails, and no effect of the catalogue explains it{on_the_way}",
     }
     what = whats[found.verdict]
+    learned = found.learned if isinstance(found, Improvement) else None
     if isinstance(found, Improvement) and found.verdict == "adequate" and named:
         what = f"Added: {named}; nothing more is missing at the noise floor"
+    if learned is not None:
+        what += (
+            f". As a last resort a learned force was added, which is no physical effect: on the {learned.port} against "
+            f"{learned.variable.replace('_', ' ')}"
+        )
     before, after = ((tested or trained).models[n] for n in (0, -1))
     sure = f"{_error(before, tested is not None)}"
     if before is not after:
@@ -85,6 +91,12 @@ def of_diagnosis(
     }
     if isinstance(found, Improvement):
         steps["missing"] = "Use the model with it, in the range of motion that was recorded."
+    if learned is not None:
+        low, high = learned.between
+        steps[found.verdict] = (
+            f"Use the model between {low:.3g} and {high:.3g} {learned.variable_unit} of {learned.variable.replace('_', ' ')} only, "
+            "where the force was learned; try one of the laws below, or an effect of your own with --effects."
+        )
     return Bullets(f"{what}.", f"{sure[0].upper()}{sure[1:]}.", steps[found.verdict])
 
 

@@ -8,12 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from rtac_jax.effects._interface import Force, Motion, States
-from rtac_jax.effects.spline_force import PORTS, VARIABLES, on_curve
+from rtac_jax.effects.spline_force import PORT_UNITS, PORTS, VARIABLE_UNITS, VARIABLES, on_curve
 from rtac_jax.parameters import parameter
 
 _SYMBOLS = {"cart_position": "q", "cart_velocity": "q'", "arm_angle": "θ", "arm_velocity": "θ'", "current": "i"}
-_UNITS = {"cart_position": "m", "cart_velocity": "m/s", "arm_angle": "rad", "arm_velocity": "rad/s", "current": "A"}
-_PORT_UNITS = {"cart": "N", "arm": "N m"}
 _SHAPED = ("saturation", "sine", "cosine")
 
 
@@ -110,14 +108,14 @@ def formula_class(port: str, variable: str, terms: tuple[Term, ...], slow: float
             f"formula: {port!r}, {variable!r} and {len(terms)} term(s); give a port, a variable and terms."
         )
     base = variable.split(",")[0]
-    symbol, unit = _SYMBOLS[base], _UNITS[base]
+    symbol, unit = _SYMBOLS[base], VARIABLE_UNITS[base]
     each = f"({unit})" if "/" in unit else unit
     fields: dict[str, Any] = {}
     for place, term in enumerate(terms, 1):
         power = term.number if term.kind in ("power", "odd") else 0
         per = "" if not power else f"/{each}" if power == 1 else f"/{each}^{power}"
         fields[f"coefficient_{place}"] = parameter(
-            symbol=f"c_{place}", unit=_PORT_UNITS[port] + per, meaning=f"coefficient of {term.text(symbol, place) or '1'}",
+            symbol=f"c_{place}", unit=PORT_UNITS[port] + per, meaning=f"coefficient of {term.text(symbol, place) or '1'}",
             null=0.0, plausible=1.0,
         )  # fmt: skip
         if term.shaped:

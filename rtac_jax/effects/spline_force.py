@@ -21,7 +21,19 @@ VARIABLES = (
 )
 """On what a learned force may depend; "against the motion" is friction whose level depends on the place."""
 
+VARIABLE_UNITS = {
+    "cart_position": "m",
+    "cart_velocity": "m/s",
+    "arm_angle": "rad",
+    "arm_velocity": "rad/s",
+    "current": "A",
+}
+"""Of what stands before the comma in `VARIABLES`."""
+
 PORTS = ("cart", "arm")
+PORT_UNITS = {"cart": "N", "arm": "N m"}
+"""Of the force on the cart and the torque on the arm."""
+
 SHAPES = 6
 """Curves that one `SplineForce` adds up."""
 

@@ -3,7 +3,7 @@
 import dataclasses
 
 import pytest
-from made_up_results import OTHERS, diagnosis, improvement
+from made_up_results import LEARNED, OTHERS, diagnosis, improvement
 
 from rtac_jax.effects import CubicSpring
 
@@ -53,3 +53,16 @@ def test_nothing_added_is_said_as_what_it_is():
     )
     assert looped(diagnosis("unknown"), steps=1).headline.startswith("The model fails, and no effect of the catalogue")
     assert looped(diagnosis("adequate"), steps=1).mended is None
+
+
+def test_what_was_learned_is_called_no_physical_effect():
+    found = looped(diagnosis("unknown"), verdict="unknown", added=(), learned=LEARNED)
+    assert found.headline.startswith(
+        "The model fails, and no effect of the catalogue explains it. A learned force on the cart"
+    )
+    assert "which is no physical effect, changes the held-out error of cart_position from" in found.headline
+    assert "learned from -0.012 to 0.014 m; beyond that it is not known and keeps its last value" in found.ending
+    assert "Experiments held out that go beyond: forced_1 (20 % of the samples)" in found.ending
+    mended = looped(NAMED, diagnosis("unknown"), steps=3, added=NAMED.effects, learned=LEARNED)
+    assert mended.headline.startswith("flexible_mode was missing; the mended model still fails")
+    assert mended.mended == "unknown"

@@ -12,6 +12,7 @@ from made_up_results import (
     ARM_CURVES,
     CURVES,
     FORESEEN,
+    LEARNED,
     NOISE,
     OTHERS,
     alike,
@@ -30,6 +31,7 @@ from estimators.plots import (
     plot_confusion,
     plot_diagnosis,
     plot_improvement,
+    plot_learned_force,
     plot_recording,
     plot_residuals,
     plot_where,
@@ -62,6 +64,11 @@ def recording():
     more = [dataclasses.replace(forced, name=f"forced_{n}") for n in range(2, 6)]
     rest = Experiment.of("rest_1", kind="rest", sample_time=0.005, cart_position=1e-5 * wave)
     return Recording((free, forced, *more, rest))
+
+
+def learned(**changes):
+    """An improvement whose last model has a learned force."""
+    return dataclasses.replace(improvement(2, "unknown"), learned=dataclasses.replace(LEARNED, **changes))
 
 
 PICTURES = {
@@ -98,6 +105,12 @@ PICTURES = {
     "improvement in two steps": lambda: plot_improvement(improvement(3)),
     "improvement of predictions": lambda: plot_improvement(improvement(errors=(3.0, 3.1), foreseen=(FORESEEN,))),
     "improvement of nothing": lambda: plot_improvement(improvement(1)),
+    "improvement by a learned force": lambda: plot_improvement(learned()),
+    "learned force": lambda: plot_learned_force(learned()),
+    "learned force that was held": lambda: plot_learned_force(learned(std=np.full(12, np.nan))),
+    "learned torque against the angle": lambda: plot_learned_force(
+        learned(port="arm", variable="arm_angle", at=np.linspace(-np.pi, np.pi, 12))
+    ),
     "recording": lambda: plot_recording(recording()),
     "where": lambda: plot_where(diagnosis()),
     "where of thirty": lambda: plot_where(diagnosis(where=places(0.9, experiments=30))),

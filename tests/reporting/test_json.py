@@ -6,6 +6,7 @@ import json
 import numpy as np
 import pytest
 from made_up_results import (
+    LEARNED,
     NOISE,
     OTHERS,
     diagnosis,
@@ -40,7 +41,7 @@ def test_the_json_has_one_form_whatever_the_verdict(verdict, command, tmp_path):
     content = json.loads((tmp_path / "x.json").read_text(), parse_constant=pytest.fail)
     assert list(content) == [
         "format", "version", "verdict", "mended", "effects", "candidates", "parameters", "error", "next_experiment", "seconds",
-        "policy", "consequence",
+        "policy", "consequence", "learned_force",
     ]  # fmt: skip
     assert content["verdict"] == verdict
     # The loop adds one of a group; a diagnosis names them all. Either says what it may be instead.
@@ -57,6 +58,19 @@ def test_the_json_has_one_form_whatever_the_verdict(verdict, command, tmp_path):
             assert set(numbers) == {"fit_percent", "rms", "rms_over_noise"}
             falls = after[channel]["rms"] < 0.5 * numbers["rms"]
             assert falls if steps > 1 else after == before
+
+
+def test_the_json_marks_a_learned_force_and_gives_its_range():
+    loop = dataclasses.replace(improvement(2, "unknown"), fits=(fitted(),) * 2, learned=LEARNED)
+    found = report_dict(loop)
+    assert (found["verdict"], found["effects"]) == ("unknown", [])
+    told = found["learned_force"]
+    assert told["physical"] is False
+    assert told["between"] == [-0.012, 0.014]
+    assert (told["variable"], told["variable_unit"], told["port"], told["unit"]) == ("cart_position", "m", "cart", "N")
+    assert len(told["at"]) == len(told["force"]) == len(told["std"])
+    before, after = (found["error"]["validation"][moment]["cart_position"] for moment in ("before", "after"))
+    assert after["rms"] < before["rms"]
 
 
 def test_the_json_gives_what_each_experiment_has_for_itself():

@@ -1,5 +1,6 @@
 """The page of a report: signals that can be zoomed, tables that a narrow page stacks, bullets, and what is escaped."""
 
+import dataclasses
 import json
 import re
 import shutil
@@ -7,7 +8,7 @@ import subprocess
 
 import numpy as np
 import pytest
-from made_up_results import compared, improvement
+from made_up_results import LEARNED, compared, improvement
 
 from estimators.reporting import summary
 from estimators.reporting.html import Bullets, Table, write_report
@@ -81,6 +82,14 @@ def test_bullets_say_what_was_found_how_sure_and_what_next(verdict, next_step):
     alone = summary.of_diagnosis(found.diagnoses[0], found.train, None, file="rig.h5")
     if verdict == "missing":
         assert alone.next.startswith("rtac improve rig.h5")
+
+
+def test_bullets_keep_a_learned_force_to_its_range():
+    found = dataclasses.replace(improvement(2, "unknown"), learned=LEARNED)
+    bullets = summary.of_diagnosis(found, found.train, found.validation, file="rig.h5")
+    assert "a learned force was added, which is no physical effect: on the cart against cart position" in bullets.found
+    assert "error over noise on experiments that no fit has seen" in bullets.sure.lower()
+    assert bullets.next.startswith("Use the model between -0.012 and 0.014 m of cart position only")
 
 
 @pytest.mark.skipif(shutil.which("node") is None, reason="needs node to run the script of the page")

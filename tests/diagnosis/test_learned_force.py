@@ -1,0 +1,169 @@
+"""A learned force as the last resort of the loop, on a hidden law of the independent virtual rig that is in no catalogue."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import call, reported
+from hidden_effects import beyond_noise
+
+import estimators as est
+import rtac_jax as rtac
+from estimators.diagnosis import improve as loop
+from estimators.diagnosis.learned_force import learn_force
+from estimators.diagnosis.model_extension import Added
+from rtac_jax import virtual_rig
+from rtac_jax.effects import CubicSpring
+
+DETENT = virtual_rig.Rig(detent_force=0.05)  # a magnet beneath the table, which pulls the cart to one place
+CUBIC = virtual_rig.Rig(cubic_spring=5e4)
+
+
+def recorded(rig: virtual_rig.Rig) -> rtac.Recording:
+    plans = virtual_rig.standard_plans(seed=61, sample_time=0.01, duration=4.0, free=2, forced=4, rest=1)
+    return virtual_rig.record(rig, plans, seed=71)
+
+
+def improved(recording: rtac.Recording, **options: bool) -> est.Improvement:
+    model = rtac.RTAC.from_rig(recording)
+    return est.improve(model, recording, candidates=[CubicSpring], thorough=False, progress=False, **options)
+
+
+@pytest.fixture(scope="module")
+def recording() -> rtac.Recording:
+    return recorded(DETENT)
+
+
+@pytest.fixture(scope="module")
+def learned(recording: rtac.Recording) -> est.Improvement:
+    return improved(recording)
+
+
+def detent(at: np.ndarray) -> np.ndarray:
+    """The force of the virtual rig's detent, from its docstring."""
+    x = (at - DETENT.detent_position) / DETENT.detent_width
+    return -DETENT.detent_force * x * np.exp(0.5 * (1.0 - x**2))
+
+
+def test_where_the_verdict_is_unknown_the_held_out_error_falls(learned: est.Improvement) -> None:
+    assert learned.verdict == "unknown", learned
+    assert learned.added == ()
+    assert "spline_force" in learned.final.model
+    before, after = (beyond_noise(learned.validation, n) for n in (0, -1))
+    assert max(before.values()) > 5.0
+    assert sum(after.values()) < 0.5 * sum(before.values()), (before, after)
+    assert learned.validation.models[-1].label == "+ learned force"
+
+
+def test_it_is_the_force_of_the_rig_but_for_what_the_spring_takes(learned: est.Improvement) -> None:
+    found = learned.learned
+    assert found is not None
+    assert (found.port, found.variable, found.unit) == ("cart", "cart_position", "N")
+    fine = np.linspace(*found.between, 400)
+    said, truth = np.interp(fine, found.at, found.force), detent(fine)
+    left = said - truth
+    slope = np.stack([fine, np.ones_like(fine)], axis=1)  # the model's spring, and where its sensor's zero is
+    left = left - slope @ np.linalg.lstsq(slope, left, rcond=None)[0]
+    assert np.std(left) < 0.5 * np.std(truth)
+
+
+def test_it_says_what_it_is_and_over_which_range(learned: est.Improvement, recording: rtac.Recording) -> None:
+    found = learned.learned
+    assert found is not None
+    train, _ = recording.split()
+    moved = np.concatenate([e.outputs["cart_position"].values for e in train.experiments])
+    assert np.min(moved) <= found.between[0] < found.between[1] <= np.max(moved)
+    assert (
+        "no effect of the catalogue explains it. A learned force on the cart against cart_position" in learned.headline
+    )
+    assert "not a physical effect" in str(learned)
+    assert "beyond that it is not known and keeps its last value" in str(learned)
+    assert found.laws, "a law that would describe it is proposed"
+
+
+def test_the_command_line_shows_it(
+    learned: est.Improvement, recording: rtac.Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[dict[str, object]] = []
+
+    def known(*_: object, **options: object) -> est.Improvement:
+        asked.append(options)
+        return learned
+
+    monkeypatch.setattr(est, "improve", known)
+    path = tmp_path / "rig.h5"
+    recording.save(path)
+    result, folder, content = reported("improve", path, tmp_path)
+    assert "Learned force, not a physical effect" in result.stdout
+    assert content["verdict"] == "unknown"
+    assert content["learned_force"]["physical"] is False
+    errors = content["error"]["validation"]
+    assert (
+        errors["after"]["cart_position"]["rms_over_noise"] < 0.5 * errors["before"]["cart_position"]["rms_over_noise"]
+    )
+    page = (folder / "report.html").read_text()
+    assert "a learned force was added, which is no physical effect" in page
+    assert (folder / "learned_force.png").is_file()
+    assert call("improve", path, "--no-learned-force").exit_code == 0
+    assert [one.get("learned_force", True) for one in asked] == [True, False]
+
+
+def test_it_is_saved_with_the_improvement(learned: est.Improvement, tmp_path: Path) -> None:
+    learned.save(tmp_path / "x.h5")
+    loaded = est.load(tmp_path / "x.h5")
+    assert str(loaded.learned) == str(learned.learned)
+    assert "spline_force" in loaded.final.model
+
+
+def test_it_can_be_left_out(
+    learned: est.Improvement, recording: rtac.Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(loop, "diagnose", lambda *_, **__: learned.diagnoses[-1])
+    left_out = improved(recording, learned_force=False)
+    assert left_out.learned is None
+    assert left_out.verdict == "unknown"
+    assert len(left_out.fits) == 1
+
+
+def test_nothing_is_learned_where_an_effect_explains_it() -> None:
+    found = improved(recorded(CUBIC))
+    assert found.verdict == "missing", found
+    assert found.learned is None
+    assert "spline_force" not in found.final.model
+
+
+def test_nothing_is_learned_where_no_curve_explains_more_than_chance(
+    learned: est.Improvement, recording: rtac.Recording
+) -> None:
+    train, held_out = recording.split()
+    passing = tuple(dataclasses.replace(test, rejects=False) for test in learned.diagnoses[-1].tests)
+    found = dataclasses.replace(learned.diagnoses[-1], tests=passing)
+    said = learn_force(learned.base, learned.validation.models[0], found, train, held_out, progress=False)
+    assert isinstance(said, str)
+    assert "no function of position, velocity, angle or current" in said
+    again = learn_force(
+        learned.final, learned.validation.models[-1], learned.diagnoses[-1], train, held_out, progress=False
+    )
+    assert again == "No learned force was added: the model has one already."
+
+
+def test_a_small_fall_near_the_noise_is_not_enough(
+    learned: est.Improvement, recording: rtac.Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """For an effect it is; for what names no physics nothing else speaks."""
+    tested = learned.validation.models[-1]
+    scaled = [dataclasses.replace(t, simulated=t.measured - 0.99 * t.residual) for t in tested.traces]
+    slightly = dataclasses.replace(tested, traces=tuple(scaled))
+    policies = []
+
+    def added(*_: object, policy: est.DiagnosisPolicy, **__: object) -> Added:
+        policies.append(policy)
+        return Added(learned.final, slightly, "simulated")
+
+    monkeypatch.setattr("estimators.diagnosis.learned_force.add_effect", added)
+    train, held_out = recording.split()
+    said = learn_force(learned.base, tested, learned.diagnoses[-1], train, held_out, progress=False)
+    assert isinstance(said, str)
+    assert "the held-out error does not clearly fall" in said
+    assert {policy.near_noise for policy in policies} == {0.0}

@@ -100,6 +100,7 @@ def test_what_is_kept(
     assert found.held == (("cubic_spring",) if held else ())
     assert found.foreseen == ()
     assert found.verdict == ("missing" if kept else "unknown")
+    assert found.learned is None  # the diagnosis named an effect
     assert said in found.ending
 
 
@@ -135,6 +136,7 @@ def test_what_predictions_keep(
     assert found.predicted == (kept == PREDICTED)
     assert ("est.prediction_error_nonlinear" in found.ending) == (kept == PREDICTED)
     assert found.verdict == ("missing" if kept else "unknown")
+    assert found.learned is None  # the diagnosis named an effect
     assert [one.id for one in found.foreseen] == (["cubic_spring"] if kept else [])
     if kept is not None:
         assert found.foreseen[0].gain == pytest.approx(max(likelier.values()) * SAMPLES)

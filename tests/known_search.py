@@ -1,6 +1,6 @@
 """A laboratory whose log-likelihoods are known beforehand, for tests of what is made of them."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from estimators.diagnosis.evidence import Facts, FittedModel, HeldOut, SimulationError
 from estimators.diagnosis.laboratory import Way
@@ -26,6 +26,8 @@ class Known:
         self.likelihood, self.runaways, self.gains = likelihood, loose, held_out or {}
         self.facts = Facts(10_000, 2, 2, rest=True, noise_known=False, samples_per_radian=20.0, effects=TRAITS)
         self.policy: DiagnosisPolicy = STANDARD
+        self.values: dict[str, tuple[float, float]] = {}
+        self.rejects: Callable[[FittedModel], Findings] = lambda model: Findings()
         self._models: list[FittedModel] = []
         self.base = self.model()
 
@@ -38,6 +40,7 @@ class Known:
             log_likelihood=value,
             by_stretch=(0.5 * value - 1.0, 0.5 * value + 1.0),
             looseness={e: 100.0 if e in self.runaways else 0.1 for e in effects},
+            values=self.values,
         )
         self._models.append(found)
         return found
@@ -57,7 +60,7 @@ class Known:
         return self.model(*(e for e in model.added if e != effect))
 
     def findings(self, model: FittedModel) -> Findings | None:
-        return Findings()
+        return self.rejects(model)
 
     def quiet_scores(self, model: FittedModel) -> tuple[Score, ...]:
         return ()

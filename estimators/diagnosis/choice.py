@@ -46,7 +46,11 @@ def chosen(
     tried: Mapping[str, tuple[Score, FittedModel]],
     policy: DiagnosisPolicy,
 ) -> Step | None:
-    """Return the best of the refits as the next step; None if none improves the model."""
+    """Return the best of the refits as the next step; None if none improves the model.
+
+    Before an effect comes what it presupposes, where that improves the model too: Stribeck friction is what dry friction has more
+    near rest, so that alone it leaves none at speed.
+    """
     models = {i: model for i, (_, model) in tried.items()}
     gains = {i: bic_gain(laboratory.facts.samples, before, model) for i, model in models.items()}
     held_out = {i: held_out_gain(laboratory, before, model, policy) for i, model in models.items()}
@@ -56,10 +60,15 @@ def chosen(
     # One whose shape has run away stands in for a simpler one; the user's own fit would refuse it.
     good = [i for i in good if not loose(i, models[i], policy)] or good
     best = max(good, key=lambda i: gains[i])
-    rivals = tuple(i for i in good if i != best and _untold(laboratory, before, models, gains, best, i, policy))
+    rivals = [i for i in good if i != best and _untold(laboratory, before, models, gains, best, i, policy)]
+    if first := [i for i in laboratory.facts.effects[best].presupposes if i in good]:
+        best = first[0]
+        rivals = [i for i in rivals if i != best]
     foremost = sorted(gains, key=lambda i: -gains[i])[: policy.reconsidered]
     asked = {i: tried[i][0] for i in dict.fromkeys((*foremost, best))}
-    return Step(best, rivals, 2 * gain(before, models[best]), gains[best], held_out[best], models[best], (), asked)
+    return Step(
+        best, tuple(rivals), 2 * gain(before, models[best]), gains[best], held_out[best], models[best], (), asked
+    )
 
 
 def _untold(
@@ -115,8 +124,22 @@ def _once_more(
     winner = chosen(laboratory, before, tried, policy)
     if winner is not None and winner.id == effect:
         return [*steps[:place], dataclasses.replace(step, rivals=winner.rivals), *steps[place + 1 :]]
+    if winner is None and _presupposed(laboratory, steps, step, policy):
+        return steps
     rebuilt = _rebuilt(laboratory, base, steps, place, before, policy)
     return steps if rebuilt is None else rebuilt + ([] if winner is None else [winner])
+
+
+def _presupposed(laboratory: Laboratory, steps: Sequence[Step], step: Step, policy: DiagnosisPolicy) -> bool:
+    """Return whether another step presupposes this one, and the data do not rule it out beside that."""
+    known = steps[-1].model.values
+
+    def size(of: Step, deviations: float) -> float:
+        found = [known.get(f"{of.id}.{name}", (0.0, 0.0)) for name in of.asked[of.id].amplitudes]
+        return max(abs(value) + deviations * std for value, std in found)
+
+    beside = [s for s in steps if step.id in laboratory.facts.effects[s.id].presupposes]
+    return any(size(step, 2.0) > policy.presupposed * size(s, 0.0) for s in beside)
 
 
 def _rebuilt(

@@ -22,11 +22,13 @@ class EffectTraits:
         contact: whether it acts by contact.
         rings: whether it has a resonance: two states of its own, which are not those of a play.
         contains: ids of effects that it contains.
+        presupposes: ids of effects beside which it stands.
     """
 
     contact: bool = False
     rings: bool = False
     contains: tuple[str, ...] = ()
+    presupposes: tuple[str, ...] = ()
 
 
 @dataclasses.dataclass(frozen=True)

@@ -258,4 +258,6 @@ def facts_of(setting: Setting, fit: Fit) -> Facts:
 def traits(effect: type[Effect]) -> EffectTraits:
     """Return what a selection asks of a class of effects."""
     contact = bool(effect.acts_by_contact)
-    return EffectTraits(contact, len(effect.states) > 1 and not contact, tuple(effect.contains))
+    return EffectTraits(
+        contact, len(effect.states) > 1 and not contact, tuple(effect.contains), tuple(effect.presupposes)
+    )

@@ -7,14 +7,14 @@ from estimators.inference.simulation_residual import SimulationLimits
 from estimators.misspecification.findings import CriticalValues
 from estimators.prediction_error.colour_limits import ColourLimits
 
-VERSION = 4
+VERSION = 5
 """Of the standard policy: counts up when a threshold comes, goes or changes."""
 
 _PROTOTYPE = "prototype study of 42 cases a setting"
 _UNSTUDIED = "set when the rule was added; never studied by itself"
 _FRACTIONS = (
     "removed", "static", "nested_level", "rival", "close", "line_left", "chance", "level", "known", "simulation_level",
-    "consequence", "colour_doubt", "colour_little",
+    "consequence", "colour_doubt", "colour_little", "presupposed",
 )  # fmt: skip
 
 
@@ -61,6 +61,11 @@ class DiagnosisPolicy:
         _UNSTUDIED,
     )
     rival: float = _threshold(0.5, "fraction of the best gain that a rival must reach", _UNSTUDIED)
+    presupposed: float = _threshold(
+        0.1,
+        "fraction of an effect's size that what it presupposes must stay under, two standard deviations added, to be ruled out",
+        _UNSTUDIED,
+    )
     reconsidered: int = _threshold(
         4,
         "candidates of a step that are held against its effect again; none at 0",

@@ -203,6 +203,8 @@ def _next_step(
         way, ranked = "filter", by_size(_nameable(laboratory, alarming(seen.scores, policy.critical)), price)
         near = _near(ranked, _statistic, policy.close) if ranked else []
         above = by_size(_nameable(laboratory, overshadowing(seen.scores, policy.critical)), price)[: policy.refits]
+        ranked = ranked or _beside(laboratory, now, seen, policy)
+        near = [*near, *_presupposed(laboratory, now, seen, ranked[: policy.refits])]
         most = policy.refits
     if not ranked:
         return None
@@ -213,7 +215,7 @@ def _next_step(
     settled = ahead is not None and not any(test.rejects for test in adequacy_tests(ahead, policy.critical))
     far = [] if settled else [*(s for s in ranked[1:most] if s.id not in begun), *above]
     models |= laboratory.refits(now, far, way)
-    asked = {s.id: s for s in (*ranked, *above)}
+    asked = {s.id: s for s in (*ranked, *near, *above)}
     several = {i: (asked[i], model) for i, model in models.items()}
     for i, model in models.items():
         tried.setdefault(i, (now, model))
@@ -227,6 +229,20 @@ def _next_step(
             return dataclasses.replace(step, left=tests, way=way)
         del several[step.id]
     return None
+
+
+def _beside(laboratory: Laboratory, now: FittedModel, seen: Findings, policy: DiagnosisPolicy) -> list[Score]:
+    """Return candidates that presuppose an effect in the model and are large, though they scatter over stretches of time."""
+    effects = laboratory.facts.effects
+    large = [s for s in seen.scores if s.statistic >= policy.alarm and set(effects[s.id].presupposes) & set(now.added)]
+    return by_size(_nameable(laboratory, large), math.log(laboratory.facts.samples))
+
+
+def _presupposed(laboratory: Laboratory, now: FittedModel, seen: Findings, ranked: Sequence[Score]) -> list[Score]:
+    """Return what candidates presuppose and neither the model nor they themselves have."""
+    effects, there = laboratory.facts.effects, {*now.added, *(s.id for s in ranked)}
+    asked = {i for s in ranked for i in effects[s.id].presupposes} - there
+    return by_size(_nameable(laboratory, [s for s in seen.scores if s.id in asked]), math.log(laboratory.facts.samples))
 
 
 def by_size(screened: Sequence[Candidate], price: float) -> list[Candidate]:

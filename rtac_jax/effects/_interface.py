@@ -77,6 +77,7 @@ class Effect(eqx.Module):
         needs_channel: name of the output without which it cannot be seen either, as that of a sensor; None if there is none.
         states: names of its own states, with units.
         contains: ids of simpler effects that it becomes at the edge of its shape.
+        presupposes: ids of effects beside which it stands on a rig: a law of its own only where the data rule those out.
         free_start: whether a recording may begin with these states away from `start`, so that a fit estimates them.
         closed: whether the states follow in closed form over a step (`follow`) instead of by integrating `rate`. A lag
             is exact in this way and may be as short as it likes without asking for small steps.
@@ -92,6 +93,7 @@ class Effect(eqx.Module):
     port: ClassVar[str]
     states: ClassVar[dict[str, str]] = {}
     contains: ClassVar[tuple[str, ...]] = ()
+    presupposes: ClassVar[tuple[str, ...]] = ()
     free_start: ClassVar[bool] = False
     closed: ClassVar[bool] = False
     needs_channel: ClassVar[str | None] = None

@@ -55,6 +55,7 @@ class ArmStribeck(DryFriction):
     id: ClassVar[str] = "arm_stribeck"
     equation: ClassVar[str] = "-tau_s exp(-(theta' / w_s)^2) sgn theta'"
     contains: ClassVar[tuple[str, ...]] = ("arm_coulomb",)
+    presupposes: ClassVar[tuple[str, ...]] = ("arm_coulomb",)
     source: ClassVar[str] = "Armstrong, Dupont and Canudas de Wit, Automatica 30 (1994)"
     port: ClassVar[str] = "arm"
 

@@ -50,6 +50,7 @@ class CartStribeck(DryFriction):
     id: ClassVar[str] = "cart_stribeck"
     equation: ClassVar[str] = "-f exp(-(q' / v_s)^2) sgn q'"
     contains: ClassVar[tuple[str, ...]] = ("cart_coulomb",)
+    presupposes: ClassVar[tuple[str, ...]] = ("cart_coulomb",)
     source: ClassVar[str] = "Armstrong, Dupont and Canudas de Wit, Automatica 30 (1994)"
     port: ClassVar[str] = "cart"
 

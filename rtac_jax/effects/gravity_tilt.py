@@ -9,21 +9,28 @@ STANDARD_GRAVITY = 9.80665  # m/s^2, CGPM 1901
 
 
 class GravityTilt(Force):
-    """A small tilt along the cart's travel and across it; the eccentric mass lies at q + e sin theta along, e cos theta across."""
+    """A small tilt along the cart's travel and across it; the eccentric mass lies at q + e sin theta along, e cos theta across.
+
+    Where the position sensor was zeroed with the cart at rest, the cart's sag is in its zero: only the arm shows the tilt along.
+    """
 
     id: ClassVar[str] = "gravity_tilt"
-    equation: ClassVar[str] = "cart: (M+m) g a; arm: m e g (a cos theta - b sin theta)"
+    equation: ClassVar[str] = "cart: (1 - z) (M+m) g a; arm: m e g (a cos theta - b sin theta)"
     source: ClassVar[str] = "potential -(M+m) g a q - m e g (a sin theta + b cos theta)"
     port: ClassVar[str] = "arm and cart"
     nature: ClassVar[str] = "conservative"
 
     along: Scalar = parameter(symbol="a", unit="rad", meaning="tilt along the travel", null=0.0, plausible=0.01)
     across: Scalar = parameter(symbol="b", unit="rad", meaning="tilt across the travel", null=0.0, plausible=0.01)
+    zeroed: Scalar = parameter(
+        symbol="z", unit="1", bounds=(0.0, 1.0), meaning="fraction of the cart's sag in the sensor's zero", fixed=True,
+        plausible=(0.0, 1.0), default=0.0,
+    )  # fmt: skip
 
     def force(self, motion: Motion, own: States) -> tuple[Any, Any]:
         body = motion.body
         pull = self.along * motion.cos_angle - self.across * motion.sin_angle
         return (
-            body.total_mass * STANDARD_GRAVITY * self.along,
+            (1.0 - self.zeroed) * body.total_mass * STANDARD_GRAVITY * self.along,
             body.eccentric_moment * STANDARD_GRAVITY * pull,
         )

@@ -1,5 +1,6 @@
 """Which refit is chosen, what becomes of it when a later one explains the same, and what is found late; on made-up gains."""
 
+import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
@@ -70,19 +71,49 @@ def test_where_one_experiment_only_shows_an_effect_no_other_can_refuse_it() -> N
 
 
 def test_an_effect_gives_way_to_the_one_that_it_stood_for() -> None:
-    """Stribeck friction mends a part of what the lag does, until the lag is in the model."""
+    """Bristles mend a part of what the lag does, until the lag is in the model."""
     search = Known(
         known(
-            base=0.0, arm_stribeck=500.0, arm_coulomb=450.0, lvdt_lag=300.0, arm_stribeck__lvdt_lag=900.0,
+            base=0.0, arm_presliding=500.0, arm_coulomb=450.0, lvdt_lag=300.0, arm_presliding__lvdt_lag=900.0,
             arm_coulomb__lvdt_lag=1000.0,
         )
     )  # fmt: skip
-    before = steps(search, ["arm_stribeck", "arm_coulomb"], ["lvdt_lag"])
-    assert [s.id for s in before] == ["arm_stribeck", "lvdt_lag"]
+    before = steps(search, ["arm_presliding", "arm_coulomb"], ["lvdt_lag"])
+    assert [s.id for s in before] == ["arm_presliding", "lvdt_lag"]
     after = reconsidered(search, search.model(), before, STANDARD)
     assert [s.id for s in after] == ["lvdt_lag", "arm_coulomb"]
     assert [s.gain for s in after] == pytest.approx([600.0, 1400.0])
     assert after[-1].model.added == ("lvdt_lag", "arm_coulomb")
+
+
+@pytest.mark.parametrize(
+    ("coulomb", "std", "names"),
+    [
+        (5e-5, 1e-5, ["arm_stribeck"]),  # ruled out: 7e-5 is less than a tenth of 1e-3
+        (5e-5, 3e-5, ["arm_coulomb", "arm_stribeck"]),  # it may be 1.1e-4
+        (5e-4, 1e-5, ["arm_coulomb", "arm_stribeck"]),
+    ],
+)
+def test_before_a_law_comes_what_it_presupposes_unless_the_data_rule_that_out(
+    coulomb: float, std: float, names: list[str]
+) -> None:
+    """Stribeck friction explains more than Coulomb's, which adds next to nothing to it."""
+    search = Known(known(base=0.0, arm_coulomb=950.0, arm_stribeck=980.0, arm_coulomb__arm_stribeck=981.0))
+    search.values = {"arm_coulomb.size": (coulomb, std), "arm_stribeck.size": (1e-3, 1e-4)}
+    before = steps(search, ["arm_stribeck", "arm_coulomb"], ["arm_stribeck"])
+    assert [s.id for s in before] == ["arm_coulomb", "arm_stribeck"]
+    assert [s.rivals for s in before] == [(), ()]
+    assert [s.id for s in reconsidered(search, search.model(), before, STANDARD)] == names
+
+
+def test_what_presupposes_an_effect_in_the_model_is_tried_though_it_scatters() -> None:
+    search = Known(known(base=0.0, arm_coulomb=950.0, arm_stribeck=980.0, arm_coulomb__arm_stribeck=1100.0))
+    search.values = {"arm_coulomb.size": (1e-3, 1e-5), "arm_stribeck.size": (1e-3, 1e-4)}
+    scattered = (sized("arm_coulomb", 400.0, 0.5), sized("arm_stribeck", 900.0, 0.5))
+    search.rejects = lambda model: Findings(scattered[1:], FORCE.curves if len(model.added) < 2 else ())
+    alarming = dataclasses.replace(scattered[1], p_value=1e-15)
+    found, _ = improvements(search, search.base, Findings((scattered[0], alarming), FORCE.curves), STANDARD)
+    assert [s.id for s in found] == ["arm_coulomb", "arm_stribeck"]
 
 
 def test_an_effect_that_is_not_needed_any_more_goes() -> None:

@@ -153,6 +153,18 @@ def test_agrees_with_the_truth(effect_id):
     assert apart(truth, plain) > 40 * tolerance, "the effect should show"
 
 
+@pytest.mark.parametrize("zeroed", [1.0, 0.6])
+def test_tilt_agrees_with_the_truth_where_the_sensor_was_zeroed_at_rest(zeroed):
+    """The model counts the cart's position from the sensor's zero."""
+    rig, tilt = Rig(), 0.03
+    sag = zeroed * rig.total_mass * GRAVITY * STANDARD_GRAVITY * np.sin(tilt) / rig.spring_stiffness
+    shifted = replace(PLAN, initial_position=PLAN.initial_position + sag)
+    truth = extrapolated([({"tilt_along": tilt, "lvdt_offset": -sag}, shifted)])[0]
+    effect = effects.GravityTilt(GRAVITY * np.sin(tilt), 0.0, zeroed)
+    assert apart(modelled(effect), truth) < 1e-6
+    assert apart(modelled(effects.GravityTilt(effect.along, 0.0, 0.9 * zeroed)), truth) > 1e-3
+
+
 def test_backlash_agrees_with_a_hard_contact():
     """The truth's contact yields a little, the less the smaller its step."""
     found, plain = modelled(CASES["backlash"][1], 100), all_truths()["plain"]

@@ -1,0 +1,48 @@
+"""A tilted table whose position sensor was zeroed at rest, wholly or in part: the arm shows gravity, the cart does not."""
+
+import dataclasses
+import math
+
+import pytest
+from hidden_effects import diagnosed
+
+import rtac_jax as rtac
+from rtac_jax import virtual_rig
+from rtac_jax.effects import CATALOGUE
+
+TILT = 0.0384  # rad
+RIG = virtual_rig.Rig(tilt_along=TILT)
+SAG = RIG.total_mass * 9.81 * math.sin(TILT) / RIG.spring_stiffness
+FEW = [CATALOGUE[name] for name in ("gravity_tilt", "cogging", "arm_coulomb", "cable_spring", "tacho_ripple")]
+SHAKEN = dict(force_noise=1e-3, torque_noise=3e-5)
+
+
+def recorded(*, zeroed: float, duration: float = 5.0, **rig: float) -> rtac.Recording:
+    plans = virtual_rig.standard_plans(seed=5, duration=duration, free=2, forced=4, rest=1, repeats=1)
+    return virtual_rig.record(dataclasses.replace(RIG, lvdt_offset=-zeroed * SAG, **rig), plans, seed=77)
+
+
+def test_gravity_is_named_by_what_it_does_to_the_arm() -> None:
+    found = diagnosed(recorded(zeroed=1.0, duration=3.0), FEW)
+    assert found.verdict == "missing", found
+    assert [c.id for c in found.effects] == ["gravity_tilt"], found
+    estimates = found.effects[0].parameters
+    assert estimates["zeroed"].value == 1.0
+    assert estimates["along"].value == pytest.approx(math.sin(TILT), abs=5 * estimates["along"].std)
+    assert estimates["along"].std < 0.01 * TILT
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("zeroed", "rig", "names"),
+    [
+        (0.6, SHAKEN, {"gravity_tilt", "force_offset", "lvdt_offset"}),
+        (1.0, SHAKEN, {"gravity_tilt"}),
+        (1.0, dict(current_lag=0.008), {"gravity_tilt", "current_lag"}),
+    ],
+)
+def test_gravity_is_named_beside_the_offset_that_is_left(zeroed: float, rig: dict[str, float], names: set[str]) -> None:
+    """Of a constant force and an offset of the sensor nothing tells which it is."""
+    found = diagnosed(recorded(zeroed=zeroed, **rig))
+    assert {c.id for c in found.effects} == names, found
+    assert not any(test.rejects for test in found.left), found

@@ -45,4 +45,4 @@ def test_gravity_is_named_beside_the_offset_that_is_left(zeroed: float, rig: dic
     """Of a constant force and an offset of the sensor nothing tells which it is."""
     found = diagnosed(recorded(zeroed=zeroed, **rig))
     assert {c.id for c in found.effects} == names, found
-    assert not any(test.rejects for test in found.left), found
+    assert found.removed > 0.95, found

@@ -48,8 +48,9 @@ def chosen(
 ) -> Step | None:
     """Return the best of the refits as the next step; None if none improves the model.
 
-    Before an effect comes what it presupposes, where that improves the model too: Stribeck friction is what dry friction has more
-    near rest, so that alone it leaves none at speed.
+    Of a law and a simpler one that it contains, which the data cannot tell from it, the simpler is the step. And before an effect
+    comes what it presupposes, where that improves the model too: Stribeck friction is what dry friction has more near rest, so that
+    alone it leaves none at speed.
     """
     models = {i: model for i, (_, model) in tried.items()}
     gains = {i: bic_gain(laboratory.facts.samples, before, model) for i, model in models.items()}
@@ -61,6 +62,9 @@ def chosen(
     good = [i for i in good if not loose(i, models[i], policy)] or good
     best = max(good, key=lambda i: gains[i])
     rivals = [i for i in good if i != best and _untold(laboratory, before, models, gains, best, i, policy)]
+    if simpler := [i for i in rivals if i in laboratory.facts.effects[best].contains]:
+        best = max(simpler, key=lambda i: gains[i])
+        rivals = [i for i in good if i != best and _untold(laboratory, before, models, gains, best, i, policy)]
     if first := [i for i in laboratory.facts.effects[best].presupposes if i in good]:
         best = first[0]
         rivals = [i for i in rivals if i != best]

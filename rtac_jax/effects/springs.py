@@ -92,6 +92,7 @@ class CableSpring(Force):
     """
 
     id: ClassVar[str] = "cable_spring"
+    contains: ClassVar[tuple[str, ...]] = ("current_offset",)
     equation: ClassVar[str] = "-k_c (theta - theta_home) = -k_c theta + tau_0"
     source: ClassVar[str] = "torsion of a round bar; Timoshenko, Strength of Materials I (1955), chapter 10"
     port: ClassVar[str] = "arm"

@@ -46,6 +46,16 @@ def test_an_effect_is_no_rival_of_the_simpler_one_that_it_contains(stribeck: flo
     assert (found.id, found.rivals) == ("arm_coulomb", rivals)
 
 
+@pytest.mark.parametrize(("bristles", "rivals"), [(1003.0, ()), (1004.5, ("arm_presliding",))])
+def test_the_simpler_of_two_that_nothing_tells_apart_is_chosen_though_the_larger_gains_more(
+    bristles: float, rivals: tuple[str, ...]
+) -> None:
+    search = Known(known(base=0.0, arm_coulomb=1000.0, arm_presliding=bristles))
+    found = step(search, (), ["arm_presliding", "arm_coulomb"])
+    assert found is not None
+    assert (found.id, found.rivals) == ("arm_coulomb", rivals)
+
+
 def test_a_shape_that_ran_away_is_chosen_only_where_nothing_else_helps() -> None:
     likelihood = known(base=0.0, arm_coulomb=900.0, arm_stribeck=1000.0, cubic_spring=1.0)
     for others, expected in ((["arm_coulomb"], "arm_coulomb"), (["cubic_spring"], "arm_stribeck")):

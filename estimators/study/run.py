@@ -3,6 +3,7 @@
 import multiprocessing
 import os
 import tempfile
+import threading
 import warnings
 from collections.abc import Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, ProcessPoolExecutor, wait
@@ -208,10 +209,25 @@ def _require_alive(deaths: int, part: Sequence[int], error: BaseException) -> No
 
 
 class _Pool(ProcessPoolExecutor):
-    """Spawned processes, one for each core by default."""
+    """Spawned processes, one for each core by default, that end with the one that asked them."""
 
     def __init__(self, workers: int | None = None) -> None:
-        super().__init__(workers, mp_context=multiprocessing.get_context("spawn"))
+        super().__init__(workers, mp_context=multiprocessing.get_context("spawn"), initializer=_end_with_parent)
+
+
+def _end_with_parent() -> None:
+    """End this worker as soon as the process that started it has ended.
+
+    One that is killed cannot tell its workers, and they would wait for work, and hold their memory, for ever.
+    """
+    parent = multiprocessing.parent_process()
+    assert parent is not None, "a worker has a parent"
+
+    def watch() -> None:
+        parent.join()
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 def _renewed(executor: Executor) -> Executor:

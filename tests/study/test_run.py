@@ -103,6 +103,50 @@ est.study({str(file)!r}, out={str(out)!r}, chunk=2, progress=False)
     assert not list(out.rglob("*.part"))
 
 
+def test_workers_end_with_the_process_that_asked_them(tmp_path):
+    """Killed by SIGKILL it cannot tell them; they would wait for work for ever."""
+    file, out = tmp_path / "study.toml", tmp_path / "study"
+    small(repetitions=5000).save(file)
+    code = f"""
+import estimators as est, rtac_jax
+from estimators.study import run
+if __name__ == "__main__":
+    rtac_jax.configure()
+    with run._Pool(1) as pool:
+        est.study({str(file)!r}, out={str(out)!r}, executor=pool, chunk=2, progress=False)
+"""
+    (tmp_path / "script.py").write_text(code)
+    process = subprocess.Popen([sys.executable, str(tmp_path / "script.py")], env=_environment())
+    while not list((out / "chunks").glob("*.h5")):
+        assert process.poll() is None, "it ended by itself"
+        time.sleep(0.05)
+    workers = _children(process.pid)
+    process.kill()
+    process.wait()
+    assert workers
+    until = time.monotonic() + 30.0
+    while any(map(_lives, workers)):
+        assert time.monotonic() < until, "a worker lives on"
+        time.sleep(0.1)
+
+
+def _lives(process: int) -> bool:
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def _children(parent: int) -> list[int]:
+    """Processes that this one started."""
+    found = []
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):  # it has ended meanwhile
+            if int(stat.read_text().rpartition(")")[2].split()[1]) == parent:
+                found.append(int(stat.parent.name))
+    return found
+
+
 @pytest.mark.slow
 def test_memory_stays_as_it_is_however_many_repetitions_there_are():
     """Of one process after 100 repetitions and after 400 more, in chunks of one size; each records 200 kB."""

@@ -1,6 +1,6 @@
 """How fast the simulation is, as ratios to other ways of doing the same, all measured in one run on one machine.
 
-    python benchmarks/bench_simulation.py [--trajectories 512] [--steps 2000] [--single 10000] [--repeats 5]
+    python benchmarks/bench_simulation.py [--trajectories 512] [--steps 2000] [--single 10000] [--repeats 20]
 
 Everyone integrates the same rig with the paper's friction: viscous and dry on the cart, viscous by direction on the arm,
 the current held over a step of 2 ms. The simulation of the package cuts a step where the cart comes to rest; the others
@@ -120,9 +120,10 @@ def main() -> None:
     made.add_argument("--trajectories", type=int, default=512)
     made.add_argument("--steps", type=int, default=2000)
     made.add_argument("--single", type=int, default=10000, help="steps of one trajectory")
-    made.add_argument("--repeats", type=int, default=5)
+    made.add_argument("--repeats", type=int, default=20)
     chosen = made.parse_args()
     count, repeats = chosen.trajectories, chosen.repeats
+    repeats = 3 if chosen.small else repeats
     steps, single = (100, 200) if chosen.small else (chosen.steps, chosen.single)
     print(rtac.configure())
     rows: list[Row] = []

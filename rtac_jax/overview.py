@@ -2,7 +2,7 @@
 
 import dataclasses
 import html
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 MOST_ROWS = 12
 """Rows of an overview; what it is of prints the others."""
@@ -39,6 +39,18 @@ class Overview:
 
 def _line(cells: Sequence[str], tag: str) -> str:
     return f"<tr>{''.join(f'<{tag} style={_CELL!r}>{html.escape(str(cell))}</{tag}>' for cell in cells)}</tr>"
+
+
+def aligned(rows: Sequence[Sequence[str]], right: Collection[int] = ()) -> list[str]:
+    """Return the rows of a table as lines of equal columns, those in `right` set to the right."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return [
+        "  ".join(
+            cell.rjust(width) if i in right else cell.ljust(width)
+            for i, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ).rstrip()
+        for row in rows
+    ]
 
 
 def shortened(text: str, most: int = 240) -> str:

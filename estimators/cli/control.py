@@ -101,27 +101,14 @@ def control(
             "bode": "The fitted model, linearised without dry friction and without the spring, over the measured responses.",
             "poles": "Poles and zeros of the fitted model, from current to cart position.",
         }
+        models = envelope_texts.models_table(made.covered)
         sections = [
             ("Controller", said),
             ("What is guaranteed and what is not", honest),
             ("Open and closed loop", [loops, *shown(figures, **captions)]),
             ("The controller", [texts.controller_table(made)]),
-            (
-                "The envelope",
-                [
-                    *fitted.sentences(),
-                    *envelope_texts.remarks(made.covered, used),
-                    envelope_texts.models_table(made.covered),
-                ],
-            ),
-            (
-                "The nonlinear model",
-                [
-                    whose,
-                    errors,
-                    parameters,
-                ],
-            ),
+            ("The envelope", [*fitted.sentences(), *envelope_texts.remarks(made.covered, used), models]),
+            ("The nonlinear model", [whose, errors, parameters]),
         ]
         bullets = of_control(made, [] if fitted.agrees else fitted.sentences())
         title, split = f"Controller for {work.file}", sides(made.covered)

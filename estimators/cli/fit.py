@@ -27,7 +27,7 @@ def fit(
         import estimators as est
         from estimators.reporting import report as _report
         from estimators.reporting import summary
-        from estimators.reporting.fit_table import estimates_table, fit_table, recommended_table
+        from estimators.reporting.fit_table import AllEstimates, estimates_table, fit_table, recommended_table
 
         start = start_model(work, model, effects)
         closed = est.least_squares(start, work.train, weak=True)
@@ -47,7 +47,8 @@ def fit(
         errors = _report.error_table(trained, tested)
         starts = f"{found.statistics['agreed']} of {found.statistics['starts']} starts agree."
         ended = f"{est.RESULTS[found.result]} {starts}"
-        table = fit_table(closed, found, predicted=predicted, agreed=agreed, spread=spread)
+        known = AllEstimates(closed, found, predicted, agreed, spread)
+        table = fit_table(known)
         advice = est.recommended(found, trained.models[0], predicted=predicted, spread=spread)
         first = recommended_table(advice, found)
         criteria = f"{found.criteria} of output error" + (
@@ -56,8 +57,9 @@ def fit(
         discounted = _discounted(found) if robust else ""
         work.say(work.remark, f"{first}\n{advice}", table, criteria, ended, discounted, errors)
         work.save(found, save)
-        beside = {"closed": closed, "predicted": predicted, "agreed": agreed, "spread": spread, "advice": advice}
-        content = _report.fit_dict(found, train=trained, validation=tested, seconds=work.seconds, **beside)
+        content = _report.fit_dict(
+            found, train=trained, validation=tested, seconds=work.seconds, beside=known, advice=advice
+        )
         listed = [{**vars(one), "samples": list(one.samples)} for one in found.discounted]
         work.write_json({**content, "concerns": work.doubts or [], "discounted": listed})
         if work.folder is not None:
@@ -76,23 +78,10 @@ def fit(
                 figures = {"agreement": agreed.plot(), **figures}
                 captions = {"agreement": "Estimates by every way, with what chance allows between them.", **captions}
             skipped = [f"The closed form could not use {name}: {why}" for name, why in closed.skipped.items()]
+            agreement = "" if agreed is None else agreed.verdict
             sections = [
-                (
-                    "Result",
-                    [
-                        work.remark,
-                        "" if agreed is None else agreed.verdict,
-                        ended,
-                        discounted,
-                        *skipped,
-                        criteria,
-                        errors,
-                    ],
-                ),
-                (
-                    "Parameters",
-                    [first, estimates_table(closed, found, predicted=predicted, agreed=agreed, spread=spread)],
-                ),
+                ("Result", [work.remark, agreement, ended, discounted, *skipped, criteria, errors]),
+                ("Parameters", [first, estimates_table(known)]),
                 ("Figures", shown(figures, **captions)),
             ]
             bullets = summary.of_fit(found, advice, trained, tested, file=work.file)

@@ -8,8 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.signal import welch
 
-from estimators.core.data import filled
-from rtac_jax.measurement import Experiment, Signal, central_difference, zero_phase_lowpass
+from rtac_jax.measurement import Experiment, Signal, central_difference, filled, zero_phase_lowpass
 
 Values = Float[np.ndarray, " sample"]
 Rows = Float[np.ndarray, " row"]

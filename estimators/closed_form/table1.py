@@ -9,6 +9,7 @@ import numpy as np
 from estimators.closed_form.two_stage import Estimates, Weighting
 from estimators.core.drawing import draw
 from rtac_jax import RTAC
+from rtac_jax.overview import aligned
 
 CONSISTENT = 0.3
 SYMBOLS = {
@@ -102,7 +103,7 @@ def table_1(found: ClosedForm) -> str:
             ["Std.dev. / Mean", *(_percent(e.consistency) for e in columns.values())],
             ["Std.dev. of mean", *("" if np.isnan(e.std) else f"{e.std:.2g}" for e in columns.values())],
         ]
-        parts.append(f"({letter}) {kind} oscillation, {count} experiment{'s' * (count != 1)}\n{_aligned(rows)}")
+        parts.append(f"({letter}) {kind} oscillation, {count} experiment{'s' * (count != 1)}\n{_table(rows)}")
     coupling = float(np.asarray(found.model.body.coupling()))
     rows = [["Coupling parameter", "epsilon", f"{coupling:.4g}", ""]]
     places = ("Total mass", "total_mass"), ("Arm inertia", "arm_inertia"), ("Spring stiffness", "spring_stiffness")
@@ -110,7 +111,7 @@ def table_1(found: ClosedForm) -> str:
     for title, name in dict.fromkeys((*places, *(o for o in others if o[1] not in dict((b, a) for a, b in places)))):
         declared = found.model.parameters[name]
         rows.append([title, declared.symbol, f"{float(np.mean(np.asarray(found.model[name]))):.5g}", declared.unit])
-    parts.append(f"(c) parameters of the rig\n{_aligned(rows)}")
+    parts.append(f"(c) parameters of the rig\n{_table(rows)}")
     return "\n\n".join([*parts, *_taken_as_known(found), *_bias(found), _rule(found)])
 
 
@@ -148,7 +149,7 @@ def _bias(found: ClosedForm) -> list[str]:
                     [SYMBOLS.get(name, name), one.unit, f"{one.value:.4g}", _spread(one), f"{other.value:.4g}", _spread(other),
                      f"{100 * (one.value / other.value - 1):+.1f} %" if other.value else ""]
                 )  # fmt: skip
-        said.append(f"beside the weak form\n{_aligned(rows)}")
+        said.append(f"beside the weak form\n{_table(rows)}")
     return said
 
 
@@ -171,11 +172,5 @@ def _percent(share: float) -> str:
     return "" if np.isnan(share) else f"{100 * share:.3g} %"
 
 
-def _aligned(rows: list[list[str]]) -> str:
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    return "\n".join(
-        "  ".join(
-            t.ljust(w) if i == 0 else t.rjust(w) for i, (t, w) in enumerate(zip(row, widths, strict=True))
-        ).rstrip()
-        for row in rows
-    )
+def _table(rows: list[list[str]]) -> str:
+    return "\n".join(aligned(rows, right=range(1, len(rows[0]))))

@@ -120,12 +120,3 @@ def pieces(experiments: Sequence[Experiment], longest: int = 8192, length: int =
 def origins(experiments: Sequence[Experiment]) -> dict[str, str]:
     """Return by the name of each of their `pieces` the name of the experiment that it is cut from, in the order of time."""
     return {piece.name: e.name for e in experiments for piece in pieces([e])}
-
-
-def filled(values: Values) -> Values:
-    """Return the signal with its gaps bridged by straight lines."""
-    bad = ~np.isfinite(values)
-    if not bad.any():
-        return values
-    index = np.arange(len(values))
-    return np.interp(index, index[~bad], values[~bad])

@@ -6,11 +6,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from estimators.core.data import filled
 from estimators.core.parameter_space import Space
 from estimators.core.residual import start_rows
 from rtac_jax import RTAC, Scales
-from rtac_jax.measurement import Experiment, Signal
+from rtac_jax.measurement import Experiment, Signal, filled
 
 ANGLE_SPREAD = 0.1  # rad; an arm set by hand at its initial_arm_angle
 UNKNOWN_ANGLE = 3.0  # rad

@@ -6,8 +6,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.signal import welch
 
-from estimators.core.data import filled
-from rtac_jax.measurement import OUTPUTS, Experiment
+from rtac_jax.measurement import OUTPUTS, Experiment, filled
 
 Values = Float[np.ndarray, " sample"]
 

@@ -26,8 +26,25 @@ Outputs = Float[np.ndarray, "sample output experiment"]
 _EXCESS = 1.5
 
 
+class _Source:
+    """What replicates are drawn around."""
+
+    problem: Problem
+
+    @property
+    def experiments(self) -> tuple[Experiment, ...]:
+        """Return the experiments of the fit."""
+        return self.problem.experiments
+
+    @property
+    def measured(self) -> Outputs:
+        """Return the recorded measurements."""
+        data = self.problem.arguments.data
+        return np.where(np.asarray(data.present) > 0, np.asarray(data.values), np.nan)
+
+
 @dataclasses.dataclass(frozen=True)
-class Shuffled:
+class Shuffled(_Source):
     """The simulated measurements of a fit, and its residual to be put in another order.
 
     Attributes:
@@ -94,16 +111,6 @@ class Shuffled:
                 error[:, row] /= excess if excess > _EXCESS else 1.0
         return cls(problem, simulated, np.where(present, error, np.nan), lengths)
 
-    @property
-    def experiments(self) -> tuple[Experiment, ...]:
-        """Return the experiments of the fit."""
-        return self.problem.experiments
-
-    @property
-    def measured(self) -> Outputs:
-        """Return the recorded measurements."""
-        return _measured(self.problem)
-
     def draw(self, random: np.random.Generator) -> Outputs:
         """Draw blocks of the residual, all channels together, in random order on a circle.
 
@@ -121,7 +128,7 @@ class Shuffled:
 
 
 @dataclasses.dataclass(frozen=True)
-class Shaken:
+class Shaken(_Source):
     """The model of a predictor, struck by random impulses of the size that it estimated, with its sensors' noise.
 
     Attributes:
@@ -145,16 +152,6 @@ class Shaken:
         sensor = np.array([fit.noise.get(channel, 0.0) for channel in CHANNELS])
         return cls(fit.problem, density[:, None] * np.sqrt(interval), sensor, start)
 
-    @property
-    def experiments(self) -> tuple[Experiment, ...]:
-        """Return the experiments of the fit."""
-        return self.problem.experiments
-
-    @property
-    def measured(self) -> Outputs:
-        """Return the recorded measurements."""
-        return _measured(self.problem)
-
     def draw(self, random: np.random.Generator) -> Outputs:
         """Simulate with white impulses and white sensor noise."""
         data = self.problem.arguments.data
@@ -164,11 +161,6 @@ class Shaken:
         noisy = np.array(_struck(at.unknowns, at.arguments, jnp.asarray(self.start), jnp.asarray(struck)))
         noisy[: data.samples] += random.normal(size=noisy[: data.samples].shape) * self.sensor[:, None]
         return np.where(np.asarray(data.present) > 0, noisy, np.nan)
-
-
-def _measured(problem: Problem) -> Outputs:
-    data = problem.arguments.data
-    return np.where(np.asarray(data.present) > 0, np.asarray(data.values), np.nan)
 
 
 @eqx.filter_jit

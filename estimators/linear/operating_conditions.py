@@ -6,14 +6,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float64
 
-from estimators.core.data import filled
 from estimators.frequency_response.angle_reconstruction import arm_angles
 from estimators.linear.model_sets import Scale, Structure
 from estimators.linear.predictor import Signals
 from estimators.linear.stages import Raw
 from rtac_jax import RTAC
 from rtac_jax.excitation import coefficients
-from rtac_jax.measurement import INPUTS, OUTPUTS, Experiment, Recording, Signal
+from rtac_jax.measurement import INPUTS, OUTPUTS, Experiment, Recording, Signal, filled
 
 _STRIDE = 256  # lengths are rounded up to multiples of this, so that near lengths share compiled functions
 _VANISHES = 1e-9  # of the largest line of the spectrum, or of the input that was not compensated

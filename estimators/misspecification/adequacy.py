@@ -3,7 +3,7 @@
 import dataclasses
 import math
 from collections.abc import Sequence
-from typing import Any, Protocol, TypeVar, runtime_checkable
+from typing import Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
@@ -104,61 +104,32 @@ def adequacy_tests(found: Findings, critical: CriticalValues) -> tuple[AdequacyT
     """Return all tests, in the order in which a reader asks; those without data are left out."""
     screened, curves, delayed, line, repeats = found.scores, found.curves, found.lagged, found.line, found.repeats
     level = critical.level / max(sum(bool(known) for known in (screened, curves, delayed, line, repeats)), 1)
-    rows: list[tuple[str, float, float, str]] = []
+    tests = []
     if repeats is not None:
-        rows.append(
-            (
-                "repeats",
-                repeats.p_value,
-                0.0,
-                f"what the {repeats.repeats} repeats share is {repeats.ratio:.2f} times what noise alone would leave",
-            )
+        words = f"what the {repeats.repeats} repeats share is {repeats.ratio:.2f} times what noise alone would leave"
+        tests.append(
+            AdequacyTest("repeats", repeats.p_value, 0.0, level, words, power=repeats.power, shared=repeats.excess)
         )
     if screened:
         alarms = alarming(screened, critical)
         best = max(alarms or screened, key=lambda s: s.statistic)
-        rows.append(
-            (
-                "named effects",
-                p_by_chance(best, len(screened)),
-                best.statistic - len(best.amplitudes),
-                f"{best.id} reaches {best.statistic:.0f}, the alarm is at {critical.alarm:.0f}{_scattered(best, alarms, critical)}",
-            )
-        )
+        words = f"{best.id} reaches {best.statistic:.0f}, the alarm is at {critical.alarm:.0f}{_scattered(best, alarms, critical)}"
+        excess = best.statistic - len(best.amplitudes)
+        p_value = p_by_chance(best, len(screened))
+        tests.append(AdequacyTest("named effects", p_value, excess, level, words, alarmed=bool(alarms)))
     if curves:
         p_value, curve = _strongest(curves, level)
-        rows.append(
-            (
-                "static force",
-                p_value,
-                curve.excess,
-                f"a force on the {curve.port} that depends on {curve.variable} would explain {curve.excess:.0f}",
-            )
-        )
+        words = f"a force on the {curve.port} that depends on {curve.variable} would explain {curve.excess:.0f}"
+        tests.append(AdequacyTest("static force", p_value, curve.excess, level, words))
     if delayed:
         p_value, one = _strongest(delayed, level)
-        rows.append(
-            (
-                "delayed force",
-                p_value,
-                one.excess,
-                f"a force on the {one.port} that follows {one.follows} with a lag would explain {one.excess:.0f}",
-            )
-        )
+        words = f"a force on the {one.port} that follows {one.follows} with a lag would explain {one.excess:.0f}"
+        tests.append(AdequacyTest("delayed force", p_value, one.excess, level, words))
     if line is not None:
-        rows.append(
-            (
-                "spectral line",
-                line.p_value,
-                line.excess,
-                f"the strongest line, of {line.channel} at {line.frequency:.3g} rad/s, has {line.ratio:.1f} times the power "
-                "around it",
-            )
-        )
-    told: dict[str, dict[str, Any]] = {"named effects": {"alarmed": bool(alarming(screened, critical))}}
-    if repeats is not None:
-        told["repeats"] = {"power": repeats.power, "shared": repeats.excess}
-    return tuple(AdequacyTest(name, p, excess, level, words, **told.get(name, {})) for name, p, excess, words in rows)
+        where = f"{line.channel} at {line.frequency:.3g} rad/s"
+        words = f"the strongest line, of {where}, has {line.ratio:.1f} times the power around it"
+        tests.append(AdequacyTest("spectral line", line.p_value, line.excess, level, words))
+    return tuple(tests)
 
 
 def _scattered(best: Scored, alarms: Sequence[Scored], critical: CriticalValues) -> str:

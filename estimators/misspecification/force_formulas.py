@@ -30,8 +30,6 @@ _PERIODS = (
 _FINE = 20  # points between knots, over which a term is projected on the curve's hats
 _TURN_NUMBERS = 5  # sin(n theta) and cos(n theta) up to this n, which twelve knots in a turn still show
 
-Fine = Float[np.ndarray, "fold knot knot"]
-
 
 @dataclass(frozen=True)
 class CurveEvidence:

@@ -9,11 +9,10 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.signal import lfilter
 
-from estimators.core.data import filled
 from estimators.core.threads import at_once
 from estimators.misspecification.score_test import score_test
 from estimators.prediction_error.innovations import Innovations, Rows
-from rtac_jax.measurement import Experiment
+from rtac_jax.measurement import Experiment, filled
 
 # Time constants as fractions of the period of the motion.
 _LAGS = (0.02, 0.06, 0.2, 0.6, 2.0)

@@ -7,9 +7,9 @@ from jaxtyping import Float
 from matplotlib.ticker import FuncFormatter
 from scipy.signal import periodogram
 
-from estimators.core.data import filled
 from estimators.plots.style import HATCHES, NAMES, SMALL, Picture, picture, tidy, times, title
 from estimators.validation.simulation_error import Compared, Comparison, Trace
+from rtac_jax.measurement import filled
 
 _BANDS = 8
 _TONES = ("#e6550d", "#08306b", "0.75")

@@ -46,7 +46,7 @@ def plot_comparison(comparison: Comparison, *, worst: int | None = None) -> Pict
         for row, trace in enumerate(chosen[channel]):
             top = figure.add_subplot(grid[2 * row, column])
             below = figure.add_subplot(grid[2 * row + 1, column])
-            draw_pair(top, below, [_same(m.traces, trace) for m in models], [m.label for m in models])
+            draw_pair(top, below, [same(m.traces, trace) for m in models], [m.label for m in models])
             if row == 0 and column == 0:
                 top.legend(fontsize=SMALL, loc="upper right", ncols=2, framealpha=0.85)
     title(figure, _finding(comparison, models, rows))
@@ -90,7 +90,8 @@ def _worst_of(traces: tuple[Trace, ...], channel: str, count: int) -> list[Trace
     return sorted((t for t in traces if t.channel == channel), key=lambda t: -t.rms / t.noise)[:count]
 
 
-def _same(traces: tuple[Trace, ...], like: Trace) -> Trace:
+def same(traces: tuple[Trace, ...], like: Trace) -> Trace:
+    """Return the trace of the same channel in the same experiment."""
     return next(t for t in traces if (t.experiment, t.channel) == (like.experiment, like.channel))
 
 
@@ -104,7 +105,7 @@ def _finding(comparison: Comparison, models: list[Any], rows: int) -> str:
         if before < 1.2:
             return f"The model follows every experiment to {times(before)} times the noise or better {shown}"
         return f"The model fails most in {where}, by {times(before)} times the noise {shown}"
-    last = _same(models[-1].traces, first)
+    last = same(models[-1].traces, first)
     after = last.rms / last.noise
     verb = "falls" if after < before else "rises"
     with_what = models[-1].label.replace("+ ", "with ")

@@ -5,9 +5,9 @@ from typing import Any
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
 from estimators.diagnosis.improve import Improvement
-from estimators.plots.comparison import draw_pair
+from estimators.plots.comparison import draw_pair, same
 from estimators.plots.style import MARKERS, NAMES, SMALL, Picture, picture, tidy, times, title
-from estimators.validation.simulation_error import Comparison, Trace
+from estimators.validation.simulation_error import Comparison
 
 _TONES = ("#08306b", "#e6550d", "#31a354")
 
@@ -22,7 +22,7 @@ def plot_improvement(improvement: Improvement) -> Picture:
     shown = [models[0]] if len(models) == 1 else [models[0], models[-1]]
     top, below = figure.add_subplot(grid[0, 1]), figure.add_subplot(grid[1, 1])
     labels = [m.label for m in shown]
-    draw_pair(top, below, [_same(m.traces, before) for m in shown], labels)
+    draw_pair(top, below, [same(m.traces, before) for m in shown], labels)
     top.set_title(f"held out: {top.get_title(loc='left')}", fontsize=9, loc="left")
     top.legend(fontsize=SMALL, loc="upper right", ncols=3, framealpha=0.85)
     title(figure, finding(improvement))
@@ -105,7 +105,3 @@ def _numbers(axes: Any, step: int, ratios: list[float], *, left: bool) -> None:
 
 def _ratios(comparison: Comparison, channel: str) -> list[float]:
     return [m.errors[channel].rms_over_noise if channel in m.errors else float("nan") for m in comparison.models]
-
-
-def _same(traces: tuple[Trace, ...], like: Trace) -> Trace:
-    return next(t for t in traces if (t.experiment, t.channel) == (like.experiment, like.channel))

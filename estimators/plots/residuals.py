@@ -5,7 +5,6 @@ from typing import Any
 import numpy as np
 from scipy.signal import welch
 
-from estimators.core.data import filled
 from estimators.plots.style import (
     HATCHES,
     NAMES,
@@ -22,6 +21,7 @@ from estimators.plots.style import (
     title,
 )
 from estimators.validation.simulation_error import Compared, Trace
+from rtac_jax.measurement import filled
 
 _MOST_BARS = 10
 _LAGS = 50

@@ -178,9 +178,9 @@ def thin(time: Values, values: Values) -> tuple[np.ndarray, np.ndarray]:
     return time[index], values[index]
 
 
-def worst_stretch(residual: Values, most: int = 1200) -> slice:
-    """Return the samples to look at closely in a long experiment: where the residual is largest."""
-    if len(residual) <= _MOST_POINTS:
+def worst_stretch(residual: Values, most: int = 1200, longest: int = _MOST_POINTS) -> slice:
+    """Return the samples to look at closely in an experiment that is longer than this: where the residual is largest."""
+    if len(residual) <= longest:
         return slice(0, len(residual))
     power = np.cumsum(np.concatenate([[0.0], np.nan_to_num(residual) ** 2]))
     first = int(np.argmax(power[most:] - power[:-most]))

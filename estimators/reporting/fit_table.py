@@ -1,5 +1,7 @@
 """The parameters after a fit with all that is known of them: what `rtac fit` prints, and the tables of its report."""
 
+import dataclasses
+
 import numpy as np
 
 from estimators.closed_form.table1 import ClosedForm
@@ -9,53 +11,53 @@ from estimators.inference.robust_covariance import Covariances
 from estimators.prediction_error.fit import PredictorFit
 from estimators.reporting.html import Table
 from estimators.validation.recommendation import RULE, Recommendation
+from rtac_jax.overview import aligned
 
 
-def fit_table(
-    closed: ClosedForm,
-    fit: Fit,
-    *,
-    predicted: PredictorFit | None = None,
-    agreed: Agreement | None = None,
-    spread: Covariances | None = None,
-) -> str:
-    """Format closed form, output error and prediction error side by side, with standard deviations and differences.
+@dataclasses.dataclass(frozen=True)
+class AllEstimates:
+    """One recording's estimates by every estimator that was asked.
 
-    Args:
-        closed: estimates in closed form.
+    Attributes:
+        closed: in closed form.
         fit: output error.
         predicted: prediction error.
-        agreed: all held against each other; adds the largest difference in its standard deviations and the verdict.
-        spread: covariances of the fit; adds the standard deviations that hold for a coloured residual.
+        agreed: all held against each other.
+        spread: covariances of the fit that hold for a coloured residual.
+    """
+
+    closed: ClosedForm
+    fit: Fit
+    predicted: PredictorFit | None = None
+    agreed: Agreement | None = None
+    spread: Covariances | None = None
+
+
+def fit_table(known: AllEstimates) -> str:
+    """Format closed form, output error and prediction error side by side, with standard deviations and differences.
 
     Returns:
         One table, the verdict, the combinations that the data determine worst, and Table 1 of the closed form.
     """
-    parts = [_aligned(_rows(closed, fit, predicted, agreed, spread))]
+    rows, predicted, closed = _rows(known), known.predicted, known.closed
+    parts = ["\n".join(aligned(rows, right=range(2, len(rows[0]))))]
     if predicted is not None:
         parts.append(
             f"Prediction error takes a random force of {predicted.force_noise:.3g} N/sqrt(Hz) on the cart and a random torque "
             f"of {predicted.torque_noise:.3g} N m/sqrt(Hz) on the arm into account."
         )
-    if agreed is not None:
-        parts.append(agreed.verdict)
-    if weak := fit.information.weakest():
+    if known.agreed is not None:
+        parts.append(known.agreed.verdict)
+    if weak := known.fit.information.weakest():
         parts.append("\n".join(f"{text[0].upper()}{text[1:]}." for text in weak))
     if skipped := [f"The closed form could not use {name}: {why}" for name, why in closed.skipped.items()]:
         parts.append("\n".join(skipped))
     return "\n\n".join([*parts, f"Table 1 of these data\n{closed}"])
 
 
-def estimates_table(
-    closed: ClosedForm,
-    fit: Fit,
-    *,
-    predicted: PredictorFit | None = None,
-    agreed: Agreement | None = None,
-    spread: Covariances | None = None,
-) -> Table:
+def estimates_table(known: AllEstimates) -> Table:
     """Return the same numbers as a table of a report, where every standard deviation says what it takes for granted."""
-    header, *rows = _rows(closed, fit, predicted, agreed, spread)
+    header, *rows = _rows(known)
     names = iter(("closed form std", "output error std", "prediction error std"))
     words = {
         "coloured": "output error std, coloured residual",
@@ -75,14 +77,9 @@ def recommended_table(advice: Recommendation, fit: Fit) -> Table:
     return Table(("parameter", "recommended", "std", "unit"), rows, str(advice))
 
 
-def _rows(
-    closed: ClosedForm,
-    fit: Fit,
-    predicted: PredictorFit | None,
-    agreed: Agreement | None,
-    spread: Covariances | None,
-) -> list[list[str]]:
+def _rows(known: AllEstimates) -> list[list[str]]:
     """Return all estimates with all standard deviations, one parameter a row, under a header."""
+    fit, predicted, agreed, spread = known.fit, known.predicted, known.agreed, known.spread
     header = ["parameter", "unit", "closed form", "std", "output error", "std"]
     if spread is not None:
         header += ["coloured", "clustered"]
@@ -95,7 +92,7 @@ def _rows(
     by_cluster = spread.std("clustered") if spread is not None else {}
     apart = _apart(agreed, fit)
     for name, p in fit.parameters.items():
-        e = closed.estimates.get(name)
+        e = known.closed.estimates.get(name)
         row = [name, p.unit, *(("", "") if e is None else (f"{e.value:.6g}", _short(e.std))), f"{p.value:.6g}"]
         row.append(_short(p.std) if name in fit.information.names else "fixed")
         if spread is not None:
@@ -119,13 +116,3 @@ def _apart(agreed: Agreement | None, fit: Fit) -> dict[str, float]:
 
 def _short(std: float) -> str:
     return f"{std:.2g}" if np.isfinite(std) else ""
-
-
-def _aligned(rows: list[list[str]]) -> str:
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    return "\n".join(
-        "  ".join(
-            t.ljust(w) if i < 2 else t.rjust(w) for i, (t, w) in enumerate(zip(row, widths, strict=True))
-        ).rstrip()
-        for row in rows
-    )

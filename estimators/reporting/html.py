@@ -16,6 +16,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from rtac_jax.measurement.atomic_write import replacing
+from rtac_jax.overview import aligned
 
 _NARROW = 3  # columns that fit into the width of a telephone
 _WORDS = ("fixed",)  # that may stand in a column of numbers
@@ -31,15 +32,8 @@ class Table:
     caption: str = ""
 
     def __str__(self) -> str:
-        widths = [max(len(row[i]) for row in (self.header, *self.rows)) for i in range(len(self.header))]
-        lines = []
-        for row in (self.header, *self.rows):
-            cells = [
-                cell.rjust(width) if self.numeric(i) else cell.ljust(width)
-                for i, (cell, width) in enumerate(zip(row, widths, strict=True))
-            ]
-            lines.append("  ".join(cells).rstrip())
-        return "\n".join(lines)
+        numbers = [i for i in range(len(self.header)) if self.numeric(i)]
+        return "\n".join(aligned((self.header, *self.rows), right=numbers))
 
     def numeric(self, column: int) -> bool:
         """Return whether the column holds numbers, as far as it holds anything."""

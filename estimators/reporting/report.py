@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from estimators.closed_form.table1 import ClosedForm
 from estimators.core.correlation import LAGS
 from estimators.core.fit import Fit, Parameter
 from estimators.core.information_criteria import InformationCriteria
@@ -17,9 +16,7 @@ from estimators.diagnosis.improve import Improvement
 from estimators.diagnosis.policy import DiagnosisPolicy
 from estimators.diagnosis.ranking import ranked
 from estimators.experiment_design.next_experiment import NextExperiment
-from estimators.inference.hausman import Agreement
-from estimators.inference.robust_covariance import Covariances
-from estimators.prediction_error.fit import PredictorFit
+from estimators.reporting.fit_table import AllEstimates
 from estimators.reporting.html import Table, cleaned
 from estimators.validation.recommendation import Recommendation
 from estimators.validation.simulation_error import Compared, Comparison, Trace
@@ -85,10 +82,7 @@ def fit_dict(
     train: Comparison,
     validation: Comparison | None,
     seconds: float,
-    closed: ClosedForm | None = None,
-    predicted: PredictorFit | None = None,
-    agreed: Agreement | None = None,
-    spread: Covariances | None = None,
+    beside: AllEstimates | None = None,
     advice: Recommendation | None = None,
 ) -> dict[str, Any]:
     """Return parameters and errors of a fit, and beside it other estimators, their agreement, and other deviations."""
@@ -108,10 +102,12 @@ def fit_dict(
             "sound": advice.sound,
             "parameters": _parameters(advice.parameters),
         }
-    if closed is not None:
-        found["closed_form"] = {
-            name: {"value": e.value, "std": e.std, "unit": e.unit} for name, e in closed.estimates.items()
-        }
+    if beside is None:
+        return cleaned(found)
+    predicted, agreed, spread = beside.predicted, beside.agreed, beside.spread
+    found["closed_form"] = {
+        name: {"value": e.value, "std": e.std, "unit": e.unit} for name, e in beside.closed.estimates.items()
+    }
     if predicted is not None:
         found["prediction_error"] = {
             "parameters": _parameters(predicted.parameters),
@@ -293,18 +289,6 @@ def parameter_table(fit: Fit, *, base: Fit | None = None) -> Table:
         ("parameter", "before", "value", "std", "unit") if base is not None else ("parameter", "value", "std", "unit")
     )
     return Table(header, tuple(rows))
-
-
-def side_by_side(closed: ClosedForm, fit: Fit) -> Table:
-    """Return a table of closed form and output error."""
-    rows = []
-    for name, p in fit.parameters.items():
-        e = closed.estimates.get(name)
-        value = "" if e is None else f"{e.value:.5g}"
-        spread = "" if e is None or not math.isfinite(e.std) else f"{e.std:.2g}"
-        std = f"{p.std:.2g}" if name in fit.information.names else "fixed"
-        rows.append((name, value, spread, f"{p.value:.6g}", std, p.unit))
-    return Table(("parameter", "closed form", "std", "output error", "std", "unit"), tuple(rows))
 
 
 def comparison_table(rows: Sequence[Mapping[str, Any]]) -> Table:

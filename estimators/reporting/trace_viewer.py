@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from estimators.plots.style import NAMES, UNITS, largest, prefixed
+from estimators.plots.style import NAMES, UNITS, largest, prefixed, worst_stretch
 from estimators.reporting.html import Embedded
 from estimators.validation.simulation_error import Comparison, Trace
 
@@ -51,7 +51,7 @@ def trace_viewer(comparison: Comparison, *, most: int = _MOST) -> Embedded:
 def _signals(several: list[tuple[str, Trace]]) -> dict[str, Any]:
     """Return one channel of one experiment as JSON knows it: measured, then every model."""
     first = several[0][1]
-    part = _worst_part(first)
+    part = worst_stretch(first.residual, _LONGEST, longest=_LONGEST)
     scale = prefixed(largest(first.measured), UNITS[first.channel])
     series = [{"label": "measured", "values": _numbers(scale.factor * first.measured[part])}]
     series += [{"label": label, "values": _numbers(scale.factor * t.simulated[part])} for label, t in several]
@@ -62,15 +62,6 @@ def _signals(several: list[tuple[str, Trace]]) -> dict[str, Any]:
         "step": float(first.time[1] - first.time[0]) if len(first.time) > 1 else 1.0,
         "series": series,
     }
-
-
-def _worst_part(trace: Trace) -> slice:
-    count = len(trace.time)
-    if count <= _LONGEST:
-        return slice(0, count)
-    power = np.cumsum(np.concatenate([[0.0], np.nan_to_num(trace.residual) ** 2]))
-    begin = int(np.argmax(power[_LONGEST:] - power[:-_LONGEST]))
-    return slice(begin, begin + _LONGEST)
 
 
 def _numbers(values: Any) -> list[float | None]:

@@ -17,7 +17,7 @@ from ._excitation import (
     steps,
 )
 from ._experiment import Experiment
-from ._filter import central_difference, zero_phase_lowpass
+from ._filter import central_difference, filled, zero_phase_lowpass
 from ._hdf5 import guarded_by_digest
 from ._info import describe
 from ._recording import Recording
@@ -41,6 +41,7 @@ __all__ = [
     "crest_factor",
     "csv_header",
     "describe",
+    "filled",
     "from_rest",
     "guarded_by_digest",
     "harmonic_grid",

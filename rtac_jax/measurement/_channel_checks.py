@@ -7,6 +7,7 @@ import scipy.stats
 from jaxtyping import Float64
 
 from ._experiment import Experiment
+from ._filter import filled
 from ._recording import Recording
 
 Values = Float64[np.ndarray, " sample"]
@@ -105,11 +106,11 @@ def _moving(recording: Recording) -> dict[str, tuple[str, float, float, str]]:
             continue
         for channel, signal in e.outputs.items():
             others = [o for o in moving if channel in o.outputs]
-            values = _filled(signal.values)
+            values = filled(signal.values)
             if not others or np.ptp(values) == 0:
                 continue
-            rhythm = [_peak(_filled(o.outputs[channel].values), o.sample_time)[0] for o in others]
-            usual = float(np.median([np.std(_filled(o.outputs[channel].values)) for o in others]))
+            rhythm = [_peak(filled(o.outputs[channel].values), o.sample_time)[0] for o in others]
+            usual = float(np.median([np.std(filled(o.outputs[channel].values)) for o in others]))
             frequency, ratio = _peak(values, e.sample_time)
             swings = ratio > _LINE and min(rhythm) / 2 < frequency < 2 * max(rhythm)
             large = np.std(values) > 0.1 * usual and np.std(values) > 10 * _quiet(values)
@@ -138,7 +139,7 @@ def _angle_against_velocity(angle: Values, velocity: Values, sample_time: float)
     good = ~(np.isnan(angle) | np.isnan(velocity))
     if good.sum() < 4 * _MOST_LAG:
         return
-    angle, velocity = _filled(angle), _filled(velocity)
+    angle, velocity = filled(angle), filled(velocity)
     integral = np.concatenate([[0.0], np.cumsum(0.5 * sample_time * (velocity[1:] + velocity[:-1]))])
     width = max(4, len(angle) // 50)
 
@@ -214,13 +215,4 @@ def _quiet(values: Values) -> float:
 
 
 def _bridged(experiment: Experiment) -> Values:
-    return _filled(experiment.outputs["cart_position"].values)
-
-
-def _filled(values: Values) -> Values:
-    """Return the signal with its gaps bridged by straight lines."""
-    missing = np.isnan(values)
-    if not missing.any():
-        return values
-    index = np.arange(len(values))
-    return np.interp(index, index[~missing], values[~missing])
+    return filled(experiment.outputs["cart_position"].values)

@@ -68,3 +68,12 @@ def central_difference(
     if len(signal) < 3:
         raise ValueError(f"values: has {len(signal)} samples, but a central difference needs 3; record for longer.")
     return (signal[2:] - signal[:-2]) / (2 * sample_time)
+
+
+def filled(values: Float64[np.ndarray, " sample"]) -> Float64[np.ndarray, " sample"]:
+    """Return the signal with its gaps bridged by straight lines."""
+    bad = ~np.isfinite(values)
+    if not bad.any():
+        return values
+    index = np.arange(len(values))
+    return np.interp(index, index[~bad], values[~bad])

@@ -1,8 +1,10 @@
 """Description of a recording in words."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
+
+from rtac_jax.overview import aligned
 
 from ._errors import printable
 from ._experiment import Experiment
@@ -63,7 +65,7 @@ def _conditions(experiment: Experiment) -> str:
 
 def _table(experiment: Experiment) -> list[str]:
     channels = {**experiment.inputs, **experiment.outputs}
-    return _aligned([HEADER, *(_row(name, signal) for name, signal in channels.items())])
+    return [f"  {line}" for line in aligned([HEADER, *(_row(name, signal) for name, signal in channels.items())])]
 
 
 def _row(name: str, signal: Signal) -> tuple[str, ...]:
@@ -73,10 +75,3 @@ def _row(name: str, signal: Signal) -> tuple[str, ...]:
     rms = size * float(np.sqrt(np.nanmean((signal.values / size) ** 2))) if size else 0.0
     noise = "" if signal.noise_std is None else f"{signal.noise_std:.3g}"
     return name, signal.unit, f"{rms:.4g}", str(int(missing.sum())), noise, signal.intersample or ""
-
-
-def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:
-    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
-    return [
-        "  " + "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows
-    ]

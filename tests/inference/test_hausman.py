@@ -10,7 +10,7 @@ import rtac_jax as rtac
 from estimators.inference.bootstrap import Shaken
 from estimators.inference.hausman import Agreement, Disagreement, agreement
 from estimators.inference.robust_covariance import covariances
-from estimators.reporting.fit_table import fit_table
+from estimators.reporting.fit_table import AllEstimates, fit_table
 from rtac_jax import virtual_rig
 
 RIG = virtual_rig.Rig()
@@ -320,8 +320,10 @@ def test_wrong_use_is_refused(clean: rtac.Recording) -> None:
 def test_one_table_says_it_all(clean: rtac.Recording) -> None:
     closed = est.least_squares(rtac.RTAC.from_rig(clean), clean, weak=True)
     fit = est.output_error(closed.model, clean, from_model=True, progress=False)
-    plain = fit_table(closed, fit)
-    text = fit_table(closed, fit, agreed=agreement([closed, fit], clean, draws=30), spread=covariances(fit, clean))
+    plain = fit_table(AllEstimates(closed, fit))
+    text = fit_table(
+        AllEstimates(closed, fit, agreed=agreement([closed, fit], clean, draws=30), spread=covariances(fit, clean))
+    )
     assert len(text.splitlines()[0].split()) > len(plain.splitlines()[0].split())
     for part in ("sigmas apart", "clustered", "They agree", "Table 1 of these data", "(b) forced oscillation"):
         assert part in text

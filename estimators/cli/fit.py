@@ -41,7 +41,7 @@ def fit(
             ways = [closed, found] if predicted is None else [closed, found, predicted]
             agreed = est.agreement(ways, work.train, progress=progress())
         except ValueError as error:  # the closed form needs channels that the fit does not
-            work.remark = f"{work.remark} The ways were not compared: {error}".strip()
+            work.remark = f"{work.remark} The estimators were not compared: {error}".strip()
         spread = est.covariances(found, work.train)
         trained, tested = work.compared(found)
         errors = _report.error_table(trained, tested)
@@ -76,7 +76,7 @@ def fit(
             captions |= {"recording": "The recording."}
             if agreed is not None:
                 figures = {"agreement": agreed.plot(), **figures}
-                captions = {"agreement": "Estimates by every way, with what chance allows between them.", **captions}
+                captions = {"agreement": "Estimates by every estimator, with what chance allows between them.", **captions}
             skipped = [f"The closed form could not use {name}: {why}" for name, why in closed.skipped.items()]
             agreement = "" if agreed is None else agreed.verdict
             sections = [

@@ -10,7 +10,7 @@ from tqdm import tqdm
 import estimators as est
 import rtac_jax as rtac
 from estimators.core.parameter_space import Space
-from estimators.diagnosis.contact_trials import acting_on_arm, begins_of, few_random_forces, in_turn
+from estimators.diagnosis.contact_trials import acting_on_arm, begins_of, in_turn
 from estimators.diagnosis.innovation_tests import quietly_screened
 from estimators.diagnosis.refit import Refit
 from estimators.diagnosis.refitting import fit_base, refit_thoroughly, refit_with
@@ -65,10 +65,6 @@ def test_trials_begin_at_every_size_with_every_shape() -> None:
     assert len(begins) == len(gaps) * len(rotors)
     # A share of an inertia lies below one, so half as much again and more has no place.
     assert max(one["rotor"] for one in begins_of(Backlash(0.02, 0.7), ["gap"])) == pytest.approx(0.7)
-
-
-def test_little_random_force_is_left_alone_and_much_is_lowered() -> None:
-    assert few_random_forces(np.array([2.0, -9.0, 0.5, 3.0])) == pytest.approx([-4.0, -9.0, 0.5, 3.0])
 
 
 def fit_of(likelihood: float) -> Refit:

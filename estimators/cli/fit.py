@@ -76,7 +76,10 @@ def fit(
             captions |= {"recording": "The recording."}
             if agreed is not None:
                 figures = {"agreement": agreed.plot(), **figures}
-                captions = {"agreement": "Estimates by every estimator, with what chance allows between them.", **captions}
+                captions = {
+                    "agreement": "Estimates by every estimator, with what chance allows between them.",
+                    **captions,
+                }
             skipped = [f"The closed form could not use {name}: {why}" for name, why in closed.skipped.items()]
             agreement = "" if agreed is None else agreed.verdict
             sections = [

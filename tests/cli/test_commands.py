@@ -9,7 +9,7 @@ import re
 import shlex
 
 import pytest
-from command_line import COMMANDS, call, check_report, hidden_mode, refused, reported
+from command_line import COMMANDS, call, check_report, refused, reported
 
 import estimators
 import estimators as est
@@ -30,18 +30,6 @@ FIGURES = {
 TRIED = ("flexible_mode", "cubic_spring")
 SEVERAL = "compare, several models"
 HELD = "diagnose, where a simulation cannot fit what is missing"
-
-
-@pytest.fixture(scope="module")
-def recording():
-    return hidden_mode()
-
-
-@pytest.fixture(scope="module")
-def file(recording, tmp_path_factory):
-    path = tmp_path_factory.mktemp("recording") / "rig & <co>.h5"
-    recording.save(path)
-    return path
 
 
 @pytest.fixture(scope="module")

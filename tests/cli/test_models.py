@@ -1,12 +1,14 @@
 """Saved models on the command line: a fit of the same data is used as it stands, another model is fitted to them."""
 
 import dataclasses
+import inspect
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from command_line import call, refused
 from small_experiments import forced, free, rest
+from users_effects import MagneticSpring
 
 import estimators as est
 import estimators.cli.control
@@ -17,6 +19,7 @@ from estimators.core.fisher_information import Information
 from rtac_jax.effects import CubicSpring
 from rtac_jax.measurement import Recording
 
+IMPORTS = ("from typing import ClassVar", "from rtac_jax import parameter", "from rtac_jax.effects import Force")
 MODEL = (rtac.RTAC.paper() + CubicSpring(8e4)).fix("total_mass")
 
 
@@ -118,23 +121,7 @@ def test_a_controller_is_designed_for_a_fit_of_another_recording(tmp_path, monke
 
 def test_a_model_with_an_effect_of_ones_own_needs_its_file(tmp_path):
     recording().save(tmp_path / "rig.h5")
-    source = '''
-from typing import ClassVar
-from rtac_jax import parameter
-from rtac_jax.effects import Force
-
-class MagneticSpring(Force):
-    """A force."""
-    id: ClassVar[str] = "magnetic_spring"
-    equation: ClassVar[str] = "-k_5 q^5"
-    source: ClassVar[str] = "own rig"
-    port: ClassVar[str] = "cart"
-    nature: ClassVar[str] = "conservative"
-    stiffness: object = parameter(symbol="k_5", unit="N/m^5", meaning="stiffness", null=0.0, plausible=1.0)
-
-    def force(self, motion, own):
-        return -self.stiffness * motion.cart_position**5, 0.0
-'''
+    source = "\n".join((*IMPORTS, "", inspect.getsource(MagneticSpring)))
     (tmp_path / "mine.py").write_text(source)
     names: dict = {"__name__": "session"}
     exec(source, names)

@@ -5,25 +5,13 @@ from dataclasses import replace
 
 import pytest
 import typer
-from command_line import COMMANDS, call, hidden_mode, refused
+from command_line import COMMANDS, call, refused
 
 import estimators
 import estimators as est
 from estimators.cli import job
 from rtac_jax import RTAC
 from rtac_jax.measurement import Recording
-
-
-@pytest.fixture(scope="module")
-def recording():
-    return hidden_mode()
-
-
-@pytest.fixture(scope="module")
-def file(recording, tmp_path_factory):
-    path = tmp_path_factory.mktemp("recording") / "rig & <co>.h5"
-    recording.save(path)
-    return path
 
 
 def test_what_is_said_is_printed_when_the_files_are_written(file, tmp_path, monkeypatch):

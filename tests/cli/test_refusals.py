@@ -1,21 +1,9 @@
 """How the command line refuses: one sentence that names the place and the mend, and a status of its own."""
 
 import pytest
-from command_line import COMMANDS, call, hidden_mode, refused
+from command_line import COMMANDS, call, refused
 
 from rtac_jax.measurement import Recording
-
-
-@pytest.fixture(scope="module")
-def recording():
-    return hidden_mode()
-
-
-@pytest.fixture(scope="module")
-def file(recording, tmp_path_factory):
-    path = tmp_path_factory.mktemp("recording") / "rig & <co>.h5"
-    recording.save(path)
-    return path
 
 
 @pytest.fixture

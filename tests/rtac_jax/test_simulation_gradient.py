@@ -1,15 +1,16 @@
 """The time loop as a function: its derivatives, what it compiles, its sine and cosine, and what it refuses."""
 
-from typing import Any, ClassVar
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from users_effects import Counted
 
-from rtac_jax import RTAC, Excitation, Experiment, parameter, simulate
+from rtac_jax import RTAC, Excitation, Experiment, simulate
 from rtac_jax._sincos import sincos
-from rtac_jax.effects import ArmCoulomb, CubicSpring, Force
+from rtac_jax.effects import ArmCoulomb, CubicSpring
 from rtac_jax.simulation import trajectories
 
 SAMPLES, SAMPLE_TIME = 120, 0.01
@@ -76,23 +77,6 @@ def test_gradients_where_it_comes_to_rest():
     derivative = jax.jit(jax.jacfwd(found, (0, 1)))(jnp.ones(len(names)), jnp.asarray([0.01, 0.0, 0.0, 0.0]))
     assert all(np.all(np.isfinite(part)) for part in derivative)
     assert derivative[0][0, names.index("cart_coulomb.level")] != 0
-
-
-class Counted(Force):
-    """A spring that counts how often it is compiled."""
-
-    id: ClassVar[str] = "counted"
-    equation: ClassVar[str] = "-k q"
-    source: ClassVar[str] = "none"
-    port: ClassVar[str] = "cart"
-    nature: ClassVar[str] = "conservative"
-    calls: ClassVar[list[int]] = []
-    stiffness: Any = parameter(symbol="k", unit="N/m", meaning="spring", null=0.0)
-
-    def force(self, motion, own):
-        # Runs while the code is traced, never when it is executed.
-        self.calls.append(1)
-        return -self.stiffness * motion.cart_position, 0.0
 
 
 def test_values_do_not_compile_anew():

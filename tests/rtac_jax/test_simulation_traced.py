@@ -2,18 +2,19 @@
 
 import subprocess
 import sys
-from typing import Any, ClassVar
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from users_effects import Counted
 
 import rtac_jax as rtac
-from rtac_jax import RTAC, Excitation, Experiment, Simulation, parameter
+from rtac_jax import RTAC, Excitation, Experiment, Simulation
 from rtac_jax._spline import spline_coefficients
 from rtac_jax._substeps_traced import substeps_traced
-from rtac_jax.effects import CATALOGUE, CubicSpring, Force
+from rtac_jax.effects import CATALOGUE, CubicSpring
 from rtac_jax.excitation import coefficients
 from rtac_jax.simulation import substeps_for
 
@@ -25,22 +26,6 @@ EXPERIMENT = Experiment.of(
     "a", kind="forced", sample_time=SAMPLE_TIME, cart_position=RECORDED, current=CURRENT, intersample="bl"
 )
 SHORT = Experiment.of("b", kind="free", sample_time=0.02, cart_position=RECORDED[:60], initial_arm_angle=0.4)
-
-
-class Counted(Force):
-    """A spring that counts how often it is traced."""
-
-    id: ClassVar[str] = "counted"
-    equation: ClassVar[str] = "-k q"
-    source: ClassVar[str] = "none"
-    port: ClassVar[str] = "cart"
-    nature: ClassVar[str] = "conservative"
-    calls: ClassVar[list[int]] = []
-    stiffness: Any = parameter(symbol="k", unit="N/m", meaning="spring", null=0.0)
-
-    def force(self, motion, own):
-        self.calls.append(1)
-        return -self.stiffness * motion.cart_position, 0.0
 
 
 MODEL = RTAC.paper() + CubicSpring(2e4) + Counted(1.0)

@@ -7,28 +7,14 @@ from typing import ClassVar
 import h5py
 import numpy as np
 import pytest
+from users_effects import MagneticSpring
 
 import rtac_jax as rtac
-from rtac_jax import parameter
 from rtac_jax.effects import CATALOGUE, CubicSpring, FlexibleMode, Force, SplineForce
 from rtac_jax.parameters import declarations
 from rtac_jax.storage import _file
 
 KEPT = Path(__file__).parents[2] / "data" / "model_version_1.h5"
-
-
-class MagneticSpring(Force):
-    """A force of the user's own."""
-
-    id: ClassVar[str] = "magnetic_spring"
-    equation: ClassVar[str] = "-k_5 q^5"
-    source: ClassVar[str] = "own rig"
-    port: ClassVar[str] = "cart"
-    nature: ClassVar[str] = "conservative"
-    stiffness: object = parameter(symbol="k_5", unit="N/m^5", meaning="stiffness", null=0.0, plausible=1.0)
-
-    def force(self, motion, own):
-        return -self.stiffness * motion.cart_position**5, 0.0
 
 
 def whole():

@@ -9,7 +9,7 @@ from estimators.diagnosis.refit import Refit
 from estimators.diagnosis.refitting import fitted
 from estimators.diagnosis.setting import Setting, begun, by_name, model_with, space_for
 from estimators.diagnosis.workers import Workers
-from estimators.prediction_error.coloured_noise import ColouredNoise, Colours, likeliest_colours, rest_spectra
+from estimators.prediction_error.coloured_noise import Colours, ColourStates, capped, likeliest_colours, rest_spectra
 from estimators.prediction_error.noise_estimation import fit_noise
 
 _MEMORIES = (1.5, 4.0, 10.0, 25.0)  # correlation times of sensor noise that are tried, in samples
@@ -23,10 +23,10 @@ def recoloured(setting: Setting, base: Refit) -> tuple[Setting, Refit]:
     model leaves out must not be taken for colour, so the colour stays where the rest records do not speak against it;
     without rest records only the reach of the search bounds it.
     """
-    if setting.colour is None:
+    if not setting.colours:
         return setting, base
     spectra = rest_spectra(setting.recording.experiments, setting.policy.colour)
-    kept = {name: v for name, v in base.values.items() if name.split(".")[0] != ColouredNoise.id}
+    kept = {name: v for name, v in base.values.items() if name.split(".")[0] != ColourStates.id}
     noise = base.predictor.noise
 
     def likelihood(colours: Colours) -> float:
@@ -37,17 +37,17 @@ def recoloured(setting: Setting, base: Refit) -> tuple[Setting, Refit]:
                 if lost > setting.policy.colour_spoken:
                     return -np.inf
                 rest -= lost
-        trial = dataclasses.replace(setting, colour=ColouredNoise.of(colours))
+        trial = dataclasses.replace(setting, colours=capped(colours))
         model = model_with(trial, []).with_values(kept)
         space = begun(space_for(trial, model, base.free), model, base.start)
         physical, prior = space.physical(space.unconstrained(start=False)), setting.prior.starting(space)
         return rest + fit_noise(model, setting.data, space, physical, prior, noise, setting.substeps).log_likelihood
 
-    first = setting.colour.colours
+    first = setting.colours
     best, gained = likeliest_colours(first, likelihood)
     if not gained >= setting.policy.colour_mended:
         return setting, base
-    trial = dataclasses.replace(setting, colour=ColouredNoise.of(best))
+    trial = dataclasses.replace(setting, colours=capped(best))
     model = model_with(trial, []).with_values(kept)
     refit = fitted(trial, (), model, base.free, noise, base.start)
     return (trial, refit) if refit.predictor.log_likelihood > base.predictor.log_likelihood else (setting, base)
@@ -67,12 +67,12 @@ def coloured(setting: Setting, base: Refit, workers: Workers) -> Setting | None:
         for trial, value in zip(trials, values, strict=True):
             if value > likelihood + setting.policy.colour_gain:
                 likelihood, best = value, trial
-    return dataclasses.replace(setting, colour=ColouredNoise.of(best)) if best else None
+    return dataclasses.replace(setting, colours=capped(best)) if best else None
 
 
 def _likelihood_with(setting: Setting, colours: Colours, base: Refit) -> float:
     """Return the log-likelihood of the base model with coloured noise."""
-    trial = dataclasses.replace(setting, colour=ColouredNoise.of(colours))
+    trial = dataclasses.replace(setting, colours=capped(colours))
     model = model_with(trial, [])
     space = space_for(trial, model, base.free)
     space = dataclasses.replace(space, values=by_name(space, base.space, base.predictor.physical[0]))

@@ -8,7 +8,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from estimators.core.data import CHANNELS, Data, moving, pieces
+from estimators.core.data import Data, moving, pieces
 from estimators.core.fit import Fit
 from estimators.core.initial_state import scales_of, space_of
 from estimators.core.parameter_space import Space
@@ -18,7 +18,7 @@ from estimators.diagnosis.candidate_set import plausible
 from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
 from estimators.diagnosis.refit import Refit
 from estimators.diagnosis.testability import can_show
-from estimators.prediction_error.coloured_noise import ColouredNoise, colours_at_rest
+from estimators.prediction_error.coloured_noise import Colours, capped, colours_at_rest, with_colours
 from estimators.prediction_error.innovations import stretches
 from estimators.prediction_error.noise_estimation import NoiseModel
 from rtac_jax import RTAC
@@ -41,7 +41,7 @@ class Setting:
     model: RTAC
     recording: Recording
     absent: dict[str, Effect]
-    colour: ColouredNoise | None
+    colours: Colours
     colour_seen: bool
     experiments: list[Experiment]
     data: Data
@@ -56,9 +56,7 @@ class Setting:
     @property
     def assumed(self) -> tuple[str, ...]:
         """Channels whose noise was taken as coloured although no rest record shows it."""
-        if self.colour is None or self.colour_seen:
-            return ()
-        return tuple(str(c) for c in np.array(CHANNELS)[np.asarray(self.colour.share) > 0])
+        return () if self.colour_seen else tuple(self.colours)
 
     @property
     def samples(self) -> int:
@@ -118,16 +116,15 @@ def set_up(
             instances += list(found)
             absent[c.id] = absent_like(found[len(found) // 2])
     levels = dict(noise_levels(recording.experiments))
-    colours = colours_at_rest(recording.experiments, policy.colour)
+    colours = capped(colours_at_rest(recording.experiments, policy.colour))
     # The first samples tell the start better than a simulation of a model that may be wrong, except for an angle
     # that nobody measured.
     blind = [e for e in experiments if e.initial_arm_angle is None and "arm_angle" not in e.outputs]
     start = {e.name: starts[e.name] for e in blind if e.name in starts}
     space = space_of(model, experiments, free=shared(model), start=start)
     prior = NoiseModel.of(levels, recording.experiments, scales, space)
-    colour = ColouredNoise.of(colours) if colours else None
     return Setting(
-        model, recording, absent, colour, colour is not None, experiments, Data.of(experiments), prior, possible, instances,
+        model, recording, absent, colours, bool(colours), experiments, Data.of(experiments), prior, possible, instances,
         jnp.asarray(substeps), start, bar, policy,
     )  # fmt: skip
 
@@ -140,7 +137,7 @@ def effect_of(setting: Setting, effect: str, refit: Refit) -> Effect:
 
 def model_with(setting: Setting, effects: Sequence[Effect]) -> RTAC:
     """Return the model with these effects, and with the colour of the sensors' noise."""
-    return reduce(RTAC.__add__, [*effects, *([setting.colour] if setting.colour is not None else [])], setting.model)
+    return with_colours(reduce(RTAC.__add__, effects, setting.model), setting.colours)
 
 
 def space_for(setting: Setting, model: RTAC, free: Sequence[str]) -> Space:

@@ -239,7 +239,7 @@ def next_experiment(
 def _require_plans(plans: Sequence[Plan], taken: Sequence[str]) -> None:
     for plan in plans:
         if not isinstance(plan, Plan):
-            raise ValueError(f"menu: {plan!r} is no plan; give virtual_rig.Plan(...).")
+            raise ValueError(f"menu: {plan!r} is no plan; give rtac_jax.measurement.Plan(...).")
         if plan.arm == "locked" and plan.cart == "clamped":
             raise ValueError(
                 f"menu: in {plan.name} the arm is locked and the cart clamped, so nothing moves; free one of them."

@@ -19,6 +19,7 @@ from scipy.stats import chi2
 
 from estimators.core.data import CHANNELS
 from estimators.prediction_error.colour_limits import COLOUR_LIMITS, ColourLimits
+from rtac_jax import RTAC
 from rtac_jax.effects import Motion, Outputs, Sensor, States
 from rtac_jax.measurement import Experiment
 from rtac_jax.parameters import Scalar, parameter
@@ -43,8 +44,11 @@ def _memory() -> Any:
     return parameter(symbol="tau", unit="s", bounds=(0.0, np.inf), meaning="correlation time", fixed=True, default=1e-3)
 
 
-class ColouredNoise(Sensor):
-    """First-order coloured noise in each output, beside the white; no effect of the rig, so not in the catalogue."""
+class ColourStates(Sensor):
+    """The states of a predictor's model that carry first-order coloured noise in each output, beside the white.
+
+    They are no effect of the rig: what is specified are `Colours`, and `with_colours` adds the states that stand for them.
+    """
 
     id: ClassVar[str] = "coloured_noise"
     equation: ClassVar[str] = "y + n, tau n' = -n + w"
@@ -58,20 +62,6 @@ class ColouredNoise(Sensor):
     cart_position_memory: Scalar = _memory()
     arm_velocity_memory: Scalar = _memory()
     arm_angle_memory: Scalar = _memory()
-
-    @classmethod
-    def of(cls, colours: dict[str, tuple[float, float]]) -> "ColouredNoise":
-        """Build the noise from fraction and correlation time [s] by channel; channels that are not named are white."""
-        values = {}
-        for channel, (share, memory) in colours.items():
-            values |= {f"{channel}_share": min(share, _MOST), f"{channel}_memory": memory}
-        return cls(**values)
-
-    @property
-    def colours(self) -> dict[str, tuple[float, float]]:
-        """Fraction and correlation time [s] of the channels that are not white."""
-        found = {c: (float(getattr(self, f"{c}_share")), float(getattr(self, f"{c}_memory"))) for c in self.states}
-        return {channel: colour for channel, colour in found.items() if colour[0] > 0}
 
     @property
     def share(self) -> Any:
@@ -101,6 +91,19 @@ class ColouredNoise(Sensor):
         return tuple(
             n * jnp.exp(-motion.step / getattr(self, f"{c}_memory")) for c, n in zip(self.states, own, strict=True)
         )
+
+
+def capped(colours: Colours) -> Colours:
+    """Return the colours with some white noise left in each channel."""
+    return {channel: (min(share, _MOST), memory) for channel, (share, memory) in colours.items()}
+
+
+def with_colours(model: RTAC, colours: Colours) -> RTAC:
+    """Return the model of a predictor whose sensors' noise has these colours; channels that are not named are white."""
+    values = {}
+    for channel, (share, memory) in capped(colours).items():
+        values |= {f"{channel}_share": share, f"{channel}_memory": memory}
+    return model + ColourStates(**values) if values else model
 
 
 @dataclasses.dataclass(frozen=True)

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 from estimators.core.data import CHANNELS, Data
 from estimators.core.parameter_space import Space
 from estimators.core.residual import states_at_start
-from estimators.prediction_error.coloured_noise import ColouredNoise
+from estimators.prediction_error.coloured_noise import ColourStates
 from estimators.prediction_error.noise_quadrature import ByNoise
 from rtac_jax import RTAC
 from rtac_jax.simulation import Steps, advance, unit_pushes
@@ -198,10 +198,10 @@ class Wander(NamedTuple):
 def wandering(
     model: RTAC, variance: Float[Array, "output experiment"], sample_time: Float[Array, " experiment"]
 ) -> Wander:
-    """Split the variance of the sensor noise as the model's `ColouredNoise` says; all white without it."""
+    """Split the variance of the sensor noise as the model's `ColourStates` say; all white without it."""
     names = list(model.states)
     nothing = jnp.zeros((len(names), len(sample_time)))
-    colour = next((effect for effect in model.effects if isinstance(effect, ColouredNoise)), None)
+    colour = next((effect for effect in model.effects if isinstance(effect, ColourStates)), None)
     if colour is None:
         return Wander(variance, nothing, nothing, ())
     share, keep = colour.share[:, None], jnp.exp(-sample_time / colour.memory[:, None])

@@ -13,7 +13,7 @@ from estimators.core.fit import Fit
 from estimators.core.initial_state import scales_of, space_of
 from estimators.core.parameter_space import Space
 from estimators.core.sensor_noise import noise_levels
-from estimators.prediction_error.coloured_noise import ColouredNoise, colours_at_rest
+from estimators.prediction_error.coloured_noise import colours_at_rest, with_colours
 from estimators.prediction_error.ekf import Filtered
 from estimators.prediction_error.innovations import one_step_rms, stretches
 from estimators.prediction_error.noise_estimation import NoiseModel, fit_noise, run_filter
@@ -87,9 +87,7 @@ def one_step_ahead(
     Source: Ljung, System Identification (1999), section 16.6, on cross-validation by predictions.
     """
     model = fit.model.with_values({name: jnp.mean(fit.model[name]) for name in fit.model.per_experiment})
-    colours = colours_at_rest(fitted.experiments)
-    if colours:
-        model = model + ColouredNoise.of(colours)
+    model = with_colours(model, colours_at_rest(fitted.experiments))
     substeps = jnp.asarray(int(fit.statistics["substeps"]))
     levels = noise_levels(recording.experiments) | noise_levels(fitted.experiments)
     trained = pieces(moving(fitted))

@@ -90,14 +90,10 @@ def test_motion_makes_the_colour_more_exact(recordings):
     base = fit_base(setting)
     better, refit = recoloured(setting, base)
     assert refit.predictor.log_likelihood > base.predictor.log_likelihood
-    assert better.colour is not None
-    assert better.colour.colours.keys() == {"cart_position", "arm_velocity"}
-    assert setting.colour is not None
-    before, after = (
-        np.log([memory / MEMORY for _, memory in one.colours.values()]) for one in (setting.colour, better.colour)
-    )
+    assert better.colours.keys() == {"cart_position", "arm_velocity"}
+    before, after = (np.log([memory / MEMORY for _, memory in one.colours.values()]) for one in (setting, better))
     assert np.linalg.norm(after) < np.linalg.norm(before)
-    for share, memory in better.colour.colours.values():
+    for share, memory in better.colours.values():
         assert memory == pytest.approx(MEMORY, rel=0.1)
         assert share > 0.9
 
@@ -122,12 +118,10 @@ def test_the_colour_stays_where_the_rest_record_does_not_speak_against_it(record
     fit = est.output_error(rtac.RTAC.from_rig(recording), recording, progress=False)
     setting = setting_of(fit, recording, [rtac.effects.Cogging], tqdm(disable=True))
     better, _ = recoloured(setting, fit_base(setting))
-    assert setting.colour is not None
-    assert better.colour is not None
     spectra = rest_spectra(recording.experiments)
     lost = {}
-    for channel, (share, memory) in setting.colour.colours.items():
-        now_share, now = better.colour.colours[channel]
+    for channel, (share, memory) in setting.colours.items():
+        now_share, now = better.colours[channel]
         assert memory < now < MEMORY, "the motion asks for more memory, and the rest record allows a little"
         least = spectra[channel].log_likelihood(share, memory)
         lost[channel] = least - spectra[channel].log_likelihood(now_share, now)

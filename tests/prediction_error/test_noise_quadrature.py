@@ -9,13 +9,13 @@ import pytest
 
 from estimators.core.data import Data
 from estimators.core.initial_state import space_of
-from estimators.prediction_error.coloured_noise import ColouredNoise
+from estimators.prediction_error.coloured_noise import with_colours
 from estimators.prediction_error.ekf import filtered, kalman
 from estimators.prediction_error.noise_estimation import start_variance
 from rtac_jax import RTAC, Experiment
 
 SENSOR = np.array([2e-5, 0.05, 1.0])
-COLOUR = ColouredNoise.of({"cart_position": (0.6, 0.02)})
+COLOUR = {"cart_position": (0.6, 0.02)}
 
 
 def recorded(random: np.random.Generator, samples: int) -> Experiment:
@@ -25,12 +25,12 @@ def recorded(random: np.random.Generator, samples: int) -> Experiment:
     return Experiment.of(f"e{samples}", kind="free", sample_time=0.01, cart_position=values, arm="locked")
 
 
-@pytest.mark.parametrize("colour", [None, COLOUR])
+@pytest.mark.parametrize("colour", [{}, COLOUR])
 def test_slopes_are_those_of_the_likelihood(colour):
     random = np.random.default_rng(5)
     experiments = [recorded(random, 150), recorded(random, 110)]
     model = RTAC.paper().without("cart_coulomb")
-    model = model if colour is None else model + colour
+    model = with_colours(model, colour)
     space, data = space_of(model, experiments, free=[]), Data.of(experiments)
     data = dataclasses.replace(data, trusted=data.trusted.at[40:55].set(0.0))
     physical = space.physical(space.unconstrained(start=False))

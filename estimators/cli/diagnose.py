@@ -1,9 +1,10 @@
 """`rtac diagnose`: what is missing."""
 
 from functools import reduce
+from typing import Any
 
 from estimators.cli.captions import BANDS, CONFUSION, DIAGNOSIS, WHERE, shown, without_limits
-from estimators.cli.job import job, progress
+from estimators.cli.job import Job, job, progress
 from estimators.cli.models import base_fit
 from estimators.cli.options import Effects, File, Json, Model, Out, Quick, Save, Validation
 from estimators.cli.own_effects import offered
@@ -23,32 +24,13 @@ def diagnose(
     """Rank the effects that the paper's model may be missing."""
     with job(file, validation, out, json, save) as work:
         import estimators as est
-        from estimators.diagnosis.model_extension import holding
         from estimators.reporting import report as _report
         from estimators.reporting import summary
-        from rtac_jax import RTAC
 
         candidates = offered(effects)
         base = base_fit(work, model, effects)
         found = est.diagnose(base, work.train, candidates=candidates, thorough=not quick, progress=progress())
-        fits, labels = [base], ["base"]
-        if found.additions:
-            names = ", ".join(effect.id for effect in found.additions)
-            free = reduce(RTAC.__add__, found.additions, base.model)
-            for extended, held in (
-                (free, ""),
-                (holding(free, [effect.id for effect in found.additions]), ", held at the estimate of the diagnosis"),
-            ):
-                try:
-                    fits.append(est.output_error(extended, work.train, from_model=True, progress=progress()))
-                except (est.NotIdentifiableError, est.DivergedError, FloatingPointError) as error:
-                    failed = f"The model with {names}{held} could not be fitted by simulation: {error}"
-                    work.remark = f"{work.remark} {failed}".strip()
-                else:
-                    labels.append(f"+ {names}{held}")
-                    if held:
-                        work.remark += f" The errors after are those with {names}{held}."
-                    break
+        fits, labels = _refitted(work, base, found)
         trained, tested = work.compared(fits, labels)
         table, errors = _report.candidate_table(found), _report.error_table(trained, tested)
         planned = plan_next(work, base, found, candidates)
@@ -98,3 +80,33 @@ def diagnose(
             ]
             bullets = summary.of_diagnosis(found, trained, tested, file=work.file)
             work.write_report(f"Diagnosis of {work.file}", figures, sections, summary=bullets, traces=tested or trained)
+
+
+def _refitted(work: Job, base: Any, found: Any) -> tuple[list[Any], list[str]]:
+    """Return the base model and, where effects were added, the fit with them by simulation, with labels.
+
+    What a simulation cannot fit is held at the diagnosis's estimate.
+    """
+    import estimators as est
+    from estimators.diagnosis.model_extension import holding
+    from rtac_jax import RTAC
+
+    fits, labels = [base], ["base"]
+    if found.additions:
+        names = ", ".join(effect.id for effect in found.additions)
+        free = reduce(RTAC.__add__, found.additions, base.model)
+        for extended, held in (
+            (free, ""),
+            (holding(free, [effect.id for effect in found.additions]), ", held at the estimate of the diagnosis"),
+        ):
+            try:
+                fits.append(est.output_error(extended, work.train, from_model=True, progress=progress()))
+            except (est.NotIdentifiableError, est.DivergedError, FloatingPointError) as error:
+                failed = f"The model with {names}{held} could not be fitted by simulation: {error}"
+                work.remark = f"{work.remark} {failed}".strip()
+            else:
+                labels.append(f"+ {names}{held}")
+                if held:
+                    work.remark += f" The errors after are those with {names}{held}."
+                break
+    return fits, labels

@@ -204,31 +204,9 @@ def envelope(
         ValueError: fewer than two conditions to fit, an unstable nominal or plant, a plant or nominal that is zero where the
             kind divides by it, orders out of range, or a weight that covers only far above the profile.
     """
-    if kind not in KINDS:
-        raise ValueError(f"kind: is {kind!r}; use one of {', '.join(KINDS)}.")
-    chosen = cast(Kind, kind)
-    if order_nominal < 1 or order_weight < 0:
-        raise ValueError(f"order_nominal, order_weight: are {order_nominal} and {order_weight}; give at least 1 and 0.")
-    free = order_nominal if zeros is None else zeros
-    if not 0 <= free <= order_nominal:
-        raise ValueError(f"zeros: is {zeros}; a proper model of order {order_nominal} has from 0 to {order_nominal}.")
-    if minimise not in get_args(Minimise):
-        raise ValueError(f"minimise: is {minimise!r}; use 'mean' or 'largest'.")
-    if not 0 < confidence < 1:
-        raise ValueError(f"confidence: is {confidence}; give a probability between 0 and 1.")
+    chosen, free = _checked(kind, order_nominal, order_weight, zeros, minimise, confidence)
     found = _representable(responses, omega, chosen)
-    count = len(found.plants)
-    held = np.zeros(count, dtype=bool)
-    for one in held_out:
-        number = found.names.index(one) if isinstance(one, str) and one in found.names else one
-        if isinstance(number, str) or not -count <= number < count:
-            raise ValueError(f"held_out: there is no condition {one!r}; there are {count}: {', '.join(found.names)}.")
-        held[number] = True
-    if np.sum(~held) < 2:
-        raise ValueError(
-            f"responses: {int(np.sum(~held))} condition is left to fit, which has no scatter to cover; give at least two, or "
-            "plants drawn from a parameter covariance."
-        )
+    held = _held(found.names, held_out)
     if kind != "additive" and np.any(found.plants == 0):
         raise ValueError(
             f"responses: a plant is zero at a frequency, where a {kind} gap has no size; use kind='additive'."
@@ -265,7 +243,7 @@ def envelope(
     coverage = (
         held_out_coverage(int(held.sum()), confidence=confidence, raised=raised)
         if held.any()
-        else scenario_coverage(count, int(kept.any(axis=1).sum()), confidence=confidence)
+        else scenario_coverage(len(found.plants), int(kept.any(axis=1).sum()), confidence=confidence)
     )
     return Envelope(
         nominal=model,
@@ -286,6 +264,50 @@ def envelope(
         ),
         minimise=minimise,
     )  # fmt: skip
+
+
+def _checked(
+    kind: str, order_nominal: int, order_weight: int, zeros: int | None, minimise: str, confidence: float
+) -> tuple[Kind, int]:
+    """Return the kind of uncertainty and the number of the nominal model's zeros, after checking what was asked.
+
+    Raises:
+        ValueError: as `envelope`.
+    """
+    if kind not in KINDS:
+        raise ValueError(f"kind: is {kind!r}; use one of {', '.join(KINDS)}.")
+    chosen = cast(Kind, kind)
+    if order_nominal < 1 or order_weight < 0:
+        raise ValueError(f"order_nominal, order_weight: are {order_nominal} and {order_weight}; give at least 1 and 0.")
+    free = order_nominal if zeros is None else zeros
+    if not 0 <= free <= order_nominal:
+        raise ValueError(f"zeros: is {zeros}; a proper model of order {order_nominal} has from 0 to {order_nominal}.")
+    if minimise not in get_args(Minimise):
+        raise ValueError(f"minimise: is {minimise!r}; use 'mean' or 'largest'.")
+    if not 0 < confidence < 1:
+        raise ValueError(f"confidence: is {confidence}; give a probability between 0 and 1.")
+    return chosen, free
+
+
+def _held(names: Sequence[str], held_out: Sequence[int | str]) -> Bool[np.ndarray, " condition"]:
+    """Return which conditions are held out.
+
+    Raises:
+        ValueError: there is no such condition, or fewer than two are left.
+    """
+    count = len(names)
+    held = np.zeros(count, dtype=bool)
+    for one in held_out:
+        number = names.index(one) if isinstance(one, str) and one in names else one
+        if isinstance(number, str) or not -count <= number < count:
+            raise ValueError(f"held_out: there is no condition {one!r}; there are {count}: {', '.join(names)}.")
+        held[number] = True
+    if np.sum(~held) < 2:
+        raise ValueError(
+            f"responses: {int(np.sum(~held))} condition is left to fit, which has no scatter to cover; give at least two, or "
+            "plants drawn from a parameter covariance."
+        )
+    return held
 
 
 def _representable(responses: Responses, omega: Any, kind: Kind) -> PlantSet:

@@ -13,6 +13,8 @@ from rtac_jax.measurement import Experiment, Signal, filled
 
 ANGLE_SPREAD = 0.1  # rad; an arm set by hand at its initial_arm_angle
 UNKNOWN_ANGLE = 3.0  # rad
+_FOLLOWED = 1.5  # rms error of a parabola over the noise up to which it follows the signal
+_SHORTER = 0.75  # number of samples over the one before, where it does not
 UNKNOWN_SPEED = 10.0  # rad/s; an arm without tachometer or encoder
 
 
@@ -40,12 +42,27 @@ def _highest_line(values: Float[np.ndarray, " sample"]) -> int:
 
 
 def first_values(signal: Signal, sample_time: float, frequency: float, degree: int = 2) -> tuple[float, float]:
-    """Return value and slope at the first sample, by a parabola through the first tenth of a period."""
+    """Return value and slope at the first sample, by a parabola through the first samples.
+
+    They span a tenth of a period, or as long as the parabola stays within the noise: an arm that is turned slowly to and fro may
+    move fast beside that.
+    """
     values = filled(signal.values)
-    count = int(np.clip(0.15 / (frequency * sample_time), degree + 3, len(values)))
-    time = sample_time * np.arange(count)
-    fit = np.polynomial.Polynomial.fit(time, values[:count], degree)
-    return float(fit(0.0)), float(fit.deriv()(0.0))
+    least = min(degree + 3, len(values))
+    count = int(np.clip(0.15 / (frequency * sample_time), least, len(values)))
+    noise = _roughness(values)
+    while True:
+        time = sample_time * np.arange(count)
+        fit = np.polynomial.Polynomial.fit(time, values[:count], degree)
+        left = np.sum((values[:count] - fit(time)) ** 2) / max(count - degree - 1, 1)
+        if count <= least or left <= (_FOLLOWED * noise) ** 2:
+            return float(fit(0.0)), float(fit.deriv()(0.0))
+        count = max(least, int(_SHORTER * count))
+
+
+def _roughness(values: Float[np.ndarray, " sample"]) -> float:
+    """Return the standard deviation of white noise whose third differences are as large; infinite where there are none."""
+    return float(np.sqrt(np.mean(np.diff(values, 3) ** 2) / 20)) if len(values) > 3 else np.inf
 
 
 def initial_states(

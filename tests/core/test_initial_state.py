@@ -1,0 +1,52 @@
+"""The states at the start, as the first samples show them."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import estimators as est
+import rtac_jax as rtac
+from estimators.core.initial_state import first_values
+from rtac_jax import virtual_rig
+from rtac_jax.effects import ArmCoulomb
+from rtac_jax.measurement import Signal
+
+NOISE = 1e-3
+
+
+@pytest.mark.parametrize("fast", [0.0, 0.1])
+def test_a_slow_swing_does_not_hide_what_moves_fast_beside_it(fast: float) -> None:
+    """Of an arm that swings slowly and far, with a fast movement upon that, or none."""
+    time = 0.002 * np.arange(4000)
+    angle = 2.0 * np.sin(1.5 * time) + fast * np.sin(40.0 * time)
+    signal = Signal(angle + NOISE * np.random.default_rng(1).standard_normal(len(time)), "rad")
+    value, slope = first_values(signal, 0.002, 1.5 / (2 * np.pi))
+    assert value == pytest.approx(0.0, abs=4 * NOISE)
+    assert slope == pytest.approx(3.0 + 40.0 * fast, abs=1.0 if fast else 0.1)
+
+
+def test_a_constant_has_a_start() -> None:
+    for values in (np.full(5, 0.3), np.full(50, 0.3)):
+        value, slope = first_values(Signal(values, "m"), 0.01, 1.0)
+        assert value == pytest.approx(0.3)
+        assert slope == pytest.approx(0.0, abs=1e-9)
+
+
+def test_an_arm_at_rest_that_only_an_encoder_shows_begins_at_rest() -> None:
+    """The innovations of the first samples are noise, too, where dry friction holds the arm at first."""
+    plans = virtual_rig.standard_plans(
+        seed=9, sample_time=0.002, duration=3.0, free=0, forced=2, rest=0, current_rms=0.1
+    )
+    clamped = [dataclasses.replace(p, cart="clamped", initial_position=0.0, initial_velocity=0.0) for p in plans]
+    rig = virtual_rig.Rig(arm_coulomb=2e-3, encoder=True)
+    whole = virtual_rig.record(rig, clamped, seed=3)
+    shown = [dataclasses.replace(e, outputs={"arm_angle": e.outputs["arm_angle"]}) for e in whole.experiments]
+    recording = dataclasses.replace(whole, experiments=tuple(shown))
+    model = rtac.RTAC.from_rig(recording) + ArmCoulomb(1.5e-3)
+    found = est.prediction_error_nonlinear(model, recording, progress=False)
+    level = found.parameters["arm_coulomb.level"]
+    assert level.value == pytest.approx(2e-3, abs=4 * level.std)
+    assert level.std < 2e-6
+    assert found.statistics["one_step_rms"]["arm_angle"] < 1.2 * rig.angle_noise
+    assert "white" in found.verdict

@@ -262,6 +262,8 @@ def main() -> None:
         print("SciPy over Numba is left out: Numba is not installed here (pip install numba).")
         return hand_back(chosen, found)
     print(f"on the same data both leave the same residual, to {require_same_residual(results):.0e}")
+    # A process for each core: more threads of linear algebra would wait for each other, and take ten times as long.
+    os.environ |= dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
     with ProcessPoolExecutor(workers, mp_context=spawned) as pool:
         for blocks, name in ((False, "as it stands"), (True, "with a Jacobian by blocks")):
             list(pool.map(peer_repetition, range(1000, 1000 + 2 * workers), [blocks] * 2 * workers))

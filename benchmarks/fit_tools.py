@@ -39,14 +39,16 @@ def package(problem: Problem, starts: str) -> Fit:
 
         return whole
 
+    # The peers have their arrays beforehand, too.
+    experiments = pieces(moving(problem.recording))
+    data = Data.of(experiments)
+    begin = {e.name: x for e, x in zip(experiments, starts_of(problem, starts), strict=True)}
+    space = space_of(model, experiments, free=model.free, start=begin)
+    noise = np.ones(len(CHANNELS))
+    noise[[CHANNELS.index(c) for c in ("cart_position", "arm_velocity")]] = problem.noise
+    arguments = Arguments(model, data, space, diagonal_whitener(noise, data), None, 1)
+
     def parameters_alone() -> tuple[np.ndarray, float]:
-        experiments = pieces(moving(problem.recording))
-        data = Data.of(experiments)
-        begin = {e.name: x for e, x in zip(experiments, starts_of(problem, starts), strict=True)}
-        space = space_of(model, experiments, free=model.free, start=begin)
-        noise = np.ones(len(CHANNELS))
-        noise[[CHANNELS.index(c) for c in ("cart_position", "arm_velocity")]] = problem.noise
-        arguments = Arguments(model, data, space, diagonal_whitener(noise, data), None, 1)
         solved = solve(space.unconstrained(start=False), arguments)
         shared = np.asarray(space.physical(solved.unknowns)[0])
         values = dict(zip(space.names, shared, strict=True))

@@ -68,7 +68,7 @@ def _bars(ax: Axes, names: list[str], values: list[float], colours: list[str], f
     ax.set_yticks(range(len(names)), names, fontsize=9)
     ax.invert_yaxis()
     ax.set_xscale("log")
-    ax.set_xlim(0.5 * min(values), 6 * max(values))
+    ax.set_xlim(0.5 * min(values), 12 * max(values))
 
 
 def simulation(ax: Axes, results: dict[str, Any], sections: dict[str, Any], *, single: bool) -> None:
@@ -129,7 +129,8 @@ def waiting(ax: Axes, results: dict[str, Any], sections: dict[str, Any]) -> None
         ax.bar_label(bars, [f"{v:.0f}" if v >= 10 else f"{v:.1f}" for v in values], fontsize=9)
     ax.set_xticks(range(len(works)), list(works.values()), fontsize=9)
     ax.set_ylabel("seconds")
-    ax.legend(fontsize=9)
+    ax.set_ylim(0, 1.25 * ax.get_ylim()[1])
+    ax.legend(fontsize=9, ncols=3, loc="upper center", columnspacing=1.0, handlelength=1.0)
     ax.set_title("How long a user waits", fontsize=11)
     return None
 
@@ -176,11 +177,12 @@ def memory(ax: Axes, results: dict[str, Any], sections: dict[str, Any]) -> None:
         values += row["megabytes"]
     if not names:
         return _empty(ax, "Memory")
-    bars = ax.barh(range(len(names)), values, color=OWN)
-    ax.bar_label(bars, [f"{v:.0f}" for v in values], padding=3, fontsize=9)
+    bars = ax.barh(range(len(names)), values, color=OWN, height=0.7)
+    ax.bar_label(bars, [f"{v:,.0f}" for v in values], padding=3, fontsize=9)
     ax.set_yticks(range(len(names)), names, fontsize=9)
     ax.invert_yaxis()
     ax.set_xlim(0, 1.15 * max(values))
-    ax.set_xlabel("largest resident memory [MiB]")
-    ax.set_title("Memory, of which the interpreter with its libraries takes 300 MiB", fontsize=11)
+    ax.set_xlabel("largest resident memory [MiB], of which 300 are Python and its libraries")
+    largest = f": a diagnosis takes {values[0] / 1024:.1f} GiB" if names[0].startswith("diagnosis") else ""
+    ax.set_title(f"Memory of a process{largest}", fontsize=11)
     return None

@@ -65,6 +65,9 @@ class Known:
     def quiet_scores(self, model: FittedModel) -> tuple[Score, ...]:
         return ()
 
+    def equation_scores(self, model: FittedModel) -> tuple[Score, ...]:
+        return ()
+
     def held_out(self, before: FittedModel, after: FittedModel) -> HeldOut:
         (effect,) = set(after.added) - set(before.added)
         gain = self.gains.get(effect, 1.0)

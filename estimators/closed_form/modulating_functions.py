@@ -24,10 +24,14 @@ _STEPS = 4  # test functions per half width
 _BAND = 4.0  # up to this many times the cart's frequency its velocity is looked at for turns
 _QUICK = 2.0  # times that band for the velocity by which the cart turns the arm
 _KINKS = 2  # times the turns are looked for again with the kink of dry friction put back
+_NARROWEST = 8  # samples of half a test function, at least, where the noise says how narrow it may be
+_NOISY = (
+    1e-3  # of the power of the arm's acceleration that may be noise there, which biases a regressor by just as much
+)
 _TRUSTED = 5.0  # standard deviations of the noise above which a velocity has a sign
 
 
-class _Tests:
+class ModulatingFunctions:
     """Test functions of one half width over one experiment, and integrals against them and their derivatives."""
 
     def __init__(self, samples: int, dt: float, half: float) -> None:
@@ -73,6 +77,92 @@ class _Tests:
         return np.lib.stride_tricks.sliding_window_view(values, length)[:: self.step][: len(self.middle)]
 
 
+class WeakMotion(NamedTuple):
+    """The motion of one experiment beside the test functions of both equations; arrays have one element per sample.
+
+    Attributes:
+        on_cart, on_arm: the test functions.
+        position: of the cart, as measured, gaps bridged [m]; zero where it is clamped.
+        velocity: of the cart, smooth, by which its turns are found [m/s].
+        quick: the same in a wider band.
+        angle: of the arm, as measured or integrated from its velocity [rad].
+        omega: the arm's velocity, as measured or differentiated from a smooth angle [rad/s].
+        turning: the same, smooth.
+        band: of the smooth velocity of the cart [Hz].
+        from_angle: the arm's velocity is not measured, its angle is.
+        has_arm: the arm's motion is measured.
+    """
+
+    on_cart: ModulatingFunctions
+    on_arm: ModulatingFunctions
+    position: Values
+    velocity: Values
+    quick: Values
+    angle: Values
+    omega: Values
+    turning: Values
+    band: float
+    from_angle: bool
+    has_arm: bool
+
+
+def weak_motion(experiment: Experiment, levels: Mapping[str, float] | None = None) -> WeakMotion:
+    """Return the motion of an experiment, and test functions as wide as its rhythm asks.
+
+    Args:
+        experiment: that moves.
+        levels: noise of each channel, SI units: the arm's test functions are as narrow as that allows, as nobody knows how fast
+            the arm moves. None for the rhythm of the cart.
+
+    Raises:
+        ValueError: the experiment shows no cart position, or is shorter than two test functions.
+    """
+    require_position(experiment)
+    dt, count = experiment.sample_time, experiment.samples
+    frequency = dominant_frequency([experiment])
+    if experiment.cart == "clamped":
+        # The arm has no rhythm of its own, and a slow drift must not ask for test functions longer than the experiment.
+        frequency = max(frequency, 4.0 / experiment.duration)
+    try:
+        on_cart, on_arm = (ModulatingFunctions(count, dt, width / frequency) for width in (_CART, _ARM))
+    except ValueError:
+        raise ValueError(
+            f"experiment {experiment.name}: too short for test functions of {2 * _CART / frequency:.3g} s; record for longer."
+        ) from None
+    zero = np.zeros(count)
+    q = channel(experiment, "cart_position")
+    q = zero if q is None else q
+    raw_angle, raw_omega = channel(experiment, "arm_angle"), channel(experiment, "arm_velocity")
+    first = experiment.initial_arm_angle or 0.0
+    if raw_angle is not None:
+        angle = raw_angle
+        slow = _smooth(raw_angle, 8 * _BAND * frequency * dt)
+        omega = np.gradient(slow, dt) if raw_omega is None else raw_omega
+    elif raw_omega is not None:
+        omega, angle = raw_omega, integrated(raw_omega, first, dt)
+    else:
+        omega, angle = zero, zero + first
+    from_angle = raw_angle is not None and raw_omega is None
+    while levels is not None and on_arm.m >= 2 * _NARROWEST:
+        narrower = ModulatingFunctions(count, dt, 0.5 * on_arm.m * dt)
+        inertia = narrower(angle, 2) if from_angle else narrower(omega, 1)
+        noise = narrower.noise(levels.get("arm_angle" if from_angle else "arm_velocity", 0.0), 2 if from_angle else 1)
+        if noise**2 > _NOISY * np.mean(inertia**2):
+            break
+        on_arm = narrower
+    band = min(0.33 / dt, _BAND * frequency)
+    smooth = _smooth(q, band * dt) if np.any(q) else q
+    velocity = CubicSpline(dt * np.arange(count), smooth)(dt * np.arange(count), 1)
+    quick = (
+        CubicSpline(dt * np.arange(count), _smooth(q, _QUICK * band * dt))(dt * np.arange(count), 1) if np.any(q) else q
+    )
+    turning = _smooth(omega, 8 * band * dt) if np.any(omega) else omega
+    return WeakMotion(
+        on_cart, on_arm, q, velocity, quick, angle, omega, turning, band,
+        from_angle, raw_angle is not None or raw_omega is not None,
+    )  # fmt: skip
+
+
 def integrated_terms(
     experiment: Experiment,
     levels: Mapping[str, float],
@@ -101,51 +191,36 @@ def integrated_terms(
 
     Source: Shinbrot, Trans. ASME 79 (1957), modulating functions; Preisig and Rippin, Comput. Chem. Eng. 17 (1993).
     """
-    require_position(experiment)
-    dt, count = experiment.sample_time, experiment.samples
-    frequency = dominant_frequency([experiment])
-    if experiment.cart == "clamped":
-        # The arm has no rhythm of its own, and a slow drift must not ask for test functions longer than the experiment.
-        frequency = max(frequency, 4.0 / experiment.duration)
-    try:
-        on_cart, on_arm = (_Tests(count, dt, width / frequency) for width in (_CART, _ARM))
-    except ValueError:
-        raise ValueError(
-            f"experiment {experiment.name}: too short for test functions of {2 * _CART / frequency:.3g} s; record for longer."
-        ) from None
-    zero = np.zeros(count)
-    q = channel(experiment, "cart_position")
-    q = zero if q is None else q
-    raw_angle, raw_omega = channel(experiment, "arm_angle"), channel(experiment, "arm_velocity")
-    first = experiment.initial_arm_angle or 0.0
-    if raw_angle is not None:
-        angle = raw_angle
-        slow = _smooth(raw_angle, 8 * _BAND * frequency * dt)
-        omega = np.gradient(slow, dt) if raw_omega is None else raw_omega
-    elif raw_omega is not None:
-        omega, angle = raw_omega, integrated(raw_omega, first, dt)
-    else:
-        omega, angle = zero, zero + first
+    return terms_of(
+        experiment, weak_motion(experiment), levels, near_zero=near_zero, dry_rate=dry_rate, drive_rate=drive_rate
+    )
+
+
+def terms_of(
+    experiment: Experiment,
+    motion: WeakMotion,
+    levels: Mapping[str, float],
+    *,
+    near_zero: float,
+    dry_rate: float = 0.0,
+    drive_rate: float = 0.0,
+) -> Terms:
+    """Return `integrated_terms` from a motion that is at hand."""
+    dt = experiment.sample_time
+    on_cart, on_arm, q, angle, omega, band = (
+        motion.on_cart, motion.on_arm, motion.position, motion.angle, motion.omega, motion.band,
+    )  # fmt: skip
     current = experiment.inputs.get("current")
     held = current is not None and current.intersample == "zoh"
-    jumps = np.diff(current.values, prepend=current.values[:1]) if held and current is not None else zero
-    from_angle = raw_angle is not None and raw_omega is None
-    inertia = on_arm(angle, 2) if from_angle else on_arm(omega, 1)
-    of_arm = ("arm_angle", 2) if from_angle else ("arm_velocity", 1)
-
-    band = min(0.33 / dt, _BAND * frequency)
-    smooth = _smooth(q, band * dt) if np.any(q) else q
-    velocity = CubicSpline(dt * np.arange(count), smooth)(dt * np.arange(count), 1)
-    distance = _distance(velocity, dt)
+    jumps = np.diff(current.values, prepend=current.values[:1]) if held and current is not None else np.zeros(len(q))
+    inertia = on_arm(angle, 2) if motion.from_angle else on_arm(omega, 1)
+    of_arm = ("arm_angle", 2) if motion.from_angle else ("arm_velocity", 1)
+    distance = integrated_sign(motion.velocity, dt)
     for _ in range(_KINKS if dry_rate > 0 and np.any(q) else 0):
         rounded = _smooth(distance.values, band * dt)
-        distance = _distance(velocity - dry_rate * (distance.values - rounded), dt)
-    quick = (
-        CubicSpline(dt * np.arange(count), _smooth(q, _QUICK * band * dt))(dt * np.arange(count), 1) if np.any(q) else q
-    )
-    turning = _smooth(omega, 8 * band * dt) if np.any(omega) else omega
-    way = turning > 0
-    speed = on_cart.largest(velocity)
+        distance = integrated_sign(motion.velocity - dry_rate * (distance.values - rounded), dt)
+    way = motion.turning > 0
+    speed = on_cart.largest(motion.velocity)
     noise = levels.get("cart_position", 0.0) * 2 * np.pi * band * np.sqrt(2 * band * dt / 3)
     return Terms(
         name=experiment.name,
@@ -160,7 +235,7 @@ def integrated_terms(
         arm={
             "inertia": inertia,
             # By parts once: the derivative of the test function times cos(theta), against the cart's velocity.
-            "reaction": on_arm(quick * np.cos(angle), 1) + on_arm(quick * np.sin(angle) * omega),
+            "reaction": on_arm(motion.quick * np.cos(angle), 1) + on_arm(motion.quick * np.sin(angle) * omega),
             "current": on_arm.of_input(current) + on_arm.of_kinks(jumps, 1),
             "positive": on_arm(np.where(way, omega, 0.0)) + drive_rate * on_arm.of_kinks(np.where(way, jumps, 0.0), 0),
             "negative": on_arm(np.where(way, 0.0, omega)) + drive_rate * on_arm.of_kinks(np.where(way, 0.0, jumps), 0),
@@ -168,7 +243,7 @@ def integrated_terms(
         angle=angle[on_cart.middle],
         sliding=(speed > near_zero * np.max(speed, initial=0.0)) & (speed > _TRUSTED * noise),
         arm_free=experiment.arm == "free",
-        has_arm=raw_angle is not None or raw_omega is not None,
+        has_arm=motion.has_arm,
         lag=on_arm.lag,
         noise=(on_cart.noise(levels.get("cart_position", 0.0), 2), on_arm.noise(levels.get(of_arm[0], 0.0), of_arm[1])),
         weight=float(np.sum(on_cart.weights[0])),
@@ -193,7 +268,7 @@ class _Distance(NamedTuple):
     integral: Values
 
 
-def _distance(velocity: Values, dt: float) -> _Distance:
+def integrated_sign(velocity: Values, dt: float) -> _Distance:
     """Integrate the sign of a velocity twice; exact where the velocity is a straight line between samples."""
     before, after = velocity[:-1], velocity[1:]
     turned = before * after < 0

@@ -18,6 +18,7 @@ from estimators.diagnosis.candidate_set import offered
 from estimators.diagnosis.choice import bic_gain, gain, held_out_gain
 from estimators.diagnosis.evidence import Evidence
 from estimators.diagnosis.explanation import SHAKEN, not_named, shaken, strayed, surer, without_the_physics, words
+from estimators.diagnosis.gross_effects import is_gross, offering_gross
 from estimators.diagnosis.innovation_tests import (
     latent_of,
     limits_of,
@@ -179,7 +180,7 @@ def diagnose(
                 f"no candidate is left: nothing in the recording could show {', '.join(c.id for c in classes)}."
             )
         with warnings.catch_warnings():  # what threads do to the filters at the same time ends here
-            laboratory = _begun(setting, fit, Workers())
+            laboratory = _begun(setting, fit, Workers(), whole=candidates is None)
             decide(laboratory, policy, thorough=thorough)
             evidence = laboratory.evidence(thorough=thorough)
         bar.set_description("diagnose: verdict")
@@ -193,13 +194,22 @@ def diagnose(
     return dataclasses.replace(told, seconds=time.perf_counter() - began)
 
 
-def _begun(setting: Setting, fit: Fit, workers: Workers) -> LiveLaboratory:
-    """Return a laboratory with the base model fitted and tested, while another thread compiles what comes next."""
+def _begun(setting: Setting, fit: Fit, workers: Workers, *, whole: bool) -> LiveLaboratory:
+    """Return a laboratory with the base model fitted and tested, while another thread compiles what comes next.
+
+    Args:
+        setting: the data and the candidates.
+        fit: that is diagnosed.
+        workers: compute side by side.
+        whole: whether the candidates are all that are known.
+    """
     setting.bar.set_description("diagnose: predictor of the base model")
     first = setting
     with workers.compiling(pieces_of_tests(first), before=lambda: compile_base(first)) as ahead:
         setting, base = recoloured(setting, fit_base(setting))
         setting, base = trusting(setting, base)
+        if whole and is_gross(setting, fit, base):
+            setting = offering_gross(setting)
         setting.bar.set_description("diagnose: candidates")
         return LiveLaboratory(setting, fit, base, run_tests(setting, base, ahead), workers)
 
@@ -254,7 +264,7 @@ def _explanation(told: Diagnosis, found: Judgement, setting: Setting, *, thoroug
         told.places, told.lines, told.simulation, told.policy, told.consequence, found.detectable,
     )  # fmt: skip
     if told.simulation is not None and further and not steps:
-        text += without_the_physics(further)
+        text += without_the_physics(further, told.simulation)
     if steps and further:
         text += not_named(further, told.left, setting.samples)
     alarms = alarming(found.selection.findings.scores, told.policy.critical)

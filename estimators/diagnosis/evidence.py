@@ -93,7 +93,7 @@ class Refitting:
 
     Attributes:
         before: number of the model.
-        way: "filter", "thorough" or "without".
+        way: "filter", "thorough", "equations" or "without".
         effect: id.
         shape: of the candidate from which the refit began; -1 for "without".
         after: number of the model that came of it; None where it diverged.
@@ -121,6 +121,7 @@ class Facts:
         noise: standard deviation of each channel's noise, SI units.
         effects: traits of every candidate by id.
         untestable: ids of candidates that the data could not show at any plausible size.
+        unfollowed: rms error of the diagnosed fit's simulation over the rms of the motion, of the channel where it is most.
     """
 
     samples: int
@@ -133,6 +134,7 @@ class Facts:
     noise: Mapping[str, float] = dataclasses.field(default_factory=dict)
     effects: Mapping[str, EffectTraits] = dataclasses.field(default_factory=dict)
     untestable: tuple[str, ...] = ()
+    unfollowed: float = 0.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -153,6 +155,7 @@ class Evidence:
         held_out: by numbers of the model before and the one after.
         simulations: error of a free simulation by number of the model; of the base model that of the diagnosed fit.
         policy: the thresholds by which was chosen what to compute.
+        equations: scores by what takes off the equation error, by number of the model; where a fit follows nothing.
     """
 
     facts: Facts
@@ -166,6 +169,7 @@ class Evidence:
     held_out: Mapping[tuple[int, int], HeldOut]
     simulations: Mapping[int, SimulationError]
     policy: Mapping[str, float | int]
+    equations: Mapping[int, tuple[Score, ...]] = dataclasses.field(default_factory=dict)
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write the evidence to a file (JSON, with NaN and Infinity as numbers), aside first, and renamed once it is whole.

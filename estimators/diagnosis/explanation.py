@@ -148,9 +148,11 @@ def not_named(further: Sequence[Step], left: Sequence[AdequacyTest], samples: in
     return f" Of what is then left {choice} would remove {100 * share:.0f} %, too little to be named."
 
 
-def without_the_physics(steps: Sequence[Step]) -> str:
-    """Return what the predictions speak for where random forces stand in for the physics beside it, so that it is not named."""
+def without_the_physics(steps: Sequence[Step], simulation: SimulationResidual) -> str:
+    """Return what the predictions speak for where a simulation with it does not follow, so that it is not named."""
     names = " and ".join(" or ".join([step.id, *step.rivals]) for step in without_named_rivals(steps))
+    if simulation.cause != "stand-in":
+        return f" That is with {names}, which would improve the predictions; without the simulation that follows it is not named."
     return (
         f" {names} would improve the predictions, but random forces stand in for the physics beside it too: it may make up for"
         " a part of another mistake, so it is not named."

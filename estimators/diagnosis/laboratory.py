@@ -6,8 +6,9 @@ from typing import Literal, Protocol, runtime_checkable
 from estimators.diagnosis.evidence import Evidence, Facts, FittedModel, HeldOut, SimulationError
 from estimators.misspecification.findings import Findings, Score
 
-Way = Literal["filter", "thorough"]
-"""To refit a model with a candidate: from the shape that was screened, or from wherever a refit may begin."""
+Way = Literal["filter", "thorough", "equations"]
+"""To refit a model with a candidate: from the shape that was screened, from wherever a refit may begin, or from where the equations
+of motion put it."""
 
 
 @runtime_checkable
@@ -48,6 +49,10 @@ class Laboratory(Protocol):
 
     def quiet_scores(self, model: FittedModel) -> tuple[Score, ...]:
         """Score candidates against a predictor with low process noise."""
+        ...
+
+    def equation_scores(self, model: FittedModel) -> tuple[Score, ...]:
+        """Score candidates by what they take off the equation error of a model, those that a forward selection takes first."""
         ...
 
     def held_out(self, before: FittedModel, after: FittedModel) -> HeldOut:
@@ -107,6 +112,12 @@ class Archive:
         if model.number not in self._evidence.quiet:
             self._note(f"scores with low process noise of the model with {_named(model)}")
         return self._evidence.quiet.get(model.number, ())
+
+    def equation_scores(self, model: FittedModel) -> tuple[Score, ...]:
+        """Return the scores of candidates by what they take off the equation error of a model."""
+        if model.number not in self._evidence.equations:
+            self._note(f"equation error of the model with {_named(model)}")
+        return self._evidence.equations.get(model.number, ())
 
     def held_out(self, before: FittedModel, after: FittedModel) -> HeldOut:
         """Return what an effect gains where it was not estimated."""

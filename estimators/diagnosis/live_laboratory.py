@@ -16,6 +16,7 @@ from estimators.diagnosis.evidence import (
     Refitting,
     SimulationError,
 )
+from estimators.diagnosis.gross_effects import screened_by_equations
 from estimators.diagnosis.innovation_tests import limits_of, quietly_screened, run_tests, scores_of, simulation_error
 from estimators.diagnosis.laboratory import Way
 from estimators.diagnosis.noise_colour import coloured, recoloured
@@ -30,11 +31,12 @@ from estimators.diagnosis.refitting import (
     refit_first,
     refit_without,
 )
-from estimators.diagnosis.setting import Setting
+from estimators.diagnosis.setting import Setting, unfollowed
 from estimators.diagnosis.workers import Workers
 from estimators.inference.simulation_residual import known_noise
 from estimators.misspecification.candidate_screening import Screened
 from estimators.misspecification.detection_limit import is_testable
+from estimators.misspecification.equation_screening import Explained
 from estimators.misspecification.findings import Findings, Score
 from estimators.validation.vuong_test import by_stretch
 from rtac_jax.effects import Effect
@@ -66,6 +68,8 @@ class LiveLaboratory:
         self._computed: list[tuple[Setting, Refit]] = []
         self._tested: dict[int, Tested] = {}
         self._quiet: dict[int, tuple[Score, ...]] = {}
+        self._equations: dict[int, tuple[Score, ...]] = {}
+        self._explained: dict[Score, Explained] = {}
         self._screened: dict[Score, Screened] = {}
         self._refits: dict[tuple[int, str, str], Refitting] = {}
         self._held_out: dict[tuple[int, int], HeldOut] = {}
@@ -86,15 +90,14 @@ class LiveLaboratory:
     ) -> dict[str, FittedModel]:
         """Refit a model with the first candidate and those near it, and test the first meanwhile."""
         setting, refit = self.computed(before)
-        held = [self._screened[s] for s in near]
-        found, tested = refit_first(setting, refit, self._screened[first], held, way, self._workers)
+        held = self._held([first, *near], way)
+        found, tested = refit_first(setting, refit, held[0], held[1:], way, self._workers)
         return self._added(before, [first, *near], way, found, {first.id: tested})
 
     def refits(self, before: FittedModel, several: Sequence[Score], way: Way) -> dict[str, FittedModel]:
         """Refit a model with each of several candidates."""
         setting, refit = self.computed(before)
-        held = [self._screened[s] for s in several]
-        found = refit_each(setting, refit, held, way, self._workers)
+        found = refit_each(setting, refit, self._held(several, way), way, self._workers)
         return self._added(before, several, way, found, {})
 
     def without(self, model: FittedModel, effect: str) -> FittedModel | None:
@@ -120,6 +123,18 @@ class LiveLaboratory:
             scores = self._quiet[model.number] = scores_of(screened)
             self._screened |= dict(zip(scores, screened, strict=True))
         return self._quiet[model.number]
+
+    def equation_scores(self, model: FittedModel) -> tuple[Score, ...]:
+        """Score candidates by what they take off the equation error of a model."""
+        if model.number not in self._equations:
+            explained = screened_by_equations(*self.computed(model))
+            scores = tuple(
+                Score(e.id, place, e.amplitudes, float(e.statistic), e.p_value, tuple(np.asarray(e.begin).tolist()))
+                for place, e in enumerate(explained)
+            )
+            self._equations[model.number] = scores
+            self._explained |= dict(zip(scores, explained, strict=True))
+        return self._equations[model.number]
 
     def held_out(self, before: FittedModel, after: FittedModel) -> HeldOut:
         """Return what an effect gains where it was not estimated."""
@@ -183,7 +198,12 @@ class LiveLaboratory:
             held_out=dict(self._held_out),
             simulations=dict(self._simulations),
             policy=self.policy.as_dict(),
+            equations=dict(self._equations),
         )
+
+    def _held(self, several: Sequence[Score], way: Way) -> list[Screened | Explained]:
+        """Return what scores were computed from."""
+        return [self._explained[s] if way == "equations" else self._screened[s] for s in several]
 
     def _added(
         self,
@@ -252,6 +272,7 @@ def facts_of(setting: Setting, fit: Fit) -> Facts:
         left_out=float(setting.left_out),
         noise={channel: float(level) for channel, level in fit.noise.items()},
         effects={i: traits(effect) for i, effect in setting.classes.items()},
+        unfollowed=unfollowed(fit, setting.data),
     )
 
 

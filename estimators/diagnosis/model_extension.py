@@ -9,6 +9,7 @@ import numpy as np
 from estimators.core.data import mark_of
 from estimators.core.fit import Fit
 from estimators.core.results import RESULTS, DivergedError, NotIdentifiableError
+from estimators.diagnosis.gross_effects import begun_by_equations
 from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
 from estimators.output_error.fit import output_error
 from estimators.prediction_error.fit import prediction_error_nonlinear
@@ -89,7 +90,7 @@ def add_effect(
         policy: the thresholds by which it is kept.
         progress: show bars.
     """
-    extended = before.model + effect
+    extended = begun_by_equations(before, before.model + effect, train, policy)
     bases = [Added(before, tested, "simulated")]
     steps: list[Added] = []
     reasons = []

@@ -23,12 +23,14 @@ from estimators.diagnosis.contact_trials import (
     likeliest_begin,
 )
 from estimators.diagnosis.evidence import HeldOut, SimulationError
+from estimators.diagnosis.gross_effects import placed_inside
 from estimators.diagnosis.innovation_tests import QUIET, pieces_of_tests, run_tests, simulation_error
 from estimators.diagnosis.laboratory import Way
 from estimators.diagnosis.refit import Refit, Tested
 from estimators.diagnosis.setting import Setting, begun, effect_of, model_with, set_up, shared, space_for
 from estimators.diagnosis.workers import Workers
 from estimators.misspecification.candidate_screening import Screened
+from estimators.misspecification.equation_screening import Explained
 from estimators.output_error.fit import output_error
 from estimators.prediction_error.noise_estimation import compile_predictor, fit_predictor, without_shaken
 from estimators.validation.model_comparison import by_sample, held_out
@@ -73,6 +75,22 @@ def refit_with(setting: Setting, before: Refit, s: Screened) -> Refit:
     """Fit a model with one candidate more, all parameters together."""
     model, free, added = _beginning(setting, before, s)
     return fitted(setting, added, model, free, before.predictor.noise, before.start)
+
+
+def refit_from_equations(setting: Setting, before: Refit, e: Explained) -> Refit:
+    """Refit with a candidate from where the equations of motion put it and the base model's parameters, with little random force.
+
+    Where the base model follows nothing, its own parameters and random forces are those of another motion.
+
+    Raises:
+        ArithmeticError: the model diverges, or leaves parameters free.
+    """
+    model, free, added = _extended(setting, before, e)
+    shape = {name: float(np.asarray(getattr(e.instance, name))) for name in declarations(e.instance)}
+    sizes = shape | dict(zip(e.amplitudes, np.asarray(e.begin).tolist(), strict=True))
+    values = {**e.values} | {f"{e.id}.{name}": value for name, value in sizes.items()}
+    noise = np.concatenate([np.minimum(before.predictor.noise[:2], QUIET), before.predictor.noise[2:]])
+    return fitted(setting, added, placed_inside(model, values), free, noise, {})
 
 
 def refit_thoroughly(setting: Setting, before: Refit, s: Screened) -> Refit:
@@ -186,11 +204,13 @@ def extended_simulation(setting: Setting, fit: Fit, final: Refit) -> SimulationE
     setting.bar.set_description("diagnose: simulation with what was added")
     extended = reduce(RTAC.__add__, [effect_of(setting, i, final) for i in final.added], fit.model)
     extended = extended.with_values({n: v for n, v in final.values.items() if n in extended.parameters})
-    try:
-        simulated = output_error(extended, setting.recording, from_model=True, progress=False)
-        return simulation_error(setting, simulated, final)
-    except (ArithmeticError, NotIdentifiableError):
-        return simulation_error(setting, fit, final)
+    base = [name for name in extended.free if name.split(".")[0] not in final.added]
+    # What the data leave free, as the torque constant of an arm that its drive never turns, is held where the predictor has it.
+    for model in (extended, extended.fix(*base)):
+        with contextlib.suppress(ArithmeticError, NotIdentifiableError):
+            simulated = output_error(model, setting.recording, from_model=True, progress=False)
+            return simulation_error(setting, simulated, final)
+    return simulation_error(setting, fit, final)
 
 
 def refit_without(setting: Setting, refit: Refit, effect: str) -> Refit:
@@ -202,23 +222,30 @@ def refit_without(setting: Setting, refit: Refit, effect: str) -> Refit:
     return fitted(setting, added, model, free, refit.predictor.noise, refit.start)
 
 
-def _refit_or_none(setting: Setting, before: Refit, s: Screened, way: Way) -> Refit | None:
+def _refit_or_none(setting: Setting, before: Refit, s: Screened | Explained, way: Way) -> Refit | None:
     """Fit a model with one candidate more; None if the model diverges with it."""
     setting.bar.set_description(f"diagnose: refit with {s.id}")
     with contextlib.suppress(ArithmeticError, NotIdentifiableError):
+        if isinstance(s, Explained):
+            return refit_from_equations(setting, before, s)
         return (refit_thoroughly if way == "thorough" else refit_with)(setting, before, s)
     return None
 
 
 def refit_each(
-    setting: Setting, before: Refit, several: Sequence[Screened], way: Way, workers: Workers
+    setting: Setting, before: Refit, several: Sequence[Screened | Explained], way: Way, workers: Workers
 ) -> dict[str, Refit]:
     """Refit with each of several candidates, but for those with which the model diverges."""
     return _refits(several, workers.each(lambda s: _refit_or_none(setting, before, s, way), several))
 
 
 def refit_first(
-    setting: Setting, before: Refit, first: Screened, near: Sequence[Screened], way: Way, workers: Workers
+    setting: Setting,
+    before: Refit,
+    first: Screened | Explained,
+    near: Sequence[Screened | Explained],
+    way: Way,
+    workers: Workers,
 ) -> tuple[dict[str, Refit], Tested | None]:
     """Refit with the first candidate and those near it, and test the first.
 
@@ -283,7 +310,9 @@ def _beginning(setting: Setting, before: Refit, s: Screened) -> tuple[RTAC, tupl
     return model.with_values({n: v for n, v in values.items() if n in model.parameters}), free, added
 
 
-def _extended(setting: Setting, before: Refit, s: Screened) -> tuple[RTAC, tuple[str, ...], tuple[str, ...]]:
+def _extended(
+    setting: Setting, before: Refit, s: Screened | Explained
+) -> tuple[RTAC, tuple[str, ...], tuple[str, ...]]:
     """Return a model with one candidate more at null, its free parameters, and the ids of what was added."""
     added = (*before.added, s.id)
     declared = declarations(s.instance)
@@ -326,5 +355,5 @@ def fitted(
     return Refit(added, model, found, space, by_sample(found.filtered), free, triangles)
 
 
-def _refits(several: Sequence[Screened], found: Sequence[Refit | None]) -> dict[str, Refit]:
+def _refits(several: Sequence[Screened | Explained], found: Sequence[Refit | None]) -> dict[str, Refit]:
     return {s.id: refit for s, refit in zip(several, found, strict=True) if refit is not None}

@@ -8,7 +8,7 @@ from estimators.diagnosis.choice import chosen, reconsidered
 from estimators.diagnosis.evidence import FittedModel
 from estimators.diagnosis.laboratory import Laboratory, Way
 from estimators.diagnosis.policy import DiagnosisPolicy
-from estimators.diagnosis.removed_error import named
+from estimators.diagnosis.removed_error import follows_nothing, named
 from estimators.diagnosis.step import Step
 from estimators.misspecification.adequacy import (
     AdequacyTest,
@@ -68,6 +68,10 @@ def select(laboratory: Laboratory, policy: DiagnosisPolicy, *, thorough: bool) -
         policy: the thresholds.
         thorough: look again at what raised no alarm, where the misfit would stay unknown.
     """
+    if gross(laboratory, policy):
+        by_equations = explaining_equations(laboratory, policy)
+        if named(by_equations.steps, by_equations.tests, laboratory.facts.samples, policy)[1]:
+            return by_equations
     found = _selected(laboratory, laboratory.base, policy)
     if any(test.rejects for test in found.tests) and not laboratory.facts.rest:
         # Noise that wanders makes almost every effect look useful; without rest records the likelihood must say.
@@ -77,6 +81,28 @@ def select(laboratory: Laboratory, policy: DiagnosisPolicy, *, thorough: bool) -
         if coloured is not None and coloured.log_likelihood > final.log_likelihood:
             found = _selected(laboratory, coloured, policy)
     return second_looks(laboratory, found, policy) if thorough else found
+
+
+def gross(laboratory: Laboratory, policy: DiagnosisPolicy) -> bool:
+    """Return whether the fit that is diagnosed follows nothing."""
+    base, facts = laboratory.base, laboratory.facts
+    random = (base.random_force, base.random_torque)
+    return follows_nothing(facts.unfollowed, random, facts.samples_per_radian, policy)
+
+
+def explaining_equations(laboratory: Laboratory, policy: DiagnosisPolicy) -> Selection:
+    """Select effects by what they take off the equation error, which needs no fit of the base model.
+
+    The first step tries what a forward selection takes, and what comes next; what is then left shows in the innovations.
+    """
+    laboratory.say("equations of motion")
+    findings = laboratory.findings(laboratory.base) or Findings()
+    tests = adequacy_tests(findings, policy.critical)
+    ranked = [s for s in laboratory.equation_scores(laboratory.base) if s.statistic > policy.bic_gain][: policy.refits]
+    look = _Look(ranked, _near(ranked, _statistic, policy.close) if ranked else [], "equations")
+    return Selection(
+        laboratory.base, findings, tests, *improvements(laboratory, laboratory.base, findings, policy, look)
+    )
 
 
 def _selected(laboratory: Laboratory, base: FittedModel, policy: DiagnosisPolicy) -> Selection:

@@ -9,7 +9,7 @@ from estimators.diagnosis.laboratory import Archive, Laboratory
 from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
 from estimators.diagnosis.removed_error import Verdict, named, without_named_rivals
 from estimators.diagnosis.step import Step
-from estimators.diagnosis.stepwise_selection import Selection, select
+from estimators.diagnosis.stepwise_selection import Selection, gross, select
 from estimators.inference.simulation_residual import (
     SimulationResidual,
     random_forces_are_large,
@@ -119,7 +119,8 @@ def decide(laboratory: Laboratory, policy: DiagnosisPolicy, *, thorough: bool) -
     if verdict == "adequate":
         simulation = _of_base(laboratory, found, policy)
     elif count:
-        simulation = _stand_in(laboratory, found.steps[count - 1].model, policy)
+        doubted = _unfollowing if gross(laboratory, policy) else _stand_in
+        simulation = doubted(laboratory, found.steps[count - 1].model, policy)
     if simulation is not None and simulation.vetoes:
         verdict, count = "unknown", 0
     steps = without_named_rivals(found.steps[:count])
@@ -178,6 +179,21 @@ def _stand_in(laboratory: Laboratory, final: FittedModel, policy: DiagnosisPolic
         return None
     found = _residual(laboratory, final, policy, "")
     return found if found is not None and found.cause == "stand-in" else None
+
+
+def _unfollowing(laboratory: Laboratory, final: FittedModel, policy: DiagnosisPolicy) -> SimulationResidual | None:
+    """Return what the simulation of a model with effects added misses, where the base model's followed nothing.
+
+    Against a model that follows nothing everything improves the predictions. A filter without random forces is a simulation, which
+    meets the data or not; one with some is asked for the simulation itself.
+
+    Returns:
+        None where there are next to no random forces, no noise is known, or the simulation follows as far as they let it.
+    """
+    if max(final.random_force, final.random_torque) < policy.gross_random or not laboratory.facts.noise_known:
+        return None
+    found = _residual(laboratory, final, policy, "")
+    return found if found is not None and found.vetoes else None
 
 
 def _residual(

@@ -17,12 +17,13 @@ from estimators.diagnosis.diagnose import Diagnosis
 from estimators.prediction_error.noise_estimation import NoiseModel, fit_trusted
 from rtac_jax import RTAC
 from rtac_jax.effects import CATALOGUE, Effect
+from rtac_jax.effects.one_sided_spring import GROSS
 from rtac_jax.effects.wrong_constant import WRONG_CONSTANTS
 from rtac_jax.measurement import Recording
 from rtac_jax.parameters import declarations
 
 _RIVALS = 2  # nearest candidates that an effect is told from where the diagnosis found no ambiguity
-_WRONG: dict[str, type[Effect]] = {c.id: c for c in WRONG_CONSTANTS.values()}
+_BESIDE: dict[str, type[Effect]] = {c.id: c for c in WRONG_CONSTANTS.values()} | GROSS
 MODEL = "the model alone"
 """What a single effect is told from."""
 
@@ -73,7 +74,7 @@ def contest_of(
     effects = _chosen(found, between)
     # What was named without doubt is told from its rivals, not these from each other.
     sure = effects[0] if between is None and found.verdict == "missing" else None
-    classes = {c.id: c for c in candidates} if candidates is not None else CATALOGUE | _WRONG
+    classes = {c.id: c for c in candidates} if candidates is not None else CATALOGUE | _BESIDE
     known = {c.id: c for c in found.candidates}
     experiments = pieces(moving(recording))
     scales = scales_of(fit.model, experiments)

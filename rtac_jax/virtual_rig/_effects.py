@@ -60,6 +60,18 @@ def springs(batch: Batch) -> Act | None:
     return act
 
 
+def one_sided_spring(batch: Batch) -> Act | None:
+    """Build the spring that acts on one side of the cart's rest only."""
+    if batch.rows("one_sided_spring") is None:
+        return None
+    stiffness, position, impulse = batch.column("one_sided_spring") * batch.step, batch.position[0], batch.impulse[0]
+
+    def act() -> None:
+        impulse[:] -= stiffness * np.maximum(position, 0.0)
+
+    return act
+
+
 def offset(batch: Batch) -> Act | None:
     """Build the constant force on the cart."""
     if batch.rows("force_offset") is None:
@@ -308,6 +320,7 @@ def maxwell_spring(batch: Batch) -> Act | None:
 
 BUILDERS = (
     springs,
+    one_sided_spring,
     offset,
     hysteresis,
     bristles,

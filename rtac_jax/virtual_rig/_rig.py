@@ -255,6 +255,8 @@ class Rig:
     """[N/m], outside the catalogue: a spring in series with a damper, both in parallel with k."""
     maxwell_damping: float = 10.0
     """[N s/m]."""
+    one_sided_spring: float = 0.0
+    """k_1 [N/m], outside the catalogue: force -k_1 max(q, 0), a spring that is stiffer on one side."""
     eddy_torque: float = 0.0
     """T [N m], outside the catalogue: an eddy-current brake, -2 T x / (1 + x^2) with x = theta' / w_c; T is its peak."""
     eddy_velocity: float = 5.0

@@ -57,6 +57,7 @@ EFFECTS = [
     {"vibration_force": 0.1},
     {"maxwell_stiffness": 20.0},
     {"eddy_torque": 1e-3},
+    {"one_sided_spring": 30.0},
 ]
 SHOWING = standard_plans(seed=2, duration=4.0, free=1, forced=1, rest=0)
 

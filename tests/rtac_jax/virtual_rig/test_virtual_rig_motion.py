@@ -56,7 +56,7 @@ def reference(rig: Rig, plan: Plan) -> np.ndarray:
         cart = me * arm_speed**2 * np.sin(theta) - rig.spring_stiffness * q - rig.cart_viscous * speed + f
         cart -= rig.cubic_spring * q**3 + rig.quadratic_spring * q**2 + body * pull
         cart -= rig.cart_quadratic_drag * abs(speed) * speed + rig.maxwell_stiffness * (q - inner)
-        cart -= rig.hysteresis_stiffness * z
+        cart -= rig.hysteresis_stiffness * z + rig.one_sided_spring * max(q, 0.0)
         cart -= rig.cart_presliding * bristles[0] / rig.cart_presliding_yield
         cart += rig.total_mass * g * np.sin(rig.tilt_along)
         away = (q - rig.detent_position) / rig.detent_width
@@ -107,6 +107,7 @@ SMOOTH = {
     "tilt": {"tilt_along": 0.01, "tilt_across": 0.03},
     "arm": {"cogging_torque": 2e-3, "cogging_phase": 0.4, "cable_stiffness": 1e-3, "cable_home": 0.5},
     "detent": {"detent_force": 0.2},
+    "one side": {"one_sided_spring": 60.0},
     "vibration": {"vibration_force": 0.2, "vibration_phase": 1.0},
     "maxwell": {"maxwell_stiffness": 30.0, "maxwell_damping": 4.0},
     "hysteresis": {"hysteresis_stiffness": 30.0},

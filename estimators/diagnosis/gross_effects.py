@@ -1,0 +1,99 @@
+"""Gross effects: where the fit of the base model follows nothing, candidates are screened by the equations of motion."""
+
+import dataclasses
+from collections.abc import Mapping
+
+import numpy as np
+
+from estimators.closed_form.equation_error import equation_error
+from estimators.core.data import Data, moving, pieces
+from estimators.core.fit import Fit
+from estimators.core.initial_state import scales_of
+from estimators.core.sensor_noise import noise_levels
+from estimators.diagnosis.policy import DiagnosisPolicy
+from estimators.diagnosis.refit import Refit
+from estimators.diagnosis.removed_error import follows_nothing
+from estimators.diagnosis.setting import Setting, absent_like, unfollowed
+from estimators.diagnosis.testability import can_show
+from estimators.misspecification.equation_screening import Explained, explained_by
+from rtac_jax import RTAC
+from rtac_jax.effects.one_sided_spring import GROSS
+from rtac_jax.measurement import Recording
+
+
+def is_gross(setting: Setting, fit: Fit, base: Refit) -> bool:
+    """Return whether the fit of the base model follows nothing.
+
+    Args:
+        setting: the data and the policy.
+        fit: that is diagnosed.
+        base: predictor of its model.
+    """
+    random = (float(base.predictor.random_force), float(base.predictor.random_torque))
+    return follows_nothing(unfollowed(fit, setting.data), random, float(setting.samples_per_radian), setting.policy)
+
+
+def offering_gross(setting: Setting) -> Setting:
+    """Return the setting with candidates beside the catalogue that are never small."""
+    scales = scales_of(setting.model, setting.experiments)
+    more = {
+        i: found
+        for i, c in GROSS.items()
+        if i not in setting.model and can_show(c, setting.experiments) and (found := c.candidates(scales))
+    }
+    return dataclasses.replace(
+        setting,
+        absent=setting.absent | {i: absent_like(found[len(found) // 2]) for i, found in more.items()},
+        classes=setting.classes | {i: GROSS[i] for i in more},
+        instances=[*setting.instances, *(one for found in more.values() for one in found)],
+    )
+
+
+def screened_by_equations(setting: Setting, refit: Refit) -> list[Explained]:
+    """Return what candidates take off the equation error of a model, those that a forward selection takes first.
+
+    Args:
+        setting: the data and the candidates.
+        refit: of the model.
+    """
+    levels = noise_levels(setting.recording.experiments)
+    model = refit.model.with_values({n: v for n, v in refit.values.items() if n in refit.model.parameters})
+    equations = equation_error(model, setting.experiments, levels)
+    if equations is None:
+        return []
+    instances = [i for i in setting.instances if i.id not in refit.added]
+    policy = setting.policy
+    return explained_by(equations, instances, least=policy.bic_gain, most=policy.effects)
+
+
+def begun_by_equations(fit: Fit, model: RTAC, recording: Recording, policy: DiagnosisPolicy) -> RTAC:
+    """Return a model with effects where the equations of motion put its other parameters, if the fit without them follows nothing.
+
+    Args:
+        fit: of the model without the effects.
+        model: with them, at their estimates; everything else as the fit left it.
+        recording: that was fitted.
+        policy: the thresholds.
+    """
+    experiments = pieces(moving(recording))
+    if unfollowed(fit, Data.of(experiments)) <= policy.unfollowed:
+        return model
+    equations = equation_error(model, experiments, noise_levels(recording.experiments))
+    return model if equations is None else placed_inside(model, equations.solved().values)
+
+
+def placed_inside(model: RTAC, values: Mapping[str, float]) -> RTAC:
+    """Return a model with these of its values, those beyond a bound a hundredth of the model's own inside it.
+
+    An eccentric moment that no rigid body has is left as it was.
+    """
+    declared = model.parameters
+    scale = float(np.mean(np.asarray(model["total_mass"] * model["arm_inertia"])))
+    inside = {}
+    for name in [name for name in values if name in declared]:
+        if name == "eccentric_moment" and not values[name] ** 2 < scale:
+            continue
+        low, high = declared[name].bounds
+        room = 0.01 * abs(float(np.mean(np.asarray(model[name]))))
+        inside[name] = float(np.clip(values[name], low + room, high - room))
+    return model.with_values(inside)

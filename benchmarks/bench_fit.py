@@ -1,6 +1,6 @@
 """How fast a fit is, beside SciPy's least squares over Numba and optimistix over diffrax.
 
-    python benchmarks/bench_fit.py [--experiments 18] [--samples 5000] [--limit 60]
+    python benchmarks/bench_fit.py [--experiments 18] [--samples 5000] [--limit 30]
 
 First everybody solves the same problem, the starts given exactly: six parameters of a rig without dry friction, the same equations
 and steps, from the same values. All must leave the same residual and end at the same parameters, or the program ends with an error.
@@ -113,7 +113,7 @@ def main() -> None:
     made = parser(__doc__)
     made.add_argument("--experiments", type=int, default=18)
     made.add_argument("--samples", type=int, default=5000)
-    made.add_argument("--limit", type=float, default=60.0, help="seconds after which a fit is given up")
+    made.add_argument("--limit", type=float, default=30.0, help="seconds after which a fit is given up")
     made.add_argument("--one", nargs=2, metavar=("TOOL", "STARTS"), help="fit once, in this process")
     chosen = made.parse_args()
     if chosen.small:

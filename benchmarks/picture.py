@@ -1,6 +1,7 @@
 """`results.png`: what `results.json` holds, as one picture."""
 
 import functools
+import textwrap
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,7 @@ TOOLS = {
 
 def draw(results: dict[str, Any], path: Path) -> None:
     """Draw what is there; a part that was not run is said to be missing."""
-    figure, axes = plt.subplots(2, 3, figsize=(17, 9.5), layout="constrained")
+    figure, axes = plt.subplots(2, 3, figsize=(19, 11), layout="constrained")
     one, several = (functools.partial(simulation, single=single) for single in (True, False))
     parts = [one, several, fits, waiting, growth, memory]
     sections = results.get("sections", {})
@@ -49,9 +50,9 @@ def headline(results: dict[str, Any]) -> str:
         batch, single = ratios["batch_512_vs_c"], ratios["single_vs_c"]
         said.append(f"a batch is simulated in {batch:.1f} times the time of C, one trajectory in {single:.0f} times")
     faster = {"SciPy over Numba": "fit_vs_scipy_numba", "optimistix over diffrax": "fit_vs_diffrax_optimistix"}
-    peers = [f"{ratios[key]:.1f} times {name}" for name, key in faster.items() if key in ratios]
+    peers = [f"{1 / ratios[key]:.2g} times the time of {name}" for name, key in faster.items() if key in ratios]
     if peers:
-        said.append("the fit is as fast as " + " and ".join(peers))
+        said.append("a fit in " + " and in ".join(peers))
     return "; ".join(said)[:1].upper() + "; ".join(said)[1:]
 
 
@@ -65,7 +66,7 @@ def _bars(ax: Axes, names: list[str], values: list[float], colours: list[str], f
     """Horizontal bars from the fastest to the slowest, on a logarithmic axis, with their values."""
     bars = ax.barh(range(len(names)), values, color=colours)
     ax.bar_label(bars, [form.format(v) for v in values], padding=3, fontsize=9)
-    ax.set_yticks(range(len(names)), names, fontsize=9)
+    ax.set_yticks(range(len(names)), [textwrap.fill(name, 22) for name in names], fontsize=9)
     ax.invert_yaxis()
     ax.set_xscale("log")
     ax.set_xlim(0.5 * min(values), 12 * max(values))
@@ -102,17 +103,16 @@ def fits(ax: Axes, results: dict[str, Any], sections: dict[str, Any]) -> None:
         colours.append(OWN if row["tool"] == "package" else PEER)
     _bars(ax, names, values, colours, "{:.2f}")
     ax.set_xlabel("warm, seconds")
-    ax.set_title("Six parameters fitted to the same data, all with the same residual", fontsize=11)
+    ax.set_title("Six parameters fitted to the same data", fontsize=11)
     if given_up:
-        ax.text(0.98, 0.02, "given up: " + "; ".join(given_up), ha="right", fontsize=8, transform=ax.transAxes)
+        ax.set_xlabel("warm, seconds; given up:\n" + "\n".join(given_up))
     return None
 
 
 def waiting(ax: Axes, results: dict[str, Any], sections: dict[str, Any]) -> None:
     seconds = results.get("seconds", {})
     works = {
-        "fit": "fit,\n18 x 5,000", "diagnose": "diagnosis\nafter it", "unknown": "unknown,\n5 runs of 4 s",
-        "example": "example of\nthe README", "demo": "rtac demo",
+        "fit": "fit", "diagnose": "diag-\nnosis", "unknown": "un-\nknown", "example": "README's\nexample", "demo": "rtac\ndemo",
     }  # fmt: skip
     calls = {
         "cold": ("nothing compiled", COLD),
@@ -129,9 +129,9 @@ def waiting(ax: Axes, results: dict[str, Any], sections: dict[str, Any]) -> None
         ax.bar_label(bars, [f"{v:.0f}" if v >= 10 else f"{v:.1f}" for v in values], fontsize=9)
     ax.set_xticks(range(len(works)), list(works.values()), fontsize=9)
     ax.set_ylabel("seconds")
-    ax.set_ylim(0, 1.25 * ax.get_ylim()[1])
-    ax.legend(fontsize=9, ncols=3, loc="upper center", columnspacing=1.0, handlelength=1.0)
-    ax.set_title("How long a user waits", fontsize=11)
+    ax.set_ylim(0, 1.3 * ax.get_ylim()[1])
+    ax.legend(fontsize=9, loc="upper right")
+    ax.set_title("How long a user waits (fit and diagnosis: 18 x 5,000)", fontsize=11)
     return None
 
 
@@ -179,10 +179,10 @@ def memory(ax: Axes, results: dict[str, Any], sections: dict[str, Any]) -> None:
         return _empty(ax, "Memory")
     bars = ax.barh(range(len(names)), values, color=OWN, height=0.7)
     ax.bar_label(bars, [f"{v:,.0f}" for v in values], padding=3, fontsize=9)
-    ax.set_yticks(range(len(names)), names, fontsize=9)
+    ax.set_yticks(range(len(names)), [textwrap.fill(name, 22) for name in names], fontsize=9)
     ax.invert_yaxis()
-    ax.set_xlim(0, 1.15 * max(values))
-    ax.set_xlabel("largest resident memory [MiB], of which 300 are Python and its libraries")
+    ax.set_xlim(0, 1.3 * max(values))
+    ax.set_xlabel("largest resident memory [MiB],\nof which 300 are Python and its libraries")
     largest = f": a diagnosis takes {values[0] / 1024:.1f} GiB" if names[0].startswith("diagnosis") else ""
     ax.set_title(f"Memory of a process{largest}", fontsize=11)
     return None

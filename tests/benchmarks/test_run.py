@@ -165,3 +165,17 @@ def test_ratios_are_to_the_faster_of_one_peers_methods(bench: SimpleNamespace) -
     row = bench.peers.Row
     rows = [row(bench.simulation.OWN, 512, 26.0), row(bench.peers.C, 512, 20.0), row(bench.simulation.OWN, 1, 500.0)]
     assert bench.simulation.ratios(rows) == {"batch_512_vs_c": 1.3}
+
+
+def test_what_was_measured_last_is_complete(bench: SimpleNamespace) -> None:
+    results = bench.file.read(BENCHMARKS / "results.json")
+    assert bench.file.missing(results) == []
+    assert not any(run["small"] for run in results["sections"].values())
+    assert results["sections"].keys() <= bench.run.SECTIONS.keys()
+
+
+def test_a_picture_is_drawn_of_what_there_is(bench: SimpleNamespace, tmp_path: Path) -> None:
+    results = bench.file.read(BENCHMARKS / "results.json")
+    for sections in (results["sections"], {}):
+        bench.picture.draw(results | {"sections": sections}, tmp_path / "results.png")
+        assert (tmp_path / "results.png").stat().st_size > 10_000

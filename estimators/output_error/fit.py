@@ -244,7 +244,8 @@ class _Run:
             near = self._solve(unknowns, arguments, tolerance=1e-3, gain=_GUIDANCE, most=15)
             unknowns = near.unknowns
             if share == _CORRECTION[0]:
-                if near.cost > _HOPELESS * self.nearest:
+                # Half a unit of each sample is noise: whoever predicts that well is not hopeless.
+                if near.cost > _HOPELESS * max(self.nearest, 0.5 * float(jnp.sum(self.data.present))):
                     return None
                 self.nearest = min(self.nearest, near.cost)
         for part in () if begins_near else parts[:-1]:

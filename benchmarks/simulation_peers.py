@@ -1,7 +1,6 @@
 """Other ways to simulate the rig: C by hand, Numba, NumPy, SciPy and diffrax; what is not installed is left out."""
 
 import importlib.util
-import re
 import shutil
 import subprocess
 import tempfile
@@ -12,7 +11,7 @@ import numpy as np
 from measuring import best_of
 from rig_equations import KM, KV1, KV2, ME, SMOOTH_ARM, SMOOTH_CART, START, STEP, D, J, K, M, V, currents, slope
 
-FLOOR = Path(__file__).parent / "floor"
+FLOOR = Path(__file__).parent / "floor" / "rk4.c"
 C = "C by hand, the floor"
 
 
@@ -25,21 +24,28 @@ class Row(NamedTuple):
 
 
 def of_c() -> list[Row]:
-    """The hand-written programs of `floor/`, where there are a compiler and AVX-512; each takes the best of five, four times."""
+    """Run the hand-written program of `floor/`, where there are a compiler and AVX-512: one trajectory and 512, the best of 20."""
     compiler = shutil.which("gcc")
     rows = []
     with tempfile.TemporaryDirectory() as folder:
-        for name, options, count in (("rk4_scalar", ["-lm"], 1), ("rk4_limit", ["-DALG", "-lmvec", "-lm"], 512)):
-            program, source = str(Path(folder) / name), str(FLOOR / f"{name}.c")
-            command = [str(compiler), "-O3", "-march=native", "-ffast-math", "-o", program, source, *options]
+        for options, count in (("-DLANES=1 -lm", 1), ("-DLANES=8 -lmvec -lm", 512)):
+            program = str(Path(folder) / f"rk4_{count}")
+            command = [
+                str(compiler),
+                "-O3",
+                "-march=native",
+                "-ffast-math",
+                "-o",
+                program,
+                str(FLOOR),
+                *options.split(),
+            ]
             try:
                 subprocess.run(command, check=True, capture_output=True)
                 runs = [subprocess.run([program], check=True, capture_output=True, text=True) for _ in range(4)]
             except (OSError, subprocess.CalledProcessError):
                 continue  # no compiler, another processor or C library
-            rows.append(
-                Row(C, count, min(float(x) for x in re.findall(r"([\d.]+) ns", "".join(run.stdout for run in runs))))
-            )
+            rows.append(Row(C, count, min(float(run.stdout.split()[0]) for run in runs)))
     return rows
 
 

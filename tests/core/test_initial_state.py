@@ -7,7 +7,7 @@ import pytest
 
 import estimators as est
 import rtac_jax as rtac
-from estimators.core.initial_state import first_values
+from estimators.core.initial_state import first_values, space_of
 from rtac_jax import virtual_rig
 from rtac_jax.effects import ArmCoulomb
 from rtac_jax.measurement import Signal
@@ -24,6 +24,31 @@ def test_a_slow_swing_does_not_hide_what_moves_fast_beside_it(fast: float) -> No
     value, slope = first_values(signal, 0.002, 1.5 / (2 * np.pi))
     assert value == pytest.approx(0.0, abs=4 * NOISE)
     assert slope == pytest.approx(3.0 + 40.0 * fast, abs=1.0 if fast else 0.1)
+
+
+@pytest.mark.parametrize("encoder", [False, True])
+def test_the_start_is_within_what_the_prior_allows(encoder: bool) -> None:
+    """Of sixteen rigs, played differently; the true start is that of the plan."""
+    jobs = []
+    for number in range(16):
+        plans = virtual_rig.standard_plans(seed=number, sample_time=0.002, duration=2.0, free=1, forced=2, rest=0)
+        rig = virtual_rig.Rig(encoder=encoder, arm_coulomb=1e-3 * (number % 3)).drawn(40 + number)
+        jobs.append((rig, plans, 80 + number))
+    apart = []
+    for recording, (_, plans, _) in zip(virtual_rig.record_many(jobs), jobs, strict=True):
+        shown = [
+            dataclasses.replace(
+                e, outputs={c: s for c, s in e.outputs.items() if not (encoder and c == "arm_velocity")}
+            )
+            for e in recording.experiments
+        ]
+        space = space_of(rtac.RTAC.from_rig(recording), shown, free=[])
+        truth = np.array(
+            [[p.initial_position, p.initial_velocity, p.initial_angle, p.initial_arm_velocity] for p in plans]
+        ).T
+        apart.append((np.asarray(space.start) - truth) / np.asarray(space.start_scale))
+    assert np.max(np.abs(apart)) < 3.0
+    assert np.sqrt(np.mean(np.square(apart), axis=(0, 2))) == pytest.approx(0.0, abs=1.0)
 
 
 def test_a_constant_has_a_start() -> None:

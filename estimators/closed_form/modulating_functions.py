@@ -25,9 +25,7 @@ _BAND = 4.0  # up to this many times the cart's frequency its velocity is looked
 _QUICK = 2.0  # times that band for the velocity by which the cart turns the arm
 _KINKS = 2  # times the turns are looked for again with the kink of dry friction put back
 _NARROWEST = 8  # samples of half a test function, at least, where the noise says how narrow it may be
-_NOISY = (
-    1e-3  # of the power of the arm's acceleration that may be noise there, which biases a regressor by just as much
-)
+_NOISY = 1e-3  # of the power of the arm's acceleration that may be noise: it biases a regressor by just as much
 _TRUSTED = 5.0  # standard deviations of the noise above which a velocity has a sign
 
 
@@ -170,6 +168,7 @@ def integrated_terms(
     near_zero: float,
     dry_rate: float = 0.0,
     drive_rate: float = 0.0,
+    motion: WeakMotion | None = None,
 ) -> Terms:
     """Return the terms of both equations against test functions, whose derivatives replace those of the measurements.
 
@@ -185,27 +184,14 @@ def integrated_terms(
         drive_rate: torque constant divided by inertia [rad/s^2/A], as far as it is known: where a held current jumps, the
             arm's velocity has a kink.
         near_zero: a test function slides where the rms velocity over it is above this fraction of the largest.
+        motion: of the experiment, where it is at hand with test functions of its own.
 
     Raises:
         ValueError: the experiment shows no cart position, or is shorter than two test functions.
 
     Source: Shinbrot, Trans. ASME 79 (1957), modulating functions; Preisig and Rippin, Comput. Chem. Eng. 17 (1993).
     """
-    return terms_of(
-        experiment, weak_motion(experiment), levels, near_zero=near_zero, dry_rate=dry_rate, drive_rate=drive_rate
-    )
-
-
-def terms_of(
-    experiment: Experiment,
-    motion: WeakMotion,
-    levels: Mapping[str, float],
-    *,
-    near_zero: float,
-    dry_rate: float = 0.0,
-    drive_rate: float = 0.0,
-) -> Terms:
-    """Return `integrated_terms` from a motion that is at hand."""
+    motion = weak_motion(experiment) if motion is None else motion
     dt = experiment.sample_time
     on_cart, on_arm, q, angle, omega, band = (
         motion.on_cart, motion.on_arm, motion.position, motion.angle, motion.omega, motion.band,

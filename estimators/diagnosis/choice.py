@@ -128,13 +128,13 @@ def _once_more(
     winner = chosen(laboratory, before, tried, policy)
     if winner is not None and winner.id == effect:
         return [*steps[:place], dataclasses.replace(step, rivals=winner.rivals), *steps[place + 1 :]]
-    if winner is None and _presupposed(laboratory, steps, step, policy):
+    if winner is None and _may_stand_beside(laboratory, steps, step, policy):
         return steps
     rebuilt = _rebuilt(laboratory, base, steps, place, before, policy)
     return steps if rebuilt is None else rebuilt + ([] if winner is None else [winner])
 
 
-def _presupposed(laboratory: Laboratory, steps: Sequence[Step], step: Step, policy: DiagnosisPolicy) -> bool:
+def _may_stand_beside(laboratory: Laboratory, steps: Sequence[Step], step: Step, policy: DiagnosisPolicy) -> bool:
     """Return whether another step presupposes this one, and the data do not rule it out beside that."""
     known = steps[-1].model.values
 

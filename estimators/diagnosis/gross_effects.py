@@ -5,16 +5,17 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from estimators.closed_form.equation_error import equation_error
+from estimators.closed_form.motion_regression import motion_regression
 from estimators.core.data import Data, moving, pieces
 from estimators.core.fit import Fit
 from estimators.core.initial_state import scales_of
 from estimators.core.sensor_noise import noise_levels
 from estimators.diagnosis.policy import DiagnosisPolicy
 from estimators.diagnosis.refit import Refit
-from estimators.diagnosis.removed_error import follows_nothing
-from estimators.diagnosis.setting import Setting, absent_like, unfollowed
+from estimators.diagnosis.setting import Setting, absent_like
 from estimators.diagnosis.testability import can_show
+from estimators.inference.shaken_simulation import unfollowed
+from estimators.inference.simulation_residual import follows_nothing
 from estimators.misspecification.equation_screening import Explained, explained_by
 from rtac_jax import RTAC
 from rtac_jax.effects.one_sided_spring import GROSS
@@ -30,7 +31,8 @@ def is_gross(setting: Setting, fit: Fit, base: Refit) -> bool:
         base: predictor of its model.
     """
     random = (float(base.predictor.random_force), float(base.predictor.random_torque))
-    return follows_nothing(unfollowed(fit, setting.data), random, float(setting.samples_per_radian), setting.policy)
+    limits = setting.policy.simulation
+    return follows_nothing(unfollowed(fit, setting.data, limits), random, float(setting.samples_per_radian), limits)
 
 
 def offering_gross(setting: Setting) -> Setting:
@@ -58,7 +60,7 @@ def screened_by_equations(setting: Setting, refit: Refit) -> list[Explained]:
     """
     levels = noise_levels(setting.recording.experiments)
     model = refit.model.with_values({n: v for n, v in refit.values.items() if n in refit.model.parameters})
-    equations = equation_error(model, setting.experiments, levels)
+    equations = motion_regression(model, setting.experiments, levels)
     if equations is None:
         return []
     instances = [i for i in setting.instances if i.id not in refit.added]
@@ -76,9 +78,9 @@ def begun_by_equations(fit: Fit, model: RTAC, recording: Recording, policy: Diag
         policy: the thresholds.
     """
     experiments = pieces(moving(recording))
-    if unfollowed(fit, Data.of(experiments)) <= policy.unfollowed:
+    if unfollowed(fit, Data.of(experiments), policy.simulation) <= policy.unfollowed:
         return model
-    equations = equation_error(model, experiments, noise_levels(recording.experiments))
+    equations = motion_regression(model, experiments, noise_levels(recording.experiments))
     return model if equations is None else placed_inside(model, equations.solved().values)
 
 

@@ -31,8 +31,9 @@ from estimators.diagnosis.refitting import (
     refit_first,
     refit_without,
 )
-from estimators.diagnosis.setting import Setting, unfollowed
+from estimators.diagnosis.setting import Setting
 from estimators.diagnosis.workers import Workers
+from estimators.inference.shaken_simulation import unfollowed
 from estimators.inference.simulation_residual import known_noise
 from estimators.misspecification.candidate_screening import Screened
 from estimators.misspecification.detection_limit import is_testable
@@ -272,7 +273,7 @@ def facts_of(setting: Setting, fit: Fit) -> Facts:
         left_out=float(setting.left_out),
         noise={channel: float(level) for channel, level in fit.noise.items()},
         effects={i: traits(effect) for i, effect in setting.classes.items()},
-        unfollowed=unfollowed(fit, setting.data),
+        unfollowed=unfollowed(fit, setting.data, setting.policy.simulation),
     )
 
 

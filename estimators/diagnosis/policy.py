@@ -175,7 +175,7 @@ class DiagnosisPolicy:
         "set between shaken rigs (0.005 to 0.01) and recordings with signs or units wrong (0.1 to 0.4)",
     )
     unfollowed: float = _threshold(
-        0.25,
+        SimulationLimits.unfollowed,
         "rms simulation error of the fit over the rms of the motion from which it follows nothing, so that effects are screened by"
         " the equations of motion too",
         "moderate effects of the study 0.20 at most in 56 of 58 recordings (draws 201 and 202), gross ones 0.31 to 0.94",
@@ -218,7 +218,9 @@ class DiagnosisPolicy:
     @property
     def simulation(self) -> SimulationLimits:
         """Return the thresholds of the simulation's error."""
-        return SimulationLimits(self.simulation_noise, self.simulation_poor, self.random_large, self.simulation_level)
+        return SimulationLimits(
+            self.simulation_noise, self.simulation_poor, self.random_large, self.simulation_level, self.unfollowed
+        )
 
     @property
     def words(self) -> str:

@@ -7,7 +7,6 @@ from typing import Literal
 
 from estimators.diagnosis.policy import DiagnosisPolicy
 from estimators.diagnosis.step import Step
-from estimators.inference.simulation_residual import random_forces_are_large
 from estimators.misspecification.adequacy import AdequacyTest, excess_of, removed_by_repeats
 
 Verdict = Literal["adequate", "missing", "ambiguous", "unknown"]
@@ -29,20 +28,6 @@ def named(
     if not steps:
         return ("unknown" if any(test.rejects for test in tests) else "adequate"), 0, 0.0
     return "unknown", 0, share_removed(steps, tests, samples)
-
-
-def follows_nothing(
-    unfollowed: float, random: tuple[float, float], samples_per_radian: float, policy: DiagnosisPolicy
-) -> bool:
-    """Return whether a fit follows so little of the motion that its parameters mean nothing, and random forces replace the physics.
-
-    Args:
-        unfollowed: rms error of its simulation over the rms of the motion.
-        random: force and torque of its predictor in one sample, as fractions of the rms forces.
-        samples_per_radian: of the cart's natural swing.
-        policy: the thresholds.
-    """
-    return unfollowed > policy.unfollowed and random_forces_are_large(random, samples_per_radian, policy.simulation)
 
 
 def without_named_rivals(steps: Sequence[Step]) -> list[Step]:

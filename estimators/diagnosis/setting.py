@@ -8,7 +8,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from estimators.core.data import CHANNELS, Data, moving, pieces
+from estimators.core.data import Data, moving, pieces
 from estimators.core.fit import Fit
 from estimators.core.initial_state import scales_of, space_of
 from estimators.core.parameter_space import Space
@@ -18,7 +18,6 @@ from estimators.diagnosis.candidate_set import plausible
 from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
 from estimators.diagnosis.refit import Refit
 from estimators.diagnosis.testability import can_show
-from estimators.inference.shaken_simulation import signal_rms
 from estimators.prediction_error.coloured_noise import Colours, capped, colours_at_rest, with_colours
 from estimators.prediction_error.innovations import stretches
 from estimators.prediction_error.noise_estimation import NoiseModel
@@ -128,24 +127,6 @@ def set_up(
         model, recording, absent, colours, bool(colours), experiments, Data.of(experiments), prior, possible, instances,
         jnp.asarray(substeps), start, bar, policy,
     )  # fmt: skip
-
-
-def unfollowed(fit: Fit, data: Data) -> float:
-    """Return the rms error of a fit's simulation over the rms of the motion, of the channel where that is most.
-
-    Only channels count in which the error is more than what the noise of the sensor is.
-
-    Args:
-        fit: whose simulation it is.
-        data: that it was fitted to.
-    """
-    signal = signal_rms(data)
-    found = [
-        error / signal[CHANNELS.index(channel)]
-        for channel, error in fit.residual_std.items()
-        if error**2 > 2.0 * fit.noise[channel] ** 2 and signal[CHANNELS.index(channel)] > 0
-    ]
-    return float(max(found, default=0.0))
 
 
 def effect_of(setting: Setting, effect: str, refit: Refit) -> Effect:

@@ -8,8 +8,9 @@ from estimators.diagnosis.choice import chosen, reconsidered
 from estimators.diagnosis.evidence import FittedModel
 from estimators.diagnosis.laboratory import Laboratory, Way
 from estimators.diagnosis.policy import DiagnosisPolicy
-from estimators.diagnosis.removed_error import follows_nothing, named
+from estimators.diagnosis.removed_error import named
 from estimators.diagnosis.step import Step
+from estimators.inference.simulation_residual import follows_nothing
 from estimators.misspecification.adequacy import (
     AdequacyTest,
     Candidate,
@@ -87,7 +88,7 @@ def gross(laboratory: Laboratory, policy: DiagnosisPolicy) -> bool:
     """Return whether the fit that is diagnosed follows nothing."""
     base, facts = laboratory.base, laboratory.facts
     random = (base.random_force, base.random_torque)
-    return follows_nothing(facts.unfollowed, random, facts.samples_per_radian, policy)
+    return follows_nothing(facts.unfollowed, random, facts.samples_per_radian, policy.simulation)
 
 
 def explaining_equations(laboratory: Laboratory, policy: DiagnosisPolicy) -> Selection:

@@ -7,8 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from estimators.core.data import Data
+from estimators.core.data import CHANNELS, Data
+from estimators.core.fit import Fit
 from estimators.core.parameter_space import Space
+from estimators.inference.simulation_residual import SimulationLimits
 from estimators.prediction_error.fit import PredictorFit
 from estimators.prediction_error.noise_estimation import NoiseModel, all_trusted, run_filter
 from rtac_jax import RTAC
@@ -72,3 +74,22 @@ def signal_rms(data: Data) -> Float[np.ndarray, " output"]:
     mean = np.nansum(values, axis=0, keepdims=True) / np.maximum(count, 1)
     total = count.sum(axis=(0, 2))
     return np.sqrt(np.where(total > 0, np.nansum((values - mean) ** 2, axis=(0, 2)) / np.maximum(total, 1), np.nan))
+
+
+def unfollowed(fit: Fit, data: Data, limits: SimulationLimits) -> float:
+    """Return the rms error of a fit's simulation over the rms of the motion, of the channel where that is most.
+
+    Only channels count in which the model misses more than the sensor does.
+
+    Args:
+        fit: whose simulation it is.
+        data: that it was fitted to.
+        limits: say from which error on that is so.
+    """
+    signal = signal_rms(data)
+    found = [
+        error / signal[CHANNELS.index(channel)]
+        for channel, error in fit.residual_std.items()
+        if error**2 > limits.beyond * fit.noise[channel] ** 2 and signal[CHANNELS.index(channel)] > 0
+    ]
+    return float(max(found, default=0.0))

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.stats import chi2
 
-from estimators.closed_form.equation_error import Columned, EquationError, Solution
+from estimators.closed_form.motion_regression import Columned, MotionRegression, Solution
 from rtac_jax.effects import Effect
 from rtac_jax.parameters import declarations
 
@@ -42,7 +42,9 @@ class Explained:
         return float(chi2.sf(max(self.statistic, 0.0), len(self.amplitudes)))
 
 
-def explained_by(equations: EquationError, instances: Sequence[Effect], *, least: float, most: int) -> list[Explained]:
+def explained_by(
+    equations: MotionRegression, instances: Sequence[Effect], *, least: float, most: int
+) -> list[Explained]:
     """Select candidates forwards by what they take off the equation error beyond the price of their parameters and shapes.
 
     Args:
@@ -97,7 +99,7 @@ def _id(one: Columned) -> str:
 
 
 def _tried(
-    equations: EquationError, now: Solution, chosen: Sequence[Columned], one: Columned, shapes: int
+    equations: MotionRegression, now: Solution, chosen: Sequence[Columned], one: Columned, shapes: int
 ) -> _Tried | None:
     """Return what one candidate more gains; None where its size or that of another is none that it can have.
 

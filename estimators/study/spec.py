@@ -345,7 +345,7 @@ def functions_of(method: str) -> tuple[Callable[..., Any], ...]:
 
 
 def options_for(function: Callable[..., Any], options: Mapping[str, Any]) -> dict[str, Any]:
-    """Those of the options that this function takes."""
+    """Return those of the options that a function takes."""
     known = _options_of(function)
     return {name: value for name, value in options.items() if name in known}
 

@@ -74,7 +74,7 @@ class Streams(NamedTuple):
 
     @classmethod
     def of(cls, seed: int, index: int) -> "Streams":
-        """Those of this repetition."""
+        """Return the streams of one repetition."""
         return cls(*(np.random.SeedSequence(seed, spawn_key=(index, part)) for part in range(3)))
 
 

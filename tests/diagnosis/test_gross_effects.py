@@ -10,7 +10,7 @@ import estimators as est
 import rtac_jax as rtac
 from estimators.core.data import Data, moving, pieces
 from estimators.diagnosis.policy import STANDARD
-from estimators.diagnosis.setting import unfollowed
+from estimators.inference.shaken_simulation import unfollowed
 from rtac_jax import virtual_rig
 from rtac_jax.effects import CATALOGUE, Effect
 
@@ -23,9 +23,8 @@ HIDDEN: dict[str, tuple[dict[str, Any], float, float, tuple[str, float]]] = {
     # Ten times the drive: it never turns the arm, whose speed at the start a viscous friction follows well.
     "arm_coulomb": ({"arm_coulomb": 0.013}, 0.016, 30.0, ("level", 0.013)),
 }
-FOLLOWED = (
-    "arm_coulomb",
-)  # well enough that the equations are not asked; where it stops at once, its size is known roughly only
+# Followed well enough that the equations are not asked; where the arm stops at once, the size is known roughly only.
+FOLLOWED = ("arm_coulomb",)
 # One of them goes the whole way in every run of the tests; the others take half a minute each.
 QUICK = ("cable_spring",)
 CASES = [pytest.param(name, marks=() if name in QUICK else pytest.mark.slow) for name in HIDDEN]
@@ -48,7 +47,8 @@ def test_a_gross_effect_is_named_with_its_size(name: str) -> None:
     # In every run of the tests beside what looks like it; with the whole catalogue compiling takes four times as long.
     few: list[type[Effect]] | None = [CATALOGUE[n] for n in ("gravity_tilt", "cable_spring", "cogging", "arm_coulomb")]
     fit = est.output_error(rtac.RTAC.from_rig(recording), recording, progress=False)
-    followed = unfollowed(fit, Data.of(pieces(moving(recording)))) < STANDARD.unfollowed
+    data = Data.of(pieces(moving(recording)))
+    followed = unfollowed(fit, data, STANDARD.simulation) < STANDARD.unfollowed
     assert followed == (name in FOLLOWED)
     found = est.diagnose(fit, recording, candidates=few if name in QUICK else None, progress=False)
     assert found.verdict == "missing", found

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import rtac_jax as rtac
-from estimators.closed_form.equation_error import EquationError, equation_error
+from estimators.closed_form.motion_regression import MotionRegression, motion_regression
 from estimators.core.data import moving, pieces
 from estimators.core.initial_state import scales_of
 from estimators.core.sensor_noise import noise_levels
@@ -39,9 +39,9 @@ def recorded(hidden: dict[str, Any], rms: float, speed: float) -> rtac.Recording
     return virtual_rig.record(dataclasses.replace(RIG, **hidden), starts, seed=8)
 
 
-def equations(recording: rtac.Recording, model: rtac.RTAC | None = None) -> EquationError:
+def equations(recording: rtac.Recording, model: rtac.RTAC | None = None) -> MotionRegression:
     model = rtac.RTAC.from_rig(recording) if model is None else model
-    found = equation_error(model, pieces(moving(recording)), noise_levels(recording.experiments))
+    found = motion_regression(model, pieces(moving(recording)), noise_levels(recording.experiments))
     assert found is not None
     return found
 
@@ -75,6 +75,20 @@ def test_nothing_is_selected_where_nothing_is_missing() -> None:
     assert all(e.statistic < 5.0 for e in found)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("shaken", [{}, {"force_noise": 1e-3, "torque_noise": 3e-5}])
+def test_nothing_is_selected_on_forty_rigs_without_anything_hidden(shaken: dict[str, float]) -> None:
+    """Gains are counted so that chance brings none: neither a selection nor a small p-value."""
+    jobs = []
+    for number in range(40):
+        plans = virtual_rig.standard_plans(seed=600 + number, duration=5.0, free=1, forced=2, rest=1)
+        jobs.append((dataclasses.replace(virtual_rig.Rig().drawn(700 + number), **shaken), plans, 800 + number))
+    for recording in virtual_rig.record_many(jobs):
+        found = screened(recording, [*CATALOGUE.values(), OneSidedSpring])
+        assert not any(e.selected for e in found)
+        assert all(e.p_value > 0.01 for e in found)
+
+
 def test_what_the_model_has_already_is_not_asked_for_again() -> None:
     hidden, rms, speed, _ = GROSS["cable_spring"]
     recording = recorded(hidden, rms, speed)
@@ -90,7 +104,7 @@ def test_without_the_motion_of_a_free_arm_there_are_no_equations() -> None:
         dataclasses.replace(e, outputs={"cart_position": e.outputs["cart_position"]}) for e in recording.experiments
     ]
     experiments = pieces(moving(dataclasses.replace(recording, experiments=tuple(blind))))
-    assert equation_error(rtac.RTAC.from_rig(recording), experiments, {"cart_position": 2e-5}) is None
+    assert motion_regression(rtac.RTAC.from_rig(recording), experiments, {"cart_position": 2e-5}) is None
 
 
 def test_a_random_column_gains_nothing() -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import scipy.ndimage as ndimage
 from jaxtyping import Bool, Float
 
-from estimators.closed_form.modulating_functions import WeakMotion, terms_of, weak_motion
+from estimators.closed_form.modulating_functions import WeakMotion, integrated_terms, weak_motion
 from estimators.closed_form.regressors import Terms
 from estimators.closed_form.static_regressors import Added, Regressor, added_along, is_static, regressors_of
 from rtac_jax import RTAC
@@ -82,7 +82,7 @@ class Columned(NamedTuple):
 
 
 @dataclasses.dataclass(frozen=True)
-class EquationError:
+class MotionRegression:
     """Both equations of motion of all experiments against test functions, ready to be solved.
 
     A row is one test function on one equation. Every term is linear in its parameter, so that a model whose simulation follows
@@ -107,7 +107,7 @@ class EquationError:
     _motion: Motion
     _rests: Bool[np.ndarray, " sample"]
 
-    def without(self, effects: Sequence[Effect]) -> "EquationError":
+    def without(self, effects: Sequence[Effect]) -> "MotionRegression":
         """Return the equations with what static effects add, beyond the paper's, taken out of the target at their sizes."""
         target = self.target
         for effect in effects:
@@ -179,7 +179,9 @@ class EquationError:
         return self._rows(Added(np.zeros_like(current), current))
 
 
-def equation_error(model: RTAC, experiments: Sequence[Experiment], levels: Mapping[str, float]) -> EquationError | None:
+def motion_regression(
+    model: RTAC, experiments: Sequence[Experiment], levels: Mapping[str, float]
+) -> MotionRegression | None:
     """Return the equations of motion of a model along measured motions; None where no experiment shows what they need.
 
     Total mass and inertia of the arm fix the scale and are taken as the model has them, and so is what it has beyond the paper's.
@@ -199,7 +201,9 @@ def equation_error(model: RTAC, experiments: Sequence[Experiment], levels: Mappi
         except ValueError:
             continue
         if experiment.arm == "locked" or motion.has_arm:  # else the arm's reaction acts on the cart, and nobody saw it
-            parts.append(_Part(experiment, motion, terms_of(experiment, motion, levels, near_zero=_NEAR_ZERO)))
+            parts.append(
+                _Part(experiment, motion, integrated_terms(experiment, levels, near_zero=_NEAR_ZERO, motion=motion))
+            )
     if not parts:
         return None
     most = sum(len(part.terms.arm["inertia"]) for part in parts)
@@ -218,7 +222,7 @@ def equation_error(model: RTAC, experiments: Sequence[Experiment], levels: Mappi
     )
     lag = max(max(part.terms.lag / part.thinned for part in parts), 1)
     joined = _joined(parts, model)
-    found = EquationError(
+    found = MotionRegression(
         names=names,
         columns=np.stack([rows[name] for name in names], axis=1) if names else np.zeros((len(target), 0)),
         target=target,

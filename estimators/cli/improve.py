@@ -46,11 +46,10 @@ def improved(
     candidates = offered(effects)
     start = start_model(work, model, effects)
     work.note_doubts()
-    options: dict[str, Any] = {} if learned_force else {"learned_force": False}
     with work.explaining():
         found = est.improve(
             start, work.recording, validation=work.held_out.names, candidates=candidates, thorough=not quick,
-            progress=progress(), **options,
+            progress=progress(), learned_force=learned_force,
         )  # fmt: skip
     extended = len(found.validation.models) > 1
     errors = _report.error_table(found.train, found.validation)

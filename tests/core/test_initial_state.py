@@ -43,9 +43,7 @@ def test_the_start_is_within_what_the_prior_allows(encoder: bool) -> None:
             for e in recording.experiments
         ]
         space = space_of(rtac.RTAC.from_rig(recording), shown, free=[])
-        truth = np.array(
-            [[p.initial_position, p.initial_velocity, p.initial_angle, p.initial_arm_velocity] for p in plans]
-        ).T
+        truth = np.array([plan.start for plan in plans]).T
         apart.append((np.asarray(space.start) - truth) / np.asarray(space.start_scale))
     assert np.max(np.abs(apart)) < 3.0
     assert np.sqrt(np.mean(np.square(apart), axis=(0, 2))) == pytest.approx(0.0, abs=1.0)

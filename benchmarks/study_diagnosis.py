@@ -5,6 +5,8 @@
     python benchmarks/study_diagnosis.py run results.jsonl --kinds effects outside      # these kinds of case only
     python benchmarks/study_diagnosis.py run results.jsonl --part 0/2                   # one of two processes side by side
     python benchmarks/study_diagnosis.py run --evidence DIR --first 96 --draws 2    # fit, diagnose, keep the evidence only
+    python benchmarks/study_diagnosis.py run --evidence DIR --protocol all --kinds effects nothing --draws 1
+    python benchmarks/study_diagnosis.py protocols --evidence DIR
     python benchmarks/study_diagnosis.py table results.jsonl
     python benchmarks/study_diagnosis.py table benchmarks/diagnosis.jsonl               # from draw 34 on
 
@@ -22,7 +24,8 @@ third of the limit of" hide an effect at that multiple of the detection limit wh
 with nothing hidden; they run once that is known.
 
 With `--evidence` no second recording is made: the evidence of every diagnosis is kept as a file, all kinds of case in
-turn, to be judged again by any policy (benchmarks/ablate_policy.py). `--short` makes recordings of 4 s at 250 Hz.
+turn, to be judged again by any policy (benchmarks/ablate_policy.py). `--protocol` records otherwise, as one of
+diagnosis_protocols.py or as all of them, each in a folder of its own; `protocols DIR` prints what came of them.
 """
 
 import argparse
@@ -37,6 +40,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import diagnosis_protocols as protocols
 import numpy as np
 from diagnosis_cases import (
     EFFECTS,
@@ -64,7 +68,7 @@ from estimators.diagnosis.model_extension import holding
 from estimators.diagnosis.verdict import judge
 from estimators.study import naming
 from rtac_jax import virtual_rig
-from rtac_jax.effects import Effect
+from rtac_jax.effects import CATALOGUE, Effect
 
 _COMMIT = subprocess.run(
     ["git", "describe", "--always", "--dirty"], cwd=Path(__file__).parent, capture_output=True, text=True, check=False
@@ -119,43 +123,62 @@ def one(name: str, draw: int, case: Case) -> dict[str, object]:
     }
 
 
-def keep(directory: Path, draws: range, kinds: Sequence[str], only: str, part: tuple[int, int], *, short: bool) -> None:
-    """Diagnose what has no evidence yet, one kind of case after the other, and print how often the verdicts are right."""
+def keep(
+    directory: Path, draws: range, kinds: Sequence[str], only: str, part: tuple[int, int], names: Sequence[str]
+) -> None:
+    """Diagnose what has no evidence yet, one kind of case and one protocol after the other, and print each verdict."""
     rtac.configure()
-    directory.mkdir(parents=True, exist_ok=True)
-    several = [(name, draw, case) for name, draw, case in cases(draws, {}, kinds) if only in name]
-    counts: dict[str, collections.Counter] = collections.defaultdict(collections.Counter)
-    for name, draw, case in sorted(several, key=lambda one: zlib.crc32(f"{one[0]} {one[1]}".encode())):
-        path = evidence_path(directory, name, draw)
-        if zlib.crc32(name.encode()) % part[1] != part[0]:
+    several = [(p, *one) for p in names for one in cases(draws, {}, kinds) if only in one[0]]
+    for protocol, name, draw, case in sorted(several, key=lambda one: zlib.crc32(" ".join(map(str, one[:3])).encode())):
+        path = evidence_path(folder_of(directory, protocol), name, draw)
+        if path.exists() or zlib.crc32(f"{protocol} {name}".encode()) % part[1] != part[0]:
             continue
-        seconds = ""
-        if not path.exists():
-            began = time.perf_counter()
-            try:
-                evidence_of(name, draw, case, short=short).save(path)
-            except (ArithmeticError, ValueError) as error:
-                print(f"draw {draw}, {name}: failed: {error}", flush=True)
-                continue
-            seconds = f", {time.perf_counter() - began:.0f} s"
-        found = judge(Evidence.load(path))
-        counts[kind_of(name)][outcome(as_result(name, found.verdict, found.effects, found.rivals))] += 1
-        print(f"draw {draw}, {name}: {found.verdict} {list(found.effects)}{seconds}", flush=True)
-    for kind, outcomes in counts.items():
-        print(kind, dict(outcomes))
+        path.parent.mkdir(parents=True, exist_ok=True)
+        began = time.perf_counter()
+        try:
+            evidence_of(name, draw, case, protocols.PROTOCOLS[protocol]).save(path)
+        except (ArithmeticError, ValueError) as error:
+            print(f"{protocol}, draw {draw}, {name}: failed: {error}", flush=True)
+            continue
+        found, took = judge(Evidence.load(path)), time.perf_counter() - began
+        print(f"{protocol}, draw {draw}, {name}: {found.verdict} {list(found.effects)}, {took:.0f} s", flush=True)
 
 
-def evidence_of(name: str, draw: int, case: Case, *, short: bool) -> Evidence:
+def evidence_of(name: str, draw: int, case: Case, protocol: protocols.Protocol) -> Evidence:
     """The evidence of the diagnosis of one rig."""
     seed = 10 * zlib.crc32(f"{draw} {name}".encode())
-    rig = drawn(case, seed, draw)
-    ahead = {"sample_time": 0.004 if short else 0.002, "duration": 4.0 if short else 5.0, "played": case.played}
-    plans = virtual_rig.standard_plans(seed=seed + 1, free=2, forced=4, rest=case.rest, repeats=case.repeats, **ahead)
-    recording = virtual_rig.record(rig, plans, seed=seed + 2, write_noise=case.write_noise)
+    # What is hidden comes last: a protocol may not take it away.
+    rig = dataclasses.replace(drawn(case, seed, draw), **{**protocol.sensors, **case.hidden})
+    plans = protocols.plans_of(protocol, seed=seed + 1, rest=case.rest, repeats=case.repeats, played=case.played)
+    recording = protocols.recorded(protocol, rig, plans, seed=seed + 2, write_noise=case.write_noise)
     fit = est.output_error(rtac.RTAC.from_rig(recording), recording, progress=False)
     found = est.diagnose(fit, recording, progress=False).evidence
     assert found is not None
     return found
+
+
+def folder_of(directory: Path, protocol: str) -> Path:
+    """Where the evidence of a protocol is kept; of the usual one, beside the others' folders."""
+    return directory if protocol == "usual" else directory / protocol.replace(", ", "_").replace(" ", "_")
+
+
+def by_protocol(directory: Path) -> str:
+    """Markdown: one row a protocol and kind of case, with how often each outcome came."""
+    columns = ("right", "right and more", "in the group", "a part", "unknown", "adequate", "wrong")
+    lines = [f"| protocol | hidden | recordings | {' | '.join(columns)} | wrong |", "|---" * (len(columns) + 4) + "|"]
+    for protocol, chosen in protocols.PROTOCOLS.items():
+        counts: dict[str, collections.Counter[str]] = collections.defaultdict(collections.Counter)
+        wrong: dict[str, list[str]] = collections.defaultdict(list)
+        for (name, _), evidence in evidence_in(folder_of(directory, protocol)).items():
+            found = judge(evidence)
+            said = outcome(as_result(name, found.verdict, found.effects, found.rivals), also=chosen.also)
+            counts[kind_of(name)][said] += 1
+            if said in ("wrong", "right and more"):
+                wrong[kind_of(name)].append(f"{', '.join(found.effects)} for {name}")
+        for kind, several in counts.items():
+            cells = " | ".join(str(several[c] or "") for c in columns)
+            lines.append(f"| {protocol} | {kind} | {several.total()} | {cells} | {'; '.join(wrong[kind])} |")
+    return "\n".join(lines)
 
 
 def drawn(case: Case, seed: int, draw: int) -> virtual_rig.Rig:
@@ -279,10 +302,12 @@ def read(path: Path) -> list[dict]:
     return found
 
 
-def outcome(result: dict) -> str:
-    """What the verdict was worth, as in `est.study`."""
+def outcome(result: dict, also: Sequence[str] = ()) -> str:
+    """What the verdict was worth, as in `est.study`, where the rig has what is hidden and these effects."""
     named = " + ".join("|".join([step, *result["groups"][step]]) for step in result["steps"])
-    return naming.outcome(" + ".join(hidden_in(result["case"])), result["verdict"], named)
+    hidden = [one for one in hidden_in(result["case"]) if one in CATALOGUE or not also]
+    hidden += [one for one in also if one not in hidden]
+    return naming.outcome(" + ".join(hidden), result["verdict"], named)
 
 
 def table(path: Path) -> str:
@@ -336,10 +361,16 @@ def _ratios(several: Sequence[dict[str, float]]) -> str:
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("action", choices=["run", "table"])
+    parser.add_argument("action", choices=["run", "table", "protocols"])
     parser.add_argument("file", type=Path, nargs="?", help="of results; not with --evidence")
     parser.add_argument("--evidence", type=Path, metavar="DIR", help="keep the evidence of every recording here")
-    parser.add_argument("--short", action="store_true", help="with --evidence: recordings of 4 s at 250 Hz")
+    parser.add_argument(
+        "--protocol",
+        nargs="+",
+        choices=[*protocols.PROTOCOLS, "all"],
+        default=["usual"],
+        help="with --evidence: how rigs are recorded",
+    )
     parser.add_argument("--first", type=int, default=34)
     parser.add_argument("--draws", type=int, default=5)
     every = [*KINDS, "limits"]
@@ -349,11 +380,14 @@ def main() -> None:
     arguments = parser.parse_args()
     if (arguments.file is None) == (arguments.evidence is None) or (arguments.evidence and arguments.action == "table"):
         parser.error("give a file of results, or with run --evidence DIR.")
-    if arguments.evidence is not None:
+    if arguments.action == "protocols":
+        print(by_protocol(arguments.evidence))
+    elif arguments.evidence is not None:
         first, count = (int(n) for n in arguments.part.split("/"))
         draws = range(arguments.first, arguments.first + arguments.draws)
         kinds = [kind for kind in arguments.kinds if kind != "limits"]
-        keep(arguments.evidence, draws, kinds, arguments.only, (first, count), short=arguments.short)
+        names = list(protocols.PROTOCOLS) if "all" in arguments.protocol else arguments.protocol
+        keep(arguments.evidence, draws, kinds, arguments.only, (first, count), names)
     elif arguments.action == "run":
         part = tuple(int(n) for n in arguments.part.split("/"))
         assert len(part) == 2

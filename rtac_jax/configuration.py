@@ -7,9 +7,16 @@ from pathlib import Path
 
 import jax
 
-# Fuses a whole Runge-Kutta step into few loops and uses the machine's full vectors. XLA ignores unknown names inside
-# xla_backend_extra_options, so a JAX that drops them only loses speed.
-_CPU_OPTIONS = "xla_cpu_use_multi_output_fusion=true,xla_cpu_prefer_vector_width=512"
+# Fuses a whole Runge-Kutta step into few loops, uses the machine's full vectors, and compiles a time loop as one function
+# whatever its size: by default XLA does so only up to 1 kB, and else calls every kernel of every step. XLA ignores unknown
+# names inside xla_backend_extra_options, so a JAX that drops them only loses speed.
+_CPU_OPTIONS = ",".join(
+    (
+        "xla_cpu_use_multi_output_fusion=true",
+        "xla_cpu_prefer_vector_width=512",
+        "xla_cpu_small_while_loop_byte_threshold=1000000000",
+    )
+)
 _FLAG = "--xla_backend_extra_options="
 NO_CACHE = "no compile cache"
 _CACHE = os.environ.get("JAX_COMPILATION_CACHE_DIR") or "~/.cache/rtac-jax"

@@ -1,5 +1,5 @@
 /* The floor of a simulation: classic Runge-Kutta steps of the rig, written by hand, on one core.
-   LANES trajectories go side by side in one vector: 1 for a single trajectory, 8 for batches on AVX-512. Dry friction turns its sign
+   LANES trajectories go side by side in one vector: 1 for a single trajectory, for batches 8 on AVX-512 and 4 on AVX2. Dry friction turns its sign
    over smoothly, as x / sqrt(x^2 + s^2), and the current is held over a step. */
 #include <math.h>
 #include <stdio.h>
@@ -17,10 +17,15 @@ typedef double lane;
 #define ROOT sqrt
 #else
 typedef double lane __attribute__((vector_size(8 * LANES)));
-lane _ZGVeN8v_sin(lane); /* of glibc's libmvec */
-lane _ZGVeN8v_cos(lane);
+#if LANES == 8 /* of glibc's libmvec */
 #define SINE _ZGVeN8v_sin
 #define COSINE _ZGVeN8v_cos
+#else
+#define SINE _ZGVdN4v_sin
+#define COSINE _ZGVdN4v_cos
+#endif
+lane SINE(lane);
+lane COSINE(lane);
 static inline lane ROOT(lane x) {
   for (int i = 0; i < LANES; i++) x[i] = __builtin_sqrt(x[i]);
   return x;

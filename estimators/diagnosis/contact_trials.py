@@ -13,7 +13,7 @@ from estimators.core.data import Data
 from estimators.core.parameter_space import Space
 from estimators.core.threads import at_once
 from estimators.diagnosis.refit import Refit
-from estimators.prediction_error.noise_estimation import NoiseModel, fit_noise, run_filter
+from estimators.prediction_error.noise_estimation import NoiseModel, fit_noise, negative_log_likelihood
 from rtac_jax import RTAC
 from rtac_jax.effects import Effect
 from rtac_jax.parameters import declarations
@@ -178,5 +178,5 @@ def few_random_forces(noise: Float[np.ndarray, " noise"], most: float = _FEW) ->
 def _cost(
     model: RTAC, data: Data, space: Space, physical: Any, prior: NoiseModel, noise: Any, substeps: Steps
 ) -> float:
-    value = float(run_filter(model, data, space, physical, prior, noise, substeps).value)
+    value = negative_log_likelihood(model, data, space, physical, prior, noise, substeps)
     return value if np.isfinite(value) else _DIVERGED

@@ -6,7 +6,7 @@ import pytest
 import estimators as est
 import rtac_jax as rtac
 from estimators.prediction_error import noise_estimation
-from estimators.prediction_error.noise_estimation import run_filter
+from estimators.prediction_error.noise_estimation import negative_log_likelihood, run_filter
 from rtac_jax.virtual_rig import Rig, record, standard_plans
 
 
@@ -61,6 +61,8 @@ def test_the_curvature_of_the_noise_is_that_of_its_likelihood(shaken):
     observed = [
         (np.asarray(passed(at + d).slope) - np.asarray(passed(at - d).slope)) / (2 * step) for d in step * np.eye(5)
     ]
+    alone = negative_log_likelihood(a.model, a.data, a.space, physical, found.prior, at, a.substeps)
+    assert alone == pytest.approx(float(passed(at).value), rel=1e-12)
     expected = np.asarray(passed(at).information)
     size = np.sqrt(np.diagonal(expected))
     np.testing.assert_allclose(np.array(observed) / np.outer(size, size), expected / np.outer(size, size), atol=0.1)

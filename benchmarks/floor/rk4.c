@@ -1,6 +1,6 @@
 /* The floor of a simulation: classic Runge-Kutta steps of the rig, written by hand, on one core.
-   LANES trajectories go side by side in one vector: 1 for a single trajectory, for batches 8 on AVX-512 and 4 on AVX2. Dry friction turns its sign
-   over smoothly, as x / sqrt(x^2 + s^2), and the current is held over a step. */
+   LANES trajectories go side by side in one vector: 1 for a single trajectory; for batches 8 on AVX-512, 4 on AVX2 and 2 on SSE2. Dry
+   friction turns its sign over smoothly, as x / sqrt(x^2 + s^2), and the current is held over a step. */
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -20,9 +20,12 @@ typedef double lane __attribute__((vector_size(8 * LANES)));
 #if LANES == 8 /* of glibc's libmvec */
 #define SINE _ZGVeN8v_sin
 #define COSINE _ZGVeN8v_cos
-#else
+#elif LANES == 4
 #define SINE _ZGVdN4v_sin
 #define COSINE _ZGVdN4v_cos
+#else
+#define SINE _ZGVbN2v_sin
+#define COSINE _ZGVbN2v_cos
 #endif
 lane SINE(lane);
 lane COSINE(lane);

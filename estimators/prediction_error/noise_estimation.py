@@ -170,7 +170,7 @@ def run_filter(
 def negative_log_likelihood(
     model: RTAC, data: Data, space: Space, physical: Any, prior: NoiseModel, noise: np.ndarray, substeps: Steps
 ) -> float:
-    """Return the negative log-likelihood at given noise: `run_filter`'s value, in a fraction of its time."""
+    """Return the negative log-likelihood at given noise: `run_filter`'s value, without the derivatives by the noise."""
     return float(_negative_log_likelihood(*_arguments(model, data, space, physical, prior, noise, substeps)))
 
 

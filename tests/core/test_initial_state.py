@@ -46,7 +46,7 @@ def test_the_start_is_within_what_the_prior_allows(encoder: bool) -> None:
         truth = np.array([plan.start for plan in plans]).T
         apart.append((np.asarray(space.start) - truth) / np.asarray(space.start_scale))
     assert np.max(np.abs(apart)) < 3.0
-    assert np.sqrt(np.mean(np.square(apart), axis=(0, 2))) == pytest.approx(0.0, abs=1.0)
+    assert np.all(np.sqrt(np.mean(np.square(apart), axis=(0, 2))) < 1.0)
 
 
 def test_a_constant_has_a_start() -> None:

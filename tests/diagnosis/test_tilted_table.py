@@ -48,4 +48,4 @@ def test_gravity_is_named_beside_the_offset_that_is_left(
     found = diagnosed(recorded(zeroed=zeroed, **rig))
     assert {c.id for c in found.effects} == names, found
     assert found.removed > 0.95, found
-    assert {test.test for test in found.left if test.rejects} <= left, found
+    assert {test.test for test in found.left if test.rejects} == left, found

@@ -21,7 +21,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 from unittest import mock
 
-from study_diagnosis import KINDS, as_result, evidence_in, kind_of, outcome
+from diagnosis_cases import KINDS, kind_of, outcome
+from diagnosis_evidence import as_result, evidence_in
 
 from estimators.diagnosis import removed_error, stepwise_selection, verdict
 from estimators.diagnosis.evidence import Evidence, FittedModel

@@ -5,6 +5,11 @@ import itertools
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Literal
 
+import numpy as np
+
+from estimators.study import naming
+from rtac_jax import virtual_rig
+
 SHAKEN = {"force_noise": 1e-3, "torque_noise": 3e-5}
 ROTOR_SHARES = (0.15, 0.6)  # of the inertia, where rotor and arm move apart; an effect is looked for from 0.3
 
@@ -151,3 +156,22 @@ def hidden_in(name: str) -> list[str]:
     for words in MULTIPLES:
         name = name.removeprefix(f"{words} ")
     return name.removesuffix(LITTLE_NOISE).split(" + ")
+
+
+def drawn(case: Case, seed: int, draw: int) -> virtual_rig.Rig:
+    """A rig that hides what a case hides; of an odd draw it is shaken."""
+    rotor = {"rotor_share": float(np.random.default_rng([seed, 1]).uniform(*ROTOR_SHARES))}
+    return dataclasses.replace(virtual_rig.Rig().drawn(seed), **rotor, **(SHAKEN if draw % 2 else {}), **case.hidden)
+
+
+def kind_of(name: str) -> str:
+    """The kind of a case."""
+    return next(kind for kind, members in KINDS.items() if name in members)
+
+
+def outcome(result: dict, also: Sequence[str] = ()) -> str:
+    """What the verdict was worth, as in `est.study`, where the rig has what is hidden and these effects."""
+    named = " + ".join("|".join([step, *result["groups"][step]]) for step in result["steps"])
+    hidden = hidden_in(result["case"])
+    hidden = [one for one in hidden if not (also and one in NULLS)] + [one for one in also if one not in hidden]
+    return naming.outcome(" + ".join(hidden), result["verdict"], named)

@@ -11,6 +11,7 @@ from rtac_jax import virtual_rig
 from rtac_jax.measurement.plan import Plan
 
 _SETTLED = 1e-9  # [A]: a current in the loop is found when nothing of it changes by more
+_ROUNDS = 60  # twice what the loop of the study took
 
 
 @dataclasses.dataclass(frozen=True)
@@ -65,14 +66,12 @@ PROTOCOLS: dict[str, Protocol] = {
 }
 
 
-def plans_of(
-    protocol: Protocol, *, seed: int, rest: int, repeats: int, played: Any, duration: float | None = None
-) -> list[Plan]:
+def plans_of(protocol: Protocol, *, seed: int, rest: int, repeats: int, played: Any) -> list[Plan]:
     """Return the plans of a protocol; rests and repeats are the case's where the protocol leaves them open."""
     return virtual_rig.standard_plans(
         seed=seed,
         sample_time=protocol.sample_time,
-        duration=duration or protocol.duration,
+        duration=protocol.duration,
         free=protocol.free,
         forced=protocol.forced,
         rest=rest if protocol.rest is None else protocol.rest,
@@ -97,7 +96,7 @@ def recorded(
     made = record(plans)
     change = np.inf if protocol.feedback else 0.0
     now = plans
-    for _ in range(200):
+    for _ in range(_ROUNDS):
         if change < _SETTLED:
             break
         before, now = now, [_in_the_loop(plan, made, protocol.feedback) for plan in plans]

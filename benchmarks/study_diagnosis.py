@@ -25,7 +25,7 @@ with nothing hidden; they run once that is known.
 
 With `--evidence` no second recording is made: the evidence of every diagnosis is kept as a file, all kinds of case in
 turn, to be judged again by any policy (benchmarks/ablate_policy.py). `--protocol` records otherwise, as one of
-diagnosis_protocols.py or as all of them, each in a folder of its own; `protocols DIR` prints what came of them.
+diagnosis_protocols.py or as all of them, each in a folder of its own; `protocols` prints what came of them.
 """
 
 import argparse
@@ -38,9 +38,7 @@ import time
 import zlib
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
-import diagnosis_protocols as protocols
 import numpy as np
 from diagnosis_cases import (
     EFFECTS,
@@ -52,23 +50,23 @@ from diagnosis_cases import (
     NULLS,
     OUTSIDE,
     PAIRS,
-    ROTOR_SHARES,
     SHAKEN,
     Case,
     cases,
+    drawn,
     hidden_in,
+    outcome,
 )  # fmt: skip
+from diagnosis_evidence import by_protocol, keep
+from diagnosis_protocols import PROTOCOLS
 
 import estimators as est
 import rtac_jax as rtac
 from estimators.core.data import moving
 from estimators.core.initial_state import scales_of
-from estimators.diagnosis.evidence import Evidence
 from estimators.diagnosis.model_extension import holding
-from estimators.diagnosis.verdict import judge
-from estimators.study import naming
 from rtac_jax import virtual_rig
-from rtac_jax.effects import CATALOGUE, Effect
+from rtac_jax.effects import Effect
 
 _COMMIT = subprocess.run(
     ["git", "describe", "--always", "--dirty"], cwd=Path(__file__).parent, capture_output=True, text=True, check=False
@@ -121,95 +119,6 @@ def one(name: str, draw: int, case: Case) -> dict[str, object]:
         "seconds": seconds,
         "commit": _COMMIT,
     }
-
-
-def keep(
-    directory: Path, draws: range, kinds: Sequence[str], only: str, part: tuple[int, int], names: Sequence[str]
-) -> None:
-    """Diagnose what has no evidence yet, one kind of case and one protocol after the other, and print each verdict."""
-    rtac.configure()
-    several = [(p, *one) for p in names for one in cases(draws, {}, kinds) if only in one[0]]
-    for protocol, name, draw, case in sorted(several, key=lambda one: zlib.crc32(" ".join(map(str, one[:3])).encode())):
-        path = evidence_path(folder_of(directory, protocol), name, draw)
-        if path.exists() or zlib.crc32(f"{protocol} {name}".encode()) % part[1] != part[0]:
-            continue
-        path.parent.mkdir(parents=True, exist_ok=True)
-        began = time.perf_counter()
-        try:
-            evidence_of(name, draw, case, protocols.PROTOCOLS[protocol]).save(path)
-        except (ArithmeticError, ValueError) as error:
-            print(f"{protocol}, draw {draw}, {name}: failed: {error}", flush=True)
-            continue
-        found, took = judge(Evidence.load(path)), time.perf_counter() - began
-        print(f"{protocol}, draw {draw}, {name}: {found.verdict} {list(found.effects)}, {took:.0f} s", flush=True)
-
-
-def evidence_of(name: str, draw: int, case: Case, protocol: protocols.Protocol) -> Evidence:
-    """The evidence of the diagnosis of one rig."""
-    seed = 10 * zlib.crc32(f"{draw} {name}".encode())
-    # What is hidden comes last: a protocol may not take it away.
-    rig = dataclasses.replace(drawn(case, seed, draw), **{**protocol.sensors, **case.hidden})
-    plans = protocols.plans_of(protocol, seed=seed + 1, rest=case.rest, repeats=case.repeats, played=case.played)
-    recording = protocols.recorded(protocol, rig, plans, seed=seed + 2, write_noise=case.write_noise)
-    fit = est.output_error(rtac.RTAC.from_rig(recording), recording, progress=False)
-    found = est.diagnose(fit, recording, progress=False).evidence
-    assert found is not None
-    return found
-
-
-def folder_of(directory: Path, protocol: str) -> Path:
-    """Where the evidence of a protocol is kept; of the usual one, beside the others' folders."""
-    return directory if protocol == "usual" else directory / protocol.replace(", ", "_").replace(" ", "_")
-
-
-def by_protocol(directory: Path) -> str:
-    """Markdown: one row a protocol and kind of case, with how often each outcome came."""
-    columns = ("right", "right and more", "in the group", "a part", "unknown", "adequate", "wrong")
-    lines = [f"| protocol | hidden | recordings | {' | '.join(columns)} | wrong |", "|---" * (len(columns) + 4) + "|"]
-    for protocol, chosen in protocols.PROTOCOLS.items():
-        counts: dict[str, collections.Counter[str]] = collections.defaultdict(collections.Counter)
-        wrong: dict[str, list[str]] = collections.defaultdict(list)
-        for (name, _), evidence in evidence_in(folder_of(directory, protocol)).items():
-            found = judge(evidence)
-            said = outcome(as_result(name, found.verdict, found.effects, found.rivals), also=chosen.also)
-            counts[kind_of(name)][said] += 1
-            if said in ("wrong", "right and more"):
-                wrong[kind_of(name)].append(f"{', '.join(found.effects)} for {name}")
-        for kind, several in counts.items():
-            cells = " | ".join(str(several[c] or "") for c in columns)
-            lines.append(f"| {protocol} | {kind} | {several.total()} | {cells} | {'; '.join(wrong[kind])} |")
-    return "\n".join(lines)
-
-
-def drawn(case: Case, seed: int, draw: int) -> virtual_rig.Rig:
-    """A rig that hides what a case hides; of an odd draw it is shaken."""
-    rotor = {"rotor_share": float(np.random.default_rng([seed, 1]).uniform(*ROTOR_SHARES))}
-    return dataclasses.replace(virtual_rig.Rig().drawn(seed), **rotor, **(SHAKEN if draw % 2 else {}), **case.hidden)
-
-
-def evidence_path(directory: Path, name: str, draw: int) -> Path:
-    """Where the evidence of one recording is kept."""
-    return directory / f"{draw:03d} {name.replace(':', '')}.json".replace(" ", "_")
-
-
-def evidence_in(directory: Path) -> dict[tuple[str, int], Evidence]:
-    """All evidence that is kept, by case and draw."""
-    known = {evidence_path(directory, name, 0).name[3:]: name for members in KINDS.values() for name in members}
-    return {
-        (known[path.name[3:]], int(path.name[:3])): Evidence.load(path)
-        for path in sorted(directory.glob("*.json"))
-        if path.name[3:] in known
-    }
-
-
-def kind_of(name: str) -> str:
-    """The kind of a case."""
-    return next(kind for kind, members in KINDS.items() if name in members)
-
-
-def as_result(name: str, verdict: str, effects: Sequence[str], rivals: dict[str, tuple[str, ...]]) -> dict[str, Any]:
-    """What `outcome` asks of a judgement."""
-    return {"case": name, "verdict": verdict, "steps": list(effects), "groups": rivals}
 
 
 def _with(model: rtac.RTAC, effects: Sequence[Effect]) -> rtac.RTAC:
@@ -302,14 +211,6 @@ def read(path: Path) -> list[dict]:
     return found
 
 
-def outcome(result: dict, also: Sequence[str] = ()) -> str:
-    """What the verdict was worth, as in `est.study`, where the rig has what is hidden and these effects."""
-    named = " + ".join("|".join([step, *result["groups"][step]]) for step in result["steps"])
-    hidden = [one for one in hidden_in(result["case"]) if one in CATALOGUE or not also]
-    hidden += [one for one in also if one not in hidden]
-    return naming.outcome(" + ".join(hidden), result["verdict"], named)
-
-
 def table(path: Path) -> str:
     """Markdown: one row for each case, and one for each kind of case."""
     kinds = {"**every effect**": EFFECTS, "**outside**": OUTSIDE, "**nothing hidden**": NULLS, "**pairs**": PAIRS}
@@ -367,7 +268,7 @@ def main() -> None:
     parser.add_argument(
         "--protocol",
         nargs="+",
-        choices=[*protocols.PROTOCOLS, "all"],
+        choices=[*PROTOCOLS, "all"],
         default=["usual"],
         help="with --evidence: how rigs are recorded",
     )
@@ -386,7 +287,7 @@ def main() -> None:
         first, count = (int(n) for n in arguments.part.split("/"))
         draws = range(arguments.first, arguments.first + arguments.draws)
         kinds = [kind for kind in arguments.kinds if kind != "limits"]
-        names = list(protocols.PROTOCOLS) if "all" in arguments.protocol else arguments.protocol
+        names = list(PROTOCOLS) if "all" in arguments.protocol else arguments.protocol
         keep(arguments.evidence, draws, kinds, arguments.only, (first, count), names)
     elif arguments.action == "run":
         part = tuple(int(n) for n in arguments.part.split("/"))

@@ -48,7 +48,7 @@ def result(case: str, verdict: str, **groups: tuple[str, ...]) -> dict:
     ],
 )
 def test_what_a_verdict_is_worth(one: dict, worth: str) -> None:
-    assert study.outcome(one) == worth
+    assert diagnosis_cases.outcome(one) == worth
 
 
 def test_the_table_counts_every_complete_line_once(tmp_path: Path) -> None:

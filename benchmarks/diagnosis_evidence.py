@@ -1,0 +1,98 @@
+"""Evidence of diagnoses of virtual rigs, kept as files to be judged again, and what came of each protocol of recording."""
+
+import collections
+import dataclasses
+import time
+import zlib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from diagnosis_cases import KINDS, Case, cases, drawn, kind_of, outcome
+from diagnosis_protocols import PROTOCOLS, Protocol, plans_of, recorded
+
+import estimators as est
+import rtac_jax as rtac
+from estimators.diagnosis.evidence import Evidence
+from estimators.diagnosis.verdict import judge
+
+
+def keep(
+    directory: Path, draws: range, kinds: Sequence[str], only: str, part: tuple[int, int], names: Sequence[str]
+) -> None:
+    """Diagnose what has no evidence yet, one kind of case and one protocol after the other, and print each verdict."""
+    rtac.configure()
+    several = [(p, *one) for p in names for one in cases(draws, {}, kinds) if only in one[0]]
+    for protocol, name, draw, case in sorted(several, key=lambda one: zlib.crc32(" ".join(map(str, one[:3])).encode())):
+        path = evidence_path(folder_of(directory, protocol), name, draw)
+        if path.exists() or zlib.crc32(f"{protocol} {name}".encode()) % part[1] != part[0]:
+            continue
+        path.parent.mkdir(parents=True, exist_ok=True)
+        began = time.perf_counter()
+        try:
+            evidence_of(name, draw, case, PROTOCOLS[protocol]).save(path)
+        except (ArithmeticError, ValueError) as error:
+            print(f"{protocol}, draw {draw}, {name}: failed: {error}", flush=True)
+            continue
+        found, took = judge(Evidence.load(path)), time.perf_counter() - began
+        print(f"{protocol}, draw {draw}, {name}: {found.verdict} {list(found.effects)}, {took:.0f} s", flush=True)
+
+
+def evidence_of(name: str, draw: int, case: Case, protocol: Protocol) -> Evidence:
+    """The evidence of the diagnosis of one rig."""
+    seed = 10 * zlib.crc32(f"{draw} {name}".encode())
+    # What is hidden comes last: a protocol may not take it away.
+    rig = dataclasses.replace(drawn(case, seed, draw), **{**protocol.sensors, **case.hidden})
+    plans = plans_of(protocol, seed=seed + 1, rest=case.rest, repeats=case.repeats, played=case.played)
+    recording = recorded(protocol, rig, plans, seed=seed + 2, write_noise=case.write_noise)
+    fit = est.output_error(rtac.RTAC.from_rig(recording), recording, progress=False)
+    found = est.diagnose(fit, recording, progress=False).evidence
+    assert found is not None
+    return found
+
+
+def folder_of(directory: Path, protocol: str) -> Path:
+    """Where the evidence of a protocol is kept; of the usual one, beside the others' folders."""
+    return directory if protocol == "usual" else directory / protocol.replace(", ", "_").replace(" ", "_")
+
+
+def by_protocol(directory: Path) -> str:
+    """Markdown: one row a protocol and kind of case, with how often each outcome came."""
+    columns = ("right", "right and more", "in the group", "a part", "unknown", "adequate", "wrong")
+    lines = [
+        f"| protocol | hidden | recordings | {' | '.join(columns)} | named instead |",
+        "|---" * (len(columns) + 4) + "|",
+    ]
+    for protocol, chosen in PROTOCOLS.items():
+        counts: dict[str, collections.Counter[str]] = collections.defaultdict(collections.Counter)
+        wrong: dict[str, list[str]] = collections.defaultdict(list)
+        for (name, _), evidence in evidence_in(folder_of(directory, protocol)).items():
+            found = judge(evidence)
+            said = outcome(as_result(name, found.verdict, found.effects, found.rivals), also=chosen.also)
+            counts[kind_of(name)][said] += 1
+            if said in ("wrong", "right and more"):
+                wrong[kind_of(name)].append(f"{', '.join(found.effects)} for {name}")
+        for kind, several in counts.items():
+            cells = " | ".join(str(several[c] or "") for c in columns)
+            lines.append(f"| {protocol} | {kind} | {several.total()} | {cells} | {'; '.join(wrong[kind])} |")
+    return "\n".join(lines)
+
+
+def evidence_path(directory: Path, name: str, draw: int) -> Path:
+    """Where the evidence of one recording is kept."""
+    return directory / f"{draw:03d} {name.replace(':', '')}.json".replace(" ", "_")
+
+
+def evidence_in(directory: Path) -> dict[tuple[str, int], Evidence]:
+    """All evidence that is kept, by case and draw."""
+    known = {evidence_path(directory, name, 0).name[3:]: name for members in KINDS.values() for name in members}
+    return {
+        (known[path.name[3:]], int(path.name[:3])): Evidence.load(path)
+        for path in sorted(directory.glob("*.json"))
+        if path.name[3:] in known
+    }
+
+
+def as_result(name: str, verdict: str, effects: Sequence[str], rivals: dict[str, tuple[str, ...]]) -> dict[str, Any]:
+    """What `outcome` asks of a judgement."""
+    return {"case": name, "verdict": verdict, "steps": list(effects), "groups": rivals}

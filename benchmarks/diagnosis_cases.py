@@ -2,7 +2,7 @@
 
 import dataclasses
 import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, Literal
 
 import numpy as np
@@ -169,9 +169,12 @@ def kind_of(name: str) -> str:
     return next(kind for kind, members in KINDS.items() if name in members)
 
 
-def outcome(result: dict, also: Sequence[str] = ()) -> str:
-    """What the verdict was worth, as in `est.study`, where the rig has what is hidden and these effects."""
+def outcome(result: dict, also: Sequence[str] = (), stands_for: Mapping[str, str] | None = None) -> str:
+    """What the verdict was worth, as in `est.study`, where the rig has what is hidden and these effects.
+
+    An effect that another stands for is to be named by that one.
+    """
     named = " + ".join("|".join([step, *result["groups"][step]]) for step in result["steps"])
-    hidden = hidden_in(result["case"])
+    hidden = [(stands_for or {}).get(one, one) for one in hidden_in(result["case"])]
     hidden = [one for one in hidden if not (also and one in NULLS)] + [one for one in also if one not in hidden]
     return naming.outcome(" + ".join(hidden), result["verdict"], named)

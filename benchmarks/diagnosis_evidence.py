@@ -68,7 +68,8 @@ def by_protocol(directory: Path) -> str:
         wrong: dict[str, list[str]] = collections.defaultdict(list)
         for (name, _), evidence in evidence_in(folder_of(directory, protocol)).items():
             found = judge(evidence)
-            said = outcome(as_result(name, found.verdict, found.effects, found.rivals), also=chosen.also)
+            told = as_result(name, found.verdict, found.effects, found.rivals)
+            said = outcome(told, chosen.also, chosen.stands_for)
             counts[kind_of(name)][said] += 1
             if said in ("wrong", "right and more"):
                 wrong[kind_of(name)].append(f"{', '.join(found.effects)} for {name}")

@@ -38,6 +38,8 @@ class Protocol:
     """A controller's current per measured arm velocity [A s/rad], subtracted from the planned current."""
     also: tuple[str, ...] = ()
     """Effects that every rig of this protocol has."""
+    stands_for: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    """By effect, the one of the catalogue that stands for it where this protocol cannot tell more."""
 
 
 PROTOCOLS: dict[str, Protocol] = {
@@ -51,7 +53,7 @@ PROTOCOLS: dict[str, Protocol] = {
     ),
     "one experiment": Protocol(duration=20.0, free=0, forced=1, repeats=0),
     "forced only": Protocol(free=0, forced=6),
-    "free only": Protocol(free=6, forced=0, repeats=0),
+    "free only": Protocol(free=6, forced=0, repeats=0, stands_for={"current_offset": "torque_offset"}),
     "no rest, no repeat": Protocol(rest=0, repeats=0),
     "coloured noise, no rest": Protocol(rest=0, sensors={"noise_correlation": 0.9}),
     "coloured noise, no repeat": Protocol(repeats=0, sensors={"noise_correlation": 0.9}),

@@ -11,13 +11,15 @@ from rtac_jax.measurement import Experiment
 def can_show(effect: type[Effect], experiments: Sequence[Experiment]) -> bool:
     """Return whether what the effect acts on moves or is driven, and what it needs is measured, in any experiment.
 
-    Both are declarations of the effect: its `port` and its `needs_channel`.
+    All are declarations of the effect: its `port`, its `needs_channel` and whether it is one of `undriven` motors only.
     """
     arm = any(e.arm == "free" for e in experiments)
     cart = any(e.cart == "free" for e in experiments)
     driven = {name for e in experiments for name, signal in e.inputs.items() if np.any(signal.values)}
     measured = {name for e in experiments for name in e.outputs}
     if effect.needs_channel is not None and effect.needs_channel not in measured:
+        return False
+    if effect.undriven and "current" in driven:
         return False
     if effect.port == "input":
         return bool(driven)

@@ -195,7 +195,7 @@ def _words(
         return (
             f"Although predictions one sample ahead are at the noise, {misses}, by {100 * fraction:.0f} % of the motion. Random"
             f" forces stand in for the physics there ({size}): the model's own forces are wrong, as by a sign, a unit, a constant"
-            " of the rig, or a gross effect."
+            " of the rig, or a gross effect, or the rig is shaken as hard as that, which these data cannot tell from it."
         )
     if cause == "unexplained":
         if shaken != shaken:  # NaN

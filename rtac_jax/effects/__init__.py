@@ -38,7 +38,7 @@ from rtac_jax.effects.sensors import (
 )
 from rtac_jax.effects.shaft import Backlash, FlexibleShaft
 from rtac_jax.effects.spline_force import SplineForce
-from rtac_jax.effects.springs import CableSpring, CubicSpring, EndStop, ForceOffset, QuadraticSpring
+from rtac_jax.effects.springs import CableSpring, CubicSpring, EndStop, ForceOffset, QuadraticSpring, TorqueOffset
 
 CATALOGUE: dict[str, type[Effect]] = {
     effect.id: effect
@@ -61,6 +61,7 @@ CATALOGUE: dict[str, type[Effect]] = {
         ArmQuadraticDrag,
         Cogging,
         CableSpring,
+        TorqueOffset,
         GravityTilt,
         Backlash,
         FlexibleShaft,
@@ -156,6 +157,7 @@ __all__ = [
     "TachoLag",
     "TachoRipple",
     "TorqueDroop",
+    "TorqueOffset",
     "effect_class",
     "in_parts",
 ]

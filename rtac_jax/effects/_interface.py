@@ -75,6 +75,7 @@ class Effect(eqx.Module):
         port: the part of the rig on which it acts: "cart", "arm", "arm and cart", "actuator" (the current), "input" (any input) or
             "sensor". An effect on a part that never moves, or is never driven, cannot be seen.
         needs_channel: name of the output without which it cannot be seen either, as that of a sensor; None if there is none.
+        undriven: whether a diagnosis offers it only where no current drives the motor, since another effect is the same elsewhere.
         states: names of its own states, with units.
         contains: ids of simpler effects that it becomes at the edge of its shape.
         presupposes: ids of effects beside which it stands on a rig: a law of its own only where the data rule those out.
@@ -97,6 +98,7 @@ class Effect(eqx.Module):
     free_start: ClassVar[bool] = False
     closed: ClassVar[bool] = False
     needs_channel: ClassVar[str | None] = None
+    undriven: ClassVar[bool] = False
     looked_at: ClassVar[float] = 1.0
     acts_by_contact: ClassVar[bool] = False
 

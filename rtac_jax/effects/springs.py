@@ -1,4 +1,4 @@
-"""Springs of the cart that are not linear, a constant force that moves their equilibrium, and a spring of the arm."""
+"""Springs of the cart that are not linear, a spring of the arm, and a constant force and torque that move their equilibria."""
 
 from typing import Any, ClassVar
 
@@ -62,6 +62,27 @@ class ForceOffset(Force):
         return self.offset, 0.0
 
 
+class TorqueOffset(Force):
+    """A constant torque on the arm where nothing drives it: an idle drive that does not command zero, or a soft cable.
+
+    Where a current is played it is the same as `current_offset`, which stands for it there.
+    """
+
+    id: ClassVar[str] = "torque_offset"
+    equation: ClassVar[str] = "tau_0"
+    source: ClassVar[str] = "offset of an analogue current loop"
+    port: ClassVar[str] = "arm"
+    nature: ClassVar[str] = "conservative"
+    undriven: ClassVar[bool] = True
+
+    offset: Scalar = parameter(
+        symbol="tau_0", unit="N m", meaning="constant torque on the arm", null=0.0, plausible=lambda s: 0.03 * s.torque
+    )
+
+    def force(self, motion: Motion, own: States) -> tuple[Any, Any]:
+        return 0.0, self.offset
+
+
 class EndStop(Force):
     """A stiff stop at both ends of the travel, alike and elastic."""
 
@@ -88,11 +109,11 @@ class EndStop(Force):
 class CableSpring(Force):
     """A cable or hose that leads to the arm and winds up; its home angle is tau_0 / k_c.
 
-    With the stiffness at zero it is a constant torque, the same as `current_offset`.
+    With the stiffness at zero it is a constant torque, the same as `current_offset` or, undriven, `torque_offset`.
     """
 
     id: ClassVar[str] = "cable_spring"
-    contains: ClassVar[tuple[str, ...]] = ("current_offset",)
+    contains: ClassVar[tuple[str, ...]] = ("current_offset", "torque_offset")
     equation: ClassVar[str] = "-k_c (theta - theta_home) = -k_c theta + tau_0"
     source: ClassVar[str] = "torsion of a round bar; Timoshenko, Strength of Materials I (1955), chapter 10"
     port: ClassVar[str] = "arm"

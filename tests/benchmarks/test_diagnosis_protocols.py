@@ -77,6 +77,14 @@ def test_what_every_rig_of_a_protocol_has_is_to_be_named_too(case: str, named: t
     assert diagnosis_cases.outcome(told, also=PROTOCOLS["coarse tachometer with ripple"].also) == worth
 
 
+def test_an_offset_that_nothing_drives_is_named_as_a_torque() -> None:
+    free, usual = PROTOCOLS["free only"], PROTOCOLS["usual"]
+    for name, in_free, in_usual in (("torque_offset", "right", "wrong"), ("current_offset", "wrong", "right")):
+        told = evidence.as_result("current_offset", "missing", (name,), {name: ()})
+        assert diagnosis_cases.outcome(told, free.also, free.stands_for) == in_free
+        assert diagnosis_cases.outcome(told, usual.also, usual.stands_for) == in_usual
+
+
 def test_protocols_have_folders_of_their_own(tmp_path: Path) -> None:
     folders = {evidence.folder_of(tmp_path, name) for name in PROTOCOLS}
     assert len(folders) == len(PROTOCOLS)

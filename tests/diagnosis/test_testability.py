@@ -68,8 +68,9 @@ def test_a_sensor_is_seen_where_its_channel_is_measured() -> None:
         (
             CLAMPED,
             {"arm_coulomb", "backlash", "saturation", "tacho_gain"},
-            {"cart_coulomb", "lvdt_gain", "encoder_gain"},
+            {"cart_coulomb", "lvdt_gain", "encoder_gain", "torque_offset"},
         ),
+        (free(), {"torque_offset", "cable_spring"}, {"current_offset", "torque_droop"}),
     ],
 )
 def test_what_is_held_hides_the_effects_on_it(experiment: Experiment, seen: set[str], unseen: set[str]) -> None:

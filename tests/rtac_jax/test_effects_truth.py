@@ -48,6 +48,7 @@ CASES: dict[str, tuple[dict[str, float], Effect]] = {
     "arm_quadratic_drag": ({"arm_quadratic_drag": 6e-6}, effects.ArmQuadraticDrag(6e-6)),
     "cogging": ({"cogging_torque": 2e-3, "cogging_phase": 0.4}, wave(effects.Cogging, 2e-3, 0.4, 4.0)),
     "cable_spring": ({"cable_stiffness": 1e-3, "cable_home": 0.5}, effects.CableSpring(1e-3, 5e-4)),
+    "torque_offset": ({"current_offset": 0.02}, effects.TorqueOffset(0.02 * Rig.torque_constant)),
     "gravity_tilt": (
         {"tilt_along": 0.01, "tilt_across": 0.03}, effects.GravityTilt(GRAVITY * np.sin(0.01), GRAVITY * np.sin(0.03))
     ),

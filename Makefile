@@ -7,11 +7,7 @@ DOCS_STAMP := $(VENV)/.installed-docs
 BENCH_STAMP := $(VENV)/.installed-bench
 
 # Two workers share the cores: threads of linear algebra beside them only wait for each other.
-PYTEST := OMP_NUM_THREADS=1 MPLBACKEND=agg $(BIN)/python -m pytest -n 2 --dist loadfile
-
-# Half of the quick tests' time is compiling. Without XLA's fusion emitters that takes two thirds as long, and only batched
-# simulation is slower, by a third; the slow tests are compiled as a user's code is. The pinned version of XLA knows the flag.
-COMPILED_SOON := XLA_FLAGS="--xla_cpu_use_fusion_emitters=false $$XLA_FLAGS"
+PYTEST := OMP_NUM_THREADS=1 MPLBACKEND=agg $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 .PHONY: demo test test-slow lint docs bench notebooks clean
 
@@ -36,7 +32,7 @@ test: $(STAMP)
 	$(BIN)/ruff format --check .
 	$(BIN)/lint-imports --no-logo
 	$(BIN)/pyright
-	$(COMPILED_SOON) $(PYTEST)
+	$(PYTEST)
 
 test-slow: $(STAMP)
 	$(PYTEST) -m slow

@@ -4,6 +4,7 @@ import gc
 import os
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import jaxtyping
 import pytest
@@ -14,6 +15,19 @@ DOORS = {"measurement", "virtual_rig"}
 
 # For this process, and for the notebooks that it runs.
 os.environ["JAX_COMPILATION_CACHE_DIR"] = str(ROOT / ".cache" / "jax")
+_checked = jaxtyping.jaxtyped
+
+
+def _checked_once(fn: Any = None, *, typechecker: Any = None) -> Any:
+    """Check functions of modules and classes; one within a function would be made anew, and its checks with it, at every call."""
+    if fn is None:
+        return lambda fn: _checked_once(fn, typechecker=typechecker)
+    if "<locals>" in getattr(fn, "__qualname__", ""):
+        return fn
+    return _checked(fn, typechecker=typechecker)
+
+
+jaxtyping.jaxtyped = _checked_once
 # Before anything of the packages is imported: the hook rewrites their modules as they load.
 parts = {path.stem for path in (ROOT / "rtac_jax").iterdir() if not path.name.startswith("__")} - DOORS
 jaxtyping.install_import_hook([*(f"rtac_jax.{part}" for part in sorted(parts)), "estimators"], "beartype.beartype")
@@ -27,6 +41,28 @@ rtac_jax.configure()
 # Tracing makes many objects that stay: looking through them as often as Python does by itself costs a twentieth of the time.
 gc.set_threshold(50_000, 20, 100)
 matplotlib.use("Agg")
+
+
+# What takes longest, the longest first: begun last, it would leave one of two workers alone with it.
+LONGEST = (
+    "test_notebooks",
+    "test_readme",
+    "cli/",
+    "diagnosis/",
+    "study/",
+    "linear/",
+    "inference/",
+    "core/",
+    "experiment_design/",
+)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    def place(item: pytest.Item) -> int:
+        path = item.path.relative_to(ROOT / "tests").as_posix()
+        return next((n for n, beginning in enumerate(LONGEST) if path.startswith(beginning)), len(LONGEST))
+
+    items.sort(key=place)
 
 
 @pytest.fixture(autouse=True, scope="module")

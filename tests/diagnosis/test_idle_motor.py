@@ -7,7 +7,9 @@ from rtac_jax import virtual_rig
 from rtac_jax.effects import CATALOGUE
 
 OFFSET = 0.005  # [A]
-FEW = [CATALOGUE[i] for i in ("torque_offset", "cable_spring", "cogging", "arm_coulomb", "tacho_bias", "current_offset")]
+FEW = [
+    CATALOGUE[i] for i in ("torque_offset", "cable_spring", "cogging", "arm_coulomb", "tacho_bias", "current_offset")
+]
 
 
 @pytest.mark.slow

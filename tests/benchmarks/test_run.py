@@ -77,6 +77,7 @@ def check(results: dict[str, Any], section: str) -> None:
     assert run["machine"]["cores"] >= 1
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(shutil.which("gcc") is None, reason="the floor is written in C")
 def test_a_section_runs_small_and_its_numbers_are_kept(tmp_path: Path) -> None:
     results = small("simulation", tmp_path)

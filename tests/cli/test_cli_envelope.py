@@ -152,6 +152,7 @@ def test_the_largest_distance_of_the_weight_is_made_least_if_asked(tmp_path):
     assert mean["mean"] < mean["largest"]
 
 
+@pytest.mark.slow
 def test_responses_may_be_those_of_linear_models(tmp_path):
     """Against equations (1) and (2) at small motions, in plain NumPy."""
     rig = RIG

@@ -81,6 +81,7 @@ def test_what_the_catalogue_does_not_know_is_not_named(recordings: dict[str, rta
         assert len(found.latent[0].carried_by) == len(found.latent[0].experiments)
 
 
+@pytest.mark.slow
 def test_what_is_known_beside_it_is_named(recordings: dict[str, rtac.Recording]) -> None:
     found = diagnosed(recordings[IN_PART])
     assert found.verdict == "missing", found

@@ -22,6 +22,7 @@ def recorded(*, zeroed: float, duration: float = 5.0, **rig: float) -> rtac.Reco
     return virtual_rig.record(dataclasses.replace(RIG, lvdt_offset=-zeroed * SAG, **rig), plans, seed=77)
 
 
+@pytest.mark.slow
 def test_gravity_is_named_by_what_it_does_to_the_arm() -> None:
     found = diagnosed(recorded(zeroed=1.0, duration=3.0), FEW)
     assert found.verdict == "missing", found

@@ -55,7 +55,7 @@ NOISES = {
 }
 
 
-@pytest.mark.parametrize("structure", NOISES)
+@pytest.mark.parametrize("structure", [pytest.param(s, marks=[pytest.mark.slow] * (s == "armax")) for s in NOISES])
 def test_known_systems_are_recovered_with_bands_that_hold(structure):
     current, out = simulated(*NOISES[structure])
     found = est.prediction_error(recording(current, out), structure=structure, compensate=False)
@@ -131,7 +131,8 @@ def different():
     return Recording(tuple(experiments))
 
 
-@pytest.mark.parametrize("structure", ["output_error", pytest.param("box_jenkins", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("structure", ["output_error", "box_jenkins"])
 def test_all_conditions_at_once_give_what_each_gives_alone(different, structure):
     together = est.prediction_error(different, structure=structure, compensate=False)
     for name in different.names:
@@ -174,7 +175,7 @@ def test_predictions_over_any_horizon_are_those_of_the_difference_equation():
         one.predict(0)
 
 
-@pytest.mark.parametrize("hold", ["zoh", "foh", "bl"])
+@pytest.mark.parametrize("hold", ["zoh", pytest.param("foh", marks=pytest.mark.slow), "bl"])
 def test_the_input_between_samples_is_counted(hold):
     random = np.random.default_rng(3)
     fine, samples = 20, 1500

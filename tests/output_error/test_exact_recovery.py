@@ -218,6 +218,7 @@ def test_differenced_closed_form_without_noise_errs_by_the_square_of_the_step() 
     assert max(map(abs, found[1].values())) < 1e-6, found[1]
 
 
+@pytest.mark.slow
 def test_all_parameters_without_noise_output_error_closed_form_and_truth_agree() -> None:
     recording = gentle(128, DRY)
     fit = est.output_error(rtac.RTAC.from_rig(recording), recording, progress=False, tolerance=1e-10, starts=1)

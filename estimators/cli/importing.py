@@ -25,6 +25,7 @@ _SAME = {
 }
 _HDF5 = (".h5", ".hdf5")
 _TIME, _MAT = "time", ".mat"
+_DELIMITERS = {";": '";"', "\t": "$'\\t'", ",": '","'}  # and how a shell is given them
 
 
 Pairs = list[str] | None
@@ -50,7 +51,8 @@ def import_files(
         Pairs, option("NAME", "Of the experiments, one for each file; by default the files' names.")
     ] = None,
     angle: Annotated[
-        list[float] | None, option("RAD", "Arm angle at the start, one for all files or one for each.")
+        list[float] | None,
+        option("RAD", "Arm angle at the start, one for all files, or one for each in which the rig moves."),
     ] = None,
     scale: Annotated[
         Pairs,
@@ -90,7 +92,7 @@ def import_files(
         count = len(foreign)
         kinds = _for_each("--kind", kind, count, required=bool(count))
         names = _for_each("--name", name, count, one_for_all=count == 1)
-        angles = _for_each("--angle", angle, count)
+        angles = _angles(angle, kinds)
         wanted = {
             "scale": {n: _number("--scale", n, v) for n, v in _pairs("--scale", scale).items()},
             "noise_std": {n: _number("--noise", n, v) for n, v in _pairs("--noise", noise).items()},
@@ -99,6 +101,7 @@ def import_files(
             "rig": {n: _number("--rig", n, v) for n, v in _pairs("--rig", rig).items()},
         }  # fmt: skip
         asked = _pairs("--channel", channel)
+        from rtac_jax import RTAC
         from rtac_jax.measurement import Recording, concerns, describe
 
         understood, parts = [], []
@@ -120,6 +123,9 @@ def import_files(
             parts.append(part)
             understood.append(columns.table(parts[-1].experiments[0], wanted["scale"]))
         recording = Recording.join(*parts)
+        known = RTAC.paper().parameters
+        if unknown := sorted(set(recording.rig) - set(known)):
+            stop(WRONG_USE, f"--rig: no rig has a constant {', '.join(unknown)}; use {', '.join(known)}.")
         if not dry_run:
             recording.save(out)
         found = concerns(recording)
@@ -160,6 +166,12 @@ class _Columns:
         known = {**INPUTS, **OUTPUTS, _TIME: "s"}
         text = file.suffix.lower() != _MAT
         header = csv_header(file, delimiter) if text else []
+        other = next((mark for mark in _DELIMITERS if len(header) == 1 and mark in header[0]), None)
+        if other is not None:
+            stop(
+                WRONG_USE,
+                f"{file}: its first row has one column, {header[0]!r}; give --delimiter {_DELIMITERS[other]}.",
+            )
         there = f"; the columns of {file.name} are {', '.join(header)}" if header else ""
         if not asked:
             stop(WRONG_USE, f'--channel: say which column is which, as in --channel cart_position="x [mm]"{there}.')
@@ -262,6 +274,15 @@ def _number(option: str, name: str, text: str) -> float:
         return float(text)
     except ValueError:
         stop(WRONG_USE, f"{option} {name}: is {text!r}; give a number with a decimal point.")
+
+
+def _angles(given: Sequence[float] | None, kinds: Sequence[str]) -> list[float | None]:
+    """Return the angle for each file, None for one at rest where each of the others was given its own."""
+    moving = [kind != "rest" for kind in kinds]
+    if given and len(given) == sum(moving) < len(kinds) and len(given) > 1:
+        angles = iter(given)
+        return [next(angles) if moves else None for moves in moving]
+    return _for_each("--angle", given, len(kinds))
 
 
 def _for_each(

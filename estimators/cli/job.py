@@ -48,7 +48,7 @@ class Job:
         self.remark = (
             f"Fitted to all experiments, and nothing validates the result: {self.not_split}"
             if self.held_out is None
-            else ""
+            else f"Held out: {', '.join(self.held_out.names)}."
         )
 
     @property

@@ -3,7 +3,7 @@
 import dataclasses
 import hashlib
 import itertools
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -99,6 +99,26 @@ def moving(recording: Recording) -> list[Experiment]:
     if not found:
         raise ValueError("the recording holds rest records only; add an experiment in which the rig moves.")
     return found
+
+
+def fitted_part(recording: Recording, names: Collection[str]) -> Recording:
+    """Return the recording with the experiments that were fitted, and its rest records.
+
+    Args:
+        recording: that may hold more.
+        names: of the fitted experiments or of their `pieces`.
+
+    Raises:
+        ValueError: it holds none of them.
+    """
+    kept = [e for e in recording.experiments if e.kind == "rest" or any(p.name in names for p in pieces([e]))]
+    if all(e.kind == "rest" for e in kept):
+        raise ValueError(
+            f"the fit used {', '.join(names)}, and this recording holds none of these; give the recording that was fitted."
+        )
+    if len(kept) == len(recording.experiments):
+        return recording
+    return dataclasses.replace(recording, experiments=tuple(kept))
 
 
 def pieces(experiments: Sequence[Experiment], longest: int = 8192, length: int = 512) -> list[Experiment]:

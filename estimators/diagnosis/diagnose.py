@@ -10,6 +10,7 @@ import numpy as np
 from tqdm import tqdm
 
 from estimators.core.compilation import make_room
+from estimators.core.data import fitted_part
 from estimators.core.drawing import draw
 from estimators.core.fit import Fit
 from estimators.core.result_base import Result
@@ -152,7 +153,7 @@ def diagnose(
 
     Args:
         fit: of the base model to this recording.
-        recording: that the model was fitted to.
+        recording: that the model was fitted to; experiments that the fit did not use are left out.
         candidates: classes of effects to try; by default the whole catalogue, and that a constant is wrong which the model takes
             as exact beside others. Those of the model are passed over.
         thorough: where the verdict would be unknown, look again at what raised no alarm; that may take minutes.
@@ -160,7 +161,8 @@ def diagnose(
         progress: show a bar.
 
     Raises:
-        ValueError: nothing moves in the recording, no candidate is left, or one is declared so that it cannot be looked for.
+        ValueError: nothing that was fitted is in the recording, no candidate is left, or one is declared so that it cannot be
+            looked for.
         RuntimeError: JAX was not configured for double precision.
 
     Source: the steps of Kristensen, Madsen and Jorgensen (2004) for the predictor; score tests as in Basseville and
@@ -169,6 +171,7 @@ def diagnose(
     require_configured()
     make_room()
     began = time.perf_counter()
+    recording = fitted_part(recording, fit.experiments)
     classes = offered(fit.model, candidates)
     if not classes:
         raise ValueError("no candidate is left: the model has every effect that was offered.")

@@ -158,7 +158,7 @@ def _chosen(found: Diagnosis, between: Sequence[str] | None) -> tuple[str, ...]:
         return (open_to_doubt.id, *open_to_doubt.confusable_with)
     if found.verdict == "adequate":
         raise ValueError(
-            "nothing is to be told apart: the diagnosis says that nothing is missing; name effects with between=."
+            "nothing is to be told apart: the diagnosis says that nothing is missing; name effects (between)."
         )
     accepted = {c.id for c in found.effects}
     rivals: list[Candidate] = sorted(

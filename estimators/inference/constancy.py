@@ -25,7 +25,8 @@ def constancy(fit: Fit, recording: Recording, *, covariates: Covariates | None =
     Gauss-Newton step from the fit: the estimates of experiments that fit alone would leave undetermined are told so, too. A
     drift is looked for with the rms of input and output, the mean arm angle where it was measured, the place of the
     experiment in the recording and whatever is given. The residual is taken as white
-    with the rms that the fit left, as the fit's own standard deviations take it.
+    with the rms that the fit left, as the fit's own standard deviations take it. Constants that were measured with a standard
+    deviation are held: one experiment alone says nothing of them.
 
     Args:
         fit: of output error.
@@ -48,9 +49,11 @@ def constancy(fit: Fit, recording: Recording, *, covariates: Covariates | None =
     if len(experiments) < _LEAST:
         raise ValueError(f"constancy: {len(experiments)} experiment(s) show no drift; give at least {_LEAST}.")
     rows = rows_at(problem)
-    information = np.einsum("soep,soeq->epq", rows.jacobian, rows.jacobian)
-    slope = np.einsum("soep,soe->ep", rows.jacobian, rows.residual)
-    names = problem.names
+    tested = [i for i, name in enumerate(problem.names) if name not in fit.model.priors]
+    jacobian = rows.jacobian[..., tested]
+    information = np.einsum("soep,soeq->epq", jacobian, jacobian)
+    slope = np.einsum("soep,soe->ep", jacobian, rows.residual)
+    names = tuple(problem.names[i] for i in tested)
     estimates = np.array([float(np.asarray(fit.model[name])) for name in names])
     every = _covariates(experiments, recording, covariates)
     shape = (len(experiments), len(names))

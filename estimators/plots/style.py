@@ -55,6 +55,7 @@ _WIDEST_TITLE = 10.2  # characters per inch at the size of a title
 _LONGEST_LABEL = 28  # characters beside an axis, which would else leave it no room
 _LONGEST_LINE = 120  # of any other text
 # What matplotlib's axes write as mathematics, and powers of ten of our own; whatever else holds a $ is a name.
+_POWERED = re.compile(r"[A-Za-z]+(\^|²|³)")  # a unit whose first is a power: its prefix would be raised, too
 _POWER = re.compile(r"\$(\\mathdefault\{)?[-−]?[0-9.]*(\\times)?(10\^\{[-−]?[0-9]+\})?\}?\$")
 
 
@@ -97,8 +98,8 @@ def picture(width: float, height: float) -> Picture:
 
 
 def prefixed(largest: float, unit: str) -> Scaled:
-    """Return the SI prefix with which the largest value is between 1 and 1000; none before a unit such as 1/A."""
-    if not np.isfinite(largest) or largest <= 0 or unit in ("1", "") or unit.startswith("1/"):
+    """Return the SI prefix with which the largest value is between 1 and 1000; none before a unit such as 1/A or s^2."""
+    if not np.isfinite(largest) or largest <= 0 or unit in ("1", "") or unit.startswith("1/") or _POWERED.match(unit):
         return Scaled(1.0, unit)
     if unit == "kg":
         size, gram = prefixed(1e3 * largest, "g")

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from estimators.core.data import CHANNELS, mark_of, moving
+from estimators.core.data import CHANNELS, fitted_part, mark_of, moving
 from estimators.core.fit import Fit
 from estimators.inference.bootstrap import Shaken, Shuffled, measured_again
 from estimators.prediction_error.fit import PredictorFit
@@ -20,11 +20,12 @@ from estimators.study.layout import Arrays, Layout
 from estimators.study.run import repeated
 from estimators.study.toml_writer import toml
 from estimators.study.work import Work
-from rtac_jax import require_configured
+from rtac_jax import RTAC, require_configured
 from rtac_jax.measurement import Recording
+from rtac_jax.prior import Prior
 
 _PER_CHUNK = 25
-_FORMAT = 1  # of what is drawn: raised when the same call would give other numbers
+_FORMAT = 2  # of what is drawn: raised when the same call would give other numbers
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -106,11 +107,11 @@ def bootstrap(
     "parametric" repeats the fit's own assumptions: white noise of the residual's size on its simulation, or for
     `prediction_error_nonlinear` random forces and sensor noise of the estimated sizes. It shows what linearising hid. "blocks" puts
     stretches of the residual in another order, so that it holds where the residual is coloured, or what is missing in the model
-    acts alike everywhere.
+    acts alike everywhere. Constants that were measured with a standard deviation are measured again for each replicate.
 
     Args:
         fit: of `output_error` or `prediction_error_nonlinear`.
-        recording: the one that was fitted.
+        recording: the one that was fitted; experiments that the fit did not use are left out.
         repetitions: replicates; 200 for standard deviations, 1,000 and more for intervals.
         seed: of the draws.
         method: "parametric" or "blocks".
@@ -136,7 +137,7 @@ def bootstrap(
         raise ValueError(f"repetitions is {repetitions}; give at least 2.")
     if not block > 0:
         raise ValueError(f"block is {block}; give a length in seconds.")
-    work = Replicates(fit, recording, repetitions, seed, method, float(block))
+    work = Replicates(fit, fitted_part(recording, fit.experiments), repetitions, seed, method, float(block))
     _ = work.source  # refuses another recording before anything is kept
     _, arrays = repeated(work, work.description, executor=executor, out=out, chunk=None, progress=progress)
     names = fit.information.names
@@ -225,7 +226,8 @@ class Replicates(Work):
         for row, index in enumerate(indices):
             random = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(index,)))
             try:
-                kept["estimate"][row] = self._refitted(self._drawn(random))
+                drawn = self._drawn(random)
+                kept["estimate"][row] = self._refitted(drawn, self._weighed_again(random))
             except (ValueError, ArithmeticError) as error:
                 kept["reason"][row] = f"{type(error).__name__}: {' '.join(str(error).split())}"
         return kept
@@ -244,9 +246,18 @@ class Replicates(Work):
             self.recording, experiments=tuple(again.get(e.name, e) for e in self.recording.experiments)
         )
 
-    def _refitted(self, recording: Recording) -> Float[np.ndarray, " parameter"]:
+    def _weighed_again(self, random: np.random.Generator) -> RTAC:
+        """Return the fitted model with what was measured of constants drawn anew around the estimates."""
+        model = self.fit.model
+        priors = {
+            name: Prior(float(np.asarray(model[name])) + float(prior.std) * random.standard_normal(), float(prior.std))
+            for name, prior in model.priors.items()
+        }
+        return dataclasses.replace(model, priors=priors) if priors else model
+
+    def _refitted(self, recording: Recording, model: RTAC) -> Float[np.ndarray, " parameter"]:
         import estimators as est
 
         function = est.prediction_error_nonlinear if isinstance(self.fit, PredictorFit) else est.output_error
-        found = function(self.fit.model, recording, from_model=True, progress=False)
+        found = function(model, recording, from_model=True, progress=False)
         return np.array([found.parameters[name].value for name in self.fit.information.names])

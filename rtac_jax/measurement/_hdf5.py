@@ -202,7 +202,9 @@ def open_hdf5(path: str | os.PathLike[str]) -> Iterator[h5py.File]:
             "/: the HDF5 file cannot be opened; it is damaged, truncated or not readable, so copy or write it again."
         ) from error
     if file is None:
-        raise RecordingError("/: this is not an HDF5 file; import MAT files with from_mat and CSV files with from_csv.")
+        raise RecordingError(
+            "/: this is not an HDF5 file; import MAT and CSV files with rtac import, or with from_mat and from_csv."
+        )
     with file, guarded("/"):
         yield file
 

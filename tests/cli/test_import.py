@@ -119,3 +119,33 @@ def test_files_and_kinds_must_be_named(tmp_path, free):
     refused(call("import", *FREE[2:], free, tmp_path / "out.h5"), 2, "what kind of experiment")
     refused(call("import", "--kind", "fast", *FREE[2:], free, tmp_path / "out.h5"), 2, "'fast'", "'free'")
     refused(call("import", *FREE, free, free, tmp_path / "out.h5"), 2, "the name occurs twice")
+
+
+def test_a_rest_record_needs_no_angle_where_each_of_the_others_has_its_own(tmp_path, free, forced):
+    still = write(tmp_path / "still.csv", **{"t [ms]": 1e3 * TIME, "x [mm]": 1e-3 * POSITION})
+    arguments = [
+        *["--kind", "free", "--kind", "rest", "--kind", "forced"],
+        "--channel",
+        "cart_position=x",
+        "--time",
+        "t",
+    ]
+    _, recording = imported(
+        tmp_path / "rig.h5", free, still, forced, *arguments, "--scale", "cart_position=0.001",
+        "--channel", "current=i [mA]", "--angle", "0.4", "--angle", "2.6",
+    )  # fmt: skip
+    assert [e.initial_arm_angle for e in recording] == [0.4, None, 2.6]
+
+
+@pytest.mark.parametrize(("mark", "shell"), [(";", '--delimiter ";"'), ("\t", "--delimiter $'\\t'")])
+def test_another_delimiter_is_told(tmp_path, mark, shell):
+    file = tmp_path / "logger.csv"
+    file.write_text(mark.join(["t [s]", "x [mm]"]) + "\n" + mark.join(["0.0", "1.0"]) + "\n")
+    result = call("import", file, "--kind", "free", "--channel", "cart_position=x", "--time", "t", tmp_path / "rig.h5")
+    refused(result, 2, shell)
+
+
+def test_a_constant_that_no_rig_has_is_refused_before_anything_is_written(tmp_path, free):
+    result = call("import", free, *FREE, "--rig", "mass=0.94", tmp_path / "rig.h5")
+    refused(result, 2, "no rig has a constant mass", "total_mass")
+    assert not (tmp_path / "rig.h5").exists()

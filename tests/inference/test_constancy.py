@@ -1,5 +1,7 @@
 """Are parameters the same in every experiment? On damped oscillators in closed form whose spring depends on what is known."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -51,6 +53,19 @@ def test_a_spring_that_softens_is_named_with_the_temperature():
     assert "drifts" in found.plot().get_suptitle()
     with pytest.raises(ValueError, match="temperature has no value for free_0"):
         est.constancy(fit, recording, covariates={"temperature": {}})
+
+
+def test_weighed_constants_are_held():
+    fit, recording, _ = fitted(0.0)
+    weighed = dataclasses.replace(recording, rig_std={"total_mass": 0.005})
+    model = rtac.RTAC.from_rig(weighed).without("cart_coulomb")
+    found = est.constancy(est.output_error(model, weighed, progress=False, from_model=True), weighed)
+    exact = est.constancy(fit, recording)
+    assert "total_mass" not in found.names
+    assert found.names == exact.names
+    np.testing.assert_allclose(found.common_std, exact.common_std, rtol=1e-3)
+    assert found.equal
+    assert found.p_value == pytest.approx(exact.p_value, abs=1e-3)
 
 
 def test_constant_parameters_are_called_constant_as_often_as_said():

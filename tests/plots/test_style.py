@@ -45,6 +45,8 @@ def test_quantities_read_well(value, unit, text):
 def test_prefixes_bring_numbers_near_one():
     assert prefixed(0.015, "m") == (1e3, "mm")
     assert prefixed(45.0, "rad/s") == (1.0, "rad/s")
+    assert prefixed(6.4e-6, "s^2") == (1.0, "s^2"), "a prefix would be squared, too"
+    assert prefixed(9.5e-5, "N m s^2") == (1e6, "µN m s^2")
     assert prefixed(float("nan"), "m") == (1.0, "m")
 
 

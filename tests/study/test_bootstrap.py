@@ -42,6 +42,26 @@ def test_the_parametric_bootstrap_agrees_with_cramer_and_rao(white, tmp_path):
         est.bootstrap(fit, recording, repetitions=60, seed=4, out=tmp_path, progress=False)
 
 
+def test_what_was_not_fitted_is_left_out(white):
+    fit, recording = white
+    more = virtual_rig.record(virtual_rig.Rig(), [dataclasses.replace(PLANS[0], name="later")], seed=5)
+    found = est.bootstrap(fit, rtac.Recording.join(recording, more), repetitions=2, seed=3, progress=False)
+    np.testing.assert_array_equal(
+        found.samples, est.bootstrap(fit, recording, repetitions=2, seed=3, progress=False).samples
+    )
+
+
+def test_constants_are_weighed_again_for_each_replicate():
+    std = 2e-3  # of 1.23 kg, far more than the decays say of it
+    recording = virtual_rig.record(virtual_rig.Rig(), PLANS, seed=2, constants_std={"total_mass": std})
+    model = rtac.RTAC.from_rig(recording).fix("arm_viscous.positive", "arm_viscous.negative", "eccentric_moment")
+    fit = est.output_error(model, recording, from_model=True, progress=False)
+    found = est.bootstrap(fit, recording, repetitions=40, seed=3, progress=False)
+    for name in ("total_mass", "spring_stiffness"):  # the scale of all forces is that of the weighing
+        assert found.std[name] == pytest.approx(fit.parameters[name].std, rel=0.4)
+    assert found.std["total_mass"] == pytest.approx(std, rel=0.4)
+
+
 def test_blocks_see_a_coloured_residual_that_cramer_and_rao_do_not():
     fit, recording = fitted(noise_correlation=0.9)
     blocks = est.bootstrap(fit, recording, repetitions=24, method="blocks", progress=False)

@@ -304,7 +304,7 @@ def test_what_is_no_recording_is_refused(tmp_path, path):
     refuses(tmp_path, "/: this is not a file")
     text = tmp_path / "text.h5"
     text.write_text("t,x\n1,2\n")
-    refuses(text, "/: this is not an HDF5 file; import MAT files with from_mat")
+    refuses(text, "/: this is not an HDF5 file; import MAT and CSV files with rtac import, or with from_mat")
     text.write_bytes(b"")
     refuses(text, "/: this is not an HDF5 file")
 

@@ -62,7 +62,7 @@ def test_a_fit_of_the_same_data_is_used_as_it_stands(work, fitted, tmp_path):
     assert isinstance(found, est.Fit)
     assert str(found.model) == str(MODEL)
     assert not fitted
-    assert work.remark == "The fit is that of fit.h5."
+    assert work.remark.endswith("The fit is that of fit.h5.")
 
 
 @pytest.mark.parametrize("other", ["fewer", "changed", "model", "improvement"])
@@ -98,7 +98,9 @@ def test_experiments_that_a_judged_fit_has_seen_are_named(tmp_path, monkeypatch)
     MODEL.save(tmp_path / "plain.h5")
     arguments = ("--model", tmp_path / "greedy.h5", "--model", tmp_path / "plain.h5", "--validation", "forced_2")
     refused(call("compare", tmp_path / "rig.h5", *arguments), 1, "that is enough")
-    assert heard == ["greedy was fitted to forced_2, which are held out here, so its error there is too good."]
+    assert heard == [
+        "Held out: forced_2. greedy was fitted to forced_2, which are held out here, so its error there is too good."
+    ]
 
 
 def test_a_controller_is_designed_for_a_fit_of_another_recording(tmp_path, monkeypatch, fitted):

@@ -65,7 +65,10 @@ def next_experiment(
         )  # fmt: skip
         if play is not None:
             planned.save(play)
-        how = "" if play is None else f"to be played: {play}"
+        limits = (
+            f"travel {travel:g} mm (--travel), torque {torque_limit:g} N m (--torque-limit), arm {speed_limit:g} rad/s"
+        )
+        how = f"Within these limits of the rig: {limits} (--speed-limit)." + (f"\nto be played: {play}" if play else "")
         work.say(found.overview().title, work.remark, planned, how)
         content = {"format": FORMAT, "version": VERSION, "verdict": found.verdict, "next_experiment": planned.as_dict()}
         work.write_json(cleaned({**content, "seconds": work.seconds}))

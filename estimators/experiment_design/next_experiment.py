@@ -135,8 +135,12 @@ class NextExperiment:
             f"{best.smallest:.3g} ({worst[0]} against {worst[1]}); below {CONFUSABLE:g} effects are not told apart.",
             f"Predicted: travel {1e3 * best.travel:.2g} mm, torque {best.torque:.2g} N m, arm {best.speed:.3g} rad/s.",
         ]
-        if best.smallest < CONFUSABLE:
-            lines.append("No experiment of the menu tells these apart; record it several times, or widen the limits.")
+        if min(self.already.values()) >= CONFUSABLE:
+            lines.append("The recording tells these apart already: nothing new has to be recorded for that.")
+        elif best.smallest < CONFUSABLE:
+            lines.append(
+                "No experiment that was tried tells these apart; record it several times, or widen the limits."
+            )
         lines += ["", f"{'experiment':44s} {'separation':>11s} {'travel':>9s} {'torque':>11s} {'arm speed':>11s}"]
         lines += [
             f"{one.plan.name:44s} {one.smallest:11.3g} {1e3 * one.travel:6.2f} mm {1e3 * one.torque:6.2f} mN m "

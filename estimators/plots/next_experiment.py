@@ -44,9 +44,7 @@ def finding(found: NextExperiment) -> str:
     effects = " and ".join(found.effects) if len(found.effects) < 4 else f"{len(found.effects)} effects"
     now, then = min(found.already.values()), found.best.smallest
     if then < CONFUSABLE:
-        return (
-            f"No experiment of the menu tells {effects} apart; {found.plan.name} comes nearest: separation {_two(then)}"
-        )
+        return f"No experiment that was tried tells {effects} apart; {found.plan.name} comes nearest: separation {_two(then)}"
     return f"“{found.plan.name}” tells {effects} apart: separation {_two(then)}, {_two(now)} as it stands"
 
 

@@ -9,6 +9,14 @@ from estimators.cli.job import job, progress
 from estimators.cli.models import start_model
 from estimators.cli.options import Effects, File, Json, Model, Out, Save, Validation
 
+# Samples of an experiment from which comparing the estimates takes minutes (2 ms, arm free: three for 100,000).
+_LONG = 20_000
+_DRAWS, _FEW_DRAWS = 80, 32
+_SLOWLY = (
+    "rtac: an experiment of {samples:,} samples: output error takes seconds, random forces and the comparison of the "
+    "estimates some three minutes for each 100,000; a part of it is answered sooner (Experiment.cut)."
+)
+
 
 def fit(
     file: File,
@@ -33,13 +41,17 @@ def fit(
         closed = est.least_squares(start, work.train, weak=True)
         found = work.fitted(start, from_model=model is not None, robust=robust)
         predicted, agreed = None, None
+        longest = max(e.samples for e in work.train)
+        if longest >= _LONG:
+            typer.echo(_SLOWLY.format(samples=longest), err=True)
         try:
             predicted = est.prediction_error_nonlinear(found.model, work.train, from_model=True, progress=progress())
         except (ValueError, est.DivergedError) as error:  # such as data that leave parameters free beside random forces
             work.remark = f"{work.remark} No prediction error: {error}".strip()
         try:
             ways = [closed, found] if predicted is None else [closed, found, predicted]
-            agreed = est.agreement(ways, work.train, progress=progress())
+            draws = _FEW_DRAWS if longest >= _LONG else _DRAWS
+            agreed = est.agreement(ways, work.train, draws=draws, progress=progress())
         except ValueError as error:  # the closed form needs channels that the fit does not
             work.remark = f"{work.remark} The estimators were not compared: {error}".strip()
         spread = est.covariances(found, work.train)

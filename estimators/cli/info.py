@@ -13,12 +13,17 @@ def info(file: File, json: Json = None) -> None:
     """Describe what is in a recording, and what looks wrong with it."""
     with answering():
         from estimators.validation.channel_consistency import channel_consistency
+        from rtac_jax import RTAC
         from rtac_jax.measurement import concerns, describe, guarded_by_digest
 
         if json is not None:
             writable_file(json, "--json")
         recording = load(file)
         found, guarded = concerns(recording) + channel_consistency(recording).concerns, guarded_by_digest(file)
+        try:
+            RTAC.from_rig(recording)
+        except ValueError as error:  # such as a constant that no rig has; a fit would refuse it
+            found.append(str(error))
         if json is not None:
             from estimators.reporting.html import write_json
             from estimators.reporting.recording import recording_dict

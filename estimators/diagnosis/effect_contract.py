@@ -1,6 +1,7 @@
 """Whether a user's own effect keeps its contract: every method is traced once, which computes nothing, and a fault is explained."""
 
 import inspect
+import re
 import traceback
 from collections.abc import Callable
 from pathlib import Path
@@ -29,7 +30,10 @@ TYPICAL = Scales(
 )
 # One trajectory for each element; not 1, so that a reduction over all of them shows.
 TRAJECTORIES = (3,)
+PORTS = ("cart", "arm", "arm and cart", "actuator", "input", "sensor")
 _PORTS = ("on the cart", "on the arm")
+# What JAX calls a value in a traced function, and the object that stands for it.
+_VALUE = re.compile(r"(Jit|DynamicJaxpr|JVP|Batch)Tracer(\([^()]*\))?|(<)?ShapeDtypeStruct(\([^()]*\))?(>)?")
 
 
 def require_working(c: type[Effect]) -> None:
@@ -51,6 +55,12 @@ def require_working(c: type[Effect]) -> None:
         )
 
     motion, own = _motion(), ()
+    if not (isinstance(effect.states, dict) and all(isinstance(x, str) for one in effect.states.items() for x in one)):
+        raise ValueError(
+            f"effect {c.id}: states is {effect.states!r}; give a dictionary from each state's name to its unit."
+        )
+    if effect.port not in PORTS:
+        raise ValueError(f"effect {c.id}: port is {effect.port!r}; use one of {', '.join(PORTS)}.")
     names = tuple(effect.states)
     own = in_parts(called("start", motion), effect, "start", names)
     _require_shapes(effect, "start", own)
@@ -91,13 +101,17 @@ def explained(c: type[Effect], method: str, call: Callable[[], Any]) -> Any:
     """
     try:
         return call()
-    except Exception as error:
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # a user's exit() is one, too, and would end the program without a word
         raise ValueError(f"effect {c.id}: {method}{_line(c, error)} {_fault(error)}.") from error
 
 
-def _fault(error: Exception) -> str:
+def _fault(error: BaseException) -> str:
     """Return what usually is behind an error in a traced function, and the usual mend."""
-    said = (str(error).splitlines() or [""])[0].rstrip(".")
+    said = _VALUE.sub("a value that is known only later", (str(error).splitlines() or [""])[0].rstrip("."))
+    if isinstance(error, SystemExit):
+        return "calls exit(); raise an error instead"
     if isinstance(error, jax.errors.TracerBoolConversionError) or "truth value of an array" in said.lower():
         return "decides with a Python if, while, and, or or not on a value that is known only later; use jnp.where instead of if"
     if isinstance(error, jax.errors.TracerArrayConversionError):
@@ -108,10 +122,12 @@ def _fault(error: Exception) -> str:
         return "turns a value that is known only later into a Python number; use jnp.sin instead of math.sin, and no float()"
     if isinstance(error, TypeError) and "immutable" in said:
         return "writes into an array; use x.at[i].set(value), which returns another one"
-    return f"fails: {type(error).__name__}: {said}; mend it, or see the whole traceback with --debug"
+    return (
+        f"fails: {type(error).__name__}{f': {said}' if said else ''}; mend it, or see the whole traceback with --debug"
+    )
 
 
-def _line(c: type[Effect], error: Exception) -> str:
+def _line(c: type[Effect], error: BaseException) -> str:
     """Return where in the user's file it failed."""
     try:
         file = inspect.getfile(c)

@@ -29,6 +29,7 @@ _FAR = 3.0  # the longest step in the logarithm of a variance
 _LITTLE = 0.1  # gain in log-likelihood that is not worth another pass of the filter
 _PASSES = 25
 _PART = 8  # the first of so many parts of all experiments tell the noise where it is far off
+_LONG = 1 << 14  # room of an experiment from which the filter alone is worth a program of its own
 _FEWEST = 200  # samples of that part
 _MUCH = 100.0  # gain in log-likelihood that a step must promise to be called far off
 _LESS = (0.0, 4.0)  # by how much in the logarithm of the variance
@@ -143,6 +144,12 @@ def _pass(*arguments: Any) -> Passed:
 
 
 @eqx.filter_jit
+def _filter(*arguments: Any) -> Filtered:
+    """Run the filter alone; see `_arguments`."""
+    return _filtered(*arguments, by_noise=False)[0]
+
+
+@eqx.filter_jit
 def _negative_log_likelihood(*arguments: Any) -> Float[Array, ""]:
     """Run the filter for the negative log-likelihood alone; see `_arguments`."""
     return -_filtered(*arguments, by_noise=False)[0].log_likelihood.sum()
@@ -165,6 +172,17 @@ def run_filter(
 ) -> Passed:
     """Run the filter's pass at given noise."""
     return _pass(*_arguments(model, data, space, physical, prior, noise, substeps))
+
+
+def filter_alone(
+    model: RTAC, data: Data, space: Space, physical: Any, prior: NoiseModel, noise: np.ndarray, substeps: Steps
+) -> Filtered:
+    """Return what `run_filter` filters, without the derivatives by the noise where experiments are long.
+
+    These take two thirds of a pass, and a program without them some seconds to compile.
+    """
+    arguments = _arguments(model, data, space, physical, prior, noise, substeps)
+    return _filter(*arguments) if data.room >= _LONG else _pass(*arguments).filtered
 
 
 def negative_log_likelihood(

@@ -179,7 +179,8 @@ def in_parts(told: Any, effect: Effect, method: str, parts: Sequence[str]) -> tu
         ValueError: it returns something else; one array with as many rows as there are parts would be taken apart unseen.
     """
     if not isinstance(told, (tuple, list)) or len(told) != len(parts):
-        given = f"{len(told)} value(s)" if isinstance(told, (tuple, list)) else f"one {type(told).__name__}"
+        kind = "array" if hasattr(told, "shape") else type(told).__name__
+        given = f"{len(told)} value(s)" if isinstance(told, (tuple, list)) else f"one {kind}"
         raise ValueError(
             f"effect {effect.id}: {method} returns {given}; return a tuple of {len(parts)}: {', '.join(parts) or 'nothing'}."
         )

@@ -47,6 +47,14 @@ FAULTS = {
     "if parameter": ("return (1.0 if self.k > 0 else 0.0), 0.0", FORCE + r"decides .*; use jnp\.where instead of if"),
     "zero": ("return 1 / 0, 0.0", FORCE + r"divides by zero; keep the divisor away from 0"),
     "writes": ("x[0] = 1.0; return x, 0.0", FORCE + r"writes into an array; use x\.at\[i\]\.set"),
+    "exit": ("exit()", FORCE + r"calls exit\(\); raise an error instead"),
+    "interrupts": ('raise BaseException("no")', FORCE + "fails: BaseException: no; mend it"),
+    "key": ("raise KeyError(x)", FORCE + "fails: KeyError: a value that is known only later; mend it"),
+    "append": (
+        "x.append(1)",
+        FORCE + "fails: AttributeError: a value that is known only later has no attribute append",
+    ),
+    "one array": ("return x", "effect magnet: force returns one array; return a tuple of 2"),
     "name": ("return motion.position, 0.0", FORCE + r"fails: AttributeError: .*no attribute 'position'.*--debug"),
 }
 SIZE = "plausible=1.0"
@@ -57,6 +65,9 @@ ELSEWHERE = {
     "plausible name": (SIZE, "plausible=lambda scales: scales.size", r"plausible of k \(mine\.py, line 14\) fails: AttributeError"),
     "no id": ("id, equation, source, port, nature = \"magnet\",", "equation, source, port, nature =", "Magnet has no id"),
     "odd id": ('"magnet"', '"my magnet"', "has the id 'my magnet'; use letters"),
+    "states a number": ("states = {}", "states = 1", "effect magnet: states is 1; give a dictionary"),
+    "states of numbers": ("states = {}", 'states = {1: "m"}', "effect magnet: states is .*; give a dictionary"),
+    "odd port": ('"cart"', '"wheel"', "effect magnet: port is 'wheel'; use one of cart, arm, arm and cart"),
     "state without start": ("states = {}", 'states = {"z": "m"}', "effect magnet: start returns 0 value"),
     "sensor": (
         "def force(self, motion, own):", "def read(self, outputs, own):\n        return 1.0\n\n    def force(self, motion, own):",

@@ -6,7 +6,7 @@ import pytest
 import estimators as est
 import rtac_jax as rtac
 from estimators.prediction_error import noise_estimation
-from estimators.prediction_error.noise_estimation import negative_log_likelihood, run_filter
+from estimators.prediction_error.noise_estimation import filter_alone, negative_log_likelihood, run_filter
 from rtac_jax.virtual_rig import Rig, record, standard_plans
 
 
@@ -69,6 +69,18 @@ def test_the_curvature_of_the_noise_is_that_of_its_likelihood(shaken):
     # Where the noise is likeliest, less than a tenth is to be gained by a step.
     slope = np.asarray(passed(at).slope) + np.concatenate([np.zeros(2), at[2:] / found.prior.doubt**2])
     assert slope @ np.linalg.solve(expected, slope) < 0.2
+
+
+def test_a_filter_alone_is_the_filter(shaken, monkeypatch):
+    data, model, _, _ = shaken
+    found = est.prediction_error_nonlinear(model, data, progress=False, rounds=2)
+    a = found.problem.arguments
+    given = (a.model, a.data, a.space, a.space.physical(found.problem.unknowns), found.prior, found.noise_exponents)
+    whole = filter_alone(*given, a.substeps)
+    monkeypatch.setattr(noise_estimation, "_LONG", 1)
+    for name, value in filter_alone(*given, a.substeps)._asdict().items():
+        size = np.max(np.abs(np.asarray(value)))
+        np.testing.assert_allclose(value, getattr(whole, name), rtol=0, atol=1e-12 * size, err_msg=name)
 
 
 def test_noise_that_a_part_tells_first_is_that_of_all_samples(shaken, monkeypatch):

@@ -35,6 +35,7 @@ from estimators.diagnosis.refitting import compile_base, compile_for, fit_base, 
 from estimators.diagnosis.removed_error import Verdict, floor
 from estimators.diagnosis.setting import Setting, effect_of, setting_of
 from estimators.diagnosis.stepwise_selection import Selection, by_size
+from estimators.diagnosis.testability import stood_for
 from estimators.diagnosis.verdict import Consequence, Judgement, decide, judge
 from estimators.diagnosis.workers import Workers
 from estimators.diagnosis.wrong_constant import doubt
@@ -187,7 +188,8 @@ def diagnose(
             decide(laboratory, policy, thorough=thorough)
             evidence = laboratory.evidence(thorough=thorough)
         bar.set_description("diagnose: verdict")
-        told = _told(laboratory, evidence, judge(evidence, policy), [c for c in classes if c.id not in setting.absent])
+        unshown = [c for c in classes if c.id not in setting.absent and not stood_for(c, setting.experiments)]
+        told = _told(laboratory, evidence, judge(evidence, policy), unshown)
     if (
         told.simulation is not None
         and told.simulation.cause == "unexplained"

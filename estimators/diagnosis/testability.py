@@ -8,6 +8,11 @@ from rtac_jax.effects import Effect
 from rtac_jax.measurement import Experiment
 
 
+def stood_for(effect: type[Effect], experiments: Sequence[Experiment]) -> bool:
+    """Return whether another effect is the same as this one, since a current drives the motor."""
+    return effect.undriven and any(np.any(e.inputs["current"].values) for e in experiments if "current" in e.inputs)
+
+
 def can_show(effect: type[Effect], experiments: Sequence[Experiment]) -> bool:
     """Return whether what the effect acts on moves or is driven, and what it needs is measured, in any experiment.
 
@@ -19,7 +24,7 @@ def can_show(effect: type[Effect], experiments: Sequence[Experiment]) -> bool:
     measured = {name for e in experiments for name in e.outputs}
     if effect.needs_channel is not None and effect.needs_channel not in measured:
         return False
-    if effect.undriven and "current" in driven:
+    if stood_for(effect, experiments):
         return False
     if effect.port == "input":
         return bool(driven)

@@ -209,7 +209,7 @@ figure { margin: 1rem 0 1.6rem; }
 img { max-width: 100%; height: auto; }
 figcaption, .caption { color: #555; font-size: 0.9rem; }
 .summary li { margin: 0.3rem 0; overflow-wrap: anywhere; }
-.viewer svg { width: 100%; height: auto; touch-action: pan-y; cursor: grab; border: 1px solid #e3e3e3; }
+.viewer svg { box-sizing: border-box; width: 100%; height: auto; touch-action: pan-y; cursor: grab; border: 1px solid #e3e3e3; }
 .viewer .bar { display: flex; flex-wrap: wrap; gap: 0.3rem; margin-bottom: 0.3rem; }
 .viewer select, .viewer button { font: inherit; font-size: 0.85rem; max-width: 100%; }
 .viewer .grid { stroke: #e3e3e3; }

@@ -13,7 +13,7 @@ document.querySelectorAll(".viewer").forEach(box => {
   const what = make("select", bar, {"aria-label": "signals or residuals"});
   ["signals", "residuals"].forEach(word => { make("option", what, {value: word}).textContent = word; });
   const svg = make("svg", box, {role: "img", tabindex: 0}, SVG), legend = make("div", box, {class: "legend"});
-  const colours = ["#999", "#e6550d", "#08306b", "#31a354", "#756bb1"], left = 56, bottom = 34, height = 300;
+  const colours = ["#999", "#e6550d", "#08306b", "#31a354", "#756bb1"], left = 56, top = 24, bottom = 34, height = 316;
   let from = 0, to = 1, width = 600;
   const nice = span => { const p = 10 ** Math.floor(Math.log10(span / 4)); return p * [1, 2, 5, 10].find(f => span / (p * f) < 6); };
   const draw = () => {
@@ -28,20 +28,20 @@ document.querySelectorAll(".viewer").forEach(box => {
     let low = Infinity, high = -Infinity;
     shown.forEach(s => { for (let i = first; i <= last; i++) { const v = s.values[i]; if (v !== null) { low = Math.min(low, v); high = Math.max(high, v); } } });
     if (!(high > low)) { low -= 1; high = low + 2; }
-    const gap = 0.05 * (high - low), w = width - left - 8, h = height - bottom - 8;
+    const gap = 0.05 * (high - low), w = width - left - 8, h = height - bottom - top;
     low -= gap; high += gap;
-    const x = i => left + w * (i / (n - 1) - from) / (to - from), y = v => 8 + h * (high - v) / (high - low);
+    const x = i => left + w * (i / (n - 1) - from) / (to - from), y = v => top + h * (high - v) / (high - low);
     const tick = (px, py, text, anchor) => { make("text", svg, {x: px, y: py, "text-anchor": anchor, class: "tick"}, SVG).textContent = text; };
     const t0 = t.start + from * (n - 1) * t.step, t1 = t.start + to * (n - 1) * t.step, ds = nice(t1 - t0), dv = nice(high - low);
     for (let s = Math.ceil(t0 / ds) * ds; s <= t1; s += ds) {
       const px = left + w * (s - t0) / (t1 - t0);
-      make("line", svg, {x1: px, x2: px, y1: 8, y2: 8 + h, class: "grid"}, SVG); tick(px, 8 + h + 14, +s.toPrecision(6), "middle");
+      make("line", svg, {x1: px, x2: px, y1: top, y2: top + h, class: "grid"}, SVG); tick(px, top + h + 14, +s.toPrecision(6), "middle");
     }
     for (let v = Math.ceil(low / dv) * dv; v <= high; v += dv) {
       make("line", svg, {x1: left, x2: left + w, y1: y(v), y2: y(v), class: "grid"}, SVG);
       tick(left - 4, y(v) + 4, +(Math.abs(v) < 1e-9 * dv ? 0 : v).toPrecision(4), "end");
     }
-    tick(left + w / 2, height - 4, "Time [s]", "middle"); tick(4, 18, `[${t.unit}]`, "start");
+    tick(left + w / 2, height - 4, "Time [s]", "middle"); tick(4, 15, `[${t.unit}]`, "start");
     shown.forEach(s => { // of the samples in each column of pixels the first, the least, the largest and the last
       let path = "", pen = false;
       const by = Math.max(1, Math.floor((last - first) / (2 * w)));

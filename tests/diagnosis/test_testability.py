@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from small_experiments import DECAY, T, free
 
-from estimators.diagnosis.testability import can_show
+from estimators.diagnosis.testability import can_show, stood_for
 from rtac_jax.effects import CATALOGUE, Force, Motion, Outputs, Sensor, States
 from rtac_jax.measurement import Experiment
 from rtac_jax.parameters import Scalar, parameter
@@ -77,3 +77,10 @@ def test_what_is_held_hides_the_effects_on_it(experiment: Experiment, seen: set[
     shown = {name for name, cls in CATALOGUE.items() if can_show(cls, [experiment])}
     assert seen <= shown
     assert not unseen & shown
+
+
+def test_an_effect_that_another_stands_for_is_not_called_unshown() -> None:
+    """Where a current is played, an offset of it is looked for: nobody need be told that a constant torque was not."""
+    assert stood_for(CATALOGUE["torque_offset"], [free(), CLAMPED])
+    assert not stood_for(CATALOGUE["torque_offset"], [free()])
+    assert not any(stood_for(cls, [CLAMPED]) for name, cls in CATALOGUE.items() if name != "torque_offset")

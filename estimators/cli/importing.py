@@ -54,6 +54,12 @@ def import_files(
         list[float] | None,
         option("RAD", "Arm angle at the start, one for all files, or one for each in which the rig moves."),
     ] = None,
+    angle_std: Annotated[
+        float | None, option("RAD", "Standard deviation of every angle given; 0.1 rad without it.")
+    ] = None,
+    repeat_of: Annotated[
+        Pairs, option("NAME=OTHER", "An experiment that plays another one once more, from the same start.")
+    ] = None,
     scale: Annotated[
         Pairs,
         option("NAME=FACTOR", "Recording's unit per unit of the column, for a unit that is not known, such as volts."),
@@ -122,7 +128,7 @@ def import_files(
             )  # fmt: skip
             parts.append(part)
             understood.append(columns.table(parts[-1].experiments[0], wanted["scale"]))
-        recording = Recording.join(*parts)
+        recording = _completed(Recording.join(*parts), _pairs("--repeat-of", repeat_of), angle_std)
         known = RTAC.paper().parameters
         if unknown := sorted(set(recording.rig) - set(known)):
             stop(WRONG_USE, f"--rig: no rig has a constant {', '.join(unknown)}; use {', '.join(known)}.")
@@ -274,6 +280,21 @@ def _number(option: str, name: str, text: str) -> float:
         return float(text)
     except ValueError:
         stop(WRONG_USE, f"{option} {name}: is {text!r}; give a number with a decimal point.")
+
+
+def _completed(recording: Any, repeats: Mapping[str, str], angle_std: float | None) -> Any:
+    """Return the recording with what is said of its experiments by name, and of all angles at the start."""
+    for name, other in repeats.items():
+        for wanted in (name, other):
+            if wanted not in recording.names:
+                stop(WRONG_USE, f"--repeat-of: there is no experiment {wanted}; use {', '.join(recording.names)}.")
+    completed = []
+    for e in recording.experiments:
+        changes: dict[str, Any] = {"repeat_of": repeats[e.name]} if e.name in repeats else {}
+        if angle_std is not None and e.initial_arm_angle is not None:
+            changes["initial_arm_angle_std"] = angle_std
+        completed.append(dataclasses.replace(e, **changes) if changes else e)
+    return dataclasses.replace(recording, experiments=tuple(completed))
 
 
 def _angles(given: Sequence[float] | None, kinds: Sequence[str]) -> list[float | None]:

@@ -149,3 +149,25 @@ def test_a_constant_that_no_rig_has_is_refused_before_anything_is_written(tmp_pa
     result = call("import", free, *FREE, "--rig", "mass=0.94", tmp_path / "rig.h5")
     refused(result, 2, "no rig has a constant mass", "total_mass")
     assert not (tmp_path / "rig.h5").exists()
+
+
+def test_a_repeat_and_the_doubt_of_an_angle_can_be_said(tmp_path, free, forced):
+    again = tmp_path / "again.csv"
+    again.write_text(free.read_text())
+    arguments = [
+        "--kind",
+        "free",
+        "--channel",
+        "cart_position=x [mm]",
+        "--time",
+        "t",
+        "--angle",
+        "0.3",
+        "--angle-std",
+        "0.02",
+    ]
+    _, recording = imported(tmp_path / "rig.h5", free, again, *arguments, "--repeat-of", "again=free_1")
+    assert [e.repeat_of for e in recording] == [None, "free_1"]
+    assert [e.initial_arm_angle_std for e in recording] == [0.02, 0.02]
+    result = call("import", free, again, *arguments, "--repeat-of", "again=nothing", tmp_path / "other.h5")
+    refused(result, 2, "--repeat-of: there is no experiment nothing", "free_1")

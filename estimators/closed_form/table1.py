@@ -165,7 +165,8 @@ def _rule(found: ClosedForm) -> str:
     if loose:
         return f"Not consistent by the paper's rule of 30 %: {', '.join(loose)}."
     scatter = "Consistent by the paper's rule: all standard deviations are below 30 % of their means."
-    return scatter if found.options.weak else f"{scatter} That judges scatter, not bias."
+    judged = "whether the model is right" if found.options.weak else "bias"
+    return f"{scatter} That judges scatter, not {judged}."
 
 
 def _percent(share: float) -> str:

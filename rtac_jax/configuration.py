@@ -1,7 +1,5 @@
 """One explicit call that prepares JAX for estimation; importing the package changes nothing."""
 
-import contextlib
-import ctypes
 import os
 import tempfile
 import warnings
@@ -21,14 +19,11 @@ _CPU_OPTIONS = ",".join(
 )
 _FLAG = "--xla_backend_extra_options="
 NO_CACHE = "no compile cache"
-_HEAPS = -8  # glibc's M_ARENA_MAX
 _CACHE = os.environ.get("JAX_COMPILATION_CACHE_DIR") or "~/.cache/rtac-jax"
 
 
 def configure(*, fast: bool = True, cache: str | Path | None = _CACHE) -> str:
     """Prepare JAX: double precision, compiler options for batched simulation on a CPU, and a cache of compiled code.
-
-    On Linux it also has all threads take memory from one heap, which they can give to each other.
 
     Call it once, before anything is computed. It may be called again.
 
@@ -45,7 +40,6 @@ def configure(*, fast: bool = True, cache: str | Path | None = _CACHE) -> str:
     said = ["float64 on"]
     if fast:
         said.append(_set_cpu_options())
-    _share_one_heap()
     if cache is not None:
         folder = Path(cache).expanduser()
         try:
@@ -76,15 +70,6 @@ def _set_cpu_options() -> str:
         return "CPU options not set, because JAX had already started: call configure() first"
     os.environ["XLA_FLAGS"] = f"{flags} {_FLAG}{_CPU_OPTIONS}".strip()
     return "CPU options on"
-
-
-def _share_one_heap() -> None:
-    """Have glibc keep one heap for all threads.
-
-    With one for each a diagnosis of 18 x 5,000 samples takes 0.5 GB more, and no less time.
-    """
-    with contextlib.suppress(OSError, AttributeError):  # no glibc
-        ctypes.CDLL("libc.so.6").mallopt(_HEAPS, 1)
 
 
 def _backend_has_started() -> bool:

@@ -17,6 +17,7 @@ from rtac_jax._rigid_body import RigidBody
 from rtac_jax._since import Since
 from rtac_jax._sincos import sincos
 from rtac_jax._stopping import brought_to_rest
+from rtac_jax.constants import require_constants
 from rtac_jax.effects import (
     CATALOGUE,
     ArmViscous,
@@ -47,10 +48,6 @@ _PAPER = {
     "spring_stiffness": 132.6,
     "torque_constant": 8.04e-2,
 }  # paper, Table 1
-
-# How far a known constant may be from the paper's, up or down. A rig as large as a building has 10^9 times the inertia;
-# beyond this, what is squared and divided in a fit overflows.
-FARTHEST = 1e15
 
 
 class RTAC(eqx.Module):
@@ -107,18 +104,7 @@ class RTAC(eqx.Module):
         fixed = (set(recording.rig) - set(recording.rig_std)) | unexcited
         known = {name: float(value) for name, value in recording.rig.items()}
         model = cls(RigidBody(**_PAPER), tuple(effects))
-        unknown = sorted(set(known) - set(model.parameters))
-        if unknown:
-            raise ValueError(
-                f"/rig names {', '.join(unknown)}, which this model does not have; it has {', '.join(model.parameters)}."
-            )
-        for name, value in known.items():
-            paper = float(model[name])
-            if not 1 / FARTHEST < abs(value / paper) < FARTHEST and value != 0:
-                raise ValueError(
-                    f"/rig: {name} is {value:g} {model.parameters[name].unit}, which no rig has (the paper's is {paper:g}); "
-                    "correct the value or its unit."
-                )
+        require_constants(model, known)
         priors = {name: Prior(known[name], std) for name, std in recording.rig_std.items() if name not in fixed}
         return cls(model.body, model.effects, priors=priors).with_values(known).fix(*(fixed & set(model.parameters)))
 

@@ -18,16 +18,16 @@ os.environ["JAX_COMPILATION_CACHE_DIR"] = str(ROOT / ".cache" / "jax")
 _checked = jaxtyping.jaxtyped
 
 
-def _checked_once(fn: Any = None, *, typechecker: Any = None) -> Any:
-    """Check functions of modules and classes; one within a function would be made anew, and its checks with it, at every call."""
+def _checked_where_it_stays(fn: Any = None, *, typechecker: Any = None) -> Any:
+    """Check functions of modules and classes; one within a function is made anew at every call, and its checks would be with it."""
     if fn is None:
-        return lambda fn: _checked_once(fn, typechecker=typechecker)
+        return lambda fn: _checked_where_it_stays(fn, typechecker=typechecker)
     if "<locals>" in getattr(fn, "__qualname__", ""):
         return fn
     return _checked(fn, typechecker=typechecker)
 
 
-jaxtyping.jaxtyped = _checked_once
+jaxtyping.jaxtyped = _checked_where_it_stays
 # Before anything of the packages is imported: the hook rewrites their modules as they load.
 parts = {path.stem for path in (ROOT / "rtac_jax").iterdir() if not path.name.startswith("__")} - DOORS
 jaxtyping.install_import_hook([*(f"rtac_jax.{part}" for part in sorted(parts)), "estimators"], "beartype.beartype")

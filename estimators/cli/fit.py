@@ -9,9 +9,7 @@ from estimators.cli.job import job, progress
 from estimators.cli.models import start_model
 from estimators.cli.options import Effects, File, Json, Model, Out, Save, Validation
 
-# Samples of an experiment from which comparing the estimates takes minutes (2 ms, arm free: three for 100,000).
-_LONG = 20_000
-_DRAWS, _FEW_DRAWS = 80, 32
+# As measured with an arm that is free and sampled at 2 ms.
 _SLOWLY = (
     "rtac: an experiment of {samples:,} samples: output error takes seconds, random forces and the comparison of the "
     "estimates some three minutes for each 100,000; a part of it is answered sooner (Experiment.cut)."
@@ -33,6 +31,7 @@ def fit(
     """Fit by closed form, output error and prediction error side by side, with standard deviations, and test their agreement."""
     with job(file, validation, out, json, save) as work:
         import estimators as est
+        from estimators.core.piecewise_triangle import LONG
         from estimators.reporting import report as _report
         from estimators.reporting import summary
         from estimators.reporting.fit_table import AllEstimates, estimates_table, fit_table, recommended_table
@@ -42,7 +41,7 @@ def fit(
         found = work.fitted(start, from_model=model is not None, robust=robust)
         predicted, agreed = None, None
         longest = max(e.samples for e in work.train)
-        if longest >= _LONG:
+        if longest >= LONG:
             typer.echo(_SLOWLY.format(samples=longest), err=True)
         try:
             predicted = est.prediction_error_nonlinear(found.model, work.train, from_model=True, progress=progress())
@@ -50,8 +49,7 @@ def fit(
             work.remark = f"{work.remark} No prediction error: {error}".strip()
         try:
             ways = [closed, found] if predicted is None else [closed, found, predicted]
-            draws = _FEW_DRAWS if longest >= _LONG else _DRAWS
-            agreed = est.agreement(ways, work.train, draws=draws, progress=progress())
+            agreed = est.agreement(ways, work.train, progress=progress())
         except ValueError as error:  # the closed form needs channels that the fit does not
             work.remark = f"{work.remark} The estimators were not compared: {error}".strip()
         spread = est.covariances(found, work.train)

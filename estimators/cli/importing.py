@@ -108,6 +108,7 @@ def import_files(
         }  # fmt: skip
         asked = _pairs("--channel", channel)
         from rtac_jax import RTAC
+        from rtac_jax.constants import require_constants
         from rtac_jax.measurement import Recording, concerns, describe
 
         understood, parts = [], []
@@ -124,14 +125,16 @@ def import_files(
             reader = Recording.from_csv if columns.text else Recording.from_mat
             part = reader(
                 file, channels=columns.channels, units=columns.units, time=columns.time, sample_time=sample_time, kind=what,
-                name=called, initial_arm_angle=at, **columns.only_here(wanted), **options,
+                name=called, initial_arm_angle=at, initial_arm_angle_std=None if at is None else angle_std,
+                **columns.only_here(wanted), **options,
             )  # fmt: skip
             parts.append(part)
             understood.append(columns.table(parts[-1].experiments[0], wanted["scale"]))
-        recording = _completed(Recording.join(*parts), _pairs("--repeat-of", repeat_of), angle_std)
-        known = RTAC.paper().parameters
-        if unknown := sorted(set(recording.rig) - set(known)):
-            stop(WRONG_USE, f"--rig: no rig has a constant {', '.join(unknown)}; use {', '.join(known)}.")
+        recording = _with_repeats(Recording.join(*parts), _pairs("--repeat-of", repeat_of))
+        try:
+            require_constants(RTAC.paper(), recording.rig)
+        except ValueError as error:
+            stop(WRONG_USE, str(error))
         if not dry_run:
             recording.save(out)
         found = concerns(recording)
@@ -282,19 +285,14 @@ def _number(option: str, name: str, text: str) -> float:
         stop(WRONG_USE, f"{option} {name}: is {text!r}; give a number with a decimal point.")
 
 
-def _completed(recording: Any, repeats: Mapping[str, str], angle_std: float | None) -> Any:
-    """Return the recording with what is said of its experiments by name, and of all angles at the start."""
+def _with_repeats(recording: Any, repeats: Mapping[str, str]) -> Any:
+    """Return the recording in which experiments name those that they repeat."""
     for name, other in repeats.items():
         for wanted in (name, other):
             if wanted not in recording.names:
                 stop(WRONG_USE, f"--repeat-of: there is no experiment {wanted}; use {', '.join(recording.names)}.")
-    completed = []
-    for e in recording.experiments:
-        changes: dict[str, Any] = {"repeat_of": repeats[e.name]} if e.name in repeats else {}
-        if angle_std is not None and e.initial_arm_angle is not None:
-            changes["initial_arm_angle_std"] = angle_std
-        completed.append(dataclasses.replace(e, **changes) if changes else e)
-    return dataclasses.replace(recording, experiments=tuple(completed))
+    said = [dataclasses.replace(e, repeat_of=repeats.get(e.name, e.repeat_of)) for e in recording.experiments]
+    return dataclasses.replace(recording, experiments=tuple(said))
 
 
 def _angles(given: Sequence[float] | None, kinds: Sequence[str]) -> list[float | None]:

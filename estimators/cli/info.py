@@ -14,6 +14,7 @@ def info(file: File, json: Json = None) -> None:
     with answering():
         from estimators.validation.channel_consistency import channel_consistency
         from rtac_jax import RTAC
+        from rtac_jax.constants import require_constants
         from rtac_jax.measurement import concerns, describe, guarded_by_digest
 
         if json is not None:
@@ -21,8 +22,8 @@ def info(file: File, json: Json = None) -> None:
         recording = load(file)
         found, guarded = concerns(recording) + channel_consistency(recording).concerns, guarded_by_digest(file)
         try:
-            RTAC.from_rig(recording)
-        except ValueError as error:  # such as a constant that no rig has; a fit would refuse it
+            require_constants(RTAC.paper(), recording.rig)
+        except ValueError as error:  # a fit refuses them
             found.append(str(error))
         if json is not None:
             from estimators.reporting.html import write_json

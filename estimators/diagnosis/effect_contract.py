@@ -13,7 +13,19 @@ import jax.numpy as jnp
 import numpy as np
 
 from rtac_jax import RigidBody
-from rtac_jax.effects import Actuator, DryFriction, Effect, Force, Impact, Input, Motion, Outputs, Sensor, in_parts
+from rtac_jax.effects import (
+    PORTS,
+    Actuator,
+    DryFriction,
+    Effect,
+    Force,
+    Impact,
+    Input,
+    Motion,
+    Outputs,
+    Sensor,
+    in_parts,
+)
 from rtac_jax.parameters import Scales, declarations
 
 # A rig as the paper's, swinging some millimetres: sizes for which `plausible` must answer.
@@ -30,10 +42,9 @@ TYPICAL = Scales(
 )
 # One trajectory for each element; not 1, so that a reduction over all of them shows.
 TRAJECTORIES = (3,)
-PORTS = ("cart", "arm", "arm and cart", "actuator", "input", "sensor")
 _PORTS = ("on the cart", "on the arm")
 # What JAX calls a value in a traced function, and the object that stands for it.
-_VALUE = re.compile(r"(Jit|DynamicJaxpr|JVP|Batch)Tracer(\([^()]*\))?|(<)?ShapeDtypeStruct(\([^()]*\))?(>)?")
+_VALUE = re.compile(r"\b(\w+Tracer|ShapeDtypeStruct)\b(\([^()]*\))?")
 
 
 def require_working(c: type[Effect]) -> None:

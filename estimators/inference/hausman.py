@@ -17,6 +17,7 @@ from estimators.core.drawing import draw
 from estimators.core.fit import Fit
 from estimators.core.initial_state import scales_of
 from estimators.core.linearisation import at_fit
+from estimators.core.piecewise_triangle import LONG
 from estimators.inference.assumptions import ASSUMES
 from estimators.inference.bootstrap import Shaken, Shuffled, Source
 from estimators.inference.estimates import MODAL, Result, Way, label_of, way_of
@@ -29,6 +30,7 @@ from rtac_jax.effects import CATALOGUE
 from rtac_jax.measurement import Recording
 
 Vector = Float[np.ndarray, " quantity"]
+_DRAWS, _FEW = 80, 32  # replicates, of experiments that are short or long
 _FAR = 10.0  # times the noise, from which on one step from an output error says little of where it would end
 _HIDES = (
     " The random forces that the prediction error takes into account may stand for an effect that is missing; est.diagnose "
@@ -203,7 +205,7 @@ def agreement(
     *,
     labels: Sequence[str] | None = None,
     level: float = 0.01,
-    draws: int = 80,
+    draws: int | None = None,
     block: float = 0.25,
     seed: int = 0,
     progress: bool = True,
@@ -229,7 +231,8 @@ def agreement(
         recording: the one that all were made from.
         labels: of the results, each another.
         level: of the test.
-        draws: replicates; more than three times as many as there are quantities.
+        draws: replicates; more than three times as many as there are quantities. By default 80, or 32 where an experiment is
+            long: p-values count that they are few, and a replicate takes seconds there.
         block: duration that stays together when the residual is put in another order [s]; longer than its correlation time.
         seed: of the replicates.
         progress: show a bar.
@@ -279,6 +282,8 @@ def agreement(
     if not any(shared.values()):
         raise ValueError("the results have no estimated parameter in common.")
     widest = max(len(names) for names in shared.values())
+    if draws is None:
+        draws = _FEW if max(e.samples for e in recording) >= LONG else _DRAWS
     if draws <= 3 * widest:
         raise ValueError(f"draws is {draws}; {widest} quantities need more than {3 * widest}.")
     names = tuple(dict.fromkeys(n for common in shared.values() for n in common))

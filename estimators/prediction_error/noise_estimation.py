@@ -14,6 +14,7 @@ from estimators.core.compilation import compile_only
 from estimators.core.data import CHANNELS, Data
 from estimators.core.levenberg_marquardt import Arguments, factor
 from estimators.core.parameter_space import Space, Unknowns
+from estimators.core.piecewise_triangle import LONG
 from estimators.prediction_error.ekf import Filtered, kalman
 from estimators.prediction_error.noise_quadrature import ByNoise
 from rtac_jax import RTAC, Scales
@@ -29,7 +30,6 @@ _FAR = 3.0  # the longest step in the logarithm of a variance
 _LITTLE = 0.1  # gain in log-likelihood that is not worth another pass of the filter
 _PASSES = 25
 _PART = 8  # the first of so many parts of all experiments tell the noise where it is far off
-_LONG = 1 << 14  # room of an experiment from which the filter alone is worth a program of its own
 _FEWEST = 200  # samples of that part
 _MUCH = 100.0  # gain in log-likelihood that a step must promise to be called far off
 _LESS = (0.0, 4.0)  # by how much in the logarithm of the variance
@@ -182,7 +182,7 @@ def filter_alone(
     These take two thirds of a pass, and a program without them some seconds to compile.
     """
     arguments = _arguments(model, data, space, physical, prior, noise, substeps)
-    return _filter(*arguments) if data.room >= _LONG else _pass(*arguments).filtered
+    return _filter(*arguments) if data.room >= LONG else _pass(*arguments).filtered
 
 
 def negative_log_likelihood(

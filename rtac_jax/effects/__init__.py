@@ -1,6 +1,7 @@
 """The catalogue: one small immutable class per physical effect."""
 
 from rtac_jax.effects._interface import (
+    PORTS,
     Actuator,
     DryFriction,
     Effect,
@@ -104,6 +105,7 @@ def effect_class(name: str) -> type[Effect]:
 
 __all__ = [
     "CATALOGUE",
+    "PORTS",
     "Actuator",
     "ArmCoulomb",
     "ArmPresliding",

@@ -23,6 +23,10 @@ Pieces = Float[Array, "sample _ experiment"]
 """An input as one polynomial for each interval between samples."""
 
 
+PORTS = ("cart", "arm", "arm and cart", "actuator", "input", "sensor")
+"""Parts of the rig on which an effect acts."""
+
+
 class Motion(NamedTuple):
     """The motion of the rig at one instant; arrays of one shape, one element per trajectory.
 

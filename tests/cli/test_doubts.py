@@ -1,5 +1,7 @@
 """What contradicts itself in a recording is said before a result is believed; `--robust` reaches the fit."""
 
+import dataclasses
+
 import pytest
 from command_line import call, refused
 from spoilt_recordings import FORCED, MOMENTARY, OF_CHANNELS, in_one
@@ -68,3 +70,8 @@ def test_robust_reaches_the_fit(file, monkeypatch):
     for flags in ([], ["--robust"]):
         refused(call("fit", file, *flags), 1, "that is enough")
     assert asked == [False, True]
+
+
+def test_a_constant_that_no_rig_has_is_a_concern_of_info(clean, tmp_path):
+    dataclasses.replace(clean, rig={"total_mass": 1e300}).save(tmp_path / "rig.h5")
+    assert "total_mass is 1e+300 kg, which no rig has" in " ".join(call("info", tmp_path / "rig.h5").stdout.split())

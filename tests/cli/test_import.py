@@ -147,7 +147,7 @@ def test_another_delimiter_is_told(tmp_path, mark, shell):
 
 def test_a_constant_that_no_rig_has_is_refused_before_anything_is_written(tmp_path, free):
     result = call("import", free, *FREE, "--rig", "mass=0.94", tmp_path / "rig.h5")
-    refused(result, 2, "no rig has a constant mass", "total_mass")
+    refused(result, 2, "/rig names mass, which this model does not have", "total_mass")
     assert not (tmp_path / "rig.h5").exists()
 
 
@@ -169,5 +169,10 @@ def test_a_repeat_and_the_doubt_of_an_angle_can_be_said(tmp_path, free, forced):
     _, recording = imported(tmp_path / "rig.h5", free, again, *arguments, "--repeat-of", "again=free_1")
     assert [e.repeat_of for e in recording] == [None, "free_1"]
     assert [e.initial_arm_angle_std for e in recording] == [0.02, 0.02]
+    more = write(tmp_path / "more.csv", **{"t": TIME, "x": 1e3 * POSITION})
+    _, joined = imported(
+        tmp_path / "joined.h5", tmp_path / "rig.h5", more, "--kind", "free", *arguments[2:-2], "--angle-std", "0.05"
+    )
+    assert [e.initial_arm_angle_std for e in joined] == [0.02, 0.02, 0.05], "what was known of others stays"
     result = call("import", free, again, *arguments, "--repeat-of", "again=nothing", tmp_path / "other.h5")
     refused(result, 2, "--repeat-of: there is no experiment nothing", "free_1")

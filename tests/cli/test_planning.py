@@ -1,5 +1,6 @@
 """`rtac next-experiment` and `rtac design`: what a rig is asked to play, within its limits."""
 
+import dataclasses
 import json
 
 import numpy as np
@@ -127,3 +128,18 @@ def test_a_design_that_cannot_be_is_one_sentence(tmp_path, options, words):
     refused(call("design", tmp_path / "play.h5", *options), 2, *words)
     assert not (tmp_path / "play.h5").exists()
     refused(call("design", tmp_path / "play.csv"), 2, "let the name end in .h5")
+
+
+def test_limits_are_named_and_what_is_open_no_more_is_said(file, asked, monkeypatch):
+    def settled(*_, **__):
+        return dataclasses.replace(planned(), already={PAIR: 20.0})
+
+    told = "The recording tells these apart already"
+    result = call("next-experiment", file, "--travel", "12")
+    assert (
+        "Within these limits of the rig: travel 12 mm (--travel), torque 0.1 N m (--torque-limit), arm 55 rad/s"
+        in result.stdout
+    )
+    assert told not in result.stdout
+    monkeypatch.setattr(est, "next_experiment", settled)
+    assert told in call("next-experiment", file).stdout

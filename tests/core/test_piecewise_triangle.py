@@ -119,7 +119,7 @@ def test_a_step_of_a_fit_factors_what_is_long_by_pieces(monkeypatch):
     pieces = np.asarray(factor(unknowns, given))
     jax.clear_caches()  # of what was compiled for short pieces
     size = np.linalg.norm(whole, axis=-1, keepdims=True)
-    np.testing.assert_allclose(np.abs(pieces) / size, np.abs(whole) / size, atol=1e-9)
+    np.testing.assert_allclose(pieces / size, whole / size, atol=1e-11)
 
 
 def test_what_is_long_is_cut_and_what_looks_along_a_whole_input_is_not():

@@ -1,6 +1,8 @@
 """Hidden effects, made by the independent virtual rig, are named; with nothing hidden nothing is."""
 
 import dataclasses
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -8,6 +10,7 @@ from hidden_effects import SHORT, diagnosed, recorded
 
 import estimators as est
 import rtac_jax as rtac
+from estimators.diagnosis import diagnose as module
 from rtac_jax import virtual_rig
 from rtac_jax.effects import CATALOGUE, Effect
 
@@ -128,6 +131,28 @@ def test_two_effects_are_named(
     assert found.verdict == "missing", found
     assert sorted(c.id for c in found.effects) == ["cubic_spring", "current_lag"], found
     assert not any(test.rejects for test in found.left), found
+
+
+def test_what_was_not_fitted_is_not_diagnosed(
+    recordings: dict[str, rtac.Recording], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recording = recordings["nothing"]
+    train, held_out = recording.split()
+    fit = SimpleNamespace(
+        model=rtac.RTAC.from_rig(recording), experiments=tuple(e.name for e in train if e.kind != "rest")
+    )
+    seen = []
+
+    def setting_of(fit: Any, recording: rtac.Recording, *_: Any) -> None:
+        seen.append(recording.names)
+        raise ValueError("that is enough.")
+
+    monkeypatch.setattr(module, "setting_of", setting_of)
+    with pytest.raises(ValueError, match="that is enough"):
+        est.diagnose(fit, recording, progress=False)  # type: ignore[arg-type] - a fit by name only
+    assert seen == [tuple(n for n in recording.names if n not in held_out.names or n in train.names)]
+    with pytest.raises(ValueError, match="this recording holds none of these"):
+        est.diagnose(fit, held_out, progress=False)  # type: ignore[arg-type] - a fit by name only
 
 
 def test_no_candidate_left_is_refused(recordings: dict[str, rtac.Recording]) -> None:

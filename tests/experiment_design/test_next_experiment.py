@@ -1,7 +1,6 @@
 """What data leave open, the recommended experiment settles; the independent virtual rig carries it out."""
 
 import dataclasses
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -40,11 +39,9 @@ def drawn(name: str, seed: int) -> tuple[virtual_rig.Rig, rtac.Recording]:
     return rig, virtual_rig.record(rig, plans, seed=20 + seed)
 
 
-def diagnosed(
-    recording: rtac.Recording, candidates: Sequence[type[rtac.effects.Effect]] = OFFERED
-) -> tuple[est.Fit, est.Diagnosis]:
+def diagnosed(recording: rtac.Recording) -> tuple[est.Fit, est.Diagnosis]:
     fit = est.output_error(rtac.RTAC.from_rig(recording), recording, progress=False)
-    return fit, est.diagnose(fit, recording, candidates=candidates, progress=False)
+    return fit, est.diagnose(fit, recording, candidates=OFFERED, progress=False)
 
 
 def with_recommended(
@@ -65,9 +62,9 @@ class Case:
 
 @pytest.fixture(scope="module")
 def delayed() -> Case:
-    """A delayed current, which these data do not tell from a lag; little else is offered, which would take most of the time."""
+    """A delayed current, which these data do not tell from a lag."""
     rig, recording = drawn("input_delay", 1)
-    fit, found = diagnosed(recording, OFFERED[:2] + OFFERED[6:7])
+    fit, found = diagnosed(recording)
     return Case(rig, recording, fit, found, est.next_experiment(fit, recording, found, progress=False))
 
 

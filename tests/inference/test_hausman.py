@@ -7,6 +7,7 @@ import pytest
 
 import estimators as est
 import rtac_jax as rtac
+from estimators.inference import hausman
 from estimators.inference.bootstrap import Shaken
 from estimators.inference.hausman import Agreement, Disagreement, agreement
 from estimators.inference.robust_covariance import covariances
@@ -350,3 +351,10 @@ def test_a_closed_form_and_a_linear_fit_are_compared_without_an_output_error() -
     assert not verdicts["clean"].rejected, str(verdicts["clean"])
     pair = next(p for p in verdicts["cubic"].pairs if p.labels == ("closed form", "linear"))
     assert pair.p_value < 0.01, str(verdicts["cubic"])
+
+
+def test_long_experiments_have_fewer_replicates(clean: rtac.Recording, monkeypatch: pytest.MonkeyPatch) -> None:
+    model = rtac.RTAC.from_rig(clean)
+    two = [est.least_squares(model, clean, weak=True), est.output_error(model, clean, from_model=True, progress=False)]
+    monkeypatch.setattr(hausman, "LONG", 10)
+    assert est.agreement(two, clean, progress=False).draws == 32

@@ -77,7 +77,7 @@ def test_a_filter_alone_is_the_filter(shaken, monkeypatch):
     a = found.problem.arguments
     given = (a.model, a.data, a.space, a.space.physical(found.problem.unknowns), found.prior, found.noise_exponents)
     whole = filter_alone(*given, a.substeps)
-    monkeypatch.setattr(noise_estimation, "_LONG", 1)
+    monkeypatch.setattr(noise_estimation, "LONG", 1)
     for name, value in filter_alone(*given, a.substeps)._asdict().items():
         size = np.max(np.abs(np.asarray(value)))
         np.testing.assert_allclose(value, getattr(whole, name), rtol=0, atol=1e-12 * size, err_msg=name)

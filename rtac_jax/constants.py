@@ -1,0 +1,31 @@
+"""Constants of a rig that are known beforehand: which there are, and which sizes no rig has."""
+
+from collections.abc import Mapping
+from typing import Any
+
+# How far a known constant may be from the paper's, up or down. A rig as large as a building has 10^9 times the inertia;
+# beyond this, what is squared and divided in a fit overflows.
+FARTHEST = 1e15
+
+
+def require_constants(model: Any, rig: Mapping[str, float]) -> None:
+    """Refuse constants that a model does not have, and values that no rig has.
+
+    Args:
+        model: an `RTAC` at the paper's values.
+        rig: constants by name, SI units.
+
+    Raises:
+        ValueError: a name is none of the model's parameters, or a value is far from any rig's.
+    """
+    if unknown := sorted(set(rig) - set(model.parameters)):
+        raise ValueError(
+            f"/rig names {', '.join(unknown)}, which this model does not have; it has {', '.join(model.parameters)}."
+        )
+    for name, value in rig.items():
+        paper = float(model[name])
+        if not 1 / FARTHEST < abs(value / paper) < FARTHEST and value != 0:
+            raise ValueError(
+                f"/rig: {name} is {value:g} {model.parameters[name].unit}, which no rig has (the paper's is {paper:g}); "
+                "correct the value or its unit."
+            )

@@ -1,7 +1,7 @@
 """Hidden effects, made by the independent virtual rig, are named; with nothing hidden nothing is."""
 
 import dataclasses
-from types import SimpleNamespace
+import sys
 from typing import Any
 
 import numpy as np
@@ -10,7 +10,6 @@ from hidden_effects import SHORT, diagnosed, recorded
 
 import estimators as est
 import rtac_jax as rtac
-from estimators.diagnosis import diagnose as module
 from rtac_jax import virtual_rig
 from rtac_jax.effects import CATALOGUE, Effect
 
@@ -48,6 +47,12 @@ def recordings() -> dict[str, rtac.Recording]:
     hidden = {name: values for name, (values, _) in HIDDEN.items()}
     hidden["two effects"] = dict(cubic_spring=5e4, current_lag=0.01)
     return recorded(hidden, 0) | recorded({"nothing": {}}, 13)
+
+
+@pytest.fixture(scope="module")
+def fit_of_nothing(recordings: dict[str, rtac.Recording]) -> est.Fit:
+    recording = recordings["nothing"]
+    return est.output_error(rtac.RTAC.from_rig(recording), recording, progress=False)
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -134,25 +139,23 @@ def test_two_effects_are_named(
 
 
 def test_what_was_not_fitted_is_not_diagnosed(
-    recordings: dict[str, rtac.Recording], monkeypatch: pytest.MonkeyPatch
+    recordings: dict[str, rtac.Recording], fit_of_nothing: est.Fit, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     recording = recordings["nothing"]
-    train, held_out = recording.split()
-    fit = SimpleNamespace(
-        model=rtac.RTAC.from_rig(recording), experiments=tuple(e.name for e in train if e.kind != "rest")
-    )
-    seen = []
+    other = dataclasses.replace(recording.experiments[0], name="never fitted")
+    more = dataclasses.replace(recording, experiments=(*recording.experiments, other))
+    seen: list[tuple[str, ...]] = []
 
-    def setting_of(fit: Any, recording: rtac.Recording, *_: Any) -> None:
+    def setting_of(fit: est.Fit, recording: rtac.Recording, *_: Any) -> None:
         seen.append(recording.names)
-        raise ValueError("that is enough.")
+        raise ArithmeticError("that is enough.")
 
-    monkeypatch.setattr(module, "setting_of", setting_of)
-    with pytest.raises(ValueError, match="that is enough"):
-        est.diagnose(fit, recording, progress=False)  # type: ignore[arg-type] - a fit by name only
-    assert seen == [tuple(n for n in recording.names if n not in held_out.names or n in train.names)]
+    monkeypatch.setattr(sys.modules["estimators.diagnosis.diagnose"], "setting_of", setting_of)
+    with pytest.raises(ArithmeticError, match="that is enough"):
+        est.diagnose(fit_of_nothing, more, progress=False)
+    assert seen == [recording.names]
     with pytest.raises(ValueError, match="this recording holds none of these"):
-        est.diagnose(fit, held_out, progress=False)  # type: ignore[arg-type] - a fit by name only
+        est.diagnose(fit_of_nothing, dataclasses.replace(recording, experiments=(other,)), progress=False)
 
 
 def test_no_candidate_left_is_refused(recordings: dict[str, rtac.Recording]) -> None:

@@ -18,7 +18,6 @@ from estimators.diagnosis.evidence import (
 )
 from estimators.diagnosis.gross_effects import screened_by_equations
 from estimators.diagnosis.innovation_tests import limits_of, quietly_screened, run_tests, scores_of, simulation_error
-from estimators.diagnosis.kept_refits import KeptRefits
 from estimators.diagnosis.laboratory import Way
 from estimators.diagnosis.noise_colour import coloured, recoloured
 from estimators.diagnosis.refit import Refit, Tested
@@ -36,7 +35,7 @@ from estimators.diagnosis.setting import Setting
 from estimators.diagnosis.workers import Workers
 from estimators.inference.shaken_simulation import unfollowed
 from estimators.inference.simulation_residual import known_noise
-from estimators.misspecification.candidate_screening import Screened, without_templates
+from estimators.misspecification.candidate_screening import Screened
 from estimators.misspecification.detection_limit import is_testable
 from estimators.misspecification.equation_screening import Explained
 from estimators.misspecification.findings import Findings, Score
@@ -67,7 +66,7 @@ class LiveLaboratory:
         """
         self._fit, self._workers = fit, workers
         self._models: list[FittedModel] = []
-        self._computed = KeptRefits()
+        self._computed: list[tuple[Setting, Refit]] = []
         self._tested: dict[int, Tested] = {}
         self._quiet: dict[int, tuple[Score, ...]] = {}
         self._equations: dict[int, tuple[Score, ...]] = {}
@@ -92,15 +91,14 @@ class LiveLaboratory:
     ) -> dict[str, FittedModel]:
         """Refit a model with the first candidate and those near it, and test the first meanwhile."""
         setting, refit = self.computed(before)
-        held = self._explained if way == "equations" else self._screened
-        found, tested = refit_first(setting, refit, held[first], [held[s] for s in near], way, self._workers)
+        held = self._held([first, *near], way)
+        found, tested = refit_first(setting, refit, held[0], held[1:], way, self._workers)
         return self._added(before, [first, *near], way, found, {first.id: tested})
 
     def refits(self, before: FittedModel, several: Sequence[Score], way: Way) -> dict[str, FittedModel]:
         """Refit a model with each of several candidates."""
         setting, refit = self.computed(before)
-        held = self._explained if way == "equations" else self._screened
-        found = refit_each(setting, refit, [held[s] for s in several], way, self._workers)
+        found = refit_each(setting, refit, self._held(several, way), way, self._workers)
         return self._added(before, several, way, found, {})
 
     def without(self, model: FittedModel, effect: str) -> FittedModel | None:
@@ -122,7 +120,7 @@ class LiveLaboratory:
         """Score candidates against a predictor with low process noise."""
         if model.number not in self._quiet:
             setting, refit = self.computed(model)
-            screened = list(map(without_templates, quietly_screened(setting, refit)))
+            screened = quietly_screened(setting, refit)
             scores = self._quiet[model.number] = scores_of(screened)
             self._screened |= dict(zip(scores, screened, strict=True))
         return self._quiet[model.number]
@@ -143,7 +141,8 @@ class LiveLaboratory:
         """Return what an effect gains where it was not estimated."""
         key = before.number, after.number
         if key not in self._held_out:
-            self._held_out[key] = held_out_gains(*map(self._computed.light, key))
+            _, refit = self.computed(before)
+            self._held_out[key] = held_out_gains(refit, self.computed(after)[1])
         return self._held_out[key]
 
     def coloured(self) -> FittedModel | None:
@@ -168,13 +167,14 @@ class LiveLaboratory:
 
     def computed(self, model: FittedModel) -> tuple[Setting, Refit]:
         """Return what a record stands for, and what made it."""
-        return self._computed.whole(model.number)
+        return self._computed[model.number]
 
     def tested(self, model: FittedModel) -> Tested:
         """Return the tests of the innovations of a model, with what they were computed from."""
         if model.number not in self._tested:
             setting, refit = self.computed(model)
-            self._keep(model, run_tests(setting, refit))
+            self._tested[model.number] = tested = run_tests(setting, refit)
+            self._screened |= dict(zip(tested.findings.scores, tested.screened, strict=True))
         return self._tested[model.number]
 
     def evidence(self, *, thorough: bool) -> Evidence:
@@ -201,6 +201,10 @@ class LiveLaboratory:
             policy=self.policy.as_dict(),
             equations=dict(self._equations),
         )
+
+    def _held(self, several: Sequence[Score], way: Way) -> list[Screened | Explained]:
+        """Return what scores were computed from."""
+        return [self._explained[s] if way == "equations" else self._screened[s] for s in several]
 
     def _added(
         self,
@@ -236,17 +240,11 @@ class LiveLaboratory:
             values=values,
         )
         self._models.append(model)
-        self._computed.add(setting, refit)
+        self._computed.append((setting, refit))
         if tested is not None:
-            self._keep(model, tested)
+            self._tested[model.number] = tested
+            self._screened |= dict(zip(tested.findings.scores, tested.screened, strict=True))
         return model
-
-    def _keep(self, model: FittedModel, tested: Tested) -> None:
-        """Keep the tests of a model; what candidates would change is asked of models without added effects only."""
-        if model.added:
-            tested = dataclasses.replace(tested, screened=tuple(map(without_templates, tested.screened)))
-        self._tested[model.number] = tested
-        self._screened |= dict(zip(tested.findings.scores, tested.screened, strict=True))
 
 
 def by_statistic(screened: Sequence[Screened]) -> dict[str, Screened]:

@@ -90,11 +90,6 @@ class Screened:
     templates: Rows
 
 
-def without_templates(s: Screened) -> Screened:
-    """Return a score without the changes of the innovations, which take most of its memory."""
-    return dataclasses.replace(s, templates=np.zeros((0, len(s.amplitudes))))
-
-
 _ROUNDING = 1e-2  # what the filter's own pass and a simulation with its gains differ by is far less
 _SIZES = (0.1, 0.2, 0.35, 0.5, 0.7, 1.0, 1.5)  # of the plausible amplitude, that are tried
 _THRESHOLD = 0.1  # of what proportion would ask of the smallest size, below which there is a threshold

@@ -35,6 +35,9 @@ def configure(*, fast: bool = True, cache: str | Path | None = _CACHE) -> str:
 
     Returns:
         One sentence that says what was set and what could not be.
+
+    Raises:
+        RuntimeError: a platform is asked for, by JAX_PLATFORMS or `jax_platforms`, that this machine does not have.
     """
     jax.config.update("jax_enable_x64", True)
     said = ["float64 on"]
@@ -57,7 +60,27 @@ def configure(*, fast: bool = True, cache: str | Path | None = _CACHE) -> str:
             jax.config.update("jax_compilation_cache_dir", str(folder))
             jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.05)
             said.append(f"compile cache in {folder}")
+    require_platform()
     return "rtac-jax: " + "; ".join(said) + "."
+
+
+def require_platform() -> None:
+    """Refuse a platform that JAX is told to use and cannot; where none is named, start nothing.
+
+    Raises:
+        RuntimeError: names the platform and what helps.
+    """
+    asked = jax.config.jax_platforms  # pyright: ignore[reportAttributeAccessIssue]
+    if not asked:
+        return
+    try:
+        jax.devices()
+    except Exception as error:  # RuntimeError, or an AssertionError without a word where a driver is absent
+        said = (str(error).splitlines() or [type(error).__name__])[0]
+        said = said.partition(" (set JAX_PLATFORMS")[0].rstrip(".")
+        raise RuntimeError(
+            f"JAX_PLATFORMS is {asked!r}, and JAX cannot start ({said}); set JAX_PLATFORMS=cpu, or leave it unset."
+        ) from None
 
 
 def _set_cpu_options() -> str:

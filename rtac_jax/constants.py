@@ -22,10 +22,11 @@ def require_constants(model: Any, rig: Mapping[str, float]) -> None:
         raise ValueError(
             f"/rig names {', '.join(unknown)}, which this model does not have; it has {', '.join(model.parameters)}."
         )
-    for name, value in rig.items():
-        paper = float(model[name])
-        if not 1 / FARTHEST < abs(value / paper) < FARTHEST and value != 0:
-            raise ValueError(
-                f"/rig: {name} is {value:g} {model.parameters[name].unit}, which no rig has (the paper's is {paper:g}); "
-                "correct the value or its unit."
-            )
+    papers = {name: float(model[name]) for name in rig}
+    odd = [
+        f"{name} is {value:g} {model.parameters[name].unit} (the paper's is {papers[name]:g})"
+        for name, value in rig.items()
+        if value != 0 and not 1 / FARTHEST < abs(value / papers[name]) < FARTHEST
+    ]
+    if odd:
+        raise ValueError(f"/rig: {' and '.join(odd)}, which no rig has; correct the value or its unit.")

@@ -102,11 +102,10 @@ def _refitted(work: Job, base: Any, found: Any) -> tuple[list[Any], list[str]]:
             try:
                 fits.append(est.output_error(extended, work.train, from_model=True, progress=progress()))
             except (est.NotIdentifiableError, est.DivergedError, FloatingPointError) as error:
-                failed = f"The model with {names}{held} could not be fitted by simulation: {error}"
-                work.remark = f"{work.remark} {failed}".strip()
+                work.note(f"The model with {names}{held} could not be fitted by simulation: {error}")
             else:
                 labels.append(f"+ {names}{held}")
                 if held:
-                    work.remark += f" The errors after are those with {names}{held}."
+                    work.note(f"The errors after are those with {names}{held}.")
                 break
     return fits, labels

@@ -29,20 +29,6 @@ def reason(error: OSError) -> str:
     return f"{os.fspath(place)}: {error.strerror or error}; {MENDS.get(error.errno or 0, _ELSEWHERE)}."
 
 
-def platform_fault() -> str:
-    """Return why JAX cannot compute here, as one sentence with the mend; empty where it can."""
-    import jax  # deferred, so that the help comes up without it
-
-    try:
-        jax.devices()
-    except Exception as error:  # RuntimeError, or an AssertionError without a word where a driver is absent
-        asked = os.environ.get("JAX_PLATFORMS") or getattr(jax.config, "jax_platforms", None) or "none"
-        said = (str(error).splitlines() or [type(error).__name__])[0]
-        said = said.partition(" (set JAX_PLATFORMS")[0].rstrip(".")
-        return f"JAX_PLATFORMS is {asked!r}, and JAX cannot start ({said}); set JAX_PLATFORMS=cpu, or leave it unset."
-    return ""
-
-
 def note_cache(configured: str) -> None:
     """Say on stderr when compiled code cannot be kept, which costs time and nothing else."""
     from rtac_jax.configuration import NO_CACHE

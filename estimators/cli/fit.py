@@ -5,7 +5,7 @@ from typing import Annotated, Any
 import typer
 
 from estimators.cli.captions import shown
-from estimators.cli.job import job, progress
+from estimators.cli.job import Job, job, progress
 from estimators.cli.models import start_model
 from estimators.cli.options import Effects, File, Json, Model, Out, Save, Validation
 
@@ -13,6 +13,13 @@ from estimators.cli.options import Effects, File, Json, Model, Out, Save, Valida
 _SLOWLY = (
     "rtac: an experiment of {samples:,} samples: output error takes seconds, random forces and the comparison of the "
     "estimates some three minutes for each 100,000; a part of it is answered sooner (Experiment.cut)."
+)
+
+# Where that would be some ten minutes.
+_TOO_LONG = 300_000
+_LEFT_OUT = (
+    "No prediction error and no comparison of the estimates, which of an experiment of {samples:,} samples would take some "
+    "{minutes:.0f} minutes: fit a part of it (Experiment.cut), or call est.prediction_error_nonlinear and est.agreement."
 )
 
 
@@ -41,17 +48,12 @@ def fit(
         found = work.fitted(start, from_model=model is not None, robust=robust)
         predicted, agreed = None, None
         longest = max(e.samples for e in work.train)
-        if longest >= LONG:
-            typer.echo(_SLOWLY.format(samples=longest), err=True)
-        try:
-            predicted = est.prediction_error_nonlinear(found.model, work.train, from_model=True, progress=progress())
-        except (ValueError, est.DivergedError) as error:  # such as data that leave parameters free beside random forces
-            work.remark = f"{work.remark} No prediction error: {error}".strip()
-        try:
-            ways = [closed, found] if predicted is None else [closed, found, predicted]
-            agreed = est.agreement(ways, work.train, progress=progress())
-        except ValueError as error:  # the closed form needs channels that the fit does not
-            work.remark = f"{work.remark} The estimators were not compared: {error}".strip()
+        if longest >= _TOO_LONG:
+            work.note(_LEFT_OUT.format(samples=longest, minutes=3 * longest / 1e5))
+        else:
+            if longest >= LONG:
+                typer.echo(_SLOWLY.format(samples=longest), err=True)
+            predicted, agreed = _compared(work, closed, found)
         spread = est.covariances(found, work.train)
         trained, tested = work.compared(found)
         errors = _report.error_table(trained, tested)
@@ -99,6 +101,23 @@ def fit(
             ]
             bullets = summary.of_fit(found, advice, trained, tested, file=work.file)
             work.write_report(f"Fit of {work.file}", figures, sections, summary=bullets, traces=tested or trained)
+
+
+def _compared(work: Job, closed: Any, found: Any) -> tuple[Any, Any]:
+    """Return the fit by predictions one sample ahead, and how far the estimators agree; None, with a note, where there is none."""
+    import estimators as est
+
+    predicted, agreed = None, None
+    try:
+        predicted = est.prediction_error_nonlinear(found.model, work.train, from_model=True, progress=progress())
+    except (ValueError, est.DivergedError) as error:  # such as data that leave parameters free beside random forces
+        work.note(f"No prediction error: {error}")
+    try:
+        ways = [closed, found] if predicted is None else [closed, found, predicted]
+        agreed = est.agreement(ways, work.train, progress=progress())
+    except ValueError as error:  # the closed form needs channels that the fit does not
+        work.note(f"The estimators were not compared: {error}")
+    return predicted, agreed
 
 
 def _discounted(found: Any) -> str:

@@ -16,7 +16,7 @@ from typing import Any, NoReturn
 
 import typer
 
-from estimators.cli.environment import note_cache, platform_fault, reason
+from estimators.cli.environment import note_cache, reason
 
 NOT_POSSIBLE, WRONG_USE, INTERRUPTED = 1, 2, 130
 
@@ -74,8 +74,8 @@ class Job:
         self.said += blocks
 
     def note(self, sentence: str) -> None:
-        """Add a sentence to the remark."""
-        self.remark = f"{self.remark} {sentence}".strip()
+        """Add a sentence to the remark, on a line of its own."""
+        self.remark = f"{self.remark}\n{sentence}".strip()
 
     def model(self) -> Any:
         """Return the paper's model with the constants of the file."""
@@ -108,7 +108,14 @@ class Job:
 
         if self.doubts is None:
             self.doubts = contradictions(self.recording) + channel_consistency(self.recording).concerns
-            self.remark = "\n".join([self.remark, *(f"Doubtful: {sentence}" for sentence in self.doubts)]).strip()
+            lines = [*self._unmeasured(), *(f"Doubtful: {sentence}" for sentence in self.doubts)]
+            self.remark = "\n".join([self.remark, *lines]).strip()
+
+    def _unmeasured(self) -> list[str]:
+        """Return what is said of a cart without a sensor."""
+        from rtac_jax.measurement import concerns
+
+        return [said for said in concerns(self.recording) if "cart_position was not measured" in said]
 
     def compared(self, fits: Any, labels: Sequence[str] | None = None, *, ahead: int | None = None) -> tuple[Any, Any]:
         """Compare fits with the training part and with what was held out, or None; predicting some samples ahead, if asked."""
@@ -126,8 +133,7 @@ class Job:
         try:
             yield
         except NotIdentifiableError as error:
-            unmeasured = [said for said in concerns(self.recording) if "cart_position was not measured" in said]
-            if more := unmeasured or self.doubts:
+            if more := self._unmeasured() or self.doubts:
                 raise NotIdentifiableError(f"{error} {more[0]}") from error
             raise
         except DivergedError as error:
@@ -296,9 +302,10 @@ def prepare() -> None:
     import rtac_jax
 
     matplotlib.use("Agg")
-    note_cache(rtac_jax.configure())
-    if missing := platform_fault():
-        stop(WRONG_USE, missing)
+    try:
+        note_cache(rtac_jax.configure())
+    except RuntimeError as error:
+        stop(WRONG_USE, str(error))
 
 
 def progress() -> bool:

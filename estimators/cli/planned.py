@@ -17,7 +17,7 @@ def plan_next(work: Job, base: Any, found: Any, candidates: Any) -> Any:
     try:
         return est.next_experiment(base, work.train, found, candidates=candidates, progress=progress())
     except (ValueError, FloatingPointError) as error:
-        work.remark = f"{work.remark} No next experiment could be planned: {error}".strip()
+        work.note(f"No next experiment could be planned: {error}")
         return None
 
 

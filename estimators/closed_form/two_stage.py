@@ -158,7 +158,7 @@ def forced_stage(
     systems = []
     for s in ready:
         parts = [_with_earlier(*rows(s.arm, _ARM, np.zeros(len(s.arm["inertia"]))), names, s.lag if instruments else 0)]
-        if np.any(s.cart["spring"]):
+        if np.any(s.cart["spring"]) and np.any(s.sliding):  # a cart that never slides says nothing of its motion
             matrix, target = rows(s.cart, _CART, s.cart["force"])
             parts.insert(0, (matrix[s.sliding], target[s.sliding], matrix[s.sliding]))
         systems.append(parts)

@@ -13,6 +13,8 @@ from estimators.core.results import NotIdentifiableError
 # A direction along which all free parameters may move by more than this fraction of their size within one standard
 # deviation is not determined by the data.
 _UNDETERMINED = 10.0
+_SCALES = ("total_mass", "arm_inertia")
+_FIX_THE_SCALE = "Give a known constant in /rig (total_mass or arm_inertia fixes the scale). "
 
 # The least that a parameter is taken to show, and the least slope of its stand-in as a share of its size: far below whatever
 # rounding leaves, and of squares that are still numbers. What shows nothing at all gets a deviation of 1e100 times its size.
@@ -93,10 +95,10 @@ class Information:
             NotIdentifiableError: names what is free.
         """
         if said := self.undetermined():
+            known = "" if set(self.names).isdisjoint(_SCALES) else _FIX_THE_SCALE
             raise NotIdentifiableError(
-                f"The data leave {len(said)} combination(s) of parameters free: {'; '.join(said)}. Give a known constant "
-                "in /rig (total_mass or arm_inertia fixes the scale), fix a parameter (model.fix), or add an experiment that "
-                "excites it."
+                f"The data leave {len(said)} combination(s) of parameters free: {'; '.join(said)}. {known}Fix a parameter "
+                "(model.fix), or add an experiment that excites it."
             )
 
 

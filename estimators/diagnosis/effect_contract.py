@@ -1,4 +1,4 @@
-"""Whether a user's own effect keeps its contract: every method is traced once, which computes nothing, and a fault is explained."""
+"""Whether a user's own effect keeps its contract: every method is traced, and computed where nothing moves; faults are explained."""
 
 import inspect
 import re
@@ -43,12 +43,13 @@ TYPICAL = Scales(
 # One trajectory for each element; not 1, so that a reduction over all of them shows.
 TRAJECTORIES = (3,)
 _PORTS = ("on the cart", "on the arm")
+_AT_ANY_MOTION = ("rate", "force", "levels", "current", "read")
 # What JAX calls a value in a traced function, and the object that stands for it.
 _VALUE = re.compile(r"\b(\w+Tracer|ShapeDtypeStruct)\b(\([^()]*\))?")
 
 
 def require_working(c: type[Effect]) -> None:
-    """Call every method of a class of effects on traced values.
+    """Call every method of a class of effects on traced values, and those of the motion where nothing moves.
 
     Raises:
         ValueError: one fails, or returns what the model cannot use; it names the effect, the method, the line and the mend.
@@ -61,9 +62,14 @@ def require_working(c: type[Effect]) -> None:
     effect = explained(c, "making an instance of plausible size", lambda: c.candidates(TYPICAL)[0])
 
     def called(method: str, *arguments: Any) -> Any:
-        return explained(
+        told = explained(
             c, method, lambda: eqx.filter_eval_shape(lambda e, given: getattr(e, method)(*given), effect, arguments)
         )
+        if method in _AT_ANY_MOTION:
+            moved.append((method, arguments))
+        return told
+
+    moved: list[tuple[str, Any]] = []
 
     motion, own = _motion(), ()
     if not (isinstance(effect.states, dict) and all(isinstance(x, str) for one in effect.states.items() for x in one)):
@@ -102,6 +108,8 @@ def require_working(c: type[Effect]) -> None:
     if isinstance(effect, Sensor) or type(effect).read is not Effect.read:
         told = called("read", Outputs(_values(), _values(), _values()), own)
         _require_shapes(effect, "read", in_parts(told, effect, "read", Outputs._fields))
+    for method, arguments in moved:
+        _require_finite(effect, method, arguments)
 
 
 def explained(c: type[Effect], method: str, call: Callable[[], Any]) -> Any:
@@ -165,6 +173,28 @@ def _require_shapes(effect: Effect, method: str, told: tuple[Any, ...]) -> None:
             raise ValueError(
                 f"effect {effect.id}: {method} returns {_what(part)} where one number for each trajectory was expected "
                 f"(shape {TRAJECTORIES}, as motion.cart_position has it, or none); compute element by element with jnp."
+            )
+
+
+def _require_finite(effect: Effect, method: str, arguments: Any) -> None:
+    """Refuse a method that is no number, or has no slope, where cart and arm stand still at zero, as every rest record does."""
+    still = jax.tree.map(lambda x: x if np.ndim(x) == 0 else jnp.zeros_like(x), arguments)
+    still = tuple(x._replace(cos_angle=jnp.ones(TRAJECTORIES)) if isinstance(x, Motion) else x for x in still)
+
+    def along(tree: Any) -> Any:
+        return jax.tree.map(lambda x: jnp.ones_like(x) if eqx.is_inexact_array(x) else None, tree)
+
+    def told() -> tuple[Any, Any]:
+        return eqx.filter_jvp(
+            lambda e, given: getattr(e, method)(*given), (effect, still), (along(effect), along(still))
+        )
+
+    value, slope = explained(type(effect), method, told)
+    for found, of in ((value, ""), (slope, "the slope of ")):
+        if not all(np.isfinite(np.asarray(x)).all() for x in jax.tree.leaves(found)):
+            raise ValueError(
+                f"effect {effect.id}: {of}{method} is no number where nothing moves (position, velocities, current and angle "
+                "0); keep what divides or stands under a root away from 0, for which jnp.where or a small constant helps."
             )
 
 

@@ -29,6 +29,7 @@ FIGURES = {
 }  # fmt: skip
 TRIED = ("flexible_mode", "cubic_spring")
 SEVERAL = "compare, several models"
+TOO_LONG = "fit, of a recording that is too long to compare"
 HELD = "diagnose, where a simulation cannot fit what is missing"
 
 
@@ -82,6 +83,11 @@ def ran(file, tmp_path_factory):
             saved / "several",
             json.loads((saved / "several.json").read_text()),
         )
+
+        with pytest.MonkeyPatch.context() as limit:
+            limit.setattr(estimators.cli.fit, "_TOO_LONG", 1)
+            target = tmp_path_factory.mktemp("long") / "result.json"
+            found[TOO_LONG] = call("fit", file, "--json", target), None, json.loads(target.read_text())
 
         remembered = estimators.output_error
 
@@ -249,6 +255,18 @@ def test_compare_gives_correlations_at_both_signs_of_lag_and_predicts_ahead(ran,
     assert result.exit_code == 0, result.output
     near = json.loads(target.read_text())["error"]["validation"]["before"]["cart_position"]["rms"]
     assert near < 0.5 * ran["compare"][2]["error"]["validation"]["before"]["cart_position"]["rms"]
+
+
+def test_of_a_recording_that_is_too_long_the_fit_is_shown_without_what_would_take_long(ran):
+    result, _, content = ran[TOO_LONG]
+    assert result.exit_code == 0, result.output
+    said = " ".join(result.stdout.split())
+    assert "No prediction error and no comparison of the estimates, which of an experiment of " in said
+    assert "(Experiment.cut)" in said
+    whole = ran["fit"][2]
+    assert content["parameters"] == whole["parameters"]
+    assert "prediction_error" in json.dumps(whole)
+    assert "agreement: " not in said
 
 
 def test_compare_says_where_the_model_fails(ran):

@@ -51,6 +51,20 @@ def test_the_result_carries_the_doubts(clean, spoilt, tmp_path):
     assert "Doubtful" not in fine.remark
 
 
+def test_a_cart_without_a_sensor_is_said_beside_the_result(clean):
+    bare = tuple(dataclasses.replace(e, outputs={"arm_velocity": e.outputs["arm_velocity"]}) for e in clean)
+    work = Job("rig.h5", dataclasses.replace(clean, experiments=bare), None, None, None, 0.0)
+    work.note_doubts()
+    work.note("No prediction error: they are free.")
+    held, unmeasured, *_, last = work.remark.splitlines()
+    assert held.startswith("Held out: ")
+    assert (
+        "cart_position was not measured, so the cart's friction, the spring and the mass show only through"
+        in unmeasured
+    )
+    assert last == "No prediction error: they are free."
+
+
 def test_a_fit_that_fails_names_the_doubt(file, monkeypatch):
     def failing(*_, **__):
         raise estimators.NotIdentifiableError("It leaves all free.")
@@ -74,4 +88,6 @@ def test_robust_reaches_the_fit(file, monkeypatch):
 
 def test_a_constant_that_no_rig_has_is_a_concern_of_info(clean, tmp_path):
     dataclasses.replace(clean, rig={"total_mass": 1e300}).save(tmp_path / "rig.h5")
-    assert "total_mass is 1e+300 kg, which no rig has" in " ".join(call("info", tmp_path / "rig.h5").stdout.split())
+    assert "total_mass is 1e+300 kg (the paper's is 1.23), which no rig has" in " ".join(
+        call("info", tmp_path / "rig.h5").stdout.split()
+    )

@@ -67,6 +67,19 @@ def test_a_platform_that_is_not_there_is_named(file, platform):
     assert "; set JAX_PLATFORMS=cpu" in done.stderr
 
 
+def test_a_platform_that_is_not_there_is_named_in_python_too():
+    told = "import rtac_jax; rtac_jax.configure()"
+    done = subprocess.run(
+        [sys.executable, "-c", told],
+        stderr=subprocess.PIPE,
+        text=True,
+        timeout=60,
+        env={**os.environ, "JAX_PLATFORMS": "nonsense"},
+    )
+    assert done.returncode == 1
+    assert done.stderr.splitlines()[-1].startswith("RuntimeError: JAX_PLATFORMS is 'nonsense', and JAX cannot start (")
+
+
 def test_a_cache_that_cannot_be_written_is_said_and_done_without(tmp_path):
     before = jax.config.jax_compilation_cache_dir
     (tmp_path / "file").touch()
@@ -132,10 +145,18 @@ def test_the_longest_name_there_is_can_be_written(tmp_path):
 )
 def test_a_constant_that_no_rig_has_is_refused(tmp_path, name, value):
     said = re.escape(f"/rig: {name} is {value:g} ")
-    with pytest.raises(ValueError, match=f"{said}.*, which no rig has .*; correct the value or its unit"):
+    with pytest.raises(ValueError, match=f"{said}.*, which no rig has; correct the value or its unit"):
         RTAC.from_rig(recording(**{name: value}))
     recording(**{name: value}).save(tmp_path / "odd.h5")
     refused(call("fit", tmp_path / "odd.h5"), 2, f"/rig: {name}")
+
+
+def test_every_constant_that_no_rig_has_is_named():
+    odd = (
+        r"total_mass is 1e\+300 kg \(the paper's is 1\.23\) and arm_inertia is 1e-300 kg m\^2 \(.*\), which no rig has;"
+    )
+    with pytest.raises(ValueError, match=odd):
+        RTAC.from_rig(recording(total_mass=1e300, arm_inertia=1e-300))
 
 
 def test_rigs_of_other_sizes_are_taken():

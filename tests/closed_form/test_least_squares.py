@@ -150,6 +150,14 @@ def test_leaving_out_slow_stretches_helps(quiet: rtac.Recording, model: rtac.RTA
         assert every(everything)[name].consistency > 2 * every(weak)[name].consistency, name
 
 
+@pytest.mark.parametrize("weak", [False, True])
+def test_a_cart_that_never_slides_leaves_the_arm_to_tell(quiet: rtac.Recording, model: rtac.RTAC, weak: bool) -> None:
+    found = est.least_squares(model, quiet, weak=weak, near_zero=1e9)
+    assert not found.ratios
+    for name in ("torque_constant", "arm_viscous.positive"):
+        assert abs(error(found, name)) < 0.1, name
+
+
 def test_automatic_cutoff_helps_against_a_wide_filter(
     quiet: rtac.Recording, model: rtac.RTAC, as_in_paper: est.ClosedForm
 ) -> None:

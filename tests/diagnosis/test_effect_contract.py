@@ -55,6 +55,14 @@ FAULTS = {
         FORCE + "fails: AttributeError: a value that is known only later has no attribute append",
     ),
     "one array": ("return x", "effect magnet: force returns one array; return a tuple of 2"),
+    "zero motion": (
+        "return -self.k / x, 0.0",
+        "effect magnet: force is no number where nothing moves .*; keep what divides or stands under a root away from 0",
+    ),
+    "steep": (
+        "return -self.k * jnp.sqrt(jnp.abs(x)), 0.0",
+        "effect magnet: the slope of force is no number where nothing moves",
+    ),
     "name": ("return motion.position, 0.0", FORCE + r"fails: AttributeError: .*no attribute 'position'.*--debug"),
 }
 SIZE = "plausible=1.0"

@@ -62,9 +62,11 @@ def compare(
         if work.folder is not None:
             from estimators.plots import plot_comparison, plot_residuals
 
-            figures = {"comparison": plot_comparison(against), "residuals": plot_residuals(against.models[0])}
-            first = f" ({labels[0]})" if len(fits) > 1 else ""
-            remark = f"Residual tests of the worst experiment{first}."
+            figures, captions = {"comparison": plot_comparison(against)}, {"comparison": work.held}
+            for number, compared in enumerate(against.models, 1):
+                name, whose = (f"residuals_{number}", f" of {compared.label}") if len(fits) > 1 else ("residuals", "")
+                figures[name] = plot_residuals(compared)
+                captions[name] = f"Residual tests{whose}, of the worst experiment."
             parameters = [
                 block
                 for label, fit in zip(labels, fits, strict=True)
@@ -72,7 +74,7 @@ def compare(
             ]
             sections = [
                 ("Result", [where, work.remark, errors]),
-                ("Figures", shown(figures, comparison=work.held, residuals=remark)),
+                ("Figures", shown(figures, **captions)),
                 ("Every experiment", tables),
                 ("Parameters", parameters),
             ]

@@ -31,6 +31,9 @@ def next_experiment(
     travel: Travel = 15.0,
     torque_limit: TorqueLimit = 0.1,
     speed_limit: Annotated[float, typer.Option(metavar="RAD/S", help="Of the arm.")] = 55.0,
+    current_limit: Annotated[
+        float | None, option("A", "Of the amplifier; by default the torque alone limits it.")
+    ] = None,
     duration: Annotated[
         float | None,
         option("S", "Of the experiment; by default as the longest of the recording."),
@@ -47,7 +50,8 @@ def next_experiment(
     json: Json = None,
 ) -> None:
     """Plan the experiment that best tells apart the effects between which a diagnosis could not decide."""
-    positive({"--travel": travel, "--torque-limit": torque_limit, "--speed-limit": speed_limit})
+    limited = {"--travel": travel, "--torque-limit": torque_limit, "--speed-limit": speed_limit}
+    positive(limited | ({} if current_limit is None else {"--current-limit": current_limit}))
     if play is not None and play.suffix.lower() not in _PLAYED:
         stop(WRONG_USE, f"--play: is {play}; let the name end in {', '.join(_PLAYED)}.")
     with job(file, validation, out, json) as work:
@@ -60,15 +64,18 @@ def next_experiment(
         found = _found(work, base, diagnosis, effects, candidates, quick)
         planned = est.next_experiment(
             base, work.train, found, between=None if between is None else [name.strip() for name in between.split(",")],
-            candidates=candidates, travel=1e-3 * travel, torque_limit=torque_limit, speed_limit=speed_limit, duration=duration,
-            progress=progress(),
+            candidates=candidates, travel=1e-3 * travel, torque_limit=torque_limit, speed_limit=speed_limit,
+            current_limit=current_limit, duration=duration, progress=progress(),
         )  # fmt: skip
         if play is not None:
             planned.save(play)
         limits = (
-            f"travel {travel:g} mm (--travel), torque {torque_limit:g} N m (--torque-limit), arm {speed_limit:g} rad/s"
+            f"travel {travel:g} mm (--travel), torque {torque_limit:g} N m (--torque-limit), arm {speed_limit:g} rad/s "
+            f"(--speed-limit), current {'as the torque allows' if current_limit is None else f'{current_limit:g} A'}"
         )
-        how = f"Within these limits of the rig: {limits} (--speed-limit)." + (f"\nto be played: {play}" if play else "")
+        how = f"Within these limits of the rig: {limits} (--current-limit)." + (
+            f"\nto be played: {play}" if play else ""
+        )
         work.say(found.overview().title, work.remark, planned, how)
         content = {"format": FORMAT, "version": VERSION, "verdict": found.verdict, "next_experiment": planned.as_dict()}
         work.write_json(cleaned({**content, "seconds": work.seconds}))

@@ -112,7 +112,18 @@ def table_1(found: ClosedForm) -> str:
         declared = found.model.parameters[name]
         rows.append([title, declared.symbol, f"{float(np.mean(np.asarray(found.model[name]))):.5g}", declared.unit])
     parts.append(f"(c) parameters of the rig\n{_table(rows)}")
-    return "\n\n".join([*parts, *_taken_as_known(found), *_bias(found), _rule(found)])
+    return "\n\n".join([*parts, *_disregarded(found), *_taken_as_known(found), *_bias(found), _rule(found)])
+
+
+def _disregarded(found: ClosedForm) -> list[str]:
+    """Say which effects of the model equations (5) and (6) do not have."""
+    others = [effect for effect in found.model.ids if effect not in _IN_EQUATIONS]
+    if not others:
+        return []
+    return [
+        f"Equations (5) and (6) have no {', '.join(others)}: these estimates are as if the model had none, and what "
+        "it does shows in the others. An estimator that fits the whole model is est.output_error."
+    ]
 
 
 def _taken_as_known(found: ClosedForm) -> list[str]:
@@ -127,6 +138,7 @@ def _taken_as_known(found: ClosedForm) -> list[str]:
     ]
 
 
+_IN_EQUATIONS = ("cart_viscous", "cart_coulomb", "arm_viscous")
 _SECOND_STAGE = ("eccentric_moment", "torque_constant", "arm_viscous.positive", "arm_viscous.negative")
 
 

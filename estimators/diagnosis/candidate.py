@@ -1,6 +1,7 @@
 """The record of one candidate of a diagnosis."""
 
 import dataclasses
+import math
 from collections.abc import Mapping
 
 from estimators.core.fit import Parameter
@@ -41,3 +42,11 @@ class Candidate:
     parameters: Mapping[str, Parameter] = dataclasses.field(default_factory=dict)
     confusable_with: tuple[str, ...] = ()
     correlation: Mapping[str, float] = dataclasses.field(default_factory=dict)
+
+    @property
+    def limit(self) -> str:
+        """The detection limit with its unit, a fraction in percent; empty where the data could not show the effect."""
+        if not (self.testable and math.isfinite(self.detection_limit)):
+            return ""
+        fraction = self.unit == "1"
+        return f"{(100 if fraction else 1) * self.detection_limit:.2g} {'%' if fraction else self.unit}"

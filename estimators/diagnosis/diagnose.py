@@ -125,8 +125,7 @@ class Diagnosis(Result):
         for c in self.candidates:
             gain = f"{c.bic_gain:10.1f}" if c.refitted else " " * 10
             removes = f"{100 * c.error_reduction:7.0f}%" if c.refitted else " " * 8
-            limit = f"{c.detection_limit:.2g} {c.unit}" if c.testable else "not testable"
-            lines.append(f"{c.id:22s} {c.score:10.1f} {c.p_value:9.2g} {gain} {removes}  {limit}")
+            lines.append(f"{c.id:22s} {c.score:10.1f} {c.p_value:9.2g} {gain} {removes}  {c.limit or 'not testable'}")
         lines.append("score: chi-square of predictions one sample ahead, less the price of the parameters")
         lines.append("")
         for title, tests in (("base model", self.tests), ("with what was added", self.left if self.additions else ())):

@@ -1,4 +1,4 @@
-"""Whether a user's own effect keeps its contract: every method is traced, and computed where nothing moves; faults are explained."""
+"""Whether a user's own effect keeps its contract: every method is traced, and computed where nothing moves; faults are told."""
 
 import inspect
 import re

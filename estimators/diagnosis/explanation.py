@@ -42,7 +42,7 @@ def words(
     """Describe in a paragraph what is missing, how big, where it shows, how sure, and what would make it surer."""
     if verdict == "adequate":
         limits = sorted((c for c in candidates if c.testable), key=lambda c: c.id)
-        text = ", ".join(f"{c.id} {c.detection_limit:.2g} {c.unit}".removesuffix(" 1") for c in limits)
+        text = ", ".join(f"{c.id} {c.limit}" for c in limits)
         blind = [c.id for c in candidates if not c.testable]
         unseen = f" These data could not show {', '.join(blind)} at any plausible size." if blind else ""
         floor = (
@@ -124,7 +124,8 @@ def _fall(consequence: Consequence) -> str:
 
 def _size(one: Parameter) -> str:
     # A deviation of zero is that of a parameter that is fixed.
-    return f"{one.value:.4g} +- {one.std:.2g} {one.unit}" if one.std > 0 else f"{one.value:.4g} {one.unit}, fixed"
+    unit = "" if one.unit == "1" else f" {one.unit}"
+    return f"{one.value:.4g} +- {one.std:.2g}{unit}" if one.std > 0 else f"{one.value:.4g}{unit}, fixed"
 
 
 def static_force(

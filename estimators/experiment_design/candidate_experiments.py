@@ -13,6 +13,7 @@ from rtac_jax.measurement import Experiment, Plan, multisine
 _MARGIN = 0.85  # fraction of travel and speed that the model may use: the rig departs from it
 _ROUNDS = 8  # in which a current is lowered until the limits hold
 _FEWER = 0.9
+_ALIKE = 0.02  # of the largest current, up to which two currents are one experiment
 
 _DISPLACEMENTS = (0.2, 0.5, 0.8)  # of the travel
 _ANGLES = (0.0, 0.25 * np.pi, 0.5 * np.pi)
@@ -26,7 +27,7 @@ _SPEEDS = (4.0, 12.0, 30.0)  # rad/s, at which friction balances a steady curren
 
 @dataclasses.dataclass(frozen=True)
 class Limits:
-    """The limits of an experiment: travel of the cart to each side [m], torque [N m], speed of the arm [rad/s].
+    """The limits of an experiment: travel of the cart to each side [m], torque [N m], speed of the arm [rad/s], current [A].
 
     Raises:
         ValueError: one is not a positive number.
@@ -35,12 +36,18 @@ class Limits:
     travel: float
     torque: float
     speed: float
+    current: float | None = None
 
     def __post_init__(self) -> None:
-        for name in ("travel", "torque", "speed"):
+        for name in ("travel", "torque", "speed", "current"):
             value = getattr(self, name)
-            if not (np.isfinite(value) and value > 0):
+            if not ((name == "current" and value is None) or (np.isfinite(value) and value > 0)):
                 raise ValueError(f"{name} limit: is {value}; give a positive number in SI units.")
+
+    def largest_current(self, gain: float) -> float:
+        """Return the largest current [A] of a motor of this torque constant [N m/A]."""
+        by_torque = self.torque / gain
+        return by_torque if self.current is None else min(by_torque, self.current)
 
 
 class Feasible(NamedTuple):
@@ -54,7 +61,8 @@ class Feasible(NamedTuple):
 def default_menu(model: RTAC, limits: Limits, *, sample_time: float, duration: float) -> list[Plan]:
     """Return free decays, square waves, multisines, steady currents, steps and chirps, slow and fast, at several arm angles.
 
-    Currents are sized by what they do to the arm, J theta'' = K_m i, and cut at the torque limit.
+    Currents are sized by what they do to the arm, J theta'' = K_m i, and cut at the limit of torque or current, which the name
+    says; what cutting makes alike is there once.
     """
     samples = round(duration / sample_time)
     rest = min(max(5, round(_LEAD / sample_time)), samples // 10)
@@ -62,7 +70,7 @@ def default_menu(model: RTAC, limits: Limits, *, sample_time: float, duration: f
     gain = float(np.asarray(model["torque_constant"]))
     inertia = float(np.asarray(model["arm_inertia"]))
     drag = float(np.asarray(model["arm_viscous.positive"])) if "arm_viscous" in model else 0.0
-    largest = limits.torque / gain
+    largest = limits.largest_current(gain)
     highest = 0.4 / sample_time  # Hz
     plans = [
         Plan(
@@ -77,14 +85,14 @@ def default_menu(model: RTAC, limits: Limits, *, sample_time: float, duration: f
         amplitude = 32 * frequency**2 * inertia * swing / gain
         if frequency < highest and frequency * duration >= 1:
             sign = np.where((frequency * time + 0.25) % 1 < 0.5, 1.0, -1.0)
-            waves.append((f"square {frequency:g} Hz, {swing:g} rad", min(amplitude, largest) * sign))
+            waves.append((f"square {frequency:g} Hz, {swing:g} rad", amplitude * sign))
     for number, (low, high) in enumerate(_BANDS):
         if high < highest and low * duration >= 1:
             for rms in (0.05, 0.2):
                 wave = multisine(samples=len(time), sample_time=sample_time, rms=rms, band=(low, high), seed=number)
-                waves.append((f"multisine {low:g}-{high:g} Hz, {rms:g} A", np.clip(wave, -largest, largest)))
+                waves.append((f"multisine {low:g}-{high:g} Hz, {rms:g} A rms", wave))
     for speed in _SPEEDS:
-        level = min(drag * speed / gain, largest)
+        level = drag * speed / gain
         if level > 0:
             waves.append((f"steady current to {speed:g} rad per s", np.full(len(time), level)))
             # Forth, off, back, off: the arm runs up, coasts, and comes back slowly through rest.
@@ -96,7 +104,7 @@ def default_menu(model: RTAC, limits: Limits, *, sample_time: float, duration: f
         phase = 2 * np.pi * np.cumsum(rate) * sample_time
         # The current rises with the frequency squared, so that the arm swings alike throughout.
         wave = inertia * (2 * np.pi * rate) ** 2 * swing / gain * np.cos(phase)
-        waves.append((f"chirp {low:g}-{high:g} Hz, {swing:g} rad", np.clip(wave, -largest, largest)))
+        waves.append((f"chirp {low:g}-{high:g} Hz, {swing:g} rad", wave))
     # What came before a record is not known, so nothing that a delay or a lag would remember may begin with it.
     lead = np.zeros(rest)
     plans += [
@@ -104,9 +112,19 @@ def default_menu(model: RTAC, limits: Limits, *, sample_time: float, duration: f
             f"{name} at {_degrees(angle)}", "forced", duration, sample_time, np.concatenate([lead, wave]),
             initial_angle=angle,
         )
-        for (name, wave), angle in itertools.product(waves, (_ANGLES[0], _ANGLES[2]))
+        for (name, wave), angle in itertools.product(_cut(waves, largest), (_ANGLES[0], _ANGLES[2]))
     ]  # fmt: skip
     return plans
+
+
+def _cut(waves: Sequence[tuple[str, np.ndarray]], largest: float) -> list[tuple[str, np.ndarray]]:
+    """Return currents cut at the largest, which is added to the name, each once."""
+    found: list[tuple[str, np.ndarray]] = []
+    for name, wave in waves:
+        cut = np.clip(wave, -largest, largest)
+        if not any(np.array_equal(cut, other) for _, other in found):
+            found.append((name if np.array_equal(cut, wave) else f"{name}, cut at {largest:.2g} A", cut))
+    return found
 
 
 def feasible(model: RTAC, plans: Sequence[Plan], limits: Limits, *, lower: bool) -> Feasible:
@@ -115,13 +133,13 @@ def feasible(model: RTAC, plans: Sequence[Plan], limits: Limits, *, lower: bool)
     Args:
         model: that the plans are simulated with.
         plans: to choose from.
-        limits: of travel, torque and speed.
+        limits: of travel, torque, speed and current.
         lower: whether currents may be lowered until they do.
     """
     plans, asked = list(plans), {plan.name: plan for plan in plans}
     refused: dict[str, str] = {}
     shown: dict[str, Simulation] = {}
-    gain = float(np.asarray(model["torque_constant"]))
+    largest = limits.largest_current(float(np.asarray(model["torque_constant"])))
     for attempt in range(_ROUNDS if lower else 1):
         shown = simulate(model, [plan.to_simulate() for plan in plans], start={plan.name: plan.start for plan in plans})
         refused = {}
@@ -129,22 +147,37 @@ def feasible(model: RTAC, plans: Sequence[Plan], limits: Limits, *, lower: bool)
             states = shown[plan.name].states
             reach = float(np.max(np.abs(states["cart_position"]))) / (_MARGIN * limits.travel)
             speed = float(np.max(np.abs(states["arm_velocity"]))) / (_MARGIN * limits.speed)
-            pull = 0.0 if plan.current is None else gain * float(np.max(np.abs(plan.current))) / limits.torque
+            pull = 0.0 if plan.current is None else float(np.max(np.abs(plan.current))) / largest
             worst = max(reach, speed, pull) if np.isfinite(reach + speed) else np.inf
             if worst <= 1 + 1e-9:
                 if not _shows(plan, shown[plan.name], _CHANNELS):
                     refused[plan.name] = f"{plan.name}: too weak to move anything against friction"
                 continue
-            what = "travel" if worst == reach else "torque" if worst == pull else "speed of the arm"
+            what = "travel" if worst == reach else "torque or current" if worst == pull else "speed of the arm"
             refused[plan.name] = f"{plan.name}: breaks the limit of the {what}"
             if lower and plan.current is not None and attempt < _ROUNDS - 1:
                 less = max(min(_FEWER, 1 / worst), 0.3)
                 plans[place] = dataclasses.replace(plan, current=less * plan.current)
         if not refused:
             break
-    kept = [plan for plan in plans if plan.name not in refused]
+    kept = _distinct([plan for plan in plans if plan.name not in refused])
     motions = tuple(shown[plan.name] for plan in kept)
     return Feasible(tuple(_named(plan, asked[plan.name]) for plan in kept), motions, tuple(refused.values()))
+
+
+def _distinct(plans: Sequence[Plan]) -> list[Plan]:
+    """Return the plans without those that lowering their current made as good as an earlier one."""
+    kept: list[Plan] = []
+    for plan in plans:
+        if not any(_alike(plan, other) for other in kept):
+            kept.append(plan)
+    return kept
+
+
+def _alike(one: Plan, other: Plan) -> bool:
+    if one.current is None or other.current is None or one.start != other.start or one.samples != other.samples:
+        return False
+    return float(np.max(np.abs(one.current - other.current))) <= _ALIKE * float(np.max(np.abs(other.current)))
 
 
 def predicted(plan: Plan, shown: Simulation, channels: Sequence[str]) -> Experiment:

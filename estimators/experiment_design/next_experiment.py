@@ -133,7 +133,8 @@ class NextExperiment:
             f"arm at {plan.initial_angle:.3g} rad.",
             f"It raises the smallest separation of {self.told_apart} from {min(self.already.values()):.3g} to "
             f"{best.smallest:.3g} ({worst[0]} against {worst[1]}); below {CONFUSABLE:g} effects are not told apart.",
-            f"Predicted: travel {1e3 * best.travel:.2g} mm, torque {best.torque:.2g} N m, arm {best.speed:.3g} rad/s.",
+            f"Predicted: travel {1e3 * best.travel:.2g} mm, torque {best.torque:.2g} N m, current "
+            f"{np.max(np.abs(self.current)):.2g} A, arm {best.speed:.3g} rad/s.",
         ]
         if min(self.already.values()) >= CONFUSABLE:
             lines.append("The recording tells these apart already: nothing new has to be recorded for that.")
@@ -141,9 +142,10 @@ class NextExperiment:
             lines.append(
                 "No experiment that was tried tells these apart; record it several times, or widen the limits."
             )
-        lines += ["", f"{'experiment':44s} {'separation':>11s} {'travel':>9s} {'torque':>11s} {'arm speed':>11s}"]
+        wide = max(10, *(len(one.plan.name) for one in self.ranked))
+        lines += ["", f"{'experiment':{wide}s} {'separation':>11s} {'travel':>9s} {'torque':>11s} {'arm speed':>11s}"]
         lines += [
-            f"{one.plan.name:44s} {one.smallest:11.3g} {1e3 * one.travel:6.2f} mm {1e3 * one.torque:6.2f} mN m "
+            f"{one.plan.name:{wide}s} {one.smallest:11.3g} {1e3 * one.travel:6.2f} mm {1e3 * one.torque:6.2f} mN m "
             f"{one.speed:5.1f} rad/s"
             for one in self.ranked
         ]
@@ -165,6 +167,7 @@ def next_experiment(
     travel: float = 0.015,
     torque_limit: float = 0.1,
     speed_limit: float = 55.0,
+    current_limit: float | None = None,
     duration: float | None = None,
     progress: bool = True,
 ) -> NextExperiment:
@@ -190,6 +193,7 @@ def next_experiment(
         travel: largest cart position to each side [m].
         torque_limit: largest |K_m i| [N m].
         speed_limit: largest speed of the arm [rad/s].
+        current_limit: largest current of the amplifier [A]; by default the torque alone limits it.
         duration: of the experiments of the default candidate set [s]; by default as the longest of the recording, at most 20 s.
         progress: show a bar.
 
@@ -201,7 +205,7 @@ def next_experiment(
     Source: Atkinson and Fedorov, Biometrika 62 (1975), T-optimum design for discrimination, linearised at the estimates.
     """
     require_configured()
-    limits = Limits(travel, torque_limit, speed_limit)
+    limits = Limits(travel, torque_limit, speed_limit, current_limit)
     experiments = moving(recording)
     contest = contest_of(fit, recording, found, between=between, candidates=candidates, progress=progress)
     interval = min(e.sample_time for e in experiments)
@@ -220,12 +224,13 @@ def next_experiment(
     planned = [predicted(plan, shown, channels) for plan, shown in zip(possible.plans, possible.shown, strict=True)]
     already, with_each = separations(contest, experiments, possible.plans, planned)
     gain = float(np.asarray(contest.truth["torque_constant"]))
+    largest = limits.largest_current(gain)
     ranked = []
     for plan, shown, separation in zip(possible.plans, possible.shown, with_each, strict=True):
         reach, speed = (float(np.max(np.abs(shown.states[x]))) for x in ("cart_position", "arm_velocity"))
-        torque = 0.0 if plan.current is None else gain * float(np.max(np.abs(plan.current)))
-        effort = max(reach / travel, torque / torque_limit, speed / speed_limit)
-        ranked.append(PlannedExperiment(plan, separation, reach, torque, speed, effort))
+        current = 0.0 if plan.current is None else float(np.max(np.abs(plan.current)))
+        effort = max(reach / travel, current / largest, speed / speed_limit)
+        ranked.append(PlannedExperiment(plan, separation, reach, gain * current, speed, effort))
     # Of an effect that was never fitted the size is a guess, and no separation is surely enough.
     fitted = all(c.refitted for c in found.candidates if c.id in contest.effects)
     enough = min(already.values()) + ENOUGH if fitted else np.inf

@@ -30,6 +30,7 @@ from rtac_jax.effects import CATALOGUE
 from rtac_jax.measurement import Recording
 
 Vector = Float[np.ndarray, " quantity"]
+_BROKEN_BY = 4  # effects that are named with an assumption, the likeliest ones
 _DRAWS, _FEW = 80, 32  # replicates, of experiments that are short or long
 _FAR = 10.0  # times the noise, from which on one step from an output error says little of where it would end
 _HIDES = (
@@ -118,13 +119,12 @@ class Agreement:
 
     @property
     def suspects(self) -> tuple[str, ...]:
-        """Ids of effects that break the assumptions of these quantities; the most often named first.
+        """Ids of effects that break the assumptions of these quantities, those of the clearest difference first.
 
         Where to look first, and no list to choose from: a fit of the whole motion hands an error on to other quantities too.
         """
         named = [effect for name in self.differing for effect in ASSUMES.get(name, ("", ()))[1]]
-        known = [effect for effect in dict.fromkeys(named) if effect in CATALOGUE]
-        return tuple(sorted(known, key=lambda effect: -named.count(effect)))
+        return tuple(effect for effect in dict.fromkeys(named) if effect in CATALOGUE)
 
     @property
     def verdict(self) -> str:
@@ -138,20 +138,18 @@ class Agreement:
             if self.simulation is not None and self.simulation.words:
                 return f"They agree: {chance} {self.simulation.words}{hides}"
             return f"They agree: {chance} What the estimates rest on holds as far as these data can tell.{hides}"
-        failing = list(dict.fromkeys(ASSUMES[n][0] for n in self.differing if n in ASSUMES))
-        fails = f" Doubt first that {failing[0]}" + "".join(f", then that {f}" for f in failing[1:3]) + "."
+        failing = [
+            f"that {words} (broken by {', '.join(effects[:_BROKEN_BY])})"
+            for words, effects in dict.fromkeys(ASSUMES[n] for n in self.differing if n in ASSUMES)
+        ]
+        fails = f" Doubt first {', then '.join(failing[:3])}." if failing else ""
         first, second = (self.asks[self.labels.index(label)] for label in self.worst.labels)
         both = f"both for {first} and for {second}." if first != second else f"for {first}."
         return (
             f"They disagree (p = {smallest:.2g}), most clearly in {', '.join(self.differing[:3])}: one model cannot be right "
             + both
-            + (fails if failing else "")
-            + (
-                f" Ask est.diagnose, and look first at {', '.join(self.suspects[:5])};"
-                if self.suspects
-                else " Ask est.diagnose;"
-            )
-            + " est.compare shows where the model fails."
+            + fails
+            + " Ask est.diagnose, which holds these and all others against the data; est.compare shows where the model fails."
             + self._but()
         )
 

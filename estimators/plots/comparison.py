@@ -105,6 +105,11 @@ def _finding(comparison: Comparison, models: list[Any], rows: int) -> str:
         if before < 1.2:
             return f"The model follows every experiment to {times(before)} times the noise or better {shown}"
         return f"The model fails most in {where}, by {times(before)} times the noise {shown}"
+    if not models[-1].label.startswith("+ "):
+        at_worst = sorted((max(t.rms / t.noise for t in model.traces), model.label) for model in models)
+        (least, best), *others = at_worst
+        beside = ", ".join(f"{name} {times(value)}" for value, name in others)
+        return f"{best} follows the data best, to {times(least)} times the noise at worst; {beside} {shown}"
     last = same(models[-1].traces, first)
     after = last.rms / last.noise
     verb = "falls" if after < before else "rises"

@@ -72,7 +72,11 @@ def _finding(shown: list[Candidate], values: np.ndarray, accepted: set[str]) -> 
             named = " or ".join(c.id for c in shown if c.id in accepted)
             several = f" to {shown[row].id}" if named != shown[row].id else ""
             return f"Nothing looks like {named} in these data; the nearest{several} is {shown[column].id} {alike}"
-        return f"{shown[column].id} looks much like {shown[row].id} in these data {alike}"
+        said = f"{shown[column].id} looks much like {shown[row].id} in these data {alike}"
+        other = shown[column]
+        if other.id in accepted or not other.refitted:
+            return said
+        return f"{said}, but fitted they are told apart, by {shown[row].bic_gain - other.bic_gain:.0f} in BIC"
     if values[row, column] < _ALIKE:
         return f"No two of these candidates look alike in these data; the nearest are {pair} {alike}"
     return f"In these data {pair} look alike {alike}"

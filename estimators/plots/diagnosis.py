@@ -164,11 +164,11 @@ def _remark(c: Candidate, accepted: bool, policy: DiagnosisPolicy) -> str:
         return f"when fitted, removes {100 * c.error_reduction:.0f} %"
     if accepted:
         return f"removes {100 * c.error_reduction:.0f} % of the misfit"
-    if not np.isfinite(c.detection_limit) or not c.testable:
+    if not c.limit:
         return "not testable here"
     if c.chi_square >= policy.alarm and not _alarms(c, policy):
         return f"no alarm: by its scatter p = {c.p_value:.1g}"
-    return f"would show from {quantity(c.detection_limit, c.unit)}"
+    return f"would show from {c.limit if c.unit == '1' else quantity(c.detection_limit, c.unit)}"
 
 
 def _chosen(diagnosis: Diagnosis) -> tuple[list[ForceCurve], ForceCurve | None]:

@@ -348,8 +348,6 @@ def candidate_table(diagnosis: Diagnosis) -> Table:
     accepted = {c.id for c in diagnosis.effects}
     rows = []
     for c in ranked(diagnosis):
-        unit = "" if c.unit == "1" else f" {c.unit}"
-        limit = f"{c.detection_limit:.2g}{unit}" if c.testable and math.isfinite(c.detection_limit) else ""
         rows.append(
             (
                 c.id,
@@ -357,7 +355,7 @@ def candidate_table(diagnosis: Diagnosis) -> Table:
                 f"{c.p_value:.2g}",
                 f"{c.bic_gain:.1f}" if c.refitted else "",
                 f"{100 * c.error_reduction:.0f}" if c.refitted else "",
-                limit or "not testable with these data",
+                c.limit or "not testable with these data",
                 "accepted" if c.id in accepted else "",
             )
         )

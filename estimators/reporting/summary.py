@@ -39,14 +39,22 @@ def of_fit(fit: Fit, advice: Recommendation, trained: Comparison, tested: Compar
 
 
 def of_comparison(trained: Comparison, tested: Comparison | None, *, file: str) -> Bullets:
-    """Return the bullets of a comparison; arguments as of `of_fit`."""
-    against = (tested or trained).models[0]
-    white = sum(trace.whiteness_p > 0.01 for trace in against.traces)
+    """Return the bullets of a comparison, of several models of that which follows best; arguments as of `of_fit`."""
+    models = (tested or trained).models
+    best, *others = sorted(models, key=_largest)
+    white = sum(trace.whiteness_p > 0.01 for trace in best.traces)
     kind = "held out" if tested is not None else "fitted, so that nothing validates them"
+    error = _error(best, tested is not None)
+    found = f"{error[0].upper()}{error[1:]}"
+    whose = ""
+    if others:
+        beside = ", ".join(f"{one.label} {_largest(one):.3g}" for one in others)
+        found = f"{best.label} follows the data best: {error}; {beside}"
+        whose = f" of {best.label}"
     return Bullets(
-        f"{_error(against, tested is not None)[0].upper()}{_error(against, tested is not None)[1:]}.",
-        f"{white} of {len(against.traces)} residuals are white at 1 %; these experiments were {kind}.",
-        _after(against, file, "nothing: the model follows these data to their noise"),
+        f"{found}.",
+        f"{white} of {len(best.traces)} residuals{whose} are white at 1 %; these experiments were {kind}.",
+        _after(best, file, f"nothing: {best.label if others else 'the model'} follows these data to their noise"),
     )
 
 
@@ -123,7 +131,9 @@ def _named(found: Diagnosis | Improvement) -> tuple[Candidate, ...]:
 
 def _effect(candidate: Candidate) -> str:
     inside = ", ".join(
-        f"{name} {p.value:.4g}{f' +- {p.std:.2g}' if math.isfinite(p.std) and p.std else ''} {p.unit}".strip()
+        f"{name} {p.value:.4g}{f' +- {p.std:.2g}' if math.isfinite(p.std) and p.std else ''} {p.unit}".removesuffix(
+            " 1"
+        )
         for name, p in candidate.parameters.items()
     )
     return f"{candidate.id}{f' ({inside})' if inside else ''}"
@@ -131,20 +141,25 @@ def _effect(candidate: Candidate) -> str:
 
 def _parameter(name: str, p: object) -> str:
     value, std, unit = (getattr(p, part) for part in ("value", "std", "unit"))
-    return f"{name} {value:.5g} +- {std:.2g} {unit} ({100 * abs(std / value):.2g} %)"
+    return f"{name} {value:.5g} +- {std:.2g}{'' if unit == '1' else f' {unit}'} ({100 * abs(std / value):.2g} %)"
+
+
+def _largest(compared: Compared) -> float:
+    """Return the largest error over the noise."""
+    worst = compared.worst(1)[0]
+    return worst.rms / worst.noise
 
 
 def _error(compared: Compared, held_out: bool) -> str:
     worst = compared.worst(1)[0]
     kind = "held-out" if held_out else "fitted"
     return (
-        f"the model leaves at most {worst.rms / worst.noise:.3g} times the noise of the {kind} experiments, in "
+        f"the model leaves at most {_largest(compared):.3g} times the noise of the {kind} experiments, in "
         f"{worst.channel.replace('_', ' ')} of {worst.experiment}"
     )
 
 
 def _after(compared: Compared, file: str, good: str) -> str:
-    worst = compared.worst(1)[0]
-    if worst.rms > _NOISE * worst.noise:
+    if _largest(compared) > _NOISE:
         return f"rtac diagnose {shlex.quote(file)}, which says what is missing."
     return f"{good[0].upper()}{good[1:]}."

@@ -307,8 +307,10 @@ def test_several_saved_models_are_judged_side_by_side(ran):
     assert errors[1] < 1.5
     assert mended["parameters"]["flexible_mode.frequency"]["value"] == pytest.approx(37.4, rel=0.01)
     assert {row["model"] for row in content["experiments"]} == {"base", "mended"}
-    page = (folder / "report.html").read_text()
-    assert "mended" in page
+    page = " ".join(html.unescape(re.sub(r"<[^>]+>", " ", (folder / "report.html").read_text())).split())
+    assert "mended follows the data best: the model leaves at most" in page
+    assert "Next. Nothing: mended follows these data to their noise." in page
+    assert {path.name for path in folder.glob("residuals_*.png")} == {"residuals_1.png", "residuals_2.png"}
 
 
 def test_a_file_that_holds_no_model_is_named(ran, file, tmp_path):

@@ -55,10 +55,13 @@ def test_the_next_experiment_is_planned_and_can_be_played(file, asked, tmp_path)
     result = call(
         "next-experiment", file, "--quick", "--travel", "12", "--torque-limit", "0.05", "--play", tmp_path / "next.csv",
         "--json", tmp_path / "next.json", "--out", tmp_path / "out", "--between", "flexible_mode, cubic_spring",
+        "--current-limit", "0.4",
     )  # fmt: skip
     assert result.exit_code == 0, result.output
     assert (asked["diagnosed"], asked["thorough"], asked["fit"]) == (1, False, "a fit")
     assert (asked["travel"], asked["torque_limit"]) == (pytest.approx(0.012), 0.05)
+    assert asked["current_limit"] == 0.4
+    assert "current 0.4 A (--current-limit)" in result.stdout
     assert asked["between"] == list(PAIR)
     assert "ambiguous (flexible_mode, cubic_spring)" in result.stdout
     assert "from 2.5 to 321" in result.stdout
@@ -85,6 +88,7 @@ def test_a_diagnosis_that_was_kept_need_not_be_made_again(file, asked, tmp_path)
         call("next-experiment", file, "--diagnosis", tmp_path / "model.h5"), 2, "holds a RTAC", "rtac diagnose --save"
     )
     refused(call("next-experiment", file, "--travel", "-1"), 2, "--travel is -1")
+    refused(call("next-experiment", file, "--current-limit", "0"), 2, "--current-limit is 0")
     refused(call("next-experiment", file, "--play", "x.mat"), 2, "--play", ".csv")
 
 

@@ -268,3 +268,9 @@ def test_options_that_do_not_go_together_are_refused(quiet: rtac.Recording, mode
         est.least_squares(model, quiet, weak=True, cutoff=10.0)
     with pytest.raises(ValueError, match="add weak=True"):
         est.least_squares(model, quiet, instruments=True)
+
+
+def test_what_the_equations_do_not_have_is_said(quiet: rtac.Recording, model: rtac.RTAC) -> None:
+    assert "Equations (5) and (6) have no" not in str(est.least_squares(model, quiet))
+    more = model + rtac.effects.CurrentLag(0.01) + rtac.effects.TachoBias(0.1)
+    assert "Equations (5) and (6) have no current_lag, tacho_bias:" in str(est.least_squares(more, quiet))

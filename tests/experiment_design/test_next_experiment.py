@@ -1,6 +1,7 @@
 """What data leave open, the recommended experiment settles; the independent virtual rig carries it out."""
 
 import dataclasses
+import itertools
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 
 import estimators as est
 import rtac_jax as rtac
+from estimators.experiment_design.candidate_experiments import Limits, default_menu, feasible
 from estimators.experiment_design.next_experiment import ENOUGH
 from rtac_jax import virtual_rig
 from rtac_jax.effects import CATALOGUE
@@ -153,6 +155,28 @@ def test_a_menu_of_ones_own_is_not_altered_and_what_breaks_a_limit_is_refused(de
         est.next_experiment(delayed.fit, delayed.recording, delayed.found, menu=menu[1:], progress=False)
 
 
+def test_a_limit_of_the_current_cuts_what_is_planned_and_the_names_say_so() -> None:
+    model = rtac.RTAC.paper()
+    limits = Limits(TRAVEL, TORQUE, SPEED, current=0.3)
+    plans = default_menu(model, limits, sample_time=0.005, duration=4.0)
+    free = default_menu(model, Limits(TRAVEL, TORQUE, SPEED), sample_time=0.005, duration=4.0)
+    for plan in plans:
+        largest = 0.0 if plan.current is None else np.max(np.abs(plan.current))
+        assert largest <= 0.3
+        assert (largest == 0.3) == (", cut at 0.3 A" in plan.name), plan.name
+    assert len(plans) < len(free)  # squares that were larger than that are one
+    currents = [(plan.start, plan.current.tobytes()) for plan in plans if plan.current is not None]
+    assert len(set(currents)) == len(currents)
+    found = feasible(model, plans, limits, lower=True)
+    assert all(np.max(np.abs(plan.current)) <= 0.3 for plan in found.plans if plan.current is not None)
+    assert any("lowered to" in plan.name for plan in found.plans)
+    forced = [plan for plan in found.plans if plan.current is not None]
+    for one, other in itertools.combinations(forced, 2):
+        if one.start == other.start:
+            apart = np.max(np.abs(one.current - other.current)) / np.max(np.abs(other.current))
+            assert apart > 0.02, (one.name, other.name)
+
+
 def test_what_cannot_be_planned_is_refused(delayed: Case) -> None:
     given = (delayed.fit, delayed.recording, delayed.found)
     adequate = dataclasses.replace(delayed.found, verdict="adequate", effects=(), additions=())
@@ -162,6 +186,8 @@ def test_what_cannot_be_planned_is_refused(delayed: Case) -> None:
         est.next_experiment(*given, between=["input_delay", "gremlins"], progress=False)
     with pytest.raises(ValueError, match="travel limit"):
         est.next_experiment(*given, travel=0.0, progress=False)
+    with pytest.raises(ValueError, match="current limit"):
+        est.next_experiment(*given, current_limit=-1.0, progress=False)
     with pytest.raises(ValueError, match="is empty"):
         est.next_experiment(*given, menu=[], progress=False)
     with pytest.raises(ValueError, match="give a list of names"):

@@ -263,6 +263,11 @@ def test_where_the_model_fails_is_named_and_every_part_stands_in_its_order(drawn
 def test_what_looks_alike_is_named(drawn):
     assert "effect_1 looks much like flexible_mode" in drawn["confusion"].get_suptitle().replace("\n", " ")
     assert len(drawn["confusion"].get_axes()[0].get_xticks()) == 12
+    assert "told apart" not in drawn["confusion"].get_suptitle()
+    fitted = [dataclasses.replace(c, refitted=True, bic_gain=20.0) for c in alike(3, 0.95)]
+    told = plot_confusion(diagnosis(others=fitted)).get_suptitle().replace("\n", " ")
+    ahead = diagnosis().effects[0].bic_gain - 20.0
+    assert told.endswith(f", but fitted they are told apart, by {ahead:.0f} in BIC")
     untestable = dataclasses.replace(candidate("no_way", 60.0), testable=False)
     assert [c.id for c in confusable(diagnosis(others=(untestable, *alike(3, 0.2))))] == [
         "flexible_mode", "effect_0", "effect_1", "effect_2",

@@ -58,7 +58,7 @@ class Feasible(NamedTuple):
     refused: tuple[str, ...]
 
 
-def default_menu(model: RTAC, limits: Limits, *, sample_time: float, duration: float) -> list[Plan]:
+def default_plans(model: RTAC, limits: Limits, *, sample_time: float, duration: float) -> list[Plan]:
     """Return free decays, square waves, multisines, steady currents, steps and chirps, slow and fast, at several arm angles.
 
     Currents are sized by what they do to the arm, J theta'' = K_m i, and cut at the limit of torque or current, which the name

@@ -1,6 +1,7 @@
 """The next experiment: of those that the rig can do, the one that best tells apart what the data leave open."""
 
 import dataclasses
+import warnings
 from collections.abc import Mapping, Sequence
 from os import PathLike
 from typing import Any
@@ -12,7 +13,7 @@ from estimators.core.data import moving
 from estimators.core.drawing import draw
 from estimators.core.fit import Fit
 from estimators.diagnosis.diagnose import Diagnosis
-from estimators.experiment_design.candidate_experiments import Limits, default_menu, feasible, predicted
+from estimators.experiment_design.candidate_experiments import Limits, default_plans, feasible, predicted
 from estimators.experiment_design.hypotheses import contest_of
 from estimators.experiment_design.t_optimality import separations
 from rtac_jax import require_configured
@@ -162,7 +163,7 @@ def next_experiment(
     found: Diagnosis,
     *,
     between: Sequence[str] | None = None,
-    menu: Sequence[Plan] | None = None,
+    plans: Sequence[Plan] | None = None,
     candidates: Sequence[type[Effect]] | None = None,
     travel: float = 0.015,
     torque_limit: float = 0.1,
@@ -170,6 +171,7 @@ def next_experiment(
     current_limit: float | None = None,
     duration: float | None = None,
     progress: bool = True,
+    menu: Sequence[Plan] | None = None,
 ) -> NextExperiment:
     """Choose the experiment that best tells apart the effects between which a diagnosis could not decide.
 
@@ -187,7 +189,7 @@ def next_experiment(
         found: the diagnosis of this fit.
         between: ids of the effects to tell apart, or of one, to be told from nothing; by default those that the diagnosis
             calls ambiguous, else what it found and the nearest rivals.
-        menu: experiments to choose from; those that break a limit on the model are passed over. By default free decays,
+        plans: experiments to choose from; those that break a limit on the model are passed over. By default free decays,
             square waves, multisines, steady currents, steps and chirps, their currents lowered to the limits.
         candidates: classes of the effects, where they are not in the catalogue.
         travel: largest cart position to each side [m].
@@ -196,6 +198,7 @@ def next_experiment(
         current_limit: largest current of the amplifier [A]; by default the torque alone limits it.
         duration: of the experiments of the default candidate set [s]; by default as the longest of the recording, at most 20 s.
         progress: show a bar.
+        menu: old name of `plans`.
 
     Raises:
         ValueError: nothing is to be told apart, an effect is unknown, a limit is out of range, or no experiment keeps to
@@ -209,17 +212,19 @@ def next_experiment(
     experiments = moving(recording)
     contest = contest_of(fit, recording, found, between=between, candidates=candidates, progress=progress)
     interval = min(e.sample_time for e in experiments)
-    if menu is None:
+    if menu is not None:
+        warnings.warn("next_experiment: menu is called plans now.", DeprecationWarning, stacklevel=2)
+        plans = menu
+    own = plans is not None
+    if plans is None:
         longest = min(max(e.samples * e.sample_time for e in experiments), 20.0)
-        plans = default_menu(contest.truth, limits, sample_time=interval, duration=duration or longest)
+        plans = default_plans(contest.truth, limits, sample_time=interval, duration=duration or longest)
         taken = {e.name for e in recording.experiments}
         plans = [dataclasses.replace(p, name=f"{p.name}, once more") if p.name in taken else p for p in plans]
-    else:
-        plans = list(menu)
     _require_plans(plans, [e.name for e in experiments])
-    possible = feasible(contest.truth, plans, limits, lower=menu is None)
+    possible = feasible(contest.truth, plans, limits, lower=not own)
     if not possible.plans:
-        raise ValueError("menu: no experiment keeps to the limits: " + "; ".join(possible.refused[:3]) + ".")
+        raise ValueError("plans: no experiment keeps to the limits: " + "; ".join(possible.refused[:3]) + ".")
     channels = [c for c in OUTPUTS if any(c in e.outputs for e in experiments)]
     planned = [predicted(plan, shown, channels) for plan, shown in zip(possible.plans, possible.shown, strict=True)]
     already, with_each = separations(contest, experiments, possible.plans, planned)
@@ -248,17 +253,17 @@ def next_experiment(
 def _require_plans(plans: Sequence[Plan], taken: Sequence[str]) -> None:
     for plan in plans:
         if not isinstance(plan, Plan):
-            raise ValueError(f"menu: {plan!r} is no plan; give rtac_jax.measurement.Plan(...).")
+            raise ValueError(f"plans: {plan!r} is no plan; give rtac_jax.measurement.Plan(...).")
         if plan.arm == "locked" and plan.cart == "clamped":
             raise ValueError(
-                f"menu: in {plan.name} the arm is locked and the cart clamped, so nothing moves; free one of them."
+                f"plans: in {plan.name} the arm is locked and the cart clamped, so nothing moves; free one of them."
             )
     names = [plan.name for plan in plans]
     if not names:
-        raise ValueError("menu: is empty; give at least one plan.")
+        raise ValueError("plans: is empty; give at least one plan.")
     twice = sorted({n for n in names if names.count(n) > 1})
     if twice:
-        raise ValueError(f"menu: {', '.join(twice)} occurs twice; give each plan a name of its own.")
+        raise ValueError(f"plans: {', '.join(twice)} occurs twice; give each plan a name of its own.")
     known = sorted(set(names) & set(taken))
     if known:
-        raise ValueError(f"menu: the recording has {', '.join(known)} already; rename the plan.")
+        raise ValueError(f"plans: the recording has {', '.join(known)} already; rename the plan.")

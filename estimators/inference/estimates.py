@@ -33,7 +33,7 @@ _UNITS = dict(zip(MODAL, ("rad/s", "1"), strict=True))
 
 
 @dataclasses.dataclass(frozen=True)
-class Way:
+class Estimator:
     """An estimator with its result and its dependence on the measurements.
 
     Attributes:
@@ -65,7 +65,7 @@ def label_of(result: Result) -> str:
     }[type(result)]
 
 
-def way_of(result: Result, label: str, source: Source, recording: Recording, *, modal: bool) -> Way:
+def estimator_of(result: Result, label: str, source: Source, recording: Recording, *, modal: bool) -> Estimator:
     """Return an estimator as a function of the measurements.
 
     A closed form is computed anew; the others take one Gauss-Newton step from where they are.
@@ -95,11 +95,11 @@ def way_of(result: Result, label: str, source: Source, recording: Recording, *, 
             asks, again = "the next sample, given the past", _predicted(result, values)
     units = tuple(model.parameters[n].unit for n in names)
     if modal and "spring_stiffness" in names:
-        return Way(
+        return Estimator(
             label, asks, (*names, *MODAL), (*units, *_UNITS.values()), _with_modal(model, names, values),
             lambda measured: _with_modal(model, names, again(measured)), True,
         )  # fmt: skip
-    return Way(label, asks, names, units, values, again, True)
+    return Estimator(label, asks, names, units, values, again, True)
 
 
 def _closed(
@@ -162,7 +162,7 @@ def _with_modal(model: RTAC, names: Sequence[str], values: Vector) -> np.ndarray
     return np.array([*values, frequency, of("cart_viscous.coefficient") / (2 * mass * frequency)])
 
 
-def _linear(result: LinearModels, label: str, source: Source, recording: Recording) -> Way:
+def _linear(result: LinearModels, label: str, source: Source, recording: Recording) -> Estimator:
     """Return the estimator of the cart's mode, as the median over conditions.
 
     A mean would not do: a fit that ends without damping is sure of it, and wrong.
@@ -192,7 +192,7 @@ def _linear(result: LinearModels, label: str, source: Source, recording: Recordi
         moved = np.array([-np.linalg.lstsq(j, e, rcond=1e-10)[0] for e, j in zip(*map(np.asarray, at), strict=True)])
         return np.median((chosen + np.einsum("cqt,ct->cq", gradient, moved))[usable], axis=0)
 
-    return Way(
+    return Estimator(
         label, "a linear response to the current", MODAL, tuple(_UNITS.values()), np.median(chosen[usable], axis=0), again,
         False,
     )  # fmt: skip

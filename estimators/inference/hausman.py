@@ -20,7 +20,7 @@ from estimators.core.linearisation import at_fit
 from estimators.core.piecewise_triangle import LONG
 from estimators.inference.assumptions import ASSUMES
 from estimators.inference.bootstrap import Shaken, Shuffled, Source
-from estimators.inference.estimates import MODAL, Result, Way, label_of, way_of
+from estimators.inference.estimates import MODAL, Estimator, Result, estimator_of, label_of
 from estimators.inference.shaken_simulation import shaken_by, signal_rms
 from estimators.inference.simulation_residual import SimulationResidual, known_noise, simulation_residual
 from estimators.linear.fit import LinearModels
@@ -88,8 +88,8 @@ class Agreement:
     units: tuple[str, ...]
     labels: tuple[str, ...]
     asks: tuple[str, ...]
-    values: Float[np.ndarray, "way quantity"]
-    std: Float[np.ndarray, "way quantity"]
+    values: Float[np.ndarray, "estimator quantity"]
+    std: Float[np.ndarray, "estimator quantity"]
     pairs: tuple[Disagreement, ...]
     level: float
     draws: int
@@ -275,8 +275,12 @@ def agreement(
         )
     if fitted := [*predictors, *fits]:
         several = [_with_constants_of(fitted[0].model, result) for result in several]
-    ways = [way_of(result, label, source, recording, modal=modal) for result, label in zip(several, said, strict=True)]
-    shared = {(a, b): _common(ways[a], ways[b]) for a, b in itertools.combinations(range(len(ways)), 2)}
+    estimators = [
+        estimator_of(result, label, source, recording, modal=modal) for result, label in zip(several, said, strict=True)
+    ]
+    shared = {
+        (a, b): _common(estimators[a], estimators[b]) for a, b in itertools.combinations(range(len(estimators)), 2)
+    }
     if not any(shared.values()):
         raise ValueError("the results have no estimated parameter in common.")
     widest = max(len(names) for names in shared.values())
@@ -285,18 +289,18 @@ def agreement(
     if draws <= 3 * widest:
         raise ValueError(f"draws is {draws}; {widest} quantities need more than {3 * widest}.")
     names = tuple(dict.fromkeys(n for common in shared.values() for n in common))
-    units = tuple(next(w.units[w.names.index(n)] for w in ways if n in w.names) for n in names)
+    units = tuple(next(w.units[w.names.index(n)] for w in estimators if n in w.names) for n in names)
     random = np.random.default_rng(seed)
-    found = np.full((draws, len(ways), len(names)), np.nan)
+    found = np.full((draws, len(estimators), len(names)), np.nan)
     for number in tqdm(range(draws), desc="agreement", unit=" replicates", disable=not progress, leave=False):
         measured = source.draw(random)
-        for row, way in enumerate(ways):
-            found[number, row] = _in_order(way, way.again(measured), names)
+        for row, estimator in enumerate(estimators):
+            found[number, row] = _in_order(estimator, estimator.again(measured), names)
     # The estimates by the same step as in the replicates: what an optimiser left undone is large beside the difference of
     # two estimators that almost agree.
     measured = source.measured
-    observed = np.array([_in_order(way, way.again(measured), names) for way in ways])
-    values = np.array([_in_order(way, way.values, names) for way in ways])
+    observed = np.array([_in_order(estimator, estimator.again(measured), names) for estimator in estimators])
+    values = np.array([_in_order(estimator, estimator.values, names) for estimator in estimators])
     pairs = tuple(
         _pair(
             (said[a], said[b]), observed[a] - observed[b], found[:, a] - found[:, b],
@@ -306,7 +310,7 @@ def agreement(
         if common
     )  # fmt: skip
     spread = np.std(found, axis=0, ddof=1)
-    asks = tuple(way.asks for way in ways)
+    asks = tuple(estimator.asks for estimator in estimators)
     misfit = {
         label: max(result.residual_std[c] / n for c, n in result.noise.items() if c in result.residual_std)
         for label, result in zip(said, several, strict=True)
@@ -350,14 +354,14 @@ def _simulation(fit: Fit, recording: Recording, predictors: Sequence[PredictorFi
     )
 
 
-def _common(one: Way, other: Way) -> tuple[str, ...]:
+def _common(one: Estimator, other: Estimator) -> tuple[str, ...]:
     """Return what both estimate; between two of the physics its parameters, of which the modal quantities are functions."""
     skipped = MODAL if one.physical and other.physical else ()
     return tuple(n for n in one.names if n in other.names and n not in skipped)
 
 
-def _in_order(way: Way, values: np.ndarray, names: Sequence[str]) -> np.ndarray:
-    at = dict(zip(way.names, values, strict=True))
+def _in_order(estimator: Estimator, values: np.ndarray, names: Sequence[str]) -> np.ndarray:
+    at = dict(zip(estimator.names, values, strict=True))
     return np.array([at.get(n, np.nan) for n in names])
 
 

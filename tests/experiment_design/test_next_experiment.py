@@ -9,7 +9,7 @@ import pytest
 
 import estimators as est
 import rtac_jax as rtac
-from estimators.experiment_design.candidate_experiments import Limits, default_menu, feasible
+from estimators.experiment_design.candidate_experiments import Limits, default_plans, feasible
 from estimators.experiment_design.next_experiment import ENOUGH
 from rtac_jax import virtual_rig
 from rtac_jax.effects import CATALOGUE
@@ -143,23 +143,26 @@ def test_the_file_to_play_holds_the_inputs(delayed: Case, tmp_path: Path) -> Non
 
 def test_a_menu_of_ones_own_is_not_altered_and_what_breaks_a_limit_is_refused(delayed: Case) -> None:
     wave = np.where((1.5 * 0.01 * np.arange(400) + 0.25) % 1 < 0.5, 0.1, -0.1)
-    menu = [
+    plans = [
         virtual_rig.Plan("gentle", "forced", 4.0, 0.01, wave),
         virtual_rig.Plan("too strong", "forced", 4.0, 0.01, 15 * wave),
         virtual_rig.Plan("too far", "free", 4.0, 0.01, initial_position=0.02),
     ]
-    chosen = est.next_experiment(delayed.fit, delayed.recording, delayed.found, menu=menu, progress=False)
-    assert [one.plan for one in chosen.ranked] == menu[:1]
+    chosen = est.next_experiment(delayed.fit, delayed.recording, delayed.found, plans=plans, progress=False)
+    assert [one.plan for one in chosen.ranked] == plans[:1]
     assert {text.split(":")[0] for text in chosen.refused} == {"too strong", "too far"}
+    with pytest.warns(DeprecationWarning, match="menu is called plans now"):
+        old = est.next_experiment(delayed.fit, delayed.recording, delayed.found, menu=plans, progress=False)
+    assert old.as_dict() == chosen.as_dict()
     with pytest.raises(ValueError, match="no experiment keeps to the limits"):
-        est.next_experiment(delayed.fit, delayed.recording, delayed.found, menu=menu[1:], progress=False)
+        est.next_experiment(delayed.fit, delayed.recording, delayed.found, plans=plans[1:], progress=False)
 
 
 def test_a_limit_of_the_current_cuts_what_is_planned_and_the_names_say_so() -> None:
     model = rtac.RTAC.paper()
     limits = Limits(TRAVEL, TORQUE, SPEED, current=0.3)
-    plans = default_menu(model, limits, sample_time=0.005, duration=4.0)
-    free = default_menu(model, Limits(TRAVEL, TORQUE, SPEED), sample_time=0.005, duration=4.0)
+    plans = default_plans(model, limits, sample_time=0.005, duration=4.0)
+    free = default_plans(model, Limits(TRAVEL, TORQUE, SPEED), sample_time=0.005, duration=4.0)
     for plan in plans:
         largest = 0.0 if plan.current is None else np.max(np.abs(plan.current))
         assert largest <= 0.3
@@ -189,7 +192,7 @@ def test_what_cannot_be_planned_is_refused(delayed: Case) -> None:
     with pytest.raises(ValueError, match="current limit"):
         est.next_experiment(*given, current_limit=-1.0, progress=False)
     with pytest.raises(ValueError, match="is empty"):
-        est.next_experiment(*given, menu=[], progress=False)
+        est.next_experiment(*given, plans=[], progress=False)
     with pytest.raises(ValueError, match="give a list of names"):
         est.next_experiment(*given, between="input_delay", progress=False)
     with pytest.raises(ValueError, match="candidates: input_delay is not among them"):
@@ -202,10 +205,10 @@ def test_what_cannot_be_planned_is_refused(delayed: Case) -> None:
         est.next_experiment(*given[:2], blind, between=["input_delay", unshown], progress=False)
     still = virtual_rig.Plan("still", "forced", 4.0, 0.01, np.ones(400), arm="locked", cart="clamped")
     with pytest.raises(ValueError, match="in still the arm is locked and the cart clamped"):
-        est.next_experiment(*given, menu=[still], progress=False)
+        est.next_experiment(*given, plans=[still], progress=False)
     taken = virtual_rig.Plan("forced_1", "free", 4.0, 0.01, initial_position=0.01)
     with pytest.raises(ValueError, match="has forced_1 already"):
-        est.next_experiment(*given, menu=[taken], progress=False)
+        est.next_experiment(*given, plans=[taken], progress=False)
 
 
 @pytest.mark.slow

@@ -24,7 +24,7 @@ from unittest import mock
 from diagnosis_cases import KINDS, kind_of, outcome
 from diagnosis_evidence import as_result, evidence_in
 
-from estimators.diagnosis import removed_error, stepwise_selection, verdict
+from estimators.diagnosis import stepwise_selection, verdict
 from estimators.diagnosis.evidence import Evidence, FittedModel
 from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
 from estimators.diagnosis.verdict import judge
@@ -99,13 +99,8 @@ def _without_traits(trait: str, value: object) -> Judge:
 _OFF: dict[str, dict[str, float]] = {
     "removed: nearly everything must go (0)": {"removed": 0.0},
     "bic_gain (0)": {"bic_gain": 0.0},
-    "vuong: rivals by its statistic (0)": {"vuong": 0.0},
-    "nested_level: a larger law is no rival of what it contains (0)": {"nested_level": 0.0},
-    "rival: far behind is no rival (0)": {"rival": 0.0},
-    "reconsidered: earlier effects are held against others again (0)": {"reconsidered": 0},
     "refits: candidates refitted at least (1)": {"refits": 1},
     "close: refitted beside the first (0)": {"close": 0.0},
-    "hidden: of each order refitted where random forces may hide (1)": {"hidden": 1},
     "line_left: an effect without alarm leaves no line (1)": {"line_left": 1.0},
     "effects: named at most (1)": {"effects": 1},
     "alarm (0)": {"alarm": 0.0},
@@ -131,12 +126,10 @@ def rules() -> dict[str, Judge]:
     }
     tests = {"repeats": "repeats", "curves": "static force", "lagged": "delayed force", "line": "spectral line"}
     found |= {f"test: {words}": without_test(name) for name, words in tests.items()}
-    found["repeats have a veto on what is named"] = with_patch(removed_error, "removed_by_repeats", lambda *_: 1.0)
     found["what overshadows the alarms is tried"] = with_patch(stepwise_selection, "overshadowing", lambda *_: [])
     found["second look: large, but at a few instants"] = without_look("unalarmed")
     found["second look: what random forces may hide"] = without_look("hidden")
     found["contacts are tried however little they show"] = _without_traits("contact", False)
-    found["what rings comes first where a line is most"] = _without_traits("rings", False)
     found["too few data: a suspect vetoes"] = with_patch(verdict, "few_for", lambda *_: False)
     return found
 

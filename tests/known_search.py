@@ -8,10 +8,11 @@ from estimators.diagnosis.live_laboratory import traits
 from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
 from estimators.misspecification.findings import CriticalValues, Findings, Score, StaticForce
 from rtac_jax.effects import CATALOGUE
+from rtac_jax.effects.wrong_constant import WRONG_CONSTANTS
 
 SIZES = {"arm_stribeck": 2, "arm_coulomb": 1, "lvdt_lag": 1, "cubic_spring": 1}
 CRITICAL = STANDARD.critical
-TRAITS = {i: traits(effect) for i, effect in CATALOGUE.items()}
+TRAITS = {i: traits(effect) for i, effect in (CATALOGUE | {c.id: c for c in WRONG_CONSTANTS.values()}).items()}
 
 
 class Known:
@@ -55,9 +56,6 @@ class Known:
 
     def refits(self, before: FittedModel, several: Sequence[Score], way: Way) -> dict[str, FittedModel]:
         return {s.id: self.model(*before.added, s.id) for s in several}
-
-    def without(self, model: FittedModel, effect: str) -> FittedModel | None:
-        return self.model(*(e for e in model.added if e != effect))
 
     def findings(self, model: FittedModel) -> Findings | None:
         return self.rejects(model)

@@ -41,7 +41,7 @@ TYPICAL = Scales(
     sample_time=5e-3,
 )
 # One trajectory for each element; not 1, so that a reduction over all of them shows.
-TRAJECTORIES = (3,)
+TRAJECTORIES = (3, 4)
 _PORTS = ("on the cart", "on the arm")
 _AT_ANY_MOTION = ("rate", "force", "levels", "current", "read")
 # What JAX calls a value in a traced function, and the object that stands for it.
@@ -60,6 +60,12 @@ def require_working(c: type[Effect]) -> None:
             for size in sizes if isinstance(sizes, tuple) else (sizes,):
                 _require_number(c, f"plausible of {name}", size)
     effect = explained(c, "making an instance of plausible size", lambda: c.candidates(TYPICAL)[0])
+    for several in TRAJECTORIES:  # what fits one number of them may fit no other
+        _require_methods(c, effect, (several,))
+
+
+def _require_methods(c: type[Effect], effect: Effect, several: tuple[int]) -> None:
+    """Call every method of an effect on so many trajectories."""
 
     def called(method: str, *arguments: Any) -> Any:
         told = explained(
@@ -71,7 +77,7 @@ def require_working(c: type[Effect]) -> None:
 
     moved: list[tuple[str, Any]] = []
 
-    motion, own = _motion(), ()
+    motion, own = _motion(several), ()
     if not (isinstance(effect.states, dict) and all(isinstance(x, str) for one in effect.states.items() for x in one)):
         raise ValueError(
             f"effect {c.id}: states is {effect.states!r}; give a dictionary from each state's name to its unit."
@@ -80,34 +86,34 @@ def require_working(c: type[Effect]) -> None:
         raise ValueError(f"effect {c.id}: port is {effect.port!r}; use one of {', '.join(PORTS)}.")
     names = tuple(effect.states)
     own = in_parts(called("start", motion), effect, "start", names)
-    _require_shapes(effect, "start", own)
+    _require_shapes(effect, several, "start", own)
     if effect.closed:
-        _require_shapes(effect, "follow", in_parts(called("follow", motion, own), effect, "follow", names))
+        _require_shapes(effect, several, "follow", in_parts(called("follow", motion, own), effect, "follow", names))
     else:
-        _require_shapes(effect, "rate", in_parts(called("rate", motion, own), effect, "rate", names))
+        _require_shapes(effect, several, "rate", in_parts(called("rate", motion, own), effect, "rate", names))
     if isinstance(effect, Force):
-        _require_shapes(effect, "force", in_parts(called("force", motion, own), effect, "force", _PORTS))
-        _require_shapes(effect, "cart_mass", (called("cart_mass"),))
-        _require_shapes(effect, "arm_inertia", (called("arm_inertia", motion.body),))
+        _require_shapes(effect, several, "force", in_parts(called("force", motion, own), effect, "force", _PORTS))
+        _require_shapes(effect, several, "cart_mass", (called("cart_mass"),))
+        _require_shapes(effect, several, "arm_inertia", (called("arm_inertia", motion.body),))
     elif isinstance(effect, DryFriction):
-        _require_shapes(effect, "levels", in_parts(called("levels", motion, own), effect, "levels", _PORTS))
+        _require_shapes(effect, several, "levels", in_parts(called("levels", motion, own), effect, "levels", _PORTS))
     elif isinstance(effect, Impact):
         parts = ("states", "impulse", "moment")
-        after, *pushed = in_parts(called("strike", motion, own, _values()), effect, "strike", parts)
-        _require_shapes(effect, "strike", (*in_parts(after, effect, "strike", names), *pushed))
+        after, *pushed = in_parts(called("strike", motion, own, _values(several)), effect, "strike", parts)
+        _require_shapes(effect, several, "strike", (*in_parts(after, effect, "strike", names), *pushed))
     elif isinstance(effect, Actuator):
-        _require_shapes(effect, "current", (called("current", _values(), own),))
+        _require_shapes(effect, several, "current", (called("current", _values(several), own),))
     elif isinstance(effect, Input):
-        pieces = jnp.ones((5, 2, *TRAJECTORIES))
-        told = called("transform", pieces, "current", jnp.full(TRAJECTORIES, 5e-3))
-        if len(getattr(told, "shape", ())) != 3 or (told.shape[0], told.shape[2]) != (5, *TRAJECTORIES):
+        pieces = jnp.ones((5, 2, *several))
+        told = called("transform", pieces, "current", jnp.full(several, 5e-3))
+        if len(getattr(told, "shape", ())) != 3 or (told.shape[0], told.shape[2]) != (5, *several):
             raise ValueError(
                 f"effect {effect.id}: transform returns {_what(told)} for pieces of shape {pieces.shape}; "
                 "return one polynomial for each interval and experiment: [sample, power, experiment]."
             )
     if isinstance(effect, Sensor) or type(effect).read is not Effect.read:
-        told = called("read", Outputs(_values(), _values(), _values()), own)
-        _require_shapes(effect, "read", in_parts(told, effect, "read", Outputs._fields))
+        told = called("read", Outputs(_values(several), _values(several), _values(several)), own)
+        _require_shapes(effect, several, "read", in_parts(told, effect, "read", Outputs._fields))
     for method, arguments in moved:
         _require_finite(effect, method, arguments)
 
@@ -165,21 +171,21 @@ def _require_number(c: type[Effect], method: str, told: Any) -> None:
         raise ValueError(f"effect {c.id}: {method} returns {told!r}; return a finite number, or a tuple of them.")
 
 
-def _require_shapes(effect: Effect, method: str, told: tuple[Any, ...]) -> None:
+def _require_shapes(effect: Effect, several: tuple[int], method: str, told: tuple[Any, ...]) -> None:
     for part in told:
         shape = getattr(part, "shape", () if isinstance(part, (int, float)) else None)
         kind = getattr(getattr(part, "dtype", None), "kind", "f")
-        if shape is None or kind not in "fiu" or shape not in ((), TRAJECTORIES):
+        if shape is None or kind not in "fiu" or shape not in ((), several):
             raise ValueError(
                 f"effect {effect.id}: {method} returns {_what(part)} where one number for each trajectory was expected "
-                f"(shape {TRAJECTORIES}, as motion.cart_position has it, or none); compute element by element with jnp."
+                f"(shape {several}, as motion.cart_position has it, or none); compute element by element with jnp."
             )
 
 
 def _require_finite(effect: Effect, method: str, arguments: Any) -> None:
     """Refuse a method that is no number, or has no slope, where cart and arm stand still at zero, as every rest record does."""
     still = jax.tree.map(lambda x: x if np.ndim(x) == 0 else jnp.zeros_like(x), arguments)
-    still = tuple(x._replace(cos_angle=jnp.ones(TRAJECTORIES)) if isinstance(x, Motion) else x for x in still)
+    still = tuple(x._replace(cos_angle=jnp.ones_like(x.cos_angle)) if isinstance(x, Motion) else x for x in still)
 
     def along(tree: Any) -> Any:
         return jax.tree.map(lambda x: jnp.ones_like(x) if eqx.is_inexact_array(x) else None, tree)
@@ -203,12 +209,12 @@ def _what(told: Any) -> str:
     return f"the value {told!r}"[:60] if shape is None else f"an array of shape {shape} and type {told.dtype}"
 
 
-def _values() -> jax.Array:
-    return jnp.linspace(0.1, 0.3, *TRAJECTORIES)
+def _values(several: tuple[int]) -> jax.Array:
+    return jnp.linspace(0.1, 0.3, *several)
 
 
-def _motion() -> Motion:
-    value = _values()
+def _motion(several: tuple[int]) -> Motion:
+    value = _values(several)
     body = jax.tree.map(jnp.asarray, RigidBody(1.23, 9.5e-5, 1.06e-3, 132.6, 8.04e-2))
     sides = (value, value, value, value, jnp.sin(value), jnp.cos(value), value, body)
     began = Motion(*sides)

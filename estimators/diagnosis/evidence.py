@@ -20,15 +20,15 @@ class EffectTraits:
 
     Attributes:
         contact: whether it acts by contact.
-        rings: whether it has a resonance: two states of its own, which are not those of a play.
         contains: ids of effects that it contains.
         presupposes: ids of effects beside which it stands.
+        resembles: ids of effects that change the motion as it does, whatever their size.
     """
 
     contact: bool = False
-    rings: bool = False
     contains: tuple[str, ...] = ()
     presupposes: tuple[str, ...] = ()
+    resembles: tuple[str, ...] = ()
 
 
 @dataclasses.dataclass(frozen=True)

@@ -144,7 +144,7 @@ def static_force(
 def not_named(further: Sequence[Step], left: Sequence[AdequacyTest], samples: int) -> str:
     """Say what would explain a part of what the named effects leave, but too little of it."""
     first = further[0]
-    share = share_removed([first], left, samples)
+    share = share_removed([first], samples)
     choice = " or ".join([first.id, *first.rivals])
     return f" Of what is then left {choice} would remove {100 * share:.0f} %, too little to be named."
 

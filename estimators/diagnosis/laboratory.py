@@ -39,10 +39,6 @@ class Laboratory(Protocol):
         """Refit a model with each of several candidates."""
         ...
 
-    def without(self, model: FittedModel, effect: str) -> FittedModel | None:
-        """Refit a model without one of its added effects."""
-        ...
-
     def findings(self, model: FittedModel) -> Findings | None:
         """Test the innovations of a model."""
         ...
@@ -96,10 +92,6 @@ class Archive:
         """Return the refits with each of several candidates."""
         found = {s.id: self._refit(before, way, s.id) for s in several}
         return {effect: model for effect, model in found.items() if model is not None}
-
-    def without(self, model: FittedModel, effect: str) -> FittedModel | None:
-        """Return the refit without one of its added effects."""
-        return self._refit(model, "without", effect)
 
     def findings(self, model: FittedModel) -> Findings | None:
         """Return the tests of the innovations of a model."""

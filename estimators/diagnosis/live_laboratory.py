@@ -29,7 +29,6 @@ from estimators.diagnosis.refitting import (
     parameters_of,
     refit_each,
     refit_first,
-    refit_without,
 )
 from estimators.diagnosis.setting import Setting
 from estimators.diagnosis.workers import Workers
@@ -100,17 +99,6 @@ class LiveLaboratory:
         setting, refit = self.computed(before)
         found = refit_each(setting, refit, self._held(several, way), way, self._workers)
         return self._added(before, several, way, found, {})
-
-    def without(self, model: FittedModel, effect: str) -> FittedModel | None:
-        """Refit a model without one of its added effects; None where it diverges."""
-        setting, refit = self.computed(model)
-        try:
-            found = self._record(setting, refit_without(setting, refit, effect), None)
-        except ArithmeticError:
-            found = None
-        after = None if found is None else found.number
-        self._refits[model.number, "without", effect] = Refitting(model.number, "without", effect, -1, after)
-        return found
 
     def findings(self, model: FittedModel) -> Findings:
         """Test the innovations of a model."""
@@ -279,7 +267,6 @@ def facts_of(setting: Setting, fit: Fit) -> Facts:
 
 def traits(effect: type[Effect]) -> EffectTraits:
     """Return what a selection asks of a class of effects."""
-    contact = bool(effect.acts_by_contact)
     return EffectTraits(
-        contact, len(effect.states) > 1 and not contact, tuple(effect.contains), tuple(effect.presupposes)
+        bool(effect.acts_by_contact), tuple(effect.contains), tuple(effect.presupposes), tuple(effect.resembles)
     )

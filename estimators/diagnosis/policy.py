@@ -7,14 +7,14 @@ from estimators.inference.simulation_residual import SimulationLimits
 from estimators.misspecification.findings import CriticalValues
 from estimators.prediction_error.colour_limits import ColourLimits
 
-VERSION = 6
+VERSION = 7
 """Of the standard policy: counts up when a threshold comes, goes or changes."""
 
 _PROTOTYPE = "prototype study of 42 cases a setting"
 _UNSTUDIED = "set when the rule was added; never studied by itself"
 _FRACTIONS = (
-    "removed", "static", "nested_level", "rival", "close", "line_left", "chance", "level", "known", "simulation_level",
-    "consequence", "colour_doubt", "colour_little", "presupposed", "unfollowed",
+    "removed", "static", "close", "line_left", "chance", "level", "known", "simulation_level",
+    "consequence", "colour_doubt", "colour_little", "unfollowed",
 )  # fmt: skip
 
 
@@ -50,37 +50,11 @@ class DiagnosisPolicy:
         "gain in BIC that a candidate must reach, and within which it cannot be told from the best",
         "Kass and Raftery, JASA 90 (1995): very strong evidence",
     )
-    vuong: float = _threshold(
-        1.645,
-        "standard normal statistic below which two models cannot be told apart",
-        "Vuong, Econometrica 57 (1989), 5 %",
-    )
-    nested_level: float = _threshold(
-        0.01,
-        "probability of so large a gain by the parameters that a larger law has more than the one it contains",
-        _UNSTUDIED,
-    )
-    rival: float = _threshold(0.5, "fraction of the best gain that a rival must reach", _UNSTUDIED)
-    presupposed: float = _threshold(
-        0.1,
-        "fraction of an effect's size that what it presupposes must stay under, two standard deviations added, to be ruled out",
-        _UNSTUDIED,
-    )
-    reconsidered: int = _threshold(
-        4,
-        "candidates of a step that are held against its effect again; none at 0",
-        _UNSTUDIED,
-    )
     refits: int = _threshold(4, "candidates refitted at least", _PROTOTYPE)
     close: float = _threshold(
         0.3,
         "fraction of the best score within which a candidate is refitted too",
         _PROTOTYPE,
-    )
-    hidden: int = _threshold(
-        3,
-        "candidates of each order refitted where random forces may hide what is missing",
-        _UNSTUDIED,
     )
     line_left: float = _threshold(
         0.02,
@@ -201,7 +175,7 @@ class DiagnosisPolicy:
         for name in (*_FRACTIONS, "fall", "ahead_level"):
             if getattr(self, name) > 1:
                 raise ValueError(f"DiagnosisPolicy.{name} is {getattr(self, name)}; it is a fraction, at most 1.")
-        for name in ("refits", "effects", "hidden"):
+        for name in ("refits", "effects"):
             if getattr(self, name) < 1:
                 raise ValueError(f"DiagnosisPolicy.{name} is {getattr(self, name)}; give 1 or more.")
 

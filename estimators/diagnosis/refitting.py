@@ -213,15 +213,6 @@ def extended_simulation(setting: Setting, fit: Fit, final: Refit) -> SimulationE
     return simulation_error(setting, fit, final)
 
 
-def refit_without(setting: Setting, refit: Refit, effect: str) -> Refit:
-    """Fit a model with one of its added effects less, all parameters together."""
-    added = tuple(i for i in refit.added if i != effect)
-    model = model_with(setting, [e for i, e in setting.absent.items() if i in added])
-    model = model.with_values({n: v for n, v in refit.values.items() if n in model.parameters})
-    free = tuple(name for name in refit.free if name.split(".")[0] != effect)
-    return fitted(setting, added, model, free, refit.predictor.noise, refit.start)
-
-
 def _refit_or_none(setting: Setting, before: Refit, s: Screened | Explained, way: Way) -> Refit | None:
     """Fit a model with one candidate more; None if the model diverges with it."""
     setting.bar.set_description(f"diagnose: refit with {s.id}")

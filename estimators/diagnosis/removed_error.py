@@ -7,7 +7,7 @@ from typing import Literal
 
 from estimators.diagnosis.policy import DiagnosisPolicy
 from estimators.diagnosis.step import Step
-from estimators.misspecification.adequacy import AdequacyTest, excess_of, removed_by_repeats
+from estimators.misspecification.adequacy import AdequacyTest, excess_of
 
 Verdict = Literal["adequate", "missing", "ambiguous", "unknown"]
 
@@ -21,13 +21,13 @@ def named(
     everything that was wrong before it. So a strong effect does not carry a doubtful one along.
     """
     for count in range(len(steps), 0, -1):
-        shares = [share_removed(steps[first:count], _before(steps, tests, first), samples) for first in range(count)]
+        shares = [share_removed(steps[first:count], samples) for first in range(count)]
         if min(shares) >= policy.removed:
             open_question = any(step.rivals for step in without_named_rivals(steps[:count]))
             return ("ambiguous" if open_question else "missing"), count, shares[0]
     if not steps:
         return ("unknown" if any(test.rejects for test in tests) else "adequate"), 0, 0.0
-    return "unknown", 0, share_removed(steps, tests, samples)
+    return "unknown", 0, share_removed(steps, samples)
 
 
 def without_named_rivals(steps: Sequence[Step]) -> list[Step]:
@@ -39,15 +39,10 @@ def without_named_rivals(steps: Sequence[Step]) -> list[Step]:
     return [dataclasses.replace(step, rivals=tuple(r for r in step.rivals if r not in named)) for step in steps]
 
 
-def share_removed(steps: Sequence[Step], tests: Sequence[AdequacyTest], samples: int) -> float:
-    """Return the fraction of the excess squared prediction error that steps remove.
-
-    The tests given are those before the first step.
-    """
-    left = steps[-1].left
-    gain = sum(step.gain for step in steps)
-    after = math.exp(-gain / samples)
-    return min((1 - after) / (1 - floor(steps, samples)), removed_by_repeats(tests, left, gain, samples))
+def share_removed(steps: Sequence[Step], samples: int) -> float:
+    """Return the fraction of the excess squared prediction error that steps remove."""
+    after = math.exp(-sum(step.gain for step in steps) / samples)
+    return (1 - after) / (1 - floor(steps, samples))
 
 
 def floor(steps: Sequence[Step], samples: int) -> float:
@@ -57,7 +52,3 @@ def floor(steps: Sequence[Step], samples: int) -> float:
     """
     after = math.exp(-sum(step.gain for step in steps) / samples)
     return after * (1 - min(excess_of(steps[-1].left) / samples, 1.0))
-
-
-def _before(steps: Sequence[Step], tests: Sequence[AdequacyTest], place: int) -> Sequence[AdequacyTest]:
-    return steps[place - 1].left if place else tests

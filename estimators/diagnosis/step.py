@@ -1,12 +1,9 @@
 """One step of a selection: an effect that improved the model."""
 
 import dataclasses
-from collections.abc import Mapping
 
 from estimators.diagnosis.evidence import FittedModel
-from estimators.diagnosis.laboratory import Way
 from estimators.misspecification.adequacy import AdequacyTest
-from estimators.misspecification.findings import Score
 
 
 @dataclasses.dataclass(frozen=True)
@@ -21,8 +18,6 @@ class Step:
         held_out_gain: in the log-likelihood of experiments that did not take part in estimating it; NaN where only one shows it.
         model: the model with it.
         left: the tests of the model with it.
-        asked: all candidates that were refitted at this step, this one among them.
-        way: in which they were.
     """
 
     id: str
@@ -32,5 +27,3 @@ class Step:
     held_out_gain: float
     model: FittedModel
     left: tuple[AdequacyTest, ...]
-    asked: Mapping[str, Score] = dataclasses.field(default_factory=dict)
-    way: Way = "filter"

@@ -4,7 +4,7 @@ import dataclasses
 import math
 from collections.abc import Callable, Sequence
 
-from estimators.diagnosis.choice import chosen, reconsidered
+from estimators.diagnosis.choice import chosen
 from estimators.diagnosis.evidence import FittedModel
 from estimators.diagnosis.laboratory import Laboratory, Way
 from estimators.diagnosis.policy import DiagnosisPolicy
@@ -16,7 +16,6 @@ from estimators.misspecification.adequacy import (
     Candidate,
     adequacy_tests,
     alarming,
-    excess_of,
     line_left,
     overshadowing,
     suspects,
@@ -139,22 +138,15 @@ def unalarmed(laboratory: Laboratory, found: Selection, policy: DiagnosisPolicy)
 def hidden(laboratory: Laboratory, found: Selection, policy: DiagnosisPolicy) -> _Look:
     """Return candidates that random forces of the predictor may hide.
 
-    Where the innovations are far from white, what is alike in every second tells more than what is large. And where the most that
-    is left is a line of the spectrum that neither input nor state explains, something rings: what has a resonance comes first, and
-    is held against those that would come first otherwise.
+    Where the innovations are far from white, what is alike in every second tells more than what is large.
     """
     effects = laboratory.facts.effects
     large = by_size(_nameable(laboratory, laboratory.quiet_scores(found.base)), math.log(laboratory.facts.samples))
     alike = sorted(large, key=_consistency, reverse=True)
-    together = [*alike[:1], *_near(alike[: policy.hidden], _consistency, policy.close)]
-    if 0 < line_left(found.tests) == excess_of(found.tests):
-        together = [*(s for s in alike if effects[s.id].rings and s.statistic > policy.alarm), *together]
     # What works by contact shows nowhere until the filter follows it.
     contacts = [s for s in large if effects[s.id].contact]
-    several = (*together, *alike[: policy.hidden], *large[: policy.hidden], *contacts)
-    ranked = list({s.id: s for s in several}.values())
-    names = {s.id for s in together}
-    return _Look(ranked, [s for s in ranked[1:] if s.id in names], "thorough")
+    ranked = list({s.id: s for s in (*alike[:1], *large[:1], *contacts)}.values())
+    return _Look(ranked, [], "thorough")
 
 
 def second_looks(laboratory: Laboratory, found: Selection, policy: DiagnosisPolicy) -> Selection:
@@ -187,7 +179,7 @@ def improvements(
     tried: Tried = {}
     now, seen = base, findings
     first_tests = adequacy_tests(findings, policy.critical)
-    for _ in range(2 * policy.effects):  # a step may be taken back
+    for _ in range(policy.effects):
         step = _next_step(laboratory, now, seen, tried, policy, look if not steps else None)
         if step is None:
             break
@@ -196,19 +188,15 @@ def improvements(
         if 0 < named(steps, first_tests, laboratory.facts.samples, policy)[1] < len(steps):
             tried[step.id] = (now, step.model)
             break
-        steps = reconsidered(laboratory, base, steps, policy)
-        left = laboratory.findings(steps[-1].model)
+        left = laboratory.findings(step.model)
         if left is None:
             steps = steps[:-1]
             break
-        if steps[-1].model.number != step.model.number:
-            steps[-1] = dataclasses.replace(steps[-1], left=adequacy_tests(left, policy.critical))
-        befores = [base, *(s.model for s in steps)]
-        tried |= {s.id: (before, s.model) for s, before in zip(steps, befores, strict=False)}
-        now, seen = steps[-1].model, left
+        tried[step.id] = (now, step.model)
+        now, seen = step.model, left
         count = named(steps, first_tests, laboratory.facts.samples, policy)[1]
-        rejects = any(test.rejects for test in steps[-1].left)
-        if len(steps) == policy.effects or not rejects or 0 < count < len(steps):
+        rejects = any(test.rejects for test in step.left)
+        if not rejects or 0 < count < len(steps):
             break
     return steps, tried
 
@@ -232,6 +220,7 @@ def _next_step(
         above = by_size(_nameable(laboratory, overshadowing(seen.scores, policy.critical)), price)[: policy.refits]
         ranked = ranked or _beside(laboratory, now, seen, policy)
         near = [*near, *_presupposed(laboratory, now, seen, ranked[: policy.refits])]
+        near = [*near, *_resembling(laboratory, now, seen, [*ranked[:1], *near])]
         most = policy.refits
     if not ranked:
         return None
@@ -253,7 +242,7 @@ def _next_step(
             return None
         tests = adequacy_tests(left, policy.critical)
         if not any(s.id == step.id for s in above) or line_left(tests) <= policy.line_left * step.gain:
-            return dataclasses.replace(step, left=tests, way=way)
+            return dataclasses.replace(step, left=tests)
         del several[step.id]
     return None
 
@@ -270,6 +259,13 @@ def _presupposed(laboratory: Laboratory, now: FittedModel, seen: Findings, ranke
     effects, there = laboratory.facts.effects, {*now.added, *(s.id for s in ranked)}
     asked = {i for s in ranked for i in effects[s.id].presupposes} - there
     return by_size(_nameable(laboratory, [s for s in seen.scores if s.id in asked]), math.log(laboratory.facts.samples))
+
+
+def _resembling(laboratory: Laboratory, now: FittedModel, seen: Findings, ranked: Sequence[Score]) -> list[Score]:
+    """Return what changes the motion as the first candidate does, though its score at small sizes may hide that."""
+    effects, there = laboratory.facts.effects, {*now.added, *(s.id for s in ranked)}
+    alike = {i for s in ranked[:1] for i in effects[s.id].resembles} - there
+    return by_size(_nameable(laboratory, [s for s in seen.scores if s.id in alike]), math.log(laboratory.facts.samples))
 
 
 def by_size(screened: Sequence[Candidate], price: float) -> list[Candidate]:

@@ -1,7 +1,6 @@
 """Tests of adequacy: every test that the innovations of a predictor must pass, each with its p-value."""
 
 import dataclasses
-import math
 from collections.abc import Sequence
 from typing import Protocol, TypeVar, runtime_checkable
 
@@ -33,9 +32,6 @@ class AdequacyTest:
         excess: what the test finds beyond chance, in units of twice the log-likelihood; repeats give a ratio instead.
         level: p-value below which it rejects.
         words: its statement, for a reader.
-        power: mean square of what repeats share, where the model states one; NaN for other tests.
-        shared: what they share beyond chance, in units of twice the log-likelihood, of all data if it is as large in each; zero for
-            other tests.
         alarmed: whether what the test asks for beside a small p-value is there: of named effects that one of them raises the
             alarm.
     """
@@ -45,8 +41,6 @@ class AdequacyTest:
     excess: float
     level: float
     words: str
-    power: float = float("nan")
-    shared: float = 0.0
     alarmed: bool = True
 
     @property
@@ -107,9 +101,7 @@ def adequacy_tests(found: Findings, critical: CriticalValues) -> tuple[AdequacyT
     tests = []
     if repeats is not None:
         words = f"what the {repeats.repeats} repeats share is {repeats.ratio:.2f} times what noise alone would leave"
-        tests.append(
-            AdequacyTest("repeats", repeats.p_value, 0.0, level, words, power=repeats.power, shared=repeats.excess)
-        )
+        tests.append(AdequacyTest("repeats", repeats.p_value, 0.0, level, words))
     if screened:
         alarms = alarming(screened, critical)
         best = max(alarms or screened, key=lambda s: s.statistic)
@@ -154,29 +146,3 @@ def _strongest(several: Sequence[Missing], level: float) -> tuple[float, Missing
 def excess_of(tests: Sequence[AdequacyTest]) -> float:
     """Return the most that any rejecting test finds beyond chance; zero where none rejects."""
     return max((e.excess for e in tests if e.rejects), default=0.0)
-
-
-def removed_by_repeats(
-    before: Sequence[AdequacyTest], after: Sequence[AdequacyTest], gain: float, samples: int
-) -> float:
-    """Return the fraction of the squared model error that repeats show before and no longer after.
-
-    One where they show none after.
-
-    The tests count in the unit that each model states, and what helps makes that smaller. Where repeats show none before, what is
-    missing need not be in the experiment that is repeated, or random forces hide it there: then what they show after is held
-    against what was removed from all data.
-
-    Args:
-        before: tests before the addition.
-        after: tests after it.
-        gain: in twice the log-likelihood, of what was added.
-        samples: that it is the gain of.
-    """
-    first = next((e for e in before if e.test == "repeats" and e.rejects), None)
-    last = next((e for e in after if e.test == "repeats" and e.rejects), None)
-    if last is None:
-        return 1.0
-    if first is None:
-        return gain / (gain + last.shared)
-    return 1.0 - math.exp(-gain / samples) * max(last.power, 0.0) / first.power

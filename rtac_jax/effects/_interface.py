@@ -83,6 +83,7 @@ class Effect(eqx.Module):
         states: names of its own states, with units.
         contains: ids of simpler effects that it becomes at the edge of its shape.
         presupposes: ids of effects beside which it stands on a rig: a law of its own only where the data rule those out.
+        resembles: ids of effects that change the motion as it does, whatever their size, so that they are held against it.
         free_start: whether a recording may begin with these states away from `start`, so that a fit estimates them.
         closed: whether the states follow in closed form over a step (`follow`) instead of by integrating `rate`. A lag
             is exact in this way and may be as short as it likes without asking for small steps.
@@ -99,6 +100,7 @@ class Effect(eqx.Module):
     states: ClassVar[dict[str, str]] = {}
     contains: ClassVar[tuple[str, ...]] = ()
     presupposes: ClassVar[tuple[str, ...]] = ()
+    resembles: ClassVar[tuple[str, ...]] = ()
     free_start: ClassVar[bool] = False
     closed: ClassVar[bool] = False
     needs_channel: ClassVar[str | None] = None

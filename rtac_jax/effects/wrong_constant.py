@@ -27,6 +27,7 @@ class _WrongConstant(Force):
 
     source: ClassVar[str] = "weighing, or a bifilar test, of the rig itself"
     nature: ClassVar[str] = "conservative"
+    resembles: ClassVar[tuple[str, ...]] = ("lvdt_gain",)
     looked_at: ClassVar[float] = _LOOKED_AT
 
     def force(self, motion: Motion, own: States) -> tuple[Any, Any]:

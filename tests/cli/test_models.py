@@ -99,7 +99,7 @@ def test_experiments_that_a_judged_fit_has_seen_are_named(tmp_path, monkeypatch)
     arguments = ("--model", tmp_path / "greedy.h5", "--model", tmp_path / "plain.h5", "--validation", "forced_2")
     refused(call("compare", tmp_path / "rig.h5", *arguments), 1, "that is enough")
     assert heard == [
-        "Held out: forced_2. greedy was fitted to forced_2, which are held out here, so its error there is too good."
+        "Held out: forced_2.\ngreedy was fitted to forced_2, which are held out here, so its error there is too good."
     ]
 
 

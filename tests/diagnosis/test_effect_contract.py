@@ -38,6 +38,10 @@ FAULTS = {
     "nothing": ("pass", "effect magnet: force returns one NoneType; return a tuple of 2: on the cart, on the arm"),
     "one": ("return -self.k * x", "effect magnet: force returns one .*; return a tuple of 2"),
     "shape": ("return -self.k * jnp.ones(7), 0.0", r"effect magnet: force returns an array of shape \(7,\) and type"),
+    "three": (
+        "return -self.k * jnp.arange(3.0), 0.0",
+        r"effect magnet: force returns an array of shape \(3,\) .* \(shape \(4,\)",
+    ),
     "matrix": ("return -self.k * x[:, None], 0.0", r"effect magnet: force returns an array of shape \(3, 1\) and type"),
     "truth": ("return x > 0, 0.0", r"effect magnet: force returns an array of shape \(3,\) and type bool"),
     "numpy": ("return -self.k * np.sin(x), 0.0", FORCE + r"calls NumPy .*; use jax.numpy \(jnp\) in place of numpy"),

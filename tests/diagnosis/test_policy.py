@@ -35,7 +35,7 @@ def test_the_gain_that_is_asked_decides_whether_anything_is_chosen() -> None:
 
 
 def test_the_gain_within_which_rivals_count_decides_who_is_one() -> None:
-    strict = dataclasses.replace(STANDARD, bic_gain=1.0, vuong=0.0)
+    strict = dataclasses.replace(STANDARD, bic_gain=1.0)
     for policy, rivals in ((STANDARD, ("lvdt_lag",)), (strict, ())):
         found = step(policy)
         assert found is not None

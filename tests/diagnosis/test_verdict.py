@@ -14,7 +14,7 @@ from estimators.diagnosis.explanation import shaken, strayed, words
 from estimators.diagnosis.policy import STANDARD
 from estimators.diagnosis.removed_error import named, share_removed
 from estimators.diagnosis.step import Step
-from estimators.misspecification.adequacy import AdequacyTest, removed_by_repeats
+from estimators.misspecification.adequacy import AdequacyTest
 from estimators.misspecification.line_classes import LineClass
 from estimators.misspecification.residual_maps import Place
 from estimators.misspecification.static_force import ForceCurve
@@ -26,10 +26,6 @@ SAMPLES = 10_000
 
 def found(excess: float) -> AdequacyTest:
     return AdequacyTest("static force", 0.0 if excess > 0 else 0.5, excess, 0.002, "")
-
-
-def repeats(ratio: float, *, rejects: bool) -> AdequacyTest:
-    return AdequacyTest("repeats", 0.0 if rejects else 0.5, 0.0, 0.002, "", ratio - 1.0, 100.0 * (ratio - 1.0))
 
 
 def step(name: str, gain: float, left: float, rivals: tuple[str, ...] = ()) -> Step:
@@ -77,25 +73,7 @@ def test_nothing_found_and_nothing_wrong_is_adequate() -> None:
 def test_the_share_is_that_of_the_excess_squared_error() -> None:
     # The error falls to a quarter, of which a tenth could still be explained: from 1 to 0.25 where 0.225 is possible.
     one = step("a", SAMPLES * math.log(4), 0.1 * SAMPLES)
-    assert share_removed([one], (found(1.0),), SAMPLES) == pytest.approx(0.75 / 0.775)
-
-
-@pytest.mark.parametrize(
-    ("before", "after", "share"),
-    [
-        (
-            repeats(3.0, rejects=True),
-            repeats(1.2, rejects=True),
-            1 - 0.1 * math.exp(-0.04),
-        ),  # of a unit that is smaller then
-        (repeats(3.0, rejects=True), repeats(1.01, rejects=False), 1.0),
-        (repeats(1.01, rejects=False), repeats(1.01, rejects=False), 1.0),
-        (repeats(1.01, rejects=False), repeats(2.0, rejects=True), 0.8),  # 400 were removed, 100 are left
-        (repeats(1.01, rejects=False), repeats(41.0, rejects=True), 1 / 11),  # what was added made it worse
-    ],
-)
-def test_repeats_have_a_veto(before: AdequacyTest, after: AdequacyTest, share: float) -> None:
-    assert removed_by_repeats([before], [after], 400.0, SAMPLES) == pytest.approx(share)
+    assert share_removed([one], SAMPLES) == pytest.approx(0.75 / 0.775)
 
 
 def missing_force(**rms: float) -> LatentForce:

@@ -74,7 +74,7 @@ class Root(Force):
     strength: Any = parameter(symbol="k", unit="N/m^0.5", meaning="strength", null=0.0, plausible=0.1)
 
     def force(self, motion: Any, own: Any) -> tuple[Any, Any]:
-        return -self.strength * jnp.sqrt(motion.cart_position), 0.0
+        return -self.strength * jnp.sqrt(motion.cart_position + 1e-4), 0.0
 
 
 def test_an_effect_that_is_not_nothing_at_null_does_not_blind_the_others(

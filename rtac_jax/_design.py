@@ -10,7 +10,7 @@ from jaxtyping import Array, Float64
 
 from rtac_jax._rtac import RTAC
 from rtac_jax.excitation import Excitation
-from rtac_jax.measurement import Experiment, Recording
+from rtac_jax.measurement import DESIGNED, Experiment, Recording
 from rtac_jax.simulation import State, Steps, advance, substeps_for
 
 _FEWER = 0.9  # by which an amplitude is lowered until the travel holds
@@ -111,7 +111,7 @@ def design_excitation(
     )  # fmt: skip
     comment = (
         "Excitation to be played: the currents are the design, the outputs are the prediction of the model "
-        f"({', '.join(model.ids) or 'rigid body'}), not measurements. Scaled by {scale:.4g} for |N| <= {torque_limit:g} N m and "
+        f"({', '.join(model.ids) or 'rigid body'}), {DESIGNED}. Scaled by {scale:.4g} for |N| <= {torque_limit:g} N m and "
         f"|q| <= {travel:g} m; current zero where the predicted |cos(theta)| <= {dead_band:g}."
     )
     return Recording(experiments, rig_name="excitation design", comment=comment)

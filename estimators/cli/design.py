@@ -33,6 +33,9 @@ def design(
     travel: Travel = 15.0,
     torque_limit: TorqueLimit = 0.1,
     seed: Annotated[int, typer.Option(help="Of the phases of the multisines.")] = 0,
+    replace: Annotated[
+        bool, typer.Option("--replace", help="Write over a recording of measurements, if one is there.")
+    ] = False,
     csv: Annotated[bool, typer.Option("--csv", help="Write every experiment as a CSV file beside it, too.")] = False,
     effects: Effects = None,
 ) -> None:
@@ -48,7 +51,7 @@ def design(
     if out.suffix.lower() not in _ENDINGS:
         stop(WRONG_USE, f"{out}: cannot be written; let the name end in {' or '.join(_ENDINGS)}.")
     with answering():
-        writable_file(out, "the recording")
+        writable_file(out, "the recording", replace=replace)
         prepare()
         import numpy as np
 

@@ -79,6 +79,7 @@ def import_files(
     start: Annotated[int, typer.Option(help="First sample to take, of every file.")] = 0,
     end: Annotated[int | None, option("SAMPLE", "The sample after the last to take.")] = None,
     delimiter: Annotated[str, typer.Option(help="Between the columns of a CSV file.")] = ",",
+    replace: Annotated[bool, typer.Option("--replace", help="Write over a recording that is there already.")] = False,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Show what was understood, and write nothing.")] = False,
 ) -> None:
     """Import CSV and MAT-files into one recording, with units converted, and show what was understood.
@@ -94,7 +95,8 @@ def import_files(
             if not file.is_file():
                 stop(WRONG_USE, f"{file}: there is no such file; check the path.")
         if not dry_run:
-            writable_file(out, "the recording")
+            added_to = out.exists() and any(out.samefile(file) for file in sources)
+            writable_file(out, "the recording", replace=replace or added_to)
         count = len(foreign)
         kinds = _for_each("--kind", kind, count, required=bool(count))
         names = _for_each("--name", name, count, one_for_all=count == 1)

@@ -330,8 +330,16 @@ def writable_folder(folder: Path) -> Path:
     return folder
 
 
-def writable_file(file: Path, option: str) -> None:
-    """Try, before anything is computed, whether a file can be written; its folder is made if need be."""
+def writable_file(file: Path, option: str, *, replace: bool = False) -> None:
+    """Try, before anything is computed, whether a file can be written; its folder is made if need be.
+
+    A recording of measurements is not written over: nobody may be able to make them again.
+
+    Args:
+        file: to be written.
+        option: that names it.
+        replace: the user asks for it to be written over, whatever it holds.
+    """
     if file.parent.is_dir():
         try:
             is_folder = stat.S_ISDIR(os.stat(file).st_mode)
@@ -341,7 +349,20 @@ def writable_file(file: Path, option: str) -> None:
             stop(WRONG_USE, f"{file}: cannot be written to ({error.strerror}); name another file for {option}.")
         if is_folder:
             stop(WRONG_USE, f"{file}: is a folder; name a file for {option}.")
+        if not replace and _is_recording(file):
+            mend = "name another file, or add --replace" if option == "the recording" else "name another file"
+            stop(WRONG_USE, f"{file}: holds a recording, which would be lost; {mend} for {option}.")
     writable_folder(file.parent)
+
+
+def _is_recording(file: Path) -> bool:
+    if not file.is_file():
+        return False
+    from rtac_jax.measurement import (
+        holds_measurements,
+    )  # deferred, so that a command that writes anew starts without it
+
+    return holds_measurements(file)
 
 
 def _sentence(error: Exception) -> str:

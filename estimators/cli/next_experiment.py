@@ -6,7 +6,7 @@ from typing import Annotated, Any
 import typer
 
 from estimators.cli.captions import shown
-from estimators.cli.job import WRONG_USE, Job, job, progress, stop
+from estimators.cli.job import WRONG_USE, Job, job, progress, stop, writable_file
 from estimators.cli.limits import TorqueLimit, Travel, positive
 from estimators.cli.models import base_fit, loaded
 from estimators.cli.options import Effects, File, Json, Model, Out, Quick, Validation, option
@@ -54,6 +54,8 @@ def next_experiment(
     positive(limited | ({} if current_limit is None else {"--current-limit": current_limit}))
     if play is not None and play.suffix.lower() not in _PLAYED:
         stop(WRONG_USE, f"--play: is {play}; let the name end in {', '.join(_PLAYED)}.")
+    if play is not None:
+        writable_file(play, "--play")
     with job(file, validation, out, json) as work:
         import estimators as est
         from estimators.reporting.html import cleaned

@@ -18,7 +18,7 @@ from estimators.experiment_design.hypotheses import contest_of
 from estimators.experiment_design.t_optimality import separations
 from rtac_jax import require_configured
 from rtac_jax.effects import Effect
-from rtac_jax.measurement import OUTPUTS, Plan, Recording
+from rtac_jax.measurement import DESIGNED, OUTPUTS, Plan, Recording
 
 CONFUSABLE = 10.0
 """Separation below which two effects are not told apart."""
@@ -243,7 +243,7 @@ def next_experiment(
     best = next(e for e in planned if e.name == ranked[0].plan.name)
     comment = (
         f"Experiment to be played, to tell {' and '.join(contest.effects)} apart: the inputs are the design, the outputs are the "
-        f"prediction of the model ({', '.join(contest.truth.ids)}), not measurements. Release the cart at "
+        f"prediction of the model ({', '.join(contest.truth.ids)}), {DESIGNED}. Release the cart at "
         f"{1e3 * ranked[0].plan.initial_position:.4g} mm and the arm at {ranked[0].plan.initial_angle:.4g} rad."
     )
     playable = Recording((best,), recording.rig, recording.rig_name, comment)

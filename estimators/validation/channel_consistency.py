@@ -256,6 +256,8 @@ class _Search:
         everything = list(self.systems.values())
         before = solve(everything).residual
         after = solve([s for s in everything if s.name != name]).residual
+        if after >= before:  # what is wrong is wrong with the others
+            return None
         return Inconsistency(
             name,
             mistake.id,

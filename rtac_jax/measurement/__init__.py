@@ -18,13 +18,14 @@ from ._excitation import (
 )
 from ._experiment import Experiment
 from ._filter import central_difference, filled, zero_phase_lowpass
-from ._hdf5 import guarded_by_digest
+from ._hdf5 import DESIGNED, guarded_by_digest, holds_measurements
 from ._info import describe
 from ._recording import Recording
 from ._signal import INPUTS, OUTPUTS, Signal
 from .plan import Plan
 
 __all__ = [
+    "DESIGNED",
     "FACTORS",
     "INPUTS",
     "OUTPUTS",
@@ -45,6 +46,7 @@ __all__ = [
     "from_rest",
     "guarded_by_digest",
     "harmonic_grid",
+    "holds_measurements",
     "moving_at_rest",
     "multisine",
     "positive_negative",

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 FORMAT = "rtac-measurement"
 VERSION = 1
+DESIGNED = "not measurements"
+"""What the comment of a recording says that was designed to be played."""
 MOST_ELEMENTS = 200_000_000
 # Deflate never exceeds about 1000:1, and only on constants; a real recording compresses far less than this.
 MOST_EXPANSION = 64
@@ -44,6 +46,15 @@ def write(path: str | os.PathLike[str], recording: "Recording") -> None:
         with h5py.File(content, "w", **options) as file:
             _fill(file, recording)
         temporary.write_bytes(content.getbuffer())
+
+
+def holds_measurements(path: str | os.PathLike[str]) -> bool:
+    """Return whether a file is there that is a recording, and not one that was designed to be played."""
+    try:
+        with h5py.File(path, "r") as file:
+            return file.attrs.get("format") == FORMAT and DESIGNED not in str(file.attrs.get("comment", ""))
+    except (OSError, RuntimeError, KeyError, ValueError, TypeError, UnicodeError):
+        return False  # no such file, or none that anybody could read
 
 
 def _fill(file: h5py.File, recording: "Recording") -> None:

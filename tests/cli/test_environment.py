@@ -5,6 +5,7 @@ import functools
 import os
 import re
 import resource
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -201,3 +202,40 @@ def test_a_locked_cart_needs_no_position():
     held = replace(forced(cart="clamped"), outputs={"arm_velocity": forced().outputs["arm_velocity"]})
     assert not any("cart_position was not measured" in said for said in concerns(Recording((held, rest()), RIG)))
     assert np.isfinite(float(RTAC.from_rig(Recording((held,), RIG))["total_mass"]))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "option"),
+    [
+        (("info", "--json"), "--json"),
+        (("fit", "--json"), "--json"),
+        (("fit", "--save"), "--save"),
+        (("next-experiment", "--play"), "--play"),
+    ],
+)
+@pytest.mark.parametrize("link", [False, True])
+def test_no_result_takes_the_place_of_measurements(file, tmp_path, arguments, option, link):
+    command, flag = arguments
+    there = tmp_path / "other.h5"
+    shutil.copy(file, there)
+    if link:
+        there = tmp_path / "link.h5"
+        there.symlink_to("other.h5")
+    before = there.read_bytes()
+    refused(call(command, file, flag, there), 2, "holds a recording, which would be lost", f"for {option}")
+    assert there.read_bytes() == before
+
+
+def test_a_recording_is_written_over_only_where_that_is_asked_for(file, tmp_path):
+    there = tmp_path / "other.h5"
+    shutil.copy(file, there)
+    designed = ("--duration", "2", "--angles", "0")
+    for arguments in (("import", file, there), ("design", there, *designed)):
+        refused(call(*arguments), 2, "holds a recording, which would be lost", "--replace")
+    assert there.read_bytes() == file.read_bytes()
+    result = call("design", there, "--replace", *designed)
+    assert result.exit_code == 0, result.output
+    assert there.read_bytes() != file.read_bytes()
+    assert call("design", there, *designed).exit_code == 0  # what was designed is made again at will
+    assert call("import", file, tmp_path / "new.h5").exit_code == 0
+    assert call("import", file, tmp_path / "new.h5", "--replace").exit_code == 0

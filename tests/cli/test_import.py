@@ -73,7 +73,7 @@ def test_a_dry_run_shows_what_was_understood_and_writes_nothing(tmp_path, free):
 def test_a_unit_in_the_first_row_need_not_be_repeated_but_not_contradicted(tmp_path, forced):
     arguments = (forced, "--kind", "free", "--time", "t")
     for wish in ("x", "x [mm]"):
-        _, recording = imported(tmp_path / "rig.h5", *arguments, "--channel", f"cart_position={wish}")
+        _, recording = imported(tmp_path / "rig.h5", *arguments, "--channel", f"cart_position={wish}", "--replace")
         np.testing.assert_allclose(recording["forced_1"].outputs["cart_position"].values, POSITION, rtol=1e-12)
     refused(
         call("import", *arguments, "--channel", "cart_position=x [m]", tmp_path / "no.h5"), 2,

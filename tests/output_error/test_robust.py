@@ -104,3 +104,25 @@ def test_the_stated_deviations_are_those_over_many_recordings(clean):
     low, high = chi2.ppf([0.0005, 0.9995], draws - 1) / (draws - 1)
     ratio = np.var(estimates, axis=0, ddof=1) / np.mean(np.square(stated), axis=0)
     assert np.all((low < ratio) & (ratio < high)), ratio
+
+
+def test_spikes_that_spoil_the_closed_form_leave_the_other_start():
+    recording = virtual_rig.record(
+        virtual_rig.Rig(), virtual_rig.standard_plans(seed=1, duration=4.0, free=2, forced=3), seed=1
+    )
+    recording = in_one(recording, "forced_2", channel(POSITION, far_spikes))
+    start = RTAC.from_rig(recording)
+    poisoned = est.least_squares(start, recording).model
+    with pytest.raises(est.NotIdentifiableError, match="eccentric_moment has no effect"):
+        est.output_error(poisoned, recording, from_model=True, progress=False)
+    found = est.output_error(start, recording, robust=True, progress=False)
+    assert max(sigmas(found, name) for name in TRUTH) < 4
+    (spiked,) = (one for one in found.discounted if one.experiment == "forced_2")
+    assert spiked.samples == (100, 101, 350, 351, 600, 601)
+
+
+def far_spikes(values):
+    values = values.copy()
+    for place, sign in ((100, 1), (350, -1), (600, 1)):
+        values[place : place + 2] += sign * 0.02
+    return values

@@ -195,3 +195,13 @@ def test_clean_recordings_raise_no_concern(recordings):
 def test_missing_effects_raise_no_concern(draws):
     found = {name: unfounded(recording) for name, recording in drawn_with_effects(draws, 1000).items()}
     assert {name: said for name, said in found.items() if said} == {}
+
+
+@pytest.mark.parametrize("rig", [{"total_mass": 2.46}, {"total_mass": 1.23 * 2.2046}, {"arm_inertia": 0.5 * 9.5e-5}])
+def test_an_experiment_is_not_accused_where_the_others_are_no_better(rig):
+    """A constant that is wrong by a factor that is no unit's."""
+    plans = virtual_rig.standard_plans(seed=1, duration=4.0, free=2, forced=3)
+    recording = virtual_rig.record(virtual_rig.Rig(), plans, seed=1)
+    found = est.channel_consistency(dataclasses.replace(recording, rig=recording.rig | rig))
+    assert all(one.after < one.before for one in found.found if one.experiment is not None)
+    assert found.residual > 3

@@ -89,13 +89,13 @@ class SimulationError:
 
 @dataclasses.dataclass(frozen=True)
 class Refitting:
-    """One refit of a model with a candidate added or taken away.
+    """One refit of a model with a candidate added.
 
     Attributes:
         before: number of the model.
-        way: "filter", "thorough", "equations" or "without".
+        way: "filter", "thorough" or "equations".
         effect: id.
-        shape: of the candidate from which the refit began; -1 for "without".
+        shape: of the candidate from which the refit began.
         after: number of the model that came of it; None where it diverged.
     """
 

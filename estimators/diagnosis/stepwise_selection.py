@@ -2,7 +2,7 @@
 
 import dataclasses
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 from estimators.diagnosis.choice import chosen
 from estimators.diagnosis.evidence import FittedModel
@@ -99,7 +99,7 @@ def explaining_equations(laboratory: Laboratory, policy: DiagnosisPolicy) -> Sel
     findings = laboratory.findings(laboratory.base) or Findings()
     tests = adequacy_tests(findings, policy.critical)
     ranked = [s for s in laboratory.equation_scores(laboratory.base) if s.statistic > policy.bic_gain][: policy.refits]
-    look = _Look(ranked, _near(ranked, _statistic, policy.close) if ranked else [], "equations")
+    look = _Look(ranked, _near(ranked, policy.close) if ranked else [], "equations")
     return Selection(
         laboratory.base, findings, tests, *improvements(laboratory, laboratory.base, findings, policy, look)
     )
@@ -111,16 +111,12 @@ def _selected(laboratory: Laboratory, base: FittedModel, policy: DiagnosisPolicy
     return Selection(base, findings, tests, *improvements(laboratory, base, findings, policy))
 
 
-def _statistic(s: Score) -> float:
-    return s.statistic
-
-
 def _consistency(s: Score) -> float:
     return -math.log(max(s.p_value, 1e-300))
 
 
-def _near(ranked: Sequence[Score], strength: Callable[[Score], float], close: float) -> list[Score]:
-    return [s for s in ranked[1:] if strength(s) > (1 - close) * strength(ranked[0])]
+def _near(ranked: Sequence[Score], close: float) -> list[Score]:
+    return [s for s in ranked[1:] if s.statistic > (1 - close) * ranked[0].statistic]
 
 
 def _nameable(laboratory: Laboratory, several: Sequence[Score]) -> list[Score]:
@@ -132,7 +128,7 @@ def unalarmed(laboratory: Laboratory, found: Selection, policy: DiagnosisPolicy)
     """Return candidates that are large, but act at a few instants only."""
     large = _nameable(laboratory, suspects(found.findings.scores, found.tests, policy.critical))
     ranked = by_size(large, math.log(laboratory.facts.samples))[: policy.refits]
-    return _Look(ranked, _near(ranked, _statistic, policy.close), "filter")
+    return _Look(ranked, _near(ranked, policy.close), "filter")
 
 
 def hidden(laboratory: Laboratory, found: Selection, policy: DiagnosisPolicy) -> _Look:
@@ -216,7 +212,7 @@ def _next_step(
         most = len(ranked)
     else:
         way, ranked = "filter", by_size(_nameable(laboratory, alarming(seen.scores, policy.critical)), price)
-        near = _near(ranked, _statistic, policy.close) if ranked else []
+        near = _near(ranked, policy.close) if ranked else []
         above = by_size(_nameable(laboratory, overshadowing(seen.scores, policy.critical)), price)[: policy.refits]
         ranked = ranked or _beside(laboratory, now, seen, policy)
         near = [*near, *_presupposed(laboratory, now, seen, ranked[: policy.refits])]

@@ -7,6 +7,7 @@ from estimators.diagnosis.evidence import FittedModel
 from estimators.diagnosis.laboratory import Laboratory
 from estimators.diagnosis.policy import DiagnosisPolicy
 from estimators.diagnosis.step import Step
+from estimators.misspecification.adequacy import adequacy_tests
 from estimators.misspecification.findings import Score
 
 
@@ -63,7 +64,41 @@ def chosen(
     if first := [i for i in laboratory.facts.effects[best].presupposes if i in good]:
         best = first[0]
         rivals = [i for i in rivals if i != best]
-    return Step(best, tuple(rivals), 2 * gain(before, models[best]), gains[best], held_out[best], models[best], ())
+    return Step(
+        best, tuple(rivals), 2 * gain(before, models[best]), gains[best], held_out[best], models[best], (),
+        tried[best][0].amplitudes,
+    )  # fmt: skip
+
+
+def alone(
+    laboratory: Laboratory, first: Step, second: Step, before: FittedModel, single: FittedModel, policy: DiagnosisPolicy
+) -> Step | None:
+    """Return the second of two steps without the first, which it presupposes, where the data rule that out; None elsewhere.
+
+    Args:
+        laboratory: that computes, or knows, what is asked.
+        first: what is presupposed.
+        second: what presupposes it, added to it.
+        before: the model before both.
+        single: that with the second effect alone.
+        policy: the thresholds.
+    """
+    if first.id not in laboratory.facts.effects[second.id].presupposes:
+        return None
+
+    def size(of: Step, deviations: float) -> float:
+        known = [second.model.values.get(f"{of.id}.{name}", (0.0, 0.0)) for name in of.amplitudes]
+        return max((abs(value) + deviations * std for value, std in known), default=0.0)
+
+    if size(first, 2.0) > policy.presupposed * size(second, 0.0):
+        return None
+    left = laboratory.findings(single)
+    if left is None:
+        return None
+    return Step(
+        second.id, (), 2 * gain(before, single), bic_gain(laboratory.facts.samples, before, single),
+        held_out_gain(laboratory, before, single, policy), single, adequacy_tests(left, policy.critical), second.amplitudes,
+    )  # fmt: skip
 
 
 def _rivals(

@@ -14,7 +14,7 @@ _PROTOTYPE = "prototype study of 42 cases a setting"
 _UNSTUDIED = "set when the rule was added; never studied by itself"
 _FRACTIONS = (
     "removed", "static", "close", "line_left", "chance", "level", "known", "simulation_level",
-    "consequence", "colour_doubt", "colour_little", "unfollowed",
+    "consequence", "colour_doubt", "colour_little", "presupposed", "unfollowed",
 )  # fmt: skip
 
 
@@ -49,6 +49,11 @@ class DiagnosisPolicy:
         10.0,
         "gain in BIC that a candidate must reach, and within which it cannot be told from the best",
         "Kass and Raftery, JASA 90 (1995): very strong evidence",
+    )
+    presupposed: float = _threshold(
+        0.1,
+        "fraction of an effect's size that what it presupposes must stay under, two standard deviations added, to be ruled out",
+        _UNSTUDIED,
     )
     refits: int = _threshold(4, "candidates refitted at least", _PROTOTYPE)
     close: float = _threshold(

@@ -18,6 +18,7 @@ class Step:
         held_out_gain: in the log-likelihood of experiments that did not take part in estimating it; NaN where only one shows it.
         model: the model with it.
         left: the tests of the model with it.
+        amplitudes: names of its parameters that make its size.
     """
 
     id: str
@@ -27,3 +28,4 @@ class Step:
     held_out_gain: float
     model: FittedModel
     left: tuple[AdequacyTest, ...]
+    amplitudes: tuple[str, ...] = ()

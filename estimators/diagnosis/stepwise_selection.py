@@ -4,7 +4,7 @@ import dataclasses
 import math
 from collections.abc import Sequence
 
-from estimators.diagnosis.choice import chosen
+from estimators.diagnosis.choice import alone, chosen
 from estimators.diagnosis.evidence import FittedModel
 from estimators.diagnosis.laboratory import Laboratory, Way
 from estimators.diagnosis.policy import DiagnosisPolicy
@@ -179,6 +179,12 @@ def improvements(
         step = _next_step(laboratory, now, seen, tried, policy, look if not steps else None)
         if step is None:
             break
+        known = tried.get(step.id)  # the first refit with it, alone if it came before what it presupposes
+        if steps and known is not None and known[0].added == now.added[:-1]:
+            single = alone(laboratory, steps[-1], step, *known, policy)
+            if single is not None:
+                steps, step = steps[:-1], single
+                now = known[0]
         steps = [*steps, step]
         # Where some are named and the next cannot be, the rest is left to the next diagnosis, with those in the model.
         if 0 < named(steps, first_tests, laboratory.facts.samples, policy)[1] < len(steps):

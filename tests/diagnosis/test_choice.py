@@ -80,12 +80,26 @@ def test_where_one_experiment_only_shows_an_effect_no_other_can_refuse_it() -> N
     assert found.id == "lvdt_lag"
 
 
-def test_before_a_law_comes_what_it_presupposes() -> None:
+@pytest.mark.parametrize(
+    ("coulomb", "std", "names"),
+    [
+        (5e-5, 1e-5, ["arm_stribeck"]),  # ruled out: 7e-5 is less than a tenth of 1e-3
+        (5e-5, 3e-5, ["arm_coulomb", "arm_stribeck"]),  # it may be 1.1e-4
+        (5e-4, 1e-5, ["arm_coulomb", "arm_stribeck"]),
+    ],
+)
+def test_before_a_law_comes_what_it_presupposes_unless_the_data_rule_that_out(
+    coulomb: float, std: float, names: list[str]
+) -> None:
     """Stribeck friction explains more than Coulomb's, which adds next to nothing to it."""
     search = Known(known(base=0.0, arm_coulomb=950.0, arm_stribeck=980.0, arm_coulomb__arm_stribeck=990.0))
-    before = steps(search, ["arm_stribeck", "arm_coulomb"], ["arm_stribeck"])
-    assert [s.id for s in before] == ["arm_coulomb", "arm_stribeck"]
-    assert [s.rivals for s in before] == [(), ()]
+    search.values = {"arm_coulomb.size": (coulomb, std), "arm_stribeck.size": (1e-3, 1e-4)}
+    scores = (sized("arm_stribeck", 900.0, 1e-15), sized("arm_coulomb", 850.0, 1e-15))
+    search.rejects = lambda model: Findings(scores[:1] if model.added == ("arm_coulomb",) else ())
+    found, _ = improvements(search, search.base, Findings(scores, FORCE.curves), STANDARD)
+    assert [s.id for s in found] == names
+    assert [s.rivals for s in found] == [()] * len(names)
+    assert found[-1].gain == pytest.approx(1960.0 if len(names) == 1 else 80.0)
 
 
 @pytest.mark.parametrize("shown", [77.0, -5.0])

@@ -36,7 +36,8 @@ def import_files(
         list[Path],
         typer.Argument(
             metavar="FILE... OUT.h5",
-            help="CSV or MAT-files, one experiment each, or recordings to add to; and the recording to write, last.",
+            help="CSV or MAT-files, one experiment each, or recordings to add to; and the recording to write, last: one of these, "
+            "or a new one.",
             show_default=False,
         ),
     ],

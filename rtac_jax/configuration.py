@@ -70,7 +70,7 @@ def require_platform() -> None:
     Raises:
         RuntimeError: names the platform and what helps.
     """
-    asked = jax.config.jax_platforms  # pyright: ignore[reportAttributeAccessIssue]
+    asked = jax.config.jax_platforms  # pyright: ignore[reportAttributeAccessIssue] - made when JAX starts
     if not asked:
         return
     try:

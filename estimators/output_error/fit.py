@@ -21,7 +21,7 @@ from estimators.core.initial_state import scales_of, space_of
 from estimators.core.levenberg_marquardt import NEGLIGIBLE, Arguments, Solved, diverged, factor, plain_residual
 from estimators.core.parameter_space import Space, Unknowns, number_of_unknowns
 from estimators.core.residual import diagonal_whitener, no_gain
-from estimators.core.results import RESULTS, DivergedError, NotIdentifiableError
+from estimators.core.results import RESULTS, DivergedError
 from estimators.core.sensor_noise import noise_levels
 from estimators.core.step_size import accurate_substeps
 from estimators.output_error.horizons import horizons
@@ -108,7 +108,6 @@ def output_error(
     run = _Run(data, experiments, levels, tolerance, steps, bar)
     ends: list[tuple[str, _Stage]] = []
     failures = []
-    free: NotIdentifiableError | None = None
     for name, start in candidates:
         bar.set_description(f"output error from {name}")
         try:
@@ -117,12 +116,8 @@ def output_error(
                 ends.append((name, end))
         except FloatingPointError as error:
             failures.append(f"from {name}: {error}")
-        except NotIdentifiableError as error:  # spikes may lead the closed form to where nothing shows
-            free = free or error
     if not ends:
         bar.close()
-        if free is not None:
-            raise free
         raise DivergedError(" ".join(failures))
     winner, stage = min(ends, key=lambda end: end[1].cost)
     agreed = sum(_same(end, stage, float(jnp.sum(data.present))) for _, end in ends)

@@ -219,15 +219,17 @@ def improved(name: str, hidden: dict[str, Any]) -> est.Improvement:
 
 
 @pytest.mark.slow
+@pytest.mark.xfail(
+    strict=True, reason="arm_coulomb, which Stribeck friction presupposes, is named beside it: 0.23 +- 0.13 of a tenth is not ruled out"
+)
 def test_on_a_shaken_rig_the_loop_goes_on() -> None:
-    """No simulation follows random forces; what was named is added all the same, and then nothing is missing."""
+    """The first rig on which a simulation left free what the diagnosis had told."""
     found = improved("13 arm_stribeck", {"arm_stribeck": 4e-4, "arm_stribeck_velocity": 1.0})
-    # Coulomb friction, which Stribeck's presupposes, is not ruled out: a twelfth of it, and within two deviations a sixth.
-    assert [c.id for c in found.added] == ["arm_coulomb", "arm_stribeck"], found
+    assert [c.id for c in found.added] == ["arm_stribeck"], found
+    assert found.held == ("arm_stribeck",)
     assert found.diagnoses[-1].verdict == "adequate", found
     before, after = (m.errors for m in (found.validation.models[0], found.validation.models[-1]))
-    # By a twentieth with Stribeck's alone, by 4.7 % with the pair: random forces are most of the error.
-    assert sum(e.rms_over_noise for e in after.values()) < 0.96 * sum(e.rms_over_noise for e in before.values())
+    assert sum(e.rms_over_noise for e in after.values()) < 0.95 * sum(e.rms_over_noise for e in before.values())
 
 
 @pytest.mark.slow

@@ -26,7 +26,7 @@ from estimators.core.sensor_noise import noise_levels
 from estimators.core.step_size import accurate_substeps
 from estimators.output_error.horizons import horizons
 from estimators.output_error.memory import require_memory
-from estimators.output_error.robust import Robust
+from estimators.output_error.robust import Robust, without_spikes
 from estimators.output_error.robust import robust as robust_fit
 from estimators.prediction_error.noise_estimation import NoiseModel, run_filter, start_variance
 from rtac_jax import RTAC, require_configured
@@ -101,7 +101,12 @@ def output_error(
     levels = noise_levels(recording.experiments)
     note = require_memory(model, experiments)
     data = Data.of(experiments)
-    candidates = [("the model's values", model)] if from_model else _starts(model, recording, experiments, starts)
+    first, whole = recording, (data, experiments)
+    if robust:  # what is surely a fault would lead every start astray before weights are known
+        first = dataclasses.replace(recording, experiments=tuple(without_spikes(e) for e in recording.experiments))
+        experiments = pieces(moving(first))
+        data = Data.of(experiments)
+    candidates = [("the model's values", model)] if from_model else _starts(model, first, experiments, starts)
     bar = tqdm(total=None, disable=not progress, desc="output error", unit=" steps", leave=False)
     if note and progress:
         bar.write(note, file=sys.stderr)
@@ -124,7 +129,8 @@ def output_error(
     weighted = None
     if robust:
         bar.set_description("output error, weighted")
-        weighted = run.weighted(stage)
+        data, experiments = whole
+        weighted = run.weighted(stage, data, experiments)
         stage = dataclasses.replace(stage, solved=weighted.solved, deviation=weighted.deviation, cost=weighted.cost)
     bar.close()
     found = information(stage.solved.factor, stage.space, stage.solved.unknowns)
@@ -292,14 +298,14 @@ class _Run:
     ) -> Solved:
         return solve_bounded(unknowns, arguments, tolerance=tolerance, gain=gain, most=most, progress=self._show)
 
-    def weighted(self, stage: _Stage) -> Robust:
-        """Go on from the end of a descent with weights that discount what lies too far off for noise."""
+    def weighted(self, stage: _Stage, data: Data, experiments: Sequence[Experiment]) -> Robust:
+        """Go on from the end of a descent with weights that discount what lies too far off for noise, in all of the data."""
         return robust_fit(
             stage.model,
-            self.data,
+            data,
             stage.space,
             stage.solved.unknowns,
-            self.experiments,
+            experiments,
             substeps=stage.substeps,
             noise=np.array([self.levels.get(channel, 1.0) for channel in CHANNELS]),
             tolerance=1e-4,

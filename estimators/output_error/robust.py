@@ -15,7 +15,7 @@ from estimators.core.levenberg_marquardt import Arguments, Solved, factor, plain
 from estimators.core.parameter_space import Space, Unknowns
 from estimators.core.residual import diagonal_whitener, no_gain
 from rtac_jax import RTAC
-from rtac_jax.measurement import Experiment
+from rtac_jax.measurement import Experiment, spikes
 
 Samples = Float[np.ndarray, "sample output experiment"]
 
@@ -128,6 +128,16 @@ def robust(
         settled,
         cost,
     )
+
+
+def without_spikes(experiment: Experiment) -> Experiment:
+    """Return an experiment with the spikes of its outputs left out."""
+    outputs = {}
+    for name, signal in experiment.outputs.items():
+        values = signal.values.copy()
+        values[spikes(values)] = np.nan
+        outputs[name] = dataclasses.replace(signal, values=values)
+    return dataclasses.replace(experiment, outputs=outputs)
 
 
 def _scale(error: Samples, present: Shaped[np.ndarray, "..."], noise: np.ndarray) -> Float[np.ndarray, " output"]:

@@ -20,6 +20,7 @@ from ._experiment import Experiment
 from ._filter import central_difference, filled, zero_phase_lowpass
 from ._hdf5 import DESIGNED, guarded_by_digest, holds_measurements
 from ._info import describe
+from ._momentary_faults import spikes
 from ._recording import Recording
 from ._signal import INPUTS, OUTPUTS, Signal
 from .plan import Plan
@@ -51,6 +52,7 @@ __all__ = [
     "multisine",
     "positive_negative",
     "prbs",
+    "spikes",
     "square_wave",
     "steps",
     "zero_phase_lowpass",

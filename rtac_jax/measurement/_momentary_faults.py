@@ -46,14 +46,11 @@ def momentary_faults(name: str, signal: Signal) -> Iterator[str]:
             "or the logger drops out; replace these samples by NaN."
         )
     steps = np.diff(values)
-    # Across a gap a step may be large.
-    usable = (np.diff(present) == 1) & ~inside[:-1] & ~inside[1:]
-    excess = np.where(usable, steps - scipy.ndimage.median_filter(steps, _SLOPE_SAMPLES, mode="reflect"), 0.0)
-    limit = _SIGMAS * _scatter_of_steps(values, steps)
-    spikes = _wide_spikes(excess, limit)
+    excess, limit = _excess_of_steps(values, present, inside)
+    spikes = _spikes(excess, limit, narrowest=2)
     if spikes:
         yield (
-            f"has {len(spikes)} spikes of two or three samples, the first at sample {present[spikes[0]]}; replace them by NaN, "
+            f"has {len(spikes)} spikes of two or three samples, the first at sample {present[spikes[0][0]]}; replace them by NaN, "
             "or fit with robust=True."
         )
     if name == "arm_velocity":
@@ -71,6 +68,31 @@ def momentary_faults(name: str, signal: Signal) -> Iterator[str]:
                 f"jumps by {size:.3g} {signal.unit} at sample {present[place] + 1}{more}, which nothing that has mass can, so "
                 "samples were lost there; cut the experiment in two (Experiment.cut)."
             )
+
+
+def spikes(values: Values) -> np.ndarray:
+    """Return the samples of spikes of one to three samples in a channel, which may have gaps."""
+    present = np.flatnonzero(~np.isnan(values))
+    known = values[present]
+    if len(known) <= 2 * _SLOPE_SAMPLES or np.ptp(known) == 0:
+        return np.zeros(0, dtype=np.int64)
+    found = _spikes(*_excess_of_steps(known, present, np.zeros(len(known), dtype=bool)), narrowest=1)
+    return present[sorted({first + more for first, width in found for more in range(width)})]
+
+
+def _excess_of_steps(values: Values, present: np.ndarray, inside: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return by how much each step differs from those about it, and from which size on that is a fault.
+
+    Args:
+        values: that were measured.
+        present: their places.
+        inside: whether a value is part of a dropout.
+    """
+    steps = np.diff(values)
+    # Across a gap a step may be large.
+    usable = (np.diff(present) == 1) & ~inside[:-1] & ~inside[1:]
+    excess = np.where(usable, steps - scipy.ndimage.median_filter(steps, _SLOPE_SAMPLES, mode="reflect"), 0.0)
+    return excess, _SIGMAS * _scatter_of_steps(values, steps)
 
 
 def dropouts(values: Values) -> list[tuple[int, int]]:
@@ -136,12 +158,12 @@ def _scatter_of_steps(values: Values, steps: np.ndarray) -> np.ndarray:
     return np.maximum(scale * np.maximum(nearby, np.median(third)), max(level, 1e-9 * np.ptp(values)))
 
 
-def _wide_spikes(excess: np.ndarray, limit: np.ndarray) -> list[int]:
-    """Return the first samples of spikes of two or three samples: a jump, nearly the same jump back, and little between."""
+def _spikes(excess: np.ndarray, limit: np.ndarray, *, narrowest: int) -> list[tuple[int, int]]:
+    """Return first sample and width of spikes of up to three samples: a jump, nearly the same jump back, and little between."""
     found = []
     for first in np.flatnonzero(np.abs(excess) > limit):
         height = excess[first]
-        for width in range(2, _WIDEST_SPIKE + 1):
+        for width in range(narrowest, _WIDEST_SPIKE + 1):
             if first + width >= len(excess):
                 continue
             between = np.abs(excess[first + 1 : first + width])
@@ -151,7 +173,7 @@ def _wide_spikes(excess: np.ndarray, limit: np.ndarray) -> list[int]:
             if abs(height + excess[first + width]) < 0.25 * abs(height) and np.all(
                 np.concatenate([between, around]) < 0.25 * abs(height)
             ):
-                found.append(int(first) + 1)
+                found.append((int(first) + 1, width))
     return found
 
 

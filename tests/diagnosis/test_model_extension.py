@@ -220,7 +220,8 @@ def improved(name: str, hidden: dict[str, Any]) -> est.Improvement:
 
 @pytest.mark.slow
 @pytest.mark.xfail(
-    strict=True, reason="arm_coulomb, which Stribeck friction presupposes, is named beside it: 0.23 +- 0.13 of a tenth is not ruled out"
+    strict=True,
+    reason="arm_coulomb, which Stribeck friction presupposes, is named beside it: 0.23 +- 0.13 of a tenth is not ruled out",
 )
 def test_on_a_shaken_rig_the_loop_goes_on() -> None:
     """The first rig on which a simulation left free what the diagnosis had told."""

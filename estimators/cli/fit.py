@@ -9,10 +9,11 @@ from estimators.cli.job import Job, job, progress
 from estimators.cli.models import start_model
 from estimators.cli.options import Effects, File, Json, Model, Out, Save, Validation
 
-# As measured with an arm that is free and sampled at 2 ms.
+# For each 100,000 samples, as measured with an arm that is free and sampled at 2 ms.
+_MINUTES = 3.0
 _SLOWLY = (
     "rtac: an experiment of {samples:,} samples: output error takes seconds, random forces and the comparison of the "
-    "estimates some three minutes for each 100,000; a part of it is answered sooner (Experiment.cut)."
+    "estimates some {minutes:.2g} minutes; a part of it is answered sooner (Experiment.cut)."
 )
 
 # Where that would be some ten minutes.
@@ -49,11 +50,11 @@ def fit(
         predicted, agreed = None, None
         longest = max(e.samples for e in work.train)
         if longest >= _TOO_LONG:
-            work.note(_LEFT_OUT.format(samples=longest, minutes=3 * longest / 1e5))
+            work.note(_LEFT_OUT.format(samples=longest, minutes=_MINUTES * longest / 1e5))
         else:
             if longest >= LONG:
-                typer.echo(_SLOWLY.format(samples=longest), err=True)
-            predicted, agreed = _compared(work, closed, found)
+                typer.echo(_SLOWLY.format(samples=longest, minutes=_MINUTES * longest / 1e5), err=True)
+            predicted, agreed = _side_by_side(work, closed, found)
         spread = est.covariances(found, work.train)
         trained, tested = work.compared(found)
         errors = _report.error_table(trained, tested)
@@ -103,7 +104,7 @@ def fit(
             work.write_report(f"Fit of {work.file}", figures, sections, summary=bullets, traces=tested or trained)
 
 
-def _compared(work: Job, closed: Any, found: Any) -> tuple[Any, Any]:
+def _side_by_side(work: Job, closed: Any, found: Any) -> tuple[Any, Any]:
     """Return the fit by predictions one sample ahead, and how far the estimators agree; None, with a note, where there is none."""
     import estimators as est
 
@@ -113,8 +114,8 @@ def _compared(work: Job, closed: Any, found: Any) -> tuple[Any, Any]:
     except (ValueError, est.DivergedError) as error:  # such as data that leave parameters free beside random forces
         work.note(f"No prediction error: {error}")
     try:
-        ways = [closed, found] if predicted is None else [closed, found, predicted]
-        agreed = est.agreement(ways, work.train, progress=progress())
+        estimates = [closed, found] if predicted is None else [closed, found, predicted]
+        agreed = est.agreement(estimates, work.train, progress=progress())
     except ValueError as error:  # the closed form needs channels that the fit does not
         work.note(f"The estimators were not compared: {error}")
     return predicted, agreed

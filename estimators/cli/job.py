@@ -330,7 +330,7 @@ def writable_folder(folder: Path) -> Path:
     return folder
 
 
-def writable_file(file: Path, option: str, *, replace: bool = False) -> None:
+def writable_file(file: Path, option: str, *, replace: bool | None = None) -> None:
     """Try, before anything is computed, whether a file can be written; its folder is made if need be.
 
     A recording of measurements is not written over: nobody may be able to make them again.
@@ -338,7 +338,7 @@ def writable_file(file: Path, option: str, *, replace: bool = False) -> None:
     Args:
         file: to be written.
         option: that names it.
-        replace: the user asks for it to be written over, whatever it holds.
+        replace: the user asks for it to be written over, whatever it holds; None where a command knows no such wish.
     """
     if file.parent.is_dir():
         try:
@@ -349,18 +349,17 @@ def writable_file(file: Path, option: str, *, replace: bool = False) -> None:
             stop(WRONG_USE, f"{file}: cannot be written to ({error.strerror}); name another file for {option}.")
         if is_folder:
             stop(WRONG_USE, f"{file}: is a folder; name a file for {option}.")
-        if not replace and _is_recording(file):
-            mend = "name another file, or add --replace" if option == "the recording" else "name another file"
+        if not replace and _holds_measurements(file):
+            mend = "name another file" if replace is None else "name another file, or add --replace"
             stop(WRONG_USE, f"{file}: holds a recording, which would be lost; {mend} for {option}.")
     writable_folder(file.parent)
 
 
-def _is_recording(file: Path) -> bool:
+def _holds_measurements(file: Path) -> bool:
     if not file.is_file():
         return False
-    from rtac_jax.measurement import (
-        holds_measurements,
-    )  # deferred, so that a command that writes anew starts without it
+    # Deferred, so that a command that writes anew starts without it.
+    from rtac_jax.measurement import holds_measurements
 
     return holds_measurements(file)
 

@@ -17,6 +17,7 @@ from jaxtyping import Array, Float, Int
 from rtac_jax._rtac import RTAC
 from rtac_jax.effects import Input
 from rtac_jax.excitation import Excitation
+from rtac_jax.programs import program
 from rtac_jax.simulation import runge_kutta, trajectories, without_denormals
 from rtac_jax.time_loop import time_loop
 
@@ -38,7 +39,7 @@ class Driven(eqx.Module):
     frame: Excitation
 
 
-@eqx.filter_jit
+@program
 def differentiable_states(
     model: RTAC,
     start: Float[Array, "state experiment"],

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -11,6 +10,7 @@ from jaxtyping import Array, Float64
 from rtac_jax._rtac import RTAC
 from rtac_jax.excitation import Excitation
 from rtac_jax.measurement import DESIGNED, Experiment, Recording
+from rtac_jax.programs import program
 from rtac_jax.simulation import State, Steps, advance, substeps_for
 
 _FEWER = 0.9  # by which an amplitude is lowered until the travel holds
@@ -130,7 +130,7 @@ def _play(
     return np.asarray(played).T, np.moveaxis(np.asarray(outputs), 2, 0)
 
 
-@eqx.filter_jit
+@program
 def _closed(
     model: RTAC, start: State, excitation: Excitation, currents: Array, dead_band: Array, substeps: Steps
 ) -> tuple[Array, Array]:

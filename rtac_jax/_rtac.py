@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 import os
+import types
 from collections.abc import Mapping
 from typing import Any
 
@@ -146,15 +147,12 @@ class RTAC(eqx.Module):
     @property
     def parameters(self) -> dict[str, Declaration]:
         """Every parameter's declaration by name."""
-        found = dict(declarations(self.body))
-        for effect in self.effects:
-            found |= {f"{effect.id}.{name}": declared for name, declared in declarations(effect).items()}
-        return found
+        return dict(_declared_of(self))
 
     @property
     def free(self) -> tuple[str, ...]:
         """Names of the parameters that a fit estimates."""
-        return tuple(n for n, declared in self.parameters.items() if n not in self.fixed and not declared.fixed)
+        return tuple(n for n, declared in _declared_of(self).items() if n not in self.fixed and not declared.fixed)
 
     def __getitem__(self, name: str) -> Any:
         """Return the value of a parameter.
@@ -162,16 +160,10 @@ class RTAC(eqx.Module):
         Raises:
             KeyError: there is none of that name.
         """
-        owner, field = self._locate(name)
-        return getattr(owner, field)
-
-    def _locate(self, name: str) -> tuple[Any, str]:
-        if name not in self.parameters:
+        if name not in _declared_of(self):
             raise KeyError(f"no parameter is called {name}; this model has {', '.join(self.parameters)}.")
-        if "." not in name:
-            return self.body, name
-        effect_id, field = name.split(".", 1)
-        return self.effects[self.ids.index(effect_id)], field
+        owner, _, field = name.rpartition(".")
+        return getattr(self.effects[self.ids.index(owner)] if owner else self.body, field)
 
     def with_values(self, values: Mapping[str, Any]) -> "RTAC":
         """Return the model with other values of some parameters; values may be traced, or one for each experiment."""
@@ -368,8 +360,21 @@ class RTAC(eqx.Module):
         return own
 
 
+# No methods: equinox makes an object of its own whenever it is asked for a method, which takes longer than what they do.
+def _declared_of(model: RTAC) -> Mapping[str, Declaration]:
+    return _declared_by(type(model.body), tuple((effect.id, type(effect)) for effect in model.effects))
+
+
+@functools.lru_cache(maxsize=1024)
+def _declared_by(body: type, effects: tuple[tuple[str, type], ...]) -> Mapping[str, Declaration]:
+    found = dict(declarations(body))
+    for name, effect in effects:
+        found |= {f"{name}.{field}": declared for field, declared in declarations(effect).items()}
+    return types.MappingProxyType(found)
+
+
 @functools.lru_cache(maxsize=256)
 def _places_of(structure: Any, names: tuple[str, ...]) -> tuple[int, ...]:
     """Return where these parameters stand among the leaves of a model of this structure."""
     model = jax.tree.unflatten(structure, range(structure.num_leaves))
-    return tuple(getattr(*model._locate(name)) for name in names)
+    return tuple(model[name] for name in names)

@@ -13,6 +13,7 @@ from scipy.optimize import root
 
 from rtac_jax._rtac import RTAC
 from rtac_jax.configuration import require_configured
+from rtac_jax.programs import program
 
 OUTPUTS = ("cart_position", "arm_velocity", "arm_angle")
 _NUDGE = 1e-12  # small against any velocity of interest, so that its square vanishes
@@ -145,13 +146,13 @@ def _equilibrium(model: RTAC, arm_angle: float) -> tuple[np.ndarray, float]:
     return np.asarray(state(guess)), float(guess[0])
 
 
-@eqx.filter_jit
+@program
 def _derivative(model: RTAC, state: Float[Array, " state"], inputs: Float[Array, " input"]) -> Float[Array, " state"]:
     slopes = model.derivative(tuple(state), inputs[0], inputs[1])
     return jnp.stack([jnp.asarray(slope, dtype=float) for slope in slopes])
 
 
-@eqx.filter_jit
+@program
 def _jacobians(
     model: RTAC, state: Float[Array, " state"], inputs: Float[Array, " input"]
 ) -> tuple[Float[Array, "state state"], Float[Array, "state input"], Float[Array, "output state"]]:

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,6 +11,7 @@ from jaxtyping import Array, Float, Int
 from rtac_jax._rtac import RTAC
 from rtac_jax._since import Since
 from rtac_jax.excitation import Excitation
+from rtac_jax.programs import program
 from rtac_jax.time_loop import time_loop
 
 State = tuple[Any, ...]
@@ -218,7 +218,7 @@ def substeps_for(model: RTAC, excitation: Excitation, *, stability: float = 1.0,
     return int(np.clip(np.ceil(longest * fastest / stability), 1, most))
 
 
-@eqx.filter_jit
+@program
 def rate_jacobian(model: RTAC, at: Array) -> Array:
     """Return the Jacobian of the state's rate."""
 
@@ -231,6 +231,6 @@ def rate_jacobian(model: RTAC, at: Array) -> Array:
     return jax.jacfwd(rate)(at)
 
 
-@eqx.filter_jit
+@program
 def _states(model: RTAC, start: Array, excitation: Excitation, room: int, samples: Steps, substeps: Steps) -> Array:
     return trajectories(model, tuple(start), excitation, room=room, samples=samples, substeps=substeps, states=True)

@@ -2,10 +2,11 @@
 
 import gc
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import jax
 import jaxtyping
 import pytest
 
@@ -36,6 +37,7 @@ import matplotlib  # noqa: E402 - after the hook
 
 import rtac_jax  # noqa: E402 - after the hook
 from estimators.core.compilation import make_room  # noqa: E402 - after the hook
+from rtac_jax.programs import forget_programs  # noqa: E402 - after the hook
 
 rtac_jax.configure()
 # Tracing makes many objects that stay: looking through them as often as Python does by itself costs a twentieth of the time.
@@ -63,6 +65,21 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         return next((n for n, beginning in enumerate(LONGEST) if path.startswith(beginning)), len(LONGEST))
 
     items.sort(key=place)
+
+
+@pytest.fixture
+def compile_anew() -> Iterator[Callable[[], None]]:
+    """Give what drops all compiled code, for tests that change constants of modules, which compiled code does not know of."""
+
+    def drop() -> None:
+        forget_programs()
+        jax.clear_caches()
+
+    before = jax.config.jax_compilation_cache_dir
+    jax.config.update("jax_compilation_cache_dir", None)
+    yield drop
+    drop()
+    jax.config.update("jax_compilation_cache_dir", before)
 
 
 @pytest.fixture(autouse=True, scope="module")

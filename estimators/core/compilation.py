@@ -4,19 +4,12 @@ import contextlib
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, wait
 from pathlib import Path
-from typing import Any
 
 import jax
 
+from rtac_jax.programs import forget_programs
+
 _SHARE = 0.5
-
-
-def compile_only(function: Any, *arguments: Any) -> None:
-    """Compile a jitted function for arguments of these shapes, and run nothing.
-
-    For a thread beside the one that computes.
-    """
-    function.lower(*arguments).compile()
 
 
 class Ahead:
@@ -45,5 +38,6 @@ def make_room(
         return False
     if maps <= share * limit:
         return False
+    forget_programs()
     jax.clear_caches()
     return True

@@ -14,6 +14,7 @@ from estimators.core.parameter_space import Space, Unknowns
 from estimators.core.piecewise_triangle import piecewise_triangle, worth_cutting
 from estimators.core.residual import residual, triangle
 from rtac_jax import RTAC
+from rtac_jax.programs import program
 from rtac_jax.simulation import Steps
 
 _HOPELESS = 1e30
@@ -52,7 +53,7 @@ def _factor(unknowns: Unknowns, arguments: Arguments) -> Array:
     return jnp.where(jnp.all(jnp.isfinite(factor)), factor, jnp.zeros_like(factor).at[:, -1, -1].set(_HOPELESS))
 
 
-@eqx.filter_jit
+@program
 def factor(unknowns: Unknowns, arguments: Arguments) -> Array:
     """Return the triangular factor of residual and Jacobian, per experiment; see `triangle`."""
     return _factor(unknowns, arguments)
@@ -91,7 +92,7 @@ def _basis(columns: np.ndarray) -> np.ndarray:
     return left * counts[..., None, :]
 
 
-@eqx.filter_jit
+@program
 def plain_residual(unknowns: Unknowns, arguments: Arguments) -> tuple[Array, Array]:
     """Return the residual itself and the deviation of the starts from what is known of them; see `residual`."""
     a = arguments
@@ -113,13 +114,13 @@ def _linearised(unknowns: Unknowns, at: tuple[Unknowns, Array]) -> tuple[Array, 
 _OPTIONS = {"jac": "bwd"}  # gives the Jacobian as an array, which a compiled step can take and return
 
 
-@eqx.filter_jit
+@program
 def _init(solver: Any, unknowns: Unknowns, factor: Array) -> Any:
     shape = jax.eval_shape(lambda: factor[..., -1])
     return solver.init(_linearised, unknowns, (unknowns, factor), _OPTIONS, shape, None, frozenset())
 
 
-@eqx.filter_jit
+@program
 def _step(solver: Any, unknowns: Unknowns, state: Any, factor: Array) -> tuple[Unknowns, Any, Array]:
     at = (state.y_eval, factor)
     unknowns, state, _ = solver.step(_linearised, unknowns, at, _OPTIONS, state, frozenset())

@@ -4,7 +4,6 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -19,6 +18,7 @@ from estimators.core.parameter_space import Unknowns
 from estimators.core.residual import diagonal_whitener, no_gain, residual
 from rtac_jax import RTAC
 from rtac_jax.measurement import Experiment, Recording
+from rtac_jax.programs import program
 
 
 class Problem(NamedTuple):
@@ -128,7 +128,7 @@ class Rows(NamedTuple):
         return flat.T @ flat + self.known.T @ self.known
 
 
-@eqx.filter_jit
+@program
 def _columns(unknowns: Unknowns, arguments: Arguments) -> tuple[Array, Array]:
     """Return derivatives of the residual and of the starts' prior along each unknown of all experiments at once."""
     a = arguments

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -21,6 +20,7 @@ from estimators.frequency_response.local_polynomial import (
     windows_of,
 )
 from rtac_jax import require_configured
+from rtac_jax.programs import program
 
 _CHUNK = 128  # windows side by side, which the second-level cache of a core holds; the fastest of 32 to 1024
 
@@ -77,7 +77,7 @@ def local_responses(
     return fits
 
 
-@eqx.filter_jit
+@program
 def _all_windows(into: Array, out: Array, distance: Array, *, degree: int, poles: int) -> tuple[Array, ...]:
     """Fit all windows, [chunk, neighbour, window]; returns response, std, noise, size of the input, weakest diagonal."""
     each = jax.vmap(partial(_one_window, degree=degree, poles=poles), in_axes=-1, out_axes=-1)

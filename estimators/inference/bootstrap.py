@@ -3,7 +3,6 @@
 import dataclasses
 from collections.abc import Mapping, Sequence
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -21,6 +20,7 @@ from estimators.prediction_error.fit import PredictorFit
 from estimators.prediction_error.smoothed_initial_state import smoothed_start
 from rtac_jax import RTAC
 from rtac_jax.measurement import Experiment, Recording
+from rtac_jax.programs import program
 
 Outputs = Float[np.ndarray, "sample output experiment"]
 _EXCESS = 1.5
@@ -163,7 +163,7 @@ class Shaken(_Source):
         return np.where(np.asarray(data.present) > 0, noisy, np.nan)
 
 
-@eqx.filter_jit
+@program
 def _struck(unknowns: Unknowns, arguments: Arguments, start: Array, impulses: Array) -> Array:
     a = arguments
     shared, each, _ = a.space.physical(unknowns)

@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import control as ct
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -14,6 +13,7 @@ from jaxtyping import Array, Complex128, Float
 from estimators.frequency_response.response import FrequencyResponse
 from estimators.linear.model_sets import Scale, Sections, Structure, numerator, response, sections
 from estimators.linear.residual_tests import ResidualTest
+from rtac_jax.programs import program
 
 Curve = Float[np.ndarray, " frequency"]
 
@@ -244,7 +244,7 @@ class Unknown:
         return value[places], slope[places]
 
 
-@eqx.filter_jit
+@program
 def _sections(structure: Structure, theta: Array, scale: Scale) -> Sections:
     return sections(structure, theta, scale)
 
@@ -254,12 +254,12 @@ def _top(structure: Structure, theta: Array, scale: Scale) -> Array:
     return whole[2 * structure.modes - structure.zeros :]
 
 
-@eqx.filter_jit
+@program
 def _numerator(structure: Structure, theta: Array, scale: Scale) -> tuple[Array]:
     return (_top(structure, theta, scale),)
 
 
-@eqx.filter_jit
+@program
 def _numerator_and_denominator(structure: Structure, theta: Array, scale: Scale) -> Any:
     def both(t: Array) -> tuple[Array, Array]:
         of = sections(structure, t, scale)
@@ -271,7 +271,7 @@ def _numerator_and_denominator(structure: Structure, theta: Array, scale: Scale)
     return both(theta), jax.jacfwd(both)(theta)
 
 
-@eqx.filter_jit
+@program
 def _response(structure: Structure, theta: Array, scale: Scale, omega: Array) -> tuple[Array, Array]:
     def function(t: Array) -> Array:
         return response(sections(structure, t, scale), omega)
@@ -279,7 +279,7 @@ def _response(structure: Structure, theta: Array, scale: Scale, omega: Array) ->
     return function(theta), jax.jacfwd(function)(theta)
 
 
-@eqx.filter_jit
+@program
 def _quantities(structure: Structure, theta: Array, scale: Scale) -> tuple[Array, Array]:
     def function(t: Array) -> Array:
         of = sections(structure, t, scale)

@@ -10,6 +10,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from estimators.linear.batched_gauss_newton import gauss_newton
 from estimators.linear.model_sets import Sampled, Scale, Structure, sampled
+from rtac_jax.programs import program
 
 
 class Signals(eqx.Module):
@@ -90,7 +91,7 @@ class Rows(NamedTuple):
     jacobian: Float[Array, "condition sample unknown"]
 
 
-@eqx.filter_jit
+@program
 def rows(structure: Structure, theta: Float[Array | np.ndarray, "condition unknown"], data: Signals) -> Rows:
     """Return prediction errors and Jacobian at these unknowns."""
 
@@ -100,7 +101,7 @@ def rows(structure: Structure, theta: Float[Array | np.ndarray, "condition unkno
     return jax.vmap(of_one)(jnp.asarray(theta), data)
 
 
-@eqx.filter_jit
+@program
 def tracks(
     structure: Structure, theta: Float[Array | np.ndarray, "condition unknown"], data: Signals
 ) -> tuple[Track, Sampled]:
@@ -121,7 +122,7 @@ class Solved(NamedTuple):
     converged: Bool[np.ndarray, " condition"]
 
 
-@eqx.filter_jit
+@program
 def _solve(
     structure: Structure, theta: Float[Array, "condition unknown"], data: Signals, most: Int[Array, ""]
 ) -> tuple[Array, Array, Array]:

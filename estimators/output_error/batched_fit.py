@@ -5,7 +5,6 @@ import dataclasses
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -28,6 +27,7 @@ from estimators.output_error.batched_levenberg_marquardt import (
 )  # fmt: skip
 from estimators.output_error.fit_case import Case
 from estimators.output_error.normal_equations import Columns, physical
+from rtac_jax.programs import program
 
 TOLERANCE = 1e-7
 """Distance to the minimum, in standard deviations, at which repetitions agree with single fits to a millionth."""
@@ -222,7 +222,7 @@ class _Summary:
     matrix: np.ndarray
 
 
-@eqx.filter_jit
+@program
 def _summary(
     batch: Batch, columns: Columns, data: Data, noise: Array, shared: int, outputs: tuple[int, ...]
 ) -> tuple[Array, Array, Array, Array]:

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
@@ -11,6 +10,7 @@ from jaxtyping import Array, Bool, Float, Int
 from estimators.core.data import Data
 from estimators.output_error.normal_equations import Columns, Real, normal_equations
 from rtac_jax import RTAC
+from rtac_jax.programs import program
 from rtac_jax.simulation import Steps
 
 # Distance to the minimum of the linearised problem, in standard deviations, at which a stage ends. The first two give the
@@ -72,7 +72,7 @@ def idle(batch: Batch, which: Sequence[int]) -> None:
     batch.stage[list(which)] = len(_CLOSE)
 
 
-@eqx.filter_jit
+@program
 def one_step(
     model: RTAC,
     names: tuple[str, ...],

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -16,6 +15,7 @@ from estimators.output_error.batched_fit import places_for, side_by_side
 from estimators.output_error.fit_case import Case
 from estimators.output_error.normal_equations import Columns, physical
 from rtac_jax import RTAC
+from rtac_jax.programs import program
 from rtac_jax.simulation import Steps, substeps_for, trajectories
 
 
@@ -74,7 +74,7 @@ def _simulated(cases: Sequence[Case], substeps: int) -> list[Float[np.ndarray, "
     return found
 
 
-@eqx.filter_jit
+@program
 def _outputs(
     model: RTAC,
     names: tuple[str, ...],

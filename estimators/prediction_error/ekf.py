@@ -2,7 +2,6 @@
 
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -13,6 +12,7 @@ from estimators.core.residual import states_at_start
 from estimators.prediction_error.coloured_noise import ColourStates
 from estimators.prediction_error.noise_quadrature import ByNoise
 from rtac_jax import RTAC
+from rtac_jax.programs import program
 from rtac_jax.simulation import Steps, advance, unit_pushes
 from rtac_jax.time_loop import time_loop
 
@@ -166,7 +166,7 @@ def kalman(
     return Filtered(gain, whitener, innovations, likelihood.sum(axis=0), after), slopes
 
 
-@eqx.filter_jit
+@program
 def filtered(*arguments: Any, **known: Any) -> Filtered:
     """Run the filter alone, compiled; see `kalman`."""
     return kalman(*arguments, **known)[0]

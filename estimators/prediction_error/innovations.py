@@ -9,7 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from estimators.core.compilation import compile_only
 from estimators.core.data import CHANNELS, Data
 from estimators.core.parameter_space import Space
 from estimators.core.residual import predict, whitened
@@ -17,6 +16,7 @@ from estimators.core.threads import at_once
 from estimators.prediction_error.ekf import Filtered
 from estimators.prediction_error.force_probe import KNOTS, ForceProbe
 from rtac_jax import RTAC
+from rtac_jax.programs import program
 from rtac_jax.simulation import Steps
 
 AT_ONCE = 8
@@ -88,11 +88,11 @@ class Innovations:
     def compile(self) -> None:
         """Compile `at`, and run nothing."""
         several = np.repeat(np.asarray(self.space.values)[None], AT_ONCE, axis=0)
-        compile_only(_innovations, *self._arguments(), jnp.asarray(several), self.substeps)
+        _innovations.prepare(*self._arguments(), jnp.asarray(several), self.substeps)
 
     def compile_derivatives(self) -> None:
         """Compile `jacobian`, `pushed` and `by_force`, which are one program; and run nothing."""
-        compile_only(_derivatives, *self._arguments(), _no_force(), self._along(), self.substeps)
+        _derivatives.prepare(*self._arguments(), _no_force(), self._along(), self.substeps)
 
     def _arguments(self) -> tuple[RTAC, Data, Space, Array, Array]:
         return self.model, self.data, self.space, self.whitener, self.gain
@@ -167,7 +167,7 @@ def error_at(
     return whitened(whitener, (data.values - predicted) * data.present)
 
 
-@eqx.filter_jit
+@program
 def _innovations(
     model: RTAC, data: Data, space: Space, whitener: Array, gain: Array, values: Array, substeps: Steps
 ) -> Array:
@@ -194,7 +194,7 @@ class _Along(NamedTuple):
     force: Float[Array, "direction sample experiment"]
 
 
-@eqx.filter_jit
+@program
 def _derivatives(
     model: RTAC,
     data: Data,

@@ -17,6 +17,7 @@ from estimators.core.residual import states_at_start
 from estimators.prediction_error.ekf import Wander, start_places, wandering
 from rtac_jax import RTAC
 from rtac_jax.measurement import Experiment
+from rtac_jax.programs import program
 from rtac_jax.simulation import Steps, advance, trajectories
 
 _PORTS = ("cart", "arm")
@@ -215,7 +216,7 @@ class _Linear(eqx.Module):
     interval: Float[Array, " experiment"]
 
 
-@eqx.filter_jit
+@program
 def _linearised(
     model: RTAC,
     data: Data,
@@ -319,12 +320,12 @@ def _filter(linear: _Linear, data: Data, gain: Array, size: Array, memory: Any, 
     return jax.lax.scan(one, (start, spread), rows)
 
 
-@eqx.filter_jit
+@program
 def _likelihoods(linear: _Linear, data: Data, gain: Array, sizes: Array, memory: Any, swing: Any) -> Array:
     return jax.lax.map(lambda size: _filter(linear, data, gain, size, memory, swing)[1][3].sum(), sizes)
 
 
-@eqx.filter_jit
+@program
 def _smoothed(linear: _Linear, data: Data, gain: Array, size: Array, memory: Any, swing: Any) -> tuple[Array, Array]:
     """Return mean and variance of the two forces, [sample port experiment]."""
     last, (before, filtered, back, _) = _filter(linear, data, gain, size, memory, swing)

@@ -4,13 +4,11 @@ import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from estimators.core.active_bounds import solve_bounded
-from estimators.core.compilation import compile_only
 from estimators.core.data import CHANNELS, Data
 from estimators.core.levenberg_marquardt import Arguments, factor
 from estimators.core.parameter_space import Space, Unknowns
@@ -19,6 +17,7 @@ from estimators.prediction_error.ekf import Filtered, kalman
 from estimators.prediction_error.noise_quadrature import ByNoise
 from rtac_jax import RTAC, Scales
 from rtac_jax.measurement import Experiment
+from rtac_jax.programs import program
 from rtac_jax.simulation import Steps
 
 # Random force and torque between these fractions of the rms forces, as powers of e of their variance.
@@ -135,7 +134,7 @@ class Passed(NamedTuple):
     filtered: Filtered
 
 
-@eqx.filter_jit
+@program
 def _pass(*arguments: Any) -> Passed:
     """Run the filter and its derivatives as one compiled function; see `_arguments`."""
     found, slopes = _filtered(*arguments, by_noise=True)
@@ -143,13 +142,13 @@ def _pass(*arguments: Any) -> Passed:
     return Passed(-found.log_likelihood.sum(), slopes.slope.sum(-1), slopes.information.sum(-1), found)
 
 
-@eqx.filter_jit
+@program
 def _filter(*arguments: Any) -> Filtered:
     """Run the filter alone; see `_arguments`."""
     return _filtered(*arguments, by_noise=False)[0]
 
 
-@eqx.filter_jit
+@program
 def _negative_log_likelihood(*arguments: Any) -> Float[Array, ""]:
     """Run the filter for the negative log-likelihood alone; see `_arguments`."""
     return -_filtered(*arguments, by_noise=False)[0].log_likelihood.sum()
@@ -207,12 +206,12 @@ def compile_predictor(
     unknowns = space.unconstrained(start=False)
     if noise:
         physical = (space.values, space.each_values, space.start)  # of the shapes that space.physical computes
-        compile_only(_pass, *_arguments(model, data, space, physical, prior, _begin(), substeps))
+        _pass.prepare(*_arguments(model, data, space, physical, prior, _begin(), substeps))
     whitener, gain = (
         jnp.asarray(np.zeros((data.room, count, len(CHANNELS), data.experiments)))
         for count in (len(CHANNELS), len(model.states))
     )
-    compile_only(factor, unknowns, Arguments(model, data, space, whitener, gain, substeps))
+    factor.prepare(unknowns, Arguments(model, data, space, whitener, gain, substeps))
 
 
 def _begin() -> np.ndarray:

@@ -2,7 +2,6 @@
 
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -11,11 +10,12 @@ from estimators.core.data import Data
 from estimators.core.parameter_space import Space
 from estimators.core.residual import states_at_start
 from rtac_jax import RTAC
+from rtac_jax.programs import program
 from rtac_jax.simulation import Steps, advance
 from rtac_jax.time_loop import time_loop
 
 
-@eqx.filter_jit
+@program
 def predict_ahead(
     model: RTAC,
     data: Data,

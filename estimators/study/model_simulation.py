@@ -4,7 +4,6 @@ from collections import defaultdict
 from collections.abc import Hashable, Sequence
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -16,6 +15,7 @@ from estimators.output_error.fit_case import shape_of
 from rtac_jax import RTAC, Excitation
 from rtac_jax.excitation import BEYOND
 from rtac_jax.measurement import Experiment
+from rtac_jax.programs import program
 from rtac_jax.simulation import Steps, substeps_for, trajectories
 from rtac_jax.time_loop import room_for
 
@@ -83,7 +83,7 @@ def _columns(
     return excitation, start, np.repeat(values[:, None], len(job.experiments), axis=1)
 
 
-@eqx.filter_jit
+@program
 def _shown(
     model: RTAC,
     names: tuple[str, ...],

@@ -17,6 +17,7 @@ from rtac_jax.control._response import ClosedLoop
 from rtac_jax.control._units import Actuation, Units
 from rtac_jax.effects import Input
 from rtac_jax.excitation import Excitation
+from rtac_jax.programs import program
 from rtac_jax.simulation import advance, substeps_for
 
 _FINE = 5e-4  # s, step of a continuous controller
@@ -155,7 +156,7 @@ def closed_loop(
     )  # fmt: skip
 
 
-@eqx.filter_jit
+@program
 def _run(
     loop: _Loop,
     start: Float[Array, "4 plant"],

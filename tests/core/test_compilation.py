@@ -12,15 +12,16 @@ import jax.numpy as jnp
 import pytest
 
 import rtac_jax as rtac
-from estimators.core.compilation import Ahead, compile_only, make_room
+from estimators.core.compilation import Ahead, make_room
 from estimators.core.residual import triangular
 from estimators.core.threads import at_once
+from rtac_jax.programs import program
 
 
 def test_compiled_code_is_dropped_where_memory_maps_run_out(tmp_path: Path) -> None:
     traced = []
 
-    @jax.jit
+    @program
     def doubled(x: jax.Array) -> jax.Array:
         traced.append(1)
         return 2 * x
@@ -36,20 +37,6 @@ def test_compiled_code_is_dropped_where_memory_maps_run_out(tmp_path: Path) -> N
     doubled(jnp.ones(3))
     assert len(traced) == 2
     assert not make_room(tmp_path / "not Linux", allowed)
-
-
-def test_what_was_compiled_ahead_is_not_compiled_again() -> None:
-    traced = []
-
-    @jax.jit
-    def tripled(x: jax.Array) -> jax.Array:
-        traced.append(1)
-        return 3 * x
-
-    compile_only(tripled, jnp.ones(3))
-    assert len(traced) == 1
-    assert float(tripled(jnp.ones(3))[0]) == 3.0
-    assert len(traced) == 1
 
 
 def test_compiled_code_is_kept_where_the_environment_says() -> None:

@@ -3,7 +3,6 @@
 import dataclasses
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -105,7 +104,7 @@ def test_what_was_measured_of_constants_counts_in_both(monkeypatch):
     assert whole.shape[-1] == factors(exact, dataclasses.replace(found, rig_std={}), monkeypatch)[0].shape[-1] + 1
 
 
-def test_a_step_of_a_fit_factors_what_is_long_by_pieces(monkeypatch):
+def test_a_step_of_a_fit_factors_what_is_long_by_pieces(monkeypatch, compile_anew):
     """XLA's fusion once failed to compile the pieces inside the compiled step."""
     found = recording()
     model, data = model_with(found), Data.of(found.experiments)
@@ -115,9 +114,8 @@ def test_a_step_of_a_fit_factors_what_is_long_by_pieces(monkeypatch):
     whole = np.asarray(factor(unknowns, given))
     for name, value in {"LONG": 1, "PIECE": 64, "LEAST_PIECE": 64, "SIDE_BY_SIDE": 3 * 2 * 64}.items():
         monkeypatch.setattr(module, name, value)
-    jax.clear_caches()  # or what is compiled already would run again
+    compile_anew()  # or what is compiled already would run again
     pieces = np.asarray(factor(unknowns, given))
-    jax.clear_caches()  # of what was compiled for short pieces
     size = np.linalg.norm(whole, axis=-1, keepdims=True)
     np.testing.assert_allclose(pieces / size, whole / size, atol=1e-11)
 

@@ -1,6 +1,5 @@
 """A long experiment without an encoder: from its beginning on, by pieces, to the parameters of the rig."""
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -29,12 +28,12 @@ def recording():
 
 
 @pytest.mark.slow
-def test_a_long_experiment_is_fitted_as_the_whole_of_it(recording, monkeypatch):
+def test_a_long_experiment_is_fitted_as_the_whole_of_it(recording, monkeypatch, compile_anew):
     model = RTAC.from_rig(recording)
     by_pieces = est.output_error(model, recording, starts=1, progress=False)
     monkeypatch.setattr(module, "FIRST", 10 * SAMPLES)
     monkeypatch.setattr(piecewise_triangle, "LONG", 10 * SAMPLES)
-    jax.clear_caches()  # or what is compiled already would run again
+    compile_anew()  # or what is compiled already would run again
     whole = est.output_error(model, recording, starts=1, progress=False)
     for name, parameter in by_pieces.parameters.items():
         other = whole.parameters[name]

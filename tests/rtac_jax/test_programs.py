@@ -239,7 +239,10 @@ def test_a_fingerprint_tells_apart_what_tracing_tells_apart() -> None:
     assert fingerprint(frozenset("abc"), known) == fingerprint(frozenset("cab"), known)
 
 
-@pytest.mark.parametrize("value", [Own(1.0), Own, lambda: 1, object(), np.sin, Path], ids=str)
+UNSEEN = {"own": Own(1.0), "class": Own, "lambda": lambda: 1, "object": object(), "ufunc": np.sin, "path": Path}
+
+
+@pytest.mark.parametrize("value", UNSEEN.values(), ids=UNSEEN)
 def test_what_may_change_unseen_has_no_fingerprint(value) -> None:
     with pytest.raises(NoFingerprintError):
         fingerprint(value, ("rtac_jax",))

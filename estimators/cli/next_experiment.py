@@ -67,7 +67,7 @@ def next_experiment(
         planned = est.next_experiment(
             base, work.train, found, between=None if between is None else [name.strip() for name in between.split(",")],
             candidates=candidates, travel=1e-3 * travel, torque_limit=torque_limit, speed_limit=speed_limit,
-            current_limit=current_limit, duration=duration, progress=progress(),
+            current_limit=current_limit, duration=duration, held_out=work.held_out, progress=progress(),
         )  # fmt: skip
         if play is not None:
             planned.save(play)

@@ -15,7 +15,9 @@ def plan_next(work: Job, base: Any, found: Any, candidates: Any) -> Any:
     import estimators as est
 
     try:
-        return est.next_experiment(base, work.train, found, candidates=candidates, progress=progress())
+        return est.next_experiment(
+            base, work.train, found, candidates=candidates, held_out=work.held_out, progress=progress()
+        )
     except (ValueError, FloatingPointError) as error:
         work.note(f"No next experiment could be planned: {error}")
         return None

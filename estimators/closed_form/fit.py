@@ -10,6 +10,7 @@ from estimators.closed_form.modulating_functions import integrated_terms
 from estimators.closed_form.regressors import Terms, automatic_cutoff, sampled_terms
 from estimators.closed_form.table1 import ClosedForm, ClosedFormOptions
 from estimators.closed_form.two_stage import Estimates, Weighting, forced_stage, free_stage
+from estimators.closed_form.unknown_scale import scale_stage, unknown_scales
 from estimators.core.sensor_noise import noise_levels
 from rtac_jax import RTAC
 from rtac_jax.measurement import Experiment, Recording
@@ -145,10 +146,18 @@ def closed_form(
         model, ratios, estimates = free_stage(
             model, free, pushed=pushed, reaction=options.reaction, acceleration=options.weak
         )
-        model, more = forced_stage(
-            model, forced, weighting=options.weighting, alone=not ratios, instruments=options.instruments
-        )
-    return ClosedForm(model.release(*uncertain), ratios, estimates | more, used, skipped, options)
+        scales = unknown_scales(model, pushed=pushed)
+        if len(scales) == 1:
+            model, more = scale_stage(
+                model, forced, estimates, unknown=scales[0], alone=not ratios, instruments=options.instruments
+            )
+        else:
+            model, more = forced_stage(
+                model, forced, weighting=options.weighting, alone=not ratios, instruments=options.instruments
+            )
+    assumed = tuple(name for name in scales if len(scales) > 1 or name not in more)
+    told = {name: found for name, found in (estimates | more).items() if name not in assumed}
+    return ClosedForm(model.release(*uncertain), ratios, told, used, skipped, options, assumed=assumed)
 
 
 def with_constants(found: ClosedForm, experiments: Sequence[Experiment], levels: Mapping[str, float]) -> ClosedForm:

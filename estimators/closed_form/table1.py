@@ -64,6 +64,7 @@ class ClosedForm:
         options: how the estimates were made.
         weak: the estimates of the weak form from the same recording, where these are of filtered measurements: for
             comparison, as noise in the regressors biases v and d of these.
+        assumed: which of total mass and arm inertia is the model's own value, since nothing that was measured tells it.
     """
 
     model: RTAC
@@ -73,6 +74,7 @@ class ClosedForm:
     skipped: Mapping[str, str]
     options: ClosedFormOptions
     weak: "ClosedForm | None" = None
+    assumed: tuple[str, ...] = ()
 
     @property
     def consistent(self) -> bool:
@@ -112,7 +114,9 @@ def table_1(found: ClosedForm) -> str:
         declared = found.model.parameters[name]
         rows.append([title, declared.symbol, f"{float(np.mean(np.asarray(found.model[name]))):.5g}", declared.unit])
     parts.append(f"(c) parameters of the rig\n{_table(rows)}")
-    return "\n\n".join([*parts, *_disregarded(found), *_taken_as_known(found), *_bias(found), _rule(found)])
+    return "\n\n".join(
+        [*parts, *_disregarded(found), *_assumed(found), *_taken_as_known(found), *_bias(found), _rule(found)]
+    )
 
 
 def _disregarded(found: ClosedForm) -> list[str]:
@@ -136,6 +140,26 @@ def _taken_as_known(found: ClosedForm) -> list[str]:
         f"me is taken as {value:.4g} kg m, since no forced experiment tells it. An error in it shifts the stiffness of all "
         "experiments alike, which their scatter, and so the standard deviation, does not show."
     ]
+
+
+_IN_PROPORTION = {
+    "total_mass": ("spring_stiffness", "cart_viscous.coefficient", "cart_coulomb.level"),
+    "arm_inertia": ("eccentric_moment", "torque_constant", "arm_viscous.positive", "arm_viscous.negative"),
+}
+
+
+def _assumed(found: ClosedForm) -> list[str]:
+    """Say which constant is nothing but the model's own value, and what is wrong by the same factor."""
+    said = []
+    for name in found.assumed:
+        value, declared = float(np.mean(np.asarray(found.model[name]))), found.model.parameters[name]
+        scaled = [found.model.parameters[n].symbol for n in _IN_PROPORTION[name] if n in found.estimates]
+        wrong = f" {', '.join(scaled)} are in proportion to it, and wrong by as much as it is." if scaled else ""
+        said.append(
+            f"{declared.symbol} is not estimated: {value:.4g} {declared.unit} is the value that the model began with, as neither a "
+            f"constant of the rig nor the motion of cart and arm together tells it.{wrong} Give {name}, if you know it."
+        )
+    return said
 
 
 _IN_EQUATIONS = ("cart_viscous", "cart_coulomb", "arm_viscous")

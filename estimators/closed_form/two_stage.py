@@ -17,22 +17,22 @@ System = tuple[np.ndarray, np.ndarray, np.ndarray]
 RATIOS = {"total_mass": "(M+m)/k", "cart_viscous.coefficient": "v/k", "cart_coulomb.level": "d/k"}
 _UNITS = {"total_mass": "s^2", "cart_viscous.coefficient": "s", "cart_coulomb.level": "m"}
 # Parameter and the term of the equation that it multiplies.
-_CART = {
+CART = {
     "total_mass": "mass",
     "cart_viscous.coefficient": "viscous",
     "cart_coulomb.level": "dry",
     "spring_stiffness": "spring",
     "eccentric_moment": "swing",
 }
-_ARM = {
+ARM = {
     "arm_inertia": "inertia",
     "eccentric_moment": "reaction",
     "torque_constant": "current",
     "arm_viscous.positive": "positive",
     "arm_viscous.negative": "negative",
 }
-_FORCED = ("eccentric_moment", "torque_constant", "arm_viscous.positive", "arm_viscous.negative")
-_OF_CART = ("spring_stiffness", "cart_viscous.coefficient", "cart_coulomb.level")
+FORCED = ("eccentric_moment", "torque_constant", "arm_viscous.positive", "arm_viscous.negative")
+OF_CART = ("spring_stiffness", "cart_viscous.coefficient", "cart_coulomb.level")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -84,7 +84,7 @@ def free_stage(
     moment, mass, stiffness = (_value(model, n) for n in ("eccentric_moment", "total_mass", "spring_stiffness"))
 
     def system(s: Terms) -> System:
-        columns = {name: s.cart[_CART[name]] for name in names}
+        columns = {name: s.cart[CART[name]] for name in names}
         target = s.cart["force"] if pushed else -s.cart["spring"]
         if reaction and s.arm_free and s.has_arm:
             target = target - (moment if pushed else moment / stiffness) * s.cart["swing"]
@@ -117,10 +117,10 @@ def free_stage(
             ratio = np.column_stack([1.0 / everything[:, 0], everything[:, 1:] / everything[:, :1]])
         known = "spring_stiffness" in model.fixed and "total_mass" not in model.fixed
         each_k = np.full(len(ratio), stiffness) if known else mass / ratio[:, 0]
-    ratios = {RATIOS[n]: _summary(labels, ratio[:, i], _UNITS[n]) for i, n in enumerate(names)}
-    estimates = {"spring_stiffness": _summary(labels, each_k, "N/m")}
+    ratios = {RATIOS[n]: summary(labels, ratio[:, i], _UNITS[n]) for i, n in enumerate(names)}
+    estimates = {"spring_stiffness": summary(labels, each_k, "N/m")}
     for i, name in enumerate(names):
-        estimates[name] = _summary(labels, ratio[:, i] * each_k, model.parameters[name].unit)
+        estimates[name] = summary(labels, ratio[:, i] * each_k, model.parameters[name].unit)
     estimates = {name: found for name, found in estimates.items() if name in model.free}
     return placed(model, estimates), ratios, estimates
 
@@ -138,28 +138,17 @@ def forced_stage(
         instruments: for the arm's friction the arm's velocity of before. A random torque drives the velocity that it
             disturbs, which lets the friction look smaller.
     """
-    names = [n for n in (*_FORCED, *(_OF_CART if alone else ())) if n in model.free]
+    names = [n for n in (*FORCED, *(OF_CART if alone else ())) if n in model.free]
     if not ready or not names:
         return model, {}
     value = {name: _value(model, name) for name in model.parameters}
 
-    def rows(
-        terms: Mapping[str, np.ndarray], which: Mapping[str, str], target: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        matrix = np.zeros((len(target), len(names)))
-        for name, term in which.items():
-            column = -terms[term] if name == "torque_constant" else terms[term]
-            if name in names:
-                matrix[:, names.index(name)] = column
-            elif name in value:
-                target = target - value[name] * column
-        return matrix, target
-
     systems = []
     for s in ready:
-        parts = [_with_earlier(*rows(s.arm, _ARM, np.zeros(len(s.arm["inertia"]))), names, s.lag if instruments else 0)]
-        if np.any(s.cart["spring"]) and np.any(s.sliding):  # a cart that never slides says nothing of its motion
-            matrix, target = rows(s.cart, _CART, s.cart["force"])
+        matrix, target = rows_of(s.arm, ARM, names, value, np.zeros(len(s.arm["inertia"])))
+        parts = [with_earlier(matrix, target, names, s.lag if instruments else 0)]
+        if tells_of_cart(s):
+            matrix, target = rows_of(s.cart, CART, names, value, s.cart["force"])
             parts.insert(0, (matrix[s.sliding], target[s.sliding], matrix[s.sliding]))
         systems.append(parts)
 
@@ -184,11 +173,34 @@ def forced_stage(
     found, pooled = solve_each(stacked(weights))
     labels = tuple(s.name for s in ready)
     everything = np.vstack([found, pooled])
-    estimates = {n: _summary(labels, everything[:, i], model.parameters[n].unit) for i, n in enumerate(names)}
+    estimates = {n: summary(labels, everything[:, i], model.parameters[n].unit) for i, n in enumerate(names)}
     return placed(model, estimates), estimates
 
 
-def _with_earlier(matrix: np.ndarray, target: np.ndarray, names: Sequence[str], lag: int) -> System:
+def rows_of(
+    terms: Mapping[str, np.ndarray],
+    which: Mapping[str, str],
+    names: Sequence[str],
+    known: Mapping[str, float],
+    target: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the regressors of the named parameters in one equation, and its target less what the known ones explain."""
+    matrix = np.zeros((len(target), len(names)))
+    for name, term in which.items():
+        column = -terms[term] if name == "torque_constant" else terms[term]
+        if name in names:
+            matrix[:, names.index(name)] = column
+        elif name in known:
+            target = target - known[name] * column
+    return matrix, target
+
+
+def tells_of_cart(terms: Terms) -> bool:
+    """Return whether the cart's equation says anything: a cart that never slides says nothing of its motion."""
+    return bool(np.any(terms.cart["spring"]) and np.any(terms.sliding))
+
+
+def with_earlier(matrix: np.ndarray, target: np.ndarray, names: Sequence[str], lag: int) -> System:
     """Return a system whose instruments hold the arm's velocity of `lag` rows before, which no row integrates over."""
     instruments = matrix.copy()
     if lag == 0 or lag >= len(matrix):
@@ -218,7 +230,7 @@ def _value(model: RTAC, name: str) -> float:
     return float(np.mean(np.asarray(model[name])))
 
 
-def _summary(names: tuple[str, ...], values: np.ndarray, unit: str) -> Estimates:
+def summary(names: tuple[str, ...], values: np.ndarray, unit: str) -> Estimates:
     """Summarise the values of each experiment and, last, of all stacked."""
     each = np.asarray(values[:-1])
     std = float(np.std(each, ddof=1) / np.sqrt(len(each))) if len(each) > 1 else float("nan")
@@ -232,7 +244,7 @@ def placed(model: RTAC, estimates: Mapping[str, Estimates]) -> RTAC:
         lower, upper = model.parameters[name].bounds
         best = found.pooled
         before = _value(model, name)
-        if not np.isfinite(best) or (name in {"total_mass", "spring_stiffness"} and best <= 0):
+        if not np.isfinite(best) or (name in {"total_mass", "arm_inertia", "spring_stiffness"} and best <= 0):
             best = before
         values[name] = float(np.clip(best, lower if np.isfinite(lower) else -np.inf, upper))
     if values.get("eccentric_moment") == 0.0:

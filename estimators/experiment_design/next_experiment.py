@@ -66,6 +66,7 @@ class NextExperiment:
         ranked: experiments within the limits, best first.
         refused: why the others are not among them.
         recording: the recommended experiment as a file to play: its inputs, and as outputs what the model predicts.
+        held_out: smallest separation by the recording and each experiment that was held out of it, by name.
     """
 
     effects: tuple[str, ...]
@@ -73,6 +74,14 @@ class NextExperiment:
     ranked: tuple[PlannedExperiment, ...]
     refused: tuple[str, ...]
     recording: Recording
+    held_out: Mapping[str, float] = dataclasses.field(default_factory=dict)
+
+    @property
+    def deciding(self) -> tuple[str, ...]:
+        """Return the experiments that were held out and would tell the effects apart, had they been fitted."""
+        if min(self.already.values()) >= CONFUSABLE:
+            return ()
+        return tuple(name for name, separation in self.held_out.items() if separation >= CONFUSABLE)
 
     @property
     def best(self) -> PlannedExperiment:
@@ -123,6 +132,7 @@ class NextExperiment:
             "travel": self.best.travel,
             "torque": self.best.torque,
             "arm_speed": self.best.speed,
+            "held_out": dict(self.held_out),
             "ranked": [{"name": one.plan.name, "smallest_separation": one.smallest} for one in self.ranked[:most]],
         }
 
@@ -143,6 +153,14 @@ class NextExperiment:
             lines.append(
                 "No experiment that was tried tells these apart; record it several times, or widen the limits."
             )
+        if self.deciding:
+            names = " and ".join(f"{name} ({self.held_out[name]:.3g})" for name in self.deciding)
+            lines.append(
+                f"It may not be needed: of what was held out, {names} would tell these apart if it were fitted. Hold out others "
+                "(validation, --validation)."
+            )
+        if max(one.smallest for one in self.ranked) > best.smallest:
+            lines.append(f"Of experiments that add more than {ENOUGH:g} the gentlest for the rig comes first.")
         wide = max(10, *(len(one.plan.name) for one in self.ranked))
         lines += ["", f"{'experiment':{wide}s} {'separation':>11s} {'travel':>9s} {'torque':>11s} {'arm speed':>11s}"]
         lines += [
@@ -170,6 +188,7 @@ def next_experiment(
     speed_limit: float = 55.0,
     current_limit: float | None = None,
     duration: float | None = None,
+    held_out: Recording | None = None,
     progress: bool = True,
     menu: Sequence[Plan] | None = None,
 ) -> NextExperiment:
@@ -197,6 +216,7 @@ def next_experiment(
         speed_limit: largest speed of the arm [rad/s].
         current_limit: largest current of the amplifier [A]; by default the torque alone limits it.
         duration: of the experiments of the default candidate set [s]; by default as the longest of the recording, at most 20 s.
+        held_out: experiments that were not fitted, of which one may tell the effects apart already.
         progress: show a bar.
         menu: old name of `plans`.
 
@@ -219,7 +239,7 @@ def next_experiment(
     if plans is None:
         longest = min(max(e.samples * e.sample_time for e in experiments), 20.0)
         plans = default_plans(contest.truth, limits, sample_time=interval, duration=duration or longest)
-        taken = {e.name for e in recording.experiments}
+        taken = {e.name for part in (recording, held_out) if part is not None for e in part.experiments}
         plans = [dataclasses.replace(p, name=f"{p.name}, once more") if p.name in taken else p for p in plans]
     _require_plans(plans, [e.name for e in experiments])
     possible = feasible(contest.truth, plans, limits, lower=not own)
@@ -227,11 +247,13 @@ def next_experiment(
         raise ValueError("plans: no experiment keeps to the limits: " + "; ".join(possible.refused[:3]) + ".")
     channels = [c for c in OUTPUTS if any(c in e.outputs for e in experiments)]
     planned = [predicted(plan, shown, channels) for plan, shown in zip(possible.plans, possible.shown, strict=True)]
-    already, with_each = separations(contest, experiments, possible.plans, planned)
+    spared = [] if held_out is None else [e for e in held_out.experiments if e.kind != "rest"]
+    already, with_each = separations(contest, experiments, possible.plans, [*planned, *spared])
+    with_spared = with_each[len(planned) :]
     gain = float(np.asarray(contest.truth["torque_constant"]))
     largest = limits.largest_current(gain)
     ranked = []
-    for plan, shown, separation in zip(possible.plans, possible.shown, with_each, strict=True):
+    for plan, shown, separation in zip(possible.plans, possible.shown, with_each[: len(planned)], strict=True):
         reach, speed = (float(np.max(np.abs(shown.states[x]))) for x in ("cart_position", "arm_velocity"))
         current = 0.0 if plan.current is None else float(np.max(np.abs(plan.current)))
         effort = max(reach / travel, current / largest, speed / speed_limit)
@@ -247,7 +269,8 @@ def next_experiment(
         f"{1e3 * ranked[0].plan.initial_position:.4g} mm and the arm at {ranked[0].plan.initial_angle:.4g} rad."
     )
     playable = Recording((best,), recording.rig, recording.rig_name, comment)
-    return NextExperiment(contest.effects, already, tuple(ranked), possible.refused, playable)
+    by_spared = {e.name: min(one.values()) for e, one in zip(spared, with_spared, strict=True)}
+    return NextExperiment(contest.effects, already, tuple(ranked), possible.refused, playable, by_spared)
 
 
 def _require_plans(plans: Sequence[Plan], taken: Sequence[str]) -> None:

@@ -96,6 +96,28 @@ def test_the_separation_that_is_predicted_is_the_one_that_is_recorded(delayed: C
     assert 0.5 < planned.separation["input_delay", "current_lag"] / shown < 2.0
 
 
+def test_an_experiment_that_was_held_out_and_would_decide_is_named(delayed: Case) -> None:
+    """The recommended experiment, recorded and then held out, as `Recording.split` may do; and one that says nothing."""
+    plans = [
+        delayed.next.plan,
+        dataclasses.replace(virtual_rig.standard_plans(seed=5, free=1, forced=0)[0], name="decay"),
+    ]
+    spared = virtual_rig.record(delayed.rig, plans, seed=1003)
+    fit, found, few = delayed.fit, delayed.found, [delayed.next.plan]
+    again = [dataclasses.replace(plan, name="again") for plan in few]
+    planned = est.next_experiment(fit, delayed.recording, found, plans=again, held_out=spared, progress=False)
+    assert planned.deciding == (delayed.next.plan.name,)
+    assert planned.held_out[delayed.next.plan.name] == pytest.approx(planned.best.smallest, rel=0.3)
+    assert f"of what was held out, {delayed.next.plan.name} (" in str(planned)
+    assert planned.as_dict()["held_out"] == planned.held_out
+    assert "held out" not in str(delayed.next)
+
+
+def test_of_several_that_decide_the_gentlest_is_said_to_come_first(delayed: Case) -> None:
+    largest = max(one.smallest for one in delayed.next.ranked)
+    assert ("gentlest" in str(delayed.next)) == (largest > delayed.next.best.smallest)
+
+
 def test_every_experiment_of_the_menu_keeps_to_the_limits_on_the_rig(delayed: Case) -> None:
     # As good as silent: a record in which a sensor shows nothing at all would be refused.
     silent = dataclasses.replace(delayed.rig, position_noise=1e-9, velocity_noise=1e-9, quantisation_bits=None)

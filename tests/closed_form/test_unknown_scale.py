@@ -1,0 +1,102 @@
+"""The closed form where only one of total mass and arm inertia was measured, or neither: the rig's own scale, or a plain word."""
+
+import dataclasses
+
+import pytest
+
+import estimators as est
+from rtac_jax import RTAC, virtual_rig
+
+RIG = dataclasses.replace(
+    virtual_rig.Rig(),
+    arm_inertia=1.9e-4,
+    eccentric_moment=2e-3,
+    total_mass=1.9,
+    spring_stiffness=210.0,
+    torque_constant=0.065,
+)
+TRUTH = {
+    "total_mass": RIG.total_mass,
+    "arm_inertia": RIG.arm_inertia,
+    "spring_stiffness": RIG.spring_stiffness,
+    "eccentric_moment": RIG.eccentric_moment,
+    "torque_constant": RIG.torque_constant,
+    "arm_viscous.positive": RIG.arm_viscous_positive,
+    "arm_viscous.negative": RIG.arm_viscous_negative,
+}
+
+
+@pytest.fixture(scope="module")
+def recording():
+    plans = virtual_rig.standard_plans(seed=1, duration=5.0, free=3, forced=5)
+    return virtual_rig.record(RIG, plans, seed=2)
+
+
+def estimated(recording, known, *, fixed=(), **options):
+    """Estimate with these constants alone; what is fixed beside them is known, too."""
+    told = dataclasses.replace(recording, rig=known)
+    model = RTAC.from_rig(told)
+    model = model.with_values({name: TRUTH[name] for name in fixed}).fix(*fixed)
+    return est.least_squares(model, told, **options)
+
+
+@pytest.mark.parametrize("known", ["total_mass", "arm_inertia"])
+def test_what_one_constant_leaves_open_the_coupling_tells(recording, known) -> None:
+    found = estimated(recording, {known: TRUTH[known]}, weak=True)
+    assert found.assumed == ()
+    for name, true in TRUTH.items():
+        if name == known:
+            continue
+        estimate = found.estimates[name]
+        assert abs(estimate.value - true) < 4.5 * estimate.std, name
+        assert estimate.std < 0.02 * true, name
+    assert "is not estimated" not in str(found)
+    filtered = estimated(recording, {known: TRUTH[known]})
+    for name in ("torque_constant", "spring_stiffness"):
+        assert filtered.estimates[name].value == pytest.approx(TRUTH[name], rel=0.03)
+    assert filtered.weak is not None
+    assert filtered.weak.estimates["torque_constant"].value == found.estimates["torque_constant"].value
+
+
+@pytest.mark.parametrize(
+    ("known", "fixed"),
+    [("total_mass", "eccentric_moment"), ("arm_inertia", "eccentric_moment"), ("total_mass", "torque_constant")],
+)
+def test_a_known_product_me_or_motor_serves_as_well(recording, known, fixed) -> None:
+    found = estimated(recording, {known: TRUTH[known]}, fixed=[fixed], weak=True)
+    other = "arm_inertia" if known == "total_mass" else "total_mass"
+    assert found.estimates[other].value == pytest.approx(TRUTH[other], rel=0.02)
+    assert fixed not in found.estimates
+
+
+def test_where_the_stiffness_or_the_motor_is_known_nothing_is_left_open(recording) -> None:
+    by_spring = estimated(recording, {"arm_inertia": TRUTH["arm_inertia"]}, fixed=["spring_stiffness"], weak=True)
+    assert by_spring.assumed == ()
+    assert by_spring.estimates["total_mass"].value == pytest.approx(RIG.total_mass, rel=0.01)
+
+
+def test_without_a_constant_the_printout_says_what_is_nothing_but_the_models_value(recording) -> None:
+    found = estimated(recording, {}, weak=True)
+    assert found.assumed == ("total_mass", "arm_inertia")
+    assert not {"total_mass", "arm_inertia"} & set(found.estimates)
+    text = str(found)
+    assert "M+m is not estimated: 1.23 kg is the value that the model began with" in text
+    assert "k, v, d are in proportion to it" in text
+    assert "me, K_m, K_v1, K_v2 are in proportion to it" in text
+
+
+def test_free_decays_alone_do_not_tell_the_arms_inertia(recording) -> None:
+    free = recording.select([e.name for e in recording if e.kind != "forced"])
+    found = estimated(free, {"total_mass": RIG.total_mass}, weak=True)
+    assert found.assumed == ("arm_inertia",)
+    assert "I+me^2 is not estimated" in str(found)
+    assert found.estimates["spring_stiffness"].value == pytest.approx(RIG.spring_stiffness, rel=0.01)
+
+
+def test_the_first_start_of_a_fit_knows_the_scale(recording) -> None:
+    from estimators.closed_form.fit import starting_values
+
+    told = dataclasses.replace(recording, rig={"total_mass": RIG.total_mass})
+    start = starting_values(RTAC.from_rig(told), told)
+    assert float(start["arm_inertia"]) == pytest.approx(RIG.arm_inertia, rel=0.05)
+    assert float(start["torque_constant"]) == pytest.approx(RIG.torque_constant, rel=0.05)

@@ -9,6 +9,7 @@ Exit status after a signal, as shells have it: 130 after Ctrl-C (SIGINT), 143 af
 
 import contextlib
 import io
+import logging
 import os
 import signal
 import sys
@@ -25,6 +26,8 @@ def main() -> None:
     """Run the command line."""
     answer_signals()
     outlive_closed_pipes()
+    # Where there is no home it takes a temporary folder, which harms nothing here and is worth no word.
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)
     from estimators.cli import main as command  # after the above: it takes seconds
 
     command()

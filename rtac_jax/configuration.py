@@ -76,7 +76,7 @@ def require_platform() -> None:
     try:
         jax.devices()
     except Exception as error:  # RuntimeError, or an AssertionError without a word where a driver is absent
-        said = (str(error).splitlines() or [type(error).__name__])[0]
+        said = (str(error).splitlines() or ["there is no such device, or its driver or plugin is missing"])[0]
         said = said.partition(" (set JAX_PLATFORMS")[0].rstrip(".")
         raise RuntimeError(
             f"JAX_PLATFORMS is {asked!r}, and JAX cannot start ({said}); set JAX_PLATFORMS=cpu, or leave it unset."

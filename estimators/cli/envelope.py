@@ -1,6 +1,7 @@
 """`rtac envelope`: one linear model and an uncertainty weight for many operating conditions."""
 
 from enum import StrEnum
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -8,7 +9,8 @@ import typer
 from estimators.cli.captions import shown
 from estimators.cli.conditions import Band, WeightOrder, band_of, enveloped, sides
 from estimators.cli.job import Job, job
-from estimators.cli.options import File, Json, Out, Save, Validation
+from estimators.cli.models import model_or_fit
+from estimators.cli.options import Effects, File, Json, Model, Out, Save, Validation
 
 
 class Kind(StrEnum):
@@ -52,6 +54,8 @@ def envelope(
     ] = Least.MEAN,
     band: Band = None,
     validation: Validation = None,
+    model: Model = None,
+    effects: Effects = None,
     save: Save = None,
     out: Out = None,
     json: Json = None,
@@ -66,7 +70,7 @@ def envelope(
         conditions, sources = texts.conditions_table(found, used.responses), texts.sources_table(found)
         models, said = texts.models_table(found), texts.remarks(found, used)
         linear = [] if used.models is None else texts.models_said(used.models)
-        check, fitted, beside = _closed_form(work, found, used)
+        check, fitted, beside = _closed_form(work, found, used) if model is None else _of_file(found, model, effects)
         work.save(found, save)
         work.say(found, *beside, *said[1:], *linear, conditions, sources)  # the envelope states its coverage itself
         work.write_json(texts.envelope_dict(found, used, seconds=work.seconds, closed_form=check, fitted=fitted))
@@ -99,6 +103,19 @@ def envelope(
             sections.insert(2, ("Linear models of the conditions", [*linear, *pictured]))
         bullets = of_envelope(found, [] if fitted is None or fitted.agrees else beside, file=work.file)
         work.write_report(f"Envelope of {work.file}", figures, sections, split=sides(found), summary=bullets)
+
+
+def _of_file(found: Any, path: Path, effects: Path | None) -> tuple[None, Any, list[str]]:
+    """Return the fitted model of a file beside an envelope, and what is to be said of both; in place of `_closed_form`."""
+    from estimators.uncertainty.fitted_model import fitted_in_envelope
+    from rtac_jax import RTAC
+
+    held = model_or_fit(path, effects)
+    try:
+        fitted = fitted_in_envelope(held if isinstance(held, RTAC) else held.model, found)
+    except (ValueError, ArithmeticError) as error:
+        return None, None, [f"The model of {path.name} cannot be held against the envelope: {error}"]
+    return None, fitted, fitted.sentences()
 
 
 def _closed_form(work: Job, found: Any, used: Any) -> tuple[Any, Any, list[str]]:

@@ -2,6 +2,8 @@
 
 import errno
 import os
+import warnings
+from typing import Any
 
 import typer
 
@@ -35,3 +37,23 @@ def note_cache(configured: str) -> None:
 
     if NO_CACHE in configured:  # which comes last
         typer.echo(f"rtac: {configured[configured.index(NO_CACHE) :]}", err=True)
+
+
+def say_once_that_the_cache_is_full() -> None:
+    """Say on stderr, once, what JAX would warn of at every function that it compiles."""
+    show, said = warnings.showwarning, set[str]()
+
+    def shown(message: Any, *others: Any, **more: Any) -> None:
+        text = str(message)
+        if "persistent compilation cache entry" not in text:
+            show(message, *others, **more)
+        elif not said:
+            said.add(text)
+            why = text.rpartition(": ")[2].partition("] ")[2] or text
+            typer.echo(
+                f"rtac: compiled code cannot be kept ({why}), so every run compiles anew; make room, or let "
+                "JAX_COMPILATION_CACHE_DIR name another folder.",
+                err=True,
+            )
+
+    warnings.showwarning = shown

@@ -46,14 +46,16 @@ def fit(
 
         start = start_model(work, model, effects)
         closed = est.least_squares(start, work.train, weak=True)
+        longest = max(e.samples for e in work.train)
+        minutes = {"samples": longest, "minutes": _MINUTES * longest / 1e5}
+        if longest >= _TOO_LONG:
+            work.note(_LEFT_OUT.format(**minutes))
+            typer.echo(f"rtac: {_LEFT_OUT.format(**minutes)}", err=True)
+        elif longest >= LONG:
+            typer.echo(_SLOWLY.format(**minutes), err=True)
         found = work.fitted(start, from_model=model is not None, robust=robust)
         predicted, agreed = None, None
-        longest = max(e.samples for e in work.train)
-        if longest >= _TOO_LONG:
-            work.note(_LEFT_OUT.format(samples=longest, minutes=_MINUTES * longest / 1e5))
-        else:
-            if longest >= LONG:
-                typer.echo(_SLOWLY.format(samples=longest, minutes=_MINUTES * longest / 1e5), err=True)
+        if longest < _TOO_LONG:
             predicted, agreed = _side_by_side(work, closed, found)
         spread = est.covariances(found, work.train)
         trained, tested = work.compared(found)

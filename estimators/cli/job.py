@@ -16,7 +16,7 @@ from typing import Any, NoReturn
 
 import typer
 
-from estimators.cli.environment import note_cache, reason
+from estimators.cli.environment import note_cache, reason, say_once_that_the_cache_is_full
 
 NOT_POSSIBLE, WRONG_USE, INTERRUPTED = 1, 2, 130
 
@@ -302,6 +302,7 @@ def prepare() -> None:
     import rtac_jax
 
     matplotlib.use("Agg")
+    say_once_that_the_cache_is_full()
     try:
         note_cache(rtac_jax.configure())
     except RuntimeError as error:
@@ -384,6 +385,7 @@ def _names(recording: Any, validation: str | None) -> list[str] | None:
 
 def _split(recording: Any, names: list[str] | None) -> tuple[Any, Any, str]:
     """Return train, validation or None, and why nothing could be held out."""
+    from estimators.core.data import moving
     from rtac_jax.measurement import RecordingError
 
     try:
@@ -391,4 +393,5 @@ def _split(recording: Any, names: list[str] | None) -> tuple[Any, Any, str]:
     except RecordingError as error:
         if names is not None:
             raise
+        moving(recording)  # or no experiment can be cut in two
         return recording, None, str(error)

@@ -18,7 +18,7 @@ Validation = Annotated[
 ]
 Effects = Annotated[
     Path | None,
-    option("FILE.py", "Effects of your own: every class of effects in this file is looked for beside the catalogue."),
+    option("FILE.py", "Effects of your own: every class of effects in this file stands beside the catalogue."),
 ]
 Out = Annotated[Path | None, option("DIR", "Folder for report.html and the figures.")]
 Model = Annotated[
@@ -27,7 +27,10 @@ Model = Annotated[
 ]
 Save = Annotated[
     Path | None,
-    option("FILE.h5", "Keep the result, for est.load and --model."),
+    option(
+        "FILE.h5",
+        "Keep the result, for est.load; a fit or an improvement also for --model, a diagnosis for --diagnosis.",
+    ),
 ]
 Quick = Annotated[
     bool, typer.Option("--quick", help="Do not look again, for minutes, where the verdict would be unknown.")

@@ -6,11 +6,14 @@ import numpy as np
 from jaxtyping import Complex128, Float64
 
 from estimators.closed_form.fit import least_squares
+from estimators.closed_form.table1 import CONSISTENT
 from estimators.frequency_response.response import FrequencyResponses
 from estimators.uncertainty.envelope import Envelope
 from estimators.uncertainty.uncertainty_structures import errors
 from rtac_jax import RTAC, linearise
 from rtac_jax.measurement import Recording
+
+_IN_RESPONSE = ("eccentric_moment", "torque_constant", "spring_stiffness")
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +67,7 @@ def closed_form_check(recording: Recording, found: Envelope, responses: Frequenc
         responses: that it covers.
 
     Raises:
-        ValueError: the closed form cannot be made from this recording, or has no linearisation.
+        ValueError: the closed form cannot be made from this recording, is not consistent, or has no linearisation.
     """
     model = RTAC.from_rig(recording)
     closed = least_squares(model, recording, weak=True)
@@ -72,6 +75,16 @@ def closed_form_check(recording: Recording, found: Envelope, responses: Frequenc
     if missing:
         reasons = f" ({next(iter(closed.skipped.values()))})" if closed.skipped else ""
         raise ValueError(f"no experiment shows {', '.join(missing)} in closed form{reasons}")
+    loose = [
+        f"{n} {100 * e.consistency:.0f} %"
+        for n, e in closed.estimates.items()
+        if n in _IN_RESPONSE and e.consistency >= CONSISTENT
+    ]
+    if loose:
+        raise ValueError(
+            f"its estimates scatter over the experiments by more than 30 % of their means ({', '.join(loose)}), as where dry "
+            "friction holds the cart; hold a fitted model against the envelope instead (--model)"
+        )
     system = linearise(closed.model, drive="current")
     response = np.asarray(system(1j * found.frequency))[0, 0]
     needed = np.abs(errors(response[None], found.nominal_response(), found.kind))[0] / found.weight_magnitude()

@@ -16,6 +16,12 @@ Curve = Float64[np.ndarray, " frequency"]
 Response = Callable[[Curve], Complex128[np.ndarray, " frequency"]]
 
 _FAR = 6.0  # dB between the peaks: dry friction, which has no linearisation, doubles the damping of a rig that moves enough
+_NEAR = 3.0  # dB between the peaks, half of the power, within which the excitation is not what is wrong
+_DRY = (
+    "The peaks are near each other, so another excitation would change little: W covers what was recorded, and every condition has "
+    "the dry friction that the linearisation leaves out. Larger currents let the cart move more beside it, as far as the arm does "
+    "not swing far."
+)
 _PROMINENT = 3.0  # dB by which a mode stands out of the curve: half of the power
 _ELSEWHERE = 1.2  # ratio of frequencies from which on a peak is another mode
 _POINTS = 2000
@@ -98,9 +104,10 @@ def fitted_in_envelope(model: RTAC, found: Envelope, *, response: Response | Non
     spurious = tuple(
         float(one) for one in omega[_peaks(own)] if all(max(one / other, other / one) > _ELSEWHERE for other in known)
     )
+    peak_db = float(own.max() - size.max())
     return FittedInEnvelope(
-        omega, fitted, float(gap[at]), float(omega[at]), float(own.max() - size.max()), resonance, spurious,
-        _remedy(model, resonance),
+        omega, fitted, float(gap[at]), float(omega[at]), peak_db, resonance, spurious,
+        _DRY if abs(peak_db) <= _NEAR and not spurious else _remedy(model, resonance),
     )  # fmt: skip
 
 

@@ -19,6 +19,7 @@ from estimators.validation.equation_error import (
     solve,
     usable,
 )
+from estimators.validation.equilibrium import distance_from_equilibrium
 from estimators.validation.mistakes import COARSE, DELAYS, Mistake, delays, usual_mistakes
 from rtac_jax.measurement import Experiment, Recording, moving_at_rest
 
@@ -35,6 +36,7 @@ LEVEL = 9.81 * np.sin(np.deg2rad(2.0))
 # Experiments in which a mistake of all is looked for.
 _SEARCHED = 4
 _SURE = 3.0  # times what is asked of all, from which on two experiments settle that a mistake does not explain them
+_OFFSET = "offset of cart_position"
 _PROMISING = 0.7  # of the residual, below which a coarse delay is refined: the root of a half
 
 
@@ -95,6 +97,7 @@ def channel_consistency(recording: Recording) -> ChannelConsistency:
     The equations are linear in the parameters and integrated against test functions, so they are solved in milliseconds, by
     coefficients none of which may be negative. Where they leave more than noise, each usual mistake is undone in turn: in all
     experiments, and in each one that the others contradict. One that takes nine tenths of the squared residual away is named.
+    An offset of a cart's position shows in the mean of its equation, too, which a cart that hardly slides has as well.
     What a missing effect leaves is not: no mistake explains it.
 
     Args:
@@ -205,7 +208,7 @@ class _Search:
         return None if any(r is None for r in rows) else solve([placed(r, self.known) for r in rows if r is not None])
 
     def common_offset(self) -> Inconsistency | None:
-        """Return that the cart moves about another place than zero, further off than a tilted plane can bring it."""
+        """Return that the cart moves around another place than zero, further off than a tilted plane can bring it."""
         by = dict(zip(COEFFICIENTS, self.agreed.coefficients, strict=True)) | dict(self.known.fixed)
         push = by["offset"] - by["against_offset"]
         if by["spring"] <= 0 or abs(push) < LEVEL:
@@ -214,12 +217,12 @@ class _Search:
         off = -push / by["spring"]
         return Inconsistency(
             None,
-            "offset of cart_position",
+            _OFFSET,
             (),
             self.agreed.residual,
             self.agreed.residual,
-            f"all experiments: the cart moves about {1e3 * off:.3g} mm instead of 0, further than a plane 2 degrees off level "
-            f"would bring it: cart_position has an offset; subtract {off:.4g} m, or read it from where the spring is at rest.",
+            f"all experiments: the cart moves around {1e3 * off:.3g} mm instead of 0, further than a plane 2 degrees off level "
+            f"would bring it: cart_position has an offset; {_taken_off(off)}.",
         )
 
     def of_single(self) -> list[Inconsistency]:
@@ -235,7 +238,24 @@ class _Search:
             own = self._of(name, SUSPICIOUS * max(worst, 1.0))
             if own is not None:
                 found.append(own)
-        return found
+        seen = {one.experiment for one in found}
+        return found + [own for name in self.experiments if name not in seen and (own := self._off_equilibrium(name))]
+
+    def _off_equilibrium(self, name: str) -> Inconsistency | None:
+        """Return that a cart moves where its spring cannot hold it, of which the equations say nothing where it never slides."""
+        by = dict(zip(COEFFICIENTS, self.agreed.coefficients, strict=True)) | dict(self.known.fixed)
+        off = distance_from_equilibrium(self.experiments[name], by)
+        if off is None:
+            return None
+        return Inconsistency(
+            name,
+            _OFFSET,
+            (),
+            self.agreed.residual,
+            self.agreed.residual,
+            f"experiment {name}: its cart moves around a place {1e3 * off:.3g} mm from where the spring of the others is at rest, "
+            f"further than dry friction can hold it: cart_position has an offset; {_taken_off(off)}.",
+        )
 
     def _of(self, name: str, enough: float) -> Inconsistency | None:
         experiment = self.experiments[name]
@@ -297,11 +317,17 @@ class _Search:
         push = float(np.median(error[of_cart] / column[of_cart]))
         off = -push / spring["spring"]
         mistake = Mistake(
-            "offset of cart_position",
+            _OFFSET,
             f"cart_position fits when {1e3 * off:.3g} mm are taken off",
-            f"subtract {off:.4g} m from its cart_position, or read it from where the spring is at rest",
+            _taken_off(off),
         )
         return mistake, self._beside(dataclasses.replace(rows, target=rows.target - push * column))
+
+
+def _taken_off(off: float) -> str:
+    """Say how an offset of the cart's position is mended."""
+    how = f"subtract {off:.4g} m from" if off > 0 else f"add {-off:.4g} m to"
+    return f"{how} cart_position, or read it from where the spring is at rest"
 
 
 def _undone(experiment: Experiment, mistake: Mistake) -> Experiment:

@@ -52,7 +52,8 @@ def delays(channel: str, counts: tuple[int, ...]) -> Iterator[Mistake]:
         yield Mistake(
             f"{channel} {samples:+d} samples",
             f"{channel} fits when it is taken to come {abs(samples)} samples {when}",
-            f"shift {channel} by {-samples} samples against the other channels, or synchronise the loggers",
+            f"shift {channel} by {-samples} samples against the other channels, or synchronise the loggers; where they are "
+            "synchronous something lags, which est.diagnose names",
             lambda e, samples=samples: _with(e, channel, lambda x: _shifted(x, -samples)),
         )
 

@@ -140,7 +140,8 @@ def propose_weights(
     if sensitivity > _MOST:
         raise ValueError(
             f"the uncertainty weight is {width:.3g} at the resonance of {resonance:.3g} rad/s, so wide that no damping can be "
-            "added there; choose a nominal plant nearer to the middle of the envelope, or narrow the envelope."
+            "added there; choose a nominal plant nearer to the middle of the envelope, or narrow the envelope: larger currents "
+            "about the resonance, less dry friction, conditions that differ less."
         )
     desired = _moved_poles(pole, damping / sensitivity)
     size = _EFFORT * _PERFORMANCE / (gain * sensitivity)

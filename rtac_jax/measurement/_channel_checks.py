@@ -67,7 +67,7 @@ def unit_concerns(recording: Recording) -> Iterator[str]:
         mean = float(np.mean(_bridged(e)))
         if abs(mean) > _OFF_CENTRE * reach > 0:
             yield (
-                f"{e.name}: cart_position moves about {mean:.3g} m, {abs(mean) / reach:.2g} times as far from 0 as it moves, so "
+                f"{e.name}: cart_position moves around {mean:.3g} m, {abs(mean) / reach:.2g} times as far from 0 as it moves, so "
                 "it has an offset; subtract it."
             )
     if len(holders) < 3:

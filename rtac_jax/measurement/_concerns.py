@@ -144,7 +144,7 @@ def _about_output(signal: Signal, at_rest: bool, held: bool) -> Iterator[str]:
     if len(spikes):
         where = np.flatnonzero(~missing)[spikes[0]]
         yield (
-            f"has {len(spikes)} suspicious outliers, the first at sample {where}; replace them by NaN if "
+            f"has {len(spikes)} suspicious outlier{'s' * (len(spikes) != 1)}, the first at sample {where}; replace them by NaN if "
             "they are faults."
         )
 

@@ -9,6 +9,9 @@ import scipy.io
 from command_line import call, check_report, refused, reported
 from operating_conditions import CONDITIONS, RIG, check_refusals, recorded, saved, smooth
 
+from estimators.study.truth import FIELD_OF
+from rtac_jax import RTAC
+
 
 @pytest.fixture(scope="module")
 def file(tmp_path_factory):
@@ -42,6 +45,16 @@ def test_the_fitted_model_is_held_against_the_envelope(ran):
     assert beside["nominal_peak_over_fitted_db"] < 0
     assert f"{beside['distance']:.1f} times outside W" in result.stdout
     assert "play a multisine of" in result.stdout
+
+
+def test_a_saved_model_is_held_against_the_envelope_in_place_of_the_closed_form(ran, file, tmp_path):
+    truth = {name: getattr(RIG, field) for name, field in FIELD_OF.items()}
+    RTAC.paper().with_values(truth).save(tmp_path / "truth.h5")
+    result = call("envelope", file, "--model", tmp_path / "truth.h5", "--json", tmp_path / "envelope.json")
+    content = json.loads((tmp_path / "envelope.json").read_text())
+    assert content["fitted_model"]["distance"] == pytest.approx(ran[2]["fitted_model"]["distance"], rel=0.3)
+    assert f"{content['fitted_model']['distance']:.1f} times outside W" in result.stdout
+    assert "The closed form, linearised" not in result.stdout
 
 
 def at(system, omega):

@@ -8,6 +8,7 @@ import resource
 import shutil
 import subprocess
 import sys
+import warnings
 from dataclasses import replace
 
 import jax
@@ -18,6 +19,7 @@ from small_experiments import forced, free, rest
 
 import estimators as est
 import rtac_jax
+from estimators.cli.environment import say_once_that_the_cache_is_full
 from estimators.reporting.html import write_json
 from rtac_jax import RTAC
 from rtac_jax.measurement import Recording, concerns
@@ -239,3 +241,37 @@ def test_a_recording_is_written_over_only_where_that_is_asked_for(file, tmp_path
     assert call("design", there, *designed).exit_code == 0  # what was designed is made again at will
     assert call("import", file, tmp_path / "new.h5").exit_code == 0
     assert call("import", file, tmp_path / "new.h5", "--replace").exit_code == 0
+
+
+def test_where_there_is_no_home_nothing_but_the_cache_is_spoken_of(file):
+    environment = {k: v for k, v in os.environ.items() if k not in ("MPLCONFIGDIR", "JAX_COMPILATION_CACHE_DIR")}
+    done = subprocess.run(
+        [sys.executable, "-m", "rtac_entry", "info", str(file)],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        env=environment | {"HOME": "/proc/nope", "XDG_CONFIG_HOME": "/proc/nope", "XDG_CACHE_HOME": "/proc/nope"},
+    )
+    assert done.returncode == 0
+    assert "atplotlib" not in done.stderr
+
+
+def test_a_full_cache_is_said_once(capsys, monkeypatch):
+    others = []
+    monkeypatch.setattr(warnings, "showwarning", lambda message, *_, **__: others.append(str(message)))
+    say_once_that_the_cache_is_full()
+    full = "Error writing persistent compilation cache entry for 'jit_{}': OSError: [Errno 28] No space left on device"
+    for message in (full.format("factor"), full.format("step"), "something else"):
+        warnings.showwarning(UserWarning(message), UserWarning, "compiler.py", 833)
+    said = capsys.readouterr().err
+    assert said.count("rtac: compiled code cannot be kept (No space left on device), so every run compiles anew") == 1
+    assert len(said.splitlines()) == 1
+    assert others == ["something else"]
+
+
+@pytest.mark.parametrize("command", ["fit", "improve", "diagnose", "compare"])
+def test_of_rest_records_alone_every_command_says_the_same(command, tmp_path):
+    Recording((rest(),), RIG).save(tmp_path / "rest.h5")
+    said = call(command, tmp_path / "rest.h5")
+    refused(said, said.exit_code, "rest records only; add an experiment in which the rig moves")
+    assert said.exit_code > 0

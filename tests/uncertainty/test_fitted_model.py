@@ -6,8 +6,10 @@ import pytest
 
 import estimators as est
 from estimators.plots import plot_envelope
+from estimators.uncertainty.closed_form_check import closed_form_check
 from estimators.uncertainty.fitted_model import fitted_in_envelope
-from rtac_jax import RTAC
+from rtac_jax import RTAC, virtual_rig
+from rtac_jax.measurement import from_rest, multisine
 
 MODEL = RTAC.paper()
 OMEGA = np.geomspace(6.3, 31.0, 80)
@@ -64,6 +66,33 @@ def test_a_peak_that_friction_took_away_is_told_with_number_and_frequency(held_b
     # The arm swings about half a radian in rms about theta = 0: K_m i = J theta'' at the resonance.
     swing = 0.55 * float(MODEL["arm_inertia"]) * found.resonance**2 / float(MODEL["torque_constant"])
     assert f"{1e3 * swing:.2g} mA rms" in remedy
+
+
+def test_where_the_peaks_are_near_no_other_excitation_is_advised():
+    found = fitted_in_envelope(MODEL, envelope(1.45))
+    assert not found.agrees
+    assert -3.0 < found.peak_db < -1.0
+    assert "another excitation would change little" in found.sentences()[1]
+
+
+def test_a_closed_form_of_a_cart_that_friction_holds_is_not_held_against_the_envelope():
+    rig = virtual_rig.Rig(encoder=True, cart_coulomb=0.03)
+    waves = [from_rest(multisine(samples=2000, sample_time=0.01, rms=0.02, band=(1.0, 5.0), seed=n)) for n in range(4)]
+    plans = [
+        virtual_rig.Plan(f"condition_{n}", "forced", 20.0, 0.01, w, initial_angle=0.1 * n - 0.15 + np.pi * (n % 2))
+        for n, w in enumerate(waves)
+    ]
+    recording = virtual_rig.record(rig, plans, seed=1)
+    with pytest.raises(
+        ValueError, match=r"scatter over the experiments by more than 30 % of their means \(.*friction holds the cart"
+    ):
+        closed_form_check(
+            recording,
+            envelope(1.0),
+            est.frequency_responses(
+                virtual_rig.record(virtual_rig.Rig(encoder=True, cart_coulomb=0.0003), plans, seed=1)
+            ),
+        )
 
 
 def test_a_mode_that_the_model_has_not_is_named():

@@ -1,6 +1,7 @@
 """Every usual mistake is named, in one experiment or in all; clean recordings, with hidden effects or without, are not accused."""
 
 import dataclasses
+import re
 import tomllib
 from pathlib import Path
 
@@ -205,3 +206,27 @@ def test_an_experiment_is_not_accused_where_the_others_are_no_better(rig):
     found = est.channel_consistency(dataclasses.replace(recording, rig=recording.rig | rig))
     assert all(one.after < one.before for one in found.found if one.experiment is not None)
     assert found.residual > 3
+
+
+@pytest.mark.parametrize("seed", [41, 44, 47])
+@pytest.mark.parametrize("name", ["free_2", "forced_2"])
+def test_an_offset_is_named_where_the_cart_never_slides(seed, name):
+    """Of such a cart the equations say nothing, but a spring does not hold it far from where it is at rest."""
+    plans = virtual_rig.standard_plans(seed=seed, duration=6.0, free=2, forced=3, rest=1)
+    recording = virtual_rig.record(virtual_rig.Rig(), plans, seed=seed + 1)
+    assert est.channel_consistency(recording).concerns == []
+    for offset in (5e-3, -20e-3):
+        found = est.channel_consistency(in_one(recording, name, shifted(offset)))
+        assert [(one.experiment, one.mistake) for one in found.found] == [(name, "offset of cart_position")]
+        way, metres = re.findall(r"(subtract|add) ([0-9.]+) m (?:from|to) cart_position", found.concerns[0])[0]
+        assert way == ("subtract" if offset > 0 else "add")
+        assert float(metres) == pytest.approx(abs(offset), abs=2.5e-4)  # dry friction holds the cart within 0.2 mm
+
+
+def shifted(offset):
+    def change(experiment):
+        position = experiment.outputs["cart_position"]
+        moved = dataclasses.replace(position, values=position.values + offset)
+        return dataclasses.replace(experiment, outputs={**experiment.outputs, "cart_position": moved})
+
+    return change

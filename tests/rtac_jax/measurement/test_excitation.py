@@ -164,7 +164,7 @@ def test_a_good_recording_has_one_small_fault():
         ),
         (
             free(cart_position=spoilt(spoilt(DECAY + noise(5), 900, 5e-3), slice(20), np.nan)),
-            "cart_position has 1 suspicious outliers, the first at sample 900",
+            "cart_position has 1 suspicious outlier, the first at sample 900",
         ),
     ],
 )

@@ -92,7 +92,9 @@ def code_file(folder: Path, name: str, lowered: jax.stages.Lowered) -> Path | No
     text = lowered.as_text()
     if not all(called.startswith("lapack_") for called in _CALLS.findall(text)):
         return None
-    digest = hashlib.sha256(repr((text, _machine(), _settings())).encode()).hexdigest()[:40]
+    # The text has no arguments that are not used, but code is called with all, and with none of another shape.
+    given = [(argument.shape, str(argument.dtype)) for argument in jax.tree.leaves(lowered.in_avals)]
+    digest = hashlib.sha256(repr((text, given, _machine(), _settings())).encode()).hexdigest()[:40]
     return folder / _CODE / f"{name}-{digest}"
 
 

@@ -89,6 +89,11 @@ class Program(Generic[Given, Result]):
         if not _can_be_kept(leaves) or self._made(leaves, structure).run is None:
             self._jitted.lower(*args, **kwargs).compile()
 
+    @property
+    def compiled(self) -> int:
+        """Return for how many structures of arguments this process holds code."""
+        return len(self._entries)
+
     def forget(self) -> None:
         """Drop what this process holds of it."""
         self._entries.clear()

@@ -137,6 +137,7 @@ def closed_form(
     ratios: dict[str, Estimates] = {}
     estimates: dict[str, Estimates] = {}
     more: dict[str, Estimates] = {}
+    scales: tuple[str, ...] = ()
     for turn in range(2 if settled else _TURNS if options.weak or options.reaction else 1):
         if options.weak and turn in (1, 2) and not settled:
             ready = terms(model)

@@ -117,6 +117,19 @@ def test_code_is_found_by_what_was_traced_where_the_source_has_changed(kept, mon
     assert len(files(kept)) == len(before) + 3
 
 
+def unused(x, other):
+    TRACED.append("unused")
+    return 2 * x
+
+
+def test_what_is_not_used_has_a_shape_too(kept) -> None:
+    """Code is the same whatever its shape is, but it is called with arguments of one shape."""
+    function = Program(unused)
+    for length in (9, 7, 9):
+        function.forget()
+        np.testing.assert_array_equal(function(jnp.ones(3), jnp.ones(length)), 2.0)
+
+
 def test_code_that_jax_had_in_its_cache_is_not_kept(kept) -> None:
     """It lacks parts when it is written again, and would fail where it is loaded."""
     function = Program(scaled)

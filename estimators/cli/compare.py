@@ -45,9 +45,12 @@ def compare(
         tables = []
         for compared in against.models:
             own = [row for row in rows if row["model"] == compared.label]
-            tables += [compared.label] * (len(fits) > 1) + [_report.comparison_table(own)]
+            table = _report.comparison_table(own, whiteness=not against.several_ahead)
+            tables += [compared.label] * (len(fits) > 1) + [table]
         errors = _report.error_table(trained, tested) if len(fits) == 1 else models_table(trained, tested)
-        where = "\n".join(_where(compared, rows, several=len(fits) > 1) for compared in against.models)
+        where = "\n".join(_where(compared, rows, against, several=len(fits) > 1) for compared in against.models)
+        if ahead is not None:
+            where = f"{against.several_ahead or 'Predictions one sample ahead.'}\n{where}"
         criteria = [
             f"{fit.criteria}, of the fit {label}"
             for label, fit in zip(labels, fits, strict=True)
@@ -102,13 +105,14 @@ def _judged(work: Job, models: list[Path] | None, effects: Path | None) -> tuple
     return fits, labels
 
 
-def _where(compared: Any, rows: list[dict[str, Any]], *, several: bool) -> str:
+def _where(compared: Any, rows: list[dict[str, Any]], against: Any, *, several: bool) -> str:
     own = [row for row in rows if row["model"] == compared.label]
     worst = compared.worst(1)[0]
     white = sum(row["whiteness_p"] > 0.01 for row in own)
+    tested = "" if against.several_ahead else f"; {white} of {len(own)} residuals are white"
     return (
         f"{compared.label if several else 'The model'} fails most in {worst.channel} of {worst.experiment}, by "
-        f"{worst.rms / worst.noise:.2f} times the noise; {white} of {len(own)} residuals are white."
+        f"{worst.rms / worst.noise:.2f} times the noise{tested}."
     )
 
 

@@ -3,6 +3,7 @@
 import dataclasses
 import re
 from collections.abc import Mapping, Sequence
+from fnmatch import fnmatch
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -45,7 +46,10 @@ def import_files(
         Pairs,
         option('NAME="COLUMN [UNIT]"', "The column of a channel and its unit; without a unit, that of the recording."),
     ] = None,
-    kind: Annotated[Pairs, option("free|forced|rest", "One for all files, or one for each in their order.")] = None,
+    kind: Annotated[
+        Pairs,
+        option("free|forced|rest", "One for all files, or one for each in their order, or by names, 'run_*=forced'."),
+    ] = None,
     time: Annotated[str | None, option('"COLUMN [UNIT]"', "The column of the times; s, ms or us.")] = None,
     sample_time: Annotated[float | None, option("SECONDS", "Instead of a column of times.")] = None,
     name: Annotated[
@@ -99,7 +103,7 @@ def import_files(
             added_to = out.exists() and any(out.samefile(file) for file in sources)
             writable_file(out, "the recording", replace=replace or added_to)
         count = len(foreign)
-        kinds = _for_each("--kind", kind, count, required=bool(count))
+        kinds = _kinds(kind, foreign)
         names = _for_each("--name", name, count, one_for_all=count == 1)
         angles = _angles(angle, kinds)
         wanted = {
@@ -296,6 +300,23 @@ def _with_repeats(recording: Any, repeats: Mapping[str, str]) -> Any:
                 stop(WRONG_USE, f"--repeat-of: there is no experiment {wanted}; use {', '.join(recording.names)}.")
     said = [dataclasses.replace(e, repeat_of=repeats.get(e.name, e.repeat_of)) for e in recording.experiments]
     return dataclasses.replace(recording, experiments=tuple(said))
+
+
+def _kinds(given: Sequence[str] | None, files: Sequence[Path]) -> list[Any]:
+    """Return the kind of each file: one for all, one for each, or that of the first pattern that its name matches."""
+    if not given or not all("=" in one for one in given):
+        return _for_each("--kind", given, len(files), required=bool(files))
+    patterns = [one.rpartition("=")[::2] for one in given]
+    found = []
+    for file in files:
+        kinds = [what for pattern, what in patterns if fnmatch(file.name, pattern) or fnmatch(file.stem, pattern)]
+        if not kinds:
+            stop(
+                WRONG_USE,
+                f"--kind: no pattern of {', '.join(given)} matches {file.name}; add one, as '{file.stem}=free'.",
+            )
+        found.append(kinds[0])
+    return found
 
 
 def _angles(given: Sequence[float] | None, kinds: Sequence[str]) -> list[float | None]:

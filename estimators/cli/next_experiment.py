@@ -60,6 +60,7 @@ def next_experiment(
         import estimators as est
         from estimators.reporting.html import cleaned
         from estimators.reporting.report import FORMAT, VERSION
+        from estimators.reporting.summary import of_next_experiment
 
         candidates = offered(effects)
         base = base_fit(work, model, effects)
@@ -88,7 +89,8 @@ def next_experiment(
                 ("Next experiment", [*str(planned).split("\n\n")[0].splitlines(), work.remark]),
                 ("Figures", shown(figures, next_experiment=caption)),
             ]
-            work.write_report(f"Next experiment after {work.file}", figures, sections)
+            bullets = of_next_experiment(planned, file=work.file)
+            work.write_report(f"Next experiment after {work.file}", figures, sections, summary=bullets)
 
 
 def _found(work: Job, base: Any, path: Path | None, effects: Path | None, candidates: Any, quick: bool) -> Any:

@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from estimators.core.drawing import draw
 
+_WELL = 0.05  # std over value below which a parameter is known well, whatever it is correlated with: a twentieth
 _STRONG = 0.9  # |correlation| from which on two parameters can hardly be told apart; as for effects (README, `confusable_with`)
 
 
@@ -84,7 +85,13 @@ class ParameterCorrelations:
         first, second, value = found
         if abs(value) < _STRONG:
             return f"No two parameters are correlated by more than {abs(value):.2f}"
-        return f"{first} and {second} are correlated by {value:.3f}: these data hardly tell them apart"
+        said = f"{first} and {second} are correlated by {value:.3f}: "
+        places = [self.names.index(first), self.names.index(second)]
+        loose = float(np.max(self.std[places] / np.maximum(np.abs(self.values[places]), 1e-300)))
+        if loose < _WELL:
+            common = "ratio" if value > 0 else "product"
+            return f"{said}their {common} is known better than each alone, which is known to {100 * loose:.2g} %"
+        return f"{said}these data hardly tell them apart"
 
     def plot(self) -> Any:
         """Draw the two-sigma ellipse of every two parameters, and their correlations."""

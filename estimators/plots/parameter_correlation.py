@@ -5,7 +5,7 @@ import numpy as np
 from estimators.core.parameter_correlation import ParameterCorrelations
 from estimators.plots.style import SMALL, Picture, picture, title
 
-_MOST = 8  # parameters beyond which ellipses are too small to be read
+_MOST = 10  # parameters beyond which ellipses are too small to be read
 _CELL = 1.25  # inches of one pair
 
 
@@ -46,7 +46,10 @@ def plot_correlations(found: ParameterCorrelations) -> Picture:
                 axes.set_xlabel(f"{_short(found.names[column])} [std]", fontsize=7)
             if j == 0 and i > 0:
                 axes.set_ylabel(f"{_short(found.names[row])} [std]", fontsize=7)
-    figure.supxlabel("below: ellipses of 2 std [1]; above: correlations [1]", fontsize=SMALL)
+    some = (
+        "" if count == len(found.names) else f"; the {count} of {len(found.names)} parameters that are correlated most"
+    )
+    figure.supxlabel(f"below: ellipses of 2 std [1]; above: correlations [1]{some}", fontsize=SMALL)
     title(figure, found.verdict)
     return figure
 

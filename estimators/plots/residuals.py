@@ -37,7 +37,9 @@ def plot_residuals(compared: Compared) -> Picture:
     _in_time(figure.add_subplot(grid[0, :2]), trace)
     _by_experiment(figure.add_subplot(grid[0, 2]), compared)
     _autocorrelation(figure.add_subplot(grid[1, 0]), trace)
-    _cross_correlation(figure.add_subplot(grid[1, 1]), trace)
+    # Of the worst that was driven: a free decay has no input that could explain its residual.
+    driven = next((t for t in compared.worst(len(compared.traces)) if np.any(t.current)), trace)
+    _cross_correlation(figure.add_subplot(grid[1, 1]), driven)
     peak = _spectrum(figure.add_subplot(grid[1, 2]), trace)
     title(figure, _finding(compared, trace, peak))
     return figure
@@ -102,7 +104,7 @@ def _cross_correlation(axes: Any, trace: Trace) -> None:
     found = trace.input_correlation(_LAGS)
     _stems(axes, found.values, found.band, first=int(found.lags[0]))
     axes.axvline(0, color="black", linewidth=0.6, linestyle=":")
-    axes.set_title(f"{found.outside} of {_LAGS + 1} at lags ≥ 0 outside", fontsize=9, loc="left")
+    axes.set_title(f"{trace.experiment}: {found.outside} of {_LAGS + 1} at lags ≥ 0 outside", fontsize=9, loc="left")
     axes.set_xlabel("Lag [samples]   (below 0: feedback)", fontsize=SMALL)
 
 

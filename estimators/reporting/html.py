@@ -19,6 +19,7 @@ from rtac_jax.measurement.atomic_write import replacing
 from rtac_jax.overview import aligned
 
 _NARROW = 3  # columns that fit into the width of a telephone
+_MANY = 8  # columns beyond which a table takes the width of the window, not that of the text
 _WORDS = ("fixed",)  # that may stand in a column of numbers
 _PACKAGES = ("rtac-jax", "jax", "optimistix", "numpy", "scipy", "matplotlib")
 
@@ -187,7 +188,8 @@ def _block(block: Block, images: Mapping[Figure, bytes]) -> str:
     rows = "\n".join(row(cells, "td") for cells in block.rows)
     head = f"<thead>{row(block.header, 'th')}</thead>"
     stacks = ' class="stacks"' if len(block.header) > _NARROW else ""
-    return f'<div class="wide"><table{stacks}>{caption}{head}\n<tbody>{rows}</tbody></table></div>'
+    room = "wide many" if len(block.header) > _MANY else "wide"
+    return f'<div class="{room}"><table{stacks}>{caption}{head}\n<tbody>{rows}</tbody></table></div>'
 
 
 _STYLE = """
@@ -195,6 +197,7 @@ body { font: 16px/1.5 system-ui, sans-serif; color: #1a1a1a; background: #fff; m
   padding: 0 1rem; }
 h1 { font-size: 1.6rem; margin-bottom: 0.4rem; }
 h2 { font-size: 1.15rem; margin: 2rem 0 0.5rem; border-bottom: 1px solid #ccc; padding-bottom: 0.2rem; }
+p { white-space: pre-line; }
 .summary { background: #f3f6fa; border-left: 5px solid #08306b; padding: 0.4rem 1.2rem 0.6rem; }
 .summary h2 { border: 0; margin-top: 0.6rem; }
 table { border-collapse: collapse; margin: 0.6rem 0; font-size: 0.9rem; }
@@ -205,6 +208,7 @@ th { border-bottom: 2px solid #888; }
 th.n { white-space: normal; }
 td:last-child, th:last-child { padding-right: 0; }
 .wide { overflow-x: auto; }
+.many { position: relative; left: 50%; transform: translateX(-50%); width: max-content; min-width: 100%; max-width: 96vw; }
 figure { margin: 1rem 0 1.6rem; }
 img { max-width: 100%; height: auto; }
 figcaption, .caption { color: #555; font-size: 0.9rem; }
@@ -222,6 +226,8 @@ figcaption, .caption { color: #555; font-size: 0.9rem; }
   p, li, td { overflow-wrap: anywhere; }
   figure { overflow-x: auto; }
   figure img { max-width: none; width: 40rem; }
+  figcaption::after { content: " The picture is wider than this page: move it sideways."; }
+  .many { position: static; transform: none; width: auto; min-width: 0; max-width: none; }
   table.stacks, .stacks tbody, .stacks tr, .stacks td { display: block; }
   .stacks thead { display: none; }
   .stacks caption { display: block; }

@@ -291,9 +291,14 @@ def parameter_table(fit: Fit, *, base: Fit | None = None) -> Table:
     return Table(header, tuple(rows))
 
 
-def comparison_table(rows: Sequence[Mapping[str, Any]]) -> Table:
-    """Return a table of the error of every channel of every experiment, as `comparison_rows` gives it."""
-    header = ("experiment", "channel [unit]", "fit [%]", "rms [unit]", "rms/noise [1]", "residual")
+def comparison_table(rows: Sequence[Mapping[str, Any]], *, whiteness: bool = True) -> Table:
+    """Return a table of the error of every channel of every experiment, as `comparison_rows` gives it.
+
+    Args:
+        rows: one for each.
+        whiteness: show whether each residual is white.
+    """
+    header = ("experiment", "channel [unit]", "fit [%]", "rms [unit]", "rms/noise [1]", *("residual",) * whiteness)
     return Table(
         header,
         tuple(
@@ -303,7 +308,7 @@ def comparison_table(rows: Sequence[Mapping[str, Any]]) -> Table:
                 "" if row["fit_percent"] is None else f"{row['fit_percent']:.2f}",
                 f"{row['rms']:.3g}",
                 f"{row['rms_over_noise']:.2f}",
-                "white" if row["whiteness_p"] > 0.01 else "not white",
+                *("white" if row["whiteness_p"] > 0.01 else "not white",) * whiteness,
             )
             for row in rows
         ),

@@ -8,6 +8,7 @@ from estimators.core.fit import Fit
 from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.diagnose import Diagnosis
 from estimators.diagnosis.improve import Improvement
+from estimators.experiment_design.next_experiment import NextExperiment
 from estimators.plots.envelope import finding
 from estimators.reporting.html import Bullets
 from estimators.uncertainty.envelope import Envelope
@@ -34,7 +35,7 @@ def of_fit(fit: Fit, advice: Recommendation, trained: Comparison, tested: Compar
     best = f" Best known: {_parameter(*known[0])}{worst}." if known else ""
     return Bullets(
         f"{len(fit.information.names)} parameters; {_error(against, tested is not None)}.", f"{advice}{best}",
-        _after(against, file, "rtac envelope and rtac control, given recordings of several conditions"),
+        _after(against, file, "a controller (rtac envelope, rtac control), given recordings of several conditions"),
     )  # fmt: skip
 
 
@@ -53,7 +54,8 @@ def of_comparison(trained: Comparison, tested: Comparison | None, *, file: str) 
         whose = f" of {best.label}"
     return Bullets(
         f"{found}.",
-        f"{white} of {len(best.traces)} residuals{whose} are white at 1 %; these experiments were {kind}.",
+        (tested or trained).several_ahead
+        or f"{white} of {len(best.traces)} residuals{whose} are white at 1 %; these experiments were {kind}.",
         _after(best, file, f"nothing: {best.label if others else 'the model'} follows these data to their noise"),
     )
 
@@ -90,7 +92,7 @@ def of_diagnosis(
     rivals = sorted({name for c in effects for name in c.confusable_with})
     sure += f"; confusable with {', '.join(rivals)}" if rivals else ""
     steps = {
-        "adequate": "Use the model: rtac envelope and rtac control, given recordings of several conditions.",
+        "adequate": "Use the model: a controller (rtac envelope, rtac control), given recordings of several conditions.",
         "missing": f"rtac improve {shlex.quote(file)}, which adds it and goes on.",
         "ambiguous": "Record the experiment that tells them apart (next_experiment.h5 where one could be planned), join it, and "
         "diagnose again.",
@@ -163,3 +165,15 @@ def _after(compared: Compared, file: str, good: str) -> str:
     if _largest(compared) > _NOISE:
         return f"rtac diagnose {shlex.quote(file)}, which says what is missing."
     return f"{good[0].upper()}{good[1:]}."
+
+
+def of_next_experiment(planned: NextExperiment, *, file: str) -> Bullets:
+    """Return the bullets of a planned experiment: which, how far it separates, and what to do with it."""
+    first, sure, *_ = str(planned).splitlines()
+    added = f"rtac import {shlex.quote(file)} MEASURED.csv {shlex.quote(file)} --kind {planned.plan.kind} ..."
+    spared = f" It may not be needed: hold out others than {', '.join(planned.deciding)}." if planned.deciding else ""
+    return Bullets(
+        first.removeprefix("Next experiment: "),
+        sure,
+        f"Play it on the rig, add it ({added}), and diagnose again, with others held out (--validation).{spared}",
+    )

@@ -36,7 +36,10 @@ class Recommendation:
     def __str__(self) -> str:
         said = f"Recommended: {self.estimator}, with the standard deviation for {self.deviation}."
         if not self.sound:
-            said += " The residuals are coloured: something is missing, and no deviation counts it; ask est.diagnose."
+            said += (
+                " A residual is coloured, so something may be missing, which no deviation counts; est.diagnose tells whether it "
+                "can be named."
+            )
         return said
 
 

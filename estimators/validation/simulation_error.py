@@ -102,6 +102,16 @@ class Comparison(Result):
     models: tuple[Compared, ...]
     ahead: int | None = None
 
+    @property
+    def several_ahead(self) -> str:
+        """Say that errors of predictions several samples ahead are correlated, of a right model too; empty for others."""
+        if self.ahead is None or self.ahead < 2:
+            return ""
+        return (
+            f"Predictions {self.ahead} samples ahead: their errors are correlated even where the model is right, so whether "
+            "they are white is not asked, and they contain what the state at the beginning of each is not known by."
+        )
+
     def overview(self) -> Overview:
         """Return the error of every model in every channel."""
         rows = [
@@ -114,16 +124,18 @@ class Comparison(Result):
         return Overview(title, ("model", "channel", "fit [%]", "rms [SI]", "rms over noise"), rows)
 
     def __str__(self) -> str:
-        lines = [] if self.ahead is None else [f"predictions {self.ahead} sample(s) ahead"]
+        lines = [] if self.ahead is None else [self.several_ahead or "Predictions one sample ahead."]
+        asked = not self.several_ahead
         lines += [
-            f"{'model':18s} {'experiment':16s} {'channel':14s} {'fit':>8s} {'rms':>10s} {'rms/noise':>10s}  residual"
+            f"{'model':18s} {'experiment':16s} {'channel':14s} {'fit':>8s} {'rms':>10s} {'rms/noise':>10s}"
+            + "  residual" * asked
         ]
         for compared in self.models:
             for t in compared.traces:
-                white = "white" if t.whiteness_p > 0.01 else "not white"
+                white = "  white" if t.whiteness_p > 0.01 else "  not white"
                 lines.append(
                     f"{compared.label:18s} {t.experiment:16s} {t.channel:14s} {t.fit_percent:7.2f}% {t.rms:10.4g} "
-                    f"{t.rms / t.noise:10.2f}  {white}"
+                    f"{t.rms / t.noise:10.2f}{white * asked}"
                 )
             for channel, error in compared.errors.items():
                 lines.append(

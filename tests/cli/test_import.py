@@ -60,6 +60,25 @@ def test_several_files_become_one_recording_in_its_units(tmp_path, free, forced)
     assert "written: " in result.stdout
 
 
+def test_kinds_are_told_by_names(tmp_path, free, forced):
+    told = [
+        "--kind",
+        "fr*=free",
+        "--kind",
+        "*.csv=forced",
+        "--channel",
+        "cart_position=x [mm]",
+        "--channel",
+        "current=i [mA]",
+        "--time",
+        "t",
+    ]
+    _, recording = imported(tmp_path / "rig.h5", free, forced, *told)
+    assert [(e.name, e.kind) for e in recording] == [("free_1", "free"), ("forced_1", "forced")]
+    none = call("import", free, forced, "--kind", "fr*=free", *told[4:], tmp_path / "no.h5")
+    refused(none, 2, "--kind: no pattern of fr*=free matches forced_1.csv", "add one, as 'forced_1=free'")
+
+
 def test_a_dry_run_shows_what_was_understood_and_writes_nothing(tmp_path, free):
     result = call("import", free, *FREE, "--dry-run", tmp_path / "rig.h5")
     assert result.exit_code == 0, result.output

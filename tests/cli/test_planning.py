@@ -75,6 +75,8 @@ def test_the_next_experiment_is_planned_and_can_be_played(file, asked, tmp_path)
     assert content["next_experiment"]["name"] == "square 1 Hz at 0 degrees"
     page = (tmp_path / "out" / "report.html").read_text()
     assert "321" in page
+    assert "<b>Found.</b> square 1 Hz at 0 degrees, 2 s" in page
+    assert "MEASURED.csv" in page
 
 
 def test_a_diagnosis_that_was_kept_need_not_be_made_again(file, asked, tmp_path):

@@ -41,7 +41,12 @@ def test_the_further_ahead_the_larger_the_error(
         one, ten, fifty = (errors[k][channel].rms for k in (1, 10, 50))
         assert one < ten < fifty, channel
     assert errors[1]["cart_position"].rms == pytest.approx(fit.criteria.rms["cart_position"], rel=0.1)
-    assert str(by_horizon[10]).startswith("predictions 10 sample(s) ahead")
+    assert str(by_horizon[10]).startswith(
+        "Predictions 10 samples ahead: their errors are correlated even where the model is right"
+    )
+    assert "white" not in str(by_horizon[10]).split("\n", 1)[1]
+    assert str(by_horizon[1]).startswith("Predictions one sample ahead.\n")
+    assert "white" in str(by_horizon[1])
     assert all(np.argmax(t.used) == 10 for t in by_horizon[10].models[0].traces)
 
 

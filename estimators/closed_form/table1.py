@@ -8,8 +8,9 @@ import numpy as np
 
 from estimators.closed_form.two_stage import Estimates, Weighting
 from estimators.core.drawing import draw
+from estimators.core.result_base import Result
 from rtac_jax import RTAC
-from rtac_jax.overview import aligned
+from rtac_jax.overview import Overview, aligned
 
 CONSISTENT = 0.3
 SYMBOLS = {
@@ -51,8 +52,8 @@ class ClosedFormOptions:
     near_zero: float
 
 
-@dataclasses.dataclass(frozen=True)
-class ClosedForm:
+@dataclasses.dataclass(frozen=True, repr=False)
+class ClosedForm(Result):
     """The result of `least_squares`.
 
     Attributes:
@@ -81,6 +82,15 @@ class ClosedForm:
         """Return whether every estimate scatters over the experiments by less than 30 % of its mean, the paper's rule."""
         known = [e.consistency for e in {**self.ratios, **self.estimates}.values() if np.isfinite(e.consistency)]
         return bool(known) and all(c < CONSISTENT for c in known)
+
+    def overview(self) -> Overview:
+        """Return the estimates of parameters, with their scatter over experiments."""
+        rows = [(n, f"{e.value:.5g}", _spread(e), _percent(e.consistency), e.unit) for n, e in self.estimates.items()]
+        title = (
+            f"{len(rows)} parameters in closed form, {'' if self.consistent else 'not '}consistent by the paper's rule"
+        )
+        notes = [f"{name} is the model's own value" for name in self.assumed]
+        return Overview(title, ("parameter", "mean", "std", "scatter / mean", "unit"), rows, notes)
 
     def __str__(self) -> str:
         return table_1(self)

@@ -12,15 +12,17 @@ from estimators.core.data import moving, origins
 from estimators.core.fisher_information import Information
 from estimators.core.fit import Fit
 from estimators.core.linearisation import Problem, Rows, at_fit, rows_at
+from estimators.core.result_base import Result
 from rtac_jax import require_configured
 from rtac_jax.measurement import Recording
+from rtac_jax.overview import Overview
 
 Kind = Literal["plain", "sandwich", "clustered"]
 Matrix = Float[np.ndarray, "parameter parameter"]
 
 
-@dataclasses.dataclass(frozen=True)
-class Covariances:
+@dataclasses.dataclass(frozen=True, repr=False)
+class Covariances(Result):
     """The result of `covariances`: the uncertainty of one fit's parameters by three sets of assumptions.
 
     Attributes:
@@ -52,6 +54,16 @@ class Covariances:
         """Return the confidence interval of each parameter."""
         reach = student.ppf(0.5 + 0.5 * level, self.degrees[kind]) * np.array(list(self.std(kind).values()))
         return {n: (float(v - r), float(v + r)) for n, v, r in zip(self.names, self.values, reach, strict=True)}
+
+    def overview(self) -> Overview:
+        """Return the standard deviations by all three."""
+        by_kind = [self.std(kind) for kind in ("plain", "sandwich", "clustered")]
+        rows = [
+            (n, f"{v:.6g}", *(f"{std[n]:.2g}" for std in by_kind), u)
+            for n, v, u in zip(self.names, self.values, self.units, strict=True)
+        ]
+        header = ("parameter", "value", "std, white", "std, coloured", "std, independent experiments", "unit")
+        return Overview(f"standard deviations of {len(rows)} parameters by three sets of assumptions", header, rows)
 
     def __str__(self) -> str:
         kinds: tuple[Kind, ...] = ("plain", "sandwich", "clustered")

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
+import numpy as np
 from jaxtyping import Array, Float
 
 from rtac_jax._rigid_body import RigidBody
@@ -112,6 +113,9 @@ class Effect(eqx.Module):
         for name, declared in declarations(self).items():
             if not declared.unit or not declared.symbol:
                 raise ValueError(f"effect {self.id}: parameter {name} needs a symbol and a unit.")
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({', '.join(f'{n}={_shown(getattr(self, n))}' for n in declarations(self))})"
 
     def start(self, motion: Motion) -> States:
         """Return the effect's own states at the start of a recording that begins in equilibrium; none by default."""
@@ -302,3 +306,12 @@ class Sensor(Effect):
     @abstractmethod
     def read(self, outputs: Outputs, own: States) -> Outputs:
         """Return the outputs after this stage."""
+
+
+def _shown(value: Any) -> str:
+    """Return a parameter's value in a few characters; of what is traced or no number, what it is."""
+    try:
+        numbers = np.asarray(value, dtype=float)
+    except Exception:  # a tracer has no value, and a placeholder may be anything
+        return type(value).__name__
+    return f"{float(numbers):.6g}" if numbers.ndim == 0 else f"{numbers.size} values"

@@ -100,3 +100,10 @@ def test_the_first_start_of_a_fit_knows_the_scale(recording) -> None:
     start = starting_values(RTAC.from_rig(told), told)
     assert float(start["arm_inertia"]) == pytest.approx(RIG.arm_inertia, rel=0.05)
     assert float(start["torque_constant"]) == pytest.approx(RIG.torque_constant, rel=0.05)
+
+
+def test_it_shows_itself_in_a_line_and_as_a_small_table(recording) -> None:
+    found = estimated(recording, {}, weak=True)
+    assert len(repr(found)) < 100
+    assert repr(found).startswith("ClosedForm: 7 parameters in closed form, consistent by the paper's rule")
+    assert "arm_inertia is the model&#x27;s own value" in found._repr_html_()

@@ -379,3 +379,11 @@ def test_larger_rig_has_larger_candidates():
         name = CATALOGUE[effect_id].amplitudes()[0]
         ratio = getattr(CATALOGUE[effect_id].candidates(doubled)[0], name) / getattr(plausible(effect_id)[0], name)
         assert float(ratio) == pytest.approx(2.0)
+
+
+def test_an_effect_shows_its_values_in_a_line():
+    assert repr(CATALOGUE["cubic_spring"](5e4)) == "CubicSpring(stiffness=50000)"
+    assert repr(CATALOGUE["cubic_spring"](np.ones(3))) == "CubicSpring(stiffness=3 values)"
+    traced = []
+    jax.jit(lambda x: traced.append(repr(CATALOGUE["cubic_spring"](x))) or x)(1.0)
+    assert re.fullmatch(r"CubicSpring\(stiffness=\w+\)", traced[0])

@@ -76,7 +76,7 @@ def compare(
                 for block in ([label] * (len(fits) > 1) + [_parameters(fit)])
             ]
             sections = [
-                ("Result", [where, work.remark, errors]),
+                ("Result", [where, work.remark, errors, *criteria]),
                 ("Figures", shown(figures, **captions)),
                 ("Every experiment", tables),
                 ("Parameters", parameters),

@@ -13,6 +13,10 @@ from estimators.prediction_error.fit import PredictorFit
 
 _MOST = 60  # conditions
 _POLE, _ZERO = "#08306b", "#e6550d"
+_SMALL, _SHOWN = (
+    0.02,
+    0.12,
+)  # of the spread of poles and zeros: an ellipse that is not seen, and up to which it is enlarged
 _TOUCHES = 2.0  # standard deviations of the real part by which a stable pole should keep off the imaginary axis
 
 
@@ -34,13 +38,15 @@ def plot_poles_zeros(found: Fit | PredictorFit | LinearModels, *, arm_angle: flo
         sets, whose = [model_roots(found, arm_angle=arm_angle)], "the fitted model"
     figure = picture(6.8, 6.0)
     axes = figure.subplots()
+    times = _enlargement([roots for pair in sets for roots in pair])
     for number, (poles, zeros) in enumerate(sets):
-        _draw(axes, poles, "x", _POLE, "poles" if number == 0 else None)
-        _draw(axes, zeros, "o", _ZERO, "zeros" if number == 0 and len(zeros.values) else None)
+        _draw(axes, poles, times, "x", _POLE, "poles" if number == 0 else None)
+        _draw(axes, zeros, times, "o", _ZERO, "zeros" if number == 0 and len(zeros.values) else None)
     axes.axhline(0, color="black", linewidth=0.6)
     axes.axvline(0, color="black", linewidth=0.6)
     axes.margins(0.15)
-    axes.set_xlabel("Real part [rad/s]   (ellipses: 2 std)", fontsize=SMALL)
+    drawn = "" if times == 1 else f", drawn {times} times as large"
+    axes.set_xlabel(f"Real part [rad/s]   (ellipses: 2 std{drawn})", fontsize=SMALL)
     axes.set_ylabel("Imaginary part [rad/s]", fontsize=SMALL)
     axes.legend(fontsize=SMALL, loc="best")
     tidy(axes)
@@ -48,7 +54,19 @@ def plot_poles_zeros(found: Fit | PredictorFit | LinearModels, *, arm_angle: flo
     return figure
 
 
-def _draw(axes: Any, roots: Roots, mark: str, colour: str, label: str | None) -> None:
+def _enlargement(every: list[Roots]) -> int:
+    """Return the round number by which ellipses are enlarged so that the largest can be seen: 1 where it can be anyhow."""
+    values: Any = np.concatenate([roots.values for roots in every])
+    span = np.maximum([np.ptp(values.real), np.ptp(values.imag)], 1e-300)
+    reach = [np.max(np.abs(ellipse(c)), axis=1) / span for roots in every for c in roots.covariance]
+    largest = float(np.max(reach, initial=0.0))
+    if not 0 < largest < _SMALL:
+        return 1
+    decade = 10 ** np.floor(np.log10(_SHOWN / largest))
+    return int(decade * max(step for step in (1, 2, 5) if step * decade * largest <= _SHOWN))
+
+
+def _draw(axes: Any, roots: Roots, times: int, mark: str, colour: str, label: str | None) -> None:
     values: Any = roots.values
     axes.plot(
         values.real,
@@ -62,7 +80,7 @@ def _draw(axes: Any, roots: Roots, mark: str, colour: str, label: str | None) ->
     )
     for value, covariance in zip(values, roots.covariance, strict=True):
         x, y = ellipse(covariance)
-        axes.plot(value.real + x, value.imag + y, color=colour, linewidth=0.9)
+        axes.plot(value.real + times * x, value.imag + times * y, color=colour, linewidth=0.9)
 
 
 def _finding(sets: list[tuple[Roots, Roots]], whose: str) -> str:

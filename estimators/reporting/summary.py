@@ -2,9 +2,10 @@
 
 import math
 import shlex
+from collections.abc import Mapping
 
 from estimators.controller.outcome import ControlDesign, outcome
-from estimators.core.fit import Fit
+from estimators.core.fit import Fit, Parameter
 from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.diagnose import Diagnosis
 from estimators.diagnosis.improve import Improvement
@@ -65,7 +66,9 @@ def of_diagnosis(
 ) -> Bullets:
     """Return the bullets of a diagnosis or of a loop of them; arguments as of `of_fit`."""
     effects = found.added if isinstance(found, Improvement) and found.added else _named(found)
-    named = "; ".join(_effect(c) for c in effects)
+    # What a model holds after all else was fitted beside it; a diagnosis estimates before that.
+    final = found.final.parameters if isinstance(found, Improvement) and found.fits else {}
+    named = "; ".join(_effect(c, final) for c in effects)
     on_the_way = f"; added on the way: {named}" if named else ""
     whats = {
         "adequate": "Nothing is missing from the model at the noise floor",
@@ -75,8 +78,9 @@ def of_diagnosis(
     }
     what = whats[found.verdict]
     learned = found.learned if isinstance(found, Improvement) else None
-    if isinstance(found, Improvement) and found.verdict == "adequate" and named:
-        what = f"Added: {named}; nothing more is missing at the noise floor"
+    if isinstance(found, Improvement) and named and found.verdict in ("adequate", "missing"):
+        rest = "; nothing more is missing at the noise floor" if found.verdict == "adequate" else ""
+        what = f"Was missing, and is in the model now: {named}{rest}"
     if learned is not None:
         what += (
             f". As a last resort a learned force was added, which is no physical effect: on the {learned.port} against "
@@ -131,12 +135,12 @@ def _named(found: Diagnosis | Improvement) -> tuple[Candidate, ...]:
     return found.diagnoses[0].effects if isinstance(found, Improvement) else found.effects
 
 
-def _effect(candidate: Candidate) -> str:
+def _effect(candidate: Candidate, final: Mapping[str, Parameter]) -> str:
     inside = ", ".join(
         f"{name} {p.value:.4g}{f' +- {p.std:.2g}' if math.isfinite(p.std) and p.std else ''} {p.unit}".removesuffix(
             " 1"
         )
-        for name, p in candidate.parameters.items()
+        for name, p in ((n, final.get(f"{candidate.id}.{n}", p)) for n, p in candidate.parameters.items())
     )
     return f"{candidate.id}{f' ({inside})' if inside else ''}"
 

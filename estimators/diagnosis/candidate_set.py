@@ -50,7 +50,8 @@ def require_declared(c: object) -> None:
         raise ValueError(f"candidates: {c!r} is no class of effects; give the class, such as rtac.effects.CubicSpring.")
     for name in ("id", "equation", "source", "port"):
         if not isinstance(getattr(c, name, None), str):
-            raise ValueError(f"candidates: {c.__name__} has no {name}; write {name}: ClassVar[str] = ... in the class.")
+            what = f"a {name} that is no text" if hasattr(c, name) else f"no {name}"
+            raise ValueError(f"candidates: {c.__name__} has {what}; write {name}: ClassVar[str] = ... in the class.")
     if not c.id.isidentifier():
         raise ValueError(
             f"candidates: {c.__name__} has the id {c.id!r}; use letters, digits and underscores, a letter first."

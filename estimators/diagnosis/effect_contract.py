@@ -178,7 +178,8 @@ def _require_shapes(effect: Effect, several: tuple[int], method: str, told: tupl
         if shape is None or kind not in "fiu" or shape not in ((), several):
             raise ValueError(
                 f"effect {effect.id}: {method} returns {_what(part)} where one number for each trajectory was expected "
-                f"(shape {several}, as motion.cart_position has it, or none); compute element by element with jnp."
+                f"(shape {several}, as motion.cart_position has it, or none); "
+                f"{'compute element by element with jnp' if kind in 'fiu' else 'return real numbers'}."
             )
 
 

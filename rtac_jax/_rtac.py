@@ -136,7 +136,7 @@ class RTAC(eqx.Module):
 
     @property
     def ids(self) -> tuple[str, ...]:
-        """Ids of the effects."""
+        """Return the ids of the effects."""
         return tuple(effect.id for effect in self.effects)
 
     def __contains__(self, effect_id: str) -> bool:
@@ -146,12 +146,12 @@ class RTAC(eqx.Module):
 
     @property
     def parameters(self) -> dict[str, Declaration]:
-        """Every parameter's declaration by name."""
+        """Return every parameter's declaration by name."""
         return dict(_declared_of(self))
 
     @property
     def free(self) -> tuple[str, ...]:
-        """Names of the parameters that a fit estimates."""
+        """Return the names of the parameters that a fit estimates."""
         return tuple(n for n, declared in _declared_of(self).items() if n not in self.fixed and not declared.fixed)
 
     def __getitem__(self, name: str) -> Any:
@@ -216,14 +216,14 @@ class RTAC(eqx.Module):
 
     @property
     def uncertain(self) -> tuple[str, ...]:
-        """Names of the parameters that a fit estimates around what was measured of them beforehand."""
+        """Return the names of the parameters that a fit estimates around what was measured of them beforehand."""
         return tuple(name for name in self.priors if name in self.free and name not in self.per_experiment)
 
     # -- dynamics ----------------------------------------------------------------------------------------------------
 
     @property
     def states(self) -> dict[str, str]:
-        """Names and units of the states: the rigid body's four, then those of the effects."""
+        """Return the names and units of the states: the rigid body's four, then those of the effects."""
         found = dict(RIGID_STATES)
         for effect in self.effects:
             found |= {f"{effect.id}.{name}": unit for name, unit in effect.states.items()}

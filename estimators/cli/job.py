@@ -53,7 +53,7 @@ class Job:
 
     @property
     def seconds(self) -> float:
-        """Seconds since the command began."""
+        """Return seconds since the command began."""
         return time.perf_counter() - self.began
 
     @property

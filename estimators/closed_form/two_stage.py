@@ -59,7 +59,7 @@ class Estimates:
 
     @property
     def consistency(self) -> float:
-        """Standard deviation over experiments divided by the mean; the paper trusts a model when all are below 0.3."""
+        """Return the standard deviation over experiments divided by the mean; the paper trusts a model when all are below 0.3."""
         if len(self.each) < 2 or self.value == 0:
             return float("nan")
         return float(np.std(self.each, ddof=1) / abs(self.value))

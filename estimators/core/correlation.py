@@ -80,7 +80,7 @@ class CrossCorrelation:
 
     @property
     def outside(self) -> int:
-        """Number of lags at which the residual follows the input by more than the band."""
+        """Return the number of lags at which the residual follows the input by more than the band."""
         return int(np.sum((np.abs(self.values) > self.band) & (self.lags >= 0)))
 
 

@@ -67,17 +67,17 @@ class Data(eqx.Module):
 
     @property
     def room(self) -> int:
-        """Length of the arrays."""
+        """Return the length of the arrays."""
         return self.values.shape[0]
 
     @property
     def samples(self) -> int:
-        """Length of the longest experiment; not within compiled code."""
+        """Return the length of the longest experiment; not within compiled code."""
         return int(self.length)
 
     @property
     def experiments(self) -> int:
-        """Number of experiments."""
+        """Return the number of experiments."""
         return self.values.shape[2]
 
 

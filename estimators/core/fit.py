@@ -37,7 +37,7 @@ class ModelFit(Result):
 
     @property
     def parameters(self) -> dict[str, Parameter]:
-        """Every shared parameter with its standard deviation."""
+        """Return every shared parameter with its standard deviation."""
         deviations = dict(zip(self.information.names, np.sqrt(np.diagonal(self.information.covariance)), strict=True))
         return {
             name: Parameter(float(np.asarray(self.model[name])), float(deviations.get(name, 0.0)), declared.unit)

@@ -29,7 +29,7 @@ class ParameterCorrelations:
 
     @property
     def std(self) -> Float[np.ndarray, " parameter"]:
-        """Standard deviations."""
+        """Return the standard deviations."""
         return np.sqrt(np.diagonal(self.covariance))
 
     @property

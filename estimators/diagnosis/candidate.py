@@ -45,7 +45,7 @@ class Candidate:
 
     @property
     def limit(self) -> str:
-        """The detection limit with its unit, a fraction in percent; empty where the data could not show the effect."""
+        """Return the detection limit with its unit, a fraction in percent; empty where the data could not show the effect."""
         if not (self.testable and math.isfinite(self.detection_limit)):
             return ""
         fraction = self.unit == "1"

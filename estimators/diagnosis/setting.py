@@ -60,7 +60,7 @@ class Setting:
 
     @property
     def samples(self) -> int:
-        """Number of measured values that count."""
+        """Return the number of measured values that count."""
         return int(np.sum(np.asarray(self.data.counted)))
 
     @property

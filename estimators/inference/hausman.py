@@ -119,7 +119,7 @@ class Agreement:
 
     @property
     def suspects(self) -> tuple[str, ...]:
-        """Ids of effects that break the assumptions of these quantities, those of the clearest difference first.
+        """Return the ids of effects that break the assumptions of these quantities, those of the clearest difference first.
 
         Where to look first, and no list to choose from: a fit of the whole motion hands an error on to other quantities too.
         """

@@ -83,7 +83,7 @@ class LinearModel:
 
     @property
     def std(self) -> Float[np.ndarray, " quantity"]:
-        """Standard deviations of `values`."""
+        """Return the standard deviations of `values`."""
         return np.sqrt(np.diagonal(self.covariance))
 
     @property

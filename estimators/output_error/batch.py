@@ -49,7 +49,7 @@ class BatchFit:
 
     @property
     def std(self) -> Float[np.ndarray, "recording parameter"]:
-        """Standard deviations of the values."""
+        """Return the standard deviations of the values."""
         return np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2))
 
     @property

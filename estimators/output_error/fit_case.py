@@ -54,7 +54,7 @@ class Case:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the parameters among the unknowns, the shared ones first."""
+        """Return the names of the parameters among the unknowns, the shared ones first."""
         return (*self.shared, *self.space.each)
 
     @classmethod

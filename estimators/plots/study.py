@@ -203,7 +203,7 @@ def _shown(found: StudyResults) -> list[tuple[int, str]]:
 
 
 def _scaled(found: StudyResults, e: int, p: int) -> tuple[np.ndarray, float]:
-    """Errors of all repetitions, and what makes them percent of the truth."""
+    """Return the errors of all repetitions, and what makes them percent of the truth."""
     truth = found.arrays["truth"][:, p]
     size = float(np.nanmean(np.abs(truth))) or 1.0
     return found.arrays["estimate"][:, e, p] - truth, 100 / size

@@ -51,7 +51,7 @@ class Bootstrap:
 
     @property
     def std(self) -> dict[str, float]:
-        """Standard deviation of each parameter over the replicates."""
+        """Return the standard deviation of each parameter over the replicates."""
         return dict(zip(self.names, (float(s) for s in np.std(self._kept, axis=0, ddof=1)), strict=True))
 
     @property

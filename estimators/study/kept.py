@@ -47,7 +47,7 @@ class Kept:
 
     @property
     def estimators(self) -> tuple[str, ...]:
-        """Names of what was done with the data."""
+        """Return the names of what was done with the data."""
         return self.layout.coordinates["estimator"]
 
     @property

@@ -73,7 +73,7 @@ def plans_for(spec: StudySpec, index: int, truth: Truth) -> list[virtual_rig.Pla
 
 
 def _conditions(excitation: Excitation, random: np.random.Generator) -> list[virtual_rig.Plan]:
-    """Conditions drawn independently from one population, those of the envelope first."""
+    """Return the conditions drawn independently from one population, those of the envelope first."""
     samples = round(excitation.duration / excitation.sample_time)
     names = [f"condition_{n + 1}" for n in range(excitation.conditions)]
     names += [f"{NEW}{n + 1}" for n in range(excitation.new_conditions)]

@@ -126,7 +126,7 @@ class StudyResults(Kept):
         return pictures.plot(self, which)
 
     def figures(self) -> dict[str, tuple[Any, str]]:
-        """Every picture that suits the study, with a caption."""
+        """Return every picture that suits the study, with a caption."""
         return pictures.figures(self)
 
     def to_csv(self, path: str | os.PathLike[str]) -> None:

@@ -159,7 +159,7 @@ class Excitation:
 
     @property
     def moving(self) -> int:
-        """Number of experiments in which the rig moves."""
+        """Return the number of experiments in which the rig moves."""
         return self.conditions if self.kind == "conditions" else self.free + self.forced + self.repeats
 
 
@@ -324,7 +324,7 @@ class StudySpec:
 
 
 def parameter_names(effects: tuple[str, ...]) -> tuple[str, ...]:
-    """Names of all parameters of the paper's model with these effects of the catalogue."""
+    """Return the names of all parameters of the paper's model with these effects of the catalogue."""
     own = (f"{effect}.{name}" for effect in (*_PAPER_EFFECTS, *effects) for name in declarations(CATALOGUE[effect]))
     return (*declarations(RigidBody), *own)
 

@@ -42,7 +42,7 @@ class UsableConditions:
 
     @property
     def without_grip(self) -> tuple[str, ...]:
-        """Names of the experiments, used or not, whose arm stood near 90 degrees."""
+        """Return the names of the experiments, used or not, whose arm stood near 90 degrees."""
         return tuple(name for name, grip in self.grips.items() if grip < LEAST_GRIP)
 
 

@@ -71,7 +71,7 @@ class Compared:
 
     @property
     def errors(self) -> dict[str, ChannelError]:
-        """Errors per channel over all experiments."""
+        """Return the errors per channel over all experiments."""
         found = {}
         for channel in CHANNELS:
             traces = [t for t in self.traces if t.channel == channel]

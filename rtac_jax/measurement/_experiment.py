@@ -180,7 +180,7 @@ class Experiment:
 
     @property
     def samples(self) -> int:
-        """Number of samples N."""
+        """Return the number of samples N."""
         return len(next(iter(self.outputs.values())).values)
 
     @property

@@ -82,7 +82,7 @@ class Plan:
 
     @property
     def samples(self) -> int:
-        """Number of samples N."""
+        """Return the number of samples N."""
         return round(self.duration / self.sample_time)
 
     @property

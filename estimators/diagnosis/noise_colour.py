@@ -12,7 +12,7 @@ from estimators.diagnosis.workers import Workers
 from estimators.prediction_error.coloured_noise import Colours, ColourStates, capped, likeliest_colours, rest_spectra
 from estimators.prediction_error.noise_estimation import fit_noise
 
-_MEMORIES = (1.5, 4.0, 10.0, 25.0)  # correlation times of sensor noise that are tried, in samples
+_CORRELATION_TIMES = (1.5, 4.0, 10.0, 25.0)  # correlation times of sensor noise that are tried, in samples
 _QUIETER = 6.0  # by how much in the logarithm of their variance random forces are lowered for that
 
 
@@ -59,10 +59,10 @@ def coloured(setting: Setting, base: Refit, workers: Workers) -> Setting | None:
     Rest records would tell; without them the likelihood has to.
     """
     count = np.asarray(setting.data.present).sum(axis=(0, 2))
-    memories = np.unique(np.outer(np.unique(np.asarray(setting.data.excitation.sample_time)), _MEMORIES))
+    times = np.unique(np.outer(np.unique(np.asarray(setting.data.excitation.sample_time)), _CORRELATION_TIMES))
     best, likelihood = {}, base.predictor.log_likelihood
     for channel in np.array(CHANNELS)[count > 0]:
-        trials = [{**best, str(channel): (1.0, float(memory))} for memory in memories]
+        trials = [{**best, str(channel): (1.0, float(correlation_time))} for correlation_time in times]
         values = workers.each(lambda colours: _likelihood_with(setting, colours, base), trials)
         for trial, value in zip(trials, values, strict=True):
             if value > likelihood + setting.policy.colour_gain:

@@ -29,18 +29,20 @@ Colours = dict[str, tuple[float, float]]
 
 _LAGS = 5  # of the correlations that have to be more than chance
 _SHORTEST = 160  # samples of a rest record that tells anything
-_MEMORIES = (1.5, 5.0, 20.0)  # correlation times from which the likeliest is looked for, in samples
-_RANGE = ((-6.0, 6.0), (-1.0, 6.0))  # of the logarithms of share over rest, and of the correlation time in samples
-_REACH = (1.0, 0.3)  # first steps in the logarithms of share over rest, and of correlation time
+_CORRELATION_TIMES = (1.5, 5.0, 20.0)  # correlation times from which the likeliest is looked for, in samples
+_RANGE = ((-6.0, 6.0), (-1.0, 6.0))  # of the logarithms of fraction over rest, and of the correlation time in samples
+_REACH = (1.0, 0.3)  # first steps in the logarithms of fraction over rest, and of correlation time
 _CLOSER = 0.5 ** np.arange(6)  # fractions of a step, tried where it leads to what cannot be
 _MOST = 0.98  # the rest is white: quantisation at least
 
 
-def _share() -> Any:
-    return parameter(symbol="c", unit="1", bounds=(0.0, 1.0), meaning="share of the variance", fixed=True, default=0.0)
+def _fraction() -> Any:
+    return parameter(
+        symbol="c", unit="1", bounds=(0.0, 1.0), meaning="fraction of the variance", fixed=True, default=0.0
+    )
 
 
-def _memory() -> Any:
+def _correlation_time() -> Any:
     return parameter(symbol="tau", unit="s", bounds=(0.0, np.inf), meaning="correlation time", fixed=True, default=1e-3)
 
 
@@ -56,22 +58,22 @@ class ColourStates(Sensor):
     states: ClassVar[dict[str, str]] = {"cart_position": "m", "arm_velocity": "rad/s", "arm_angle": "rad"}
     closed: ClassVar[bool] = True
 
-    cart_position_share: Scalar = _share()
-    arm_velocity_share: Scalar = _share()
-    arm_angle_share: Scalar = _share()
-    cart_position_memory: Scalar = _memory()
-    arm_velocity_memory: Scalar = _memory()
-    arm_angle_memory: Scalar = _memory()
+    cart_position_fraction: Scalar = _fraction()
+    arm_velocity_fraction: Scalar = _fraction()
+    arm_angle_fraction: Scalar = _fraction()
+    cart_position_correlation_time: Scalar = _correlation_time()
+    arm_velocity_correlation_time: Scalar = _correlation_time()
+    arm_angle_correlation_time: Scalar = _correlation_time()
 
     @property
-    def share(self) -> Any:
+    def fraction(self) -> Any:
         """Fraction of the variance of each output's noise that is coloured, in the order of `CHANNELS`."""
-        return jnp.stack([getattr(self, f"{channel}_share") for channel in CHANNELS])
+        return jnp.stack([getattr(self, f"{channel}_fraction") for channel in CHANNELS])
 
     @property
-    def memory(self) -> Any:
+    def correlation_time(self) -> Any:
         """Correlation time of each output's noise [s]."""
-        return jnp.stack([getattr(self, f"{channel}_memory") for channel in CHANNELS])
+        return jnp.stack([getattr(self, f"{channel}_correlation_time") for channel in CHANNELS])
 
     def read(self, outputs: Outputs, own: States) -> Outputs:
         """Add the coloured noise to each output."""
@@ -83,26 +85,29 @@ class ColourStates(Sensor):
 
     def rate(self, motion: Motion, own: States) -> States:
         """Return the decay of each noise at its correlation time."""
-        memory = {c: getattr(self, f"{c}_memory") for c in self.states}
-        return tuple(-n / memory[c] for c, n in zip(self.states, own, strict=True))
+        correlation_time = {c: getattr(self, f"{c}_correlation_time") for c in self.states}
+        return tuple(-n / correlation_time[c] for c, n in zip(self.states, own, strict=True))
 
     def follow(self, motion: Motion, own: States) -> States:
         """Return the states after a step, decayed exactly."""
         return tuple(
-            n * jnp.exp(-motion.step / getattr(self, f"{c}_memory")) for c, n in zip(self.states, own, strict=True)
+            n * jnp.exp(-motion.step / getattr(self, f"{c}_correlation_time"))
+            for c, n in zip(self.states, own, strict=True)
         )
 
 
 def capped(colours: Colours) -> Colours:
     """Return the colours with some white noise left in each channel."""
-    return {channel: (min(share, _MOST), memory) for channel, (share, memory) in colours.items()}
+    return {
+        channel: (min(fraction, _MOST), correlation_time) for channel, (fraction, correlation_time) in colours.items()
+    }
 
 
 def with_colours(model: RTAC, colours: Colours) -> RTAC:
     """Return the model of a predictor whose sensors' noise has these colours; channels that are not named are white."""
     values = {}
-    for channel, (share, memory) in capped(colours).items():
-        values |= {f"{channel}_share": share, f"{channel}_memory": memory}
+    for channel, (fraction, correlation_time) in capped(colours).items():
+        values |= {f"{channel}_fraction": fraction, f"{channel}_correlation_time": correlation_time}
     return model + ColourStates(**values) if values else model
 
 
@@ -144,10 +149,10 @@ class RestSpectrum:
             return None
         return cls(np.concatenate(angle), np.concatenate(power), interval)
 
-    def log_likelihood(self, share: float, memory: float) -> float:
+    def log_likelihood(self, fraction: float, correlation_time: float) -> float:
         """Return the log-likelihood of a fraction of coloured noise with this correlation time [s], at its best level."""
-        keep = np.exp(-self.interval / memory)
-        shape = share * (1 - keep**2) / (1 - 2 * keep * np.cos(self.angle) + keep**2) + 1 - share
+        keep = np.exp(-self.interval / correlation_time)
+        shape = fraction * (1 - keep**2) / (1 - 2 * keep * np.cos(self.angle) + keep**2) + 1 - fraction
         return -float(len(shape) * np.log(np.mean(self.power / shape)) + np.sum(np.log(shape)))
 
     def colour(self) -> tuple[float, float]:
@@ -156,7 +161,7 @@ class RestSpectrum:
         def cost(at: np.ndarray) -> float:
             return -self.log_likelihood(float(expit(at[0])), self.interval * float(np.exp(at[1])))
 
-        begins = itertools.product((0.0, 3.0), np.log(_MEMORIES))
+        begins = itertools.product((0.0, 3.0), np.log(_CORRELATION_TIMES))
         found = min(
             (minimize(cost, begin, method="L-BFGS-B", bounds=_RANGE) for begin in begins), key=lambda one: one.fun
         )
@@ -172,7 +177,11 @@ def rest_spectra(experiments: Sequence[Experiment], limits: ColourLimits = COLOU
 def colours_at_rest(experiments: Sequence[Experiment], limits: ColourLimits = COLOUR_LIMITS) -> Colours:
     """Estimate fraction and correlation time [s] of coloured noise, for channels whose rest records are not white."""
     found = {channel: one.colour() for channel, one in rest_spectra(experiments, limits).items()}
-    return {channel: (share, memory) for channel, (share, memory) in found.items() if share > limits.little}
+    return {
+        channel: (fraction, correlation_time)
+        for channel, (fraction, correlation_time) in found.items()
+        if fraction > limits.little
+    }
 
 
 def likeliest_colours(first: Colours, likelihood: Callable[[Colours], float]) -> tuple[Colours, float]:
@@ -205,7 +214,7 @@ def likeliest_colours(first: Colours, likelihood: Callable[[Colours], float]) ->
 
 def _moved(colours: Colours, channel: str, which: int, by: float) -> Colours:
     """Return the colours with the logit of a channel's fraction (0) or the logarithm of its correlation time (1) moved."""
-    share, memory = colours[channel]
+    fraction, correlation_time = colours[channel]
     if which:
-        return {**colours, channel: (share, memory * float(np.exp(by)))}
-    return {**colours, channel: (min(float(expit(logit(min(share, _MOST)) + by)), _MOST), memory)}
+        return {**colours, channel: (fraction, correlation_time * float(np.exp(by)))}
+    return {**colours, channel: (min(float(expit(logit(min(fraction, _MOST)) + by)), _MOST), correlation_time)}

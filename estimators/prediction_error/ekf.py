@@ -204,9 +204,9 @@ def wandering(
     colour = next((effect for effect in model.effects if isinstance(effect, ColourStates)), None)
     if colour is None:
         return Wander(variance, nothing, nothing, ())
-    share, keep = colour.share[:, None], jnp.exp(-sample_time / colour.memory[:, None])
+    fraction, keep = colour.fraction[:, None], jnp.exp(-sample_time / colour.correlation_time[:, None])
     places = tuple(names.index(f"{colour.id}.{channel}") for channel in CHANNELS)
-    at, slow = jnp.asarray(places), share * variance
+    at, slow = jnp.asarray(places), fraction * variance
     return Wander(variance - slow, nothing.at[at].set(slow), nothing.at[at].set((1 - keep**2) * slow), places)
 
 

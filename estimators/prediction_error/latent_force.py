@@ -22,7 +22,7 @@ from rtac_jax.simulation import Steps, advance, trajectories
 
 _PORTS = ("cart", "arm")
 _UNITS = {"cart": "N", "arm": "N m"}
-_MEMORIES = (
+_CORRELATION_TIMES = (
     0.03,
     0.1,
     0.3,
@@ -123,29 +123,29 @@ def latent_forces(
     variance = jnp.broadcast_to(jnp.asarray(sensor_variance)[:, None], (len(sensor_variance), data.experiments))
     linear = _linearised(model, data, space, physical, gain, variance, start_variance, jnp.asarray(substeps))
 
-    def likelihood(shares: np.ndarray, memory: float, swing: float) -> tuple[float, np.ndarray]:
+    def likelihood(fractions: np.ndarray, correlation_time: float, swing: float) -> tuple[float, np.ndarray]:
         """Return the log-likelihood without a force, and with one at each port of each size (a row of fractions a port)."""
-        trials = np.broadcast_to(still, (1 + shares.size, 2)).copy()
+        trials = np.broadcast_to(still, (1 + fractions.size, 2)).copy()
         for port in range(2):
-            trials[1 + port * shares.shape[1] :, port][: shares.shape[1]] = shares[port] * scale[port]
+            trials[1 + port * fractions.shape[1] :, port][: fractions.shape[1]] = fractions[port] * scale[port]
         values = np.asarray(
-            _likelihoods(linear, data, gain, jnp.asarray(trials), jnp.asarray(memory), jnp.asarray(swing))
+            _likelihoods(linear, data, gain, jnp.asarray(trials), jnp.asarray(correlation_time), jnp.asarray(swing))
         )
         return float(values[0]), values[1:].reshape(2, -1)
 
-    def likeliest(memories: np.ndarray, swing: float) -> _Likeliest:
+    def likeliest(times: np.ndarray, swing: float) -> _Likeliest:
         coarse = np.broadcast_to(_SHARES, (2, len(_SHARES)))
-        memory = float(max(memories, key=lambda m: likelihood(coarse, m, swing)[1].max()))
-        middle = coarse[0, likelihood(coarse, memory, swing)[1].argmax(axis=1)]
+        correlation_time = float(max(times, key=lambda m: likelihood(coarse, m, swing)[1].max()))
+        middle = coarse[0, likelihood(coarse, correlation_time, swing)[1].argmax(axis=1)]
         fine = middle[:, None] * np.geomspace(0.25, 4.0, len(_SHARES))
-        none, by_port = likelihood(fine, memory, swing)
+        none, by_port = likelihood(fine, correlation_time, swing)
         gained = by_port.max(axis=1) - none
         chosen = np.take_along_axis(fine, by_port.argmax(axis=1)[:, None], axis=1)[:, 0] * scale
         chosen = jnp.asarray(np.where(gained > 0, chosen, still))
-        mean, variance = _smoothed(linear, data, gain, chosen, jnp.asarray(memory), jnp.asarray(swing))
-        return _Likeliest(gained, memory, np.asarray(mean), np.asarray(variance))
+        mean, variance = _smoothed(linear, data, gain, chosen, jnp.asarray(correlation_time), jnp.asarray(swing))
+        return _Likeliest(gained, correlation_time, np.asarray(mean), np.asarray(variance))
 
-    slow = likeliest(np.array(_MEMORIES) * 2 * np.pi / frequency, 0.0)
+    slow = likeliest(np.array(_CORRELATION_TIMES) * 2 * np.pi / frequency, 0.0)
     strongest = _strongest(slow.mean[:, int(np.argmax(slow.gained))], experiments)
     swinging = likeliest(np.array(_RINGING) * 2 * np.pi / strongest, strongest)
     price = 0.5 * float(np.log(np.sum(np.asarray(data.present))))  # of the frequency
@@ -163,7 +163,7 @@ def latent_forces(
         seen, possible = np.sqrt(np.nanmean(at**2)), np.sqrt(np.nanmean(at**2 + std**2))
         rms = float(0.5 * (seen + possible))
         measured = np.isfinite(at).sum(axis=0) @ np.array([e.sample_time for e in experiments])  # s
-        independent = float(measured) / best.memory
+        independent = float(measured) / best.correlation_time
         doubt = float(0.5 * (possible - seen) + rms / np.sqrt(2 * max(independent, 1.0)))
         found.append(
             LatentForce(
@@ -185,12 +185,12 @@ class _Likeliest(NamedTuple):
 
     Attributes:
         gained: log-likelihood by a force at each port.
-        memory: correlation time [s].
+        correlation_time: correlation time [s].
         mean, variance: of the forces given all measurements.
     """
 
     gained: Float[np.ndarray, " port"]
-    memory: float
+    correlation_time: float
     mean: Float[np.ndarray, "sample port experiment"]
     variance: Float[np.ndarray, "sample port experiment"]
 
@@ -268,13 +268,13 @@ def _linearised(
     return _Linear(transition, push, shown, error, wander, begin, excitation.sample_time)
 
 
-def _filter(linear: _Linear, data: Data, gain: Array, size: Array, memory: Any, swing: Any) -> Any:
+def _filter(linear: _Linear, data: Data, gain: Array, size: Array, correlation_time: Any, swing: Any) -> Any:
     """Filter the prediction errors with the two forces as further states, and keep what the smoother needs.
 
-    A force is the real part of a phasor that turns at `swing` [rad/s] and forgets within `memory` [s].
+    A force is the real part of a phasor that turns at `swing` [rad/s] and forgets within `correlation_time` [s].
     """
     count, experiments = linear.transition.shape[1], linear.error.shape[2]
-    keep = jnp.exp(-linear.interval / memory)
+    keep = jnp.exp(-linear.interval / correlation_time)
     turn = keep * jnp.array([[jnp.cos(swing * linear.interval), -jnp.sin(swing * linear.interval)],
                              [jnp.sin(swing * linear.interval), jnp.cos(swing * linear.interval)]])  # fmt: skip
     unmoved, still = jnp.zeros((2, count, experiments)), jnp.zeros((2, 2, experiments))
@@ -321,14 +321,16 @@ def _filter(linear: _Linear, data: Data, gain: Array, size: Array, memory: Any, 
 
 
 @program
-def _likelihoods(linear: _Linear, data: Data, gain: Array, sizes: Array, memory: Any, swing: Any) -> Array:
-    return jax.lax.map(lambda size: _filter(linear, data, gain, size, memory, swing)[1][3].sum(), sizes)
+def _likelihoods(linear: _Linear, data: Data, gain: Array, sizes: Array, correlation_time: Any, swing: Any) -> Array:
+    return jax.lax.map(lambda size: _filter(linear, data, gain, size, correlation_time, swing)[1][3].sum(), sizes)
 
 
 @program
-def _smoothed(linear: _Linear, data: Data, gain: Array, size: Array, memory: Any, swing: Any) -> tuple[Array, Array]:
+def _smoothed(
+    linear: _Linear, data: Data, gain: Array, size: Array, correlation_time: Any, swing: Any
+) -> tuple[Array, Array]:
     """Return mean and variance of the two forces, [sample port experiment]."""
-    last, (before, filtered, back, _) = _filter(linear, data, gain, size, memory, swing)
+    last, (before, filtered, back, _) = _filter(linear, data, gain, size, correlation_time, swing)
 
     def one(carry: Any, row: Any) -> Any:
         ahead, ahead_spread = carry  # smoothed at the next sample

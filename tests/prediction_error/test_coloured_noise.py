@@ -62,7 +62,7 @@ def test_the_likelihood_is_largest_at_what_is_said():
     )
 
 
-def test_the_search_climbs_along_every_share_and_memory():
+def test_the_search_climbs_along_every_fraction_and_correlation_time():
     def likelihood(colours):
         (share, memory), (other, slow) = colours["cart_position"], colours["arm_velocity"]
         shares = (np.log(share / (1 - share)) - 1.0) ** 2 + (np.log(other / (1 - other)) - 2.0) ** 2

@@ -24,6 +24,8 @@ _NOTHING = 2e-4
 _TRIES = (2, 2, 6)
 _DAMPING, _LEAST_DAMPING = 1e-4, 1e-12  # relative to the diagonal, as Marquardt (1963) takes it
 _EASE, _TIGHTEN = 0.01, 10.0
+# After a step that failed the damping that served is near what is needed: at a kink, where every other one would fail again.
+_EASE_AFTER_FAILURE = 0.3
 _ROUNDING = 1e-12  # of a sum of squares
 
 
@@ -128,7 +130,8 @@ def one_step(
     take = _per_column(better, batch)
     gained = better & (fresh | (now - then > _NOTHING))
     tried = active & ~fresh
-    eased = jnp.maximum(_EASE * batch.damping, _LEAST_DAMPING)
+    eased = jnp.where(batch.failed > 0, _EASE_AFTER_FAILURE, _EASE) * batch.damping
+    eased = jnp.maximum(eased, _LEAST_DAMPING)
     after = batch._replace(
         unknowns=jnp.where(take, trial, batch.unknowns),
         products=jnp.where(take, products, batch.products),

@@ -15,6 +15,7 @@ import shutil
 import sys
 import threading
 import time
+import types
 import zlib
 from collections.abc import Callable, Iterator, Sequence
 from importlib import metadata
@@ -59,10 +60,36 @@ class Kept(NamedTuple):
 
 
 def folder() -> Path | None:
-    """Return the folder for programs; None where compiled code is not kept, or is not for this machine's processor."""
+    """Return the folder for programs; None where compiled code is not kept or not for a CPU, or the package has been patched."""
     config: Any = jax.config
     cache: str | None = config.jax_compilation_cache_dir
-    return Path(cache) / FOLDER if cache and jax.default_backend() == "cpu" else None
+    return Path(cache) / FOLDER if cache and jax.default_backend() == "cpu" and not patched() else None
+
+
+def patched() -> bool:
+    """Return whether a function of the package, or a method of a class, was replaced by one from elsewhere.
+
+    Then its source does not tell what is traced.
+    """
+    modules = [m for name, m in list(sys.modules.items()) if m is not None and name.partition(".")[0] in PACKAGES]
+    for module in modules:
+        for value in list(vars(module).values()):
+            owned = isinstance(value, type) and value.__module__.partition(".")[0] in PACKAGES
+            for one in (value, *(vars(value).values() if owned else ())):
+                if type(one) is types.FunctionType:
+                    root = one.__module__.partition(".")[0]
+                    if root not in PACKAGES and _foreign(root):
+                        return True
+    return False
+
+
+@functools.cache
+def _foreign(root: str) -> bool:
+    """Return whether a module is neither of Python nor installed."""
+    if root in sys.stdlib_module_names:
+        return False
+    file = getattr(sys.modules.get(root), "__file__", None)
+    return file is None or not {"site-packages", "dist-packages"} & set(Path(file).parts)
 
 
 def loaded(file: Path) -> tuple[Callable[..., Sequence[Any]], Kept] | None:

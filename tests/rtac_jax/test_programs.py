@@ -16,6 +16,7 @@ from jax.experimental.compilation_cache.compilation_cache import reset_cache
 
 from rtac_jax import RTAC, _program_files, programs
 from rtac_jax._fingerprint import NoFingerprintError, Traced, fingerprint
+from rtac_jax.effects import CATALOGUE
 from rtac_jax.programs import Program
 
 FIT = """
@@ -266,3 +267,23 @@ def test_a_function_that_took_the_place_of_another_has_no_fingerprint(monkeypatc
     monkeypatch.setattr(programs, "forget_programs", lambda: None)
     with pytest.raises(NoFingerprintError):
         fingerprint(before, ("rtac_jax",))
+
+
+def test_where_a_method_of_the_package_was_replaced_nothing_is_loaded_or_kept(kept, monkeypatch) -> None:
+    """A notebook may do so, and code of the method as it was would give its numbers without a word."""
+    function = Program(scaled)
+    traced_by(function, jnp.ones(3), 2.0)
+    assert not _program_files.patched()
+    spring = CATALOGUE["cubic_spring"]
+    before, count = spring.force, len(files(kept))
+
+    def replaced(self, motion, own):
+        return before(self, motion, own)
+
+    replaced.__module__ = "a_notebook"
+    monkeypatch.setattr(spring, "force", replaced)
+    assert _program_files.patched()
+    assert traced_by(function, jnp.ones(3), 2.0) == 1
+    assert len(files(kept)) == count
+    monkeypatch.undo()
+    assert not _program_files.patched()

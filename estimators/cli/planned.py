@@ -29,4 +29,5 @@ def show_plan(planned: Any, work: Job, figures: dict[str, Any], captions: dict[s
         return
     planned.save(work.folder / "next_experiment.h5")
     figures["next_experiment"] = planned.plot()
-    captions["next_experiment"] = "What would tell them apart; next_experiment.h5 can be played on the rig."
+    said = "What would tell them apart; next_experiment.h5 can be played on the rig."
+    captions["next_experiment"] = f"{said} {planned.spared}".strip()

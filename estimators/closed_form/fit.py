@@ -148,15 +148,19 @@ def closed_form(
             model, free, pushed=pushed, reaction=options.reaction, acceleration=options.weak
         )
         scales = unknown_scales(model, pushed=pushed)
-        if len(scales) == 1:
-            model, more = scale_stage(
-                model, forced, estimates, unknown=scales[0], alone=not ratios, instruments=options.instruments
+        # Of both unknown, me or K_m tells that of the arm's equation, and me then the cart's.
+        told_by = {"eccentric_moment", "torque_constant"} & model.fixed
+        more = {}
+        for unknown in scales if len(scales) == 1 else ("arm_inertia", "total_mass") if scales and told_by else ():
+            model, own = scale_stage(
+                model, forced, estimates, unknown=unknown, alone=not ratios, instruments=options.instruments
             )
-        else:
+            more |= own
+        if not more:
             model, more = forced_stage(
                 model, forced, weighting=options.weighting, alone=not ratios, instruments=options.instruments
             )
-    assumed = tuple(name for name in scales if len(scales) > 1 or name not in more)
+    assumed = tuple(name for name in scales if name not in more)
     told = {name: found for name, found in (estimates | more).items() if name not in assumed}
     return ClosedForm(model.release(*uncertain), ratios, told, used, skipped, options, assumed=assumed)
 

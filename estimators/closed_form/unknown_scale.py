@@ -129,7 +129,7 @@ def _cart_per_stiffness(s: Terms, model: RTAC, value: Mapping[str, float], alone
 def _with_inertia(of_arm: Solved, of_cart: Solved, known: str, scale: np.ndarray) -> Solved:
     """Return the arm's parameters from those divided by its inertia, of which one is known."""
     inertia = scale / of_arm[known]
-    return {name: inertia * per for name, per in of_arm.items()} | of_cart | {"arm_inertia": inertia}
+    return of_cart | {name: inertia * per for name, per in of_arm.items()} | {"arm_inertia": inertia}
 
 
 def _with_stiffness(of_arm: Solved, of_cart: Solved, value: Mapping[str, float]) -> Solved:

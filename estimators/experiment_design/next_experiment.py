@@ -84,6 +84,17 @@ class NextExperiment:
         return tuple(name for name, separation in self.held_out.items() if separation >= CONFUSABLE)
 
     @property
+    def spared(self) -> str:
+        """Say which experiments that were held out would decide; empty where none would."""
+        if not self.deciding:
+            return ""
+        names = " and ".join(f"{name} ({self.held_out[name]:.3g})" for name in self.deciding)
+        return (
+            f"It may not be needed: of what was held out, {names} would tell these apart if it were fitted. Hold out others "
+            "(validation, --validation)."
+        )
+
+    @property
     def best(self) -> PlannedExperiment:
         """Return the recommended experiment."""
         return self.ranked[0]
@@ -154,11 +165,7 @@ class NextExperiment:
                 "No experiment that was tried tells these apart; record it several times, or widen the limits."
             )
         if self.deciding:
-            names = " and ".join(f"{name} ({self.held_out[name]:.3g})" for name in self.deciding)
-            lines.append(
-                f"It may not be needed: of what was held out, {names} would tell these apart if it were fitted. Hold out others "
-                "(validation, --validation)."
-            )
+            lines.append(self.spared)
         if max(one.smallest for one in self.ranked) > best.smallest:
             lines.append(f"Of experiments that add more than {ENOUGH:g} the gentlest for the rig comes first.")
         wide = max(10, *(len(one.plan.name) for one in self.ranked))

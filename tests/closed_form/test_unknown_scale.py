@@ -69,6 +69,14 @@ def test_a_known_product_me_or_motor_serves_as_well(recording, known, fixed) -> 
     assert fixed not in found.estimates
 
 
+def test_a_known_motor_alone_tells_both_scales(recording) -> None:
+    found = estimated(recording, {}, fixed=["torque_constant"], weak=True)
+    assert found.assumed == ()
+    for name, true in TRUTH.items():
+        if name != "torque_constant":
+            assert found.estimates[name].value == pytest.approx(true, rel=0.02), name
+
+
 def test_where_the_stiffness_or_the_motor_is_known_nothing_is_left_open(recording) -> None:
     by_spring = estimated(recording, {"arm_inertia": TRUTH["arm_inertia"]}, fixed=["spring_stiffness"], weak=True)
     assert by_spring.assumed == ()

@@ -258,8 +258,13 @@ def answering() -> Iterator[None]:
     """Turn what may go wrong with data or files into one sentence and an exit status."""
     # Deferred, so that the help comes up without them.
     from estimators.core.results import DivergedError
+    from rtac_jax.configuration import require_platform
     from rtac_jax.measurement import RecordingError
 
+    try:
+        require_platform()
+    except RuntimeError as error:
+        stop(WRONG_USE, str(error))
     try:
         yield
     except (RecordingError, OSError) as error:

@@ -18,8 +18,8 @@ from estimators.cli.fit import fit
 from estimators.cli.importing import import_files
 from estimators.cli.improve import improve
 from estimators.cli.info import info
-from estimators.cli.job import show_tracebacks
 from estimators.cli.next_experiment import next_experiment
+from estimators.cli.refusals import show_tracebacks
 from estimators.cli.study import study
 
 

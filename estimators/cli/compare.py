@@ -6,9 +6,10 @@ from typing import Annotated, Any
 import typer
 
 from estimators.cli.captions import shown
-from estimators.cli.job import WRONG_USE, Job, job, stop
+from estimators.cli.job import Job, job
 from estimators.cli.models import model_or_fit, seen
 from estimators.cli.options import Effects, File, Json, Out, Validation
+from estimators.cli.refusals import WRONG_USE, stop
 
 Models = Annotated[
     list[Path] | None,

@@ -6,8 +6,9 @@ from typing import Annotated, Any
 
 import typer
 
-from estimators.cli.job import WRONG_USE, Job, progress, stop
+from estimators.cli.job import Job, progress
 from estimators.cli.options import option
+from estimators.cli.refusals import WRONG_USE, stop
 
 _IMPORTANCE = (0.5, 1.0)  # powers of the responses' size by which P0 for `control` keeps closest where they are large
 WeightOrder = Annotated[int, typer.Option(min=0, max=8, help="Poles and zeros of the uncertainty weight.")]

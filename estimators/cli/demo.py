@@ -7,8 +7,10 @@ from typing import Annotated
 import typer
 
 from estimators.cli.improve import improved
-from estimators.cli.job import Job, answering, prepare, printed_last, writable_folder
+from estimators.cli.job import Job, prepare, printed_last
 from estimators.cli.options import Json
+from estimators.cli.output_files import writable_folder
+from estimators.cli.refusals import answering
 
 
 def demo(

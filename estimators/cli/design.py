@@ -5,10 +5,12 @@ from typing import Annotated
 
 import typer
 
-from estimators.cli.job import WRONG_USE, answering, prepare, say, stop, writable_file
+from estimators.cli.job import prepare, say
 from estimators.cli.limits import TorqueLimit, Travel, numbers, positive
 from estimators.cli.models import model_or_fit
 from estimators.cli.options import Effects, Model
+from estimators.cli.output_files import writable_file
+from estimators.cli.refusals import WRONG_USE, answering, stop
 
 _ENDINGS = (".h5", ".hdf5")
 

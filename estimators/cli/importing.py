@@ -9,8 +9,10 @@ from typing import Annotated, Any
 
 import typer
 
-from estimators.cli.job import WRONG_USE, answering, say, stop, writable_file
+from estimators.cli.job import say
 from estimators.cli.options import option
+from estimators.cli.output_files import writable_file
+from estimators.cli.refusals import WRONG_USE, answering, stop
 
 _UNIT = re.compile(r"^(?P<column>.*?)\s*\[(?P<unit>[^\[\]]*)\]$")
 _SAME = {

@@ -4,11 +4,12 @@ from pathlib import Path
 from typing import Any
 
 from estimators.cli.captions import BANDS, CONFUSION, DIAGNOSIS, LADDER, LEARNED, WHERE, shown, without_limits
-from estimators.cli.job import NOT_POSSIBLE, Job, job, progress, stop
+from estimators.cli.job import Job, job, progress
 from estimators.cli.models import start_model
 from estimators.cli.options import Effects, File, Json, Model, NoLearnedForce, Out, Quick, Save, Validation
 from estimators.cli.own_effects import offered
 from estimators.cli.planned import plan_next, show_plan
+from estimators.cli.refusals import NOT_POSSIBLE, stop
 
 
 def improve(

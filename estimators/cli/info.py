@@ -2,8 +2,10 @@
 
 import typer
 
-from estimators.cli.job import answering, load, writable_file
+from estimators.cli.job import load
 from estimators.cli.options import File, Json
+from estimators.cli.output_files import writable_file
+from estimators.cli.refusals import answering
 
 _GUARDED = "checksums: the file is as it was written."
 _UNGUARDED = "checksums: none, so nothing guards the numbers against damage to the file; Recording.load(...).save(...) adds them."

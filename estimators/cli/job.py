@@ -2,23 +2,19 @@
 
 import datetime
 import hashlib
-import os
-import secrets
 import shlex
-import stat
 import sys
 import time
-import traceback
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import typer
 
-from estimators.cli.environment import note_cache, reason, say_once_that_the_cache_is_full
-
-NOT_POSSIBLE, WRONG_USE, INTERRUPTED = 1, 2, 130
+from estimators.cli.environment import note_cache, say_once_that_the_cache_is_full
+from estimators.cli.output_files import saving_to, writable_file, writable_folder
+from estimators.cli.refusals import WRONG_USE, answering, stop
 
 
 class Job:
@@ -244,55 +240,6 @@ def printed_last(work: Job) -> Iterator[Job]:
             say(*work.said)
 
 
-def saving_to(path: Path) -> None:
-    """Try, before anything is computed, whether a result can be kept in a file."""
-    from rtac_jax.storage import ENDINGS
-
-    if path.suffix.lower() not in ENDINGS:
-        stop(WRONG_USE, f"--save: is {path}; let the name end in {' or '.join(ENDINGS)}.")
-    writable_file(path, "--save")
-
-
-@contextmanager
-def answering() -> Iterator[None]:
-    """Turn what may go wrong with data or files into one sentence and an exit status."""
-    # Deferred, so that the help comes up without them.
-    from estimators.core.results import DivergedError
-    from rtac_jax.configuration import require_platform
-    from rtac_jax.measurement import RecordingError
-
-    try:
-        require_platform()
-    except RuntimeError as error:
-        stop(WRONG_USE, str(error))
-    try:
-        yield
-    except (RecordingError, OSError) as error:
-        stop(WRONG_USE, _sentence(error))
-    except (ValueError, DivergedError, ArithmeticError) as error:
-        stop(NOT_POSSIBLE, _sentence(error))
-    except KeyboardInterrupt:
-        stop(INTERRUPTED, "interrupted; nothing that was not complete has been written.")
-    except MemoryError:
-        stop(INTERRUPTED, "there is not enough memory for this recording; cut it with Experiment.cut.")
-
-
-_shown = {"tracebacks": False}
-
-
-def show_tracebacks(asked: bool) -> None:
-    """Let every refusal come with the traceback of its cause, or not."""
-    _shown["tracebacks"] = asked
-
-
-def stop(status: int, sentence: str) -> NoReturn:
-    """Say one sentence and end with a status; after the traceback, where `--debug` asked for it."""
-    if _shown["tracebacks"] and sys.exc_info()[1] is not None:
-        typer.echo(traceback.format_exc(), err=True)
-    typer.echo(f"rtac: {sentence}", err=True)
-    raise typer.Exit(status)
-
-
 def load(file: Path) -> Any:
     """Load the recording."""
     from rtac_jax.measurement import Recording
@@ -308,10 +255,7 @@ def prepare() -> None:
 
     matplotlib.use("Agg")
     say_once_that_the_cache_is_full()
-    try:
-        note_cache(rtac_jax.configure())
-    except RuntimeError as error:
-        stop(WRONG_USE, str(error))
+    note_cache(rtac_jax.configure())
 
 
 def progress() -> bool:
@@ -322,58 +266,6 @@ def progress() -> bool:
 def say(*blocks: Any) -> None:
     """Print paragraphs and tables, an empty line between them."""
     typer.echo("\n\n".join(str(block) for block in blocks if str(block)))
-
-
-def writable_folder(folder: Path) -> Path:
-    """Return the folder, made if need be, and tried before anything is computed."""
-    probe = folder / f".{secrets.token_hex(4)}.part"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        probe.touch(exist_ok=False)
-        os.unlink(probe)
-    except OSError as error:
-        stop(WRONG_USE, f"{folder}: cannot be written to ({error.strerror}); name another place.")
-    return folder
-
-
-def writable_file(file: Path, option: str, *, replace: bool | None = None) -> None:
-    """Try, before anything is computed, whether a file can be written; its folder is made if need be.
-
-    A recording of measurements is not written over: nobody may be able to make them again.
-
-    Args:
-        file: to be written.
-        option: that names it.
-        replace: the user asks for it to be written over, whatever it holds; None where a command knows no such wish.
-    """
-    if file.parent.is_dir():
-        try:
-            is_folder = stat.S_ISDIR(os.stat(file).st_mode)
-        except FileNotFoundError:
-            is_folder = False
-        except OSError as error:
-            stop(WRONG_USE, f"{file}: cannot be written to ({error.strerror}); name another file for {option}.")
-        if is_folder:
-            stop(WRONG_USE, f"{file}: is a folder; name a file for {option}.")
-        if not replace and _holds_measurements(file):
-            mend = "name another file" if replace is None else "name another file, or add --replace"
-            stop(WRONG_USE, f"{file}: holds a recording, which would be lost; {mend} for {option}.")
-    writable_folder(file.parent)
-
-
-def _holds_measurements(file: Path) -> bool:
-    if not file.is_file():
-        return False
-    # Deferred, so that a command that writes anew starts without it.
-    from rtac_jax.measurement import holds_measurements
-
-    return holds_measurements(file)
-
-
-def _sentence(error: Exception) -> str:
-    if isinstance(error, OSError) and error.errno is not None:
-        return reason(error)
-    return " ".join(str(error).split())
 
 
 def _names(recording: Any, validation: str | None) -> list[str] | None:

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from estimators.cli.job import WRONG_USE, stop
+from estimators.cli.refusals import WRONG_USE, stop
 
 Travel = Annotated[float, typer.Option(metavar="MM", help="Of the cart, to each side.")]
 TorqueLimit = Annotated[float, typer.Option(metavar="NM", help="Of the motor, in N m.")]

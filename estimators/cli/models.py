@@ -3,8 +3,9 @@
 from pathlib import Path
 from typing import Any
 
-from estimators.cli.job import WRONG_USE, Job, progress, stop
+from estimators.cli.job import Job, progress
 from estimators.cli.own_effects import own_classes
+from estimators.cli.refusals import WRONG_USE, stop
 
 
 def loaded(path: Path, effects: Path | None = None, option: str = "--model") -> Any:

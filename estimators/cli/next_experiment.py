@@ -6,11 +6,13 @@ from typing import Annotated, Any
 import typer
 
 from estimators.cli.captions import shown
-from estimators.cli.job import WRONG_USE, Job, job, progress, stop, writable_file
+from estimators.cli.job import Job, job, progress
 from estimators.cli.limits import TorqueLimit, Travel, positive
 from estimators.cli.models import base_fit, loaded
 from estimators.cli.options import Effects, File, Json, Model, Out, Quick, Validation, option
+from estimators.cli.output_files import writable_file
 from estimators.cli.own_effects import offered
+from estimators.cli.refusals import WRONG_USE, stop
 
 _PLAYED = (".csv", ".h5", ".hdf5")
 

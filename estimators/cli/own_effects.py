@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from estimators.cli.job import WRONG_USE, stop
+from estimators.cli.refusals import WRONG_USE, stop
 from estimators.diagnosis.candidate_set import require_distinct
 from rtac_jax.effects import CATALOGUE, Effect
 

@@ -7,8 +7,9 @@ from typing import Annotated, Any
 
 import typer
 
-from estimators.cli.job import NOT_POSSIBLE, WRONG_USE, answering, prepare, progress, say, stop
+from estimators.cli.job import prepare, progress, say
 from estimators.cli.options import option
+from estimators.cli.refusals import NOT_POSSIBLE, WRONG_USE, answering, stop
 
 study = typer.Typer(
     help="Monte Carlo studies: how uncertain estimates are, whether what is stated of them is true, and what a diagnosis names.",

@@ -78,12 +78,19 @@ def scale_stage(
         found = _with_stiffness(of_arm, of_cart, value)
     labels = tuple(s.name for s in ready)
     made = {n: summary(labels, found[n], model.parameters[n].unit) for n in names if n in found}
-    for name in (*OF_CART, "total_mass"):
-        if name in made and not alone and name in estimates and unknown == "total_mass":
-            ratio = estimates[name].std / abs(estimates[name].value) if estimates[name].value else 0.0
-            shared = dataclasses.replace(made[name], std=float(np.hypot(made[name].std, ratio * abs(made[name].value))))
-            made[name] = shared
+    if not made[unknown].pooled > 0:  # noise, as of an arm that hardly moves the cart: it tells no scale
+        return model, {}
+    if unknown == "total_mass" and not alone:
+        made |= {
+            n: _with_ratio(made[n], estimates[n]) for n in (*OF_CART, "total_mass") if n in made and n in estimates
+        }
     return placed(model, made), made
+
+
+def _with_ratio(scaled: Estimates, ratio: Estimates) -> Estimates:
+    """Return an estimate by a scale, with the relative deviation of the ratio that was scaled."""
+    relative = ratio.std / abs(ratio.value) if ratio.value else 0.0
+    return dataclasses.replace(scaled, std=float(np.hypot(scaled.std, relative * scaled.value)))
 
 
 Solved = dict[str, np.ndarray]

@@ -4,7 +4,7 @@ import pytest
 from fuzz import REFUSALS, outcome
 from typer import Exit
 
-from estimators.cli.job import answering
+from estimators.cli.refusals import answering
 from rtac_jax.measurement import RecordingError
 
 

@@ -14,9 +14,10 @@ import numpy as np
 import pytest
 from jax.experimental.compilation_cache.compilation_cache import reset_cache
 
-from rtac_jax import RTAC, _program_files, programs
-from rtac_jax._fingerprint import NoFingerprintError, Traced, fingerprint
-from rtac_jax.programs import Program
+from rtac_jax import RTAC
+from rtac_jax.programs import Program, compiled_function, environment
+from rtac_jax.programs import files as kept_files
+from rtac_jax.programs.fingerprint import NoFingerprintError, Traced, fingerprint
 
 FIT = """
 import logging, sys
@@ -60,9 +61,9 @@ def kept(tmp_path, monkeypatch):
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 1e9)  # JAX keeps nothing by itself
     reset_cache()
     # Another test of this process may have left a function of its own in the package.
-    monkeypatch.setattr(_program_files, "patched", lambda: False)
-    for module in (programs, _program_files):
-        monkeypatch.setattr(module, "PACKAGES", (*programs.PACKAGES, __name__.partition(".")[0]))
+    monkeypatch.setattr(kept_files, "patched", lambda: False)
+    for module in (compiled_function, environment):
+        monkeypatch.setattr(module, "PACKAGES", (*environment.PACKAGES, __name__.partition(".")[0]))
     yield tmp_path
     for name, value in before.items():
         jax.config.update(name, value)
@@ -83,7 +84,7 @@ def factored(x, other):
 
 def files(folder: Path) -> list[Path]:
     """Return the files of programs, and those of their code."""
-    return sorted(file for file in folder.rglob(f"{_program_files.FOLDER}/*/*") if file.is_file())
+    return sorted(file for file in folder.rglob(f"{kept_files.FOLDER}/*/*") if file.is_file())
 
 
 def traced_by(function: Program, *given) -> int:
@@ -111,10 +112,11 @@ def test_code_is_found_by_what_was_traced_where_the_source_has_changed(kept, mon
     function = Program(scaled)
     traced_by(function, jnp.ones(3), 2.0)
     before = files(kept)
-    monkeypatch.setattr(_program_files, "_sources", lambda: "another source")
+    monkeypatch.setattr(environment, "_sources", lambda: "another source")
     assert traced_by(function, jnp.ones(3), 2.0) == 1
     assert len(files(kept)) == len(before) + 1  # no code
-    monkeypatch.setattr(_program_files, "_machine", lambda: "another processor")
+    for module in (environment, kept_files):
+        monkeypatch.setattr(module, "machine", lambda: "another processor")
     assert traced_by(function, jnp.ones(3), 2.0) == 1
     assert len(files(kept)) == len(before) + 3
 
@@ -162,7 +164,7 @@ def test_a_full_disk_costs_time_and_nothing_else(kept, monkeypatch) -> None:
     def full(path):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(_program_files, "replacing", full)
+    monkeypatch.setattr(kept_files, "replacing", full)
     function = Program(scaled)
     assert float(function(jnp.ones(3), 2.0)["sum"]) == 3.0
     assert files(kept) == []
@@ -208,8 +210,8 @@ def test_what_was_prepared_for_shapes_is_not_compiled_again(kept) -> None:
 
 
 def test_programs_of_older_versions_are_deleted_where_nobody_used_them_for_long(kept) -> None:
-    old, recent = kept / _program_files.FOLDER / "old", kept / _program_files.FOLDER / "recent"
-    code = kept / _program_files.FOLDER / "code" / "old"
+    old, recent = kept / kept_files.FOLDER / "old", kept / kept_files.FOLDER / "recent"
+    code = kept / kept_files.FOLDER / "code" / "old"
     for folder in (old, recent, code.parent):
         folder.mkdir(parents=True)
     code.write_bytes(b"")
@@ -264,8 +266,8 @@ def test_what_may_change_unseen_has_no_fingerprint(value) -> None:
 
 
 def test_a_function_that_took_the_place_of_another_has_no_fingerprint(monkeypatch) -> None:
-    before = programs.forget_programs
-    monkeypatch.setattr(programs, "forget_programs", lambda: None)
+    before = compiled_function.forget_programs
+    monkeypatch.setattr(compiled_function, "forget_programs", lambda: None)
     with pytest.raises(NoFingerprintError):
         fingerprint(before, ("rtac_jax",))
 
@@ -273,15 +275,16 @@ def test_a_function_that_took_the_place_of_another_has_no_fingerprint(monkeypatc
 PATCHED = """
 import sys
 import rtac_jax as rtac
-from rtac_jax import _program_files
+from rtac_jax.programs import environment
+from rtac_jax.programs import files as kept_files
 rtac.configure(cache=sys.argv[1])
 spring = rtac.effects.CATALOGUE["cubic_spring"]
 before = spring.force
-print(_program_files.patched(), _program_files.folder() is None)
+print(environment.patched(), kept_files.folder() is None)
 spring.force = lambda self, motion, own: before(self, motion, own)
-print(_program_files.patched(), _program_files.folder() is None)
+print(environment.patched(), kept_files.folder() is None)
 spring.force = before
-print(_program_files.patched(), _program_files.folder() is None)
+print(environment.patched(), kept_files.folder() is None)
 """
 
 

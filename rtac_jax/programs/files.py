@@ -9,16 +9,12 @@ import functools
 import hashlib
 import os
 import pickle
-import platform
 import re
 import shutil
-import sys
 import threading
 import time
-import types
 import zlib
 from collections.abc import Callable, Iterator, Sequence
-from importlib import metadata
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -27,13 +23,10 @@ import jax.numpy as jnp
 from jax.experimental import serialize_executable
 
 from rtac_jax.measurement.atomic_write import replacing
+from rtac_jax.programs.environment import machine, patched, settings
 
 FOLDER = "programs"
 """Where programs are kept, within the folder of JAX's cache of compiled code."""
-PACKAGES = ("rtac_jax", "estimators")
-"""Whose source determines what is traced."""
-LIBRARIES = ("jax", "jaxlib", "equinox", "jaxtyping", "lineax", "optimistix", "numpy")
-"""Whose versions determine it too."""
 _CODE = "code"
 _CALLS = re.compile(r"custom_call @(\w+)")
 _UNUSED = 30 * 24 * 3600  # seconds; what an older version of the package or of JAX has left is deleted then
@@ -66,32 +59,6 @@ def folder() -> Path | None:
     return Path(cache) / FOLDER if cache and jax.default_backend() == "cpu" and not patched() else None
 
 
-def patched() -> bool:
-    """Return whether a function of the package, or a method of a class, was replaced by one from elsewhere.
-
-    Then its source does not tell what is traced.
-    """
-    modules = [m for name, m in list(sys.modules.items()) if m is not None and name.partition(".")[0] in PACKAGES]
-    for module in modules:
-        for value in list(vars(module).values()):
-            owned = isinstance(value, type) and value.__module__.partition(".")[0] in PACKAGES
-            for one in (value, *(vars(value).values() if owned else ())):
-                if type(one) is types.FunctionType:
-                    root = one.__module__.partition(".")[0]
-                    if root not in PACKAGES and _foreign(root):
-                        return True
-    return False
-
-
-@functools.cache
-def _foreign(root: str) -> bool:
-    """Return whether a module is neither of Python nor installed."""
-    if root in sys.stdlib_module_names:
-        return False
-    file = getattr(sys.modules.get(root), "__file__", None)
-    return file is None or not {"site-packages", "dist-packages"} & set(Path(file).parts)
-
-
 def loaded(file: Path) -> tuple[Callable[..., Sequence[Any]], Kept] | None:
     """Return the program that a file holds; None where there is none, or it or its code is damaged."""
     kept = _read(file)
@@ -121,7 +88,7 @@ def code_file(folder: Path, name: str, lowered: jax.stages.Lowered) -> Path | No
         return None
     # The text has no arguments that are not used, but code is called with all, and with none of another shape.
     given = [(argument.shape, str(argument.dtype)) for argument in jax.tree.leaves(lowered.in_avals)]
-    digest = hashlib.sha256(repr((text, given, _machine(), _settings())).encode()).hexdigest()[:40]
+    digest = hashlib.sha256(repr((text, given, machine(), settings())).encode()).hexdigest()[:40]
     return folder / _CODE / f"{name}-{digest}"
 
 
@@ -142,43 +109,6 @@ def save(file: Path, kept: Kept) -> None:
     """Keep a program whose code is kept."""
     if (file.parents[1] / _CODE / kept.code).exists():
         _write(file, kept)
-
-
-def environment() -> str:
-    """Return a name for all that determines what is traced beside the function and its arguments."""
-    known = _sources(), _machine(), _settings()
-    return hashlib.sha256(repr(known).encode()).hexdigest()[:20]
-
-
-def _settings() -> tuple[Any, ...]:
-    settings = {k: v for k, v in jax.config.values.items() if "cache" not in k and "log" not in k}
-    return sorted(map(repr, settings.items())), str(jnp.result_type(float)), os.environ.get("XLA_FLAGS")
-
-
-@functools.cache
-def _sources() -> str:
-    """Return a digest of the source of the package."""
-    digest = hashlib.sha256()
-    for name in PACKAGES:
-        package = Path(__file__).parents[1] / name
-        for file in sorted(package.rglob("*.py")):
-            digest.update(f"{name}/{file.relative_to(package)}\0".encode() + file.read_bytes())
-    return digest.hexdigest()
-
-
-@functools.cache
-def _machine() -> str:
-    """Return the versions of libraries, and the name of the processor and what it can do, for which code is compiled."""
-    versions = []
-    for library in LIBRARIES:
-        with contextlib.suppress(metadata.PackageNotFoundError):
-            versions.append(f"{library} {metadata.version(library)}")
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-        processor = sorted({line for line in lines if line.startswith(("model name", "flags", "Features"))})
-    except OSError:  # not Linux
-        processor = [platform.processor()]
-    return repr((versions, sys.version, platform.machine(), processor))
 
 
 @functools.cache

@@ -1,4 +1,4 @@
-"""Compiled programs that outlive the process: what was traced and compiled once is loaded, not traced again."""
+"""A compiled function that is found again in another process."""
 
 import functools
 import threading
@@ -13,19 +13,17 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
-from rtac_jax._fingerprint import NoFingerprintError, Traced, fingerprint
-from rtac_jax._program_files import (
-    LIBRARIES,
-    PACKAGES,
+from rtac_jax.programs.environment import LIBRARIES, PACKAGES, environment
+from rtac_jax.programs.files import (
     Kept,
     code_file,
     compile_and_save,
-    environment,
     folder,
     loaded,
     loaded_code,
     save,
 )  # fmt: skip
+from rtac_jax.programs.fingerprint import NoFingerprintError, Traced, fingerprint
 
 Given = ParamSpec("Given")
 Result = TypeVar("Result")

@@ -1,4 +1,4 @@
-"""What runs first when `rtac` is called: signals and pipes are answered before anything heavy is imported.
+"""The first code that runs when `rtac` is called: signals and pipes are answered before anything heavy is imported.
 
 Python answers a signal between two steps of its own code. Importing and compiling stay in foreign code for seconds, so
 here the signal's number goes through a pipe to a thread, which says one sentence and ends the process at once. Nothing is

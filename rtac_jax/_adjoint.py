@@ -23,7 +23,7 @@ from rtac_jax.time_loop import time_loop
 
 
 class Driven(eqx.Module):
-    """What the states depend on, or a direction in which that changes, where None does not change.
+    """The quantities on which the states depend, or a direction in which these change, where None does not change.
 
     Attributes:
         model: without effects on its inputs, which have acted already.

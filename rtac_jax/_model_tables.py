@@ -11,7 +11,7 @@ from rtac_jax.parameters import Declaration
 
 @runtime_checkable
 class Parameters(Protocol):
-    """What a table shows of a model."""
+    """The rows of a model's table."""
 
     @property
     def ids(self) -> tuple[str, ...]:

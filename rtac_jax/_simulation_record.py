@@ -1,4 +1,4 @@
-"""What a simulation returns."""
+"""The record that a simulation returns."""
 
 from collections.abc import Mapping
 from typing import Any

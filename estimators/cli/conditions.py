@@ -1,4 +1,4 @@
-"""What `rtac envelope` and `rtac control` share: envelopes of the conditions in a recording."""
+"""The common part of `rtac envelope` and `rtac control`: envelopes of the conditions in a recording."""
 
 import itertools
 from collections.abc import Sequence

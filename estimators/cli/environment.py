@@ -1,4 +1,4 @@
-"""What the machine may lack: a platform for JAX, room on a disk, a folder that can be written to; each as one sentence."""
+"""The lacks of a machine: a platform for JAX, room on a disk, a folder that can be written to; each as one sentence."""
 
 import errno
 import os

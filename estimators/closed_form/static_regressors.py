@@ -1,4 +1,4 @@
-"""What an effect that is a function of the motion at one instant adds to the equations of motion, along the measured motion."""
+"""The terms that an effect adds to the equations of motion along the measured motion, if it depends on the motion at one instant."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -16,7 +16,7 @@ _SIZES = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0)  # times the plausible size, of a
 
 
 class Added(NamedTuple):
-    """What an effect adds to both equations of motion.
+    """The terms that an effect adds to both equations of motion.
 
     Attributes:
         cart: force on the cart at each sample [N].

@@ -8,7 +8,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class InformationCriteria:
-    """What a fit says of how well its model will do on data that it has not seen; the smaller, the better.
+    """The criteria by which a fit says how well its model will do on data that it has not seen; the smaller, the better.
 
     They compare fits to the same measurements. Of two models that are far apart in the order of a hundred the criteria say
     the same; near each other the Bayesian one takes the smaller model more readily.

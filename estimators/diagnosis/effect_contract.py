@@ -1,4 +1,4 @@
-"""Whether a user's own effect keeps its contract: every method is traced, and computed where nothing moves; faults are told."""
+"""The contract of a user's own effect: every method is traced, and computed where nothing moves; faults are told."""
 
 import inspect
 import re

@@ -16,7 +16,7 @@ FORMAT, VERSION = "rtac-evidence", 1
 
 @dataclasses.dataclass(frozen=True)
 class EffectTraits:
-    """What the selection asks of a class of effects.
+    """The traits of a class of effects that the selection asks for.
 
     Attributes:
         contact: whether it acts by contact.
@@ -59,7 +59,7 @@ class FittedModel:
 
 @dataclasses.dataclass(frozen=True)
 class HeldOut:
-    """What an effect gains in each experiment if it is estimated from the others only.
+    """The gain of an effect in each experiment if it is estimated from the others only.
 
     Attributes:
         gain: in the log-likelihood, by experiment; NaN where the others know nothing of the effect.
@@ -108,7 +108,7 @@ class Refitting:
 
 @dataclasses.dataclass(frozen=True)
 class Facts:
-    """What a judgement asks of the recording.
+    """The facts of the recording that a judgement asks for.
 
     Attributes:
         samples: number of measured values that count.

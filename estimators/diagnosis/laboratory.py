@@ -13,7 +13,7 @@ of motion put it."""
 
 @runtime_checkable
 class Laboratory(Protocol):
-    """What answers the questions of a selection; None, or a refit left out, where a model diverges or no answer is known."""
+    """The answers to a selection's questions; None, or a refit left out, where a model diverges or no answer is known."""
 
     @property
     def facts(self) -> Facts:

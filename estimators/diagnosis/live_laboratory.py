@@ -43,7 +43,7 @@ from rtac_jax.effects import Effect
 
 
 class LiveLaboratory:
-    """What a selection asks is computed here; the same question is computed once.
+    """A laboratory that computes the answers to a selection's questions, each question once.
 
     Attributes:
         facts: about the recording.

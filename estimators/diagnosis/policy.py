@@ -25,7 +25,7 @@ def _threshold(default: float | int, meaning: str, source: str) -> Any:
 
 @dataclasses.dataclass(frozen=True)
 class DiagnosisPolicy:
-    """What a diagnosis calls found, adequate and not to be told apart.
+    """The thresholds by which a diagnosis calls effects found, models adequate and rivals not to be told apart.
 
     It holds every threshold that can change a verdict; what merely defines a statistic, as the length of a stretch of data, stands
     beside that. `judge`, the choice among refits, the steps of a selection and the colour of the noise read it. A policy of one's

@@ -26,7 +26,7 @@ _COMPUTED = {
 
 @dataclasses.dataclass(frozen=True)
 class Consequence:
-    """What named effects take off the rms error of the base model, as fractions of it.
+    """The part of the base model's rms error that named effects take off, as fractions of it.
 
     Attributes:
         predicted: of that one sample ahead.
@@ -42,7 +42,7 @@ class Consequence:
 
 @dataclasses.dataclass(frozen=True)
 class Judgement:
-    """What evidence says by one policy.
+    """The judgement of evidence by one policy.
 
     Attributes:
         verdict: "adequate", "missing", "ambiguous" or "unknown".

@@ -242,7 +242,7 @@ def _periodic(
 
 
 class _Spectra(NamedTuple):
-    """What a local fit of one experiment takes."""
+    """The spectra that a local fit of one experiment takes."""
 
     experiment: Experiment
     into: Complex128[np.ndarray, "_bin"]

@@ -27,7 +27,7 @@ _EXCESS = 1.5
 
 
 class _Source:
-    """What replicates are drawn around."""
+    """The model and data around which replicates are drawn."""
 
     problem: Problem
 

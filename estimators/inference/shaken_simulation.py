@@ -1,4 +1,4 @@
-"""How far random forces carry a simulation away: the covariance of a filter that is not corrected."""
+"""The distance by which random forces carry a simulation away: the covariance of a filter that is not corrected."""
 
 import dataclasses
 from typing import Any

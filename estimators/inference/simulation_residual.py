@@ -1,4 +1,4 @@
-"""What a simulation error beyond a known noise means: random forces, too few data, or what nobody explained."""
+"""The meaning of a simulation error beyond a known noise: random forces, too few data, or what nobody explained."""
 
 import dataclasses
 from collections.abc import Mapping

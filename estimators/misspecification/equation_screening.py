@@ -16,7 +16,7 @@ from rtac_jax.parameters import declarations
 
 @dataclasses.dataclass(frozen=True)
 class Explained:
-    """What a candidate of one shape takes off the equation error.
+    """The part of the equation error that a candidate of one shape explains.
 
     Attributes:
         id: of the effect.

@@ -57,7 +57,7 @@ class Score:
 
 @dataclasses.dataclass(frozen=True)
 class StaticForce:
-    """What a force at a port as a function of one variable would explain.
+    """The explanation by a force at a port as a function of one variable.
 
     Attributes:
         port: "cart" or "arm".
@@ -74,7 +74,7 @@ class StaticForce:
 
 @dataclasses.dataclass(frozen=True)
 class LaggedForce:
-    """What a force at a port that follows one signal with a lag would explain.
+    """The explanation by a force at a port that follows one signal with a lag.
 
     Attributes:
         port: "cart" or "arm".
@@ -110,7 +110,7 @@ class SpectralLine:
 
 @dataclasses.dataclass(frozen=True)
 class RepeatTest:
-    """What comes back in every repeat of one experiment, beside what differs.
+    """The part of the misfit that comes back in every repeat of one experiment, beside what differs.
 
     Attributes:
         ratio: mean square of what all repeats share over that of their differences; one where the model is right.

@@ -33,7 +33,7 @@ _TURN_NUMBERS = 5  # sin(n theta) and cos(n theta) up to this n, which twelve kn
 
 @dataclass(frozen=True)
 class CurveEvidence:
-    """What the data say of a curve, each fold of them apart.
+    """The evidence of the data on a curve, each fold of them apart.
 
     Attributes:
         information: on the heights at the knots, the model's own parameters projected away.

@@ -30,7 +30,7 @@ _ROUNDING = 1e-12  # of a sum of squares
 
 
 class Batch(NamedTuple):
-    """Where the descents stand; R data sets of E experiments, in columns one data set after the other.
+    """The state of the descents; R data sets of E experiments, in columns one data set after the other.
 
     Attributes:
         unknowns: scaled to order one.

@@ -23,7 +23,7 @@ else:
 
 
 class Columns(NamedTuple):
-    """What is known of the unknowns of each experiment.
+    """The bounds, scales and starts of the unknowns of each experiment.
 
     Attributes:
         lower, upper, scale: of the parameters, as in `to_physical`.

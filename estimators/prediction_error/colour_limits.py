@@ -5,7 +5,7 @@ import dataclasses
 
 @dataclasses.dataclass(frozen=True)
 class ColourLimits:
-    """When the noise of a channel counts as coloured.
+    """The limits from which on the noise of a channel counts as coloured.
 
     Attributes:
         doubt: p-value below which the noise of a rest record is not white.

@@ -1,4 +1,4 @@
-"""What is in a recording, for JSON."""
+"""The contents of a recording, for JSON."""
 
 from collections.abc import Sequence
 from typing import Any

@@ -1,4 +1,4 @@
-"""How many repetitions a chunk has, if nobody says otherwise."""
+"""The number of repetitions of a chunk, if nobody says otherwise."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""What the diagnoses of a study named, beside what was hidden."""
+"""The confusion of a study's diagnoses: named effects beside hidden ones."""
 
 import collections
 from typing import Any

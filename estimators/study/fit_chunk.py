@@ -1,4 +1,4 @@
-"""What is estimated from the recordings of one chunk, by one method."""
+"""The estimates from the recordings of one chunk, by one method."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any

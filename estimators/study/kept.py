@@ -1,4 +1,4 @@
-"""What the repetitions of a study kept: every variable, with the names of its axes."""
+"""The numbers that a study's repetitions kept: every variable, with the names of its axes."""
 
 import collections
 import dataclasses
@@ -13,7 +13,7 @@ from estimators.study.spec import StudySpec
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Kept:
-    """What was kept of a study.
+    """The kept numbers of a study.
 
     Attributes:
         spec: of the study.

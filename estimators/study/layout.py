@@ -1,4 +1,4 @@
-"""What a repetition keeps: arrays whose axes have names, the first of them the repetition."""
+"""The layout of what a repetition keeps: arrays whose axes have names, the first of them the repetition."""
 
 import dataclasses
 from collections.abc import Mapping

@@ -1,4 +1,4 @@
-"""Whether a diagnosis named what was hidden."""
+"""The outcome of a diagnosis beside what was hidden."""
 
 import itertools
 

@@ -22,7 +22,7 @@ class Value(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Outcome:
-    """What one method makes of one recording.
+    """The outcome of one method on one recording.
 
     Attributes:
         values: by name of the parameter.

@@ -16,7 +16,7 @@ from estimators.study.spec import StudySpec
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class StudyResults(Kept):
-    """What the repetitions of a study came to."""
+    """The results of a study's repetitions."""
 
     @classmethod
     def load(cls, folder: str | os.PathLike[str]) -> "StudyResults":
@@ -98,7 +98,7 @@ class StudyResults(Kept):
         return tables.table(self)
 
     def failure_table(self) -> Table:
-        """Why repetitions failed."""
+        """Return the reasons for which repetitions failed."""
         return tables.failure_table(self)
 
     def quantity_table(self) -> Table:

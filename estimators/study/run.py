@@ -118,7 +118,7 @@ def _computed(
 
 
 class _Setting(NamedTuple):
-    """What the numbers depend on besides the work: workers compile as this process does."""
+    """The setting on which numbers depend besides the work: workers compile as this process does."""
 
     flags: str
     cache: str | None

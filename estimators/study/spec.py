@@ -1,4 +1,4 @@
-"""What a Monte Carlo study does: a frozen record that reads and writes TOML."""
+"""The specification of a Monte Carlo study: a frozen record that reads and writes TOML."""
 
 import dataclasses
 import hashlib
@@ -34,7 +34,7 @@ _FORMAT = 2  # of what a repetition keeps: raised when the same study would give
 
 @dataclasses.dataclass(frozen=True)
 class Hidden:
-    """What a rig has and the model has not.
+    """The effect that a rig has and the model has not.
 
     Attributes:
         effect: id of the effect that a diagnosis should name, several joined by " + ", or "nothing".
@@ -88,7 +88,7 @@ class Plant:
 
 @dataclasses.dataclass(frozen=True)
 class Noise:
-    """What sensors and random forces add, as `virtual_rig.Rig` has it.
+    """The noise of sensors and random forces, as `virtual_rig.Rig` has it.
 
     Attributes:
         position, velocity, angle: standard deviations of the sensors [m, rad/s, rad].
@@ -113,7 +113,7 @@ class Noise:
 
 @dataclasses.dataclass(frozen=True)
 class Excitation:
-    """What is played in a repetition; several are played in turn from repetition to repetition.
+    """The experiments of a repetition; several are played in turn from repetition to repetition.
 
     Attributes:
         name: of the excitation.

@@ -84,7 +84,7 @@ def as_number(stream: np.random.SeedSequence) -> int:
 
 
 class Truth(NamedTuple):
-    """What is true in one repetition.
+    """The truth of one repetition.
 
     Attributes:
         values: of the model's parameters by name, of ratios to the stiffness, and of the linearised model.

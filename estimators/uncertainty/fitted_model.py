@@ -1,4 +1,4 @@
-"""Whether an envelope holds the fitted physical model, and whether its nominal model resonates where that does."""
+"""The fitted physical model beside an envelope: inside or outside, and whether the nominal model resonates where it does."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

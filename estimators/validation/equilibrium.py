@@ -1,4 +1,4 @@
-"""Where a cart on a spring can move about: the equation of motion in the mean, which holds without sliding too."""
+"""The places around which a cart on a spring can move, by the mean of its equation, which holds without sliding too."""
 
 from collections.abc import Mapping
 

@@ -29,7 +29,7 @@ UNIFORM = 1e-6
 
 
 class ImportOptions(TypedDict, total=False):
-    """What `Recording.from_mat` and `Recording.from_csv` may be told of a file beside its channels and its kind.
+    """The options of `Recording.from_mat` and `Recording.from_csv` beside a file's channels and its kind.
 
     Attributes:
         time: name of the column with the times [s]; either this or `sample_time` [s] is given.

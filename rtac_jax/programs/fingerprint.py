@@ -1,4 +1,4 @@
-"""What determines how a function is traced, as a digest: types, static values, and shapes of arrays."""
+"""The fingerprint of a traced function, a digest of all that determines its tracing: types, static values, and shapes of arrays."""
 
 import dataclasses
 import enum
@@ -18,7 +18,7 @@ class NoFingerprintError(Exception):
 
 @dataclasses.dataclass(frozen=True)
 class Traced:
-    """What tracing sees of an array, in its place.
+    """A mark in place of an array: as much as tracing sees of it.
 
     Attributes:
         shape: of it.

@@ -1,4 +1,4 @@
-"""The terms that an effect adds to the equations of motion along the measured motion, if it depends on the motion at one instant."""
+"""The terms that an effect adds to the equations along the measured motion, if it depends on the motion at one instant."""
 
 import dataclasses
 from collections.abc import Mapping

@@ -305,19 +305,26 @@ def _with_repeats(recording: Any, repeats: Mapping[str, str]) -> Any:
 
 
 def _kinds(given: Sequence[str] | None, files: Sequence[Path]) -> list[Any]:
-    """Return the kind of each file: one for all, one for each, or that of the first pattern that its name matches."""
+    """Return the kind of each file: one for all, one for each, or that of the first pattern that its name matches.
+
+    A pattern that no file is left for is a mistake.
+    """
     if not given or not all("=" in one for one in given):
         return _for_each("--kind", given, len(files), required=bool(files))
     patterns = [one.rpartition("=")[::2] for one in given]
-    found = []
+    found, used = [], set()
     for file in files:
-        kinds = [what for pattern, what in patterns if fnmatch(file.name, pattern) or fnmatch(file.stem, pattern)]
+        kinds = [(p, what) for p, what in patterns if fnmatch(file.name, p) or fnmatch(file.stem, p)]
         if not kinds:
             stop(
                 WRONG_USE,
                 f"--kind: no pattern of {', '.join(given)} matches {file.name}; add one, as '{file.stem}=free'.",
             )
-        found.append(kinds[0])
+        pattern, what = kinds[0]
+        used.add(pattern)
+        found.append(what)
+    if idle := [pattern for pattern, _ in patterns if pattern not in used]:
+        stop(WRONG_USE, f"--kind: no file is left for {', '.join(idle)}; the first pattern that a name matches counts.")
     return found
 
 

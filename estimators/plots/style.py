@@ -191,7 +191,7 @@ def worst_stretch(residual: Values, most: int = 1200, longest: int = _MOST_POINT
 def title(figure: Figure, text: str) -> None:
     """State the finding above the figure, broken into lines that fit."""
     text = _narrow(text)
-    width = int(_WIDEST_TITLE * figure.get_figwidth())
+    width = min(int(_WIDEST_TITLE * figure.get_figwidth()), _LONGEST_LINE)  # a longer line would lose its middle
     lines = textwrap.wrap(text, width)
     if len(lines) > 1:  # no line of a single word: as narrow as the same number of lines allows
         narrow = next(w for w in range(len(text) // len(lines), width + 1) if len(textwrap.wrap(text, w)) <= len(lines))

@@ -77,6 +77,8 @@ def test_kinds_are_told_by_names(tmp_path, free, forced):
     assert [(e.name, e.kind) for e in recording] == [("free_1", "free"), ("forced_1", "forced")]
     none = call("import", free, forced, "--kind", "fr*=free", *told[4:], tmp_path / "no.h5")
     refused(none, 2, "--kind: no pattern of fr*=free matches forced_1.csv", "add one, as 'forced_1=free'")
+    idle = call("import", free, forced, *told[:4], "--kind", "zzz*=rest", *told[4:], tmp_path / "no.h5")
+    refused(idle, 2, "--kind: no file is left for zzz*; the first pattern that a name matches counts")
 
 
 def test_a_dry_run_shows_what_was_understood_and_writes_nothing(tmp_path, free):

@@ -113,9 +113,14 @@ def test_an_experiment_that_was_held_out_and_would_decide_is_named(delayed: Case
     assert "held out" not in str(delayed.next)
 
 
-def test_of_several_that_decide_the_gentlest_is_said_to_come_first(delayed: Case) -> None:
-    largest = max(one.smallest for one in delayed.next.ranked)
-    assert ("gentlest" in str(delayed.next)) == (largest > delayed.next.best.smallest)
+def test_where_a_larger_separation_is_passed_over_the_reason_is_said(delayed: Case) -> None:
+    gentle, violent = (
+        dataclasses.replace(delayed.next.best, separation={pair: size for pair in delayed.next.already})
+        for size in (700.0, 2900.0)
+    )
+    said = "Of experiments that add more than 500 the gentlest for the rig comes first."
+    assert said in str(dataclasses.replace(delayed.next, ranked=(gentle, violent)))
+    assert said not in str(dataclasses.replace(delayed.next, ranked=(violent, gentle)))
 
 
 def test_every_experiment_of_the_menu_keeps_to_the_limits_on_the_rig(delayed: Case) -> None:

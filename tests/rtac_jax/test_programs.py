@@ -154,7 +154,12 @@ def test_a_damaged_program_is_compiled_again(kept) -> None:
     assert len(both) == 2  # the program and its code
     for file in both:
         whole = file.read_bytes()
-        for content in (b"", whole[:40], whole[:-1], whole[:50] + bytes([whole[50] ^ 1]) + whole[51:]):
+        for content in (
+            b"",
+            whole[:40],
+            whole[:-1],
+            *(whole[:at] + bytes([whole[at] ^ 1]) + whole[at + 1 :] for at in (0, 50)),
+        ):
             file.write_bytes(content)
             assert traced_by(function, jnp.ones(3), 2.0) == 1
             assert file.read_bytes() != content

@@ -3,6 +3,7 @@
 import dataclasses
 
 import pytest
+from scipy.stats import t as student
 
 import estimators as est
 from rtac_jax import RTAC, virtual_rig
@@ -115,3 +116,21 @@ def test_it_shows_itself_in_a_line_and_as_a_small_table(recording) -> None:
     assert len(repr(found)) < 100
     assert repr(found).startswith("ClosedForm: 7 parameters in closed form, consistent by the paper's rule")
     assert "arm_inertia is the model&#x27;s own value" in found._repr_html_()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("known", ["total_mass", "arm_inertia"])
+def test_the_stated_deviation_of_the_scale_covers_the_truth(known) -> None:
+    """Of 24 intervals of 95 % fewer than 20 cover with a probability of 0.2 %."""
+    other = "arm_inertia" if known == "total_mass" else "total_mass"
+    rigs = [dataclasses.replace(virtual_rig.Rig().drawn(seed), eccentric_moment=2e-3) for seed in range(500, 524)]
+    plans = [
+        virtual_rig.standard_plans(seed=600 + n, sample_time=0.005, duration=6.0, free=4, forced=8) for n in range(24)
+    ]
+    recordings = virtual_rig.record_many([(rig, plans[n], 700 + n) for n, rig in enumerate(rigs)])
+    covered = 0
+    for rig, one in zip(rigs, recordings, strict=True):
+        told = dataclasses.replace(one, rig={known: getattr(rig, known)})
+        found = est.least_squares(RTAC.from_rig(told), told, weak=True).estimates[other]
+        covered += abs(found.value - getattr(rig, other)) < student.ppf(0.975, len(found.each) - 1) * found.std
+    assert covered >= 20

@@ -10,7 +10,9 @@ from estimators.core.fisher_information import each_deviations, each_slope, info
 from estimators.core.levenberg_marquardt import NEGLIGIBLE, Arguments, Solved, factor, solve
 from estimators.core.parameter_space import Space, Unknowns
 
-_NEAR = 0.3  # standard deviations from its bound at which a parameter is held there
+# Standard deviations from its bound at which a parameter is held there; no more of its plausible size, or what the data do not
+# show, as the inertia of an arm beside a cart that friction holds, would be taken for nothing.
+_NEAR = 0.3
 _TURNS = 4  # of holding and releasing, before what is left is taken as it is
 _FLAT = 0.01  # of the slope that it has amid its range, below which a parameter hardly moves though the data pull it
 # How far inside a parameter begins again that the data pull off its bound, as shares of its scale: where a straight line
@@ -107,14 +109,15 @@ def _on_bounds(
             continue
         value, low, high = (float(x[index]) for x in (shared, lower, upper))
         deviation = float(deviations[found.names.index(space.names[index])])
+        near = _NEAR * min(deviation, float(scale[index]))
         if place in held:
             # It leaves the bound only if that lowers the cost by more than chance would.
             inward = downhill[place] * np.sign(-held[place]) > 0
             if not inward:
                 result[place] = held[place]
-        elif value - low < _NEAR * deviation and downhill[place] <= 0:
+        elif value - low < near and downhill[place] <= 0:
             result[place] = -_end(low, high)
-        elif high - value < _NEAR * deviation and downhill[place] >= 0:
+        elif high - value < near and downhill[place] >= 0:
             result[place] = _end(low, high)
         else:
             # Where it would go with all others following, by a straight line in physical units.

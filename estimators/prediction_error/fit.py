@@ -110,7 +110,12 @@ class PredictorFit(ModelFit):
     def overview(self) -> Overview:
         """Return parameters with standard deviations, and what the innovations say of the model."""
         title = f"{len(self.information.names)} parameters from predictions of {len(self.experiments)} experiments"
-        return Overview(title, HEADER, self.rows(), (self.verdict,))
+        return Overview(title, HEADER, self.rows(), (self.verdict, *self._weak))
+
+    @property
+    def _weak(self) -> tuple[str, ...]:
+        """Return the sentences on what these data hardly determine."""
+        return tuple(f"{text[0].upper()}{text[1:]}." for text in self.information.weakest())
 
     def __str__(self) -> str:
         lines = self.lines()
@@ -123,7 +128,7 @@ class PredictorFit(ModelFit):
         lines.append(f"{'random torque on the arm':30s} {self.torque_noise:12.3g} {'':10s}  N m/sqrt(Hz)")
         for channel, level in self.noise.items():
             lines.append(f"{'sensor noise of ' + channel:30s} {level:12.3g}")
-        return "\n".join([*lines, str(self.criteria), self.verdict])
+        return "\n".join([*lines, str(self.criteria), self.verdict, *self._weak])
 
     def plot(self) -> Any:
         """Draw the autocorrelation of the innovations with its band."""
@@ -197,10 +202,8 @@ def prediction_error_nonlinear(
                 "The model diverges at the estimate; begin with from_model=True at values nearer to the rig."
             )
         frozen = np.asarray(factors)
-        known = information(frozen, space, found.unknowns)
-        known.require_determined()
-        each_std = each_deviations(frozen, space, found.unknowns)
-        found, triangles = most_likely(found, start, data, space, prior, known, each_std, substeps=steps, progress=show)
+        information(frozen, space, found.unknowns).require_determined()
+        found, triangles = most_likely(found, start, data, space, prior, frozen, substeps=steps, progress=show)
     except FloatingPointError as error:
         raise DivergedError(str(error)) from None
     finally:

@@ -204,15 +204,19 @@ def _spread(one: Estimates) -> str:
 
 
 def _rule(found: ClosedForm) -> str:
-    known = {n: e.consistency for n, e in {**found.ratios, **found.estimates}.items() if np.isfinite(e.consistency)}
+    every = {n: e.consistency for n, e in {**found.ratios, **found.estimates}.items()}
+    known = {n: c for n, c in every.items() if np.isfinite(c)}
     if not known:
         return "One experiment of a kind has no scatter: record several to judge consistency."
-    loose = [f"{SYMBOLS.get(n, n)} ({_percent(c)})" for n, c in known.items() if not c < 0.3]
+    single = [SYMBOLS.get(n, n) for n in every if n not in known]
+    alone = f" Of {', '.join(single)} nothing is said: one experiment has no scatter." if single else ""
+    loose = [f"{SYMBOLS.get(n, n)} ({_percent(c)})" for n, c in known.items() if not c < CONSISTENT]
     if loose:
-        return f"Not consistent by the paper's rule of 30 %: {', '.join(loose)}."
-    scatter = "Consistent by the paper's rule: all standard deviations are below 30 % of their means."
+        return f"Not consistent by the paper's rule of 30 %: {', '.join(loose)}.{alone}"
+    which = "the other" if single else "all"
+    scatter = f"Consistent by the paper's rule: {which} standard deviations are below 30 % of their means."
     judged = "whether the model is right" if found.options.weak else "bias"
-    return f"{scatter} That judges scatter, not {judged}."
+    return f"{scatter} That judges scatter, not {judged}.{alone}"
 
 
 def _percent(share: float) -> str:

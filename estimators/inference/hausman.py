@@ -11,7 +11,7 @@ from scipy.stats import f as fisher
 from scipy.stats import t as student
 from tqdm import tqdm
 
-from estimators.closed_form.table1 import ClosedForm
+from estimators.closed_form.table1 import CONSISTENT, ClosedForm
 from estimators.core.data import CHANNELS
 from estimators.core.drawing import draw
 from estimators.core.fit import Fit
@@ -32,6 +32,7 @@ from rtac_jax.measurement import Recording
 Vector = Float[np.ndarray, " quantity"]
 _BROKEN_BY = 4  # effects that are named with an assumption, the likeliest ones
 _DRAWS, _FEW = 80, 32  # replicates, of experiments that are short or long
+_DOUBTED = 0.05  # joint p-value, counted for all pairs, below which two estimates are not said to agree: the usual level of doubt
 _FAR = 10.0  # times the noise, from which on one step from an output error says little of where it would end
 _HIDES = (
     " The random forces that the prediction error takes into account may stand for an effect that is missing; est.diagnose "
@@ -103,6 +104,11 @@ class Agreement:
         return any(pair.p_value < self.level / len(self.pairs) for pair in self.pairs)
 
     @property
+    def doubted(self) -> bool:
+        """Return whether two differ by more than is usual, so that nothing is confirmed, be they rejected or not."""
+        return self.worst.p_value * len(self.pairs) < max(_DOUBTED, self.level)
+
+    @property
     def worst(self) -> Disagreement:
         """Return the two estimators that disagree most clearly."""
         return min(self.pairs, key=lambda pair: pair.p_value)
@@ -133,11 +139,13 @@ class Agreement:
         if not self.rejected:
             chance = f"differences as large as these come about by chance (p = {smallest:.2g})."
             hides = _HIDES if "prediction error" in self.labels else ""
+            words = self.simulation.words if self.simulation is not None else ""
             if self.simulation is not None and self.simulation.vetoes:
-                return f"No two disagree: {chance} That confirms nothing. {self.simulation.words}{hides or _ASK}"
-            if self.simulation is not None and self.simulation.words:
-                return f"They agree: {chance} {self.simulation.words}{hides}"
-            return f"They agree: {chance} What the estimates rest on holds as far as these data can tell.{hides}"
+                return f"No two disagree: {chance} That confirms nothing. {words}{hides or _ASK}"
+            if self.doubted:
+                return f"{self._nearly()}{' ' * bool(words)}{words}{self._untold()}{hides}"
+            holds = words or "What the estimates rest on holds as far as these data can tell."
+            return f"They agree: {chance} {holds}{self._untold()}{hides}"
         failing = [
             f"that {words} (broken by {', '.join(effects[:_BROKEN_BY])})"
             for words, effects in dict.fromkeys(ASSUMES[n] for n in self.differing if n in ASSUMES)
@@ -152,6 +160,32 @@ class Agreement:
             + " Ask est.diagnose, which holds these and all others against the data; est.compare shows where the model fails."
             + self._but()
         )
+
+    def _nearly(self) -> str:
+        """Say what differs by more than is usual, though by less than the level of the test asks."""
+        worst, several = self.worst, len(self.pairs)
+        clearest = self.names[int(np.nanargmin(worst.p_values))]
+        among = (
+            f", and with {several} pairs one as large in {100 * worst.p_value * several:.2g} %" if several > 1 else ""
+        )
+        return (
+            f"No two disagree at the level of {100 * self.level:.2g} %, but {worst.labels[0]} and {worst.labels[1]} differ, most "
+            f"clearly in {clearest}, as they would by chance in {100 * worst.p_value:.2g} % of such recordings{among}: that "
+            "confirms nothing, and a longer recording decides it."
+        )
+
+    def _untold(self) -> str:
+        """Name the constants that every rig has and that the estimates are too unsure of to confirm each other."""
+        sizes = np.nanmin(np.abs(self.values), axis=0)
+        known = np.nanmin([np.where(np.isfinite(p.std), p.std, np.inf) for p in self.pairs], axis=0)
+        untold = [
+            name
+            for name, size, std in zip(self.names, sizes, known, strict=True)
+            if "." not in name and np.isfinite(std) and std > CONSISTENT * size
+        ]
+        if not untold:
+            return ""
+        return f" That tells nothing of {', '.join(untold)}: a difference would have to be larger than {100 * CONSISTENT:.0f} % to show."
 
     def _but(self) -> str:
         """Say what else than the model could be wrong with a disagreement."""

@@ -36,6 +36,11 @@ def plot_agreement(found: Agreement) -> Picture:
         title(figure, f"The estimates disagree, most clearly in {found.differing[0]}: the model lacks something")
     elif found.simulation is not None and found.simulation.vetoes:
         title(figure, f"No two estimates disagree, which confirms nothing. {found.simulation.headline}")
+    elif found.doubted:
+        title(
+            figure,
+            f"No two estimates disagree, but {' and '.join(found.worst.labels)} nearly do, which confirms nothing",
+        )
     else:
         title(figure, "The estimates agree within chance")
     return figure

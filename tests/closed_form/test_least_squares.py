@@ -218,7 +218,12 @@ def test_table_1_has_the_papers_form(as_in_paper: est.ClosedForm, disturbed: rta
     for part in ("10 experiments", "20 experiments", "Std.dev. / Mean", "(M+m)/k [s^2]", "K_v2 [N m s/rad]", "epsilon"):
         assert part in text
     assert as_in_paper.consistent
-    assert "Consistent by the paper's rule" in text
+    assert "Consistent by the paper's rule: all standard deviations" in text
+    several = as_in_paper.ratios["v/k"]
+    single = dataclasses.replace(several, names=several.names[:1], each=several.each[:1])
+    one_free = str(dataclasses.replace(as_in_paper, ratios={**as_in_paper.ratios, "v/k": single}))
+    assert "the other standard deviations are below 30 % of their means." in one_free
+    assert "Of v/k nothing is said: one experiment has no scatter." in one_free
     loose = est.least_squares(rtac.RTAC.from_rig(disturbed), disturbed)
     assert not loose.consistent
     assert "Not consistent by the paper's rule of 30 %: K_v1" in str(loose)

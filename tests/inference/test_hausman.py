@@ -283,6 +283,37 @@ def test_verdict_names_the_assumption_that_fails() -> None:
     assert one.suspects[0] == "cubic_spring"
 
 
+def agreed(p_values: tuple[float, ...], *, std: float = 0.01) -> Agreement:
+    """Build an agreement of three estimates of the inertia 1, with these p-values of the pairs."""
+    one = np.ones(1)
+    pairs = tuple(
+        Disagreement(labels, 0.1 * one, 0 * one, std * one, p * one, p)
+        for labels, p in zip((("a", "b"), ("a", "c"), ("b", "c")), p_values, strict=True)
+    )
+    ask = ("the motion",) * 3
+    whole, unit = np.ones((3, 1)), ("kg m^2",)
+    return Agreement(("arm_inertia",), unit, ("a", "b", "c"), ask, whole, whole, pairs, 0.01, 80, False, {})
+
+
+def test_what_is_nearly_a_disagreement_confirms_nothing() -> None:
+    """At a level of 1 % shared by three pairs 0.0058 is no disagreement, and no agreement either."""
+    found = agreed((0.5, 0.0058, 0.9))
+    assert not found.rejected
+    assert found.verdict == (
+        "No two disagree at the level of 1 %, but a and c differ, most clearly in arm_inertia, as they would by chance in 0.58 % "
+        "of such recordings, and with 3 pairs one as large in 1.7 %: that confirms nothing, and a longer recording decides it."
+    )
+    assert "nearly do" in found.plot().get_suptitle()
+    assert agreed((0.5, 0.018, 0.9)).verdict.startswith("They agree")
+    assert agreed((0.5, 0.0032, 0.9)).rejected
+
+
+def test_estimates_that_know_nothing_confirm_nothing() -> None:
+    assert "tells nothing of" not in agreed((0.5, 0.6, 0.9), std=0.29).verdict
+    vague = agreed((0.5, 0.6, 0.9), std=0.31).verdict
+    assert "That tells nothing of arm_inertia: a difference would have to be larger than 30 % to show." in vague
+
+
 def test_two_fits_can_be_held_together(clean: rtac.Recording) -> None:
     model = rtac.RTAC.from_rig(clean)
     fit = est.output_error(model, clean, from_model=True, progress=False)

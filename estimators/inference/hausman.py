@@ -185,7 +185,8 @@ class Agreement:
         ]
         if not untold:
             return ""
-        return f" That tells nothing of {', '.join(untold)}: a difference would have to be larger than {100 * CONSISTENT:.0f} % to show."
+        least = f"{100 * CONSISTENT:.0f} %"
+        return f" That tells nothing of {', '.join(untold)}: a difference would have to be larger than {least} to show."
 
     def _but(self) -> str:
         """Say what else than the model could be wrong with a disagreement."""

@@ -60,8 +60,6 @@ def fit(
         spread = est.covariances(found, work.train)
         trained, tested = work.compared(found)
         errors = _report.error_table(trained, tested)
-        starts = f"{found.statistics['agreed']} of {found.statistics['starts']} starts agree."
-        ended = f"{est.RESULTS[found.result]} {starts}"
         known = AllEstimates(closed, found, predicted, agreed, spread)
         table = fit_table(known)
         advice = est.recommended(found, trained.models[0], predicted=predicted, spread=spread)
@@ -70,7 +68,7 @@ def fit(
             f"\n{predicted.criteria} of prediction error" if predicted else ""
         )
         discounted = _discounted(found) if robust else ""
-        work.say(work.remark, f"{first}\n{advice}", table, criteria, ended, discounted, errors)
+        work.say(work.remark, f"{first}\n{advice}", table, criteria, found.outcome, discounted, errors)
         work.save(found, save)
         content = _report.fit_dict(
             found, train=trained, validation=tested, seconds=work.seconds, beside=known, advice=advice
@@ -98,7 +96,7 @@ def fit(
             skipped = [f"The closed form could not use {name}: {why}" for name, why in closed.skipped.items()]
             agreement = "" if agreed is None else agreed.verdict
             sections = [
-                ("Result", [work.remark, agreement, ended, discounted, *skipped, criteria, errors]),
+                ("Result", [work.remark, agreement, found.outcome, discounted, *skipped, criteria, errors]),
                 ("Parameters", [first, estimates_table(known)]),
                 ("Figures", shown(figures, **captions)),
             ]

@@ -17,6 +17,8 @@ from rtac_jax import RTAC
 from rtac_jax.overview import Overview
 
 HEADER = ("parameter", "value", "std", "unit")
+FAR = 10.0
+"""Times its noise, beyond which a channel's residual says that the model does not follow the rig."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -107,6 +109,19 @@ class Fit(ModelFit):
         return Overview(title, HEADER, self.rows(), (RESULTS[self.result], left))
 
     @property
+    def outcome(self) -> str:
+        """Return how the optimisation ended, and how far its starts can vouch for that, in a sentence or two."""
+        said = f"{RESULTS[self.result]} {self.statistics['agreed']} of {self.statistics['starts']} starts agree."
+        ratios = {c: rms / self.noise[c] for c, rms in self.residual_std.items() if self.noise.get(c, 0.0) > 0}
+        worst = max(ratios, key=lambda c: ratios[c], default="")
+        if worst and ratios[worst] > FAR:
+            said += (
+                f" The model does not follow the rig, {worst} being left at {ratios[worst]:,.0f} times its noise: there the sum of "
+                "squares has many minima, and further starts may end in a lower one."
+            )
+        return said
+
+    @property
     def criteria(self) -> InformationCriteria | None:
         """AIC, BIC and FPE; None for a model that is held at what a diagnosis estimated.
 
@@ -124,7 +139,6 @@ class Fit(ModelFit):
             lines.extend(str(one) for one in self.discounted)
             if not self.discounted:
                 lines.append("robust fit: no sample is discounted")
-        agreed = f"{self.statistics['agreed']} of {self.statistics['starts']} starts agree"
         if self.criteria is not None:
             lines.append(str(self.criteria))
-        return "\n".join([*lines, f"{RESULTS[self.result]} {agreed}."])
+        return "\n".join([*lines, self.outcome])

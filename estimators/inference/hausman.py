@@ -14,7 +14,7 @@ from tqdm import tqdm
 from estimators.closed_form.table1 import CONSISTENT, ClosedForm
 from estimators.core.data import CHANNELS
 from estimators.core.drawing import draw
-from estimators.core.fit import Fit
+from estimators.core.fit import FAR, Fit
 from estimators.core.initial_state import scales_of
 from estimators.core.linearisation import at_fit
 from estimators.core.piecewise_triangle import LONG
@@ -33,7 +33,6 @@ Vector = Float[np.ndarray, " quantity"]
 _BROKEN_BY = 4  # effects that are named with an assumption, the likeliest ones
 _DRAWS, _FEW = 80, 32  # replicates, of experiments that are short or long
 _DOUBTED = 0.05  # joint p-value, counted for all pairs, below which two estimates are not said to agree: the usual level of doubt
-_FAR = 10.0  # times the noise, from which on one step from an output error says little of where it would end
 _HIDES = (
     " The random forces that the prediction error takes into account may stand for an effect that is missing; est.diagnose "
     "tells the two apart."
@@ -195,7 +194,7 @@ class Agreement:
                 " A random force or torque on the rig makes them disagree too: add est.prediction_error_nonlinear's result, "
                 "which counts it."
             )
-        far = [label for label in self.worst.labels if self.misfit.get(label, 0.0) > _FAR]
+        far = [label for label in self.worst.labels if self.misfit.get(label, 0.0) > FAR]
         if not far:
             return ""
         return (

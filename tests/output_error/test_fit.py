@@ -65,6 +65,22 @@ def test_starts_that_no_sensor_could_tell_apart_are_followed_once(noisy: rtac.Re
     assert more < 1.2 * alone, (more, alone)  # twice that if both further starts went all the way
 
 
+def test_starts_do_not_vouch_for_a_model_that_does_not_follow_the_rig(noisy_fit: est.Fit) -> None:
+    """Two starts that agreed at 1,023 times the noise were left behind by a third."""
+    assert noisy_fit.outcome.endswith("starts agree.")
+    near, far = (
+        dataclasses.replace(
+            noisy_fit, residual_std={**noisy_fit.residual_std, "arm_velocity": times * noisy_fit.noise["arm_velocity"]}
+        )
+        for times in (9.9, 1023.0)
+    )
+    assert near.outcome == noisy_fit.outcome
+    doubt = (
+        "The model does not follow the rig, arm_velocity being left at 1,023 times its noise: there the sum of squares"
+    )
+    assert doubt in str(far)
+
+
 def test_starts_that_simulate_something_else_are_followed_to_their_ends(noisy: rtac.Recording) -> None:
     """As on a rig that random forces shake: what a simulation leaves has many valleys."""
     plans = virtual_rig.standard_plans(seed=11, sample_time=0.005, duration=6.0, free=2, forced=4, rest=1)

@@ -49,7 +49,7 @@ def test_three_calls_lead_from_conditions_to_a_controller(
     assert made.closed.settling_time()[0] < 3.0 < 4.4 < made.free.settling_time()[0]
     # `rtac control` holds the model with the electric spring against the envelope with it.
     sprung = with_arm_spring(names["fit"].model, made.actuation)
-    assert fitted_in_envelope(names["fit"].model, made.covered, response=sprung).agrees
+    assert fitted_in_envelope(names["fit"].model, made.covered, with_spring=sprung).agrees
     assert np.all(made.covered.gaps <= made.covered.weight_magnitude())
     printed = capsys.readouterr().out
     assert f"under a tenth after {made.closed.settling_time()[0]:.2f} s with the controller" in printed

@@ -64,7 +64,7 @@ def control(
         whose = f"It was fitted to {'the same' if fitted_to(fit, work.train) else 'another'} recording."
         trained, tested = work.compared(fit)
         errors, parameters = report.error_table(trained, tested), report.parameter_table(fit)
-        fitted = fitted_in_envelope(fit.model, made.covered, response=with_arm_spring(fit.model, made.actuation))
+        fitted = fitted_in_envelope(fit.model, made.covered, with_spring=with_arm_spring(fit.model, made.actuation))
         work.save(made, save)
         said, honest, loops = outcome(made), [work.remark, *honesty(made), texts.WEIGHTED], texts.design_table(made)
         work.say(*said, *fitted.sentences(), *honest, loops, texts.controller_table(made), errors)

@@ -68,7 +68,7 @@ def fit(
             f"\n{predicted.criteria} of prediction error" if predicted else ""
         )
         discounted = _discounted(found) if robust else ""
-        work.say(work.remark, f"{first}\n{advice}", table, criteria, found.outcome, discounted, errors)
+        work.say(work.remark, f"{first}\n{advice.sentence}", table, criteria, found.outcome, discounted, errors)
         work.save(found, save)
         content = _report.fit_dict(
             found, train=trained, validation=tested, seconds=work.seconds, beside=known, advice=advice

@@ -74,7 +74,7 @@ def recommended_table(advice: Recommendation, fit: Fit) -> Table:
         (name, f"{p.value:.6g}", _short(p.std) if name in fit.information.names else "fixed", p.unit)
         for name, p in advice.parameters.items()
     )
-    return Table(("parameter", "recommended", "std", "unit"), rows, str(advice))
+    return Table(("parameter", "recommended", "std", "unit"), rows, advice.sentence)
 
 
 def _rows(known: AllEstimates) -> list[list[str]]:

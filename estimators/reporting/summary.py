@@ -35,7 +35,7 @@ def of_fit(fit: Fit, advice: Recommendation, trained: Comparison, tested: Compar
     worst = f"; worst known: {_parameter(*known[-1])}" if known else ""
     best = f" Best known: {_parameter(*known[0])}{worst}." if known else ""
     return Bullets(
-        f"{len(fit.information.names)} parameters; {_error(against, tested is not None)}.", f"{advice}{best}",
+        f"{len(fit.information.names)} parameters; {_error(against, tested is not None)}.", f"{advice.sentence}{best}",
         _after(against, file, "a controller (rtac envelope, rtac control), given recordings of several conditions"),
     )  # fmt: skip
 

@@ -44,6 +44,7 @@ class FittedInEnvelope:
         resonance: of the fitted model [rad/s].
         spurious: modes that P_0 has and the fitted model has not [rad/s].
         remedy: the excitation that would bring the two together.
+        spring: whether it has the electric spring on the arm that the conditions were given for a controller.
     """
 
     frequency: Curve
@@ -54,6 +55,7 @@ class FittedInEnvelope:
     resonance: float
     spurious: tuple[float, ...]
     remedy: str
+    spring: bool = False
 
     @property
     def agrees(self) -> bool:
@@ -67,13 +69,15 @@ class FittedInEnvelope:
             if self.distance > 1
             else f"inside W (largest |Delta| {self.distance:.2f}, at {self.at:.3g} rad/s)"
         )
+        as_drawn = (
+            "linearised without dry friction"
+            + self.spring * " and, as the conditions, with the electric spring on the arm"
+        )
         if self.agrees:
-            return [
-                f"The fitted model, linearised without dry friction, lies {where}; P0 peaks {self.peak_db:+.1f} dB beside it."
-            ]
+            return [f"The fitted model, {as_drawn}, lies {where}; P0 peaks {self.peak_db:+.1f} dB beside it."]
         side = "below" if self.peak_db < 0 else "above"
         said = (
-            f"P0 and the fitted model do not meet: the fitted model, linearised without dry friction, lies {where}, and the peak "
+            f"P0 and the fitted model do not meet: the fitted model, {as_drawn}, lies {where}, and the peak "
             f"of P0 is {abs(self.peak_db):.1f} dB {side} that of the fitted model at {self.resonance:.3g} rad/s"
         )
         if self.spurious:
@@ -82,18 +86,19 @@ class FittedInEnvelope:
         return [f"{said}.", self.remedy]
 
 
-def fitted_in_envelope(model: RTAC, found: Envelope, *, response: Response | None = None) -> FittedInEnvelope:
+def fitted_in_envelope(model: RTAC, found: Envelope, *, with_spring: Response | None = None) -> FittedInEnvelope:
     """Hold the fitted model, linearised about theta = 0, against an envelope.
 
     Args:
         model: with fitted values.
         found: an envelope of responses from current times cos(theta) to cart position.
-        response: of the model in the envelope's place, by frequency [rad/s]; by default that of the model alone.
+        with_spring: response of the model with the electric spring on the arm, by frequency [rad/s], where the envelope is of
+            conditions with it; by default that of the model alone is held against the envelope.
 
     Raises:
         ValueError: as `rtac_jax.linearise`.
     """
-    of = response or _plain(model)
+    of = with_spring or _plain(model)
     omega = np.geomspace(found.frequency[0], found.frequency[-1], _POINTS)
     fitted, nominal = of(omega), found.nominal_response(omega)
     gap = np.abs(errors(fitted[None], nominal, found.kind))[0] / found.weight_magnitude(omega)
@@ -107,7 +112,7 @@ def fitted_in_envelope(model: RTAC, found: Envelope, *, response: Response | Non
     peak_db = float(own.max() - size.max())
     return FittedInEnvelope(
         omega, fitted, float(gap[at]), float(omega[at]), peak_db, resonance, spurious,
-        _DRY if abs(peak_db) <= _NEAR and not spurious else _remedy(model, resonance),
+        _DRY if abs(peak_db) <= _NEAR and not spurious else _remedy(model, resonance), with_spring is not None,
     )  # fmt: skip
 
 

@@ -6,10 +6,12 @@ from collections.abc import Mapping
 import numpy as np
 
 from estimators.core.correlation import LEVEL
-from estimators.core.fit import Fit, Parameter
+from estimators.core.fit import HEADER, Fit, Parameter
+from estimators.core.result_base import Result
 from estimators.inference.robust_covariance import Covariances
 from estimators.prediction_error.fit import PredictorFit
 from estimators.validation.simulation_error import Compared
+from rtac_jax.overview import Overview, aligned
 
 RULE = (
     "The rule: output error with its plain standard deviation where its residuals are white; else prediction error, where its "
@@ -17,8 +19,8 @@ RULE = (
 )
 
 
-@dataclasses.dataclass(frozen=True)
-class Recommendation:
+@dataclasses.dataclass(frozen=True, repr=False)
+class Recommendation(Result):
     """The estimates to use, and why.
 
     Attributes:
@@ -33,7 +35,9 @@ class Recommendation:
     deviation: str
     sound: bool
 
-    def __str__(self) -> str:
+    @property
+    def sentence(self) -> str:
+        """Return which estimator is recommended, with which standard deviation, and what that leaves out."""
         said = f"Recommended: {self.estimator}, with the standard deviation for {self.deviation}."
         if not self.sound:
             said += (
@@ -41,6 +45,20 @@ class Recommendation:
                 "can be named."
             )
         return said
+
+    def rows(self) -> list[tuple[str, str, str, str]]:
+        """Return every parameter as text: name, value, standard deviation and unit."""
+        return [
+            (name, f"{p.value:.6g}", f"{p.std:.2g}" if p.std else "fixed", p.unit)
+            for name, p in self.parameters.items()
+        ]
+
+    def overview(self) -> Overview:
+        """Return the estimates to use, and which they are."""
+        return Overview(f"{len(self.parameters)} parameters by {self.estimator}", HEADER, self.rows(), (self.sentence,))
+
+    def __str__(self) -> str:
+        return "\n".join([*aligned([HEADER, *self.rows()], right=(1, 2)), self.sentence])
 
 
 def recommended(

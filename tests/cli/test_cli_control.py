@@ -35,6 +35,8 @@ def test_the_report_is_whole(ran):
     assert beside["resonance"] == pytest.approx(np.sqrt(RIG.spring_stiffness / RIG.total_mass), rel=0.05)
     assert beside["agrees"] == (len(beside["in_words"]) == 1)
     assert all(said in result.stdout for said in beside["in_words"])
+    # The nonlinear fit leaves out one condition, the envelope none.
+    assert re.search(r"Held out of the nonlinear fit: \S+\. The envelope covers all conditions: ", result.stdout)
     page = (folder / "report.html").read_text()
     assert all(f"<b>{head}.</b>" in page for head in ("Found", "How sure", "Next"))
 

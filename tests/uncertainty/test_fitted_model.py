@@ -39,6 +39,9 @@ def test_responses_of_the_model_itself_hold_it():
     (said,) = found.sentences()
     assert "inside W" in said
     np.testing.assert_allclose(found.response, rig(found.frequency), rtol=1e-9)
+    assert "spring" not in said
+    sprung = fitted_in_envelope(MODEL, envelope(1.0), with_spring=rig)
+    assert "dry friction and, as the conditions, with the electric spring on the arm, lies" in sprung.sentences()[0]
 
 
 @pytest.fixture(scope="module")

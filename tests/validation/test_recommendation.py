@@ -58,4 +58,10 @@ def test_where_nothing_is_white_the_larger_robust_deviation_is_given_and_the_rea
     assert found.parameters["spring_stiffness"].std == pytest.approx(0.3)
     assert found.parameters["torque_constant"].std == pytest.approx(2e-4)  # one cluster alone tells nothing
     assert found.parameters["total_mass"].std == 0.0
-    assert "something may be missing" in str(found)
+    lines = str(found).splitlines()
+    assert lines[0].split() == ["parameter", "value", "std", "unit"]
+    assert ["spring_stiffness", "132.6", "0.3", "N/m"] in [line.split() for line in lines]
+    assert ["total_mass", "1.23", "fixed", "kg"] in [line.split() for line in lines]
+    assert lines[-1] == found.sentence
+    assert "something may be missing" in found.sentence
+    assert "spring_stiffness" in found._repr_html_()

@@ -81,6 +81,9 @@ def of_diagnosis(
     if isinstance(found, Improvement) and named and found.verdict in ("adequate", "missing"):
         rest = "; nothing more is missing at the noise floor" if found.verdict == "adequate" else ""
         what = f"Was missing, and is in the model now: {named}{rest}"
+    if isinstance(found, Improvement) and found.added and found.verdict == "ambiguous":
+        alike = "; ".join(f"{c.id} from {', '.join(c.confusable_with)}" for c in found.added if c.confusable_with)
+        what = f"Was missing, and is in the model now: {named}. But these data cannot tell {alike}, which may be it as well"
     if learned is not None:
         what += (
             f". As a last resort a learned force was added, which is no physical effect: on the {learned.port} against "

@@ -78,6 +78,10 @@ def test_bullets_say_what_was_found_how_sure_and_what_next(verdict, next_step):
         assert "flexible_mode (mass 0.09 +- 0.001 kg)" in bullets.found
         assert "error over noise on experiments that no fit has seen: cart position" in bullets.sure.lower()
     if verdict == "ambiguous":
+        assert (
+            "these data cannot tell flexible_mode from cubic_spring, which may be it as well"
+            in bullets.found.replace("But these", "these")
+        )
         assert "confusable with cubic_spring" in bullets.sure
     alone = summary.of_diagnosis(found.diagnoses[0], found.train, None, file="rig.h5")
     if verdict == "missing":

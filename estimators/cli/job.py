@@ -122,23 +122,29 @@ class Job:
 
     @contextmanager
     def explaining(self) -> Iterator[None]:
-        """Explain a fit that runs away because nothing fixes the scale."""
+        """Explain a fit that fails: what is doubtful in the recording comes first, as it is the likelier cause."""
         from estimators.core.results import DivergedError, NotIdentifiableError
         from rtac_jax.measurement import concerns
 
         try:
             yield
         except NotIdentifiableError as error:
-            if more := self._unmeasured() or self.doubts:
+            if more := self._unmeasured():
                 raise NotIdentifiableError(f"{error} {more[0]}") from error
+            if self.doubts:
+                raise NotIdentifiableError(self._with_doubt(error)) from error
             raise
         except DivergedError as error:
             scale = [said for said in concerns(self.recording) if said.startswith("The scale is not fixed")]
             if scale:
                 raise NotIdentifiableError(scale[0]) from error
             if self.doubts:
-                raise DivergedError(f"{error} {self.doubts[0]}") from error
+                raise DivergedError(self._with_doubt(error)) from error
             raise
+
+    def _with_doubt(self, error: Exception) -> str:
+        assert self.doubts
+        return f"{self.doubts[0][0].upper()}{self.doubts[0][1:]} As it is, no fit comes of it: {error}"
 
     def save(self, result: Any, path: Path | None) -> None:
         """Keep a result, if a file was named."""

@@ -10,7 +10,7 @@ from estimators.closed_form.modulating_functions import integrated_terms
 from estimators.closed_form.regressors import Terms, automatic_cutoff, sampled_terms
 from estimators.closed_form.table1 import ClosedForm, ClosedFormOptions
 from estimators.closed_form.two_stage import Estimates, Weighting, forced_stage, free_stage
-from estimators.closed_form.unknown_scale import scale_stage, unknown_scales
+from estimators.closed_form.unknown_scale import SCALING, scale_stage, unknown_scales
 from estimators.core.sensor_noise import noise_levels
 from rtac_jax import RTAC
 from rtac_jax.measurement import Experiment, Recording
@@ -148,10 +148,11 @@ def closed_form(
             model, free, pushed=pushed, reaction=options.reaction, acceleration=options.weak
         )
         scales = unknown_scales(model, pushed=pushed)
-        # Of both unknown, me or K_m tells that of the arm's equation, and me then the cart's.
-        told_by = {"eccentric_moment", "torque_constant"} & model.fixed
+        # Of both unknown, me or K_m tells that of the arm's equation, and me then the cart's. Without these the total mass stays
+        # what the model has, and the inertia follows from it.
+        both = ("arm_inertia", "total_mass") if SCALING & model.fixed else ("arm_inertia",)
         more = {}
-        for unknown in scales if len(scales) == 1 else ("arm_inertia", "total_mass") if scales and told_by else ():
+        for unknown in scales if len(scales) == 1 else both if scales else ():
             model, own = scale_stage(
                 model, forced, estimates, unknown=unknown, alone=not ratios, instruments=options.instruments
             )

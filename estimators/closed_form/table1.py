@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from estimators.closed_form.two_stage import Estimates, Weighting
+from estimators.closed_form.unknown_scale import SCALING
 from estimators.core.drawing import draw
 from estimators.core.result_base import Result
 from rtac_jax import RTAC
@@ -163,7 +164,10 @@ def _assumed(found: ClosedForm) -> list[str]:
     said = []
     for name in found.assumed:
         value, declared = float(np.mean(np.asarray(found.model[name]))), found.model.parameters[name]
-        scaled = [found.model.parameters[n].symbol for n in _IN_PROPORTION[name] if n in found.estimates]
+        alike = _IN_PROPORTION[name]
+        if name == "total_mass" and not SCALING & found.model.fixed and "arm_inertia" in found.estimates:
+            alike += ("arm_inertia", *_IN_PROPORTION["arm_inertia"])  # its inertia follows from the mass
+        scaled = [found.model.parameters[n].symbol for n in alike if n in found.estimates]
         wrong = f" {', '.join(scaled)} are in proportion to it, and wrong by as much as it is." if scaled else ""
         said.append(
             f"{declared.symbol} is not estimated: {value:.4g} {declared.unit} is the value that the model began with, as neither a "

@@ -28,6 +28,8 @@ from rtac_jax import RTAC
 
 _PER_INERTIA = tuple(name for name in ARM if name != "arm_inertia")
 _SWING = "eccentric_moment"
+SCALING = frozenset({_SWING, "torque_constant"})
+"""Of which either tells the scale of the arm's equation, where it is known."""
 
 
 def unknown_scales(model: RTAC, *, pushed: bool) -> tuple[str, ...]:

@@ -71,7 +71,10 @@ def select(laboratory: Laboratory, policy: DiagnosisPolicy, *, thorough: bool) -
     if gross(laboratory, policy):
         by_equations = explaining_equations(laboratory, policy)
         if named(by_equations.steps, by_equations.tests, laboratory.facts.samples, policy)[1]:
-            return by_equations
+            # What innovations show of something else, as of an input that is declared wrongly, may be more than all that.
+            large = by_size(_nameable(laboratory, alarming(by_equations.findings.scores, policy.critical)), 0.0)
+            if not large or by_equations.steps[0].gain > large[0].statistic:
+                return by_equations
     found = _selected(laboratory, laboratory.base, policy)
     if any(test.rejects for test in found.tests) and not laboratory.facts.rest:
         # Noise that wanders makes almost every effect look useful; without rest records the likelihood must say.

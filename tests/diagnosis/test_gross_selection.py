@@ -71,6 +71,17 @@ def test_where_the_equations_name_nothing_the_ordinary_way_follows() -> None:
     assert set(laboratory.ways) == {"filter"}
 
 
+@pytest.mark.parametrize(("shown", "effect"), [(9_999.0, "cubic_spring"), (10_001.0, "lvdt_lag")])
+def test_what_the_innovations_show_more_of_than_the_equations_explain_comes_first(shown: float, effect: str) -> None:
+    """As of a measured circuit whose input was declared wrongly: 8,866 of it beside 203 for the cubic spring."""
+
+    class Louder(Gross):
+        def findings(self, model: FittedModel) -> Findings:
+            return Findings() if model.added else Findings((sized("lvdt_lag", shown, 1e-9),), curves=(force(2000.0),))
+
+    assert decide(Louder(), STANDARD, thorough=True).effects == (effect,)
+
+
 @pytest.mark.parametrize(("left_over", "error", "verdict"), [(0.1, 50.0, "unknown"), (0.1, 1.0, "missing")])
 def test_what_needs_random_forces_must_be_followed_by_a_simulation(
     left_over: float, error: float, verdict: str

@@ -50,3 +50,8 @@ class Candidate:
             return ""
         fraction = self.unit == "1"
         return f"{(100 if fraction else 1) * self.detection_limit:.2g} {'%' if fraction else self.unit}"
+
+    @property
+    def limit_or_why(self) -> str:
+        """Return the detection limit, or why there is none."""
+        return self.limit or ("shows once fitted" if self.testable else "not testable")

@@ -125,7 +125,7 @@ class Diagnosis(Result):
         for c in self.candidates:
             gain = f"{c.bic_gain:10.1f}" if c.refitted else " " * 10
             removes = f"{100 * c.error_reduction:7.0f}%" if c.refitted else " " * 8
-            lines.append(f"{c.id:22s} {c.score:10.1f} {c.p_value:9.2g} {gain} {removes}  {c.limit or 'not testable'}")
+            lines.append(f"{c.id:22s} {c.score:10.1f} {c.p_value:9.2g} {gain} {removes}  {c.limit_or_why}")
         lines.append("score: chi-square of predictions one sample ahead, less the price of the parameters")
         lines.append("")
         for title, tests in (("base model", self.tests), ("with what was added", self.left if self.additions else ())):
@@ -327,7 +327,7 @@ def _candidates(laboratory: LiveLaboratory, found: Judgement) -> list[Candidate]
             p_value=p_by_chance(s, len(screened)),
             detection_limit=limit,
             unit=declarations(s.instance)[first].unit,
-            # What acts by contact shows once the filter follows it.
+            # What acts by contact, or random forces stand for, shows once the filter follows it.
             testable=is_testable(s, limit, policy.testable) or s.id in within,
             correlation=alike[s.id],
         )

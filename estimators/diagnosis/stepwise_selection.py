@@ -137,10 +137,11 @@ def unalarmed(laboratory: Laboratory, found: Selection, policy: DiagnosisPolicy)
 def hidden(laboratory: Laboratory, found: Selection, policy: DiagnosisPolicy) -> _Look:
     """Return candidates that random forces of the predictor may hide.
 
-    Where the innovations are far from white, what is alike in every second tells more than what is large.
+    Where the innovations are far from white, what is alike in every second tells more than what is large. What the predictor
+    could not show beside its random forces is among them: it is these that the effect explains.
     """
     effects = laboratory.facts.effects
-    large = by_size(_nameable(laboratory, laboratory.quiet_scores(found.base)), math.log(laboratory.facts.samples))
+    large = by_size(laboratory.quiet_scores(found.base), math.log(laboratory.facts.samples))
     alike = sorted(large, key=_consistency, reverse=True)
     # What works by contact shows nowhere until the filter follows it.
     contacts = [s for s in large if effects[s.id].contact]

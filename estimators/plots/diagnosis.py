@@ -165,7 +165,7 @@ def _remark(c: Candidate, accepted: bool, policy: DiagnosisPolicy) -> str:
     if accepted:
         return f"removes {100 * c.error_reduction:.0f} % of the misfit"
     if not c.limit:
-        return "not testable here"
+        return c.limit_or_why
     if c.chi_square >= policy.alarm and not _alarms(c, policy):
         return f"no alarm: by its scatter p = {c.p_value:.1g}"
     return f"would show from {c.limit if c.unit == '1' else quantity(c.detection_limit, c.unit)}"

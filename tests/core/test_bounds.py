@@ -155,6 +155,12 @@ TIGHT = {
 }
 
 
+# What leaves its bound and ends in another minimum than the truth.
+ELSEWHERE = {
+    "arm_stribeck.level": "a step too long leads beyond the truth, where the start of the arm makes up for friction"
+}
+
+
 def on_their_bounds():
     """Parameters of the catalogue that say that their effect is absent where they are on a bound."""
     for cls in effects.CATALOGUE.values():
@@ -162,7 +168,10 @@ def on_their_bounds():
             if declared.null not in declared.bounds:
                 continue
             if found := plausible(cls, TIGHT.get(cls.id, SCALES)):
-                yield pytest.param(found[len(found) // 2], name, id=f"{cls.id}.{name}")
+                which = f"{cls.id}.{name}"
+                reason = ELSEWHERE.get(which)
+                marks = [pytest.mark.xfail(reason=reason, strict=True)] if reason else []
+                yield pytest.param(found[len(found) // 2], name, id=which, marks=marks)
 
 
 UNSEEN = {"saturation.inverse_limit"}  # without any slope at its null

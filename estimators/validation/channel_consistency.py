@@ -276,7 +276,9 @@ class _Search:
         everything = list(self.systems.values())
         before = solve(everything).residual
         after = solve([s for s in everything if s.name != name]).residual
-        if after >= before:  # what is wrong is wrong with the others
+        # What is wrong is wrong with the others; and where these do not agree to their noise, as beside a sensor's gain, one that
+        # differs by a little more has no mistake of its own.
+        if after >= before or (after > SUSPICIOUS and after > _explained(before)):
             return None
         return Inconsistency(
             name,

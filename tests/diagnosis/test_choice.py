@@ -166,11 +166,19 @@ def test_what_random_forces_hide_is_tried_in_this_order() -> None:
     """First what is most alike in every second, then what is largest, then what works by contact."""
     search = Late(known(base=0.0))
     search.quiet = QUIET
-    # Beside random forces that stand for it the largest could not be shown at all: it is what they hide.
-    search.facts = dataclasses.replace(search.facts, untestable=("end_stop",))
     look = hidden(search, selected(search, FORCE), STANDARD)
     assert [s.id for s in look.ranked] == ["lvdt_lag", "end_stop", "backlash"]
     assert list(look.near) == []
+    # What could not be shown at all beside random forces that stand for it is what they hide; the largest of it comes too.
+    search.facts = dataclasses.replace(search.facts, untestable=("end_stop",))
+    assert [s.id for s in hidden(search, selected(search, FORCE), STANDARD).ranked] == [
+        "lvdt_lag",
+        "end_stop",
+        "backlash",
+    ]
+    search.facts = dataclasses.replace(search.facts, untestable=("saturation", "flexible_shaft"))
+    ranked = [s.id for s in hidden(search, selected(search, FORCE), STANDARD).ranked]
+    assert ranked == ["lvdt_lag", "end_stop", "backlash", "flexible_shaft"]
 
 
 def test_what_works_by_contact_is_tried_however_little_it_shows() -> None:

@@ -16,6 +16,7 @@ from rtac_jax._spline import spline_coefficients
 from rtac_jax._substeps_traced import substeps_traced
 from rtac_jax.effects import CATALOGUE, CubicSpring
 from rtac_jax.excitation import coefficients
+from rtac_jax.parameters import declarations
 from rtac_jax.simulation import substeps_for
 
 SAMPLES, SAMPLE_TIME = 100, 0.01
@@ -218,7 +219,7 @@ def test_reverse_derivatives_of_every_effect_are_its_forward_ones(effect_id):
         effect = CATALOGUE[effect_id]
         scales = rtac.Scales(5e-3, 0.05, 15.0, 0.15, 0.7, 0.012, 10.4, 1.23, SAMPLE_TIME)
         values = {}
-        for name, declared in rtac._parameter.declarations(effect).items():
+        for name, declared in declarations(effect).items():
             guess = declared.plausible(scales) if declared.plausible else 0.1
             values[name] = guess[0] if isinstance(guess, tuple) else guess
         model = model + effect(**values)

@@ -50,7 +50,8 @@ def test_an_effect_is_found_at_twice_its_limit_and_not_at_a_third(
         recording = recorded({"same rig": values}, first=40, noise=1 + number)["same rig"]
         fit = est.output_error(rtac.RTAC.from_rig(recording), recording, progress=False)
         found = est.diagnose(fit, recording, candidates=offered, thorough=False, progress=False)
-        assert [c.id for c in found.effects] == ([name] if number == 0 else []), (share, found)
+        # What is found may buy so little that the model stays adequate.
+        assert [c.id for c in (*found.effects, *found.detectable)] == ([name] if number == 0 else []), (share, found)
 
 
 @pytest.mark.slow

@@ -22,6 +22,7 @@ from rtac_jax import RTAC
 from rtac_jax.measurement import Experiment, Recording
 
 _FEWEST = 5  # seconds of data, below which their scatter says nothing
+_BARE = 1.0  # gain in log-likelihood, of natural logarithms, that is "not worth more than a bare mention" (Kass and Raftery)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -46,17 +47,18 @@ class OneStepAhead:
         return float(np.sum(self.by_sample))
 
     def surpasses(self, other: "OneStepAhead", *, of: int = 1, level: float = 0.05) -> bool:
-        """Return whether this makes the same samples likelier, by more than chance does.
+        """Return whether this makes the same samples likelier, by more than chance does and than is worth a bare mention.
 
         Args:
             other: predictions of the same samples by another model.
             of: number of models of which this is the likeliest.
             level: probability of calling a model better that is not.
 
-        Source: Vuong, Econometrica 57 (1989), on sums over seconds, with Student's t for few of them.
+        Source: Vuong, Econometrica 57 (1989), on sums over seconds, with Student's t for few of them; Kass and Raftery, J. Am.
+        Stat. Assoc. 90 (1995).
         """
         seconds = len(np.unique(self.stretches))
-        if seconds < _FEWEST:
+        if seconds < _FEWEST or self.log_likelihood - other.log_likelihood < _BARE:
             return False
         statistic = vuong(self.by_sample, other.by_sample, self.stretches, 0.0)
         return bool(statistic > scipy.stats.t.isf(level / of, seconds - 1))

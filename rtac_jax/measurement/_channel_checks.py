@@ -201,7 +201,8 @@ def _position(experiment: Experiment) -> Iterator[str]:
     if size <= _ABOVE_NOISE * _quiet(values):
         return
     frequency, _ = _peak(values, experiment.sample_time)
-    acceleration = (2 * np.pi * frequency) ** 2 * np.sqrt(2) * size
+    with np.errstate(over="ignore"):  # of a sample time of 1e-300 s
+        acceleration = np.square(2 * np.pi * np.float64(frequency)) * np.sqrt(2) * size
     if acceleration > _LARGEST_ACCELERATION:
         yield (
             "cart_position shows accelerations of more than 10 g, so it is likely in mm, or sample_time is too small; give both in "

@@ -115,6 +115,10 @@ class RTAC(eqx.Module):
         """Return the model with one effect more, at its place in the catalogue's order; one that is not in it comes last."""
         if not isinstance(effect, Effect):
             return NotImplemented
+        if not isinstance(getattr(effect, "id", None), str):
+            raise ValueError(
+                f"{type(effect).__name__} has no id, by which its parameters are named; give the class one: id = ..."
+            )
         places = [_PLACES.get(e.id, len(_PLACES)) for e in (*self.effects, effect)]
         at = max((i + 1 for i, place in enumerate(places[:-1]) if place <= places[-1]), default=0)
         effects = (*self.effects[:at], effect, *self.effects[at:])

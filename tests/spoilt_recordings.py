@@ -50,6 +50,21 @@ def current_as_force(e):
     return replace(e, inputs={"disturbance_force": Signal(current.values, "N", current.intersample)})
 
 
+def swapped_with_current(of):
+    """Exchange the current and an output; an experiment without a current stays as it is."""
+
+    def change(e):
+        if "current" not in e.inputs:
+            return e
+        current, output = e.inputs["current"], e.outputs[of]
+        inputs = {**e.inputs, "current": Signal(output.values, "A", current.intersample)}
+        return replace(
+            e, inputs=inputs, outputs={**e.outputs, of: Signal(current.values, output.unit, output.intersample)}
+        )
+
+    return change
+
+
 def slower(factor):
     return lambda e: replace(e, sample_time=factor * e.sample_time)
 
@@ -112,6 +127,7 @@ OF_CHANNELS = {
     "sign of velocity": (channel(VELOCITY, np.negative), "arm_velocity fits with the sign swapped"),
     "sign of current": (channel(CURRENT, np.negative), "current fits with the sign swapped"),
     "swapped channels": (swapped(POSITION, VELOCITY), "cart_position and arm_velocity fit when they are swapped"),
+    "swapped current": (swapped_with_current(VELOCITY), "current and arm_velocity fit when they are swapped"),
     "current as force": (current_as_force, "disturbance_force fits when it is taken to be the current"),
     "sample time doubled": (slower(2.0), "half of the sample_time"),
     "sample time halved": (slower(0.5), "twice the sample_time"),

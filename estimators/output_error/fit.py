@@ -14,6 +14,7 @@ from tqdm import tqdm
 from estimators.closed_form.fit import starting_values
 from estimators.core.active_bounds import OFF_BOUNDS, solve_bounded
 from estimators.core.data import CHANNELS, Data, mark_of, moving, pieces
+from estimators.core.effect_contract import require_working_model
 from estimators.core.fisher_information import information
 from estimators.core.fit import Fit
 from estimators.core.initial_rest import at_rest, best_starts, may_swing
@@ -85,7 +86,7 @@ def output_error(
         progress: show a bar.
 
     Raises:
-        ValueError: nothing moves in the recording, or no parameter is free.
+        ValueError: nothing moves in the recording, no parameter is free, or a user's own effect does not work.
         TooLargeError: the recording does not fit into the memory that is free.
         NotIdentifiableError: the data leave parameters free.
         DivergedError: the model diverges from every start.
@@ -96,6 +97,7 @@ def output_error(
     require_configured()
     began = time.perf_counter()
     experiments = pieces(moving(recording))
+    require_working_model(model)
     if not model.free:
         raise ValueError("The model has no free parameter; release one with model.release(name).")
     levels = noise_levels(recording.experiments)

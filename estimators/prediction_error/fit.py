@@ -15,6 +15,7 @@ from estimators.core.active_bounds import OFF_BOUNDS
 from estimators.core.correlation import LAGS, LEVEL, whiteness
 from estimators.core.data import CHANNELS, Data, moving, pieces
 from estimators.core.drawing import draw
+from estimators.core.effect_contract import require_working_model
 from estimators.core.fisher_information import Information, each_deviations, information
 from estimators.core.fit import HEADER, ModelFit
 from estimators.core.information_criteria import InformationCriteria
@@ -164,7 +165,7 @@ def prediction_error_nonlinear(
         progress: show a bar.
 
     Raises:
-        ValueError: nothing moves in the recording, or no parameter is free.
+        ValueError: nothing moves in the recording, no parameter is free, or a user's own effect does not work.
         NotIdentifiableError: the data leave parameters free.
         DivergedError: the model diverges at the start.
         RuntimeError: JAX was not configured for double precision.
@@ -174,6 +175,7 @@ def prediction_error_nonlinear(
     require_configured()
     began = time.perf_counter()
     experiments = pieces(moving(recording))
+    require_working_model(model)
     if not model.free:
         raise ValueError("The model has no free parameter; release one with model.release(name).")
     levels = noise_levels(recording.experiments)

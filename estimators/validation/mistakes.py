@@ -129,6 +129,13 @@ def _swaps() -> Iterator[Mistake]:
             "swap the two columns",
             lambda e, one=one, other=other: _swapped(e, "outputs", one, other),
         )
+    for channel in ("arm_velocity", "cart_position"):
+        yield Mistake(
+            f"current and {channel} swapped",
+            f"current and {channel} fit when they are swapped",
+            "swap the two columns",
+            lambda e, channel=channel: _swapped_with_current(e, channel),
+        )
     yield Mistake(
         "current recorded as disturbance_force",
         "disturbance_force fits when it is taken to be the current",
@@ -216,6 +223,18 @@ def _swapped(experiment: Experiment, group: str, one: str, other: str) -> Experi
     if second is not None:
         signals[one] = Signal(second.values, units[one], second.intersample)
     return _replaced(experiment, group, signals)
+
+
+def _swapped_with_current(experiment: Experiment, channel: str) -> Experiment | None:
+    """Return the experiment with the current and an output exchanged; None where one of them is not there."""
+    inputs, outputs = dict(experiment.inputs), dict(experiment.outputs)
+    if "current" not in inputs or channel not in outputs:
+        return None
+    current, measured = np.asarray(inputs["current"].values), np.asarray(outputs[channel].values)
+    inputs["current"] = Signal(measured, INPUTS["current"], inputs["current"].intersample)
+    outputs[channel] = Signal(current, OUTPUTS[channel], outputs[channel].intersample)
+    changed = _replaced(experiment, "inputs", inputs)
+    return None if changed is None else _replaced(changed, "outputs", outputs)
 
 
 def _started(experiment: Experiment, change: Callable[[float], float]) -> Experiment | None:

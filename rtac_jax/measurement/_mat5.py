@@ -156,6 +156,11 @@ class Mat5:
     def _numbers(self, content: memoryview, at: int, variable: Variable) -> tuple[np.ndarray, int]:
         kind, data, after = self._any_element(content, at)
         stored = NUMBERS.get(kind)
+        if stored is not None and stored != variable.dtype:
+            # Whole numbers may be stored in fewer bytes than their class has; nothing else is ever stored in another type.
+            shorter = np.dtype(stored).itemsize < np.dtype(variable.dtype).itemsize
+            if not shorter or np.dtype(stored).kind == "f":
+                raise Damaged("numbers of another type than their class has")
         if stored is None or len(data) != math.prod(variable.shape) * np.dtype(stored).itemsize:
             raise Damaged("not as many numbers as the shape declares")
         return np.frombuffer(data, dtype=np.dtype(stored).newbyteorder(self._order)).astype(variable.dtype), after

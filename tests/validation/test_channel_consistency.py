@@ -50,7 +50,7 @@ def test_a_mistake_in_all_experiments_is_named(clean, mistake):
     change, words = OF_CHANNELS[mistake]
     found = est.channel_consistency(everywhere(clean, change))
     assert len(found.concerns) == 1, found
-    having = {"sign of current", "current as force", "current late"}
+    having = {"sign of current", "swapped current", "current as force", "current late"}
     assert found.concerns[0].startswith("forced_1, forced_2, forced_3: " if mistake in having else "all experiments: ")
     assert words in found.concerns[0]
 

@@ -42,6 +42,20 @@ def test_no_flipped_bit_of_a_header_ends_the_process(tmp_path, compressed):
     assert refused > 200
 
 
+@pytest.mark.parametrize(
+    ("byte", "was", "made"), [(16, 6, 14), (16, 6, 7), (48, 9, 13)], ids=["int64", "single", "uint64"]
+)
+def test_numbers_of_another_type_than_their_class_has_are_refused(tmp_path, byte, was, made):
+    """One bit of a variable's head that turns doubles to whole numbers, to rounded ones, or to what their bytes mean as such."""
+    path = tmp_path / "run.mat"
+    scipy.io.savemat(path, {key: WRITTEN[key] for key in ("i", "x")})
+    content = bytearray(path.read_bytes())
+    assert content[128 + byte] == was
+    content[128 + byte] = made
+    path.write_bytes(content)
+    assert read_or_refused(path) is None
+
+
 @pytest.mark.parametrize("compressed", [False, True])
 @pytest.mark.parametrize("dtype", ["f8", "f4", "i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8"])
 def test_every_kind_of_number_is_read_as_scipy_reads_it(tmp_path, compressed, dtype):

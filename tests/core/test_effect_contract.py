@@ -1,11 +1,16 @@
 """A user's own effect with a fault: which effect, which method, which line, what is wrong, and the usual mend."""
 
+import importlib.util
+import sys
+
 import pytest
 from command_line import call, refused
 from small_experiments import forced, free
 
+import estimators as est
 from estimators.cli.own_effects import with_own
-from estimators.diagnosis.effect_contract import require_working
+from estimators.core.effect_contract import require_working
+from rtac_jax import RTAC
 from rtac_jax.effects import CATALOGUE
 from rtac_jax.measurement import Recording
 
@@ -116,6 +121,34 @@ def test_a_fault_elsewhere_is_named_with_its_mend(tmp_path, old, new, said):
     with pytest.raises(ValueError, match=said) as caught:
         with_own(written(tmp_path, OWN.replace(old, new)))
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("fit", [est.output_error, est.prediction_error_nonlinear])
+@pytest.mark.parametrize("fault", ["text", "shape", "numpy", "math", "if", "zero"])
+def test_a_fault_in_an_effect_of_the_model_is_named_before_a_fit(tmp_path, monkeypatch, fit, fault):
+    """From Python, too, where an instance is added to the model."""
+    line, said = FAULTS[fault]
+    recording = Recording((free(), forced()), {"total_mass": 1.23, "arm_inertia": 9.5e-5})
+    model = RTAC.from_rig(recording) + made(tmp_path, monkeypatch, OWN.replace(LINE, line))(1e3)
+    with pytest.raises(ValueError, match=said) as caught:
+        fit(model, recording, progress=False)
+    assert "\n" not in str(caught.value)
+
+
+def test_an_effect_without_an_id_is_refused_where_it_is_added(tmp_path, monkeypatch):
+    old, new, _ = ELSEWHERE["no id"]
+    effect = made(tmp_path, monkeypatch, OWN.replace(old, new))(1e3)
+    with pytest.raises(ValueError, match="Magnet has no id, by which its parameters are named"):
+        RTAC.paper() + effect
+
+
+def made(tmp_path, monkeypatch, text):
+    """Return the class of a file, as a script has it that imports it."""
+    spec = importlib.util.spec_from_file_location("mine", written(tmp_path, text))
+    module = importlib.util.module_from_spec(spec)
+    monkeypatch.setitem(sys.modules, "mine", module)
+    spec.loader.exec_module(module)
+    return module.Magnet
 
 
 @pytest.mark.parametrize("before", [True, False])

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rtac_jax import RigidBody
+from rtac_jax import RTAC, RigidBody
 from rtac_jax.effects import (
     PORTS,
     Actuator,
@@ -42,6 +42,7 @@ TYPICAL = Scales(
 )
 # One trajectory for each element; not 1, so that a reduction over all of them shows.
 TRAJECTORIES = (3, 4)
+_OURS = ("rtac_jax", "estimators")  # packages whose effects have tests of their own
 _PORTS = ("on the cart", "on the arm")
 _AT_ANY_MOTION = ("rate", "force", "levels", "current", "read")
 # What JAX calls a value in a traced function, and the object that stands for it.
@@ -62,6 +63,18 @@ def require_working(c: type[Effect]) -> None:
     effect = explained(c, "making an instance of plausible size", lambda: c.candidates(TYPICAL)[0])
     for several in TRAJECTORIES:  # what fits one number of them may fit no other
         _require_methods(c, effect, (several,))
+
+
+def require_working_model(model: RTAC) -> None:
+    """Call every method of the user's own effects in a model, as `require_working` does with classes of them.
+
+    Raises:
+        ValueError: one fails, or returns what the model cannot use.
+    """
+    for effect in model.effects:
+        if type(effect).__module__.partition(".")[0] not in _OURS:
+            for several in TRAJECTORIES:
+                _require_methods(type(effect), effect, (several,))
 
 
 def _require_methods(c: type[Effect], effect: Effect, several: tuple[int]) -> None:

@@ -30,7 +30,11 @@ def main() -> None:
     logging.getLogger("matplotlib").setLevel(logging.ERROR)
     from estimators.cli import main as command  # after the above: it takes seconds
 
-    command()
+    try:
+        command()
+    finally:
+        # All is said and written. While Python shuts down nothing answers any more, and an interrupt would kill it.
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def answer_signals() -> None:

@@ -107,6 +107,17 @@ def test_a_signal_that_the_caller_ignores_stays_ignored():
     assert (done.returncode, done.stdout) == (0, "went on\n")
 
 
+def test_an_interrupt_after_all_is_said_changes_nothing():
+    """While Python shuts down nobody answers, and it would be killed by the signal after its work was done."""
+    code = (
+        "import sys, types, os, signal; command = types.ModuleType('estimators.cli'); command.main = lambda: print('said'); "
+        "sys.modules |= {'estimators': types.ModuleType('estimators'), 'estimators.cli': command}; "
+        "import rtac_entry; rtac_entry.main(); os.kill(os.getpid(), signal.SIGINT); print('whole')"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=20)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "said\nwhole\n", "")
+
+
 WRITING = """
 import rtac_entry, sys
 rtac_entry.outlive_closed_pipes()

@@ -110,9 +110,9 @@ def test_a_signal_that_the_caller_ignores_stays_ignored():
 def test_an_interrupt_after_all_is_said_changes_nothing():
     """While Python shuts down nobody answers, and it would be killed by the signal after its work was done."""
     code = (
-        "import sys, types, os, signal; command = types.ModuleType('estimators.cli'); command.main = lambda: print('said'); "
+        "import sys, time, types, os, signal; command = types.ModuleType('estimators.cli'); command.main = lambda: print('said'); "
         "sys.modules |= {'estimators': types.ModuleType('estimators'), 'estimators.cli': command}; "
-        "import rtac_entry; rtac_entry.main(); os.kill(os.getpid(), signal.SIGINT); print('whole')"
+        "import rtac_entry; rtac_entry.main(); os.kill(os.getpid(), signal.SIGINT); time.sleep(0.5); print('whole')"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=20)
     assert (done.returncode, done.stdout, done.stderr) == (0, "said\nwhole\n", "")

@@ -5,16 +5,20 @@ here the signal's number goes through a pipe to a thread, which says one sentenc
 lost by that: every result is written aside and takes the place of an earlier one when it is complete.
 
 Exit status after a signal, as shells have it: 130 after Ctrl-C (SIGINT), 143 after SIGTERM.
+
+What Python has loaded itself when it comes here is imported at the top, and nothing else: before that is done nobody answers.
 """
 
-import contextlib
+from __future__ import annotations
+
 import io
-import logging
 import os
 import signal
 import sys
-import threading
-from typing import Any
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from typing import Any
 
 SENTENCES = {
     signal.SIGINT: "interrupted; nothing that was not complete has been written.",
@@ -26,6 +30,8 @@ def main() -> None:
     """Run the command line."""
     answer_signals()
     outlive_closed_pipes()
+    import logging
+
     # Where there is no home it takes a temporary folder, which harms nothing here and is worth no word.
     logging.getLogger("matplotlib").setLevel(logging.ERROR)
     from estimators.cli import main as command  # after the above: it takes seconds
@@ -39,13 +45,17 @@ def main() -> None:
 
 def answer_signals() -> None:
     """End the process with a sentence when it is interrupted or asked to stop, whatever it is doing."""
-    for number in SENTENCES:
-        # A signal that whoever called wants to have ignored, as `nohup` or a background job does, stays ignored.
-        if signal.getsignal(number) != signal.SIG_IGN:
-            signal.signal(number, lambda *_: None)
+    # A signal that whoever called wants to have ignored, as `nohup` or a background job does, stays ignored.
+    answered = [number for number in SENTENCES if signal.getsignal(number) != signal.SIG_IGN]
+    for number in answered:
+        signal.signal(number, lambda number, _: _end(number))
+    import threading
+
     receiving, sending = os.pipe()
     os.set_blocking(sending, False)
     signal.set_wakeup_fd(sending, warn_on_full_buffer=False)
+    for number in answered:  # one of the two alone may say the sentence
+        signal.signal(number, lambda *_: None)
     threading.Thread(target=_wait, args=(receiving,), name="signals", daemon=True).start()
 
 
@@ -60,12 +70,15 @@ def _end(number: int) -> None:
     # What was being written lies beside its place under a name of its own. The module is only looked for, not imported.
     aside = getattr(sys.modules.get("rtac_jax.measurement.atomic_write"), "unfinished", ())
     for path in tuple(aside):
-        with contextlib.suppress(OSError):
+        try:
             os.unlink(path)
-    with contextlib.suppress(OSError):
+        except OSError:
+            continue
+    try:
         start = "\n" if os.isatty(2) else ""  # a bar may stand on the line
         os.write(2, f"{start}rtac: {SENTENCES[signal.Signals(number)]}\n".encode())
-    os._exit(128 + number)
+    finally:
+        os._exit(128 + number)
 
 
 def outlive_closed_pipes() -> None:

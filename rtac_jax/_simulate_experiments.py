@@ -10,6 +10,7 @@ from rtac_jax._rtac import RTAC
 from rtac_jax._run import run, whole_starts
 from rtac_jax._simulation_record import Simulation, simulation_of
 from rtac_jax.configuration import warn_single_precision
+from rtac_jax.effect_contract import require_working_model
 from rtac_jax.excitation import BEYOND, Excitation
 from rtac_jax.measurement import Experiment
 from rtac_jax.time_loop import room_for
@@ -56,9 +57,10 @@ def simulate(
         By name of experiment; of one experiment its simulation.
 
     Raises:
-        ValueError: no experiment, or a start of the wrong length.
+        ValueError: no experiment, a start of the wrong length, or a user's own effect that does not work.
     """
     warn_single_precision()
+    require_working_model(model)
     chosen = [experiments] if isinstance(experiments, Experiment) else list(experiments)
     if not chosen:
         raise ValueError("simulate needs at least one experiment.")

@@ -12,6 +12,7 @@ from rtac_jax._run import is_traced, run, whole_starts
 from rtac_jax._simulation_record import Simulation, simulation_of
 from rtac_jax._spline import FEWEST, spline_coefficients
 from rtac_jax.configuration import warn_single_precision
+from rtac_jax.effect_contract import require_working_model
 from rtac_jax.excitation import BEYOND, Excitation
 from rtac_jax.time_loop import room_for
 
@@ -58,9 +59,10 @@ def simulate_inputs(
 
     Raises:
         ValueError: inputs of several lengths, not finite or of more than one dimension, no length at all, a sample time
-            that is not positive, an unknown word, or a start of the wrong length.
+            that is not positive, an unknown word, a start of the wrong length, or a user's own effect that does not work.
     """
     warn_single_precision()
+    require_working_model(model)
     for name, word, known in (
         ("intersample", intersample, ("zoh", "foh", "bl")),
         ("arm", arm, ("free", "locked")),

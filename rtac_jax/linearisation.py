@@ -13,6 +13,7 @@ from scipy.optimize import root
 
 from rtac_jax._rtac import RTAC
 from rtac_jax.configuration import require_configured
+from rtac_jax.effect_contract import require_working_model
 from rtac_jax.programs import program
 
 OUTPUTS = ("cart_position", "arm_velocity", "arm_angle")
@@ -48,6 +49,7 @@ def linearise(
         RuntimeError: `configure()` was not called.
     """
     require_configured()
+    require_working_model(model)
     if not np.isfinite(arm_angle):
         raise ValueError(f"arm_angle is {arm_angle}; give a finite angle in radians.")
     if drive not in ("torque", "current"):

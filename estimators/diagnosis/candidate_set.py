@@ -4,9 +4,9 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from estimators.core.effect_contract import explained, require_working
 from estimators.diagnosis.wrong_constant import wrong_constants
 from rtac_jax import RTAC
+from rtac_jax.effect_contract import explained, require_working
 from rtac_jax.effects import CATALOGUE, Effect
 from rtac_jax.parameters import Scales, declarations
 

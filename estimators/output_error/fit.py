@@ -14,7 +14,6 @@ from tqdm import tqdm
 from estimators.closed_form.fit import starting_values
 from estimators.core.active_bounds import OFF_BOUNDS, solve_bounded
 from estimators.core.data import CHANNELS, Data, mark_of, moving, pieces
-from estimators.core.effect_contract import require_working_model
 from estimators.core.fisher_information import information
 from estimators.core.fit import Fit
 from estimators.core.initial_rest import at_rest, best_starts, may_swing
@@ -31,6 +30,7 @@ from estimators.output_error.robust import Robust, without_spikes
 from estimators.output_error.robust import robust as robust_fit
 from estimators.prediction_error.noise_estimation import NoiseModel, run_filter, start_variance
 from rtac_jax import RTAC, require_configured
+from rtac_jax.effect_contract import require_working_model
 from rtac_jax.measurement import Experiment, Recording
 
 # A second start agrees with the best one when its log-likelihood is within this much for each sample.

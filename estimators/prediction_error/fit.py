@@ -15,7 +15,6 @@ from estimators.core.active_bounds import OFF_BOUNDS
 from estimators.core.correlation import LAGS, LEVEL, whiteness
 from estimators.core.data import CHANNELS, Data, moving, pieces
 from estimators.core.drawing import draw
-from estimators.core.effect_contract import require_working_model
 from estimators.core.fisher_information import Information, each_deviations, information
 from estimators.core.fit import HEADER, ModelFit
 from estimators.core.information_criteria import InformationCriteria
@@ -30,6 +29,7 @@ from estimators.prediction_error.fisher_scoring import most_likely
 from estimators.prediction_error.innovations import one_step_rms
 from estimators.prediction_error.noise_estimation import NoiseModel, Predictor, fit_trusted
 from rtac_jax import RTAC, require_configured
+from rtac_jax.effect_contract import require_working_model
 from rtac_jax.measurement import Experiment, Recording
 from rtac_jax.overview import Overview
 

@@ -3,14 +3,17 @@
 import importlib.util
 import sys
 
+import jax
+import jax.numpy as jnp
 import pytest
 from command_line import call, refused
 from small_experiments import forced, free
 
 import estimators as est
+import rtac_jax
 from estimators.cli.own_effects import with_own
-from estimators.core.effect_contract import require_working
 from rtac_jax import RTAC
+from rtac_jax.effect_contract import require_working
 from rtac_jax.effects import CATALOGUE
 from rtac_jax.measurement import Recording
 
@@ -133,6 +136,37 @@ def test_a_fault_in_an_effect_of_the_model_is_named_before_a_fit(tmp_path, monke
     with pytest.raises(ValueError, match=said) as caught:
         fit(model, recording, progress=False)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "call_it",
+    [
+        lambda model: rtac_jax.simulate(model, forced()),
+        lambda model: rtac_jax.simulate_inputs(model, samples=200, sample_time=5e-3),
+        rtac_jax.linearise,
+    ],
+    ids=["simulate", "simulate_inputs", "linearise"],
+)
+@pytest.mark.parametrize("fault", ["text", "shape", "numpy", "math", "if", "zero"])
+def test_a_fault_in_an_effect_of_the_model_is_named_before_it_is_simulated(tmp_path, monkeypatch, call_it, fault):
+    line, said = FAULTS[fault]
+    model = RTAC.paper() + made(tmp_path, monkeypatch, OWN.replace(LINE, line))(1e3)
+    with pytest.raises(ValueError, match=said):
+        call_it(model)
+
+
+def test_a_batch_and_a_derivative_by_an_effect_of_ones_own_are_computed(tmp_path, monkeypatch):
+    model = RTAC.paper() + made(tmp_path, monkeypatch, OWN)(1e3)
+
+    def last(stiffness):
+        changed = model.with_values({"magnet.k": stiffness})
+        return rtac_jax.simulate_inputs(
+            changed, samples=50, sample_time=5e-3, start=(0.01, 0.0, 0.0, 0.0)
+        ).cart_position[-1]
+
+    several = jax.vmap(last)(jnp.array([0.0, 1e3]))
+    assert float(several[1]) == pytest.approx(float(last(1e3)), rel=1e-12)
+    assert float(jax.grad(last)(1e3)) != 0.0
 
 
 def test_an_effect_without_an_id_is_refused_where_it_is_added(tmp_path, monkeypatch):

@@ -12,7 +12,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rtac_jax import RTAC, RigidBody
+from rtac_jax._rigid_body import RigidBody
+from rtac_jax._rtac import RTAC
+from rtac_jax._run import is_traced
 from rtac_jax.effects import (
     PORTS,
     Actuator,
@@ -68,13 +70,18 @@ def require_working(c: type[Effect]) -> None:
 def require_working_model(model: RTAC) -> None:
     """Call every method of the user's own effects in a model, as `require_working` does with classes of them.
 
+    One whose numbers are traced, or several of a kind as for a batch, is let pass.
+
     Raises:
         ValueError: one fails, or returns what the model cannot use.
     """
     for effect in model.effects:
-        if type(effect).__module__.partition(".")[0] not in _OURS:
-            for several in TRAJECTORIES:
-                _require_methods(type(effect), effect, (several,))
+        if type(effect).__module__.partition(".")[0] in _OURS or is_traced(effect):
+            continue
+        if any(np.ndim(leaf) for leaf in jax.tree.leaves(effect)):
+            continue
+        for several in TRAJECTORIES:
+            _require_methods(type(effect), effect, (several,))
 
 
 def _require_methods(c: type[Effect], effect: Effect, several: tuple[int]) -> None:

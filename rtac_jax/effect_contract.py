@@ -3,6 +3,7 @@
 import inspect
 import re
 import traceback
+import weakref
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -45,6 +46,7 @@ TYPICAL = Scales(
 # One trajectory for each element; not 1, so that a reduction over all of them shows.
 TRAJECTORIES = (3, 4)
 _OURS = ("rtac_jax", "estimators")  # packages whose effects have tests of their own
+_WORKING: "weakref.WeakSet[type[Effect]]" = weakref.WeakSet()  # those of others that were asked
 _PORTS = ("on the cart", "on the arm")
 _AT_ANY_MOTION = ("rate", "force", "levels", "current", "read")
 # What JAX calls a value in a traced function, and the object that stands for it.
@@ -70,18 +72,20 @@ def require_working(c: type[Effect]) -> None:
 def require_working_model(model: RTAC) -> None:
     """Call every method of the user's own effects in a model, as `require_working` does with classes of them.
 
-    One whose numbers are traced, or several of a kind as for a batch, is let pass.
+    A class is asked once. One whose numbers are traced, or several of a kind as for a batch, is let pass.
 
     Raises:
         ValueError: one fails, or returns what the model cannot use.
     """
     for effect in model.effects:
-        if type(effect).__module__.partition(".")[0] in _OURS or is_traced(effect):
+        known = type(effect) in _WORKING or type(effect).__module__.partition(".")[0] in _OURS
+        if known or is_traced(effect):
             continue
         if any(np.ndim(leaf) for leaf in jax.tree.leaves(effect)):
             continue
         for several in TRAJECTORIES:
             _require_methods(type(effect), effect, (several,))
+        _WORKING.add(type(effect))
 
 
 def _require_methods(c: type[Effect], effect: Effect, several: tuple[int]) -> None:

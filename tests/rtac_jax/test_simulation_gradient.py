@@ -10,6 +10,7 @@ from users_effects import Counted
 
 from rtac_jax import RTAC, Excitation, Experiment, simulate
 from rtac_jax._sincos import sincos
+from rtac_jax.effect_contract import require_working_model
 from rtac_jax.effects import ArmCoulomb, CubicSpring
 from rtac_jax.simulation import trajectories
 
@@ -85,6 +86,7 @@ def test_values_do_not_compile_anew():
     def run(model: RTAC, x: float, one: Experiment = one) -> float:
         return simulate(model, [one], start={"a": (x, 0, 0, 0)}, substeps=2)["a"].cart_position[-1]
 
+    require_working_model(model)  # which calls it too, once for each class
     before = len(Counted.calls)
     first = run(model, 0.01)
     traced = len(Counted.calls) - before

@@ -18,9 +18,10 @@ from estimators.diagnosis.verdict import Judgement, judge
 from estimators.experiment_design.next_experiment import NextExperiment, PlannedExperiment, next_experiment
 from estimators.frequency_response.estimate import frequency_responses
 from estimators.frequency_response.response import FrequencyResponse, FrequencyResponses
+from estimators.inference.agreement import Agreement
 from estimators.inference.constancy import constancy
 from estimators.inference.cramer_rao import Expected, expected_std
-from estimators.inference.hausman import Agreement, agreement
+from estimators.inference.hausman import agreement
 from estimators.inference.model_response import model_response
 from estimators.inference.profile_likelihood import Profile, profile
 from estimators.inference.robust_covariance import Covariances, covariances

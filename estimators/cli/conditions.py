@@ -45,9 +45,6 @@ def enveloped(
     held = [i for i, one in enumerate(used.responses) if one.name in apart]
     if work.names is None and (for_control or len(used.responses) - len(held) < 2):
         held = []  # of few conditions none can be spared
-    if apart and not held:
-        names = ", ".join(one.name for one in used.responses)
-        work.remark = f"Held out of the nonlinear fit: {', '.join(apart)}. The envelope covers all conditions: {names}."
     fitted = [i for i in range(len(used.responses)) if i not in held]
     size = np.exp(np.mean(np.log(np.abs(used.responses.response[fitted])), axis=0))
     importances = [(size / np.max(size)) ** power for power in _IMPORTANCE] if for_control else [None]

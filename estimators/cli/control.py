@@ -55,6 +55,12 @@ def control(
 
         orders = _ORDERS if order is None else (order,)
         used, found = enveloped(work, between, orders, weight_order, "multiplicative_output", for_control=True)
+        covered, apart = sides(found[0])
+        if work.held_out is not None and not apart:
+            only = ", ".join(work.held_out.names)
+            work.remark = (
+                f"Held out of the nonlinear fit: {only}. The envelope covers all conditions: {', '.join(covered)}."
+            )
         sample_time = work.recording[used.responses[0].name].sample_time
         fit = any_fit(work, model, effects)
         made = est.control(

@@ -88,6 +88,10 @@ class Information:
             )
         return said
 
+    def weak_sentences(self) -> list[str]:
+        """Return `weakest` as sentences."""
+        return [f"{text[0].upper()}{text[1:]}." for text in self.weakest()]
+
     def require_determined(self) -> None:
         """Refuse data that leave parameters free.
 

@@ -10,7 +10,7 @@ from estimators.diagnosis.diagnose import Diagnosis
 from estimators.diagnosis.improve import Improvement
 from estimators.experiment_design.next_experiment import NextExperiment
 from estimators.frequency_response.response import FrequencyResponses
-from estimators.inference.hausman import Agreement
+from estimators.inference.agreement import Agreement
 from estimators.inference.profile_likelihood import Profile
 from estimators.linear.fit import LinearModels
 from estimators.linear.homogeneity_test import Equality

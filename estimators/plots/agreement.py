@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.stats import t as student
 
-from estimators.inference.hausman import Agreement
+from estimators.inference.agreement import Agreement
 from estimators.plots.style import MARKERS, MODELS, NOISE, SMALL, Picture, picture, tidy, title
 
 

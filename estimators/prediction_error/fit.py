@@ -111,12 +111,7 @@ class PredictorFit(ModelFit):
     def overview(self) -> Overview:
         """Return parameters with standard deviations, and what the innovations say of the model."""
         title = f"{len(self.information.names)} parameters from predictions of {len(self.experiments)} experiments"
-        return Overview(title, HEADER, self.rows(), (self.verdict, *self._weak))
-
-    @property
-    def _weak(self) -> tuple[str, ...]:
-        """Return the sentences on what these data hardly determine."""
-        return tuple(f"{text[0].upper()}{text[1:]}." for text in self.information.weakest())
+        return Overview(title, HEADER, self.rows(), (self.verdict, *self.information.weak_sentences()))
 
     def __str__(self) -> str:
         lines = self.lines()
@@ -129,7 +124,7 @@ class PredictorFit(ModelFit):
         lines.append(f"{'random torque on the arm':30s} {self.torque_noise:12.3g} {'':10s}  N m/sqrt(Hz)")
         for channel, level in self.noise.items():
             lines.append(f"{'sensor noise of ' + channel:30s} {level:12.3g}")
-        return "\n".join([*lines, str(self.criteria), self.verdict, *self._weak])
+        return "\n".join([*lines, str(self.criteria), self.verdict, *self.information.weak_sentences()])
 
     def plot(self) -> Any:
         """Draw the autocorrelation of the innovations with its band."""

@@ -6,7 +6,7 @@ import numpy as np
 
 from estimators.closed_form.table1 import ClosedForm
 from estimators.core.fit import Fit
-from estimators.inference.hausman import Agreement
+from estimators.inference.agreement import Agreement
 from estimators.inference.robust_covariance import Covariances
 from estimators.prediction_error.fit import PredictorFit
 from estimators.reporting.html import Table
@@ -48,8 +48,8 @@ def fit_table(known: AllEstimates) -> str:
         )
     if known.agreed is not None:
         parts.append(known.agreed.verdict)
-    if weak := known.fit.information.weakest():
-        parts.append("\n".join(f"{text[0].upper()}{text[1:]}." for text in weak))
+    if weak := known.fit.information.weak_sentences():
+        parts.append("\n".join(weak))
     if skipped := [f"The closed form could not use {name}: {why}" for name, why in closed.skipped.items()]:
         parts.append("\n".join(skipped))
     return "\n\n".join([*parts, f"Table 1 of these data\n{closed}"])

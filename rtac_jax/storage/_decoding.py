@@ -15,7 +15,10 @@ from rtac_jax.effects import CATALOGUE, Effect
 from rtac_jax.storage._encoding import KIND, field_names, not_finite, outcomes
 from rtac_jax.storage._errors import ResultFileError
 
-MOVED: Mapping[str, str] = {}
+MOVED: Mapping[str, str] = {
+    f"estimators.inference.hausman.{name}": f"estimators.inference.agreement.{name}"
+    for name in ("Agreement", "Disagreement")
+}
 """Where records stand today that files of this version name by an older path."""
 
 

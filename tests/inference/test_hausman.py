@@ -8,8 +8,9 @@ import pytest
 import estimators as est
 import rtac_jax as rtac
 from estimators.inference import hausman
+from estimators.inference.agreement import Agreement, Disagreement
 from estimators.inference.bootstrap import Shaken
-from estimators.inference.hausman import Agreement, Disagreement, agreement
+from estimators.inference.hausman import agreement
 from estimators.inference.robust_covariance import covariances
 from estimators.reporting.fit_table import AllEstimates, fit_table
 from rtac_jax import virtual_rig

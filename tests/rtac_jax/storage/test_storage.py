@@ -1,5 +1,6 @@
 """Files of models: the same bits come back, and whatever is wrong with a file is one sentence."""
 
+import importlib
 import json
 from pathlib import Path
 from typing import ClassVar
@@ -13,6 +14,7 @@ import rtac_jax as rtac
 from rtac_jax.effects import CATALOGUE, CubicSpring, FlexibleMode, Force, SplineForce
 from rtac_jax.parameters import declarations
 from rtac_jax.storage import _file
+from rtac_jax.storage._decoding import MOVED
 
 KEPT = Path(__file__).parents[2] / "data" / "model_version_1.h5"
 
@@ -201,3 +203,10 @@ def test_numbers_of_every_kind_come_back(tmp_path):
         assert there.shape == here.shape
         assert there.tobytes() == here.tobytes()
         assert there.strides == here.strides
+
+
+@pytest.mark.parametrize(("old", "new"), MOVED.items())
+def test_a_record_that_moved_is_where_files_of_before_look_for_it(old, new):
+    module, _, name = new.rpartition(".")
+    assert getattr(importlib.import_module(module), name).__module__ == module
+    assert old != new

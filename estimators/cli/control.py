@@ -55,18 +55,18 @@ def control(
 
         orders = _ORDERS if order is None else (order,)
         used, found = enveloped(work, between, orders, weight_order, "multiplicative_output", for_control=True)
-        covered, apart = sides(found[0])
-        if work.held_out is not None and not apart:
-            only = ", ".join(work.held_out.names)
-            work.remark = (
-                f"Held out of the nonlinear fit: {only}. The envelope covers all conditions: {', '.join(covered)}."
-            )
         sample_time = work.recording[used.responses[0].name].sample_time
         fit = any_fit(work, model, effects)
         made = est.control(
             fit, found, used.responses, sample_time=sample_time, displacement=1e-3 * displacement,
             torque_limit=torque_limit,
         )  # fmt: skip
+        split = covered, apart = sides(made.covered)
+        if work.held_out is not None and not apart:
+            only = ", ".join(work.held_out.names)
+            work.remark = (
+                f"Held out of the nonlinear fit: {only}. The envelope covers all conditions: {', '.join(covered)}."
+            )
         whose = f"It was fitted to {'the same' if fitted_to(fit, work.train) else 'another'} recording."
         trained, tested = work.compared(fit)
         errors, parameters = report.error_table(trained, tested), report.parameter_table(fit)
@@ -117,7 +117,7 @@ def control(
             ("The nonlinear model", [whose, errors, parameters]),
         ]
         bullets = of_control(made, [] if fitted.agrees else fitted.sentences())
-        title, split = f"Controller for {work.file}", sides(made.covered)
+        title = f"Controller for {work.file}"
         work.write_report(title, figures, sections, split=split, summary=bullets, traces=tested or trained)
 
 

@@ -47,7 +47,9 @@ class RigidBody(eqx.Module):
             if _is_concrete(value) and not np.all(np.asarray(value) > 0):
                 raise ValueError(f"{name} is {np.asarray(value)}, but must be positive.")
         values = (self.total_mass, self.arm_inertia, self.eccentric_moment)
-        if all(_is_concrete(value) for value in values) and not np.all(np.abs(self.coupling()) < 1):
+        if all(_is_concrete(value) for value in values) and not np.all(
+            np.square(np.asarray(values[2])) < np.asarray(values[0]) * np.asarray(values[1])
+        ):
             raise ValueError(
                 f"eccentric_moment is {np.asarray(self.eccentric_moment)}, but its square must be below "
                 "total_mass times arm_inertia, or the mass matrix is not positive definite."

@@ -36,7 +36,7 @@ from rtac_jax.effects import (
 from rtac_jax.excitation import Excitation
 from rtac_jax.measurement import Recording
 from rtac_jax.overview import Overview
-from rtac_jax.parameters import Declaration, declarations
+from rtac_jax.parameters import Declaration, as_value, declarations
 from rtac_jax.prior import Prior
 from rtac_jax.storage import save
 
@@ -154,6 +154,14 @@ class RTAC(eqx.Module):
         return dict(_declared_of(self))
 
     @property
+    def values(self) -> dict[str, Any]:
+        """Return every parameter's value by name: a scalar, or one for each experiment."""
+        # By places among the leaves, as in `with_values`.
+        leaves, structure = jax.tree.flatten(self)
+        names = tuple(_declared_of(self))
+        return {name: leaves[place] for name, place in zip(names, _places_of(structure, names), strict=True)}
+
+    @property
     def free(self) -> tuple[str, ...]:
         """Return the names of the parameters that a fit estimates."""
         return tuple(n for n, declared in _declared_of(self).items() if n not in self.fixed and not declared.fixed)
@@ -176,7 +184,7 @@ class RTAC(eqx.Module):
         # By places among the leaves: `eqx.tree_at` would look for them at every call, which studies make by the thousand.
         leaves, structure = jax.tree.flatten(self)
         for place, value in zip(_places_of(structure, tuple(values)), values.values(), strict=True):
-            leaves[place] = jnp.asarray(value, dtype=float)
+            leaves[place] = as_value(value)
         return jax.tree.unflatten(structure, leaves)
 
     def fix(self, *names: str) -> "RTAC":

@@ -6,7 +6,7 @@ from jaxtyping import Array, Int
 
 from rtac_jax._rtac import RTAC
 from rtac_jax.excitation import Excitation
-from rtac_jax.simulation import ANGLES, rate_jacobian
+from rtac_jax.simulation import rate_jacobians
 
 
 def substeps_traced(model: RTAC, excitation: Excitation, *, stability: float, most: int) -> Int[Array, ""]:
@@ -20,8 +20,7 @@ def substeps_traced(model: RTAC, excitation: Excitation, *, stability: float, mo
     """
     model, sample_time = jax.lax.stop_gradient((model, excitation.sample_time))
     first = jax.tree.map(lambda leaf: jnp.ravel(leaf)[0], model)
-    at = jnp.zeros((len(ANGLES), len(model.states))).at[:, 2].set(jnp.asarray(ANGLES))
-    rates = jnp.abs(jnp.linalg.eigvals(jax.vmap(lambda x: rate_jacobian(first, x))(at)))
+    rates = jnp.abs(jnp.linalg.eigvals(rate_jacobians(first)))
     wanted = jnp.ceil(jnp.max(sample_time) * jnp.max(rates) / stability)
     return _most_of_batch(jnp.clip(jnp.nan_to_num(wanted, nan=1.0), 1, most).astype(int))
 

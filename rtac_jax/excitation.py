@@ -1,14 +1,22 @@
 """The excitation of a set of experiments, as arrays for the time loop: padded to one length, one column each."""
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 from scipy.interpolate import CubicSpline
 
 from rtac_jax.measurement import Experiment, Signal
+
+if TYPE_CHECKING:
+    Real = Any
+else:
+    Real = Array | np.ndarray
+"""Arrays of JAX within compiled code, of NumPy where they are put side by side."""
 
 BEYOND = 12  # samples by which an input goes on after its last, for effects that look ahead
 
@@ -24,12 +32,12 @@ class Excitation(eqx.Module):
         samples: of each experiment; None where all last as long as the arrays.
     """
 
-    current: Float[Array, "sample current_power experiment"] | None
-    force: Float[Array, "sample force_power experiment"] | None
-    sample_time: Float[Array, " experiment"]
-    arm_free: Float[Array, " experiment"]
-    cart_free: Float[Array, " experiment"]
-    samples: Int[Array, " experiment"] | None = None
+    current: Float[Real, "sample current_power experiment"] | None
+    force: Float[Real, "sample force_power experiment"] | None
+    sample_time: Float[Real, " experiment"]
+    arm_free: Float[Real, " experiment"]
+    cart_free: Float[Real, " experiment"]
+    samples: Int[Real, " experiment"] | None = None
 
     @classmethod
     def of(cls, experiments: Sequence[Experiment], *, room: int | None = None) -> "Excitation":
@@ -41,14 +49,19 @@ class Excitation(eqx.Module):
             experiments: one column each.
             room: length of the arrays, by default that of the longest experiment.
         """
+        return jax.tree.map(jnp.asarray, cls.in_numpy(experiments, room=room))
+
+    @classmethod
+    def in_numpy(cls, experiments: Sequence[Experiment], *, room: int | None = None) -> "Excitation":
+        """Stack the inputs as `of` does, in arrays of NumPy, for what is put side by side before it is computed with."""
         room = room or max(e.samples for e in experiments)
         return cls(
             current=_stack(experiments, "current", room),
             force=_stack(experiments, "disturbance_force", room),
-            sample_time=jnp.asarray([e.sample_time for e in experiments]),
-            arm_free=jnp.asarray([float(e.arm == "free") for e in experiments]),
-            cart_free=jnp.asarray([float(e.cart == "free") for e in experiments]),
-            samples=jnp.asarray([e.samples for e in experiments]),
+            sample_time=np.array([e.sample_time for e in experiments]),
+            arm_free=np.array([float(e.arm == "free") for e in experiments]),
+            cart_free=np.array([float(e.cart == "free") for e in experiments]),
+            samples=np.array([e.samples for e in experiments]),
         )
 
     def lasts(self, room: int) -> Bool[Array, "sample experiment"]:
@@ -69,7 +82,7 @@ class Excitation(eqx.Module):
         return self.current[0, 0]
 
 
-def _stack(experiments: Sequence[Experiment], channel: str, room: int) -> Array | None:
+def _stack(experiments: Sequence[Experiment], channel: str, room: int) -> np.ndarray | None:
     signals = [e.inputs.get(channel) for e in experiments]
     if not any(signal is not None and np.any(signal.values) for signal in signals):
         return None
@@ -81,7 +94,7 @@ def _stack(experiments: Sequence[Experiment], channel: str, room: int) -> Array 
             stacked[: len(part), : part.shape[1], column] = part
             on = np.pad(part[:, 0], (0, BEYOND), mode="reflect", reflect_type="odd")[len(part) : room]
             stacked[len(part) : len(part) + len(on), 0, column] = on
-    return jnp.asarray(stacked)
+    return stacked
 
 
 def coefficients(signal: Signal) -> Float[np.ndarray, "sample power"]:

@@ -2,7 +2,7 @@
 
 import equinox as eqx
 
-from rtac_jax.parameters import Scalar, _as_value
+from rtac_jax.parameters import Scalar, as_value
 
 
 class Prior(eqx.Module):
@@ -13,5 +13,5 @@ class Prior(eqx.Module):
         std: its standard deviation.
     """
 
-    mean: Scalar = eqx.field(converter=_as_value)
-    std: Scalar = eqx.field(converter=_as_value)
+    mean: Scalar = eqx.field(converter=as_value)
+    std: Scalar = eqx.field(converter=as_value)

@@ -205,22 +205,15 @@ def substeps_for(model: RTAC, excitation: Excitation, *, stability: float = 1.0,
         stability: step times fastest rate; classic Runge-Kutta is stable up to about 2.8.
         most: largest number of steps.
     """
-    count = len(model.states)
     longest = float(np.max(np.asarray(excitation.sample_time)))
-    first = jax.tree.map(lambda leaf: jnp.asarray(np.ravel(leaf)[0]), model)
-    fastest = 0.0
-    for angle in ANGLES:
-        at = np.zeros(count)
-        at[2] = angle
-        fastest = max(
-            fastest, float(np.max(np.abs(np.linalg.eigvals(np.asarray(rate_jacobian(first, jnp.asarray(at)))))))
-        )
+    first = jax.tree.map(lambda leaf: np.ravel(leaf)[0], model)
+    fastest = float(np.max(np.abs(np.linalg.eigvals(np.asarray(rate_jacobians(first))))))
     return int(np.clip(np.ceil(longest * fastest / stability), 1, most))
 
 
 @program
-def rate_jacobian(model: RTAC, at: Array) -> Array:
-    """Return the Jacobian of the state's rate."""
+def rate_jacobians(model: RTAC) -> Float[Array, "angle state state"]:
+    """Return the Jacobians of the state's rate at rest, at both angles of the arm."""
 
     def rate(x: Array) -> Array:
         # States that have a closed form are not integrated, however fast they are.
@@ -228,7 +221,8 @@ def rate_jacobian(model: RTAC, at: Array) -> Array:
         rates = model.derivative(tuple(x), jnp.zeros(()), 0.0, since=since)
         return jnp.stack([jnp.asarray(dx, dtype=float) for dx in rates])
 
-    return jax.jacfwd(rate)(at)
+    at = jnp.zeros((len(ANGLES), len(model.states))).at[:, 2].set(jnp.asarray(ANGLES))
+    return jax.vmap(jax.jacfwd(rate))(at)
 
 
 @program

@@ -6,18 +6,19 @@ import itertools
 from collections.abc import Collection, Sequence
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float, Int
 
 from rtac_jax import Excitation
-from rtac_jax.excitation import BEYOND
+from rtac_jax.excitation import BEYOND, Real
 from rtac_jax.measurement import OUTPUTS, Experiment, Recording
 from rtac_jax.time_loop import room_for
 
 CHANNELS = tuple(OUTPUTS)
 Values = Float[np.ndarray, " sample"]
-Outputs3 = Float[Array, "sample output experiment"]
+Outputs3 = Float[Real, "sample output experiment"]
 
 
 class Data(eqx.Module):
@@ -34,12 +35,17 @@ class Data(eqx.Module):
     excitation: Excitation
     values: Outputs3
     present: Outputs3
-    trusted: Float[Array, "sample experiment"]
-    length: Int[Array, ""]
+    trusted: Float[Real, "sample experiment"]
+    length: Int[Real, ""]
 
     @classmethod
     def of(cls, experiments: Sequence[Experiment]) -> "Data":
         """Stack experiments of any lengths and channels."""
+        return jax.tree.map(jnp.asarray, cls.in_numpy(experiments))
+
+    @classmethod
+    def in_numpy(cls, experiments: Sequence[Experiment]) -> "Data":
+        """Stack experiments as `of` does, in arrays of NumPy, for what is put side by side before it is computed with."""
         samples = max(e.samples for e in experiments)
         values = np.full((room_for(samples + BEYOND), len(CHANNELS), len(experiments)), np.nan)
         for column, experiment in enumerate(experiments):
@@ -48,11 +54,11 @@ class Data(eqx.Module):
                     values[: experiment.samples, row, column] = experiment.outputs[channel].values
         present = np.isfinite(values)
         return cls(
-            Excitation.of(experiments, room=len(values)),
-            jnp.asarray(np.where(present, values, 0.0)),
-            jnp.asarray(present.astype(float)),
-            jnp.ones((values.shape[0], values.shape[2])),
-            jnp.asarray(samples),
+            Excitation.in_numpy(experiments, room=len(values)),
+            np.where(present, values, 0.0),
+            present.astype(float),
+            np.ones((values.shape[0], values.shape[2])),
+            np.asarray(samples),
         )
 
     def beginning(self, samples: int) -> "Data":

@@ -1,14 +1,17 @@
 """The beginning of a fit: initial states of each experiment, scales of a rig, and the space of unknowns."""
 
+import functools
 from collections.abc import Mapping, Sequence
+from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from estimators.core.parameter_space import Space
 from estimators.core.residual import start_rows
-from rtac_jax import RTAC, Scales
+from rtac_jax import RTAC, Declaration, Scales
 from rtac_jax.measurement import Experiment, Signal, filled
 
 ANGLE_SPREAD = 0.1  # rad; an arm set by hand at its initial_arm_angle
@@ -33,12 +36,16 @@ def dominant_frequency(experiments: Sequence[Experiment]) -> float:
 
 def _highest_line(values: Float[np.ndarray, " sample"]) -> int:
     """Return the place of the largest line of the spectrum, a straight line taken out and a Hann window put on."""
-    count = len(values)
-    ramp = np.arange(count) - 0.5 * (count - 1)
+    ramp, window = _ramp_and_window(len(values))
     level = values - np.mean(values)
     level = level - ramp * (ramp @ level) / max(ramp @ ramp, 1.0)
-    window = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(count) / count)
     return 1 + int(np.argmax(np.abs(np.fft.rfft(window * level))[1:]))
+
+
+@functools.lru_cache(maxsize=64)
+def _ramp_and_window(count: int) -> tuple[Float[np.ndarray, " sample"], Float[np.ndarray, " sample"]]:
+    place = np.arange(count)
+    return place - 0.5 * (count - 1), 0.5 - 0.5 * np.cos(2 * np.pi * place / count)
 
 
 def first_values(signal: Signal, sample_time: float, frequency: float, degree: int = 2) -> tuple[float, float]:
@@ -52,12 +59,20 @@ def first_values(signal: Signal, sample_time: float, frequency: float, degree: i
     count = int(np.clip(0.15 / (frequency * sample_time), least, len(values)))
     noise = _roughness(values)
     while True:
-        time = sample_time * np.arange(count)
-        fit = np.polynomial.Polynomial.fit(time, values[:count], degree)
-        left = np.sum((values[:count] - fit(time)) ** 2) / max(count - degree - 1, 1)
+        powers, inverse = _polynomial(count, degree)
+        fit = inverse @ values[:count]
+        left = np.sum((values[:count] - powers @ fit) ** 2) / max(count - degree - 1, 1)
         if count <= least or left <= (_FOLLOWED * noise) ** 2:
-            return float(fit(0.0)), float(fit.deriv()(0.0))
+            slope = np.arange(1, degree + 1) * powers[0, :-1] @ fit[1:]
+            return float(powers[0] @ fit), float(slope * 2.0 / (max(count - 1, 1) * sample_time))
         count = max(least, int(_SHORTER * count))
+
+
+@functools.lru_cache(maxsize=1024)
+def _polynomial(count: int, degree: int) -> tuple[Float[np.ndarray, "sample power"], Float[np.ndarray, "power sample"]]:
+    """Return rising powers of the time, which runs from -1 to 1, and their pseudo-inverse."""
+    powers = np.vander(np.linspace(-1.0, 1.0, count), degree + 1, increasing=True)
+    return powers, np.linalg.pinv(powers)
 
 
 def _roughness(values: Float[np.ndarray, " sample"]) -> float:
@@ -113,7 +128,7 @@ def scales_of(model: RTAC, experiments: Sequence[Experiment]) -> Scales:
 
     def rms(group: str, channel: str, floor: float) -> float:
         found = [getattr(e, group)[channel].values for e in moving if channel in getattr(e, group)]
-        squares = [np.nanmean((x - np.nanmean(x) if group == "outputs" else x) ** 2) for x in found]
+        squares = [np.var(x) if group == "outputs" else np.mean(x**2) for x in (x[np.isfinite(x)] for x in found)]
         return max(float(np.sqrt(np.mean(squares))), floor) if squares else floor
 
     position = rms("outputs", "cart_position", 1e-9)
@@ -155,8 +170,19 @@ def space_of(
         free: names of the shared parameters to estimate; parameters of each experiment are always estimated.
         start: states at the start by experiment, to begin from instead of what the first samples show.
     """
+    return jax.tree.map(jnp.asarray, space_in_numpy(model, experiments, free=free, start=start))
+
+
+def space_in_numpy(
+    model: RTAC,
+    experiments: Sequence[Experiment],
+    *,
+    free: Sequence[str],
+    start: Mapping[str, np.ndarray] | None = None,
+) -> Space:
+    """Return what `space_of` does, in arrays of NumPy, for what is put side by side before it is computed with."""
     scales = scales_of(model, experiments)
-    declared = model.parameters
+    declared, values = model.parameters, model.values
     each = tuple(name for name in declared if name in model.per_experiment)
     names = tuple(name for name in declared if name not in each)
     count = len(experiments)
@@ -184,35 +210,35 @@ def space_of(
         if experiment.initial_arm_angle_std is not None and "arm_angle" not in experiment.outputs:
             scale[2, column] = experiment.initial_arm_angle_std
 
-    def bounds(which: Sequence[str], side: int) -> jnp.ndarray:
-        return jnp.asarray([declared[name].bounds[side] for name in which])
+    def bounds(which: Sequence[str], side: int) -> np.ndarray:
+        return np.array([declared[name].bounds[side] for name in which], dtype=float)
 
-    def sizes(which: Sequence[str]) -> jnp.ndarray:
-        return jnp.asarray([_size(model, name, scales) for name in which])
+    def sizes(which: Sequence[str]) -> np.ndarray:
+        return np.array([_size(declared[name], values[name], scales) for name in which], dtype=float)
 
     return Space(
-        values=jnp.asarray([float(np.asarray(model[name])) for name in names]),
-        active=jnp.asarray([names.index(name) for name in free if name in names], dtype=int),
+        values=np.array([float(values[name]) for name in names]),
+        active=np.array([names.index(name) for name in free if name in names], dtype=int),
         lower=bounds(names, 0),
         upper=bounds(names, 1),
         scale=sizes(names),
-        each_values=jnp.stack([jnp.broadcast_to(model[name], (count,)) for name in each])
+        each_values=np.stack([np.broadcast_to(values[name], (count,)) for name in each])
         if each
-        else jnp.asarray(np.zeros((0, count))),
+        else np.zeros((0, count)),
         each_lower=bounds(each, 0),
         each_upper=bounds(each, 1),
         each_scale=sizes(each),
-        start=jnp.asarray(state),
-        start_scale=jnp.asarray(scale),
-        start_spread=jnp.asarray(spread),
-        start_held=jnp.asarray(held),
+        start=state,
+        start_scale=scale,
+        start_spread=spread,
+        start_held=held,
         names=names,
         each=each,
         **_priors(model, names),
     )
 
 
-def _priors(model: RTAC, names: Sequence[str]) -> dict[str, jnp.ndarray]:
+def _priors(model: RTAC, names: Sequence[str]) -> dict[str, np.ndarray]:
     """Return what was measured beforehand of these parameters and its standard deviation, as `Space` takes them."""
     uncertain = [name for name in model.uncertain if name in names]
     if not uncertain:
@@ -222,13 +248,12 @@ def _priors(model: RTAC, names: Sequence[str]) -> dict[str, jnp.ndarray]:
     for name in uncertain:
         known[names.index(name)] = float(model.priors[name].mean)
         std[names.index(name)] = float(model.priors[name].std)
-    return {"known": jnp.asarray(known), "known_std": jnp.asarray(std)}
+    return {"known": known, "known_std": std}
 
 
-def _size(model: RTAC, name: str, scales: Scales) -> float:
+def _size(declared: Declaration, value: Any, scales: Scales) -> float:
     """Return the order of magnitude of a parameter: a plausible value, or the present one where that is larger."""
-    declared = model.parameters[name]
     guess = declared.plausible(scales) if declared.plausible else 0.0
     plausible = max(abs(x) for x in guess) if isinstance(guess, tuple) else abs(guess)
-    present = float(np.max(np.abs(np.asarray(model[name]))))
+    present = float(np.max(np.abs(np.asarray(value))))
     return max(plausible if np.isfinite(plausible) else 0.0, present) or 1.0

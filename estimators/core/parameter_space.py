@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from estimators.core.bound_transform import to_physical, to_unconstrained
+from rtac_jax.excitation import Real
 
 
 class Unknowns(NamedTuple):
@@ -36,23 +37,23 @@ class Space(eqx.Module):
         known_std: its standard deviation, infinite where nothing was; both None where that is so of all of them.
     """
 
-    values: Float[Array, " parameter"]
-    active: Int[Array, " shared"]
-    lower: Float[Array, " parameter"]
-    upper: Float[Array, " parameter"]
-    scale: Float[Array, " parameter"]
-    each_values: Float[Array, "each experiment"]
-    each_lower: Float[Array, " each"]
-    each_upper: Float[Array, " each"]
-    each_scale: Float[Array, " each"]
-    start: Float[Array, "start experiment"]
-    start_scale: Float[Array, "start experiment"]
-    start_spread: Float[Array, "start experiment"]
-    start_held: Float[Array, "start experiment"]
+    values: Float[Real, " parameter"]
+    active: Int[Real, " shared"]
+    lower: Float[Real, " parameter"]
+    upper: Float[Real, " parameter"]
+    scale: Float[Real, " parameter"]
+    each_values: Float[Real, "each experiment"]
+    each_lower: Float[Real, " each"]
+    each_upper: Float[Real, " each"]
+    each_scale: Float[Real, " each"]
+    start: Float[Real, "start experiment"]
+    start_scale: Float[Real, "start experiment"]
+    start_spread: Float[Real, "start experiment"]
+    start_held: Float[Real, "start experiment"]
     names: tuple[str, ...] = eqx.field(static=True)
     each: tuple[str, ...] = eqx.field(static=True)
-    known: Float[Array, " parameter"] | None = None
-    known_std: Float[Array, " parameter"] | None = None
+    known: Float[Real, " parameter"] | None = None
+    known_std: Float[Real, " parameter"] | None = None
 
     def from_known(self, shared: Float[Array, " parameter"]) -> Float[Array, " constant"]:
         """Return how far the shared parameters are from what was measured of them, in standard deviations.

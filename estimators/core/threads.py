@@ -2,8 +2,9 @@
 
 import os
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from typing import TypeVar
 
 One = TypeVar("One")
@@ -37,6 +38,17 @@ def at_once(work: Callable[[One], Result], several: Sequence[One]) -> list[Resul
             return [one.result() for one in begun]
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Let this thread do one thing after the other, where other processes have the other cores."""
+    before = getattr(_here, "at_work", False)
+    _here.at_work = True
+    try:
+        yield
+    finally:
+        _here.at_work = before
 
 
 def _begin() -> None:

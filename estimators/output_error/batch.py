@@ -85,7 +85,7 @@ def output_error_batch(
             inputs, noise and starts may differ.
         start: values to begin at, of some free parameters, one number or one for each recording; elsewhere the model's.
         steps: optimiser steps to try in each recording.
-        tolerance: distance to the minimum of the linearised problem at which a fit ends [standard deviations].
+        tolerance: distance to the minimum to which a fit comes, as far as its steps tell [standard deviations].
         substeps: Runge-Kutta steps per sample; by default so many that more change the first recording's outputs by less
             than a fiftieth of the noise.
         progress: show a bar.

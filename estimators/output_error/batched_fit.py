@@ -32,8 +32,8 @@ from rtac_jax.programs import program
 TOLERANCE = 1e-7
 """Distance to the minimum, in standard deviations, at which repetitions agree with single fits to a millionth."""
 
-# Experiments side by side in one compiled loop: their states and sensitivities stay in a core's cache.
-_COLUMNS = 192
+# Experiments side by side in one compiled loop: fewer fill no vectors, more wait for the last fits that descend.
+_COLUMNS = 48
 # Places are a multiple of as many numbers as the widest registers hold: no compiled loop has a remainder that is computed by
 # other instructions, and a fit has the same bits in any place.
 _WIDTH = 8
@@ -88,7 +88,7 @@ def fit_cases(
         cases: of one kind.
         substeps: Runge-Kutta steps per sample.
         steps: optimiser steps to try in each.
-        tolerance: distance to the minimum at which a fit ends [standard deviations].
+        tolerance: distance to the minimum to which a fit comes, as far as its steps tell [standard deviations].
         progress: is told how many fits have ended.
 
     Raises:

@@ -8,15 +8,17 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from estimators.core.data import Data
-from estimators.output_error.normal_equations import Columns, Real, normal_equations
+from estimators.output_error.normal_equations import Columns, normal_equations
 from rtac_jax import RTAC
+from rtac_jax.excitation import Real
 from rtac_jax.programs import program
 from rtac_jax.simulation import Steps
 
-# Distance to the minimum of the linearised problem, in standard deviations, at which a stage ends. The first two give the
-# weights of the channels, whose relative errors are about as many times smaller as there are samples, and the last one ends
-# where repetitions agree with single fits to a millionth.
-_CLOSE = (1e-2, 1e-4, 1e-7)
+# A descent has three stages. The first two give the weights of the channels, which err by the square of the distance to the
+# minimum, in standard deviations, over the number of samples: the first ends anywhere near, the second where that square is ten
+# times the distance that is asked for in the end.
+_STAGES = 3
+_NEAR, _OVER_TOLERANCE = 3.0, 10.0
 # A gain in log-likelihood that moves no parameter by a fiftieth of its standard deviation, as for a single fit.
 _NOTHING = 2e-4
 # Dry friction makes kinks, at which no step gains what the linearised problem promises: so many steps in a row that gain
@@ -40,6 +42,7 @@ class Batch(NamedTuple):
         stage: how often the deviations have been set to what is left; 3 where the descent has ended.
         failed: steps in a row that gained nothing.
         steps: how many were tried; -1 where the unknowns themselves have not been tried yet.
+        distance: to the minimum of the linearised problem [standard deviations]; infinite before the first simulation.
         diverged: whether the simulation at the beginning is not finite.
     """
 
@@ -50,6 +53,7 @@ class Batch(NamedTuple):
     stage: Int[Real, " set"]
     failed: Int[Real, " set"]
     steps: Int[Real, " set"]
+    distance: Float[Real, " set"]
     diverged: Bool[Real, " set"]
 
 
@@ -60,18 +64,19 @@ def begun(unknowns: Float[np.ndarray, "unknown column"], noise: Float[np.ndarray
     none = np.zeros(sets, dtype=int)
     products = np.zeros((outputs, width, width, unknowns.shape[1]))
     return Batch(
-        unknowns, products, noise, np.full(sets, _DAMPING), none, none.copy(), none - 1, np.zeros(sets, dtype=bool)
-    )
+        unknowns, products, noise, np.full(sets, _DAMPING), none, none.copy(), none - 1, np.full(sets, np.inf),
+        np.zeros(sets, dtype=bool),
+    )  # fmt: skip
 
 
 def ended(batch: Batch, most: int) -> Bool[np.ndarray, " set"]:
     """Return which descents have ended, or have tried as many steps as they may."""
-    return (np.asarray(batch.stage) >= len(_CLOSE)) | (np.asarray(batch.steps) >= most)
+    return (np.asarray(batch.stage) >= _STAGES) | (np.asarray(batch.steps) >= most)
 
 
 def idle(batch: Batch, which: Sequence[int]) -> None:
     """Mark places of a batch, whose arrays are NumPy's, as ended."""
-    batch.stage[list(which)] = len(_CLOSE)
+    batch.stage[list(which)] = _STAGES
 
 
 @program
@@ -93,8 +98,8 @@ def one_step(
 
     Each has damping and an end of its own. The starts are minimised out for every experiment apart. After the first and the
     second stage the channels are weighted by what is left of each, so that the third minimises the likelihood with the noise
-    levels at their best values. A descent that begins only evaluates its beginning; one whose simulation is not finite there
-    has diverged.
+    levels at their best values. Its last step is not simulated again, where by the steps before it leads to within the
+    tolerance. A descent that begins only evaluates its beginning; one whose simulation is not finite there has diverged.
 
     Args:
         model: that is fitted.
@@ -108,13 +113,13 @@ def one_step(
         noise: of the sensors.
         substeps: Runge-Kutta steps per sample.
         most: steps to try.
-        tolerance: distance to the minimum of the linearised problem at which a descent ends [standard deviations].
+        tolerance: distance to the minimum to which a descent comes, as far as its steps tell [standard deviations].
 
     Source: Marquardt (1963); the starts are eliminated as in the variable projection of Golub and Pereyra (1973).
     """
     sets = noise.shape[1]
-    last = len(_CLOSE)
-    nearness = jnp.maximum(jnp.asarray(_CLOSE), tolerance).at[-1].set(tolerance)
+    last = _STAGES
+    nearness = jnp.stack([jnp.asarray(_NEAR), jnp.sqrt(_OVER_TOLERANCE * tolerance), tolerance])
     active = (batch.stage < last) & (batch.steps < most)
     fresh = active & (batch.steps < 0)
 
@@ -142,11 +147,6 @@ def one_step(
         stage=jnp.where(fresh & ~finite, last, batch.stage),
     )
 
-    def close(at: Batch) -> Array:
-        """Return whether the minimum of the linearised problem is near."""
-        _, left = _newton(weighted(at, columns), shared, at.damping)
-        return jnp.sqrt(2.0 * jnp.maximum(left, 0.0)) < nearness[jnp.minimum(at.stage, last - 1)]
-
     def next_stage(at: Batch, done: Array) -> Batch:
         done = done & (at.stage < last)
         rms = left_over(at, data.present[:, jnp.asarray(outputs)], noise)
@@ -158,9 +158,17 @@ def one_step(
 
     stuck = tried & (after.failed >= jnp.asarray(_TRIES)[jnp.minimum(batch.stage, last - 1)])
     after = next_stage(after, stuck)
-    for _ in _CLOSE:  # new weights may leave it as close, which costs no simulation to see
-        after = next_stage(after, tried & close(after))
-    return after
+    step, descending = jnp.zeros_like(step), after.stage < last
+    for _ in range(_STAGES):  # new weights may leave it as close, which costs no simulation to see
+        step, left = _newton(weighted(after, columns), shared, jnp.zeros_like(after.damping))
+        distance = jnp.sqrt(2.0 * jnp.maximum(left, 0.0))
+        # Steps before came so many times nearer, and the next one does.
+        ahead = distance**2 / jnp.maximum(jnp.maximum(batch.distance, distance), _ROUNDING)
+        asked = nearness[jnp.minimum(after.stage, last - 1)]
+        after = after._replace(distance=distance)
+        after = next_stage(after, tried & (jnp.where(after.stage == last - 1, ahead, distance) < asked))
+    whole = _per_column(descending & (after.stage == last), batch)
+    return after._replace(unknowns=after.unknowns + jnp.where(whole, step, 0.0))
 
 
 def left_over(batch: Batch, present: Array, noise: Array) -> Float[Array, "output set"]:

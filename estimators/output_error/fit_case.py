@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from estimators.core.active_bounds import OFF_BOUNDS
 from estimators.core.data import CHANNELS, Data, moving, pieces
-from estimators.core.initial_state import space_of
+from estimators.core.initial_state import space_in_numpy
 from estimators.core.parameter_space import Space
 from estimators.core.sensor_noise import noise_levels
 from estimators.output_error.normal_equations import Columns
@@ -77,8 +77,8 @@ class Case:
             )
         outputs = tuple(place for place, c in enumerate(CHANNELS) if any(c in e.outputs for e in experiments))
         levels = noise_levels(recording.experiments)
-        space = space_of(model, experiments, free=list(shared))
-        held = tuple(name for name in space.names if name not in shared)
+        space = space_in_numpy(model, experiments, free=list(shared))
+        held, known = tuple(name for name in space.names if name not in shared), model.values
         count = len(experiments)
 
         def each(rows: Any) -> np.ndarray:
@@ -96,11 +96,11 @@ class Case:
         columns = Columns(
             *(each(bound) for bound in bounds),
             *(np.asarray(x) for x in (space.start, space.start_scale, space.start_spread, space.start_held)),
-            known=each([float(np.asarray(model[name])) for name in held]).reshape(len(held), count),
+            known=each([float(known[name]) for name in held]).reshape(len(held), count),
         )
         begun = _started(space, start or {}).unconstrained(off_bounds=OFF_BOUNDS)
         unknowns = np.concatenate([each(begun.shared), np.asarray(begun.each), np.asarray(begun.start)])
-        data = jax.tree.map(np.asarray, Data.of(experiments))
+        data = Data.in_numpy(experiments)
         return cls(
             model, experiments, space, shared, held, outputs, data, columns, unknowns,
             np.array([[levels.get(CHANNELS[place], 1.0)] for place in outputs]),

@@ -1,11 +1,10 @@
 """Gauss-Newton's normal equations of many experiments, summed up in the time loop, so that no sensitivity is kept."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from estimators.core.bound_transform import to_physical
@@ -13,13 +12,8 @@ from estimators.core.data import Data
 from estimators.core.residual import states_at_start
 from rtac_jax import RTAC, Excitation
 from rtac_jax.effects import Input
+from rtac_jax.excitation import Real
 from rtac_jax.simulation import Steps, advance, without_denormals
-
-if TYPE_CHECKING:
-    Real = Any
-else:
-    Real = Array | np.ndarray
-"""Arrays of JAX within compiled code, of NumPy where they are put side by side."""
 
 
 class Columns(NamedTuple):

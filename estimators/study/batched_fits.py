@@ -15,7 +15,7 @@ from estimators.study.outcome import Outcome, Prepared, Value
 from estimators.study.spec import Estimate
 
 _TOLERANCE = 1e-3
-"""Distance to the minimum at which a fit ends, in standard deviations: it adds a millionth to the variance of an estimate."""
+"""Distance to the minimum to which a fit comes, in standard deviations: it adds a millionth to the variance of an estimate."""
 _STEPS = 60  # as `output_error` has it
 _TAKEN = ("steps", "from_model", "starts")  # the second start is not looked at where fits begin at the model
 

@@ -77,8 +77,8 @@ def _columns(
     job: Simulated,
 ) -> tuple[Excitation, Float[np.ndarray, "4 experiment"], Float[np.ndarray, "name experiment"]]:
     samples = max(e.samples for e in job.experiments)
-    excitation = jax.tree.map(np.asarray, Excitation.of(job.experiments, room=room_for(samples + BEYOND)))
-    values = np.array([float(np.asarray(job.model[name])) for name in job.model.parameters])
+    excitation = Excitation.in_numpy(job.experiments, room=room_for(samples + BEYOND))
+    values = np.array([float(value) for value in job.model.values.values()])
     start = np.asarray(job.start, dtype=float).T
     return excitation, start, np.repeat(values[:, None], len(job.experiments), axis=1)
 

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import jax
 
+from estimators.core.threads import one_thread
 from estimators.study.layout import Arrays
 from estimators.study.repetition import Repetitions
 from estimators.study.results import StudyResults
@@ -142,7 +143,8 @@ def _in_worker(work: Work, indices: Sequence[int], setting: _Setting, attempt: i
         os.environ["XLA_FLAGS"] = setting.flags  # before JAX starts
     if not jax.config.read("jax_enable_x64"):
         configure(fast=False, cache=setting.cache)
-    return work.compute(indices)
+    with one_thread():
+        return work.compute(indices)
 
 
 def _distributed(

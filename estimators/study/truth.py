@@ -1,6 +1,7 @@
 """The truth of one repetition: a rig or a model with drawn parameters, and what an estimate should be."""
 
 import dataclasses
+import functools
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -118,7 +119,7 @@ def true_for(spec: StudySpec, index: int) -> Truth:
     if spec.plant.truth == "virtual_rig":
         return _true_rig(spec, factors, given, hidden, excitation)
     model = _true_model(spec, factors, given)
-    values = {name: float(np.asarray(model[name])) for name in model.parameters}
+    values = {name: float(value) for name, value in model.values.items()}
     return Truth(values | _derived(values), model, hidden, excitation)
 
 
@@ -142,15 +143,21 @@ def _true_rig(
     return Truth(values | _derived(values), rig, hidden, excitation)
 
 
+@functools.cache
+def _paper() -> RTAC:
+    return RTAC.paper()
+
+
 def _true_model(spec: StudySpec, factors: dict[str, float], given: dict[str, Any]) -> RTAC:
-    model = RTAC.paper()
+    model = _paper()
     for effect in spec.model.effects:
         own = {name: given.get(f"{effect}.{name}") for name in declarations(CATALOGUE[effect])}
         missing = [name for name, value in own.items() if value is None]
         if missing:
             raise SpecError(f"plant.values: the model makes the data, so give a value of {effect}.{missing[0]}.")
         model = model + CATALOGUE[effect](**own)
-    spread = {name: float(np.asarray(model[name])) * float(factor) for name, factor in factors.items()}
+    paper = model.values
+    spread = {name: float(paper[name]) * float(factor) for name, factor in factors.items()}
     return model.with_values(spread | given)
 
 

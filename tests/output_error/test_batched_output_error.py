@@ -88,6 +88,13 @@ def test_each_result_is_that_of_a_single_fit() -> None:
         assert np.max(np.abs(batch.values[number] - values) / deviations) < 5e-6
         np.testing.assert_allclose(batch.std[number], deviations, rtol=1e-3)
         np.testing.assert_allclose([one[number] for one in batch.residual_std.values()], rms, rtol=1e-7)
+    # The last step is taken and not simulated, where those before it say that it leads near enough.
+    early = est.output_error_batch(model, recordings, tolerance=1e-3, progress=False)
+    assert np.all(early.successful)
+    assert np.median(early.steps) <= 4
+    assert np.max(np.abs(early.values - batch.values) / batch.std) < 5e-3
+    assert np.median(np.abs(early.values - batch.values) / batch.std) < 1e-3
+    np.testing.assert_allclose(early.std, batch.std, rtol=1e-3)
 
 
 def test_with_dry_friction_it_is_so_to_two_hundredths_of_the_deviation(

@@ -128,6 +128,16 @@ def test_each_experiment_has_its_own():
     assert several["tacho_bias.bias"].shape == (3,)
 
 
+def test_values_by_name_are_those_of_the_fields():
+    model = (RTAC.paper() + CubicSpring(7.0)).with_values(
+        {"arm_inertia": 3e-4, "cart_coulomb.level": np.array([0.1, 0.2])}
+    )
+    assert list(model.values) == list(model.parameters)
+    for name, value in model.values.items():
+        np.testing.assert_array_equal(value, model[name])
+    assert float(model.values["cubic_spring.stiffness"]) == 7.0
+
+
 def test_with_values_changes_only_what_is_named():
     model = RTAC.paper()
     other = model.with_values({"total_mass": 2.0, "arm_viscous.negative": 3e-4})

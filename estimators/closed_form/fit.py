@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from estimators.closed_form.modulating_functions import integrated_terms
+from estimators.closed_form.initial_angle import with_initial_angles
+from estimators.closed_form.modulating_functions import NEAR_WEAK, integrated_terms
 from estimators.closed_form.regressors import Terms, automatic_cutoff, sampled_terms
 from estimators.closed_form.table1 import ClosedForm, ClosedFormOptions
 from estimators.closed_form.two_stage import Estimates, Weighting, forced_stage, free_stage
@@ -18,7 +19,6 @@ from rtac_jax.measurement import Experiment, Recording
 _TURNS = 4
 _DRY = "cart_coulomb.level"
 _NEAR = 0.05  # of the rms velocity, below which the sign of a filtered velocity is wrong
-_NEAR_WEAK = 0.2  # of the cart's fastest stretch, below which a test function is left out of the weak form
 AS_IN_PAPER: Mapping[str, Any] = {"weighting": "none", "near_zero": 0.0}
 """Options of `least_squares` that leave out what the paper does not write of: weights, and samples where the cart hardly moves."""
 
@@ -73,14 +73,14 @@ def least_squares(
         raise ValueError("cutoff belongs to the filter, and the weak form has none; leave out cutoff, or weak=True.")
     if instruments and not weak:
         raise ValueError("instruments are integrals over earlier test functions; add weak=True.")
-    near = near_zero if near_zero is not None else _NEAR_WEAK if weak else _NEAR
+    near = near_zero if near_zero is not None else NEAR_WEAK if weak else _NEAR
     options = ClosedFormOptions(weak, instruments, weak if reaction is None else reaction, weighting, cutoff, near)
     levels = noise_levels(recording.experiments)
     moves = [e for e in recording.experiments if e.kind != "rest"]
     found = with_constants(closed_form(model, moves, levels, options), moves, levels)
     if weak:
         return found
-    beside = ClosedFormOptions(True, False, True, weighting, None, _NEAR_WEAK)
+    beside = ClosedFormOptions(True, False, True, weighting, None, NEAR_WEAK)
     return dataclasses.replace(found, weak=with_constants(closed_form(model, moves, levels, beside), moves, levels))
 
 
@@ -110,6 +110,11 @@ def closed_form(
     """
     uncertain = model.uncertain
     model = model.fix(*uncertain)
+    told = {e.name for e in experiments if e.initial_arm_angle is not None}
+    experiments = with_initial_angles(model, experiments, levels)
+    angles = {
+        e.name: e.initial_arm_angle for e in experiments if e.initial_arm_angle is not None and e.name not in told
+    }
     skipped: dict[str, str] = {}
     used: dict[str, float] = {}
 
@@ -162,8 +167,8 @@ def closed_form(
                 model, forced, weighting=options.weighting, alone=not ratios, instruments=options.instruments
             )
     assumed = tuple(name for name in scales if name not in more)
-    told = {name: found for name, found in (estimates | more).items() if name not in assumed}
-    return ClosedForm(model.release(*uncertain), ratios, told, used, skipped, options, assumed=assumed)
+    kept = {name: found for name, found in (estimates | more).items() if name not in assumed}
+    return ClosedForm(model.release(*uncertain), ratios, kept, used, skipped, options, assumed=assumed, angles=angles)
 
 
 def with_constants(found: ClosedForm, experiments: Sequence[Experiment], levels: Mapping[str, float]) -> ClosedForm:

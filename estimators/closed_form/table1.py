@@ -66,6 +66,7 @@ class ClosedForm(Result):
         options: how the estimates were made.
         weak: the estimates of the weak form from the same recording, where these are of filtered measurements: for
             comparison, as noise in the regressors biases v and d of these.
+        angles: of the arm at the start [rad], of experiments that do not tell it, found together with the eccentric moment.
         assumed: which of total mass and arm inertia is the model's own value, since nothing that was measured tells it.
     """
 
@@ -77,6 +78,7 @@ class ClosedForm(Result):
     options: ClosedFormOptions
     weak: "ClosedForm | None" = None
     assumed: tuple[str, ...] = ()
+    angles: Mapping[str, float] = dataclasses.field(default_factory=dict)
 
     @property
     def consistent(self) -> bool:
@@ -126,7 +128,15 @@ def table_1(found: ClosedForm) -> str:
         rows.append([title, declared.symbol, f"{float(np.mean(np.asarray(found.model[name]))):.5g}", declared.unit])
     parts.append(f"(c) parameters of the rig\n{_table(rows)}")
     return "\n\n".join(
-        [*parts, *_disregarded(found), *_assumed(found), *_taken_as_known(found), *_bias(found), _rule(found)]
+        [
+            *parts,
+            *_disregarded(found),
+            *_assumed(found),
+            *_angles(found),
+            *_taken_as_known(found),
+            *_bias(found),
+            _rule(found),
+        ]
     )
 
 
@@ -139,6 +149,14 @@ def _disregarded(found: ClosedForm) -> list[str]:
         f"Equations (5) and (6) have no {', '.join(others)}: these estimates are as if the model had none, and what "
         "it does shows in the others. An estimator that fits the whole model is est.output_error."
     ]
+
+
+def _angles(found: ClosedForm) -> list[str]:
+    """Say which angles of the arm nobody measured, and what they were found to be."""
+    if not found.angles:
+        return []
+    each = ", ".join(f"{name} {angle:.2f} rad" for name, angle in found.angles.items())
+    return [f"Where the arm begins was not measured; it was found from how it pushes the cart: {each}."]
 
 
 def _taken_as_known(found: ClosedForm) -> list[str]:

@@ -16,13 +16,15 @@ from estimators.core.active_bounds import OFF_BOUNDS, solve_bounded
 from estimators.core.data import CHANNELS, Data, mark_of, moving, pieces
 from estimators.core.fisher_information import information
 from estimators.core.fit import Fit
-from estimators.core.initial_rest import at_rest, best_starts, may_swing
+from estimators.core.initial_angle import angle_unknown
+from estimators.core.initial_rest import at_rest, best_starts, may_swing, squares
 from estimators.core.initial_state import scales_of, space_of
 from estimators.core.levenberg_marquardt import NEGLIGIBLE, Arguments, Solved, diverged, factor, plain_residual
 from estimators.core.parameter_space import Space, Unknowns, number_of_unknowns
 from estimators.core.residual import diagonal_whitener, no_gain
 from estimators.core.results import RESULTS, DivergedError
 from estimators.core.sensor_noise import noise_levels
+from estimators.core.start_search import beyond_noise, searched
 from estimators.core.step_size import accurate_substeps
 from estimators.output_error.horizons import horizons
 from estimators.output_error.memory import require_memory
@@ -41,6 +43,8 @@ _CORRECTION = (0.3, 0.03)
 _GUIDED = 5.0
 # An experiment begins at rest where that leaves less than this fraction of what is left from where its first samples begin.
 _AT_REST = 0.5
+# An arm whose angle nobody tells is begun elsewhere where that leaves less than this fraction of an experiment's squares.
+_TURNED = 0.95
 # A start whose short predictions stay this many times worse than another's is given up.
 _HOPELESS = 5.0
 # A start leads where another one did if, once both were guided, the rms of what sets their simulations apart is less than this
@@ -195,6 +199,10 @@ def _starts(model: RTAC, recording: Recording, experiments: Sequence[Experiment]
     return found
 
 
+def _cost(end: "_Stage") -> float:
+    return end.cost
+
+
 def _same(end: "_Stage", best: "_Stage", samples: float) -> bool:
     """Return whether a descent ended where the best one did: at the same likelihood, or at the same parameters."""
     if end.cost <= best.cost + _AGREES * samples:
@@ -262,7 +270,19 @@ class _Run:
         guided = self._simulated(model, space, unknowns, substeps)
         if (same := self._followed(guided, noise)) is not None:
             return same
-        deviation, cost, solved = self._rms(guided, noise), np.inf, None
+        end = self._weighted(model, space, unknowns, substeps, noise, self._rms(guided, noise), best)
+        if (elsewhere := self._turned(end, noise)) is not None:
+            end = min(end, self._weighted(model, space, elsewhere, substeps, noise, end.deviation, best), key=_cost)
+        self.followed.append((guided, end))
+        return end
+
+    def _weighted(
+        self, model: RTAC, space: Space, unknowns: Unknowns, substeps: int, noise: np.ndarray, deviation: np.ndarray,
+        best: float,
+    ) -> _Stage:  # fmt: skip
+        """Descend with channels weighted by what is left of them, until that settles."""
+        nothing = no_gain(model, self.data)
+        cost, solved = np.inf, None
         nearly = False
         for _ in range(_REWEIGHTINGS):
             # Each channel counts by what the pass before left of it, so that in the end its deviation is estimated, too.
@@ -282,9 +302,37 @@ class _Run:
                 break
             nearly = nearly or before - cost < _REWEIGHTED
         assert solved is not None
-        end = _Stage(model, space, solved, deviation, cost, substeps)
-        self.followed.append((guided, end))
-        return end
+        return _Stage(model, space, solved, deviation, cost, substeps)
+
+    def _turned(self, end: _Stage, noise: np.ndarray) -> Unknowns | None:
+        """Return the unknowns with the arm begun elsewhere, in experiments that do not tell its angle, where that leaves less.
+
+        None where it does not, and where the simulation leaves no more than noise.
+        """
+        if not angle_unknown(end.space).any():
+            return None
+        shared, each, start = end.space.physical(end.solved.unknowns)
+        # The starts alone, at these parameters, as a comparison seeks them.
+        space = dataclasses.replace(
+            end.space,
+            values=shared,
+            each_values=each,
+            start=start,
+            active=jnp.zeros(0, dtype=int),
+            known=None,
+            known_std=None,
+        )
+        whitener, nothing = diagonal_whitener(noise, self.data), no_gain(end.model, self.data)
+        arguments = Arguments(end.model, self.data, space, whitener, nothing, end.substeps)
+        unknowns = space.unconstrained()
+        if not np.any(beyond_noise(unknowns, arguments) & angle_unknown(space)):
+            return None
+        found = searched(unknowns, arguments)
+        if found is None or np.all(squares(found, arguments) > _TURNED * squares(unknowns, arguments)):
+            return None
+        states = space.physical(found)[2]
+        scaled = (states - end.space.start) / end.space.start_scale
+        return end.solved.unknowns._replace(start=jnp.where(end.space.start_held > 0, 0.0, scaled))
 
     def _followed(self, guided: np.ndarray, noise: np.ndarray) -> _Stage | None:
         """Return the end of an earlier descent that went through the same simulation; None if none did."""

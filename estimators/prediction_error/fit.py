@@ -11,6 +11,7 @@ from jaxtyping import Float
 from tqdm import tqdm
 
 from estimators.closed_form.fit import starting_values
+from estimators.closed_form.initial_angle import with_initial_angles
 from estimators.core.active_bounds import OFF_BOUNDS
 from estimators.core.correlation import LAGS, LEVEL, whiteness
 from estimators.core.data import CHANNELS, Data, moving, pieces
@@ -26,6 +27,7 @@ from estimators.core.results import DivergedError
 from estimators.core.sensor_noise import noise_levels
 from estimators.core.step_size import accurate_substeps
 from estimators.prediction_error.fisher_scoring import most_likely
+from estimators.prediction_error.initial_angle import with_likeliest_angles
 from estimators.prediction_error.innovations import one_step_rms
 from estimators.prediction_error.noise_estimation import NoiseModel, Predictor, fit_trusted
 from rtac_jax import RTAC, require_configured
@@ -177,7 +179,9 @@ def prediction_error_nonlinear(
     data = Data.of(experiments)
     start = model if from_model else starting_values(model, recording)
     shared = [name for name in start.free if name not in start.per_experiment]
-    space = space_of(start, experiments, free=shared)
+    # Angles that nobody measured are found from how the arm pushes the cart, as far as that shows them.
+    begun = with_initial_angles(start, experiments, levels)
+    space = space_of(start, begun, free=shared)
     scales = scales_of(start, experiments)
     prior = NoiseModel.of(levels, recording.experiments, scales, space)
     sensors = np.array([levels.get(channel, 1.0) for channel in CHANNELS])
@@ -190,6 +194,7 @@ def prediction_error_nonlinear(
 
     try:
         steps = jnp.asarray(substeps)
+        space = with_likeliest_angles(start, data, space, prior, steps)
         found, data = fit_trusted(
             start, data, space, prior, substeps=steps, rounds=rounds, off_bounds=OFF_BOUNDS, progress=show
         )

@@ -206,7 +206,7 @@ def compile_predictor(
     unknowns = space.unconstrained(start=False)
     if noise:
         physical = (space.values, space.each_values, space.start)  # of the shapes that space.physical computes
-        _pass.prepare(*_arguments(model, data, space, physical, prior, _begin(), substeps))
+        _pass.prepare(*_arguments(model, data, space, physical, prior, first_noise(), substeps))
     whitener, gain = (
         jnp.asarray(np.zeros((data.room, count, len(CHANNELS), data.experiments)))
         for count in (len(CHANNELS), len(model.states))
@@ -214,7 +214,8 @@ def compile_predictor(
     factor.prepare(unknowns, Arguments(model, data, space, whitener, gain, substeps))
 
 
-def _begin() -> np.ndarray:
+def first_noise() -> np.ndarray:
+    """Return the exponents of the noise at which a fit begins."""
     return np.array([_FIRST, _FIRST, 0.0, 0.0, 0.0])
 
 
@@ -253,7 +254,7 @@ def fit_noise(
     part = dataclasses.replace(data, length=jnp.asarray(data.samples // _PART))
     long = part.samples >= _FEWEST
     if first is None:
-        at = _climbed(lambda at: scored(at, part), scored(_begin(), part)).at if long else _begin()
+        at = _climbed(lambda at: scored(at, part), scored(first_noise(), part)).at if long else first_noise()
         found = scored(at)
     else:
         found = scored(first)

@@ -1,6 +1,5 @@
 """Simulation error: a model's free simulation against the measurements, per channel and experiment, and residual tests."""
 
-import contextlib
 import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -9,12 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from estimators.core.active_bounds import solve_bounded
 from estimators.core.data import CHANNELS, Data, mark_of, moving
 from estimators.core.drawing import draw
 from estimators.core.fit import Fit
 from estimators.core.information_criteria import InformationCriteria
-from estimators.core.initial_rest import at_rest, best_starts, may_swing, squares
 from estimators.core.initial_state import space_of
 from estimators.core.levenberg_marquardt import Arguments, plain_residual
 from estimators.core.parameter_space import Unknowns
@@ -22,6 +19,7 @@ from estimators.core.residual import diagonal_whitener, no_gain
 from estimators.core.result_base import Result
 from estimators.core.results import DivergedError
 from estimators.core.sensor_noise import noise_levels
+from estimators.core.start_search import searched
 from estimators.core.step_size import accurate_substeps
 from estimators.prediction_error.fit import PredictorFit
 from estimators.validation.extrapolation import beyond
@@ -33,7 +31,6 @@ from rtac_jax.overview import Overview
 
 # Longer experiments without memory of their start take it from their beginning alone.
 _LONG, _BEGINNING = 8192, 2048
-_NOISE = 1.2  # mean square of an error over its noise, from which on a start is sought elsewhere
 _LOST = 1e100  # an output beyond this has left all bounds, and its square would overflow
 
 Fitted = Fit | PredictorFit | RTAC
@@ -302,7 +299,7 @@ def _simulated(
         gain=no_gain(model, everything),
     )
     if not fitted:
-        found = _started(unknowns, arguments)
+        found = searched(unknowns, arguments)
         if found is None:
             _outputs(unknowns, whole, label, experiments)  # says where
             raise DivergedError(f"the model {label!r} diverges from every start that was tried; check its parameters.")
@@ -313,25 +310,6 @@ def _simulated(
         simulated = np.where(missing, np.nan, simulated)
     states = np.asarray(space.physical(unknowns)[2])
     return simulated, {e.name: states[:, i] for i, e in enumerate(experiments)}, start_samples or 0
-
-
-def _started(unknowns: Unknowns, arguments: Arguments) -> Unknowns | None:
-    """Return the start from which the simulation follows the measurements best; None where it diverges from every one.
-
-    It is sought from the first samples. Where that leaves more than noise of an experiment, and something may swing beside cart
-    and arm, it is sought from rest too: a state that the first samples do not show, as the speed of an arm behind a soft shaft,
-    adds up to turns of the arm, from where no small step leads back.
-    """
-    enough = _NOISE * np.asarray(arguments.data.present).sum(axis=(0, 1))
-    begins = [unknowns, at_rest(unknowns, arguments.space)]
-    best: Unknowns | None = None
-    for begin in begins if may_swing(arguments.model) else begins[:1]:
-        with contextlib.suppress(FloatingPointError):
-            found = solve_bounded(begin, arguments, tolerance=1e-5, most=40).unknowns
-            best = found if best is None else best_starts([best, found], arguments)
-            if np.all(squares(best, arguments) < enough):
-                break
-    return best
 
 
 def _outputs(unknowns: Unknowns, arguments: Arguments, label: str, experiments: Sequence[Experiment]) -> np.ndarray:

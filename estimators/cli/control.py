@@ -13,6 +13,7 @@ from estimators.cli.models import any_fit, fitted_to
 from estimators.cli.options import Effects, File, Json, Model, Out, Save, Validation
 from rtac_jax.measurement.atomic_write import replacing
 
+_FOLLOWS = 50.0  # fit [%] below which a simulation goes its own way
 _ORDERS = (2, 4)  # of nominal models that `control` tries: one mode, and the paper's two
 
 
@@ -72,7 +73,12 @@ def control(
         errors, parameters = report.error_table(trained, tested), report.parameter_table(fit)
         fitted = fitted_in_envelope(fit.model, made.covered, with_spring=with_arm_spring(fit.model, made.actuation))
         work.save(made, save)
-        said, honest, loops = outcome(made), [work.remark, *honesty(made), texts.WEIGHTED], texts.design_table(made)
+        doubt = _does_not_follow(tested or trained)
+        said, honest, loops = (
+            [*doubt, *outcome(made)],
+            [work.remark, *honesty(made), texts.WEIGHTED],
+            texts.design_table(made),
+        )
         work.say(*said, *fitted.sentences(), *honest, loops, texts.controller_table(made), errors)
         known = report.fit_dict(fit, train=trained, validation=tested, seconds=work.seconds)["parameters"]
         work.write_json(texts.design_dict(made, known, seconds=work.seconds, fitted=fitted))
@@ -119,6 +125,18 @@ def control(
         bullets = of_control(made, [] if fitted.agrees else fitted.sentences())
         title = f"Controller for {work.file}"
         work.write_report(title, figures, sections, split=split, summary=bullets, traces=tested or trained)
+
+
+def _does_not_follow(compared: Any) -> list[str]:
+    """Say where a model, as one of another rig, leaves more than half of what was measured."""
+    far = {c: e for c, e in compared.models[-1].errors.items() if e.fit_percent < _FOLLOWS}
+    if not far:
+        return []
+    each = ", ".join(f"{c} {e.fit_percent:.3g} % ({e.rms_over_noise:.3g} times the noise)" for c, e in far.items())
+    return [
+        f"The model does not follow this recording: of the fit of its simulation there is {each}. A controller is tried on a rig "
+        "that this one is not; fit the model to it first."
+    ]
 
 
 def _save_mat(path: Path, content: dict[str, Any]) -> None:

@@ -166,6 +166,7 @@ class _Columns:
     time: str | None
     text: bool
     left_out: tuple[str, ...] = ()
+    unstated: tuple[str, ...] = ()
 
     @classmethod
     def of(
@@ -195,7 +196,7 @@ class _Columns:
             stop(WRONG_USE, f'--channel: say which column is which, as in --channel cart_position="x [mm]"{there}.')
         if (time is None) == (sample_time is None):
             stop(WRONG_USE, f"--time, --sample-time: give one of the two{there}.")
-        channels, units = {}, {}
+        channels, units, unstated = {}, {}, []
         for channel, wish in {**asked, **({} if time is None else {_TIME: time})}.items():
             if channel not in known:
                 stop(WRONG_USE, f"--channel: there is no channel {channel}; use {', '.join([*INPUTS, *OUTPUTS])}.")
@@ -222,6 +223,8 @@ class _Columns:
                         f"{file}: says that {column} is in {says}, and --channel {channel} says {unit}; correct one.",
                     )
                 unit = says
+            if not unit and channel not in scale:
+                unstated.append(channel)
             unit = unit or known[channel]
             units[channel] = _SAME.get(unit, unit)
             if channel not in scale and units[channel] not in FACTORS[known[channel]]:
@@ -232,7 +235,15 @@ class _Columns:
                 )
         column_of_time = channels.pop(_TIME, None)
         left_out = tuple(channel for channel in asked if channel not in channels)
-        return cls(file, channels, {c: u for c, u in units.items() if c not in scale}, column_of_time, text, left_out)
+        return cls(
+            file,
+            channels,
+            {c: u for c, u in units.items() if c not in scale},
+            column_of_time,
+            text,
+            left_out,
+            tuple(unstated),
+        )
 
     def only_here(self, wanted: Mapping[str, Any]) -> dict[str, Any]:
         """Return the options of a reader without what they say of channels that this file does not have."""
@@ -263,6 +274,11 @@ class _Columns:
         )
         if self.left_out:
             head += f" It has no column for {', '.join(self.left_out)}."
+        if self.unstated:
+            taken = ", ".join(
+                f"{self.time if c == _TIME else self.channels[c]} in {self.units[c]}" for c in self.unstated
+            )
+            head += f" No unit is stated of these: {taken} by assumption; state one as in 'n [rpm]'."
         return f"{head}\n{Table(('column', 'unit', 'times', 'is', 'in', 'from', 'to'), tuple(rows))}"
 
 

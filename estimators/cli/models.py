@@ -8,6 +8,11 @@ from estimators.cli.own_effects import own_classes
 from estimators.cli.refusals import WRONG_USE, stop
 
 
+def with_article(name: str) -> str:
+    """Return a name with "a" or "an" before it."""
+    return f"{'an' if name[0] in 'AEIOU' else 'a'} {name}"
+
+
 def loaded(path: Path, effects: Path | None = None, option: str = "--model") -> Any:
     """Return what a file of results holds.
 
@@ -36,7 +41,9 @@ def model_or_fit(path: Path, effects: Path | None = None) -> Any:
         return found
     if isinstance(found, est.PredictorFit | est.ClosedForm):
         return found.model
-    stop(WRONG_USE, f"--model: {path} holds a {type(found).__name__}; give a model, a fit or an improvement.")
+    stop(
+        WRONG_USE, f"--model: {path} holds {with_article(type(found).__name__)}; give a model, a fit or an improvement."
+    )
 
 
 def start_model(work: Job, path: Path | None, effects: Path | None = None) -> Any:

@@ -8,7 +8,7 @@ import typer
 from estimators.cli.captions import shown
 from estimators.cli.job import Job, job, progress
 from estimators.cli.limits import TorqueLimit, Travel, positive
-from estimators.cli.models import base_fit, loaded
+from estimators.cli.models import base_fit, loaded, with_article
 from estimators.cli.options import Effects, File, Json, Model, Out, Quick, Validation, option
 from estimators.cli.output_files import writable_file
 from estimators.cli.own_effects import offered
@@ -103,5 +103,8 @@ def _found(work: Job, base: Any, path: Path | None, effects: Path | None, candid
         return est.diagnose(base, work.train, candidates=candidates, thorough=not quick, progress=progress())
     found = loaded(path, effects, "--diagnosis")
     if not isinstance(found, est.Diagnosis):
-        stop(WRONG_USE, f"--diagnosis: {path} holds a {type(found).__name__}; give what `rtac diagnose --save` kept.")
+        stop(
+            WRONG_USE,
+            f"--diagnosis: {path} holds {with_article(type(found).__name__)}; give what `rtac diagnose --save` kept.",
+        )
     return found

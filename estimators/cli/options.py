@@ -38,7 +38,8 @@ Quick = Annotated[
 NoLearnedForce = Annotated[
     bool,
     typer.Option(
-        "--no-learned-force", help="Do not add a learned force as a last resort where the verdict is unknown."
+        "--no-learned-force",
+        help="Add no last resort where the verdict is unknown: no likely effect, no learned force.",
     ),
 ]
 Json = Annotated[Path | None, option("FILE", "Write the result as JSON.")]

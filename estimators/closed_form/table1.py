@@ -203,9 +203,10 @@ def _bias(found: ClosedForm) -> list[str]:
     if found.options.weak or not found.ratios:
         return []
     said = [
-        "v and d are biased here: the regressors are filtered and differentiated measurements, and their noise makes v too large "
-        "(8 to 17 % on a rig like the paper's, 3.5 to 14 of the standard deviations stated above) at the cost of d. What scatters "
-        "little can be off all the same. least_squares(..., weak=True) has no such bias."
+        "v and d are biased here: the regressors are filtered and differentiated measurements, and hold their noise. On a rig "
+        "like the paper's v is 8 to 17 % too large, 3.5 to 14 of the standard deviations stated above, at the cost of d; with "
+        "more noise, or little dry friction, it may be half or twice as large. What scatters little can be off all the same. "
+        "least_squares(..., weak=True) has no such bias."
     ]
     if found.weak is not None:
         here, there = (({**f.ratios, **f.estimates}) for f in (found, found.weak))

@@ -20,6 +20,10 @@ HEADER = ("parameter", "value", "std", "unit")
 FAR = 10.0
 """Times its noise, beyond which a channel's residual says that the model does not follow the rig."""
 
+_ON_BOUND = (
+    0.02  # standard deviations: one that a fit holds there lies nearer, and one that happens to come so near seldom
+)
+
 
 @dataclasses.dataclass(frozen=True)
 class Parameter:
@@ -64,6 +68,15 @@ class ModelFit(Result):
             (name, f"{p.value:.6g}", f"{p.std:.2g}" if name in self.information.names else "fixed", p.unit)
             for name, p in self.parameters.items()
         ]
+
+    def on_bounds(self) -> dict[str, float]:
+        """Return the bound on which an estimate ended, SI units, by the name of its parameter."""
+        found = {}
+        for name, p in self.parameters.items():
+            for bound in self.model.parameters[name].bounds:
+                if name in self.information.names and abs(p.value - bound) < _ON_BOUND * p.std:
+                    found[name] = bound
+        return found
 
     def lines(self) -> list[str]:
         """Return the same as lines of equal columns, below a head."""
@@ -113,6 +126,8 @@ class Fit(ModelFit):
         """Return how the optimisation ended, and how far its starts can vouch for that, in a sentence or two."""
         said = f"{RESULTS[self.result]} {self.statistics['agreed']} of {self.statistics['starts']} starts agree."
         ratios = {c: rms / self.noise[c] for c, rms in self.residual_std.items() if self.noise.get(c, 0.0) > 0}
+        for name, bound in self.on_bounds().items():
+            said += f" {name} ended on its bound, {bound:g}: the data ask for no such term in this model."
         worst = max(ratios, key=lambda c: ratios[c], default="")
         if worst and ratios[worst] > FAR:
             said += (

@@ -11,7 +11,8 @@ from estimators.core.fit import Fit
 from estimators.core.result_base import Result
 from estimators.diagnosis.diagnose import Candidate, Diagnosis, Verdict, compile_diagnosis, diagnose
 from estimators.diagnosis.learned_force import LearnedForce, learn_force
-from estimators.diagnosis.model_extension import Added, Foreseen, add_effect, parameters_of
+from estimators.diagnosis.model_extension import Added, Foreseen, add_effect, misfit, parameters_of
+from estimators.diagnosis.nearest_effect import add_nearest
 from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
 from estimators.output_error.fit import output_error
 from estimators.validation.simulation_error import Comparison, compare
@@ -40,7 +41,9 @@ class Improvement(Result):
             likelier one sample ahead.
         stopped: why the loop ended.
         seconds: duration [s].
-        learned: the learned force of the last model, a last resort where the last diagnosis knows no effect; None elsewhere.
+        nearest: the effect of the last model that explains most, not all, of what the last diagnosis cannot name: a last resort,
+            which serves held-out experiments better than a learned force; None elsewhere.
+        learned: the learned force of the last model, the other last resort; None elsewhere.
     """
 
     fits: tuple[Fit, ...]
@@ -55,6 +58,7 @@ class Improvement(Result):
     stopped: str
     seconds: float
     learned: LearnedForce | None = None
+    nearest: Candidate | None = None
 
     @property
     def base(self) -> Fit:
@@ -85,7 +89,7 @@ class Improvement(Result):
 
     @property
     def mended(self) -> Verdict | None:
-        """Return the verdict on the last model without a learned force, where effects were added and it was diagnosed again.
+        """Return the verdict on the last model without a last resort, where effects were added and it was diagnosed again.
 
         None elsewhere.
         """
@@ -95,6 +99,12 @@ class Improvement(Result):
     @property
     def headline(self) -> str:
         """Return what was found, in a sentence or two: what the first model lacked, what the last one lacks, what was learned."""
+        if self.nearest is not None:
+            explained = 100 * self.nearest.error_reduction
+            return (
+                f"{self._named} The nearest, {self.nearest.id}, explains {explained:.0f} % of what is left: it is likely, and "
+                f"not certain. It changes the held-out error {self._change}."
+            )
         if self.learned is None:
             return self._named
         return (
@@ -104,17 +114,18 @@ class Improvement(Result):
 
     @property
     def _change(self) -> str:
-        """Return what the learned force does to the held-out error over the noise, by channel."""
+        """Return what the last resort does to the held-out error over the noise, by channel."""
         before, after = (model.errors for model in self.validation.models[-2:])
         falls = [f"of {c} from {e.rms_over_noise:.3g} to {after[c].rms_over_noise:.3g}" for c, e in before.items()]
         return f"{' and '.join(falls)} times the noise"
 
     @property
     def _named(self) -> str:
+        whole = "it" if self.nearest is None else "all of it"
         if not self.added:
             return {
                 "adequate": "The model is adequate: nothing is missing at the noise floor.",
-                "unknown": "The model fails, and no effect of the catalogue explains it.",
+                "unknown": f"The model fails, and no effect of the catalogue explains {whole}.",
             }.get(
                 self.diagnoses[-1].verdict,
                 "The model fails, and what the diagnosis names does not serve held-out experiments.",
@@ -127,7 +138,7 @@ class Improvement(Result):
             start = f"One of a group was missing ({group}), and the data cannot tell which"
         end = {
             "adequate": "the mended model is adequate",
-            "unknown": "the mended model still fails, and no effect of the catalogue explains it",
+            "unknown": f"the mended model still fails, and no effect of the catalogue explains {whole}",
             None: "the mended model was not diagnosed again",
         }.get(self.mended, "what a diagnosis of the mended model names does not serve held-out experiments")
         return f"{start}; {end}."
@@ -196,8 +207,9 @@ def improve(
         candidates: classes of effects to try; by default the whole catalogue.
         most: effects to add at most.
         thorough: where a verdict would be unknown, look again at what raised no alarm; that may take minutes.
-        learned_force: where the last verdict is unknown, add a learned force as a last resort (`LearnedForce`), if the held-out
-            error clearly falls. The verdict stays.
+        learned_force: where the last verdict is unknown, add as a last resort the nearest effect, if it explains most of what is
+            missing, or a learned force (`LearnedForce`): what serves held-out experiments better, if their error clearly falls.
+            The verdict stays.
         policy: the thresholds of every diagnosis; see `DiagnosisPolicy`.
         progress: show bars.
 
@@ -243,10 +255,16 @@ def improve(
         if not stopped and not [c for c in (candidates or CATALOGUE.values()) if c.id not in steps[-1][1].fit.model]:
             stopped = "Stopped: every candidate was added."
     learned: LearnedForce | None = None
+    nearest: Candidate | None = None
     if learned_force and diagnoses[-1].verdict == "unknown":
-        last = steps[-1][1]
-        resort = learn_force(last.fit, last.tested, diagnoses[-1], train, held_out, policy=policy, progress=progress)
-        if isinstance(resort, str):
+        last, options = steps[-1][1], {"policy": policy, "progress": progress}
+        classes = {c.id: c for c in candidates or CATALOGUE.values()}
+        near = add_nearest(last, diagnoses[-1], classes, train, held_out, **options)
+        resort = learn_force(last.fit, last.tested, diagnoses[-1], train, held_out, **options)
+        if near is not None and (isinstance(resort, str) or misfit(near[0].tested) < misfit(resort[0].tested)):
+            nearest = near[1]
+            steps.append((nearest.id, near[0]))
+        elif isinstance(resort, str):
             stopped = f"{stopped} {resort}"
         else:
             steps.append((SplineForce.id, resort[0]))
@@ -271,4 +289,5 @@ def improve(
         stopped=stopped,
         seconds=time.perf_counter() - began,
         learned=learned,
+        nearest=nearest,
     )

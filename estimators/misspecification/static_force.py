@@ -57,15 +57,30 @@ class ForceCurve:
         return f"ForceCurve(on the {self.port} against {self.variable}: {told})"
 
     def effect(self) -> SplineForce:
-        """Return the missing force as an effect that can be added to the model: it makes the error fall, whatever it is."""
-        size = np.max(np.abs(self.shapes[:SHAPES] * self.amounts[:SHAPES, None]), axis=1)
+        """Return the missing force as an effect that can be added to the model: it makes the error fall, whatever it is.
+
+        Its curves have no slope that a spring or viscous friction of the model has: fitted beside these, they would share it.
+        """
+        shapes = self.shapes[:SHAPES]
+        if (slopes := self._of_the_model()) is not None:
+            basis = np.column_stack([slopes, np.ones(len(self.at))])
+            shapes = shapes - np.linalg.lstsq(basis, shapes.T, rcond=None)[0][:-1].T @ slopes.T
+        size = np.max(np.abs(shapes * self.amounts[:SHAPES, None]), axis=1)
         size = np.where(size > 0, size, 1.0)
         between = (float(self.at[0]), float(self.at[-1]))
         # Amounts in units of what was found, so that all of them are of order one.
         return SplineForce.over(
-            self.variable, between, port=self.port, shapes=self.shapes[:SHAPES] * size[:, None],
+            self.variable, between, port=self.port, shapes=shapes * size[:, None],
             amounts=self.amounts[:SHAPES] / size, slow=self.slow,
         )  # fmt: skip
+
+    def _of_the_model(self) -> Float[np.ndarray, "knot slope"] | None:
+        """Return the slopes at the knots that parameters of the model have; None where it has none in this variable."""
+        if (self.port, self.variable) in (("cart", "cart_position"), ("cart", "cart_velocity")):
+            return self.at[:, None]
+        if (self.port, self.variable) == ("arm", "arm_velocity"):  # one coefficient each way
+            return np.column_stack([np.maximum(self.at, 0.0), np.minimum(self.at, 0.0)])
+        return None
 
     def formulas(self, *, most: int = 5) -> list[Formula]:
         """Propose laws for the missing force: sums of few terms with units, each ready as an effect, the best first.

@@ -41,7 +41,10 @@ def finding(improvement: Improvement) -> str:
             f"No effect could be added: the held-out error of {NAMES[channel]} stays at {times(before)} times the noise"
         )
     learned = ["a learned force, which is no physical effect,"] if improvement.learned is not None else []
-    names = " and ".join([*([", ".join(c.id for c in improvement.added)] if improvement.added else []), *learned])
+    near = [f"{improvement.nearest.id}, which is likely and not certain,"] if improvement.nearest is not None else []
+    names = " and ".join(
+        [*([", ".join(c.id for c in improvement.added)] if improvement.added else []), *near, *learned]
+    )
     if improvement.foreseen and after > 0.95 * before:
         last = improvement.foreseen[-1]
         fall = f"from {times(last.before[last.channel])} to {times(last.after[last.channel])} times the noise"
@@ -77,6 +80,7 @@ def _ladder(axes: Any, improvement: Improvement) -> None:
         _numbers(axes, last, [final for _, final in ends], left=False)
     axes.text(0.01, 1 / 1.03, "noise floor", transform=axes.get_yaxis_transform(), va="top", fontsize=SMALL)
     names = ["base", *(f"+ {c.id}" for c in improvement.added)]
+    names += [f"+ {improvement.nearest.id}, likely"] if improvement.nearest is not None else []
     names += ["+ learned force"] if improvement.learned is not None else []
     axes.set_xticks(list(steps), names, rotation=0 if len(names) < 4 else 20)
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))

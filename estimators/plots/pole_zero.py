@@ -13,10 +13,10 @@ from estimators.prediction_error.fit import PredictorFit
 
 _MOST = 60  # conditions
 _POLE, _ZERO = "#08306b", "#e6550d"
-_SMALL, _SHOWN = (
-    0.02,
-    0.12,
-)  # of the spread of poles and zeros: an ellipse that is not seen, and up to which it is enlarged
+# Of the spread of poles and zeros: an ellipse that is not seen, and up to which it is enlarged.
+_SMALL, _SHOWN = 0.02, 0.12
+_CLOSE = 4  # modes and pairs of zeros that are shown from near by, with axes of one scale
+_UNITS = (("rad/s", 1.0), ("mrad/s", 1e-3), ("\u00b5rad/s", 1e-6))
 _TOUCHES = 2.0  # standard deviations of the real part by which a stable pole should keep off the imaginary axis
 
 
@@ -36,17 +36,25 @@ def plot_poles_zeros(found: Fit | PredictorFit | LinearModels, *, arm_angle: flo
         whose = f"{len(found)} linear models"
     else:
         sets, whose = [model_roots(found, arm_angle=arm_angle)], "the fitted model"
-    figure = picture(6.8, 6.0)
-    axes = figure.subplots()
     times = _enlargement([roots for pair in sets for roots in pair])
+    near = _modes(*sets[0]) if len(sets) == 1 and times > 1 else []
+    if near:
+        figure, times = picture(8.6, 6.0), 0
+        cells = figure.add_gridspec(len(near), 2, width_ratios=(2.4, 1.0))
+        axes = figure.add_subplot(cells[:, 0])
+        for row, mode in enumerate(near):
+            _from_near(figure.add_subplot(cells[row, 1]), *mode)
+    else:
+        figure = picture(6.8, 6.0)
+        axes = figure.subplots()
     for number, (poles, zeros) in enumerate(sets):
         _draw(axes, poles, times, "x", _POLE, "poles" if number == 0 else None)
         _draw(axes, zeros, times, "o", _ZERO, "zeros" if number == 0 and len(zeros.values) else None)
     axes.axhline(0, color="black", linewidth=0.6)
     axes.axvline(0, color="black", linewidth=0.6)
     axes.margins(0.15)
-    drawn = "" if times == 1 else f", drawn {times} times as large"
-    axes.set_xlabel(f"Real part [rad/s]   (ellipses: 2 std{drawn})", fontsize=SMALL)
+    drawn = "at the right, from near by" if near else "2 std" if times == 1 else f"2 std, drawn {times} times as large"
+    axes.set_xlabel(f"Real part [rad/s]   (ellipses: {drawn})", fontsize=SMALL)
     axes.set_ylabel("Imaginary part [rad/s]", fontsize=SMALL)
     axes.legend(fontsize=SMALL, loc="best")
     tidy(axes)
@@ -66,6 +74,36 @@ def _enlargement(every: list[Roots]) -> int:
     return int(decade * max(step for step in (1, 2, 5) if step * decade * largest <= _SHOWN))
 
 
+def _modes(poles: Roots, zeros: Roots) -> list[tuple[complex, np.ndarray, str, str]]:
+    """Return value, covariance, colour and word of the poles and zeros above the real axis, on which ellipses are lines."""
+    found = []
+    for roots, colour, word in ((poles, _POLE, "pole"), (zeros, _ZERO, "zero")):
+        for value, covariance in zip(np.asarray(roots.values), roots.covariance, strict=True):
+            if value.imag > 0:
+                found.append((complex(value), np.asarray(covariance), colour, word))
+    return found[:_CLOSE]
+
+
+def _from_near(axes: Any, value: complex, covariance: np.ndarray, colour: str, word: str) -> None:
+    """Draw the ellipse of two standard deviations around a pole or zero, both axes at one scale."""
+    x, y = ellipse(covariance)
+    real, imaginary = np.sqrt(np.diag(covariance))
+    reach = 1.3 * max(float(np.max(np.abs(x))), float(np.max(np.abs(y))), 1e-300)
+    unit, size = next(((u, s) for u, s in _UNITS if reach >= s), _UNITS[-1])
+    axes.plot(x / size, y / size, color=colour, linewidth=1.1)
+    axes.plot(0, 0, "x" if word == "pole" else "o", color=colour, fillstyle="none", markersize=6)
+    axes.set(xlim=(-reach / size, reach / size), ylim=(-reach / size, reach / size), aspect="equal")
+    axes.tick_params(labelsize=7)
+    axes.set_title(
+        f"{word} at {value.real:.4g} \u00b1 {real:.1g}\nand {value.imag:.5g} \u00b1 {imaginary:.1g} rad/s; ellipse: 2 std",
+        fontsize=8,
+        loc="left",
+    )
+    axes.set_xlabel(f"Real part, from there [{unit}]", fontsize=7)
+    axes.set_ylabel(f"Imaginary part, from there [{unit}]", fontsize=7)
+    tidy(axes)
+
+
 def _draw(axes: Any, roots: Roots, times: int, mark: str, colour: str, label: str | None) -> None:
     values: Any = roots.values
     axes.plot(
@@ -78,7 +116,7 @@ def _draw(axes: Any, roots: Roots, times: int, mark: str, colour: str, label: st
         label=label,
         linestyle="none",
     )
-    for value, covariance in zip(values, roots.covariance, strict=True):
+    for value, covariance in zip(values, roots.covariance, strict=True) if times else ():
         x, y = ellipse(covariance)
         axes.plot(value.real + times * x, value.imag + times * y, color=colour, linewidth=0.9)
 

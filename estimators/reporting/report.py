@@ -54,7 +54,7 @@ def report_dict(
         known = _with_held(found.final, named)
     else:
         first, named, known = found, found.effects, {}
-    learned = found.learned if isinstance(found, Improvement) else None
+    learned, nearest = (found.learned, found.nearest) if isinstance(found, Improvement) else (None, None)
     effects = [_effect(candidate, known) for candidate in named]
     accepted = {effect["id"] for effect in effects}
     return cleaned(
@@ -72,6 +72,7 @@ def report_dict(
             "policy": first.policy.as_dict(),
             "consequence": _consequence(first),
             "learned_force": learned.as_dict() if learned is not None else None,
+            "likely_effect": _effect(nearest, known) if nearest is not None else None,
         }
     )
 
@@ -278,9 +279,10 @@ def error_table(train: Comparison, validation: Comparison | None) -> Table:
 def parameter_table(fit: Fit, *, base: Fit | None = None) -> Table:
     """Return a table of parameters with standard deviations; with a base fit its values before them."""
     rows = []
-    known = _every(base) if base is not None else {}
+    known, bounds = _every(base) if base is not None else {}, fit.on_bounds()
     for name, p in _every(fit).items():
         std = "" if math.isnan(p.std) else f"{p.std:.2g}" if name in fit.information.names else "fixed"
+        std += ", on its bound" if name in bounds else ""
         row = [name, f"{p.value:.6g}", std, p.unit]
         if base is not None:
             row.insert(1, f"{known[name].value:.6g}" if name in known else "")

@@ -89,6 +89,12 @@ def of_diagnosis(
             f". As a last resort a learned force was added, which is no physical effect: on the {learned.port} against "
             f"{learned.variable.replace('_', ' ')}"
         )
+    nearest = found.nearest if isinstance(found, Improvement) else None
+    if nearest is not None:
+        what += (
+            f". As a last resort the nearest, {_effect(nearest, final)}, was added, which explains "
+            f"{100 * nearest.error_reduction:.0f} % of what was left: likely, not certain"
+        )
     before, after = ((tested or trained).models[n] for n in (0, -1))
     sure = f"{_error(before, tested is not None)}"
     if before is not after:
@@ -108,6 +114,10 @@ def of_diagnosis(
     }
     if isinstance(found, Improvement):
         steps["missing"] = "Use the model with it, in the range of motion that was recorded."
+    if nearest is not None:
+        steps[found.verdict] = (
+            "Use the model as far as its held-out error is good enough; what else is missing shows where the force below acts."
+        )
     if learned is not None:
         low, high = learned.between
         steps[found.verdict] = (

@@ -87,6 +87,7 @@ def test_a_dry_run_shows_what_was_understood_and_writes_nothing(tmp_path, free):
     (row,) = (line.split() for line in result.stdout.splitlines() if "cart_position" in line and "0.001" in line)
     assert row == ["x", "mm", "0.001", "cart_position", "m", "-0.009", "0.009"]
     assert "300 samples of 0.005 s" in result.stdout
+    assert "No unit is stated of these: t in s by assumption" in result.stdout
     assert "initial_arm_angle is not given" in result.stdout
     assert not (tmp_path / "rig.h5").exists()
 

@@ -19,6 +19,7 @@ from estimators.core.levenberg_marquardt import Arguments, factor
 from estimators.core.linearisation import at_fit
 from estimators.core.residual import diagonal_whitener, no_gain
 from estimators.diagnosis.candidate_set import plausible
+from estimators.reporting.report import parameter_table
 from rtac_jax import Scales, effects, virtual_rig
 from rtac_jax.parameters import declarations
 from rtac_jax.simulation import substeps_for
@@ -51,6 +52,24 @@ def test_a_fit_from_the_null_finds_what_there_is(recordings, name):
     found = fit.parameters[name]
     assert abs(found.value - truth) < 4.0 * found.std
     assert found.value > 0.5 * truth
+
+
+def test_an_estimate_that_stays_on_its_bound_is_named(recordings):
+    """Where a fit holds it, a ten thousandth of its deviation off; one that is a deviation off is not there."""
+    recording = recordings["arm_coulomb.level"]
+    model = rtac.RTAC.from_rig(recording)
+    ended = est.output_error(model + effects.ArmCoulomb(1e-4), recording, progress=False)
+    std = ended.parameters["arm_coulomb.level"].std
+    fit, without = (
+        dataclasses.replace(ended, model=ended.model.with_values({"arm_coulomb.level": times * std}))
+        for times in (1e-4, 1.0)
+    )
+    assert fit.on_bounds() == {"arm_coulomb.level": 0.0}
+    assert "arm_coulomb.level ended on its bound, 0: the data ask for no such term" in fit.outcome
+    row = next(row for row in parameter_table(fit).rows if row[0] == "arm_coulomb.level")
+    assert row[2].endswith(", on its bound")
+    assert without.on_bounds() == {}
+    assert "bound" not in without.outcome
 
 
 @pytest.mark.parametrize("name", [name for name in CASES if name != "arm_viscous.positive"])

@@ -106,6 +106,9 @@ def test_pictures_state_what_they_show(fit):
     assert "100 % of the measured magnitudes" in titles["bode"]
     assert "at 10.4 rad/s" in titles["bode"]
     assert "every mode is damped" in titles["poles"]
+    near = pictures["poles"].axes[1]  # the mode, whose ellipse would be a line beside the real pole far off
+    assert near.get_aspect() == 1.0
+    assert near.get_xlim()[1] == -near.get_xlim()[0] == near.get_ylim()[1]
     assert fit.correlations().plot().get_suptitle() == pictures["correlations"].get_suptitle()
     for name, figure in pictures.items():
         figure.draw_without_rendering()

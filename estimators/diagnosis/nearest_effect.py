@@ -1,0 +1,56 @@
+"""The effect that comes nearest where none explains all that is missing: kept if it serves held-out experiments."""
+
+from collections.abc import Mapping
+
+from estimators.diagnosis.candidate import Candidate
+from estimators.diagnosis.diagnose import Diagnosis
+from estimators.diagnosis.model_extension import Added, add_effect, misfit
+from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
+from rtac_jax.effects import Effect
+from rtac_jax.measurement import Recording
+from rtac_jax.parameters import declarations
+
+# Fraction of the misfit that the nearest effect removes, from which on it is worth a fit: most of what is missing.
+_MOST_OF_IT = 0.5
+
+
+def nearest_of(found: Diagnosis) -> Candidate | None:
+    """Return the candidate that removes most of the misfit, of those that were fitted; None where it is less than half."""
+    fitted = [c for c in found.candidates if c.refitted and c.testable and c.bic_gain > 0]
+    nearest = max(fitted, key=lambda c: c.error_reduction, default=None)
+    return nearest if nearest is not None and nearest.error_reduction > _MOST_OF_IT else None
+
+
+def add_nearest(
+    last: Added,
+    found: Diagnosis,
+    classes: Mapping[str, type[Effect]],
+    train: Recording,
+    held_out: Recording,
+    *,
+    policy: DiagnosisPolicy = STANDARD,
+    progress: bool,
+) -> tuple[Added, Candidate] | None:
+    """Return the model with the nearest effect, if the error of the held-out experiments clearly falls with it.
+
+    Args:
+        last: the model without it, against the held-out experiments.
+        found: the diagnosis of that model, with a verdict that is unknown.
+        classes: of the candidates, by id.
+        train: the recording that is fitted.
+        held_out: the recording that validates.
+        policy: the thresholds by which it is kept.
+        progress: show bars.
+    """
+    nearest = nearest_of(found)
+    if nearest is None or nearest.id not in classes or nearest.id in last.fit.model:
+        return None
+    cls = classes[nearest.id]
+    if not set(declarations(cls)) <= set(nearest.parameters):
+        return None
+    effect = cls(**{name: nearest.parameters[name].value for name in declarations(cls)})
+    label = f"+ {nearest.id}" if last.tested.label == "base" else f"{last.tested.label}, {nearest.id}"
+    step = add_effect(last.fit, last.tested, effect, label, train, held_out, policy=policy, progress=progress)
+    if isinstance(step, str) or misfit(step.tested) > (1 - policy.fall) * misfit(last.tested):
+        return None
+    return step, nearest

@@ -81,13 +81,13 @@ def _roughness(values: Float[np.ndarray, " sample"]) -> float:
 
 
 def initial_states(
-    experiments: Sequence[Experiment],
+    experiments: Sequence[Experiment], frequency: float | None = None
 ) -> tuple[Float[np.ndarray, "4 experiment"], Float[np.ndarray, "4 experiment"], Float[np.ndarray, "4 experiment"]]:
     """Return the initial states [m, m/s, rad, rad/s] as the first samples show them, their spread, and which are held.
 
-    Each is [4, experiment].
+    Each is [4, experiment]. Where the frequency of the motion [Hz] is known it need not be looked for.
     """
-    frequency = dominant_frequency(experiments)
+    frequency = frequency or dominant_frequency(experiments)
     state = np.zeros((4, len(experiments)))
     spread = np.full((4, len(experiments)), np.inf)
     held = np.zeros((4, len(experiments)))
@@ -186,7 +186,9 @@ def space_in_numpy(
     each = tuple(name for name in declared if name in model.per_experiment)
     names = tuple(name for name in declared if name not in each)
     count = len(experiments)
-    state, spread, held = initial_states(experiments)
+    moving = [e for e in experiments if e.kind != "rest"]
+    known = scales.frequency / (2 * np.pi) if len(moving) == len(experiments) else None
+    state, spread, held = initial_states(experiments, known)
     rows = start_rows(model)
     extra = len(rows) - 4
     by_unit = {

@@ -1,6 +1,6 @@
 """Sensor noise levels: seen at rest, stated in the file, or read off the quietest part of the spectrum."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from jaxtyping import Float
@@ -22,7 +22,7 @@ def noise_levels(experiments: Sequence[Experiment]) -> dict[str, float]:
         holders = [e for e in experiments if channel in e.outputs]
         if not holders:
             continue
-        step = min(quantisation_step(e.outputs[channel].values) for e in holders)
+        step = _least_step(e.outputs[channel].values for e in holders)
         stated = [s for e in holders if (s := e.outputs[channel].noise_std) is not None]
         resting = [e.outputs[channel].values for e in holders if e.kind == "rest"]
         moving = [e for e in holders if e.kind != "rest"]
@@ -35,6 +35,16 @@ def noise_levels(experiments: Sequence[Experiment]) -> dict[str, float]:
             level = float(np.median([spectral_floor(e.outputs[channel].values) for e in moving]))
         levels[channel] = max(level, step / np.sqrt(12.0), 1e-300)
     return levels
+
+
+def _least_step(several: Iterable[Values]) -> float:
+    """Return the smallest quantisation step of several records; where one has none, the others need not be sorted."""
+    least = np.inf
+    for values in several:
+        least = min(least, quantisation_step(values))
+        if least == 0.0:
+            break
+    return float(least)
 
 
 def quantisation_step(values: Values) -> float:

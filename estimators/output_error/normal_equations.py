@@ -82,16 +82,16 @@ def normal_equations(
         start, there = placed(at)
         return _stacked(states_at_start(there, start, data.excitation), shape)
 
-    def shown(at: Array, state: Array) -> Array:
-        seen = placed(at)[1].outputs(tuple(state))
+    def shown(values: Array, state: Array) -> Array:
+        seen = model.with_values(dict(zip(names, values, strict=True))).outputs(tuple(state))
         return _stacked([seen[place] for place in outputs], shape)
 
     def signals(at: Array) -> tuple[Any, Any]:
         driven = placed(at)[1].driven(data.excitation)
         return driven.current, driven.force
 
-    def onward(at: Array, state: Array, powers: tuple[Any, Any]) -> Array:
-        there = placed(at)[1]
+    def onward(values: Array, state: Array, powers: tuple[Any, Any]) -> Array:
+        there = model.with_values(dict(zip(names, values, strict=True)))
         there = there.without(*(effect.id for effect in there.effects if isinstance(effect, Input)))
         current, force = (None if x is None else tuple(x) for x in powers)
         after = advance(there, tuple(state), current, force, still, substeps=substeps)
@@ -103,29 +103,39 @@ def normal_equations(
     if any(isinstance(effect, Input) for effect in model.effects):
         d_rows = jax.vmap(lambda along: jax.jvp(signals, (unknowns,), (along,))[1], out_axes=1)(directions)
 
-    def one_sample(k: Any, carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+    # From unknowns to physical values once, and not in every sample.
+    values, moves = jax.vmap(
+        lambda along: jax.jvp(lambda at: physical(columns, at)[0], (unknowns,), (along,)), out_axes=(None, 0)
+    )(directions)
+
+    def one_sample(k: Any, carry: tuple[Array, Array, tuple[Array, ...]]) -> tuple[Array, Array, tuple[Array, ...]]:
         state, change, products = carry
-        value, slope = jax.vmap(lambda along, by: jax.jvp(shown, (unknowns, state), (along, by)), out_axes=(None, 0))(
-            directions, change
+        value, slope = jax.vmap(lambda along, by: jax.jvp(shown, (values, state), (along, by)), out_axes=(None, 0))(
+            moves, change
         )
         present = data.present[k][index]
         error = (data.values[k][index] - value) * present
         column = jnp.concatenate([-slope * present, error[None]])  # [column output experiment]
         column = jax.lax.optimization_barrier(jnp.moveaxis(column, 1, 0))
-        products = products + column[:, :, None] * column[:, None]
+        products = tuple(p + column[:, n:] * column[:, n, None] for n, p in enumerate(products))
         here = jax.tree.map(lambda x: x[k], rows)
         d_here = jax.tree.map(jnp.zeros_like, here) if d_rows is None else jax.tree.map(lambda x: x[k], d_rows)
         axis = None if d_rows is None else 0
         state, change = jax.vmap(
-            lambda along, by, push: jax.jvp(onward, (unknowns, state, here), (along, by, push)),
+            lambda along, by, push: jax.jvp(onward, (values, state, here), (along, by, push)),
             in_axes=(0, 0, axis),
             out_axes=(None, 0),
-        )(directions, change, d_here)
+        )(moves, change, d_here)
         return state, change, products
 
     state, change = jax.vmap(lambda along: jax.jvp(beginning, (unknowns,), (along,)), out_axes=(None, 0))(directions)
+    # The products are symmetric: of each row from the diagonal on.
+    rows_of = tuple(jnp.zeros((len(outputs), many + 1 - n, *shape)) for n in range(many + 1))
+    above = jax.lax.fori_loop(0, data.length, one_sample, (state, change, rows_of))[2]
     products = jnp.zeros((len(outputs), many + 1, many + 1, *shape))
-    return jax.lax.fori_loop(0, data.length, one_sample, (state, change, products))[2]
+    for n, row in enumerate(above):
+        products = products.at[:, n, n:].set(row).at[:, n:, n].set(row)
+    return products
 
 
 def _stacked(values: Sequence[Any], shape: tuple[int, ...]) -> Array:

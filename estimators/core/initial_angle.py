@@ -21,7 +21,8 @@ _BEST = 3  # minima on the circle from which a descent begins
 def angle_unknown(space: Space) -> Bool[np.ndarray, " experiment"]:
     """Return whether neither an encoder nor `initial_arm_angle` tells an experiment's angle at the start."""
     spread, held = np.asarray(space.start_spread)[ANGLE], np.asarray(space.start_held)[ANGLE]
-    return (spread >= UNKNOWN_ANGLE) & (held == 0)
+    # Where samples show a state nothing is known of it beforehand, and its spread is infinite.
+    return np.isfinite(spread) & (spread >= UNKNOWN_ANGLE) & (held == 0)
 
 
 def turned(unknowns: Unknowns, arguments: Arguments) -> list[Unknowns]:

@@ -8,7 +8,10 @@ import pytest
 
 import estimators as est
 import rtac_jax as rtac
+from estimators.core.initial_angle import angle_unknown
+from estimators.core.initial_state import space_of
 from rtac_jax import virtual_rig
+from rtac_jax.measurement import Signal
 
 ANGLES = 3.1  # rad, up to which the arm begins anywhere
 FIELDS = {
@@ -110,3 +113,19 @@ def test_prediction_error_ends_at_the_truth(blind: list[Blind], shaken: bool) ->
         fit = est.prediction_error_nonlinear(rtac.RTAC.from_rig(one.recording), one.recording, progress=False)
         assert max(map(abs, apart(one, fit).values())) < 4.0
         assert fit.force_noise == pytest.approx(3e-3, rel=0.2) if shaken else fit.force_noise < 1e-4
+
+
+def test_an_encoder_or_a_stated_angle_tells(blind: list[Blind]) -> None:
+    """Nothing is sought there, nor where the arm is locked."""
+    first = blind[0].recording["forced_1"]
+    outputs = {"arm_angle": Signal(np.cumsum(first.outputs["arm_velocity"].values) * 0.004, "rad")}
+    several = [
+        first,
+        dataclasses.replace(first, name="stated", initial_arm_angle=1.0),
+        dataclasses.replace(first, name="encoder", outputs=dict(first.outputs) | outputs),
+        dataclasses.replace(
+            first, name="locked", arm="locked", outputs={"cart_position": first.outputs["cart_position"]}
+        ),
+    ]
+    space = space_of(rtac.RTAC.paper(), several, free=[])
+    assert angle_unknown(space).tolist() == [True, False, False, False]

@@ -32,6 +32,8 @@ class Protocol:
     """Fields of the rig that are its sensors'."""
     without: tuple[str, ...] = ()
     """Channels that are not recorded."""
+    angles: bool = True
+    """Whether somebody notes where the arm begins."""
     constants_std: Mapping[str, float] = dataclasses.field(default_factory=dict)
     """Relative standard deviations [1] of the constants, as weighed and stated."""
     feedback: float = 0.0
@@ -59,6 +61,7 @@ PROTOCOLS: dict[str, Protocol] = {
     "coloured noise, no repeat": Protocol(repeats=0, sensors={"noise_correlation": 0.9}),
     "18 x 5,000": Protocol(duration=10.0, free=6, forced=12),
     "encoder, no tachometer": Protocol(sensors={"encoder": True}, without=("arm_velocity",)),
+    "angles not noted": Protocol(angles=False),
     "closed loop": Protocol(repeats=0, feedback=0.001),
     "weighed constants": Protocol(constants_std={"total_mass": 1e-3, "arm_inertia": 1e-2}),
     # One bit of the tachometer is two and a half times its noise.
@@ -106,7 +109,11 @@ def recorded(
         made = record(now)
     else:
         raise ArithmeticError(f"the current in the loop still changes by {change:.1g} A.")
-    return _without(made, protocol.without)
+    kept = _without(made, protocol.without)
+    if protocol.angles:
+        return kept
+    bare = tuple(dataclasses.replace(e, initial_arm_angle=None) for e in kept)
+    return dataclasses.replace(kept, experiments=bare)
 
 
 def _in_the_loop(plan: Plan, made: rtac.Recording, feedback: float) -> Plan:

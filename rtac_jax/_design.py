@@ -93,8 +93,8 @@ def design_excitation(
     silent = np.mean((played == 0) & (waves != 0), axis=1) > _MOST_SILENT
     if silent.any():
         raise ValueError(
-            f"initial_angles: the arm that starts at {initial_angles[int(np.argmax(silent))]:g} rad has no grip on the cart, or "
-            "soon comes to rest where it has none; start elsewhere, or change the current."
+            f"initial_angles: the arm that starts at {initial_angles[int(np.argmax(silent))]:.3g} rad is, or soon comes to rest, "
+            "near 90 degrees, where it has no grip on the cart; start elsewhere, or change the current."
         )
     sticks = np.flatnonzero(np.ptp(outputs[:, :, 0], axis=1) == 0)
     if len(sticks):

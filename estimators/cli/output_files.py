@@ -39,6 +39,8 @@ def writable_file(file: Path, option: str, *, replace: bool | None = None) -> No
         option: that names it.
         replace: the user asks for it to be written over, whatever it holds; None where a command knows no such wish.
     """
+    if str(file) == "-":
+        stop(WRONG_USE, f"{option}: standard output holds what is printed; name a file.")
     if file.parent.is_dir():
         try:
             is_folder = stat.S_ISDIR(os.stat(file).st_mode)

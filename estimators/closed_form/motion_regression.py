@@ -9,6 +9,7 @@ import numpy as np
 import scipy.ndimage as ndimage
 from jaxtyping import Bool, Float
 
+from estimators.closed_form.initial_angle import with_initial_angles
 from estimators.closed_form.modulating_functions import WeakMotion, integrated_terms, weak_motion
 from estimators.closed_form.regressors import Terms
 from estimators.closed_form.static_regressors import Added, Regressor, added_along, is_static, regressors_of
@@ -195,7 +196,7 @@ def motion_regression(
     same to select the terms of an unknown equation.
     """
     parts = []
-    for experiment in experiments:
+    for experiment in with_initial_angles(model, experiments, levels):
         try:
             motion = weak_motion(experiment, levels)
         except ValueError:

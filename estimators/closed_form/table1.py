@@ -126,7 +126,7 @@ def table_1(found: ClosedForm) -> str:
     for title, name in dict.fromkeys((*places, *(o for o in others if o[1] not in dict((b, a) for a, b in places)))):
         declared = found.model.parameters[name]
         rows.append([title, declared.symbol, f"{float(np.mean(np.asarray(found.model[name]))):.5g}", declared.unit])
-    parts.append(f"(c) parameters of the rig\n{_table(rows)}")
+    parts.append(f"(c) parameters of the rig, from all experiments together\n{_table(rows)}")
     return "\n\n".join(
         [
             *parts,

@@ -8,13 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from estimators.core.data import CHANNELS, Data
+from estimators.core.data import CHANNELS
 from estimators.core.residual import states_at_start
 from estimators.core.step_size import MOST_SUBSTEPS, STEP_ERROR
 from estimators.output_error.batched_fit import places_for, side_by_side
 from estimators.output_error.fit_case import Case
 from estimators.output_error.normal_equations import Columns, physical
-from rtac_jax import RTAC
+from rtac_jax import RTAC, Excitation
 from rtac_jax.programs import program
 from rtac_jax.simulation import Steps, substeps_for, trajectories
 
@@ -61,12 +61,13 @@ def _simulated(cases: Sequence[Case], substeps: int) -> list[Float[np.ndarray, "
     for first in range(0, len(cases), size := places_for(len(cases[0].experiments)) if cases else 1):
         here = cases[first : first + size]
         padded = [*here, *[here[-1]] * (size - len(here))]
-        data, columns, unknowns = side_by_side([(c.data, c.columns, c.unknowns) for c in padded])
+        parts = side_by_side([(c.data.excitation, c.columns, c.unknowns) for c in padded])
+        excitation, columns, unknowns = jax.tree.map(jnp.asarray, parts)
         one: Any = here[0]
         shown = np.asarray(
             _outputs(
-                one.model, one.names, one.held, jax.tree.map(jnp.asarray, data), jax.tree.map(jnp.asarray, columns),
-                jnp.asarray(unknowns), jnp.asarray(substeps),
+                one.model, one.names, one.held, one.data.room, excitation, columns, unknowns,
+                jnp.asarray(one.data.length), jnp.asarray(substeps),
             )
         )  # fmt: skip
         width = len(one.experiments)
@@ -79,12 +80,14 @@ def _outputs(
     model: RTAC,
     names: tuple[str, ...],
     held: tuple[str, ...],
-    data: Data,
+    room: int,
+    excitation: Excitation,
     columns: Columns,
     unknowns: Array,
+    samples: Steps,
     substeps: Steps,
 ) -> Array:
     values, start = physical(columns, unknowns)
     here = model.with_values(dict(zip((*held, *names), (*columns.known, *values), strict=True)))
-    state = states_at_start(here, start, data.excitation)
-    return trajectories(here, state, data.excitation, samples=data.length, room=data.room, substeps=substeps)
+    state = states_at_start(here, start, excitation)
+    return trajectories(here, state, excitation, samples=samples, room=room, substeps=substeps)

@@ -18,6 +18,7 @@ from estimators.uncertainty.envelope import Envelope
 from estimators.uncertainty.fitted_model import FittedInEnvelope
 
 _BANDS = 4
+_CANCELS = 0.15  # distance of a zero from a pole, over the pole's size, below which a mode hardly shows
 
 
 def envelope_dict(
@@ -180,6 +181,7 @@ def remarks(found: Envelope, used: UsableConditions) -> list[str]:
             "|W| is at least 1 everywhere, so no linear controller can be robust for all of these conditions: they differ in "
             "phase or sign, or the nominal model needs a higher order."
         )
+    said += cancelled_modes(found.nominal)
     largest = SOURCES[int(np.argmax(found.attribution.shares.mean(axis=1)))]
     said.append(
         f"The gaps come mostly from the {SOURCE_WORDS[largest].replace('left by', 'dynamics that are left by')}. "
@@ -197,6 +199,21 @@ def remarks(found: Envelope, used: UsableConditions) -> list[str]:
         )
     said += _near_ninety_degrees(used)
     said += [f"Left out: {name}: {why.rstrip('.')}." for name, why in used.left_out.items()]
+    return said
+
+
+def cancelled_modes(nominal: ct.TransferFunction) -> list[str]:
+    """Name modes of the nominal model that zeros all but cancel: they follow scatter of the conditions, and no rig's mode."""
+    poles: Any = np.asarray(nominal.poles())
+    zeros: Any = np.asarray(nominal.zeros())
+    said = []
+    for pole in poles[poles.imag > 0]:
+        if len(zeros) and np.min(np.abs(zeros - pole)) < _CANCELS * np.abs(pole):
+            fewer = len(poles) - 2
+            said.append(
+                f"P0's mode at {np.abs(pole):.3g} rad/s is all but cancelled by zeros beside it: it follows the scatter of the "
+                f"conditions rather than a mode of the rig. An order of {fewer} does without it (--order {fewer})."
+            )
     return said
 
 

@@ -58,7 +58,7 @@ def fit_table(known: AllEstimates) -> str:
 def estimates_table(known: AllEstimates) -> Table:
     """Return the same numbers as a table of a report, where every standard deviation says what it takes for granted."""
     header, *rows = _rows(known)
-    names = iter(("closed form std", "output error std", "prediction error std"))
+    names = iter((f"{_form(known)} std", "output error std", "prediction error std"))
     words = {
         "coloured": "output error std, coloured residual",
         "clustered": "output error std, independent experiments",
@@ -77,10 +77,14 @@ def recommended_table(advice: Recommendation, fit: Fit) -> Table:
     return Table(("parameter", "recommended", "std", "unit"), rows, advice.sentence)
 
 
+def _form(known: AllEstimates) -> str:
+    return "weak form" if known.closed.options.weak else "closed form"
+
+
 def _rows(known: AllEstimates) -> list[list[str]]:
     """Return all estimates with all standard deviations, one parameter a row, under a header."""
     fit, predicted, agreed, spread = known.fit, known.predicted, known.agreed, known.spread
-    header = ["parameter", "unit", "closed form", "std", "output error", "std"]
+    header = ["parameter", "unit", _form(known), "std", "output error", "std"]
     if spread is not None:
         header += ["coloured", "clustered"]
     if predicted is not None:

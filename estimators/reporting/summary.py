@@ -103,6 +103,8 @@ def of_diagnosis(
         kind = "experiments that no fit has seen" if tested is not None else "the fitted experiments"
         sure = f"error over noise on {kind}: {falls}"
     rivals = sorted({name for c in effects for name in c.confusable_with})
+    told = [f"{c.id} by a BIC gain of {c.bic_gain:,.0f}" for c in effects if c.bic_gain > 0]
+    sure += f"; {' and '.join(told)}" if told else ""
     sure += f"; confusable with {', '.join(rivals)}" if rivals else ""
     steps = {
         "adequate": "Use the model: a controller (rtac envelope, rtac control), given recordings of several conditions.",

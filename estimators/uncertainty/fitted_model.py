@@ -65,7 +65,9 @@ class FittedInEnvelope:
     def sentences(self) -> list[str]:
         """Say where the envelope and the fitted model part, and what to record instead; one line where they agree."""
         where = (
-            f"{self.distance:.1f} times outside W, most at {self.at:.3g} rad/s"
+            f"outside W by {100 * (self.distance - 1):.2g} %, at {self.at:.3g} rad/s"
+            if 1 < self.distance < 2
+            else f"{self.distance:.1f} times outside W, most at {self.at:.3g} rad/s"
             if self.distance > 1
             else f"inside W (largest |Delta| {self.distance:.2f}, at {self.at:.3g} rad/s)"
         )

@@ -106,7 +106,7 @@ class Comparison(Result):
             return ""
         return (
             f"Predictions {self.ahead} samples ahead: their errors are correlated even where the model is right, so whether "
-            "they are white is not asked, and they contain what the state at the beginning of each is not known by."
+            "they are white is not asked, and each holds the error of the state from which it was made."
         )
 
     def overview(self) -> Overview:

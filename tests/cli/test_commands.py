@@ -171,7 +171,7 @@ def test_the_json_has_the_form_that_was_agreed(ran, command):
     content = ran[command][2]
     assert set(content) == {
         "format", "version", "verdict", "mended", "effects", "candidates", "parameters", "error", "next_experiment",
-        "seconds", "policy", "consequence", "learned_force",
+        "seconds", "policy", "consequence", "learned_force", "likely_effect",
     }  # fmt: skip
     assert content["verdict"] == "missing"
     assert content["next_experiment"] is None
@@ -194,7 +194,7 @@ def test_the_json_has_the_form_that_was_agreed(ran, command):
 
 def test_fit_sets_both_estimates_side_by_side(ran):
     result, _, content = ran["fit"]
-    assert "closed form" in result.stdout
+    assert "weak form" in result.stdout
     assert "output error" in result.stdout
     assert content["closed_form"]["torque_constant"]["unit"] == "N m/A"
     for pair in content["agreement"]["pairs"]:
@@ -220,7 +220,7 @@ def test_fit_recommends_one_estimate_and_shows_all_deviations_in_its_report(ran)
     assert content["criteria"]["bic"] > content["criteria"]["aic"]
     assert f"AIC {content['criteria']['aic']:.1f}" in result.stdout
     page = (folder / "report.html").read_text()
-    heads = ("closed form std", "output error std, coloured residual", "output error std, independent experiments")
+    heads = ("weak form std", "output error std, coloured residual", "output error std, independent experiments")
     assert all(f"{head}</th>" in page for head in heads)
 
 

@@ -1,4 +1,7 @@
-"""A learned force as the last resort of the loop, on a hidden law of the independent virtual rig that is in no catalogue."""
+"""The last resorts of the loop, on the independent virtual rig.
+
+A learned force for a hidden law that is in no catalogue, and the nearest effect where a diagnosis names none.
+"""
 
 import dataclasses
 import json
@@ -11,6 +14,7 @@ from hidden_effects import beyond_noise
 
 import estimators as est
 import rtac_jax as rtac
+from estimators.core.fit import Parameter
 from estimators.diagnosis import improve as loop
 from estimators.diagnosis.learned_force import learn_force
 from estimators.diagnosis.model_extension import Added
@@ -182,3 +186,25 @@ def test_a_small_fall_near_the_noise_is_not_enough(
     assert isinstance(said, str)
     assert "the held-out error does not clearly fall" in said
     assert {policy.near_noise for policy in policies} == {0.0}
+
+
+def test_the_nearest_effect_is_added_and_called_likely(
+    learned: est.Improvement, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A cubic spring is hidden, and the diagnosis, which is made up, does not name it."""
+    nearest = dataclasses.replace(
+        learned.diagnoses[-1].candidates[0],
+        refitted=True, testable=True, bic_gain=50.0, error_reduction=0.8,
+        parameters={"stiffness": Parameter(4e4, 1e3, "N/m^3")},
+    )  # fmt: skip
+    monkeypatch.setattr(
+        loop, "diagnose", lambda *_, **__: dataclasses.replace(learned.diagnoses[-1], candidates=(nearest,))
+    )
+    found = improved(recorded(CUBIC))
+    assert found.nearest is not None
+    assert (found.verdict, found.added, found.learned) == ("unknown", (), None)
+    before, after = (beyond_noise(found.validation, n) for n in (0, -1))
+    assert sum(after.values()) < 0.5 * sum(before.values())
+    assert found.final.parameters["cubic_spring.stiffness"].value == pytest.approx(5e4, rel=0.03)
+    assert "no effect of the catalogue explains all of it. The nearest, cubic_spring, explains 80 %" in found.headline
+    assert "it is likely, and not certain" in found.headline

@@ -312,15 +312,13 @@ class _Run:
         if not angle_unknown(end.space).any():
             return None
         shared, each, start = end.space.physical(end.solved.unknowns)
-        # The starts alone, at these parameters, as a comparison seeks them.
+        # The starts alone, at these parameters, as a comparison seeks them; by the program of the fit.
         space = dataclasses.replace(
             end.space,
             values=shared,
             each_values=each,
             start=start,
-            active=jnp.zeros(0, dtype=int),
-            known=None,
-            known_std=None,
+            active=jnp.full_like(end.space.active, len(end.space.names)),
         )
         whitener, nothing = diagonal_whitener(noise, self.data), no_gain(end.model, self.data)
         arguments = Arguments(end.model, self.data, space, whitener, nothing, end.substeps)

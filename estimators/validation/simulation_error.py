@@ -14,7 +14,7 @@ from estimators.core.fit import Fit
 from estimators.core.information_criteria import InformationCriteria
 from estimators.core.initial_state import space_of
 from estimators.core.levenberg_marquardt import Arguments, plain_residual
-from estimators.core.parameter_space import Unknowns
+from estimators.core.parameter_space import Space, Unknowns
 from estimators.core.residual import diagonal_whitener, no_gain
 from estimators.core.result_base import Result
 from estimators.core.results import DivergedError
@@ -31,6 +31,9 @@ from rtac_jax.overview import Overview
 
 # Longer experiments without memory of their start take it from their beginning alone.
 _LONG, _BEGINNING = 8192, 2048
+_OVER = (
+    8  # times that experiments are simulated over and over at most, which costs less than compiling for their number
+)
 _LOST = 1e100  # an output beyond this has left all bounds, and its square would overflow
 
 Fitted = Fit | PredictorFit | RTAC
@@ -229,12 +232,12 @@ def _compare_one(
     far: dict[str, tuple[str, float]] = {}
     for group in groups:
         if ahead is None:
-            simulated, start, used = _simulated(model, label, group, levels, known, start_samples, _substeps(fit))
+            simulated, start, used = _simulated(model, label, group, levels, known, start_samples, fit)
         else:
             blind = [e for e in group if e.initial_arm_angle is None and "arm_angle" not in e.outputs]
             begun = {e.name: known[e.name] for e in blind if known is not None and e.name in known}
             if unknown := [e for e in blind if e.name not in begun]:
-                begun |= _simulated(model, label, unknown, levels, None, start_samples, _substeps(fit))[1]
+                begun |= _simulated(model, label, unknown, levels, None, start_samples, fit)[1]
             predictor = fit if isinstance(fit, PredictorFit) else None
             simulated, start = ahead_of(model, group, levels, ahead=ahead, fit=predictor, starts=begun)
             used = max(ahead, start_samples or 0)
@@ -272,11 +275,12 @@ def _simulated(
     levels: Mapping[str, float],
     known: Mapping[str, np.ndarray] | None,
     start_samples: int | None,
-    substeps: int | None,
+    fit: Fitted,
 ) -> tuple[np.ndarray, dict[str, np.ndarray], int]:
     """Return the outputs with the best start, the starts, and the sample from which on the error counts."""
-    space = space_of(model, experiments, free=[], start=known)
-    unknowns = space.unconstrained()
+    asked, experiments = experiments, _as_many_as(fit, experiments)
+    space = _with_places(fit, space_of(model, experiments, free=[], start=known))
+    unknowns, substeps = space.unconstrained(), _substeps(fit)
     noise = np.array([levels.get(channel, 1.0) for channel in CHANNELS])
     window = start_samples
     longest = max(e.samples for e in experiments)
@@ -309,7 +313,24 @@ def _simulated(
     if missing.any():
         simulated = np.where(missing, np.nan, simulated)
     states = np.asarray(space.physical(unknowns)[2])
-    return simulated, {e.name: states[:, i] for i, e in enumerate(experiments)}, start_samples or 0
+    starts = {e.name: states[:, i] for i, e in enumerate(asked)}
+    return simulated[..., : len(asked)], starts, start_samples or 0
+
+
+def _as_many_as(fit: Fitted, experiments: Sequence[Experiment]) -> list[Experiment]:
+    """Return the experiments, over and over until there are as many as were fitted: what the fit compiled serves them too."""
+    several = list(experiments)
+    if isinstance(fit, RTAC) or not len(several) < len(fit.experiments) <= _OVER * len(several):
+        return several
+    return [several[n % len(several)] for n in range(len(fit.experiments))]
+
+
+def _with_places(fit: Fitted, space: Space) -> Space:
+    """Return the space of the starts with places past the end for the parameters that the fit estimated, for the same reason."""
+    if isinstance(fit, RTAC):
+        return space
+    count = sum(name not in fit.model.per_experiment for name in fit.model.free)
+    return dataclasses.replace(space, active=jnp.full(count, len(space.names), dtype=int))
 
 
 def _outputs(unknowns: Unknowns, arguments: Arguments, label: str, experiments: Sequence[Experiment]) -> np.ndarray:

@@ -12,8 +12,9 @@ import rtac_jax as rtac
 from estimators.core.data import Data, moving
 from estimators.core.initial_rest import at_rest, best_starts, squares
 from estimators.core.initial_state import space_of
-from estimators.core.levenberg_marquardt import Arguments
+from estimators.core.levenberg_marquardt import Arguments, factor, plain_residual
 from estimators.core.residual import diagonal_whitener, no_gain
+from estimators.validation import simulation_error
 from estimators.validation.simulation_error import Trace
 from rtac_jax import virtual_rig
 from rtac_jax.effects import SplineForce
@@ -68,6 +69,25 @@ def test_of_several_starts_each_experiment_takes_the_one_that_leaves_least() -> 
     assert best_starts([told, rest], arguments, worth=1e-6) is told
     lost = told._replace(start=told.start.at[0].set(np.nan))
     assert best_starts([told, lost], arguments) is told
+
+
+def test_fewer_experiments_than_were_fitted_need_no_other_program(monkeypatch: pytest.MonkeyPatch) -> None:
+    """They are simulated over and over, and come out as they do alone."""
+    plans = virtual_rig.standard_plans(seed=5, sample_time=0.01, duration=3.0, free=2, forced=3, rest=1)
+    recording = virtual_rig.record(virtual_rig.Rig(), plans, seed=6)
+    train, held_out = recording.split(["free_2", "forced_3"])
+    fit = est.output_error(rtac.RTAC.from_rig(recording), train, progress=False)
+    before = factor.compiled, plain_residual.compiled
+    found = est.compare(fit, held_out).models[0]
+    assert (factor.compiled, plain_residual.compiled) == before
+    monkeypatch.setattr(simulation_error, "_OVER", 0)
+    alone = est.compare(fit, held_out).models[0]
+    assert (factor.compiled, plain_residual.compiled) != before
+    assert [trace.experiment for trace in found.traces] == [trace.experiment for trace in alone.traces]
+    for one, other in zip(found.traces, alone.traces, strict=True):
+        np.testing.assert_allclose(one.simulated, other.simulated, atol=1e-3 * one.noise)
+    for name, start in alone.start.items():
+        np.testing.assert_allclose(found.start[name], start, atol=1e-3)
 
 
 @pytest.fixture(scope="module")

@@ -13,6 +13,7 @@ from estimators.prediction_error.force_probe import KNOTS, ForceProbe
 from estimators.prediction_error.innovations import Innovations, Rows
 from rtac_jax.effects.spline_force import PORTS, SHAPES, VARIABLES, SplineForce
 
+_APART = 0.1  # singular value over the largest, below which curves are not told apart
 # As many hats as a learned force has shapes, over the whole range, as heights at the knots.
 _WIDE = np.maximum(0.0, 1.0 - np.abs(np.linspace(0, SHAPES - 1, KNOTS) - np.arange(SHAPES)[:, None]))
 
@@ -61,17 +62,16 @@ class ForceCurve:
 
         Its curves have no slope that a spring or viscous friction of the model has: fitted beside these, they would share it.
         """
-        shapes = self.shapes[:SHAPES]
+        shapes, amounts = self.shapes[:SHAPES], self.amounts[:SHAPES]
         if (slopes := self._of_the_model()) is not None:
-            basis = np.column_stack([slopes, np.ones(len(self.at))])
-            shapes = shapes - np.linalg.lstsq(basis, shapes.T, rcond=None)[0][:-1].T @ slopes.T
-        size = np.max(np.abs(shapes * self.amounts[:SHAPES, None]), axis=1)
+            shapes, amounts = _without_slopes(shapes, amounts, slopes)
+        size = np.max(np.abs(shapes * amounts[:, None]), axis=1)
         size = np.where(size > 0, size, 1.0)
         between = (float(self.at[0]), float(self.at[-1]))
         # Amounts in units of what was found, so that all of them are of order one.
         return SplineForce.over(
             self.variable, between, port=self.port, shapes=shapes * size[:, None],
-            amounts=self.amounts[:SHAPES] / size, slow=self.slow,
+            amounts=amounts / size, slow=self.slow,
         )  # fmt: skip
 
     def _of_the_model(self) -> Float[np.ndarray, "knot slope"] | None:
@@ -97,6 +97,23 @@ class ForceCurve:
         if self.evidence is None:
             raise ValueError("this curve holds no evidence to make formulas of; take one that est.diagnose made.")
         return formulas_of(self.port, self.variable, self.at, self.evidence, self.slow, most=most)
+
+
+def _without_slopes(
+    shapes: Float[np.ndarray, "shape knot"],
+    amounts: Float[np.ndarray, " shape"],
+    slopes: Float[np.ndarray, "knot slope"],
+) -> tuple[Float[np.ndarray, "kept knot"], Float[np.ndarray, " kept"]]:
+    """Return curves that span what the shapes are beside these slopes, and the amounts that make the same force of them.
+
+    A shape that is little more than a slope leaves next to nothing, which no fit could tell from the other shapes.
+    """
+    basis = np.column_stack([slopes, np.ones(len(slopes))])
+    left = shapes - np.linalg.lstsq(basis, shapes.T, rcond=None)[0][:-1].T @ slopes.T
+    alike = left / np.maximum(np.max(np.abs(shapes), axis=1, keepdims=True), 1e-300)
+    _, size, across = np.linalg.svd(alike, full_matrices=False)
+    kept = across[size > _APART * size[0]]
+    return kept, kept @ (amounts @ left)
 
 
 _QUARTERS = 4  # folds of a single experiment, or of two

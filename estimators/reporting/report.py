@@ -280,7 +280,10 @@ def parameter_table(fit: Fit, *, base: Fit | None = None) -> Table:
     """Return a table of parameters with standard deviations; with a base fit its values before them."""
     rows = []
     known, bounds = _every(base) if base is not None else {}, fit.on_bounds()
+    idle = {f"{effect.id}.{name}" for effect in fit.model.effects for name in effect.idle}
     for name, p in _every(fit).items():
+        if name in idle:
+            continue
         std = "" if math.isnan(p.std) else f"{p.std:.2g}" if name in fit.information.names else "fixed"
         std += ", on its bound" if name in bounds else ""
         row = [name, f"{p.value:.6g}", std, p.unit]

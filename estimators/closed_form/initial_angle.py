@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from estimators.closed_form.modulating_functions import NEAR_WEAK, integrated_terms
+from estimators.closed_form.modulating_functions import NEAR_WEAK, WeakMotion, integrated_terms, weak_motion
 from estimators.closed_form.regressors import Terms
 from estimators.closed_form.two_stage import solve_each, tells_of_cart
 from rtac_jax import RTAC
@@ -14,6 +14,7 @@ from rtac_jax.measurement import Experiment
 # Eccentric moment over its standard deviation above which its direction is an angle. Rows overlap, so that the deviation is
 # too small by a factor of two or so, and an angle is known to a fifth of a radian or better.
 _SEEN = 10.0
+_MORE = 3  # torques that a model may lack
 _CART, _ARM = ("viscous", "dry", "spring"), ("current", "positive", "negative")
 
 
@@ -45,16 +46,18 @@ def _told(experiment: Experiment) -> bool:
 
 def _angle(model: RTAC, experiment: Experiment, levels: Mapping[str, float]) -> float | None:
     try:
+        begun = [dataclasses.replace(experiment, initial_arm_angle=angle) for angle in (0.0, 0.5 * np.pi)]
+        motions = [weak_motion(e) for e in begun]
         along, across = (
-            integrated_terms(dataclasses.replace(experiment, initial_arm_angle=angle), levels, near_zero=NEAR_WEAK)
-            for angle in (0.0, 0.5 * np.pi)
+            integrated_terms(e, levels, near_zero=NEAR_WEAK, motion=motion)
+            for e, motion in zip(begun, motions, strict=True)
         )
     except ValueError:
         return None  # too short for test functions, or the cart's motion was not measured
     if not tells_of_cart(along):
         return None
     mass, inertia = (float(np.mean(np.asarray(model[name]))) for name in ("total_mass", "arm_inertia"))
-    parts = [_of_cart(along, across, mass), _of_arm(along, across, inertia)]
+    parts = [_of_cart(along, across, mass), _of_arm(along, across, inertia, motions[0])]
     # The equations by their accelerations first, then each by its own error.
     found = _solved(parts, (1.0 / mass, 1.0 / inertia))[0]
     found, deviation = _solved(
@@ -80,12 +83,18 @@ def _of_cart(along: Terms, across: Terms, mass: float) -> tuple[np.ndarray, np.n
     """Return regressors and target of the cart's equation; the moment's components come first."""
     rows = along.sliding
     columns = [along.cart["swing"], across.cart["swing"], *(along.cart[name] for name in _CART)]
-    columns += [np.zeros(len(rows))] * len(_ARM)
+    columns += [np.zeros(len(rows))] * (len(_ARM) + _MORE)
     return np.stack(columns, axis=1)[rows], (along.cart["force"] - mass * along.cart["mass"])[rows]
 
 
-def _of_arm(along: Terms, across: Terms, inertia: float) -> tuple[np.ndarray, np.ndarray]:
+def _of_arm(along: Terms, across: Terms, inertia: float, motion: WeakMotion) -> tuple[np.ndarray, np.ndarray]:
+    """Return regressors and target of the arm's equation.
+
+    With them torques that a model may lack, a constant one, one against the angle and one against the motion: unexplained they
+    would hide in the moment.
+    """
     count = len(along.arm["inertia"])
     columns = [along.arm["reaction"], across.arm["reaction"], *[np.zeros(count)] * len(_CART)]
     columns += [-along.arm["current"], along.arm["positive"], along.arm["negative"]]
+    columns += [motion.on_arm(x) for x in (np.ones(len(motion.angle)), motion.angle, np.sign(motion.turning))]
     return np.stack(columns, axis=1), -inertia * along.arm["inertia"]

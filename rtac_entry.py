@@ -66,7 +66,12 @@ def _wait(receiving: int) -> None:
             _end(number)
 
 
+_first = iter((True,))  # whoever takes what it holds, which one alone can, ends the process
+
+
 def _end(number: int) -> None:
+    if not next(_first, False):
+        return  # a handler and the thread may both have heard the signal
     # What was being written lies beside its place under a name of its own. The module is only looked for, not imported.
     aside = getattr(sys.modules.get("rtac_jax.measurement.atomic_write"), "unfinished", ())
     for path in tuple(aside):

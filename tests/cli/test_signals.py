@@ -147,3 +147,10 @@ def test_a_command_with_a_closed_pipe_ends_quietly(file):
     )
     os.close(writing)
     assert (done.returncode, done.stderr) == (0, b"")
+
+
+def test_whoever_hears_a_signal_second_says_nothing():
+    """A handler and the thread that waits beside it may both hear one; the first is about to end the process."""
+    script = "import os, rtac_entry\nrtac_entry.os._exit = lambda status: None\nfor _ in range(2): rtac_entry._end(2)"
+    ended = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=20, check=True)
+    assert ended.stderr.splitlines() == [INTERRUPTED]

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from estimators.closed_form.initial_angle import with_initial_angles
+from estimators.closed_form.initial_angle import angle_told, with_initial_angles
 from estimators.closed_form.modulating_functions import NEAR_WEAK, integrated_terms
 from estimators.closed_form.regressors import Terms, automatic_cutoff, sampled_terms
 from estimators.closed_form.table1 import ClosedForm, ClosedFormOptions
@@ -19,6 +19,7 @@ from rtac_jax.measurement import Experiment, Recording
 _TURNS = 4
 _DRY = "cart_coulomb.level"
 _NEAR = 0.05  # of the rms velocity, below which the sign of a filtered velocity is wrong
+_LOST = "experiment {}: nobody measured where the arm begins, and it moves too little to show it."
 AS_IN_PAPER: Mapping[str, Any] = {"weighting": "none", "near_zero": 0.0}
 """Options of `least_squares` that leave out what the paper does not write of: weights, and samples where the cart hardly moves."""
 
@@ -116,6 +117,13 @@ def closed_form(
         e.name: e.initial_arm_angle for e in experiments if e.initial_arm_angle is not None and e.name not in told
     }
     skipped: dict[str, str] = {}
+    if options.reaction:  # counted with a wrong angle it shifts the stiffness by many of its deviations
+        lost = {e.name for e in experiments if e.initial_arm_angle is None and not angle_told(e)}
+        for kind in ("free", "forced"):
+            alike = [e for e in experiments if e.kind == kind]
+            if any(e.name not in lost for e in alike):
+                skipped |= {e.name: _LOST.format(e.name) for e in alike if e.name in lost}
+        experiments = [e for e in experiments if e.name not in skipped]
     used: dict[str, float] = {}
 
     def terms(model: RTAC) -> list[Terms]:

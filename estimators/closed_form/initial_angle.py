@@ -33,13 +33,14 @@ def with_initial_angles(
     """
     return [
         dataclasses.replace(e, initial_arm_angle=angle)
-        if not _told(e) and (angle := _angle(model, e, levels)) is not None
+        if not angle_told(e) and (angle := _angle(model, e, levels)) is not None
         else e
         for e in experiments
     ]
 
 
-def _told(experiment: Experiment) -> bool:
+def angle_told(experiment: Experiment) -> bool:
+    """Return whether the arm's angle is known, or whether no angle can be found: the arm is locked, or nobody saw it."""
     known = experiment.initial_arm_angle is not None or "arm_angle" in experiment.outputs
     return known or experiment.arm != "free" or "arm_velocity" not in experiment.outputs
 

@@ -20,9 +20,8 @@ HEADER = ("parameter", "value", "std", "unit")
 FAR = 10.0
 """Times its noise, beyond which a channel's residual says that the model does not follow the rig."""
 
-_ON_BOUND = (
-    0.02  # standard deviations: one that a fit holds there lies nearer, and one that happens to come so near seldom
-)
+# Standard deviations: one that a fit holds there lies nearer, and one that happens to come so near seldom.
+_ON_BOUND = 0.02
 
 
 @dataclasses.dataclass(frozen=True)

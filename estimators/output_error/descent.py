@@ -1,0 +1,291 @@
+"""The descent of output error from one start: by guided predictions to the free simulation, channels weighted by what is left."""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from estimators.core.active_bounds import OFF_BOUNDS, solve_bounded
+from estimators.core.data import CHANNELS, Data
+from estimators.core.fisher_information import information
+from estimators.core.initial_angle import angle_unknown
+from estimators.core.initial_rest import at_rest, best_starts, may_swing, squares
+from estimators.core.initial_state import scales_of, space_of
+from estimators.core.levenberg_marquardt import NEGLIGIBLE, Arguments, Solved, diverged, factor, plain_residual
+from estimators.core.parameter_space import Space, Unknowns
+from estimators.core.residual import diagonal_whitener, no_gain
+from estimators.core.start_search import beyond_noise, searched
+from estimators.core.step_size import accurate_substeps
+from estimators.output_error.horizons import horizons
+from estimators.output_error.robust import Robust
+from estimators.output_error.robust import robust as robust_fit
+from estimators.prediction_error.noise_estimation import NoiseModel, run_filter, start_variance
+from rtac_jax import RTAC
+from rtac_jax.measurement import Experiment
+
+# Random force and torque of the predictor, as fractions of the rms ones: from strong to weak correction.
+_CORRECTION = (0.3, 0.03)
+# Times the noise from which on a start is led to the simulation by predictions with correction.
+_GUIDED = 5.0
+# An experiment begins at rest where that leaves less than this fraction of what is left from where its first samples begin.
+_AT_REST = 0.5
+# An arm whose angle nobody tells is begun elsewhere where that leaves less than this fraction of an experiment's squares.
+_TURNED = 0.95
+# A start whose short predictions stay this many times worse than another's is given up.
+_HOPELESS = 5.0
+# A start leads where another one did if, once both were guided, the rms of what sets their simulations apart is less than this
+# many times the noise of every sensor: no measurement could tell them from each other.
+_ALIKE = 0.3
+# Gain in log-likelihood for which a stage that only makes a start for the next takes no further step; where a start that was
+# guided is held against another's, both have to be nearer to where they lead.
+_START, _GUIDANCE = 1.0, 1e-2
+# Passes with the channels weighed by what the one before left: at most so many, to the last digits once a pass gains less than
+# the second in log-likelihood, and until one gains less than the third.
+_REWEIGHTINGS, _REWEIGHTED, _SETTLED = 10, 1.0, 1e-2
+
+
+@dataclasses.dataclass(frozen=True)
+class DescentEnd:
+    """The end of a descent.
+
+    Attributes:
+        model: whose parameters were free, at the values where the descent began.
+        space: of the unknowns.
+        solved: the last of its problems.
+        deviation: rms of each channel's residual.
+        cost: negative log-likelihood with the noise levels at their best values, less a constant.
+        substeps: Runge-Kutta steps per sample.
+    """
+
+    model: RTAC
+    space: Space
+    solved: Solved
+    deviation: np.ndarray
+    cost: float
+    substeps: int
+
+
+@dataclasses.dataclass
+class Descent:
+    """The descent from each of several starts, and what is the same for all of them.
+
+    Attributes:
+        data, experiments: that are fitted.
+        levels: noise of each channel, SI units.
+        tolerance, steps: as `output_error` takes them.
+        bar: of progress.
+        taken: steps that all descents took.
+        nearest: least cost of guided predictions so far.
+        followed: what each descent simulated once it was guided, and where it ended.
+    """
+
+    data: Data
+    experiments: Sequence[Experiment]
+    levels: Mapping[str, float]
+    tolerance: float
+    steps: int
+    bar: Any
+    taken: int = 0
+    nearest: float = np.inf
+    followed: list[tuple[np.ndarray, DescentEnd]] = dataclasses.field(default_factory=list)
+
+    def descend(self, model: RTAC, *, best: float) -> DescentEnd | None:
+        """Descend from predictions with strong correction to the free simulation; None where that leads nowhere.
+
+        Where the guided start simulates what that of an earlier descent did, the rest would be the same: its end is returned.
+        """
+        space = space_of(model, self.experiments, free=[n for n in model.free if n not in model.per_experiment])
+        unknowns = space.unconstrained(off_bounds=OFF_BOUNDS)
+        noise = np.array([self.levels.get(channel, 1.0) for channel in CHANNELS])
+        scales = scales_of(model, self.experiments)
+        nothing = no_gain(model, self.data)
+        whitener = diagonal_whitener(noise, self.data)
+        substeps = accurate_substeps(model, self.data, space, unknowns, noise)
+        if may_swing(model):
+            simulated = Arguments(model, self.data, space, whitener, nothing, substeps)
+            unknowns = best_starts([unknowns, at_rest(unknowns, space)], simulated, worth=_AT_REST)
+        parts = horizons(Arguments(model, self.data, space, whitener, nothing, substeps), unknowns)
+        # A start whose free simulation is near already, as after adding what a diagnosis found, needs no guidance.
+        begins_near = bool(np.all(self._deviation(model, space, unknowns, substeps, noise) < _GUIDED * noise))
+        for share in () if begins_near else _CORRECTION:
+            gain, corrected = self._gain(parts[0], model, space, unknowns, noise, scales, share, substeps)
+            arguments = Arguments(model, parts[0], space, corrected, gain, substeps)
+            self._require_determined(space, unknowns, arguments)
+            near = self._solve(unknowns, arguments, tolerance=1e-3, gain=_GUIDANCE, most=15)
+            unknowns = near.unknowns
+            if share == _CORRECTION[0]:
+                # Half a unit of each sample is noise: whoever predicts that well is not hopeless.
+                if near.cost > _HOPELESS * max(self.nearest, 0.5 * float(jnp.sum(self.data.present))):
+                    return None
+                self.nearest = min(self.nearest, near.cost)
+        for part in () if begins_near else parts[:-1]:
+            arguments = Arguments(model, part, space, whitener, nothing, substeps)
+            unknowns = self._solve(unknowns, arguments, tolerance=1e-2, gain=_GUIDANCE, most=15).unknowns
+        guided = self._simulated(model, space, unknowns, substeps)
+        if (same := self._followed(guided, noise)) is not None:
+            return same
+        end = self._weighted(model, space, unknowns, substeps, noise, self._rms(guided, noise), best)
+        if (elsewhere := self._turned(end, noise)) is not None:
+            end = min(
+                end,
+                self._weighted(model, space, elsewhere, substeps, noise, end.deviation, best),
+                key=lambda one: one.cost,
+            )
+        self.followed.append((guided, end))
+        return end
+
+    def _weighted(
+        self, model: RTAC, space: Space, unknowns: Unknowns, substeps: int, noise: np.ndarray, deviation: np.ndarray,
+        best: float,
+    ) -> DescentEnd:  # fmt: skip
+        """Descend with channels weighted by what is left of them, until that settles."""
+        nothing = no_gain(model, self.data)
+        cost, solved = np.inf, None
+        nearly = False
+        for _ in range(_REWEIGHTINGS):
+            # Each channel counts by what the pass before left of it, so that in the end its deviation is estimated, too.
+            whitener = diagonal_whitener(deviation, self.data)
+            arguments = Arguments(model, self.data, space, whitener, nothing, substeps)
+            self._require_determined(space, unknowns, arguments)
+            if nearly:
+                solved = self._solve(unknowns, arguments, tolerance=self.tolerance, most=self.steps)
+            else:
+                solved = self._solve(unknowns, arguments, tolerance=1e-2, gain=_START, most=15)
+            unknowns = solved.unknowns
+            deviation = self._deviation(model, space, unknowns, substeps, noise)
+            before, cost = cost, _concentrated(deviation, self.data) + space.penalty(space.physical(unknowns)[0])
+            if cost > best + 1.0 * float(jnp.sum(self.data.present)):
+                break  # hopeless beside another start: not worth the last digits
+            if nearly and before - cost < _SETTLED:
+                break
+            nearly = nearly or before - cost < _REWEIGHTED
+        assert solved is not None
+        return DescentEnd(model, space, solved, deviation, cost, substeps)
+
+    def _turned(self, end: DescentEnd, noise: np.ndarray) -> Unknowns | None:
+        """Return the unknowns with the arm begun elsewhere, in experiments that do not tell its angle, where that leaves less.
+
+        None where it does not, and where the simulation leaves no more than noise.
+        """
+        if not angle_unknown(end.space).any():
+            return None
+        shared, each, start = end.space.physical(end.solved.unknowns)
+        # The starts alone, at these parameters, as a comparison seeks them; by the program of the fit.
+        space = dataclasses.replace(
+            end.space,
+            values=shared,
+            each_values=each,
+            start=start,
+            active=jnp.full_like(end.space.active, len(end.space.names)),
+        )
+        whitener, nothing = diagonal_whitener(noise, self.data), no_gain(end.model, self.data)
+        arguments = Arguments(end.model, self.data, space, whitener, nothing, end.substeps)
+        unknowns = space.unconstrained()
+        if not np.any(beyond_noise(unknowns, arguments) & angle_unknown(space)):
+            return None
+        found = searched(unknowns, arguments)
+        if found is None or np.all(squares(found, arguments) > _TURNED * squares(unknowns, arguments)):
+            return None
+        states = space.physical(found)[2]
+        scaled = (states - end.space.start) / end.space.start_scale
+        return end.solved.unknowns._replace(start=jnp.where(end.space.start_held > 0, 0.0, scaled))
+
+    def _followed(self, guided: np.ndarray, noise: np.ndarray) -> DescentEnd | None:
+        """Return the end of an earlier descent that went through the same simulation; None if none did."""
+        count = np.maximum(np.asarray(self.data.present).sum(axis=(0, 2)), 1.0)
+        for earlier, end in self.followed:
+            apart = np.sqrt(((guided - earlier) ** 2).sum(axis=(0, 2)) / count)
+            if np.all(apart < _ALIKE * noise):
+                return end
+        return None
+
+    def _solve(
+        self, unknowns: Unknowns, arguments: Arguments, *, tolerance: float, gain: float = NEGLIGIBLE, most: int
+    ) -> Solved:
+        return solve_bounded(unknowns, arguments, tolerance=tolerance, gain=gain, most=most, progress=self._show)
+
+    def weighted(self, stage: DescentEnd, data: Data, experiments: Sequence[Experiment]) -> Robust:
+        """Go on from the end of a descent with weights that discount what lies too far off for noise, in all of the data."""
+        return robust_fit(
+            stage.model,
+            data,
+            stage.space,
+            stage.solved.unknowns,
+            experiments,
+            substeps=stage.substeps,
+            noise=np.array([self.levels.get(channel, 1.0) for channel in CHANNELS]),
+            tolerance=1e-4,
+            steps=self.steps,
+            progress=self._show,
+        )
+
+    def _show(self, text: str) -> None:
+        self.taken += 1
+        self.bar.update(1)
+        self.bar.set_postfix_str(text, refresh=False)
+
+    def _require_determined(self, space: Space, unknowns: Unknowns, arguments: Arguments) -> None:
+        """Refuse data that leave parameters free, before the first step.
+
+        Along directions that are free the descent would wander until the model breaks.
+        """
+        if self.taken == 0:
+            first = factor(unknowns, arguments)
+            if not diverged(first):
+                information(np.asarray(first), space, unknowns).require_determined()
+
+    def _gain(
+        self, data: Data, model: RTAC, space: Space, unknowns: Unknowns, noise: np.ndarray, scales: Any, share: float,
+        substeps: int,
+    ) -> tuple[Array, Array]:  # fmt: skip
+        # By the function that a diagnosis runs too, so that it is compiled once for both.
+        interval = float(np.min(np.asarray(data.excitation.sample_time)))
+        known = NoiseModel(noise, np.ones_like(noise), scales.force, scales.torque, interval, start_variance(space))
+        size = np.concatenate([np.full(2, 2 * np.log(share)), np.zeros(len(CHANNELS))])
+        physical = space.physical(unknowns)
+        result = run_filter(model, data, space, physical, known, size, jnp.asarray(substeps)).filtered
+        # One whitener for all samples: enough for a start, and the same compiled function as for the simulation.
+        return result.gain, jnp.asarray(_settled(np.asarray(result.whitener), data))
+
+    def _simulated(
+        self, model: RTAC, space: Space, unknowns: Unknowns, substeps: int
+    ) -> Float[np.ndarray, "sample output experiment"]:
+        """Return what a free simulation leaves of the measurements; zero where there is none."""
+        whitener = diagonal_whitener(np.ones(len(CHANNELS)), self.data)
+        arguments = Arguments(model, self.data, space, whitener, no_gain(model, self.data), substeps)
+        return np.asarray(plain_residual(unknowns, arguments)[0])
+
+    def _deviation(self, model: RTAC, space: Space, unknowns: Unknowns, substeps: int, noise: np.ndarray) -> np.ndarray:
+        return self._rms(self._simulated(model, space, unknowns, substeps), noise)
+
+    def _rms(self, error: np.ndarray, noise: np.ndarray) -> np.ndarray:
+        count = np.maximum(np.asarray(self.data.present).sum(axis=(0, 2)), 1.0)
+        rms = np.sqrt((error**2).sum(axis=(0, 2)) / count)
+        # A channel cannot be trusted beyond its sensor, or one that happens to fit would drown the others.
+        return np.where(rms > 0, np.maximum(rms, 1e-12 * noise), noise)
+
+
+def _settled(whitener: np.ndarray, data: Data) -> Float[np.ndarray, "1 row output experiment"]:
+    """Return the median whitener of each experiment and channel after its first quarter, over the samples that are there.
+
+    Where a channel has no sample the filter's whitener is zero: counted, an experiment that is shorter than others, or a
+    channel sampled less often, would tell nothing.
+    """
+    found = np.zeros((1, *whitener.shape[1:]))
+    present = np.asarray(data.present) > 0
+    for column in range(data.experiments):
+        for row in range(whitener.shape[1]):
+            there = np.flatnonzero(present[:, row, column])
+            late = there[there >= (there[-1] + 1) // 4] if len(there) else there
+            if len(late):
+                found[0, row, :, column] = np.median(whitener[late, row, :, column], axis=0)
+    return found
+
+
+def _concentrated(deviation: np.ndarray, data: Data) -> float:
+    """Return the negative log-likelihood with the noise levels at their best values, less a constant."""
+    count = np.asarray(data.present).sum(axis=(0, 2))
+    return float(np.sum(count * np.log(np.where(count > 0, deviation, 1.0))))

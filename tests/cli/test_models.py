@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from command_line import call, refused
+from made_up_results import compared
 from small_experiments import forced, free, rest
 from users_effects import MagneticSpring
 
@@ -16,6 +17,7 @@ import rtac_jax as rtac
 from estimators.cli import job, models
 from estimators.core.data import mark_of
 from estimators.core.fisher_information import Information
+from estimators.validation.simulation_error import Comparison
 from rtac_jax.effects import CubicSpring
 from rtac_jax.measurement import Recording
 
@@ -119,6 +121,18 @@ def test_a_controller_is_designed_for_a_fit_of_another_recording(tmp_path, monke
     assert taken[0].experiments == ("elsewhere",)
     assert str(taken[0].model) == str(MODEL)
     assert not fitted
+
+
+@pytest.mark.parametrize(("error", "said"), [(1.0, False), (3000.0, True)])
+def test_a_model_that_does_not_follow_the_recording_is_named_first(error, said):
+    words = estimators.cli.control._does_not_follow(Comparison((compared("model", error),)))
+    assert bool(words) is said
+    assert not said or words[0].startswith("The model does not follow this recording")
+
+
+def test_standard_output_is_no_file(tmp_path):
+    recording().save(tmp_path / "rig.h5")
+    refused(call("info", tmp_path / "rig.h5", "--json", "-"), 2, "--json", "name a file")
 
 
 def test_a_model_with_an_effect_of_ones_own_needs_its_file(tmp_path):

@@ -7,7 +7,7 @@ import pytest
 import estimators as est
 from estimators.plots import plot_envelope
 from estimators.uncertainty.closed_form_check import closed_form_check
-from estimators.uncertainty.fitted_model import fitted_in_envelope
+from estimators.uncertainty.fitted_model import FittedInEnvelope, fitted_in_envelope
 from rtac_jax import RTAC, virtual_rig
 from rtac_jax.measurement import from_rest, multisine
 
@@ -115,3 +115,9 @@ def test_the_picture_shows_the_fitted_curve(held_by_friction):
     assert "fitted model" in [text.get_text() for text in with_it.get_axes()[2].get_legend().get_texts()]
     assert len(with_it.get_axes()[1].lines) == len(without.get_axes()[1].lines) + 1
     with_it.draw_without_rendering()
+
+
+@pytest.mark.parametrize(("distance", "words"), [(1.04, "lies outside W by 4 %"), (8.7, "lies 8.7 times outside W")])
+def test_a_little_outside_is_said_in_percent(distance: float, words: str) -> None:
+    found = FittedInEnvelope(np.ones(2), np.ones(2, dtype=complex), distance, 10.4, -6.0, 10.4, (), "Record more.")
+    assert words in found.sentences()[0]

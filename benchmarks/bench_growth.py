@@ -43,7 +43,7 @@ def measured(samples: int, experiments: int, parameters: int, effects: int) -> d
     import estimators as est
     from estimators.core.data import CHANNELS, Data, moving, pieces
     from estimators.core.initial_state import space_of
-    from estimators.core.levenberg_marquardt import Arguments, factor
+    from estimators.core.jacobian_factor import Arguments, factor
     from estimators.core.residual import diagonal_whitener, no_gain
 
     rtac.configure()

@@ -22,7 +22,7 @@ def of_estimator(chosen: argparse.Namespace) -> tuple[dict[str, float], int]:
 
     from estimators.core.data import CHANNELS, Data, moving, pieces
     from estimators.core.initial_state import space_of
-    from estimators.core.levenberg_marquardt import Arguments, factor, plain_residual
+    from estimators.core.jacobian_factor import Arguments, factor, plain_residual
     from estimators.core.residual import diagonal_whitener, no_gain
 
     recording = problem(chosen.experiments, chosen.samples).recording

@@ -26,7 +26,8 @@ def package(problem: Problem, starts: str) -> Fit:
     import estimators as est
     from estimators.core.data import CHANNELS, Data, moving, pieces
     from estimators.core.initial_state import space_of
-    from estimators.core.levenberg_marquardt import Arguments, solve
+    from estimators.core.jacobian_factor import Arguments
+    from estimators.core.levenberg_marquardt import solve
     from estimators.core.residual import diagonal_whitener
 
     model = model_for(problem.recording)

@@ -6,8 +6,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from estimators.core.bound_transform import to_unconstrained
+from estimators.core.concentrated_noise import ConcentratedNoise
 from estimators.core.fisher_information import each_deviations, each_slope, information, slope_of
-from estimators.core.levenberg_marquardt import NEGLIGIBLE, Arguments, Solved, factor, solve
+from estimators.core.jacobian_factor import Arguments, Passes
+from estimators.core.levenberg_marquardt import NEGLIGIBLE, Solved, solve
 from estimators.core.parameter_space import Space, Unknowns
 
 # Standard deviations from its bound at which a parameter is held there; no more of its plausible size, or what the data do not
@@ -34,6 +36,7 @@ def solve_bounded(
     gain: float = NEGLIGIBLE,
     most: int = 60,
     progress: object = None,
+    noise: ConcentratedNoise | None = None,
 ) -> Solved:
     """Minimise the sum of squares as `solve` does, with parameters that run to a bound held on it.
 
@@ -47,9 +50,12 @@ def solve_bounded(
         turn += 1
         space, at = _holding(whole, unknowns, held)
         within = dataclasses.replace(arguments, space=space)
-        solved = solve(at, within, tolerance=tolerance, gain=gain, most=most, progress=progress)
+        solved = solve(at, within, tolerance=tolerance, gain=gain, most=most, progress=progress, noise=noise)
         unknowns = solved.unknowns
-        full = np.asarray(factor(unknowns, dataclasses.replace(arguments, space=whole))) if held else solved.factor
+        full = solved.factor
+        if held:
+            weights = None if noise is None else 1.0 / noise.deviations(solved.squares)
+            full = Passes(arguments).factors(unknowns).joined(weights)
         before = dict(held)
         held, inside = _on_bounds(whole, unknowns, full, held)
         apart = _each_pulled(whole, unknowns, full)

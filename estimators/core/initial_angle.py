@@ -6,7 +6,7 @@ from jaxtyping import Bool
 
 from estimators.core.initial_rest import squares
 from estimators.core.initial_state import UNKNOWN_ANGLE
-from estimators.core.levenberg_marquardt import Arguments
+from estimators.core.jacobian_factor import Arguments
 from estimators.core.parameter_space import Space, Unknowns
 
 ANGLE = 2

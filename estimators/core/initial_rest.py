@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from estimators.core.levenberg_marquardt import Arguments, plain_residual
+from estimators.core.jacobian_factor import Arguments, plain_residual
 from estimators.core.parameter_space import Space, Unknowns
 from rtac_jax import RTAC
 

@@ -1,136 +1,37 @@
-"""optimistix's Levenberg-Marquardt on the compressed residual, one step at a time so that progress shows."""
+"""Levenberg and Marquardt's method by optimistix's damped steps, with trials along their arc that are simulated alone.
+
+A pass with the Jacobian takes as long as a dozen simulations. So once a step was too long, how much to damp it is found by
+simulations, and the next pass is where the best of them ended.
+"""
 
 from typing import Any, NamedTuple
 
-import equinox as eqx
-import jax
 import jax.numpy as jnp
+import lineax as lx
 import numpy as np
 import optimistix as optx
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
-from estimators.core.data import Data
-from estimators.core.parameter_space import Space, Unknowns
-from estimators.core.piecewise_triangle import piecewise_triangle, worth_cutting
-from estimators.core.residual import residual, triangle
-from rtac_jax import RTAC
+from estimators.core.concentrated_noise import ConcentratedNoise
+from estimators.core.jacobian_factor import Arguments, Factors, Passes, plain_residual, promised_gain
+from estimators.core.parameter_space import Unknowns
 from rtac_jax.programs import program
-from rtac_jax.simulation import Steps
 
-_HOPELESS = 1e30
 # A gain in log-likelihood that moves no parameter by a fiftieth of its standard deviation.
 _NOTHING = 2e-4
 NEGLIGIBLE = 1e-6
 """Gain in log-likelihood that a last step may promise and need not be taken: none moves a parameter by 0.0015 of its standard
 deviation."""
-# Singular values of less than this fraction of the largest are of unknowns that do nothing.
-_RANK = 1e-12
-
-
-class Arguments(eqx.Module):
-    """All that the residual needs beside the unknowns; a change of values never compiles again."""
-
-    model: RTAC
-    data: Data
-    space: Space
-    whitener: Array
-    gain: Array | None
-    substeps: Steps = eqx.field(converter=jnp.asarray)
-
-
-def _factor(unknowns: Unknowns, arguments: Arguments) -> Array:
-    compressed = piecewise_triangle if worth_cutting(arguments.model, arguments.data) else triangle
-    factor = compressed(
-        arguments.model,
-        arguments.data,
-        arguments.space,
-        unknowns,
-        arguments.whitener,
-        substeps=arguments.substeps,
-        gain=arguments.gain,
-    )
-    # A trial step that makes the model diverge must look worse than any other, not like nothing.
-    return jnp.where(jnp.all(jnp.isfinite(factor)), factor, jnp.zeros_like(factor).at[:, -1, -1].set(_HOPELESS))
-
-
-@program
-def factor(unknowns: Unknowns, arguments: Arguments) -> Array:
-    """Return the triangular factor of residual and Jacobian, per experiment; see `triangle`."""
-    return _factor(unknowns, arguments)
-
-
-def diverged(factor: Array) -> bool:
-    """Return whether the factor is that of a model that left all bounds."""
-    return bool(np.max(np.asarray(factor)[:, -1, -1]) >= _HOPELESS)
-
-
-def promised_gain(factor: np.ndarray, shared: int) -> float:
-    """Return the gain in log-likelihood that a full step of Gauss and Newton promises: half the squared Newton decrement.
-
-    Args:
-        factor: the triangular factors of residual and Jacobian, per experiment.
-        shared: number of unknowns that all experiments share; they come first.
-
-    Source: Boyd and Vandenberghe, Convex Optimization (2004), section 9.5.1.
-    """
-    residual = factor[..., -1:]
-    both = np.concatenate([factor[..., :shared], residual], axis=-1)
-    # What each experiment has for itself explains its part first; the shared unknowns part of what is left.
-    basis = _basis(factor[..., shared:-1])
-    part = np.swapaxes(basis, -1, -2) @ both
-    left = (both - basis @ part).reshape(-1, shared + 1)
-    together = _basis(left[:, :-1]).T @ left[:, -1]
-    return 0.5 * float(np.sum(part[..., -1] ** 2) + together @ together)
-
-
-def _basis(columns: np.ndarray) -> np.ndarray:
-    """Return an orthonormal basis of what the columns of matrices span, with zeros in place of what they do not."""
-    if columns.shape[-1] == 0:
-        return columns
-    left, size, _ = np.linalg.svd(columns, full_matrices=False)
-    counts = size > _RANK * np.maximum(size[..., :1], np.finfo(float).tiny)
-    return left * counts[..., None, :]
-
-
-@program
-def plain_residual(unknowns: Unknowns, arguments: Arguments) -> tuple[Array, Array]:
-    """Return the residual itself and the deviation of the starts from what is known of them; see `residual`."""
-    a = arguments
-    return residual(a.model, a.data, a.space, unknowns, a.whitener, substeps=a.substeps, gain=a.gain)
-
-
-def _linearised(unknowns: Unknowns, at: tuple[Unknowns, Array]) -> tuple[Array, None]:
-    """Return the compressed residual near a point where its triangular factor is known.
-
-    The optimiser asks for value and Jacobian at that point only, so the heavy function is compiled once, apart from the
-    optimiser.
-    """
-    point, factor = at
-    shared, each, start = (now - then for now, then in zip(unknowns, point, strict=True))
-    own = jnp.concatenate([jnp.broadcast_to(shared[:, None], (len(shared), factor.shape[0])), each, start])
-    return factor[..., -1] + jnp.einsum("brc,cb->br", factor[..., :-1], own), None
-
-
-_OPTIONS = {"jac": "bwd"}  # gives the Jacobian as an array, which a compiled step can take and return
-
-
-@program
-def _init(solver: Any, unknowns: Unknowns, factor: Array) -> Any:
-    shape = jax.eval_shape(lambda: factor[..., -1])
-    return solver.init(_linearised, unknowns, (unknowns, factor), _OPTIONS, shape, None, frozenset())
-
-
-@program
-def _step(solver: Any, unknowns: Unknowns, state: Any, factor: Array) -> tuple[Unknowns, Any, Array]:
-    at = (state.y_eval, factor)
-    unknowns, state, _ = solver.step(_linearised, unknowns, at, _OPTIONS, state, frozenset())
-    return unknowns, state, 0.5 * jnp.sum(state.f_info.residual**2)
-
-
-def _largest(tree: Any) -> Array:
-    """Return the largest absolute element; optimistix's own norm cannot take empty arrays."""
-    leaves = [jnp.max(jnp.abs(leaf)) for leaf in jax.tree.leaves(tree) if leaf.size]
-    return jnp.max(jnp.stack(leaves)) if leaves else jnp.zeros(())
+# A step is taken that gains at least this fraction of what it promises (Gould et al., 4OR 3 (2005), as in optimistix).
+_WORTH = 0.01
+# Damping of a full step, far below what any data say of an unknown that they show; by how much less it is after a step that
+# gained what it promised; its factors along the arc, and from what was best last to where the next arc begins.
+_FULL, _LESS, _ALONG, _BOLDER = 1.0, 3.5, 8.0, 64.0
+# A step that gains less than this fraction of what a full one promises was stopped by a kink; of how many points beyond it the
+# slopes are counted, too.
+_POOR, _BESIDE = 0.1, 3
+# Unknowns are padded to one of these numbers, and beyond to multiples of the last, so that all models share a few programs.
+_SIZES = (16, 32, 48, 64, 96, 128)
 
 
 class Solved(NamedTuple):
@@ -138,10 +39,11 @@ class Solved(NamedTuple):
 
     Attributes:
         unknowns: there.
-        factor: the triangular factor there.
-        cost: half the sum of squares.
-        steps: number of steps tried.
-        converged: whether steps and residual stopped changing, rather than the number of steps running out.
+        factor: the triangular factor there, channels as weighted last.
+        cost: half the sum of squares, or what stands for those of the channels where they are weighted anew.
+        steps: number of passes with the Jacobian after the first.
+        converged: whether no step gains more, rather than the number of steps running out.
+        squares: sum of squares of each channel's residual, unweighted.
         pulled: whether a parameter was left on its bound although the data pull it inwards.
     """
 
@@ -150,7 +52,64 @@ class Solved(NamedTuple):
     cost: float
     steps: int
     converged: bool
+    squares: np.ndarray
     pulled: bool = False
+
+
+@program
+def _damped(factor: Array, damping: Array) -> Array:
+    """Return the step of the linearised problem with this damping."""
+    unknowns = jnp.zeros(factor.shape[1] - 1)
+    told = optx.FunctionInfo.ResidualJac(factor[:, -1], lx.MatrixLinearOperator(factor[:, :-1]))
+    descent: Any = optx.DampedNewtonDescent()
+    step, _ = descent.step(1.0 / damping, descent.query(unknowns, told, descent.init(unknowns, told)))
+    return step
+
+
+class _Arc:
+    """The steps from one point by their damping."""
+
+    def __init__(self, unknowns: Unknowns, factor: Float[np.ndarray, "experiment row column"]) -> None:
+        self._from = unknowns
+        self._joined = _triangle_of_all(unknowns, factor)
+        size = self._joined.shape[1] - 1
+        room = next((s for s in _SIZES if s >= size), -(-size // _SIZES[-1]) * _SIZES[-1])
+        padded = np.zeros((room + 1, room + 1))
+        padded[: size + 1, :size] = self._joined[:, :-1]
+        padded[: size + 1, -1] = self._joined[:, -1]
+        self._padded = jnp.asarray(padded)
+
+    def at(self, damping: float) -> tuple[Unknowns, float]:
+        """Return where the step with this damping leads, and by how much it promises to lower the cost."""
+        residual, jacobian = self._joined[:, -1], self._joined[:, :-1]
+        step = np.asarray(_damped(self._padded, jnp.asarray(damping)))[: jacobian.shape[1]]
+        left = residual + jacobian @ step
+        parts, first = [], 0
+        for leaf in self._from:
+            part = step[first : first + np.size(leaf)]
+            parts.append(jnp.asarray(np.asarray(leaf) + part.reshape(np.shape(leaf))))
+            first += np.size(leaf)
+        return Unknowns(*parts), 0.5 * float(residual @ residual - left @ left)
+
+
+def _triangle_of_all(
+    unknowns: Unknowns, factor: Float[np.ndarray, "experiment row column"]
+) -> Float[np.ndarray, "every every"]:
+    """Return one triangular factor by the unknowns of all experiments, each after the other, and the residual."""
+    experiments, rows, _ = factor.shape
+    shared, each, start = (np.size(leaf) for leaf in unknowns)
+    own = len(unknowns.each), len(unknowns.start)
+    whole = np.zeros((experiments, rows, shared + each + start + 1))
+    whole[..., :shared], whole[..., -1] = factor[..., :shared], factor[..., -1]
+    for column in range(experiments):
+        first = shared
+        for count in own:
+            places = first + column + experiments * np.arange(count)
+            at = shared + (0 if first == shared else own[0])
+            whole[column][:, places] = factor[column, :, at : at + count]
+            first += count * experiments
+    found = np.asarray(np.linalg.qr(whole.reshape(-1, whole.shape[2]), mode="r"))
+    return np.pad(found, ((0, max(0, found.shape[1] - found.shape[0])), (0, 0)))
 
 
 def solve(
@@ -161,50 +120,187 @@ def solve(
     gain: float = NEGLIGIBLE,
     most: int = 60,
     progress: Any = None,
+    noise: ConcentratedNoise | None = None,
 ) -> Solved:
     """Minimise the sum of squares.
 
     Args:
         unknowns: to begin at.
         arguments: of the residual.
-        tolerance: relative change of unknowns and residual below which it stops.
+        tolerance: relative change of unknowns below which it stops; and of the cost, by a tenth of it twice in a row.
         gain: promised by a full step, below which it stops too.
-        most: steps to try.
-        progress: called with a line of text after every step.
+        most: passes with the Jacobian to try after the first.
+        progress: called with a line of text after every one.
+        noise: by which channels are weighted, anew at each point, so that its cost is what is minimised; by default they have
+            the weights that the arguments give them. A step that lowers the weighted squares lowers that cost, too: the
+            logarithm of a channel's squares lies below its tangent.
 
     Raises:
         FloatingPointError: the model diverges at the very start.
     """
-    small: Any = jnp.asarray(tolerance)  # an array, or every tolerance would compile its own step
-    solver = optx.LevenbergMarquardt(rtol=small, atol=small, norm=_largest)
-    trial = factor(unknowns, arguments)
-    if diverged(trial):
+    passes = Passes(arguments)
+    here = passes.factors(unknowns)
+    if here.diverged:
         raise FloatingPointError(
             "The model diverges at the start values; give start values nearer to the rig, or check the units."
         )
-    best, shared = np.asarray(trial), len(unknowns.shared)
-    if promised_gain(best, shared) < gain:
-        return Solved(unknowns, best, 0.5 * float(np.sum(best[..., -1] ** 2)), 0, True)
-    state = _init(solver, unknowns, trial)
-    cost, quiet, converged, step = np.inf, 0, False, 0
-    for step in range(1, most + 1):
-        before = unknowns
-        unknowns, state, value = _step(solver, unknowns, state, trial)
-        now = float(value)
-        taken = not _same(unknowns, before)
-        if taken:
-            best = np.asarray(trial)
-        if progress is not None:
-            progress(f"step {step}, cost {now:.6g}")
-        if now < cost:
-            quiet = quiet + 1 if cost - now < max(0.1 * tolerance * now, _NOTHING) else 0
-            cost = now
-        if bool(state.terminate) or quiet >= 2 or (taken and promised_gain(best, shared) < gain):
-            converged = True
+    walk = _Walk(arguments, passes, most)
+    quiet, converged = 0, False
+    while True:
+        weights = np.ones(len(here.squares)) if noise is None else 1.0 / noise.deviations(here.squares)
+        best = here.joined(weights)
+        promised = promised_gain(best, len(unknowns.shared))
+        converged = converged or quiet >= 2 or promised < gain
+        if converged or walk.steps >= most:
             break
-        trial = factor(state.y_eval, arguments)
-    return Solved(unknowns, best, cost, step, converged)
+        taken = walk.step(unknowns, best, weights, promised)
+        if taken is None:
+            converged = walk.steps < most
+            break
+        cost = 0.5 * float(np.sum(best[..., -1] ** 2))
+        if progress is not None:
+            progress(f"step {walk.steps}, cost {cost - taken.gained:.6g}")
+        quiet = quiet + 1 if taken.gained < max(0.1 * tolerance * cost, _NOTHING) else 0
+        converged = walk.full and _near(taken.unknowns, unknowns, tolerance)
+        unknowns, here = taken.unknowns, taken.factors
+    cost = _cost(here, weights)
+    if noise is not None:
+        cost += noise.cost(here.squares) - 0.5 * float(weights**2 @ here.squares)
+    return Solved(unknowns, best, cost, walk.steps, converged, here.squares)
 
 
-def _same(one: Unknowns, other: Unknowns) -> bool:
-    return all(np.array_equal(a, b) for a, b in zip(one, other, strict=True))
+class _Taken(NamedTuple):
+    """A step that was taken: where it led, the factors there, and what it gained."""
+
+    unknowns: Unknowns
+    factors: Factors
+    gained: float
+
+
+class _Found(NamedTuple):
+    """The best step along an arc, None where none gains anything; what it gains, its damping, and the last that led too far."""
+
+    there: Unknowns | None
+    gained: float
+    damping: float
+    beyond: Unknowns | None
+
+
+class _Walk:
+    """The way from point to point, and what the last steps showed of the damping that the next need.
+
+    Attributes:
+        steps: passes with the Jacobian so far.
+        full: whether steps are tried as they are, by a pass.
+    """
+
+    def __init__(self, arguments: Arguments, passes: Passes, most: int) -> None:
+        self.steps, self.full = 0, True
+        self._arguments, self._passes, self._most = arguments, passes, most
+        self._damping = _FULL
+        self._beside: list[_Taken] = []
+
+    def step(
+        self,
+        unknowns: Unknowns,
+        factor: Float[np.ndarray, "experiment row column"],
+        weights: Float[np.ndarray, " output"],
+        promised: float,
+    ) -> _Taken | None:
+        """Return the next step; None where none gains anything, or no pass is left.
+
+        Args:
+            unknowns: where it begins.
+            factor: there.
+            weights: of the channels.
+            promised: what a full step promises to gain.
+        """
+        cost = 0.5 * float(np.sum(factor[..., -1] ** 2))
+        arc = _Arc(unknowns, factor)
+        if self.full:
+            there, expected = arc.at(self._damping)
+            tried = self._passed(there, cost, weights)
+            if tried.gained > 0 and tried.gained >= _WORTH * expected:
+                if tried.gained > (1 - _WORTH) * expected:
+                    self._damping /= _LESS
+                return tried
+            self.full, self._beside = False, []
+            self._remember(tried)
+            damping = _ALONG * self._damping
+        else:
+            damping = max(self._damping / _BOLDER, _FULL)
+        found = self._along(arc, damping, cost, weights)
+        for _ in range(_BESIDE):
+            if found.gained >= _POOR * promised or self.steps >= self._most:
+                break
+            # A kink, as dry friction makes them: the step leads along it that the slopes on both of its sides agree on.
+            if found.beyond is not None:
+                self._remember(self._passed(found.beyond, cost, weights))
+            several = [factor, *(_seen_from(unknowns, one, weights) for one in self._beside)]
+            together = np.concatenate(several, axis=1) / np.sqrt(len(several))
+            promised = promised_gain(together, len(unknowns.shared))
+            both = self._along(_Arc(unknowns, together), damping, cost, weights)
+            found = max(both, found, key=lambda one: one.gained)._replace(beyond=both.beyond)
+        if found.there is None or self.steps >= self._most:
+            return None
+        taken = self._passed(found.there, cost, weights)
+        self._damping, self.full = found.damping, found.damping <= _FULL
+        return taken if taken.gained > 0 else None
+
+    def _remember(self, beyond: _Taken) -> None:
+        if not beyond.factors.diverged:
+            self._beside = [*self._beside, beyond][-_BESIDE:]
+
+    def _passed(self, there: Unknowns, cost: float, weights: Float[np.ndarray, " output"]) -> _Taken:
+        self.steps += 1
+        factors = self._passes.factors(there)
+        return _Taken(there, factors, cost - _cost(factors, weights))
+
+    def _along(self, arc: _Arc, damping: float, cost: float, weights: Float[np.ndarray, " output"]) -> _Found:
+        """Return the step with the damping, of this or more, from which on more of it gains less, by simulations."""
+        found = _Found(None, 0.0, damping, None)
+        while True:
+            there, promised = arc.at(damping)
+            if promised < _NOTHING:
+                return found
+            gained = cost - _simulated_cost(there, self._arguments, weights)
+            if found.there is not None and gained <= found.gained:
+                return found
+            if gained >= _WORTH * promised:
+                found = _Found(there, gained, damping, found.beyond)
+            elif np.isfinite(gained):
+                found = found._replace(beyond=there)
+            damping *= _ALONG
+
+
+def _seen_from(
+    unknowns: Unknowns, other: _Taken, weights: Float[np.ndarray, " output"]
+) -> Float[np.ndarray, "experiment row column"]:
+    """Return the factor at another point as the linearised problem there is seen from these unknowns."""
+    found = other.factors.joined(weights)
+    shared, each, start = (np.asarray(b) - np.asarray(a) for a, b in zip(unknowns, other.unknowns, strict=True))
+    experiments = len(found)
+    move = np.concatenate([np.broadcast_to(shared[:, None], (len(shared), experiments)), each, start])
+    found[..., -1] -= np.einsum("erc,ce->er", found[..., :-1], move)
+    return found
+
+
+def _simulated_cost(unknowns: Unknowns, arguments: Arguments, weights: Float[np.ndarray, " output"]) -> float:
+    """Return half the sum of squares by a simulation without derivatives; infinite where it diverges."""
+    error, known = (np.asarray(part) for part in plain_residual(unknowns, arguments))
+    squares = np.sum(error**2, axis=(0, 2))
+    shared = arguments.space.physical(unknowns)[0]
+    cost = 0.5 * float(weights**2 @ squares + np.sum(known**2)) + arguments.space.penalty(shared)
+    return cost if np.isfinite(cost) else np.inf
+
+
+def _cost(factors: Factors, weights: Float[np.ndarray, " output"]) -> float:
+    return 0.5 * float(weights**2 @ factors.squares + np.sum(factors.prior[..., -1] ** 2))
+
+
+def _near(one: Unknowns, other: Unknowns, tolerance: float) -> bool:
+    """Return whether two points are the same but for this relative difference."""
+    return all(
+        bool(np.all(np.abs(np.asarray(a) - np.asarray(b)) < tolerance * (1.0 + np.abs(np.asarray(a)))))
+        for a, b in zip(one, other, strict=True)
+    )

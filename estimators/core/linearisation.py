@@ -13,7 +13,7 @@ from estimators.core.data import CHANNELS, Data, mark_of, moving, pieces
 from estimators.core.fisher_information import slope_of
 from estimators.core.fit import Fit
 from estimators.core.initial_state import space_of
-from estimators.core.levenberg_marquardt import Arguments, plain_residual
+from estimators.core.jacobian_factor import Arguments, plain_residual
 from estimators.core.parameter_space import Unknowns
 from estimators.core.residual import diagonal_whitener, no_gain, residual
 from rtac_jax import RTAC

@@ -43,8 +43,8 @@ def piecewise_triangle(
     *,
     substeps: Steps,
     gain: Array | None = None,
-) -> Float[Array, "experiment row column"]:
-    """Compress residual and Jacobian of each experiment as `triangle` does, which gives the same numbers.
+) -> tuple[Float[Array, "experiment output row column"], Float[Array, "experiment known column"]]:
+    """Compress residual and Jacobian of each experiment and channel as `triangle` does, which gives the same numbers.
 
     Args:
         model: that is simulated; without effects that look along a whole input.
@@ -55,7 +55,7 @@ def piecewise_triangle(
         substeps: Runge-Kutta steps per sample.
         gain: of a prediction; None for a simulation.
     """
-    many, states = data.experiments, len(model.states)
+    many, states, outputs = data.experiments, len(model.states), data.values.shape[1]
     size = min(PIECE, max(LEAST_PIECE, SIDE_BY_SIDE // many))
     pieces = max(1, SIDE_BY_SIDE // (size * many))
     stretch = pieces * size
@@ -121,10 +121,10 @@ def piecewise_triangle(
         (_, error), (d_end, d_error) = jax.vmap(
             lambda along: jax.jvp(local, (shared, each, starts), along), out_axes=(None, -1)
         )(tangents)  # fmt: skip
-        rows = jnp.moveaxis(jnp.concatenate([d_error, error[..., None]], axis=-1), 2, 0)
-        # One block for each piece, of its own directions, its first state and the error.
-        local_factor = triangular(rows.reshape(pieces * many, -1, own + states + 1))
-        local_factor = local_factor.reshape(pieces, many, *local_factor.shape[1:])
+        rows = jnp.moveaxis(jnp.concatenate([d_error, error[..., None]], axis=-1), 0, 2).swapaxes(0, 1)
+        # One block for each piece and channel, of its own directions, its first state and the error.
+        local_factor = triangular(rows.reshape(pieces * many * outputs, -1, own + states + 1))
+        local_factor = local_factor.reshape(pieces, many, outputs, *local_factor.shape[1:])
         d_end = jnp.moveaxis(d_end.reshape(states, pieces, many, own + states), 0, 2)
 
         def onward(change: Array, of_end: Array) -> tuple[Array, Array]:
@@ -133,15 +133,15 @@ def piecewise_triangle(
 
         change, before = jax.lax.scan(onward, change, d_end)
         blocks = _by_unknowns(local_factor, before, own, every)
-        blocks = jnp.moveaxis(blocks, 0, 1).reshape(many, -1, every + 1)
+        blocks = jnp.moveaxis(blocks, 0, 2).reshape(many * outputs, -1, every + 1)
         return path[-1], change, triangular(jnp.concatenate([above, blocks], axis=1))
 
     prior = jnp.moveaxis(jnp.concatenate([jnp.moveaxis(d_known, 0, -1), known[..., None]], axis=-1), 1, 0)
     count = -(-data.length // stretch)
-    nothing = jnp.zeros((many, every + 1, every + 1))
+    nothing = jnp.zeros((many * outputs, every + 1, every + 1))
     carry = (state, jnp.moveaxis(d_state, (0, 2), (2, 0)), nothing)
     _, _, factor = jax.lax.fori_loop(0, count, one_stretch, carry)
-    return signed(triangular(jnp.concatenate([factor, prior], axis=1)))
+    return signed(factor).reshape(many, outputs, every + 1, every + 1), prior
 
 
 def _padded(tangents: Float[Array, "direction *rest"], more: int) -> Float[Array, "more_directions *rest"]:
@@ -174,12 +174,12 @@ def _left(data: Data, begin: Int[Array, " piece"]) -> Int[Array, " column"]:
 
 
 def _by_unknowns(
-    factor: Float[Array, "piece experiment row column"],
+    factor: Float[Array, "piece experiment output row column"],
     change: Float[Array, "piece experiment state direction"],
     own: int,
     every: int,
-) -> Float[Array, "piece experiment row unknown"]:
+) -> Float[Array, "piece experiment output row unknown"]:
     """Return factors by a piece's own directions and first state as such by all unknowns, with the error last."""
-    through_state = jnp.einsum("pers,pesd->perd", factor[..., own:-1], change)
-    directly = jnp.pad(factor[..., :own], ((0, 0), (0, 0), (0, 0), (0, every - own)))
+    through_state = jnp.einsum("peors,pesd->peord", factor[..., own:-1], change)
+    directly = jnp.pad(factor[..., :own], (*((0, 0),) * 4, (0, every - own)))
     return jnp.concatenate([through_state + directly, factor[..., -1:]], axis=-1)

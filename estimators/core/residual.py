@@ -115,12 +115,13 @@ def triangle(
     *,
     substeps: Steps,
     gain: Array | None = None,
-) -> Float[Array, "experiment row column"]:
-    """Compress residual and Jacobian of each experiment without loss to the triangular factor of [J, r].
+) -> tuple[Float[Array, "experiment output row column"], Float[Array, "experiment known column"]]:
+    """Compress residual and Jacobian of each experiment and channel without loss to the triangular factor of [J, r].
 
     Its columns are the shared unknowns, the experiment's own, its start, and last the residual. Sums of squares, gradients
     and Gauss-Newton matrices are those of the whole residual. Because experiments do not depend on each other's unknowns, one
-    direction serves the same unknown of all experiments, and the cost does not grow with their number.
+    direction serves the same unknown of all experiments, and the cost does not grow with their number. The rows of what was
+    known beforehand stand apart, for whoever weighs channels anew.
     """
     count, width = data.experiments, [len(unknowns.shared), len(unknowns.each), len(unknowns.start)]
     directions = sum(width)
@@ -141,13 +142,13 @@ def triangle(
 
     (error, known), (d_error, d_known) = jax.vmap(along, out_axes=(None, -1))(tangents)
     columns = jnp.concatenate([d_error, error[..., None]], axis=-1)
-    rows = jnp.moveaxis(columns, 2, 0).reshape(count, -1, directions + 1)
+    outputs = columns.shape[1]
+    rows = jnp.moveaxis(columns, 0, 2).swapaxes(0, 1).reshape(count * outputs, -1, directions + 1)
     prior = jnp.moveaxis(jnp.concatenate([d_known, known[..., None]], axis=-1), 1, 0)
-    rows = jnp.concatenate([rows, prior], axis=1)
-    return signed(triangular(rows))
+    return signed(triangular(rows)).reshape(count, outputs, directions + 1, directions + 1), prior
 
 
-def signed(factor: Float[Array, "experiment row column"]) -> Float[Array, "experiment row column"]:
+def signed(factor: Float[Array, "block row column"]) -> Float[Array, "block row column"]:
     """Return triangular factors with a positive diagonal, which makes them continuous functions of the unknowns."""
     sign = jnp.where(jnp.diagonal(factor, axis1=1, axis2=2) < 0, -1.0, 1.0)
     return factor * sign[:, :, None]

@@ -8,7 +8,7 @@ import numpy as np
 from estimators.core.active_bounds import solve_bounded
 from estimators.core.initial_angle import turned
 from estimators.core.initial_rest import at_rest, best_starts, may_swing, squares
-from estimators.core.levenberg_marquardt import Arguments
+from estimators.core.jacobian_factor import Arguments
 from estimators.core.parameter_space import Unknowns
 
 _NOISE = 1.2  # mean square of an error over its noise, from which on a start is sought elsewhere

@@ -3,7 +3,7 @@
 import numpy as np
 
 from estimators.core.data import Data
-from estimators.core.levenberg_marquardt import Arguments, plain_residual
+from estimators.core.jacobian_factor import Arguments, plain_residual
 from estimators.core.parameter_space import Space, Unknowns
 from estimators.core.residual import diagonal_whitener, no_gain
 from rtac_jax import RTAC

@@ -10,7 +10,7 @@ import numpy as np
 
 from estimators.core.fisher_information import information
 from estimators.core.fit import Fit, Parameter
-from estimators.core.levenberg_marquardt import Arguments, factor
+from estimators.core.jacobian_factor import Arguments, factor
 from estimators.core.parameter_space import Space
 from estimators.core.residual import start_rows
 from estimators.core.results import NotIdentifiableError

@@ -10,7 +10,8 @@ from jaxtyping import Array, Float
 from estimators.core.data import CHANNELS, Data, moving, origins, pieces
 from estimators.core.fit import Fit
 from estimators.core.initial_state import space_of
-from estimators.core.levenberg_marquardt import Arguments, plain_residual, solve
+from estimators.core.jacobian_factor import Arguments, plain_residual
+from estimators.core.levenberg_marquardt import solve
 from estimators.core.linearisation import Problem, at_fit
 from estimators.core.parameter_space import Unknowns
 from estimators.core.residual import diagonal_whitener, no_gain, predict

@@ -8,7 +8,7 @@ import numpy as np
 
 from estimators.core.data import CHANNELS, moving
 from estimators.core.fisher_information import Information, information
-from estimators.core.levenberg_marquardt import diverged, factor
+from estimators.core.jacobian_factor import diverged, factor
 from estimators.core.linearisation import problem_of
 from estimators.core.results import DivergedError
 from estimators.core.sensor_noise import noise_levels

@@ -11,7 +11,7 @@ from estimators.closed_form.fit import closed_form
 from estimators.closed_form.table1 import ClosedForm
 from estimators.core.data import moving
 from estimators.core.fit import Fit
-from estimators.core.levenberg_marquardt import plain_residual
+from estimators.core.jacobian_factor import plain_residual
 from estimators.core.linearisation import Problem, at_fit, rows_at, with_outputs
 from estimators.core.sensor_noise import noise_levels
 from estimators.inference.bootstrap import Outputs, Source, measured_again

@@ -9,12 +9,14 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from estimators.core.active_bounds import OFF_BOUNDS, solve_bounded
+from estimators.core.concentrated_noise import ConcentratedNoise
 from estimators.core.data import CHANNELS, Data
 from estimators.core.fisher_information import information
 from estimators.core.initial_angle import angle_unknown
 from estimators.core.initial_rest import at_rest, best_starts, may_swing, squares
 from estimators.core.initial_state import scales_of, space_of
-from estimators.core.levenberg_marquardt import NEGLIGIBLE, Arguments, Solved, diverged, factor, plain_residual
+from estimators.core.jacobian_factor import Arguments, diverged, factor, plain_residual
+from estimators.core.levenberg_marquardt import NEGLIGIBLE, Solved
 from estimators.core.parameter_space import Space, Unknowns
 from estimators.core.residual import diagonal_whitener, no_gain
 from estimators.core.start_search import beyond_noise, searched
@@ -42,9 +44,6 @@ _ALIKE = 0.3
 # Gain in log-likelihood for which a stage that only makes a start for the next takes no further step; where a start that was
 # guided is held against another's, both have to be nearer to where they lead.
 _START, _GUIDANCE = 1.0, 1e-2
-# Passes with the channels weighed by what the one before left: at most so many, to the last digits once a pass gains less than
-# the second in log-likelihood, and until one gains less than the third.
-_REWEIGHTINGS, _REWEIGHTED, _SETTLED = 10, 1.0, 1e-2
 
 
 @dataclasses.dataclass(frozen=True)
@@ -127,42 +126,33 @@ class Descent:
         guided = self._simulated(model, space, unknowns, substeps)
         if (same := self._followed(guided, noise)) is not None:
             return same
-        end = self._weighted(model, space, unknowns, substeps, noise, self._rms(guided, noise), best)
+        end = self._weighted(model, space, unknowns, substeps, noise, best)
         if (elsewhere := self._turned(end, noise)) is not None:
             end = min(
                 end,
-                self._weighted(model, space, elsewhere, substeps, noise, end.deviation, best),
+                self._weighted(model, space, elsewhere, substeps, noise, best),
                 key=lambda one: one.cost,
             )
         self.followed.append((guided, end))
         return end
 
     def _weighted(
-        self, model: RTAC, space: Space, unknowns: Unknowns, substeps: int, noise: np.ndarray, deviation: np.ndarray,
-        best: float,
-    ) -> DescentEnd:  # fmt: skip
-        """Descend with channels weighted by what is left of them, until that settles."""
-        nothing = no_gain(model, self.data)
-        cost, solved = np.inf, None
-        nearly = False
-        for _ in range(_REWEIGHTINGS):
-            # Each channel counts by what the pass before left of it, so that in the end its deviation is estimated, too.
-            whitener = diagonal_whitener(deviation, self.data)
-            arguments = Arguments(model, self.data, space, whitener, nothing, substeps)
-            self._require_determined(space, unknowns, arguments)
-            if nearly:
-                solved = self._solve(unknowns, arguments, tolerance=self.tolerance, most=self.steps)
-            else:
-                solved = self._solve(unknowns, arguments, tolerance=1e-2, gain=_START, most=15)
-            unknowns = solved.unknowns
-            deviation = self._deviation(model, space, unknowns, substeps, noise)
-            before, cost = cost, _concentrated(deviation, self.data) + space.penalty(space.physical(unknowns)[0])
-            if cost > best + 1.0 * float(jnp.sum(self.data.present)):
-                break  # hopeless beside another start: not worth the last digits
-            if nearly and before - cost < _SETTLED:
-                break
-            nearly = nearly or before - cost < _REWEIGHTED
-        assert solved is not None
+        self, model: RTAC, space: Space, unknowns: Unknowns, substeps: int, levels: np.ndarray, best: float
+    ) -> DescentEnd:
+        """Descend with channels weighted by what is left of them."""
+        # In units of the sensors' noise; each channel counts by what is left of it, so that its deviation is estimated, too.
+        noise = ConcentratedNoise.of(self.data)
+        arguments = Arguments(
+            model, self.data, space, diagonal_whitener(levels, self.data), no_gain(model, self.data), substeps
+        )
+        self._require_determined(space, unknowns, arguments)
+        constant = float(noise.counts @ np.log(levels))
+        solved = self._solve(unknowns, arguments, tolerance=1e-2, gain=_START, most=15, noise=noise)
+        # One that is hopeless beside another start is not worth the last digits.
+        if solved.cost + constant <= best + float(np.sum(noise.counts)):
+            solved = self._solve(solved.unknowns, arguments, tolerance=self.tolerance, most=self.steps, noise=noise)
+        deviation = noise.deviations(solved.squares) * levels
+        cost = constant + noise.cost(solved.squares) + space.penalty(space.physical(solved.unknowns)[0])
         return DescentEnd(model, space, solved, deviation, cost, substeps)
 
     def _turned(self, end: DescentEnd, noise: np.ndarray) -> Unknowns | None:
@@ -203,9 +193,12 @@ class Descent:
         return None
 
     def _solve(
-        self, unknowns: Unknowns, arguments: Arguments, *, tolerance: float, gain: float = NEGLIGIBLE, most: int
-    ) -> Solved:
-        return solve_bounded(unknowns, arguments, tolerance=tolerance, gain=gain, most=most, progress=self._show)
+        self, unknowns: Unknowns, arguments: Arguments, *, tolerance: float, gain: float = NEGLIGIBLE, most: int,
+        noise: ConcentratedNoise | None = None,
+    ) -> Solved:  # fmt: skip
+        return solve_bounded(
+            unknowns, arguments, tolerance=tolerance, gain=gain, most=most, progress=self._show, noise=noise
+        )
 
     def weighted(self, stage: DescentEnd, data: Data, experiments: Sequence[Experiment]) -> Robust:
         """Go on from the end of a descent with weights that discount what lies too far off for noise, in all of the data."""
@@ -283,9 +276,3 @@ def _settled(whitener: np.ndarray, data: Data) -> Float[np.ndarray, "1 row outpu
             if len(late):
                 found[0, row, :, column] = np.median(whitener[late, row, :, column], axis=0)
     return found
-
-
-def _concentrated(deviation: np.ndarray, data: Data) -> float:
-    """Return the negative log-likelihood with the noise levels at their best values, less a constant."""
-    count = np.asarray(data.present).sum(axis=(0, 2))
-    return float(np.sum(count * np.log(np.where(count > 0, deviation, 1.0))))

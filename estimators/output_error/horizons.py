@@ -6,7 +6,7 @@ import numpy as np
 
 from estimators.core.data import Data
 from estimators.core.fisher_information import information
-from estimators.core.levenberg_marquardt import Arguments, diverged, factor
+from estimators.core.jacobian_factor import Arguments, diverged, factor
 from estimators.core.parameter_space import Unknowns
 
 FIRST = 8192

@@ -11,7 +11,8 @@ from jaxtyping import Bool, Float, Shaped
 from estimators.core.active_bounds import solve_bounded
 from estimators.core.data import CHANNELS, Data
 from estimators.core.discounted import Discounted
-from estimators.core.levenberg_marquardt import Arguments, Solved, factor, plain_residual
+from estimators.core.jacobian_factor import Arguments, factor, plain_residual
+from estimators.core.levenberg_marquardt import Solved
 from estimators.core.parameter_space import Space, Unknowns
 from estimators.core.residual import diagonal_whitener, no_gain
 from rtac_jax import RTAC

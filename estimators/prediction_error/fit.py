@@ -20,7 +20,7 @@ from estimators.core.fisher_information import Information, each_deviations, inf
 from estimators.core.fit import HEADER, ModelFit
 from estimators.core.information_criteria import InformationCriteria
 from estimators.core.initial_state import scales_of, space_of
-from estimators.core.levenberg_marquardt import Arguments, diverged, factor
+from estimators.core.jacobian_factor import Arguments, diverged, factor
 from estimators.core.linearisation import Problem
 from estimators.core.parameter_space import Space, number_of_unknowns
 from estimators.core.results import DivergedError

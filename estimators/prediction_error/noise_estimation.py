@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from estimators.core.active_bounds import solve_bounded
 from estimators.core.data import CHANNELS, Data
-from estimators.core.levenberg_marquardt import Arguments, factor
+from estimators.core.jacobian_factor import Arguments, factor
 from estimators.core.parameter_space import Space, Unknowns
 from estimators.core.piecewise_triangle import LONG
 from estimators.prediction_error.ekf import Filtered, kalman

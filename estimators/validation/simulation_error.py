@@ -13,7 +13,7 @@ from estimators.core.drawing import draw
 from estimators.core.fit import Fit
 from estimators.core.information_criteria import InformationCriteria
 from estimators.core.initial_state import space_of
-from estimators.core.levenberg_marquardt import Arguments, plain_residual
+from estimators.core.jacobian_factor import Arguments, plain_residual
 from estimators.core.parameter_space import Space, Unknowns
 from estimators.core.residual import diagonal_whitener, no_gain
 from estimators.core.result_base import Result

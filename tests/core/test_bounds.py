@@ -15,7 +15,7 @@ from estimators.core.bound_transform import slopes, to_physical
 from estimators.core.data import Data
 from estimators.core.fisher_information import each_deviations, information, information_of
 from estimators.core.initial_state import space_of
-from estimators.core.levenberg_marquardt import Arguments, factor
+from estimators.core.jacobian_factor import Arguments, factor
 from estimators.core.linearisation import at_fit
 from estimators.core.residual import diagonal_whitener, no_gain
 from estimators.diagnosis.candidate_set import plausible

@@ -7,7 +7,8 @@ from hidden_effects import recorded
 
 import estimators as est
 import rtac_jax as rtac
-from estimators.core.levenberg_marquardt import factor, solve
+from estimators.core.jacobian_factor import factor
+from estimators.core.levenberg_marquardt import solve
 from estimators.core.linearisation import Problem, at_fit
 
 

@@ -10,7 +10,7 @@ import pytest
 from estimators.core import piecewise_triangle as module
 from estimators.core.data import Data
 from estimators.core.initial_state import scales_of, space_of
-from estimators.core.levenberg_marquardt import Arguments, factor
+from estimators.core.jacobian_factor import Arguments, Factors, factor
 from estimators.core.piecewise_triangle import piecewise_triangle, worth_cutting
 from estimators.core.residual import diagonal_whitener, no_gain, triangle
 from rtac_jax import RTAC
@@ -67,7 +67,7 @@ def factors(model, found, monkeypatch, *, corrected=False, piece=64):
     whitener = diagonal_whitener(NOISE, data)
     # As arguments, as in a fit: XLA for processors fails to compile what it draws out of a space that is a constant.
     return [
-        np.asarray(eqx.filter_jit(compute)(model, data, space, unknowns, whitener, **options))
+        Factors(*map(np.asarray, eqx.filter_jit(compute)(model, data, space, unknowns, whitener, **options))).joined()
         for compute in (triangle, piecewise_triangle)
     ]
 

@@ -11,7 +11,7 @@ import estimators as est
 import rtac_jax as rtac
 from estimators.core.data import CHANNELS, Data
 from estimators.core.initial_state import space_of
-from estimators.core.levenberg_marquardt import Arguments, factor, plain_residual
+from estimators.core.jacobian_factor import Arguments, factor, plain_residual
 from estimators.core.residual import diagonal_whitener, no_gain
 from estimators.core.step_size import accurate_substeps
 from estimators.misspecification.replication_test import repeat_test
@@ -99,7 +99,7 @@ def test_each_experiment_counts_as_if_it_stood_alone(mixed, model):
         near(by_sample(together)[part, column], by_sample(single)[part, 0])
         for (residual, triangle), (own, factor_of_own) in zip(both, each, strict=True):
             near(residual[part, :, column], own[part, :, 0])
-            near(triangle[column], factor_of_own[0])
+            near(triangle[column].T @ triangle[column], factor_of_own[0].T @ factor_of_own[0])
 
 
 def test_what_would_leave_all_bounds_beyond_the_end_of_an_experiment_does_no_harm(mixed, model):

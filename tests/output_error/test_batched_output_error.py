@@ -8,7 +8,8 @@ from exact_decay import TRUTH
 
 import estimators as est
 import rtac_jax as rtac
-from estimators.core.levenberg_marquardt import factor, plain_residual, solve
+from estimators.core.jacobian_factor import factor, plain_residual
+from estimators.core.levenberg_marquardt import solve
 from estimators.core.linearisation import at_fit
 from estimators.core.residual import diagonal_whitener
 from rtac_jax import virtual_rig

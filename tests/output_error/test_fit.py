@@ -17,7 +17,7 @@ from estimators.core.bound_transform import to_physical, to_unconstrained
 from estimators.core.data import Data
 from estimators.core.fisher_information import information, information_of
 from estimators.core.initial_state import space_of
-from estimators.core.levenberg_marquardt import Arguments, factor
+from estimators.core.jacobian_factor import Arguments, factor
 from estimators.core.residual import diagonal_whitener
 from estimators.core.sensor_noise import noise_levels, quantisation_step, spectral_floor
 from estimators.prediction_error.ekf import filtered
@@ -317,7 +317,7 @@ def test_the_compressed_residual_keeps_squares_and_gradients(noisy: rtac.Recordi
     compact = np.asarray(factor(unknowns, arguments))
 
     def rows(shared: np.ndarray, column: int) -> np.ndarray:
-        from estimators.core.levenberg_marquardt import plain_residual
+        from estimators.core.jacobian_factor import plain_residual
 
         error, known = plain_residual(unknowns._replace(shared=jnp.asarray(shared)), arguments)
         return np.concatenate([np.asarray(error)[:, :, column].ravel(), np.asarray(known)[:, column]])

@@ -1,6 +1,5 @@
 """A long experiment without an encoder: from its beginning on, by pieces, to the parameters of the rig."""
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from small_experiments import forced
@@ -9,7 +8,7 @@ import estimators as est
 from estimators.core import piecewise_triangle
 from estimators.core.data import Data
 from estimators.core.initial_state import space_of
-from estimators.core.levenberg_marquardt import Arguments
+from estimators.core.jacobian_factor import Arguments
 from estimators.core.residual import diagonal_whitener, no_gain
 from estimators.output_error import horizons as module
 from estimators.output_error.horizons import horizons
@@ -56,7 +55,7 @@ def test_horizons_grow_up_to_all_samples(monkeypatch):
     short = Recording((forced().cut(0, 400),), {"total_mass": 1.23, "arm_inertia": 9.5e-5})
     given, unknowns = arguments_of(short)
     monkeypatch.setattr(module, "FIRST", 64)
-    monkeypatch.setattr(module, "factor", lambda *_: jnp.zeros((1, 2, 2)))
+    monkeypatch.setattr(module, "factor", lambda *_: np.zeros((1, 2, 2)))
     monkeypatch.setattr(module, "information", lambda *_: Shown([]))
     assert [part.samples for part in horizons(given, unknowns)] == [64, 400]
     monkeypatch.setattr(module, "GROWTH", 2)

@@ -12,7 +12,7 @@ import rtac_jax as rtac
 from estimators.core.data import Data, moving
 from estimators.core.initial_rest import at_rest, best_starts, squares
 from estimators.core.initial_state import space_of
-from estimators.core.levenberg_marquardt import Arguments, factor, plain_residual
+from estimators.core.jacobian_factor import Arguments, factor, plain_residual
 from estimators.core.residual import diagonal_whitener, no_gain
 from estimators.validation import simulation_error
 from estimators.validation.simulation_error import Trace

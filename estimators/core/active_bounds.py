@@ -59,7 +59,7 @@ def solve_bounded(
         before = dict(held)
         held, inside = _on_bounds(whole, unknowns, full, held)
         apart = _each_pulled(whole, unknowns, full)
-        solved = solved._replace(factor=full, pulled=bool(inside or apart))
+        solved = solved._replace(factor=full, pulled=bool(inside or apart), held=len(before))
         if best is None or solved.cost <= best.cost:
             best = solved
         if (held == before and not inside and not apart) or turn == _TURNS:

@@ -2,7 +2,7 @@
 
 import contextlib
 from collections.abc import Callable, Sequence
-from concurrent.futures import Executor, wait
+from concurrent.futures import Executor, ThreadPoolExecutor, wait
 from pathlib import Path
 
 import jax
@@ -22,6 +22,13 @@ class Ahead:
         """Wait for the next piece; what could not be compiled there is compiled where it runs."""
         with contextlib.suppress(IndexError):  # several threads may ask
             wait([self._left.pop(0)])
+
+
+def compile_beside(piece: Callable[[], None]) -> None:
+    """Compile a piece of code on another thread, and go on; whoever runs it waits for that, or compiles it where that failed."""
+    pool = ThreadPoolExecutor(1)
+    pool.submit(piece)
+    pool.shutdown(wait=False)
 
 
 def make_room(

@@ -102,14 +102,19 @@ class Passes:
             self._parts = [slice(half), slice(self._all - half, self._all)]
         self._arguments = [_columns(arguments, part) for part in self._parts]
 
+    def prepare(self, unknowns: Unknowns) -> None:
+        """Compile what `factors` will run, and run nothing."""
+        _factors.prepare(self._part(unknowns, 0), self._arguments[0])
+
+    def _part(self, unknowns: Unknowns, number: int) -> Unknowns:
+        part = self._parts[number]
+        return unknowns._replace(each=unknowns.each[:, part], start=unknowns.start[:, part])
+
     def factors(self, unknowns: Unknowns) -> Factors:
         """Return the factors at these unknowns."""
 
         def of(number: int) -> tuple[np.ndarray, np.ndarray]:
-            at = unknowns._replace(
-                each=unknowns.each[:, self._parts[number]], start=unknowns.start[:, self._parts[number]]
-            )
-            channels, prior = _factors(at, self._arguments[number])
+            channels, prior = _factors(self._part(unknowns, number), self._arguments[number])
             return np.asarray(channels), np.array(prior)
 
         found = at_once(of, range(len(self._parts)))

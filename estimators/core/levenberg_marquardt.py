@@ -4,6 +4,7 @@ A pass with the Jacobian takes as long as a dozen simulations. So once a step wa
 simulations, and the next pass is where the best of them ended.
 """
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -11,6 +12,7 @@ import lineax as lx
 import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float
+from scipy.optimize import nnls
 
 from estimators.core.concentrated_noise import ConcentratedNoise
 from estimators.core.jacobian_factor import Arguments, Factors, Passes, plain_residual, promised_gain
@@ -45,6 +47,7 @@ class Solved(NamedTuple):
         converged: whether no step gains more, rather than the number of steps running out.
         squares: sum of squares of each channel's residual, unweighted.
         pulled: whether a parameter was left on its bound although the data pull it inwards.
+        held: how many parameters are held on a bound.
     """
 
     unknowns: Unknowns
@@ -54,6 +57,7 @@ class Solved(NamedTuple):
     converged: bool
     squares: np.ndarray
     pulled: bool = False
+    held: int = 0
 
 
 @program
@@ -69,9 +73,9 @@ def _damped(factor: Array, damping: Array) -> Array:
 class _Arc:
     """The steps from one point by their damping."""
 
-    def __init__(self, unknowns: Unknowns, factor: Float[np.ndarray, "experiment row column"]) -> None:
+    def __init__(self, unknowns: Unknowns, triangle: Float[np.ndarray, "every every"]) -> None:
         self._from = unknowns
-        self._joined = _triangle_of_all(unknowns, factor)
+        self._joined = triangle
         size = self._joined.shape[1] - 1
         room = next((s for s in _SIZES if s >= size), -(-size // _SIZES[-1]) * _SIZES[-1])
         padded = np.zeros((room + 1, room + 1))
@@ -216,7 +220,8 @@ class _Walk:
             promised: what a full step promises to gain.
         """
         cost = 0.5 * float(np.sum(factor[..., -1] ** 2))
-        arc = _Arc(unknowns, factor)
+        here = _triangle_of_all(unknowns, factor)
+        arc = _Arc(unknowns, here)
         if self.full:
             there, expected = arc.at(self._damping)
             tried = self._passed(there, cost, weights)
@@ -233,14 +238,16 @@ class _Walk:
         for _ in range(_BESIDE):
             if found.gained >= _POOR * promised or self.steps >= self._most:
                 break
-            # A kink, as dry friction makes them: the step leads along it that the slopes on both of its sides agree on.
+            # A kink, as dry friction makes them: the step leads along it, where the slopes on its sides cancel.
             if found.beyond is not None:
                 self._remember(self._passed(found.beyond, cost, weights))
-            several = [factor, *(_seen_from(unknowns, one, weights) for one in self._beside)]
-            together = np.concatenate(several, axis=1) / np.sqrt(len(several))
-            promised = promised_gain(together, len(unknowns.shared))
-            both = self._along(_Arc(unknowns, together), damping, cost, weights)
+            several = [here, *(_seen_from(unknowns, one, weights) for one in self._beside)]
+            along = _Arc(unknowns, _together(several, damping))
+            promised = along.at(_FULL)[1]
+            both = self._along(along, _FULL, cost, weights)
             found = max(both, found, key=lambda one: one.gained)._replace(beyond=both.beyond)
+            if both.beyond is None:
+                break
         if found.there is None or self.steps >= self._most:
             return None
         taken = self._passed(found.there, cost, weights)
@@ -275,14 +282,30 @@ class _Walk:
 
 def _seen_from(
     unknowns: Unknowns, other: _Taken, weights: Float[np.ndarray, " output"]
-) -> Float[np.ndarray, "experiment row column"]:
-    """Return the factor at another point as the linearised problem there is seen from these unknowns."""
+) -> Float[np.ndarray, "every every"]:
+    """Return the triangular factor of all at another point, as the linearised problem there is seen from these unknowns."""
     found = other.factors.joined(weights)
     shared, each, start = (np.asarray(b) - np.asarray(a) for a, b in zip(unknowns, other.unknowns, strict=True))
     experiments = len(found)
     move = np.concatenate([np.broadcast_to(shared[:, None], (len(shared), experiments)), each, start])
     found[..., -1] -= np.einsum("erc,ce->er", found[..., :-1], move)
-    return found
+    return _triangle_of_all(unknowns, found)
+
+
+def _together(several: Sequence[Float[np.ndarray, "every every"]], damping: float) -> Float[np.ndarray, "every every"]:
+    """Return one triangular factor of linearised problems of which each counts so much that together they slope least.
+
+    Source: Wolfe, Mathematical Programming Study 3 (1975): the shortest mixture of subgradients leads along a kink.
+    """
+    slopes = np.stack([one[:, :-1].T @ one[:, -1] for one in several], axis=1)
+    curvature = several[0][:, :-1].T @ several[0][:, :-1] + damping * np.eye(len(slopes))
+    length = np.linalg.solve(np.linalg.cholesky(curvature), slopes)
+    # Shares that add up to one, as the heavy last row asks.
+    heavy = 1e3 * max(float(np.max(np.abs(length))), np.finfo(float).tiny)
+    shares, _ = nnls(np.vstack([length, np.full(len(several), heavy)]), np.append(np.zeros(len(length)), heavy))
+    shares /= np.sum(shares)
+    rows = np.concatenate([np.sqrt(share) * one for share, one in zip(shares, several, strict=True)])
+    return np.asarray(np.linalg.qr(rows, mode="r"))
 
 
 def _simulated_cost(unknowns: Unknowns, arguments: Arguments, weights: Float[np.ndarray, " output"]) -> float:

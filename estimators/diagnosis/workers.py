@@ -24,13 +24,13 @@ class Workers:
     def compiling(
         self, pieces: Sequence[Callable[[], None]], *, before: Callable[[], None] | None = None
     ) -> Iterator[Ahead]:
-        """Compile pieces of code on another thread, while this one goes on.
+        """Compile pieces of code on two other threads, while this one goes on: tracing on one waits for no compiler.
 
         Args:
             pieces: each compiles code, in the order in which that will run.
             before: compiles what runs before all of them.
         """
-        with ThreadPoolExecutor(1) as other:
+        with ThreadPoolExecutor(2) as other:
             if before is not None:
                 other.submit(before)
             yield Ahead(other, pieces)

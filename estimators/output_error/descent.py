@@ -9,13 +9,14 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from estimators.core.active_bounds import OFF_BOUNDS, solve_bounded
+from estimators.core.compilation import compile_beside
 from estimators.core.concentrated_noise import ConcentratedNoise
 from estimators.core.data import CHANNELS, Data
 from estimators.core.fisher_information import information
 from estimators.core.initial_angle import angle_unknown
 from estimators.core.initial_rest import at_rest, best_starts, may_swing, squares
 from estimators.core.initial_state import scales_of, space_of
-from estimators.core.jacobian_factor import Arguments, diverged, factor, plain_residual
+from estimators.core.jacobian_factor import Arguments, Passes, diverged, factor, plain_residual
 from estimators.core.levenberg_marquardt import NEGLIGIBLE, Solved
 from estimators.core.parameter_space import Space, Unknowns
 from estimators.core.residual import diagonal_whitener, no_gain
@@ -102,6 +103,9 @@ class Descent:
         scales = scales_of(model, self.experiments)
         nothing = no_gain(model, self.data)
         whitener = diagonal_whitener(noise, self.data)
+        # While what only simulates, and the filter, are compiled here.
+        passes = Passes(Arguments(model, self.data, space, whitener, nothing, 1))
+        compile_beside(lambda: passes.prepare(unknowns))
         substeps = accurate_substeps(model, self.data, space, unknowns, noise)
         if may_swing(model):
             simulated = Arguments(model, self.data, space, whitener, nothing, substeps)
@@ -126,34 +130,39 @@ class Descent:
         guided = self._simulated(model, space, unknowns, substeps)
         if (same := self._followed(guided, noise)) is not None:
             return same
-        end = self._weighted(model, space, unknowns, substeps, noise, best)
+        end = self._weighted(model, space, unknowns, substeps, noise, self._rms(guided, noise), best)
         if (elsewhere := self._turned(end, noise)) is not None:
             end = min(
                 end,
-                self._weighted(model, space, elsewhere, substeps, noise, best),
+                self._weighted(model, space, elsewhere, substeps, noise, end.deviation, best),
                 key=lambda one: one.cost,
             )
         self.followed.append((guided, end))
         return end
 
     def _weighted(
-        self, model: RTAC, space: Space, unknowns: Unknowns, substeps: int, levels: np.ndarray, best: float
-    ) -> DescentEnd:
-        """Descend with channels weighted by what is left of them."""
-        # In units of the sensors' noise; each channel counts by what is left of it, so that its deviation is estimated, too.
+        self, model: RTAC, space: Space, unknowns: Unknowns, substeps: int, levels: np.ndarray, deviation: np.ndarray,
+        best: float,
+    ) -> DescentEnd:  # fmt: skip
+        """Descend with channels weighted by what is left of them: first at the beginning, then at every point.
+
+        Weighted anew from far off, a channel that is easily followed would soon be all that counts.
+        """
         noise = ConcentratedNoise.of(self.data)
+        # In units of the sensors' noise, for the rounding.
         arguments = Arguments(
-            model, self.data, space, diagonal_whitener(levels, self.data), no_gain(model, self.data), substeps
+            model, self.data, space, diagonal_whitener(deviation, self.data), no_gain(model, self.data), substeps
         )
         self._require_determined(space, unknowns, arguments)
+        solved = self._solve(unknowns, arguments, tolerance=1e-2, gain=_START, most=15)
+        arguments = dataclasses.replace(arguments, whitener=diagonal_whitener(levels, self.data))
         constant = float(noise.counts @ np.log(levels))
-        solved = self._solve(unknowns, arguments, tolerance=1e-2, gain=_START, most=15, noise=noise)
+        cost = noise.cost(solved.squares * (deviation / levels) ** 2) + constant
         # One that is hopeless beside another start is not worth the last digits.
-        if solved.cost + constant <= best + float(np.sum(noise.counts)):
-            solved = self._solve(solved.unknowns, arguments, tolerance=self.tolerance, most=self.steps, noise=noise)
-        deviation = noise.deviations(solved.squares) * levels
+        most = self.steps if cost <= best + float(np.sum(noise.counts)) else 1
+        solved = self._solve(solved.unknowns, arguments, tolerance=self.tolerance, most=most, noise=noise)
         cost = constant + noise.cost(solved.squares) + space.penalty(space.physical(solved.unknowns)[0])
-        return DescentEnd(model, space, solved, deviation, cost, substeps)
+        return DescentEnd(model, space, solved, noise.deviations(solved.squares) * levels, cost, substeps)
 
     def _turned(self, end: DescentEnd, noise: np.ndarray) -> Unknowns | None:
         """Return the unknowns with the arm begun elsewhere, in experiments that do not tell its angle, where that leaves less.

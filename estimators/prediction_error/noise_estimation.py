@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from estimators.core.active_bounds import solve_bounded
 from estimators.core.data import CHANNELS, Data
-from estimators.core.jacobian_factor import Arguments, factor
+from estimators.core.jacobian_factor import Arguments, Passes
 from estimators.core.parameter_space import Space, Unknowns
 from estimators.core.piecewise_triangle import LONG
 from estimators.prediction_error.ekf import Filtered, kalman
@@ -211,7 +211,7 @@ def compile_predictor(
         jnp.asarray(np.zeros((data.room, count, len(CHANNELS), data.experiments)))
         for count in (len(CHANNELS), len(model.states))
     )
-    factor.prepare(unknowns, Arguments(model, data, space, whitener, gain, substeps))
+    Passes(Arguments(model, data, space, whitener, gain, substeps)).prepare(unknowns)
 
 
 def first_noise() -> np.ndarray:

@@ -176,7 +176,6 @@ TIGHT = {
 
 # What leaves its bound and ends in another minimum than the truth.
 ELSEWHERE = {
-    "arm_stribeck.level": "a step too long leads beyond the truth, where the start of the arm makes up for friction",
     "arm_presliding.level": "the start of the arm makes up for friction, and the fit creeps back to the bound, not converged",
 }
 

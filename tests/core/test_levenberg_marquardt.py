@@ -1,4 +1,6 @@
-"""The optimiser gives back the factor of where it came to rest, which it does not compute anew."""
+"""The optimiser: where it comes to rest, at kinks too, and what it weighs channels by."""
+
+import dataclasses
 
 import jax.numpy as jnp
 import numpy as np
@@ -7,9 +9,16 @@ from hidden_effects import recorded
 
 import estimators as est
 import rtac_jax as rtac
-from estimators.core.jacobian_factor import factor
+from estimators.core import jacobian_factor, levenberg_marquardt
+from estimators.core.concentrated_noise import ConcentratedNoise
+from estimators.core.data import CHANNELS, Data
+from estimators.core.initial_state import space_of
+from estimators.core.jacobian_factor import Arguments, Factors, Passes, factor, plain_residual, promised_gain
 from estimators.core.levenberg_marquardt import solve
 from estimators.core.linearisation import Problem, at_fit
+from estimators.core.parameter_space import Unknowns
+from estimators.core.residual import diagonal_whitener, no_gain
+from rtac_jax import virtual_rig
 
 
 @pytest.fixture(scope="module")
@@ -18,10 +27,95 @@ def problem() -> Problem:
     return at_fit(est.output_error(rtac.RTAC.from_rig(recording), recording, progress=False), recording)
 
 
+def away(unknowns: Unknowns, by: float, shift: float = 0.0) -> Unknowns:
+    turn = np.cos(np.arange(len(unknowns.shared)) + shift)
+    return unknowns._replace(shared=unknowns.shared + by * jnp.asarray(turn))
+
+
 @pytest.mark.parametrize("most", [1, 3, 60])
 def test_factor_is_that_of_the_unknowns(problem: Problem, most: int) -> None:
     arguments, unknowns = problem.arguments, problem.unknowns
-    away = unknowns._replace(shared=unknowns.shared + 0.3 * jnp.asarray(np.cos(np.arange(len(unknowns.shared)))))
-    solved = solve(away, arguments, most=most)
+    solved = solve(away(unknowns, 0.3), arguments, most=most)
     np.testing.assert_array_equal(solved.factor, np.asarray(factor(solved.unknowns, arguments)))
     np.testing.assert_allclose(solved.cost, 0.5 * np.sum(solved.factor[..., -1] ** 2), rtol=1e-9)
+
+
+def test_channels_are_weighted_by_what_is_left_of_them(problem: Problem) -> None:
+    noise = ConcentratedNoise.of(problem.arguments.data)
+    whitener = problem.arguments.whitener * jnp.asarray([3.0, 0.2, 1.0])[:, None, None]  # wrong levels to begin with
+    arguments = dataclasses.replace(problem.arguments, whitener=whitener)
+    solved = solve(away(problem.unknowns, 0.05), arguments, noise=noise)
+    assert solved.converged
+    error = np.asarray(plain_residual(solved.unknowns, arguments)[0])
+    left = np.sum(error**2, axis=(0, 2))
+    np.testing.assert_allclose(solved.squares, left, rtol=1e-9)
+    # In its factor every channel that was measured has the squares of as many samples of noise one, and the slope is none.
+    assert promised_gain(solved.factor, len(solved.unknowns.shared)) < 1e-4
+    weighted = Passes(arguments).factors(solved.unknowns).joined(1.0 / noise.deviations(left))
+    np.testing.assert_allclose(solved.factor, weighted, rtol=1e-7, atol=1e-7)
+    known = 0.5 * np.sum(weighted[..., -1] ** 2) - 0.5 * np.sum(noise.counts)
+    assert solved.cost == pytest.approx(
+        np.sum(noise.counts[left > 0] * np.log(noise.deviations(left)[left > 0])) + known
+    )
+    # The levels to begin with are no matter: they change the cost by a constant, and nothing else.
+    plainly = solve(away(problem.unknowns, 0.05), problem.arguments, noise=noise)
+    np.testing.assert_allclose(solved.unknowns.shared, plainly.unknowns.shared, atol=1e-6)
+
+
+def test_what_is_rejected_is_only_simulated(problem: Problem, monkeypatch: pytest.MonkeyPatch) -> None:
+    passes, simulations = [], []
+    whole, plain = Passes.factors, levenberg_marquardt.plain_residual
+    monkeypatch.setattr(Passes, "factors", lambda self, at: (passes.append(at), whole(self, at))[1])
+    monkeypatch.setattr(levenberg_marquardt, "plain_residual", lambda *given: (simulations.append(1), plain(*given))[1])
+    solved = solve(away(problem.unknowns, 1.2), problem.arguments)
+    assert len(passes) == solved.steps + 1
+    assert len(simulations) > 2  # the first step was too long
+    cost = [0.5 * np.sum(np.asarray(plain(at, problem.arguments)[0]) ** 2) for at in passes]
+    assert sum(np.diff(cost) > 0) <= len(passes) // 3
+
+
+def bent(at: Unknowns) -> tuple[np.ndarray, float]:
+    """A residual with a kink along the line x = y, as dry friction makes them, and its slope across that."""
+    x, y = np.asarray(at.shared)
+    return np.array([10 * abs(y - x) + 3, np.sinh(x + y - 2)]), 10.0 * float(np.sign(y - x))
+
+
+def bent_factors(_: Passes, at: Unknowns) -> Factors:
+    value, slope = bent(at)
+    other = float(np.cosh(np.sum(np.asarray(at.shared)) - 2))
+    return Factors(np.array([[-slope, slope, value[0]], [other, other, value[1]]])[None, None], np.zeros((1, 0, 3)))
+
+
+@pytest.mark.parametrize(("beside", "reached"), [(levenberg_marquardt._BESIDE, True), (0, False)])
+def test_a_kink_is_followed_to_the_least(
+    problem: Problem, beside: int, reached: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(levenberg_marquardt, "_BESIDE", beside)
+    monkeypatch.setattr(Passes, "factors", bent_factors)
+    monkeypatch.setattr(levenberg_marquardt, "_simulated_cost", lambda at, *_: 0.5 * float(np.sum(bent(at)[0] ** 2)))
+    begin = Unknowns(jnp.asarray([3.0, 3.5]), jnp.zeros((0, 1)), jnp.zeros((0, 1)))
+    solved = solve(begin, problem.arguments, most=200)
+    assert (solved.cost < 4.5 + 1e-2) == reached
+    assert solved.converged
+    if reached:
+        np.testing.assert_allclose(solved.unknowns.shared, 1.0, atol=0.1)
+
+
+@pytest.mark.parametrize("count", [8, 9])
+def test_halves_make_the_whole(count: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    plans = virtual_rig.standard_plans(seed=3, duration=0.5, free=count - 4, forced=4)
+    recording = virtual_rig.record(virtual_rig.Rig(), plans, seed=3)
+    recording = dataclasses.replace(recording, rig_std={"arm_inertia": 1e-7})
+    model = rtac.RTAC.from_rig(recording).each_experiment("cart_coulomb.level")
+    experiments = recording.experiments
+    data = Data.of(experiments)
+    space = space_of(model, experiments, free=[n for n in model.free if n not in model.per_experiment])
+    assert space.known is not None
+    unknowns = space.unconstrained()
+    arguments = Arguments(model, data, space, diagonal_whitener(np.ones(len(CHANNELS)), data), no_gain(model, data), 1)
+    halves = Passes(arguments).factors(unknowns)
+    monkeypatch.setattr(jacobian_factor, "_HALVED", 100)
+    whole = Passes(arguments).factors(unknowns)
+    for mine, others in ((halves.channels, whole.channels), (halves.prior, whole.prior)):
+        products, expected = (np.swapaxes(rows, -1, -2) @ rows for rows in (mine, others))
+        np.testing.assert_allclose(products, expected, rtol=1e-8, atol=1e-10 * np.max(np.abs(expected)))

@@ -107,12 +107,10 @@ _OFF: dict[str, dict[str, float]] = {
     "chance: scatter over seconds (1)": {"chance": 1.0},
     "known: held-out gain where others know of the effect (0)": {"known": 0.0},
     "held-out gain must be positive (known 1)": {"known": 1.0},
-    "loose: a shape that ran away gives way (never)": {"loose": math.inf},
     "consequence: effects must take something off the error (0)": {"consequence": 0.0},
     "simulation_noise: the simulation's error is asked (never)": {"simulation_noise": math.inf},
     "simulation_poor: of a poor simulation (never)": {"simulation_poor": math.inf},
     "random_large: random forces in place of physics (never)": {"random_large": math.inf},
-    "simulation_level: more than random forces explain (0)": {"simulation_level": 0.0},
 }
 
 
@@ -130,6 +128,7 @@ def rules() -> dict[str, Judge]:
     found["second look: large, but at a few instants"] = without_look("unalarmed")
     found["second look: what random forces may hide"] = without_look("hidden")
     found["contacts are tried however little they show"] = _without_traits("contact", False)
+    found["a shape that ran away gives way"] = with_patch(FittedModel, "leaves_free", lambda *_: False)
     found["too few data: a suspect vetoes"] = with_patch(verdict, "few_for", lambda *_: False)
     return found
 

@@ -9,10 +9,8 @@ from jaxtyping import Float
 from estimators.core.bound_transform import slopes
 from estimators.core.parameter_space import Space, Unknowns
 from estimators.core.results import NotIdentifiableError
+from estimators.core.undetermined import UNDETERMINED
 
-# A direction along which all free parameters may move by more than this fraction of their size within one standard
-# deviation is not determined by the data.
-_UNDETERMINED = 10.0
 _SCALES = ("total_mass", "arm_inertia")
 _FIX_THE_SCALE = "Give a known constant in /rig (total_mass or arm_inertia fixes the scale). "
 
@@ -45,7 +43,7 @@ class Information:
         """Describe every combination of parameters that the data leave free."""
         said = []
         for direction, deviation in zip(self.directions, self.deviations, strict=True):
-            if deviation < _UNDETERMINED:
+            if deviation < UNDETERMINED:
                 continue
             parts = [(name, share) for name, share in zip(self.names, direction, strict=True) if abs(share) > 0.2]
             if len(parts) == 1:
@@ -74,7 +72,7 @@ class Information:
         for direction, deviation in zip(self.directions, self.deviations, strict=True):
             if deviation <= above:
                 break
-            if deviation >= _UNDETERMINED:
+            if deviation >= UNDETERMINED:
                 continue
             shares = np.abs(direction)
             names = [n for n, share in zip(self.names, shares, strict=True) if share > 0.3 * np.max(shares)]

@@ -31,11 +31,6 @@ def held_out_gain(laboratory: Laboratory, before: FittedModel, after: FittedMode
     return float(sum(gains)) if gains else math.nan
 
 
-def loose(effect: str, model: FittedModel, policy: DiagnosisPolicy) -> bool:
-    """Return whether the data leave a parameter of an added effect free."""
-    return not model.looseness.get(effect, 0.0) < policy.loose
-
-
 def chosen(
     laboratory: Laboratory,
     before: FittedModel,
@@ -55,7 +50,7 @@ def chosen(
     if not good:
         return None
     # One whose shape has run away stands in for a simpler one; the user's own fit would refuse it.
-    good = [i for i in good if not loose(i, models[i], policy)] or good
+    good = [i for i in good if not models[i].leaves_free(i)] or good
     best = max(good, key=lambda i: gains[i])
     rivals = _rivals(laboratory, good, gains, best, policy)
     if simpler := [i for i in rivals if i in laboratory.facts.effects[best].contains]:
@@ -90,7 +85,7 @@ def alone(
         known = [second.model.values.get(f"{of.id}.{name}", (0.0, 0.0)) for name in of.amplitudes]
         return max((abs(value) + deviations * std for value, std in known), default=0.0)
 
-    if size(first, 2.0) > policy.presupposed * size(second, 0.0):
+    if size(first, 2.0) > policy.left * size(second, 0.0):
         return None
     left = laboratory.findings(single)
     if left is None:

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from estimators.core.undetermined import UNDETERMINED
 from estimators.misspecification.findings import Findings, Score
 
 FORMAT, VERSION = "rtac-evidence", 1
@@ -55,6 +56,10 @@ class FittedModel:
     random_force: float = 0.0
     random_torque: float = 0.0
     values: Mapping[str, tuple[float, float]] = dataclasses.field(default_factory=dict)
+
+    def leaves_free(self, effect: str) -> bool:
+        """Return whether the data leave a parameter of an added effect free."""
+        return not self.looseness.get(effect, 0.0) < UNDETERMINED
 
 
 @dataclasses.dataclass(frozen=True)

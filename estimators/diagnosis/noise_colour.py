@@ -34,7 +34,7 @@ def recoloured(setting: Setting, base: Refit) -> tuple[Setting, Refit]:
         for channel, colour in colours.items():
             if channel in spectra:
                 lost = spectra[channel].log_likelihood(*first[channel]) - spectra[channel].log_likelihood(*colour)
-                if lost > setting.policy.colour_spoken:
+                if 2 * lost > setting.policy.bic_gain:
                     return -np.inf
                 rest -= lost
         trial = dataclasses.replace(setting, colours=capped(colours))
@@ -60,12 +60,16 @@ def coloured(setting: Setting, base: Refit, workers: Workers) -> Setting | None:
     """
     count = np.asarray(setting.data.present).sum(axis=(0, 2))
     times = np.unique(np.outer(np.unique(np.asarray(setting.data.excitation.sample_time)), _CORRELATION_TIMES))
-    best, likelihood = {}, base.predictor.log_likelihood
+    best, likelihood, price = (
+        {},
+        base.predictor.log_likelihood,
+        float(np.log(setting.samples)),
+    )  # of the correlation time
     for channel in np.array(CHANNELS)[count > 0]:
         trials = [{**best, str(channel): (1.0, float(correlation_time))} for correlation_time in times]
         values = workers.each(lambda colours: _likelihood_with(setting, colours, base), trials)
         for trial, value in zip(trials, values, strict=True):
-            if value > likelihood + setting.policy.colour_gain:
+            if 2 * (value - likelihood) - price > setting.policy.bic_gain:
                 likelihood, best = value, trial
     return dataclasses.replace(setting, colours=capped(best)) if best else None
 

@@ -7,14 +7,13 @@ from estimators.inference.simulation_residual import SimulationLimits
 from estimators.misspecification.findings import CriticalValues
 from estimators.prediction_error.colour_limits import ColourLimits
 
-VERSION = 7
+VERSION = 8
 """Of the standard policy: counts up when a threshold comes, goes or changes."""
 
 _PROTOTYPE = "prototype study of 42 cases a setting"
 _UNSTUDIED = "set when the rule was added; never studied by itself"
 _FRACTIONS = (
-    "removed", "static", "close", "line_left", "chance", "level", "known", "simulation_level",
-    "consequence", "colour_doubt", "colour_little", "presupposed", "unfollowed",
+    "removed", "static", "close", "line_left", "chance", "level", "known", "consequence", "colour_little", "unfollowed",
 )  # fmt: skip
 
 
@@ -37,7 +36,8 @@ class DiagnosisPolicy:
 
     removed: float = _threshold(
         0.9,
-        "fraction of the misfit that the named effects must remove",
+        "fraction of the misfit that the named effects must remove; the rest is the size, two standard deviations added, under"
+        " which what an effect presupposes is ruled out beside it",
         f"{_PROTOTYPE}: it refused three effects outside the catalogue",
     )
     static: float = _threshold(
@@ -47,13 +47,9 @@ class DiagnosisPolicy:
     )
     bic_gain: float = _threshold(
         10.0,
-        "gain in BIC that a candidate must reach, and within which it cannot be told from the best",
+        "gain in BIC that a candidate, or coloured noise without a rest record, must reach; within it a candidate cannot be told"
+        " from the best, and rest records do not speak against a colour",
         "Kass and Raftery, JASA 90 (1995): very strong evidence",
-    )
-    presupposed: float = _threshold(
-        0.1,
-        "fraction of an effect's size that what it presupposes must stay under, two standard deviations added, to be ruled out",
-        _UNSTUDIED,
     )
     refits: int = _threshold(4, "candidates refitted at least", _PROTOTYPE)
     close: float = _threshold(
@@ -75,7 +71,8 @@ class DiagnosisPolicy:
     alarm: float = _threshold(20.0, "chi-square from which a candidate's score rejects its absence", _PROTOTYPE)
     chance: float = _threshold(
         2e-3,
-        "probability of an alarm by any candidate by chance, by the scatter over seconds of data",
+        "probability of an alarm by chance: by any candidate, by the scatter over seconds of data; by the noise of a rest record,"
+        " that it is not white; by a simulation's error, that it is more than random forces leave",
         _UNSTUDIED,
     )
     level: float = _threshold(
@@ -88,35 +85,15 @@ class DiagnosisPolicy:
         "fraction of what all experiments know of an effect that the others must know to predict the one held out",
         _UNSTUDIED,
     )
-    loose: float = _threshold(
-        10.0,
-        "relative standard deviation from which data leave a combination of parameters free",
-        _UNSTUDIED,
-    )
     testable: float = _threshold(
         30.0,
         "detection limit over the plausible size from which the data cannot show an effect, and none is named",
-        _UNSTUDIED,
-    )
-    colour_doubt: float = _threshold(
-        ColourLimits.doubt,
-        "p-value below which the noise of a rest record is not white",
         _UNSTUDIED,
     )
     colour_little: float = _threshold(
         ColourLimits.little,
         "fraction of coloured noise that is left out of account",
         _UNSTUDIED,
-    )
-    colour_gain: float = _threshold(
-        10.0,
-        "gain in log-likelihood for which noise without a rest record is taken as coloured",
-        _UNSTUDIED,
-    )
-    colour_spoken: float = _threshold(
-        4.5,
-        "loss of the rest records' log-likelihood by which they speak against a colour",
-        "three standard deviations",
     )
     colour_mended: float = _threshold(
         0.5,
@@ -165,11 +142,6 @@ class DiagnosisPolicy:
         " followed by a simulation too",
         "right names left 1e-5, what stood in for others 0.1 to 0.8; never studied by itself",
     )
-    simulation_level: float = _threshold(
-        SimulationLimits.level,
-        "probability of a simulation error beyond what random forces leave, if they are its reason",
-        _UNSTUDIED,
-    )
 
     def __post_init__(self) -> None:
         for field in dataclasses.fields(self):
@@ -190,15 +162,20 @@ class DiagnosisPolicy:
         return CriticalValues(self.alarm, self.chance, self.level)
 
     @property
+    def left(self) -> float:
+        """Return the fraction that may be left of what is ruled out."""
+        return 1.0 - self.removed
+
+    @property
     def colour(self) -> ColourLimits:
         """Return the thresholds of noise at rest."""
-        return ColourLimits(self.colour_doubt, self.colour_little)
+        return ColourLimits(self.chance, self.colour_little)
 
     @property
     def simulation(self) -> SimulationLimits:
         """Return the thresholds of the simulation's error."""
         return SimulationLimits(
-            self.simulation_noise, self.simulation_poor, self.random_large, self.simulation_level, self.unfollowed
+            self.simulation_noise, self.simulation_poor, self.random_large, self.chance, self.unfollowed
         )
 
     @property

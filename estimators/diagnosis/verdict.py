@@ -18,7 +18,7 @@ from estimators.inference.simulation_residual import (
 from estimators.misspecification.adequacy import AdequacyTest, alarming, few_for
 
 _COMPUTED = {
-    "noise": ("colour_doubt", "colour_little", "colour_gain", "colour_spoken", "colour_mended"),
+    "noise": ("colour_little", "colour_mended"),
     "candidates": ("testable",),
 }
 """Thresholds that the evidence was computed by, and what of it."""

@@ -34,7 +34,7 @@ class SimulationLimits:
     beyond: float = 2.0
     poor: float = 0.1
     large: float = 0.05
-    level: float = 1e-3
+    level: float = 2e-3
     unfollowed: float = 0.25
 
 

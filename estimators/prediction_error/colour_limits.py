@@ -12,7 +12,7 @@ class ColourLimits:
         little: fraction of coloured noise that is not worth a state.
     """
 
-    doubt: float = 1e-4
+    doubt: float = 2e-3
     little: float = 0.05
 
 

@@ -4,6 +4,7 @@ import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -134,6 +135,10 @@ class Passed(NamedTuple):
     filtered: Filtered
 
 
+# Experiments from which on a filter passes through all of them abreast, a column for each, instead of one after the other.
+_ABREAST = 16
+
+
 @program
 def _pass(*arguments: Any) -> Passed:
     """Run the filter and its derivatives as one compiled function; see `_arguments`."""
@@ -159,11 +164,23 @@ def _filtered(
     substeps: Steps, *, by_noise: bool,
 ) -> tuple[Filtered, ByNoise | None]:  # fmt: skip
     density = jnp.exp(noise[:2]) * scale
-    variance = jnp.broadcast_to((jnp.exp(noise[2:]) * sensor**2)[:, None], (len(CHANNELS), data.experiments))
-    return kalman(
-        model, data, space, physical, sensor_variance=variance, process=(density[0], density[1]),
-        start_variance=start, substeps=substeps, by_noise=by_noise,
-    )  # fmt: skip
+    variance = (jnp.exp(noise[2:]) * sensor**2)[:, None]
+
+    def passed(data: Data, each: Array, begun: Array, start: Array) -> tuple[Filtered, ByNoise | None]:
+        return kalman(
+            model, data, space, (physical[0], each, begun),
+            sensor_variance=jnp.broadcast_to(variance, (len(CHANNELS), data.experiments)),
+            process=(density[0], density[1]), start_variance=start, substeps=substeps, by_noise=by_noise,
+        )  # fmt: skip
+
+    given = (data, physical[1], physical[2], start)
+    if data.experiments >= _ABREAST:
+        return passed(*given)
+    # Few columns fill no vectors, and what is computed for one alone is shorter code.
+    columns = jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0) if np.ndim(x) else jnp.full(data.experiments, x), given)
+    widths = jax.tree.map(np.ndim, given)
+    found = jax.lax.map(lambda one: passed(*jax.tree.map(lambda x, n: x[..., None] if n else x, one, widths)), columns)
+    return jax.tree.map(lambda x: jnp.moveaxis(x[..., 0], 0, -1), found)
 
 
 def run_filter(

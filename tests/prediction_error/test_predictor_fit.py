@@ -1,12 +1,23 @@
 """Prediction error of the nonlinear model against the virtual rig, shaken by random forces."""
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import estimators as est
 import rtac_jax as rtac
+from estimators.core.data import Data
+from estimators.core.initial_state import scales_of, space_of
+from estimators.core.sensor_noise import noise_levels
 from estimators.prediction_error import noise_estimation
-from estimators.prediction_error.noise_estimation import filter_alone, negative_log_likelihood, run_filter
+from estimators.prediction_error.noise_estimation import (
+    NoiseModel,
+    filter_alone,
+    first_noise,
+    negative_log_likelihood,
+    run_filter,
+)
 from rtac_jax.virtual_rig import Rig, record, standard_plans
 
 
@@ -148,3 +159,24 @@ def test_random_forces_do_not_bend_dry_friction():
     assert max(abs(x) for x in away(found, truth).values()) < 3
     counted = found.statistics["samples"] / sum(e.samples * len(e.outputs) for e in data if e.kind != "rest")
     assert 0.5 < counted < 0.98, "some samples are left out, and not most"
+
+
+def test_experiments_one_after_the_other_are_as_abreast(monkeypatch, compile_anew):
+    recording = record(Rig(), standard_plans(seed=4, duration=1.0, free=1, forced=2, rest=1), seed=4)
+    moving = [e for e in recording if e.kind != "rest"]
+    model = rtac.RTAC.from_rig(recording).each_experiment("cart_coulomb.level")
+    model = model.with_values({"cart_coulomb.level": np.array([0.01, 0.02, 0.03])})
+    data, space = Data.of(moving), space_of(model, moving, free=["eccentric_moment"])
+    levels = noise_levels(recording.experiments)
+    prior = NoiseModel.of(levels, recording.experiments, scales_of(model, moving), space)
+    physical = space.physical(space.unconstrained(start=False))
+
+    def passed():
+        return run_filter(model, data, space, physical, prior, first_noise(), jnp.asarray(1))
+
+    one_after_the_other = passed()
+    monkeypatch.setattr(noise_estimation, "_ABREAST", 1)
+    compile_anew()
+    abreast = passed()
+    for one, other in zip(jax.tree.leaves(one_after_the_other), jax.tree.leaves(abreast), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-9 * float(np.max(np.abs(other), initial=1e-300)))

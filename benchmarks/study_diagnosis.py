@@ -103,7 +103,7 @@ def one(name: str, draw: int, case: Case) -> dict[str, object]:
         errors["still"] = _apart(validation, unshaken, rig)
         if "learned" in models:
             begins = {"base": fit.model, "learned": fit.model + found.curves[0].effect()}
-            errors |= {f"{label}, still": _error(_foreseen(m, recording), unshaken) for label, m in begins.items()}
+            errors |= {f"{label}, still": _error(_predicting(m, recording), unshaken) for label, m in begins.items()}
     return {
         "case": name,
         "draw": draw,
@@ -134,7 +134,7 @@ def _fitted(model: rtac.RTAC, recording: rtac.Recording) -> est.Fit | None:
         return None
 
 
-def _foreseen(model: rtac.RTAC, recording: rtac.Recording) -> rtac.RTAC | None:
+def _predicting(model: rtac.RTAC, recording: rtac.Recording) -> rtac.RTAC | None:
     """The model with its parameters from predictions one sample ahead."""
     try:
         return est.prediction_error_nonlinear(model, recording, from_model=True, progress=False).model

@@ -9,7 +9,7 @@ from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.diagnose import Diagnosis
 from estimators.diagnosis.improve import Improvement
 from estimators.diagnosis.learned_force import LearnedForce
-from estimators.diagnosis.model_extension import Foreseen
+from estimators.diagnosis.model_extension import PredictedGain
 from estimators.misspecification.adequacy import AdequacyTest
 from estimators.misspecification.residual_maps import Place
 from estimators.misspecification.static_force import ForceCurve
@@ -149,17 +149,17 @@ LEARNED = LearnedForce(
     "cart", "cart_position", np.linspace(-0.012, 0.014, 12), 0.05 * np.linspace(-1, 1, 12) ** 3, np.full(12, 0.002),
     {"forced_1": 0.2}, ("force on the cart [N] = (2e+04 N/m^3) q^3",),
 )  # fmt: skip
-FORESEEN = Foreseen(
+PREDICTED = PredictedGain(
     "flexible_mode", 140.0, {"cart_position": 1.6, "arm_velocity": 1.3}, {"cart_position": 1.1, "arm_velocity": 1.2}
 )
 
 
-def improvement(steps=2, verdict=None, errors=(30.0, 3.0, 0.3), foreseen=()):
+def improvement(steps=2, verdict=None, errors=(30.0, 3.0, 0.3), predicted_gains=()):
     labels = ["base", "+ flexible_mode", "+ flexible_mode, cogging"][:steps]
     errors = errors[:steps]
     models = tuple(compared(label, error) for label, error in zip(labels, errors, strict=True))
     found = diagnosis(verdict or ("missing" if steps > 1 else "adequate"))
     return Improvement(
         (), (found,), found.effects[: min(steps - 1, 1)] + OTHERS[1 : steps - 1], found.verdict,
-        Comparison(models), Comparison(models), (), False, foreseen, "Stopped.", 1.0,
+        Comparison(models), Comparison(models), (), False, predicted_gains, "Stopped.", 1.0,
     )  # fmt: skip

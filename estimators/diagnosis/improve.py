@@ -2,6 +2,7 @@
 
 import dataclasses
 import time
+import warnings
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
@@ -11,7 +12,7 @@ from estimators.core.fit import Fit
 from estimators.core.result_base import Result
 from estimators.diagnosis.diagnose import Candidate, Diagnosis, Verdict, compile_diagnosis, diagnose
 from estimators.diagnosis.learned_force import LearnedForce, learn_force
-from estimators.diagnosis.model_extension import Added, Foreseen, add_effect, misfit, parameters_of
+from estimators.diagnosis.model_extension import Added, PredictedGain, add_effect, misfit, parameters_of
 from estimators.diagnosis.nearest_effect import add_nearest
 from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
 from estimators.output_error.fit import output_error
@@ -37,7 +38,7 @@ class Improvement(Result):
             held-out experiments worse; deviations of the other parameters are for that value of theirs.
         predicted: the last model has all its parameters from predictions one sample ahead, because random forces or an arm that
             tumbles carry a simulation away from the data that it was fitted to.
-        foreseen: added effects that do not clearly lower the held-out error of simulation, but make the held-out experiments
+        predicted_gains: added effects that do not clearly lower the held-out error of simulation, but make the held-out experiments
             likelier one sample ahead.
         stopped: why the loop ended.
         seconds: duration [s].
@@ -54,11 +55,17 @@ class Improvement(Result):
     validation: Comparison
     held: tuple[str, ...]
     predicted: bool
-    foreseen: tuple[Foreseen, ...]
+    predicted_gains: tuple[PredictedGain, ...]
     stopped: str
     seconds: float
     learned: LearnedForce | None = None
     nearest: Candidate | None = None
+
+    @property
+    def foreseen(self) -> tuple[PredictedGain, ...]:
+        """Return `predicted_gains`, by the old name."""
+        warnings.warn("Improvement.foreseen is called predicted_gains now.", DeprecationWarning, stacklevel=2)
+        return self.predicted_gains
 
     @property
     def base(self) -> Fit:
@@ -73,10 +80,10 @@ class Improvement(Result):
     @property
     def ending(self) -> str:
         """Return what was held, or kept for its predictions, if anything, why the loop ended, and what was learned."""
-        said = [str(one) for one in self.foreseen]
+        said = [str(one) for one in self.predicted_gains]
         if self.predicted:
             said.append(
-                "All parameters of the last model are those with which the data are foreseen best one sample ahead, as of "
+                "All parameters of the last model are those with which the data are predicted best one sample ahead, as of "
                 "est.prediction_error_nonlinear: with a fit by simulation the held-out experiments do not tell."
             )
         if self.held:
@@ -285,7 +292,7 @@ def improve(
         validation=Comparison(tuple(tested)),
         held=_held(steps),
         predicted=steps[-1][1].way == "predicted",
-        foreseen=tuple(step.foreseen for _, step in steps if step.foreseen is not None),
+        predicted_gains=tuple(step.predicted_gain for _, step in steps if step.predicted_gain is not None),
         stopped=stopped,
         seconds=time.perf_counter() - began,
         learned=learned,

@@ -134,7 +134,7 @@ def learn_force(
         step = add_effect(before, tested, curve.effect(), label, train, held_out, policy=strict, progress=progress)
         if isinstance(step, str):
             continue
-        if step.foreseen is not None or misfit(step.tested) <= (1 - policy.fall) * misfit(tested):
+        if step.predicted_gain is not None or misfit(step.tested) <= (1 - policy.fall) * misfit(tested):
             return step, _described(step, curve)
     where = " and ".join(f"on the {curve.port} against {curve.variable}" for curve in tried)
     return f"No learned force was added: with one {where} the held-out error does not clearly fall."

@@ -21,7 +21,7 @@ from rtac_jax.measurement import Recording
 
 
 @dataclasses.dataclass(frozen=True)
-class Foreseen:
+class PredictedGain:
     """An effect that no simulation of the held-out experiments shows, and that predictions one sample ahead do.
 
     Attributes:
@@ -44,7 +44,7 @@ class Foreseen:
         where = self.channel
         return (
             f"{self.id} is kept for what it foresees: a simulation of the held-out experiments does not tell, as where random "
-            f"forces or an arm that tumbles carry it away, but one sample ahead they are foreseen better with it (log-likelihood "
+            f"forces or an arm that tumbles carry it away, but one sample ahead they are predicted better with it (log-likelihood "
             f"{self.gain:+.0f}, error of {where} {self.before[where]:.2f} to {self.after[where]:.2f} times the noise)."
         )
 
@@ -58,13 +58,13 @@ class Added:
         tested: against the held-out experiments.
         way: all parameters fitted by simulation; those of the effect held at the estimate of the diagnosis; or all fitted by
             predictions one sample ahead.
-        foreseen: what predictions gain, where a simulation does not tell.
+        predicted_gain: what predictions gain, where a simulation does not tell.
     """
 
     fit: Fit
     tested: Compared
     way: Literal["simulated", "held", "predicted"]
-    foreseen: Foreseen | None = None
+    predicted_gain: PredictedGain | None = None
 
 
 def add_effect(
@@ -114,13 +114,13 @@ def add_effect(
         reasons.append(f"Stopped: with {effect.id} the held-out error would not fall.")
     if not steps:
         return reasons[0]
-    return _foreseen(effect, bases, steps, train, held_out, policy) or (
+    return _by_predictions(effect, bases, steps, train, held_out, policy) or (
         f"{reasons[0]} Held at the estimate of the diagnosis, or fitted by predictions one sample ahead, it would not help "
         "clearly either, and predictions are no better with it."
     )
 
 
-def _foreseen(
+def _by_predictions(
     effect: Effect,
     bases: Sequence[Added],
     steps: Sequence[Added],
@@ -143,7 +143,7 @@ def _foreseen(
     step, best = max(several, key=lambda pair: _likelihood(pair[1]))
     if best.surpasses(known, of=len(several), level=policy.ahead_level):
         gain = best.log_likelihood - known.log_likelihood
-        return dataclasses.replace(step, foreseen=Foreseen(effect.id, gain, known.errors, best.errors))
+        return dataclasses.replace(step, predicted_gain=PredictedGain(effect.id, gain, known.errors, best.errors))
     freely, its = several[0]
     if (
         freely.way == "simulated"

@@ -38,12 +38,12 @@ def detection_limits(group: Group, several: Sequence[Screened], basis: Rows, mos
     found = {s.id: limit if (limit := _by_proportion(s)) < _largest(s, most) else np.inf for s in several}
     sound = [s for s in several if np.isfinite(found[s.id])]
     shown = _scores(group, basis, sound, [found[s.id] for s in sound])
-    off = [(s, not there >= _alarm(s)) for s, there in zip(sound, shown, strict=True) if not _as_foreseen(s, there)]
+    off = [(s, not there >= _alarm(s)) for s, there in zip(sound, shown, strict=True) if not _as_expected(s, there)]
     looked_for = at_once(lambda one: _looked_for(group, basis, one[0], most if one[1] else None), off)
     return found | {s.id: limit for (s, _), limit in zip(off, looked_for, strict=True)}
 
 
-def _as_foreseen(s: Screened, there: float) -> bool:
+def _as_expected(s: Screened, there: float) -> bool:
     """Return whether the limit by proportion predicts the statistic at that size."""
     return bool(_alarm(s) / _NEAR < there < _alarm(s) * _NEAR)
 

@@ -45,10 +45,10 @@ def finding(improvement: Improvement) -> str:
     names = " and ".join(
         [*([", ".join(c.id for c in improvement.added)] if improvement.added else []), *near, *learned]
     )
-    if improvement.foreseen and after > 0.95 * before:
-        last = improvement.foreseen[-1]
+    if improvement.predicted_gains and after > 0.95 * before:
+        last = improvement.predicted_gains[-1]
         fall = f"from {times(last.before[last.channel])} to {times(last.after[last.channel])} times the noise"
-        return f"With {names} the held-out {NAMES[last.channel]} is foreseen one sample ahead better, {fall}"
+        return f"With {names} the held-out {NAMES[last.channel]} is predicted one sample ahead better, {fall}"
     fall = f"from {times(before)} to {times(after)} times the noise"
     return f"Adding {names} lowers the held-out error of {NAMES[channel]} {fall}"
 

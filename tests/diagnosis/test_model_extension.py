@@ -98,7 +98,7 @@ def test_what_is_kept(
     found = looped(monkeypatch, errors, {})
     assert [c.id for c in found.added] == (["cubic_spring"] if kept else [])
     assert found.held == (("cubic_spring",) if held else ())
-    assert found.foreseen == ()
+    assert found.predicted_gains == ()
     assert found.verdict == ("missing" if kept else "unknown")
     assert found.learned is None  # the diagnosis named an effect
     assert said in found.ending
@@ -137,9 +137,9 @@ def test_what_predictions_keep(
     assert ("est.prediction_error_nonlinear" in found.ending) == (kept == PREDICTED)
     assert found.verdict == ("missing" if kept else "unknown")
     assert found.learned is None  # the diagnosis named an effect
-    assert [one.id for one in found.foreseen] == (["cubic_spring"] if kept else [])
+    assert [one.id for one in found.predicted_gains] == (["cubic_spring"] if kept else [])
     if kept is not None:
-        assert found.foreseen[0].gain == pytest.approx(max(likelier.values()) * SAMPLES)
+        assert found.predicted_gains[0].gain == pytest.approx(max(likelier.values()) * SAMPLES)
         assert "2.00 to 1.00 times the noise" in found.ending
         assert found.final.statistics["kind"] == kept
 
@@ -162,7 +162,7 @@ def looped(
             raise est.NotIdentifiableError("leaves it free")
         return fit_of(model, ("total_mass",), error=error, kind=kind)
 
-    def foreseen(fit: est.Fit, *_: Any, like: OneStepAhead | None = None) -> OneStepAhead:
+    def one_ahead(fit: est.Fit, *_: Any, like: OneStepAhead | None = None) -> OneStepAhead:
         kind = fit.statistics["kind"]
         gain, error = likelier.get(kind, 0.0), 2.0 if kind in ("base", BASE_PREDICTED) else 1.0
         chance = (np.arange(SAMPLES) // 10 % 2 - 0.5)[:, None] * (error - 1.0)
@@ -184,7 +184,12 @@ def looped(
 
     for module, stubs in {
         improve: {"output_error": fitted, "compare": compared, "diagnose": diagnosed},
-        _add_effect: {"output_error": fitted, "compare": compared, "one_step_ahead": foreseen, "_predicted": predicted},
+        _add_effect: {
+            "output_error": fitted,
+            "compare": compared,
+            "one_step_ahead": one_ahead,
+            "_predicted": predicted,
+        },
     }.items():
         for name, stub in stubs.items():
             monkeypatch.setattr(module, name, stub)

@@ -11,10 +11,10 @@ import pytest
 from made_up_results import (
     ARM_CURVES,
     CURVES,
-    FORESEEN,
     LEARNED,
     NOISE,
     OTHERS,
+    PREDICTED,
     alike,
     candidate,
     compared,
@@ -103,7 +103,9 @@ PICTURES = {
     "bands of two": lambda: plot_bands(Comparison((compared("base", 12.0), compared("+ mode", 0.2)))),
     "improvement": lambda: plot_improvement(improvement()),
     "improvement in two steps": lambda: plot_improvement(improvement(3)),
-    "improvement of predictions": lambda: plot_improvement(improvement(errors=(3.0, 3.1), foreseen=(FORESEEN,))),
+    "improvement of predictions": lambda: plot_improvement(
+        improvement(errors=(3.0, 3.1), predicted_gains=(PREDICTED,))
+    ),
     "improvement of nothing": lambda: plot_improvement(improvement(1)),
     "improvement by a learned force": lambda: plot_improvement(learned()),
     "learned force": lambda: plot_learned_force(learned()),
@@ -132,7 +134,7 @@ def drawn():
 
 def test_where_a_simulation_does_not_tell_the_title_says_what_predictions_do(drawn):
     stated = drawn["improvement of predictions"].get_suptitle().replace("\n", " ")
-    assert "cart position is foreseen one sample ahead better, from 1.60 to 1.10 times the noise" in stated
+    assert "cart position is predicted one sample ahead better, from 1.60 to 1.10 times the noise" in stated
 
 
 @pytest.mark.parametrize("name", PICTURES)

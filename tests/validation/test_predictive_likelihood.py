@@ -1,4 +1,4 @@
-"""Held-out experiments foreseen one sample ahead tell models apart where random forces carry every simulation away."""
+"""Held-out experiments predicted one sample ahead tell models apart where random forces carry every simulation away."""
 
 import dataclasses
 
@@ -43,7 +43,7 @@ def by_model() -> dict[str, OneStepAhead]:
 
 
 @pytest.mark.slow
-def test_the_right_effect_is_foreseen_better(by_model: dict[str, OneStepAhead]) -> None:
+def test_the_right_effect_is_predicted_better(by_model: dict[str, OneStepAhead]) -> None:
     base, right = by_model["base"], by_model["right"]
     assert right.surpasses(base)
     assert not base.surpasses(right)
@@ -59,7 +59,7 @@ def test_an_effect_that_is_not_there_is_not(by_model: dict[str, OneStepAhead]) -
 
 @pytest.mark.slow
 def test_errors_are_those_of_the_predictions(by_model: dict[str, OneStepAhead]) -> None:
-    # Little more than its noise can be foreseen wrongly of a sensor where the state is known.
+    # Little more than its noise can be predicted wrongly of a sensor where the state is known.
     right = by_model["right"]
     assert set(right.errors) == {"cart_position", "arm_velocity", "arm_angle"}
     assert all(0.9 < error < 1.5 for error in right.errors.values()), right.errors

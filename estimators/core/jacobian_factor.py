@@ -90,41 +90,61 @@ def _factors(unknowns: Unknowns, arguments: Arguments) -> tuple[Array, Array]:
 class Passes:
     """The passes through the data of one problem, two halves of many experiments side by side.
 
-    Halves are taken whatever the number of cores, so that numbers do not depend on it.
+    Halves are taken whatever the number of cores, so that numbers do not depend on it. All problems of a model run one program, be
+    they of a simulation, whose channels have one whitener, or of predictions, whose states at the start are no unknowns.
     """
 
     def __init__(self, arguments: Arguments) -> None:
-        self._all = arguments.data.experiments
+        data, whitener = arguments.data, arguments.whitener
+        self._all = data.experiments
         self._parts = [slice(None)]
-        if self._all >= _HALVED and not worth_cutting(arguments.model, arguments.data):
-            # Of equal sizes, or each would be compiled: the one in the middle of an odd number is in both.
-            half = (self._all + 1) // 2
-            self._parts = [slice(half), slice(self._all - half, self._all)]
+        if not worth_cutting(arguments.model, data):
+            if len(whitener) == 1:
+                whitener = jnp.broadcast_to(whitener, (data.room, *whitener.shape[1:]))
+                arguments = dataclasses.replace(arguments, whitener=whitener)
+            if self._all >= _HALVED:
+                # Of equal sizes, or each would be compiled: the one in the middle of an odd number is in both.
+                half = (self._all + 1) // 2
+                self._parts = [slice(half), slice(self._all - half, self._all)]
         self._arguments = [_columns(arguments, part) for part in self._parts]
 
     def prepare(self, unknowns: Unknowns) -> None:
         """Compile what `factors` will run, and run nothing."""
-        _factors.prepare(self._part(unknowns, 0), self._arguments[0])
-
-    def _part(self, unknowns: Unknowns, number: int) -> Unknowns:
-        part = self._parts[number]
-        return unknowns._replace(each=unknowns.each[:, part], start=unknowns.start[:, part])
+        _factors.prepare(*self._given(unknowns, 0))
 
     def factors(self, unknowns: Unknowns) -> Factors:
         """Return the factors at these unknowns."""
+        own, start = len(unknowns.shared) + len(unknowns.each), len(unknowns.start)
 
         def of(number: int) -> tuple[np.ndarray, np.ndarray]:
-            channels, prior = _factors(self._part(unknowns, number), self._arguments[number])
-            return np.asarray(channels), np.array(prior)
+            channels, prior = map(np.array, _factors(*self._given(unknowns, number)))
+            if not start:  # the columns of what is held, and the rows of what would be known of it
+                held = len(self._arguments[number].space.start)
+                channels, prior = (np.delete(rows, np.s_[own : own + held], axis=-1) for rows in (channels, prior))
+                prior = prior[:, held:]
+            return channels, prior
 
         found = at_once(of, range(len(self._parts)))
         if len(found) == 1:
             return Factors(*found[0])
         # Each half counts what was measured of constants as if it were all experiments.
         for channels, prior in found:
-            prior[:, unknowns.start.shape[0] :] *= np.sqrt(len(channels) / self._all)
+            prior[:, start:] *= np.sqrt(len(channels) / self._all)
         twice = 2 * len(found[0][0]) - self._all
         return Factors(*(np.concatenate([first, second[twice:]]) for first, second in zip(*found, strict=True)))
+
+    def _given(self, unknowns: Unknowns, number: int) -> tuple[Unknowns, Arguments]:
+        """Return the unknowns and the arguments of a part, with states at the start that are held where they are no unknowns."""
+        part, arguments = self._parts[number], self._arguments[number]
+        unknowns = unknowns._replace(each=unknowns.each[:, part], start=unknowns.start[:, part])
+        if len(unknowns.start):
+            return unknowns, arguments
+        space = arguments.space
+        held = dataclasses.replace(space, start_held=jnp.ones_like(space.start_held))
+        return (
+            unknowns._replace(start=jnp.asarray(np.zeros(np.shape(space.start)))),
+            dataclasses.replace(arguments, space=held),
+        )
 
 
 def _columns(arguments: Arguments, part: slice) -> Arguments:

@@ -8,6 +8,8 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 from matplotlib.ticker import FixedFormatter, FuncFormatter
@@ -84,8 +86,17 @@ class Scaled(NamedTuple):
 def image_bytes(figure: Figure, kind: Literal["png", "svg"]) -> bytes:
     """Return the figure as the contents of an image file; the same figure gives the same bytes."""
     kept = io.BytesIO()
-    metadata = {"Date": None} if kind == "svg" else {}
-    figure.savefig(kept, format=kind, dpi=_DPI, metadata=metadata)
+    dpi, canvas = figure.dpi, figure.canvas
+    try:
+        # By the canvas itself: `savefig` draws everything once more before, to look for where it ends.
+        if kind == "png":
+            figure.dpi = _DPI
+            FigureCanvasAgg(figure).print_png(kept)
+        else:
+            FigureCanvasSVG(figure).print_svg(kept, metadata={"Date": None})
+    finally:
+        figure.dpi = dpi
+        figure.set_canvas(canvas)
     figure.set_layout_engine("none")  # it is laid out now; to do so again for the next format takes as long as drawing
     return kept.getvalue()
 

@@ -52,8 +52,8 @@ class Factors:
 
     @property
     def diverged(self) -> bool:
-        """Return whether they are of a model that left all bounds."""
-        return bool(np.max(self.channels[..., -1, -1]) >= _HOPELESS)
+        """Return whether they are of a model that left all bounds, or whose slopes did."""
+        return bool(np.max(np.abs(self.channels)) >= _HOPELESS)
 
     @property
     def squares(self) -> Float[np.ndarray, " output"]:

@@ -261,7 +261,8 @@ class _Walk:
     def _passed(self, there: Unknowns, cost: float, weights: Float[np.ndarray, " output"]) -> _Taken:
         self.steps += 1
         factors = self._passes.factors(there)
-        return _Taken(there, factors, cost - _cost(factors, weights))
+        gained = -np.inf if factors.diverged else cost - _cost(factors, weights)
+        return _Taken(there, factors, gained)
 
     def _along(self, arc: _Arc, damping: float, cost: float, weights: Float[np.ndarray, " output"]) -> _Found:
         """Return the step with the damping, of this or more, from which on more of it gains less, by simulations."""

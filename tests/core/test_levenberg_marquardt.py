@@ -101,6 +101,20 @@ def test_a_kink_is_followed_to_the_least(
         np.testing.assert_allclose(solved.unknowns.shared, 1.0, atol=0.1)
 
 
+def test_slopes_beyond_all_bounds_do_not_count(problem: Problem, monkeypatch: pytest.MonkeyPatch) -> None:
+    def wild(passes: Passes, at: Unknowns) -> Factors:
+        found = bent_factors(passes, at)
+        steep = bent(at)[1] < 0  # on one side of the kink
+        return dataclasses.replace(found, channels=np.where(steep & (found.channels != 0), 1e175, found.channels))
+
+    monkeypatch.setattr(Passes, "factors", wild)
+    monkeypatch.setattr(levenberg_marquardt, "_simulated_cost", lambda at, *_: 0.5 * float(np.sum(bent(at)[0] ** 2)))
+    begin = Unknowns(jnp.asarray([3.0, 3.5]), jnp.zeros((0, 1)), jnp.zeros((0, 1)))
+    solved = solve(begin, problem.arguments, most=50)
+    assert np.all(np.isfinite(solved.factor))
+    assert solved.cost < 0.5 * np.sum(bent(begin)[0] ** 2)
+
+
 @pytest.mark.parametrize("count", [8, 9])
 def test_halves_make_the_whole(count: int, monkeypatch: pytest.MonkeyPatch) -> None:
     plans = virtual_rig.standard_plans(seed=3, duration=0.5, free=count - 4, forced=4)

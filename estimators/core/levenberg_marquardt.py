@@ -248,11 +248,13 @@ class _Walk:
             found = max(both, found, key=lambda one: one.gained)._replace(beyond=both.beyond)
             if both.beyond is None:
                 break
-        if found.there is None or self.steps >= self._most:
-            return None
-        taken = self._passed(found.there, cost, weights)
-        self._damping, self.full = found.damping, found.damping <= _FULL
-        return taken if taken.gained > 0 else None
+        while found.there is not None and self.steps < self._most:
+            taken = self._passed(found.there, cost, weights)
+            if taken.gained > 0:
+                self._damping, self.full = found.damping, found.damping <= _FULL
+                return taken
+            found = self._along(arc, _ALONG * found.damping, cost, weights)  # the slopes left all bounds there
+        return None
 
     def _remember(self, beyond: _Taken) -> None:
         if not beyond.factors.diverged:

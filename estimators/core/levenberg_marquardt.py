@@ -29,6 +29,8 @@ _WORTH = 0.01
 # Damping of a full step, far below what any data say of an unknown that they show; by how much less it is after a step that
 # gained what it promised; its factors along the arc, and from what was best last to where the next arc begins.
 _FULL, _LESS, _ALONG, _BOLDER = 1.0, 3.5, 8.0, 64.0
+# Damping below which nothing creeps any more; and of rounding, as a share of a matrix's trace.
+_LEAST, _ROUNDING = 1e-12, 1e-12
 # A step that gains less than this fraction of what a full one promises was stopped by a kink; of how many points beyond it the
 # slopes are counted, too.
 _POOR, _BESIDE = 0.1, 3
@@ -46,6 +48,7 @@ class Solved(NamedTuple):
         steps: number of passes with the Jacobian after the first.
         converged: whether no step gains more, rather than the number of steps running out.
         squares: sum of squares of each channel's residual, unweighted.
+        promised: gain in log-likelihood that the slopes promise there: little at a smooth minimum, more where a kink stopped it.
         pulled: whether a parameter was left on its bound although the data pull it inwards.
         held: how many parameters are held on a bound.
     """
@@ -56,6 +59,7 @@ class Solved(NamedTuple):
     steps: int
     converged: bool
     squares: np.ndarray
+    promised: float = 0.0
     pulled: bool = False
     held: int = 0
 
@@ -170,7 +174,7 @@ def solve(
     cost = _cost(here, weights)
     if noise is not None:
         cost += noise.cost(here.squares) - 0.5 * float(weights**2 @ here.squares)
-    return Solved(unknowns, best, cost, walk.steps, converged, here.squares)
+    return Solved(unknowns, best, cost, walk.steps, converged, here.squares, promised)
 
 
 class _Taken(NamedTuple):
@@ -201,7 +205,7 @@ class _Walk:
     def __init__(self, arguments: Arguments, passes: Passes, most: int) -> None:
         self.steps, self.full = 0, True
         self._arguments, self._passes, self._most = arguments, passes, most
-        self._damping = _FULL
+        self._damping, self._mixed = _FULL, _FULL
         self._beside: list[_Taken] = []
 
     def step(
@@ -223,6 +227,10 @@ class _Walk:
         here = _triangle_of_all(unknowns, factor)
         arc = _Arc(unknowns, here)
         if self.full:
+            # Unknowns with little slope, as near a bound, would creep where the damping holds back more than half of the gain.
+            # Those of single experiments may, as nobody holds them on a bound that they overshoot.
+            while not unknowns.each.size and self._damping > _LEAST and arc.at(self._damping)[1] < 0.5 * promised:
+                self._damping /= _ALONG
             there, expected = arc.at(self._damping)
             tried = self._passed(there, cost, weights)
             if tried.gained > 0 and tried.gained >= _WORTH * expected:
@@ -235,19 +243,14 @@ class _Walk:
         else:
             damping = max(self._damping / _BOLDER, _FULL)
         found = self._along(arc, damping, cost, weights)
-        for _ in range(_BESIDE):
-            if found.gained >= _POOR * promised or self.steps >= self._most:
-                break
+        if _BESIDE and found.gained < _POOR * promised and self.steps < self._most:
             # A kink, as dry friction makes them: the step leads along it, where the slopes on its sides cancel.
             if found.beyond is not None:
                 self._remember(self._passed(found.beyond, cost, weights))
             several = [here, *(_seen_from(unknowns, one, weights) for one in self._beside)]
-            along = _Arc(unknowns, _together(several, damping))
-            promised = along.at(_FULL)[1]
-            both = self._along(along, _FULL, cost, weights)
-            found = max(both, found, key=lambda one: one.gained)._replace(beyond=both.beyond)
-            if both.beyond is None:
-                break
+            both = self._along(_Arc(unknowns, _together(several, damping)), self._mixed, cost, weights)
+            self._mixed = max(both.damping / _BOLDER, _FULL) if both.there is not None else _FULL
+            found = max(both, found, key=lambda one: one.gained)
         while found.there is not None and self.steps < self._most:
             taken = self._passed(found.there, cost, weights)
             if taken.gained > 0:
@@ -271,7 +274,7 @@ class _Walk:
         found = _Found(None, 0.0, damping, None)
         while True:
             there, promised = arc.at(damping)
-            if promised < _NOTHING:
+            if not promised >= _NOTHING:
                 return found
             gained = cost - _simulated_cost(there, self._arguments, weights)
             if found.there is not None and gained <= found.gained:
@@ -301,7 +304,8 @@ def _together(several: Sequence[Float[np.ndarray, "every every"]], damping: floa
     Source: Wolfe, Mathematical Programming Study 3 (1975): the shortest mixture of subgradients leads along a kink.
     """
     slopes = np.stack([one[:, :-1].T @ one[:, -1] for one in several], axis=1)
-    curvature = several[0][:, :-1].T @ several[0][:, :-1] + damping * np.eye(len(slopes))
+    curvature = several[0][:, :-1].T @ several[0][:, :-1]
+    curvature += max(damping, _ROUNDING * np.trace(curvature)) * np.eye(len(slopes))
     length = np.linalg.solve(np.linalg.cholesky(curvature), slopes)
     # Shares that add up to one, as the heavy last row asks.
     heavy = 1e3 * max(float(np.max(np.abs(length))), np.finfo(float).tiny)

@@ -157,7 +157,7 @@ class Descent:
         solved = self._solve(unknowns, arguments, tolerance=1e-2, gain=_START, most=15)
         arguments = dataclasses.replace(arguments, whitener=diagonal_whitener(levels, self.data))
         constant = float(noise.counts @ np.log(levels))
-        cost = noise.cost(solved.squares * (deviation / levels) ** 2) + constant
+        cost = noise.cost(solved.squares) + float(noise.counts @ np.log(deviation))
         # One that is hopeless beside another start is not worth the last digits.
         most = self.steps if cost <= best + float(np.sum(noise.counts)) else 1
         solved = self._solve(solved.unknowns, arguments, tolerance=self.tolerance, most=most, noise=noise)

@@ -134,6 +134,7 @@ def output_error(
         experiments=tuple(e.name for e in experiments),
         statistics={
             "cost": stage.cost,
+            "promised": stage.solved.promised,
             "steps": run.taken,
             "starts": len(candidates),
             "agreed": agreed,

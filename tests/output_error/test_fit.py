@@ -54,6 +54,13 @@ def test_noisy_estimates_agree_with_the_truth_within_their_deviations(
     assert train.errors["arm_velocity"].fit_percent > 95.0
 
 
+def test_a_fit_that_a_kink_stopped_says_so(noisy_fit: est.Fit) -> None:
+    stopped = dataclasses.replace(noisy_fit, statistics={**noisy_fit.statistics, "promised": 21.7})
+    assert "kink" in stopped.outcome
+    assert "still promise 22 in log-likelihood" in str(stopped)
+    assert "kink" not in str(noisy_fit)
+
+
 def test_starts_that_no_sensor_could_tell_apart_are_followed_once(noisy: rtac.Recording, noisy_fit: est.Fit) -> None:
     """Every start is guided by predictions; where it then simulates what another one did, the rest would be the same."""
     four = est.output_error(rtac.RTAC.from_rig(noisy), noisy, starts=4, progress=False)
@@ -68,6 +75,7 @@ def test_starts_that_no_sensor_could_tell_apart_are_followed_once(noisy: rtac.Re
 def test_starts_do_not_vouch_for_a_model_that_does_not_follow_the_rig(noisy_fit: est.Fit) -> None:
     """Two starts that agreed at 1,023 times the noise were left behind by a third."""
     assert noisy_fit.outcome.endswith("starts agree.")
+    assert noisy_fit.statistics["promised"] < 0.01
     near, far = (
         dataclasses.replace(
             noisy_fit, residual_std={**noisy_fit.residual_std, "arm_velocity": times * noisy_fit.noise["arm_velocity"]}

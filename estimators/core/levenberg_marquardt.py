@@ -105,17 +105,12 @@ def _triangle_of_all(
 ) -> Float[np.ndarray, "every every"]:
     """Return one triangular factor by the unknowns of all experiments, each after the other, and the residual."""
     experiments, rows, _ = factor.shape
-    shared, each, start = (np.size(leaf) for leaf in unknowns)
-    own = len(unknowns.each), len(unknowns.start)
-    whole = np.zeros((experiments, rows, shared + each + start + 1))
+    shared, own = len(unknowns.shared), len(unknowns.each) + len(unknowns.start)
+    whole = np.zeros((experiments, rows, shared + own * experiments + 1))
     whole[..., :shared], whole[..., -1] = factor[..., :shared], factor[..., -1]
     for column in range(experiments):
-        first = shared
-        for count in own:
-            places = first + column + experiments * np.arange(count)
-            at = shared + (0 if first == shared else own[0])
-            whole[column][:, places] = factor[column, :, at : at + count]
-            first += count * experiments
+        # Rows of `each` and `start` follow each other, each with a place for every experiment.
+        whole[column, :, shared + column : -1 : experiments] = factor[column, :, shared:-1]
     found = np.asarray(np.linalg.qr(whole.reshape(-1, whole.shape[2]), mode="r"))
     return np.pad(found, ((0, max(0, found.shape[1] - found.shape[0])), (0, 0)))
 

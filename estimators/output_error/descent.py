@@ -149,12 +149,12 @@ class Descent:
         Weighted anew from far off, a channel that is easily followed would soon be all that counts.
         """
         noise = ConcentratedNoise.of(self.data)
-        # In units of the sensors' noise, for the rounding.
         arguments = Arguments(
             model, self.data, space, diagonal_whitener(deviation, self.data), no_gain(model, self.data), substeps
         )
         self._require_determined(space, unknowns, arguments)
         solved = self._solve(unknowns, arguments, tolerance=1e-2, gain=_START, most=15)
+        # In units of the sensors' noise, as whoever weighs anew begins from no weights.
         arguments = dataclasses.replace(arguments, whitener=diagonal_whitener(levels, self.data))
         constant = float(noise.counts @ np.log(levels))
         cost = noise.cost(solved.squares) + float(noise.counts @ np.log(deviation))

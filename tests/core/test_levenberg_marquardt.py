@@ -12,6 +12,7 @@ import rtac_jax as rtac
 from estimators.core import jacobian_factor, levenberg_marquardt
 from estimators.core.concentrated_noise import ConcentratedNoise
 from estimators.core.data import CHANNELS, Data
+from estimators.core.fisher_information import information, slope_of
 from estimators.core.initial_state import space_of
 from estimators.core.jacobian_factor import Arguments, Factors, Passes, factor, plain_residual, promised_gain
 from estimators.core.levenberg_marquardt import solve
@@ -57,6 +58,13 @@ def test_channels_are_weighted_by_what_is_left_of_them(problem: Problem) -> None
     assert solved.cost == pytest.approx(
         np.sum(noise.counts[left > 0] * np.log(noise.deviations(left)[left > 0])) + known
     )
+    # Whatever the optimiser believes of slopes: by simulations the likelihood falls to either side.
+    deviations = np.sqrt(np.diagonal(information(solved.factor, arguments.space, solved.unknowns).covariance))
+    for place, one in enumerate(deviations / slope_of(arguments.space, solved.unknowns)):
+        for sign in (1.0, -1.0):
+            beside = solved.unknowns._replace(shared=solved.unknowns.shared.at[place].add(sign * one))
+            there = np.sum(np.asarray(plain_residual(beside, arguments)[0]) ** 2, axis=(0, 2))
+            assert noise.cost(there) > noise.cost(left)
     # The levels to begin with are no matter: they change the cost by a constant, and nothing else.
     plainly = solve(away(problem.unknowns, 0.05), problem.arguments, noise=noise)
     np.testing.assert_allclose(solved.unknowns.shared, plainly.unknowns.shared, atol=1e-6)
@@ -131,5 +139,6 @@ def test_halves_make_the_whole(count: int, monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setattr(jacobian_factor, "_HALVED", 100)
     whole = Passes(arguments).factors(unknowns)
     for mine, others in ((halves.channels, whole.channels), (halves.prior, whole.prior)):
-        products, expected = (np.swapaxes(rows, -1, -2) @ rows for rows in (mine, others))
-        np.testing.assert_allclose(products, expected, rtol=1e-8, atol=1e-10 * np.max(np.abs(expected)))
+        lengths = np.maximum(np.linalg.norm(others, axis=-2, keepdims=True), 1e-300)
+        products, expected = (np.swapaxes(rows / lengths, -1, -2) @ (rows / lengths) for rows in (mine, others))
+        np.testing.assert_allclose(products, expected, atol=1e-8)

@@ -13,7 +13,9 @@ from estimators.core.data import Data
 from estimators.core.parameter_space import Space
 from estimators.core.threads import at_once
 from estimators.diagnosis.refit import Refit
-from estimators.prediction_error.noise_estimation import NoiseModel, fit_noise, negative_log_likelihood
+from estimators.prediction_error.filter_pass import negative_log_likelihood
+from estimators.prediction_error.noise_estimation import fit_noise
+from estimators.prediction_error.noise_model import NoiseModel
 from rtac_jax import RTAC
 from rtac_jax.effects import Effect
 from rtac_jax.parameters import declarations

@@ -27,9 +27,10 @@ from estimators.misspecification.replication_test import repeat_test
 from estimators.misspecification.residual_maps import Place, where
 from estimators.misspecification.spectral_line_test import spectral_line
 from estimators.misspecification.static_force import force_curves
+from estimators.prediction_error.filter_pass import run_filter
 from estimators.prediction_error.innovations import Innovations, Rows, orthonormal
 from estimators.prediction_error.latent_force import LatentForce, latent_forces
-from estimators.prediction_error.noise_estimation import run_filter, start_variance
+from estimators.prediction_error.noise_model import start_variance
 from rtac_jax import RTAC
 
 _GROUPS = 4  # of candidates, each simulated with a model of its own

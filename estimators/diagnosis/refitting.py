@@ -32,7 +32,8 @@ from estimators.diagnosis.workers import Workers
 from estimators.misspecification.candidate_screening import Screened
 from estimators.misspecification.equation_screening import Explained
 from estimators.output_error.fit import output_error
-from estimators.prediction_error.noise_estimation import compile_predictor, fit_predictor, without_shaken
+from estimators.prediction_error.filter_pass import without_shaken
+from estimators.prediction_error.noise_estimation import compile_predictor, fit_predictor
 from estimators.validation.model_comparison import by_sample, held_out
 from rtac_jax import RTAC
 from rtac_jax.effects import Effect

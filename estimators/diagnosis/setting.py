@@ -21,7 +21,7 @@ from estimators.diagnosis.refit import Refit
 from estimators.diagnosis.testability import can_show
 from estimators.prediction_error.coloured_noise import Colours, capped, colours_at_rest, with_colours
 from estimators.prediction_error.innovations import stretches
-from estimators.prediction_error.noise_estimation import NoiseModel
+from estimators.prediction_error.noise_model import NoiseModel
 from rtac_jax import RTAC
 from rtac_jax.effects import Effect
 from rtac_jax.measurement import Experiment, Recording

@@ -14,7 +14,8 @@ from estimators.core.initial_state import scales_of, space_of
 from estimators.core.sensor_noise import noise_levels
 from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.diagnose import Diagnosis
-from estimators.prediction_error.noise_estimation import NoiseModel, fit_trusted
+from estimators.prediction_error.noise_estimation import fit_trusted
+from estimators.prediction_error.noise_model import NoiseModel
 from rtac_jax import RTAC
 from rtac_jax.effects import CATALOGUE, Effect
 from rtac_jax.effects.one_sided_spring import GROSS

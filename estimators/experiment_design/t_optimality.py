@@ -14,7 +14,7 @@ from estimators.diagnosis.setting import absent_like
 from estimators.experiment_design.hypotheses import MODEL, Contest
 from estimators.prediction_error.ekf import filtered
 from estimators.prediction_error.innovations import Innovations, Rows
-from estimators.prediction_error.noise_estimation import start_variance
+from estimators.prediction_error.noise_model import start_variance
 from rtac_jax import RTAC
 from rtac_jax.effects import Effect
 from rtac_jax.measurement import Experiment, Plan

@@ -19,8 +19,8 @@ from estimators.linear.fit import LinearModels
 from estimators.linear.model_sets import Scale
 from estimators.linear.operating_conditions import conditions, stacked
 from estimators.linear.predictor import rows
+from estimators.prediction_error.filter_pass import all_trusted, filter_alone
 from estimators.prediction_error.fit import PredictorFit
-from estimators.prediction_error.noise_estimation import all_trusted, filter_alone
 from rtac_jax import RTAC
 from rtac_jax.measurement import Recording
 

@@ -11,8 +11,9 @@ from estimators.core.data import CHANNELS, Data
 from estimators.core.fit import Fit
 from estimators.core.parameter_space import Space
 from estimators.inference.simulation_residual import SimulationLimits
+from estimators.prediction_error.filter_pass import all_trusted, run_filter
 from estimators.prediction_error.fit import PredictorFit
-from estimators.prediction_error.noise_estimation import NoiseModel, all_trusted, run_filter
+from estimators.prediction_error.noise_model import NoiseModel
 from rtac_jax import RTAC
 from rtac_jax.simulation import Steps
 

@@ -25,7 +25,8 @@ from estimators.core.step_size import accurate_substeps
 from estimators.output_error.horizons import horizons
 from estimators.output_error.robust import Robust
 from estimators.output_error.robust import robust as robust_fit
-from estimators.prediction_error.noise_estimation import NoiseModel, run_filter, start_variance
+from estimators.prediction_error.filter_pass import run_filter
+from estimators.prediction_error.noise_model import NoiseModel, start_variance
 from rtac_jax import RTAC
 from rtac_jax.measurement import Experiment
 

@@ -12,7 +12,9 @@ from estimators.core.data import Data
 from estimators.core.fisher_information import Information, each_deviations, each_slope, information, sizes_of, slope_of
 from estimators.core.parameter_space import Space, Unknowns
 from estimators.core.results import DivergedError
-from estimators.prediction_error.noise_estimation import Noise, NoiseModel, Predictor, fit_noise, run_filter
+from estimators.prediction_error.filter_pass import run_filter
+from estimators.prediction_error.noise_estimation import Noise, Predictor, fit_noise
+from estimators.prediction_error.noise_model import NoiseModel
 from rtac_jax import RTAC
 from rtac_jax.simulation import Steps
 

@@ -29,7 +29,8 @@ from estimators.core.step_size import accurate_substeps
 from estimators.prediction_error.fisher_scoring import most_likely
 from estimators.prediction_error.initial_angle import with_likeliest_angles
 from estimators.prediction_error.innovations import one_step_rms
-from estimators.prediction_error.noise_estimation import NoiseModel, Predictor, fit_trusted
+from estimators.prediction_error.noise_estimation import Predictor, fit_trusted
+from estimators.prediction_error.noise_model import NoiseModel
 from rtac_jax import RTAC, require_configured
 from rtac_jax.effect_contract import require_working_model
 from rtac_jax.measurement import Experiment, Recording

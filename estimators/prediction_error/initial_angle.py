@@ -9,7 +9,9 @@ from jaxtyping import Float
 from estimators.core.data import Data
 from estimators.core.initial_angle import ANGLE, CIRCLE, angle_unknown
 from estimators.core.parameter_space import Space
-from estimators.prediction_error.noise_estimation import NoiseModel, filter_alone, first_noise
+from estimators.prediction_error.filter_pass import filter_alone
+from estimators.prediction_error.noise_estimation import first_noise
+from estimators.prediction_error.noise_model import NoiseModel
 from rtac_jax import RTAC
 from rtac_jax.simulation import Steps
 

@@ -1,10 +1,9 @@
 """Prediction one sample ahead: sensor and process noise by maximum likelihood, physics by least squares on innovations."""
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -13,12 +12,10 @@ from estimators.core.active_bounds import solve_bounded
 from estimators.core.data import CHANNELS, Data
 from estimators.core.jacobian_factor import Arguments, Passes
 from estimators.core.parameter_space import Space, Unknowns
-from estimators.core.piecewise_triangle import LONG
-from estimators.prediction_error.ekf import Filtered, kalman
-from estimators.prediction_error.noise_quadrature import ByNoise
-from rtac_jax import RTAC, Scales
-from rtac_jax.measurement import Experiment
-from rtac_jax.programs import program
+from estimators.prediction_error.ekf import Filtered
+from estimators.prediction_error.filter_pass import Passed, prepare_filter, run_filter, without_shaken
+from estimators.prediction_error.noise_model import NoiseModel
+from rtac_jax import RTAC
 from rtac_jax.simulation import Steps
 
 # Random force and torque between these fractions of the rms forces, as powers of e of their variance.
@@ -36,58 +33,6 @@ _LESS = (0.0, 4.0)  # by how much in the logarithm of the variance
 _ENOUGH = 1.0  # gain in log-likelihood that is worth another round
 # Gain in log-likelihood for which physics at frozen gains takes no further step: none moves a parameter by 0.05 deviations.
 _PHYSICS = 1e-3
-_SHOWN = 10.0  # how much wider the cart's position at the start is taken to lie than its scale
-
-
-@dataclasses.dataclass(frozen=True)
-class NoiseModel:
-    """The prior knowledge of the noise before a fit.
-
-    Attributes:
-        sensor: standard deviation of each channel, SI units.
-        doubt: standard deviation of the logarithm of its variance.
-        force, torque: sizes that scale the process noise [N, N m].
-        interval: sample time [s].
-        start_variance: of the states at the start.
-    """
-
-    sensor: Float[np.ndarray, " output"]
-    doubt: Float[np.ndarray, " output"]
-    force: float
-    torque: float
-    interval: float
-    start_variance: Float[Array, "start experiment"]
-
-    @classmethod
-    def of(
-        cls, levels: Mapping[str, float], experiments: Sequence[Experiment], scales: Scales, space: Space
-    ) -> "NoiseModel":
-        """Build the prior from noise levels; a rest record or a stated level is trusted as far as its length allows."""
-        resting = {c: sum(e.samples for e in experiments if e.kind == "rest" and c in e.outputs) for c in CHANNELS}
-        doubt = [np.sqrt(2.0 / n) + 0.03 if (n := resting[c]) > 0 else 0.5 for c in CHANNELS]
-        return cls(
-            np.array([levels.get(c, 1.0) for c in CHANNELS]),
-            np.array(doubt),
-            scales.force,
-            scales.torque,
-            scales.sample_time,
-            start_variance(space),
-        )
-
-    def starting(self, space: Space) -> "NoiseModel":
-        """Return the same prior for a model with other states."""
-        return dataclasses.replace(self, start_variance=start_variance(space))
-
-
-def start_variance(space: Space) -> Float[Array, "start experiment"]:
-    """Return the variance of the states at the start; none where they are held.
-
-    The cart's position, the first of them, is taken from the first samples of a sensor whose gain or offset may be unknown. If
-    that held the position, where an experiment begins would make up for a wrong gain, and half of it would be estimated.
-    """
-    deviation = np.asarray(space.start_scale) * (1 - np.asarray(space.start_held))
-    deviation[0] *= _SHOWN
-    return jnp.asarray(deviation**2)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -119,103 +64,6 @@ class Predictor:
         return float(np.exp(0.5 * self.noise[1]))
 
 
-class Passed(NamedTuple):
-    """A pass of the filter, and the derivatives of the likelihood by the noise.
-
-    Attributes:
-        value: negative log-likelihood.
-        slope: of that, by the logarithms of the variances.
-        information: expected curvature (Fisher).
-        filtered: the pass.
-    """
-
-    value: Array
-    slope: Float[Array, " noise"]
-    information: Float[Array, "noise noise"]
-    filtered: Filtered
-
-
-# Experiments from which on a filter passes through all of them abreast, a column for each, instead of one after the other.
-_ABREAST = 16
-
-
-@program
-def _pass(*arguments: Any) -> Passed:
-    """Run the filter and its derivatives as one compiled function; see `_arguments`."""
-    found, slopes = _filtered(*arguments, by_noise=True)
-    assert slopes is not None  # since they were asked for
-    return Passed(-found.log_likelihood.sum(), slopes.slope.sum(-1), slopes.information.sum(-1), found)
-
-
-@program
-def _filter(*arguments: Any) -> Filtered:
-    """Run the filter alone; see `_arguments`."""
-    return _filtered(*arguments, by_noise=False)[0]
-
-
-@program
-def _negative_log_likelihood(*arguments: Any) -> Float[Array, ""]:
-    """Run the filter for the negative log-likelihood alone; see `_arguments`."""
-    return -_filtered(*arguments, by_noise=False)[0].log_likelihood.sum()
-
-
-def _filtered(
-    model: RTAC, data: Data, space: Space, physical: Any, noise: Array, scale: Array, sensor: Array, start: Array,
-    substeps: Steps, *, by_noise: bool,
-) -> tuple[Filtered, ByNoise | None]:  # fmt: skip
-    density = jnp.exp(noise[:2]) * scale
-    variance = (jnp.exp(noise[2:]) * sensor**2)[:, None]
-
-    def passed(data: Data, each: Array, begun: Array, start: Array) -> tuple[Filtered, ByNoise | None]:
-        return kalman(
-            model, data, space, (physical[0], each, begun),
-            sensor_variance=jnp.broadcast_to(variance, (len(CHANNELS), data.experiments)),
-            process=(density[0], density[1]), start_variance=start, substeps=substeps, by_noise=by_noise,
-        )  # fmt: skip
-
-    given = (data, physical[1], physical[2], start)
-    if data.experiments >= _ABREAST:
-        return passed(*given)
-    # Few columns fill no vectors, and what is computed for one alone is shorter code.
-    columns = jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0) if np.ndim(x) else jnp.full(data.experiments, x), given)
-    widths = jax.tree.map(np.ndim, given)
-    found = jax.lax.map(lambda one: passed(*jax.tree.map(lambda x, n: x[..., None] if n else x, one, widths)), columns)
-    return jax.tree.map(lambda x: jnp.moveaxis(x[..., 0], 0, -1), found)
-
-
-def run_filter(
-    model: RTAC, data: Data, space: Space, physical: Any, prior: NoiseModel, noise: np.ndarray, substeps: Steps
-) -> Passed:
-    """Run the filter's pass at given noise."""
-    return _pass(*_arguments(model, data, space, physical, prior, noise, substeps))
-
-
-def filter_alone(
-    model: RTAC, data: Data, space: Space, physical: Any, prior: NoiseModel, noise: np.ndarray, substeps: Steps
-) -> Filtered:
-    """Return what `run_filter` filters, without the derivatives by the noise where experiments are long.
-
-    These take two thirds of a pass, and a program without them some seconds to compile.
-    """
-    arguments = _arguments(model, data, space, physical, prior, noise, substeps)
-    return _filter(*arguments) if data.room >= LONG else _pass(*arguments).filtered
-
-
-def negative_log_likelihood(
-    model: RTAC, data: Data, space: Space, physical: Any, prior: NoiseModel, noise: np.ndarray, substeps: Steps
-) -> float:
-    """Return the negative log-likelihood at given noise: `run_filter`'s value, without the derivatives by the noise."""
-    return float(_negative_log_likelihood(*_arguments(model, data, space, physical, prior, noise, substeps)))
-
-
-def _arguments(
-    model: RTAC, data: Data, space: Space, physical: Any, prior: NoiseModel, noise: np.ndarray, substeps: Steps
-) -> tuple[Any, ...]:
-    scale = jnp.asarray(np.array([prior.force**2, prior.torque**2]) * prior.interval)
-    sensor = jnp.asarray(prior.sensor)
-    return model, data, space, physical, jnp.asarray(noise), scale, sensor, prior.start_variance, substeps
-
-
 def compile_predictor(
     model: RTAC, data: Data, space: Space, prior: NoiseModel, substeps: Steps, *, noise: bool = True
 ) -> None:
@@ -223,7 +71,7 @@ def compile_predictor(
     unknowns = space.unconstrained(start=False)
     if noise:
         physical = (space.values, space.each_values, space.start)  # of the shapes that space.physical computes
-        _pass.prepare(*_arguments(model, data, space, physical, prior, first_noise(), substeps))
+        prepare_filter(model, data, space, physical, prior, first_noise(), substeps)
     whitener, gain = (
         jnp.asarray(np.zeros((data.room, count, len(CHANNELS), data.experiments)))
         for count in (len(CHANNELS), len(model.states))
@@ -327,20 +175,6 @@ def _climbed(scored: Callable[[np.ndarray], _Scored], here: _Scored) -> _Scored:
         if gained < _LITTLE:
             break
     return here
-
-
-def without_shaken(data: Data, filtered: Filtered) -> Data:
-    """Return the data without the stick-slip ambiguous samples, at which random forces may overcome dry friction.
-
-    There the filter takes for a straight line what is a step, and how likely it finds the data changes more with the level of
-    the friction than with the rest of the physics: counted, such samples make the level too low.
-    """
-    return dataclasses.replace(data, trusted=data.trusted * (1.0 - filtered.shaken))
-
-
-def all_trusted(data: Data) -> Data:
-    """Return the data, of which every sample counts."""
-    return dataclasses.replace(data, trusted=jnp.ones_like(data.trusted))
 
 
 def fit_trusted(

@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from estimators.prediction_error.filter_pass import all_trusted, filter_alone
 from estimators.prediction_error.fit import PredictorFit
-from estimators.prediction_error.noise_estimation import all_trusted, filter_alone
 
 _STEPS = 12
 _FIRST = 0.1  # standard deviations beforehand, over which the first slopes are taken

@@ -11,7 +11,8 @@ from estimators.core.initial_state import scales_of, space_of
 from estimators.core.step_size import accurate_substeps
 from estimators.prediction_error.ekf import filtered
 from estimators.prediction_error.fit import PredictorFit
-from estimators.prediction_error.noise_estimation import NoiseModel, fit_noise, start_variance
+from estimators.prediction_error.noise_estimation import fit_noise
+from estimators.prediction_error.noise_model import NoiseModel, start_variance
 from estimators.prediction_error.several_steps_ahead import predict_ahead
 from rtac_jax import RTAC
 from rtac_jax.measurement import Experiment

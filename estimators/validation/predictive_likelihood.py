@@ -15,8 +15,10 @@ from estimators.core.parameter_space import Space
 from estimators.core.sensor_noise import noise_levels
 from estimators.prediction_error.coloured_noise import colours_at_rest, with_colours
 from estimators.prediction_error.ekf import Filtered
+from estimators.prediction_error.filter_pass import run_filter
 from estimators.prediction_error.innovations import one_step_rms, stretches
-from estimators.prediction_error.noise_estimation import NoiseModel, fit_noise, run_filter
+from estimators.prediction_error.noise_estimation import fit_noise
+from estimators.prediction_error.noise_model import NoiseModel
 from estimators.validation.model_comparison import by_sample, vuong
 from rtac_jax import RTAC
 from rtac_jax.measurement import Experiment, Recording

@@ -19,7 +19,7 @@ from estimators.misspecification.spectral_line_test import spectral_line
 from estimators.output_error.descent import _settled
 from estimators.prediction_error.ekf import filtered
 from estimators.prediction_error.innovations import stretches
-from estimators.prediction_error.noise_estimation import start_variance
+from estimators.prediction_error.noise_model import start_variance
 from estimators.validation.model_comparison import by_sample
 from rtac_jax import virtual_rig
 

@@ -10,7 +10,7 @@ import estimators as est
 import rtac_jax as rtac
 from estimators.core.results import DivergedError, NotIdentifiableError
 from estimators.prediction_error import fisher_scoring as _maximum_likelihood
-from estimators.prediction_error.noise_estimation import run_filter
+from estimators.prediction_error.filter_pass import run_filter
 from rtac_jax.virtual_rig import Rig, record, standard_plans
 
 SHAKEN = {"force_noise": 1e-3, "torque_noise": 3e-5}

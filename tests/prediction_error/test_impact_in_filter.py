@@ -9,7 +9,7 @@ import pytest
 from estimators.core.data import Data
 from estimators.core.initial_state import scales_of, space_of
 from estimators.prediction_error import ekf
-from estimators.prediction_error.noise_estimation import start_variance
+from estimators.prediction_error.noise_model import start_variance
 from rtac_jax import RTAC, virtual_rig
 from rtac_jax.effects import Backlash, CurrentLag, EndStop, HystereticSpring
 

@@ -11,7 +11,7 @@ from estimators.core.data import Data
 from estimators.core.initial_state import space_of
 from estimators.prediction_error.coloured_noise import with_colours
 from estimators.prediction_error.ekf import filtered, kalman
-from estimators.prediction_error.noise_estimation import start_variance
+from estimators.prediction_error.noise_model import start_variance
 from rtac_jax import RTAC, Experiment
 
 SENSOR = np.array([2e-5, 0.05, 1.0])

@@ -10,14 +10,10 @@ import rtac_jax as rtac
 from estimators.core.data import Data
 from estimators.core.initial_state import scales_of, space_of
 from estimators.core.sensor_noise import noise_levels
-from estimators.prediction_error import noise_estimation
-from estimators.prediction_error.noise_estimation import (
-    NoiseModel,
-    filter_alone,
-    first_noise,
-    negative_log_likelihood,
-    run_filter,
-)
+from estimators.prediction_error import filter_pass, noise_estimation
+from estimators.prediction_error.filter_pass import filter_alone, negative_log_likelihood, run_filter
+from estimators.prediction_error.noise_estimation import first_noise
+from estimators.prediction_error.noise_model import NoiseModel
 from rtac_jax.virtual_rig import Rig, record, standard_plans
 
 
@@ -88,7 +84,7 @@ def test_a_filter_alone_is_the_filter(shaken, monkeypatch):
     a = found.problem.arguments
     given = (a.model, a.data, a.space, a.space.physical(found.problem.unknowns), found.prior, found.noise_exponents)
     whole = filter_alone(*given, a.substeps)
-    monkeypatch.setattr(noise_estimation, "LONG", 1)
+    monkeypatch.setattr(filter_pass, "LONG", 1)
     for name, value in filter_alone(*given, a.substeps)._asdict().items():
         size = np.max(np.abs(np.asarray(value)))
         np.testing.assert_allclose(value, getattr(whole, name), rtol=0, atol=1e-12 * size, err_msg=name)
@@ -175,7 +171,7 @@ def test_experiments_one_after_the_other_are_as_abreast(monkeypatch, compile_ane
         return run_filter(model, data, space, physical, prior, first_noise(), jnp.asarray(1))
 
     one_after_the_other = passed()
-    monkeypatch.setattr(noise_estimation, "_ABREAST", 1)
+    monkeypatch.setattr(filter_pass, "_ABREAST", 1)
     compile_anew()
     abreast = passed()
     for one, other in zip(jax.tree.leaves(one_after_the_other), jax.tree.leaves(abreast), strict=True):

@@ -20,8 +20,8 @@ HEADER = ("parameter", "value", "std", "unit")
 FAR = 10.0
 """Times its noise, beyond which a channel's residual says that the model does not follow the rig."""
 
-# Gain in log-likelihood, half a squared deviation, from which on a fit that came to rest says that its slopes promise it. Sixty fits
-# with dry friction and nothing missing ended at 0.05 at most, one at 20 beside a Stribeck friction that a kink kept off.
+# Gain in log-likelihood, half a squared deviation, from which on a fit that came to rest says that its slopes promise it. Sixty
+# fits with dry friction and nothing missing ended at 0.05 at most, one at 20 beside a Stribeck friction that a kink kept off.
 _KINK = 0.5
 # Standard deviations: one that a fit holds there lies nearer, and one that happens to come so near seldom.
 _ON_BOUND = 0.02

@@ -49,6 +49,7 @@ _PAPER = {
     "spring_stiffness": 132.6,
     "torque_constant": 8.04e-2,
 }  # paper, Table 1
+_FRICTION = {"cart": ("cart_viscous", "cart_coulomb"), "arm": ("arm_viscous",)}
 
 
 class RTAC(eqx.Module):
@@ -101,13 +102,15 @@ class RTAC(eqx.Module):
             ValueError: nothing moves in the recording, or it names a constant that the model does not have or that no rig
                 has.
         """
-        effects, unexcited = excited_parts(recording)
+        moves, unexcited = excited_parts(recording)
         fixed = (set(recording.rig) - set(recording.rig_std)) | unexcited
         known = {name: float(value) for name, value in recording.rig.items()}
-        model = cls(RigidBody(**_PAPER), tuple(effects))
+        model = _paper_parts(moves, jnp.result_type(float))
         require_constants(model, known)
         priors = {name: Prior(known[name], std) for name, std in recording.rig_std.items() if name not in fixed}
-        return cls(model.body, model.effects, priors=priors).with_values(known).fix(*(fixed & set(model.parameters)))
+        if priors:
+            model = cls(model.body, model.effects, priors=priors)
+        return model.with_values(known).fix(*(fixed & set(_declared_of(model))))
 
     # -- composition -------------------------------------------------------------------------------------------------
 
@@ -189,7 +192,8 @@ class RTAC(eqx.Module):
 
     def fix(self, *names: str) -> "RTAC":
         """Return the model with these parameters held at their values."""
-        return type(self)(self.body, self.effects, self.fixed | set(names), self.per_experiment, self.priors)
+        leaves, structure = jax.tree.flatten(self)
+        return jax.tree.unflatten(_fixed(structure, frozenset(names)), leaves)
 
     def release(self, *names: str) -> "RTAC":
         """Return the model with these parameters estimated."""
@@ -383,6 +387,24 @@ def _declared_by(body: type, effects: tuple[tuple[str, type], ...]) -> Mapping[s
     for name, effect in effects:
         found |= {f"{name}.{field}": declared for field, declared in declarations(effect).items()}
     return types.MappingProxyType(found)
+
+
+@functools.lru_cache(maxsize=256)
+def _fixed(structure: Any, names: frozenset[str]) -> Any:
+    """Return the structure of a model with these parameters fixed besides; to check a model of it once is enough."""
+    model = jax.tree.unflatten(structure, [0.0] * structure.num_leaves)
+    fixed = RTAC(model.body, model.effects, model.fixed | names, model.per_experiment, model.priors)
+    return jax.tree.structure(fixed)
+
+
+# A model holds arrays of the precision in which it was made.
+@functools.lru_cache(maxsize=16)
+def _paper_parts(moves: frozenset[str], precision: Any) -> "RTAC":
+    """Return the paper's model with the friction of what moves."""
+    with jax.ensure_compile_time_eval():  # or a model that is made within a function under `jit` would keep its tracers
+        paper = RTAC.paper()
+    ids = {name for part in moves for name in _FRICTION[part]}
+    return paper.without(*(set(paper.ids) - ids))
 
 
 @functools.lru_cache(maxsize=256)

@@ -2,7 +2,6 @@
 
 import functools
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -61,7 +60,8 @@ def first_values(signal: Signal, sample_time: float, frequency: float, degree: i
     while True:
         powers, inverse = _polynomial(count, degree)
         fit = inverse @ values[:count]
-        left = np.sum((values[:count] - powers @ fit) ** 2) / max(count - degree - 1, 1)
+        error = values[:count] - powers @ fit
+        left = error @ error / max(count - degree - 1, 1)
         if count <= least or left <= (_FOLLOWED * noise) ** 2:
             slope = np.arange(1, degree + 1) * powers[0, :-1] @ fit[1:]
             return float(powers[0] @ fit), float(slope * 2.0 / (max(count - 1, 1) * sample_time))
@@ -77,7 +77,11 @@ def _polynomial(count: int, degree: int) -> tuple[Float[np.ndarray, "sample powe
 
 def _roughness(values: Float[np.ndarray, " sample"]) -> float:
     """Return the standard deviation of white noise whose third differences are as large; infinite where there are none."""
-    return float(np.sqrt(np.mean(np.diff(values, 3) ** 2) / 20)) if len(values) > 3 else np.inf
+    if len(values) <= 3:
+        return np.inf
+    # Written out, and below likewise: every start of every repetition of a study asks for it.
+    change = values[3:] - 3.0 * values[2:-1] + 3.0 * values[1:-2] - values[:-3]
+    return float(np.sqrt(change @ change / (20 * len(change))))
 
 
 def initial_states(
@@ -121,6 +125,13 @@ def angle_spread(experiment: Experiment) -> float:
     return experiment.initial_arm_angle_std or ANGLE_SPREAD
 
 
+def _mean_square(values: Float[np.ndarray, " sample"], *, about_mean: bool) -> float:
+    present = np.isfinite(values)
+    values = values if present.all() else values[present]
+    values = values - np.mean(values) if about_mean else values
+    return float(values @ values) / len(values)
+
+
 def scales_of(model: RTAC, experiments: Sequence[Experiment]) -> Scales:
     """Return typical sizes, for what is plausible and for scaling."""
     moving = [e for e in experiments if e.kind != "rest"]
@@ -128,7 +139,7 @@ def scales_of(model: RTAC, experiments: Sequence[Experiment]) -> Scales:
 
     def rms(group: str, channel: str, floor: float) -> float:
         found = [getattr(e, group)[channel].values for e in moving if channel in getattr(e, group)]
-        squares = [np.var(x) if group == "outputs" else np.mean(x**2) for x in (x[np.isfinite(x)] for x in found)]
+        squares = [_mean_square(x, about_mean=group == "outputs") for x in found]
         return max(float(np.sqrt(np.mean(squares))), floor) if squares else floor
 
     position = rms("outputs", "cart_position", 1e-9)
@@ -182,7 +193,7 @@ def space_in_numpy(
 ) -> Space:
     """Return what `space_of` does, in arrays of NumPy, for what is put side by side before it is computed with."""
     scales = scales_of(model, experiments)
-    declared, values = model.parameters, model.values
+    declared, values = model.parameters, {name: np.asarray(value) for name, value in model.values.items()}
     each = tuple(name for name in declared if name in model.per_experiment)
     names = tuple(name for name in declared if name not in each)
     count = len(experiments)
@@ -195,7 +206,8 @@ def space_in_numpy(
         "m": scales.position, "m/s": scales.velocity, "rad": 1.0, "rad/s": scales.arm_velocity, "A": scales.current,
         "N": scales.force, "N m": scales.torque,
     }  # fmt: skip
-    size = np.array([by_unit.get(model.states[row], 1.0) for row in rows])
+    units = model.states
+    size = np.array([by_unit.get(units[row], 1.0) for row in rows])
     state = np.concatenate([state, np.zeros((extra, count))])
     # A recording seldom begins far from equilibrium in a state that nothing shows, and where an effect is nearly
     # absent nothing else holds that state in place.
@@ -253,9 +265,9 @@ def _priors(model: RTAC, names: Sequence[str]) -> dict[str, np.ndarray]:
     return {"known": known, "known_std": std}
 
 
-def _size(declared: Declaration, value: Any, scales: Scales) -> float:
+def _size(declared: Declaration, value: np.ndarray, scales: Scales) -> float:
     """Return the order of magnitude of a parameter: a plausible value, or the present one where that is larger."""
     guess = declared.plausible(scales) if declared.plausible else 0.0
     plausible = max(abs(x) for x in guess) if isinstance(guess, tuple) else abs(guess)
-    present = float(np.max(np.abs(np.asarray(value))))
+    present = abs(float(value)) if value.ndim == 0 else float(np.max(np.abs(value)))
     return max(plausible if np.isfinite(plausible) else 0.0, present) or 1.0

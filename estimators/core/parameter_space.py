@@ -92,26 +92,31 @@ class Space(eqx.Module):
 
         Args:
             start: whether the states at the start are among the unknowns.
-            off_bounds: share of its scale by which a parameter exactly on a bound is moved inside, for a fit that begins
+            off_bounds: fraction of its scale by which a parameter exactly on a bound is moved inside, for a fit that begins
                 there. On the bound itself a reparametrised parameter has next to no slope, and would stay.
         """
-
-        def placed(value: np.ndarray, low: np.ndarray, high: np.ndarray, scale: np.ndarray) -> np.ndarray:
-            by = np.minimum(off_bounds * scale, 0.5 * (high - low))
-            inside = np.where(value <= low, low + by, np.where(value >= high, high - by, value))
-            return to_unconstrained(inside, low, high, scale)
-
-        index = np.asarray(self.active)
-        inside = index < len(self.names)
-        place = np.where(inside, index, 0)
-        shared = placed(*(np.asarray(x)[place] for x in (self.values, self.lower, self.upper, self.scale)))
-        each = placed(
-            np.asarray(self.each_values),
-            *(np.asarray(x)[:, None] for x in (self.each_lower, self.each_upper, self.each_scale)),
-        )
         rows = np.asarray(self.start)[: len(self.start) * start]
-        shared = jnp.asarray(np.where(inside, shared, 0.0))
-        return Unknowns(shared, jnp.asarray(each), jnp.asarray(np.zeros_like(rows)))
+        return Unknowns(*map(jnp.asarray, (*unconstrained_in_numpy(self, off_bounds=off_bounds), np.zeros_like(rows))))
+
+
+def unconstrained_in_numpy(
+    space: Space, *, off_bounds: float = 0.0
+) -> tuple[Float[np.ndarray, " shared"], Float[np.ndarray, "each experiment"]]:
+    """Return the shared and the other parameters as `Space.unconstrained` does, in arrays of NumPy."""
+
+    def placed(value: np.ndarray, low: np.ndarray, high: np.ndarray, scale: np.ndarray) -> np.ndarray:
+        by = np.minimum(off_bounds * scale, 0.5 * (high - low))
+        inside = np.where(value <= low, low + by, np.where(value >= high, high - by, value))
+        return to_unconstrained(inside, low, high, scale)
+
+    index = np.asarray(space.active)
+    inside = index < len(space.names)
+    place = np.where(inside, index, 0)
+    shared = placed(*(np.asarray(x)[place] for x in (space.values, space.lower, space.upper, space.scale)))
+    each = np.asarray(space.each_values)
+    if each.size:
+        each = placed(each, *(np.asarray(x)[:, None] for x in (space.each_lower, space.each_upper, space.each_scale)))
+    return np.where(inside, shared, 0.0), each
 
 
 def number_of_unknowns(space: Space, unknowns: Unknowns) -> int:

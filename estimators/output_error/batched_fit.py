@@ -2,7 +2,7 @@
 
 import collections
 import dataclasses
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -27,16 +27,12 @@ from estimators.output_error.batched_levenberg_marquardt import (
 )  # fmt: skip
 from estimators.output_error.fit_case import Case
 from estimators.output_error.normal_equations import Columns, physical
+from estimators.output_error.side_by_side import places_for, side_by_side
 from rtac_jax.programs import program
 
 TOLERANCE = 1e-7
 """Distance to the minimum, in standard deviations, at which repetitions agree with single fits to a millionth."""
 
-# Experiments side by side in one compiled loop: fewer fill no vectors, more wait for the last fits that descend.
-_COLUMNS = 48
-# Places are a multiple of as many numbers as the widest registers hold: no compiled loop has a remainder that is computed by
-# other instructions, and a fit has the same bits in any place.
-_WIDTH = 8
 # The slope of a bounded parameter, over its scale, below which it is at its bound: the distance is as small a share.
 _FLAT = 1e-3
 
@@ -64,11 +60,6 @@ class End:
     result: RESULTS
     steps: int
     at_bound: bool
-
-
-def places_for(experiments: int) -> int:
-    """Return how many cases of so many experiments are fitted side by side: one number, however many cases there are."""
-    return _WIDTH * max(1, round(_COLUMNS / (_WIDTH * experiments)))
 
 
 def fit_cases(
@@ -231,8 +222,3 @@ def _summary(
     rms = left_over(batch, data.present[:, jnp.asarray(outputs)], noise)
     reduced, _, _ = eliminated(weighted(batch, columns), shared, jnp.zeros(noise.shape[1]))
     return values, start, rms, reduced
-
-
-def side_by_side(parts: Iterable[Any]) -> Any:
-    """Return arrays with the columns of all; what has no axis is the same in all."""
-    return jax.tree.map(lambda *x: np.concatenate(x, axis=-1) if np.ndim(x[0]) else x[0], *parts)

@@ -167,8 +167,11 @@ def one_step(
         asked = nearness[jnp.minimum(after.stage, last - 1)]
         after = after._replace(distance=distance)
         after = next_stage(after, tried & (jnp.where(after.stage == last - 1, ahead, distance) < asked))
-    whole = _per_column(descending & (after.stage == last), batch)
-    return after._replace(unknowns=after.unknowns + jnp.where(whole, step, 0.0))
+    step = jnp.where(_per_column(descending & (after.stage == last), batch), step, 0.0)
+    # What it leaves is known as far as the problem is linear: the error there is the error here and Jacobian times step.
+    along = jnp.concatenate([step, jnp.ones((1, step.shape[1]))])
+    squares = jnp.einsum("ic,oijc,jc->oc", along, after.products, along)
+    return after._replace(unknowns=after.unknowns + step, products=after.products.at[:, -1, -1].set(squares))
 
 
 def left_over(batch: Batch, present: Array, noise: Array) -> Float[Array, "output set"]:

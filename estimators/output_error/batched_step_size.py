@@ -1,5 +1,6 @@
 """Step size of many fits at once: for each the rule of `accurate_substeps`, by simulations side by side."""
 
+from collections import defaultdict
 from collections.abc import Sequence
 from typing import Any
 
@@ -8,15 +9,17 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from estimators.core.data import CHANNELS
 from estimators.core.residual import states_at_start
 from estimators.core.step_size import MOST_SUBSTEPS, STEP_ERROR
-from estimators.output_error.batched_fit import places_for, side_by_side
 from estimators.output_error.fit_case import Case
 from estimators.output_error.normal_equations import Columns, physical
+from estimators.output_error.side_by_side import places_for, side_by_side
 from rtac_jax import RTAC, Excitation
 from rtac_jax.programs import program
-from rtac_jax.simulation import Steps, substeps_for, trajectories
+from rtac_jax.simulation import MOST_SUBSTEPS as MOST_STABLE
+from rtac_jax.simulation import Steps, rate_jacobians, trajectories
+
+_TOGETHER = 32  # models whose rates are computed at once
 
 
 def substeps_of(cases: Sequence[Case]) -> list[int]:
@@ -25,7 +28,7 @@ def substeps_of(cases: Sequence[Case]) -> list[int]:
     Args:
         cases: of one kind.
     """
-    counts = [substeps_for(case.model, case.data.excitation) for case in cases]
+    counts = stable_substeps([case.model for case in cases], [case.data.excitation for case in cases])
     coarse: dict[int, np.ndarray] = {}
     looked_at = list(range(len(cases)))
     while looked_at:
@@ -43,14 +46,38 @@ def substeps_of(cases: Sequence[Case]) -> list[int]:
     return counts
 
 
+def stable_substeps(models: Sequence[RTAC], excitations: Sequence[Excitation], *, stability: float = 1.0) -> list[int]:
+    """Return for each model what `rtac_jax.simulation.substeps_for` does, from Jacobians that are computed together."""
+    groups: dict[Any, list[int]] = defaultdict(list)
+    for number, model in enumerate(models):
+        groups[jax.tree.structure(model)].append(number)
+    counts = [1] * len(models)
+    for numbers in groups.values():
+        for first in range(0, len(numbers), _TOGETHER):
+            here = numbers[first : first + _TOGETHER]
+            padded = [*here, *[here[-1]] * (_TOGETHER - len(here))]
+            stacked = jax.tree.map(lambda *x: np.stack([np.ravel(one)[0] for one in x]), *(models[n] for n in padded))
+            jacobians = np.asarray(_rate_jacobians(jax.tree.map(jnp.asarray, stacked)))[: len(here)]
+            fastest = np.max(np.abs(np.linalg.eigvals(jacobians)), axis=(1, 2))
+            for number, rate in zip(here, fastest, strict=True):
+                longest = np.max(np.asarray(excitations[number].sample_time))
+                counts[number] = int(np.clip(np.ceil(longest * rate / stability), 1, MOST_STABLE))
+    return counts
+
+
+@program
+def _rate_jacobians(models: RTAC) -> Float[Array, "model angle state state"]:
+    return jax.vmap(rate_jacobians)(models)
+
+
 def _alike(case: Case, coarse: np.ndarray, fine: np.ndarray) -> bool:
-    noise = np.ones(len(CHANNELS))
-    noise[list(case.outputs)] = case.noise[:, 0]
-    squares = (((fine - coarse) / noise[:, None] * case.data.present) ** 2).sum(axis=0)
-    count = np.asarray(case.data.present).sum(axis=0)
+    samples, outputs = slice(int(case.data.length)), list(case.outputs)
+    present = case.data.present[samples, outputs]
+    errors = (fine[samples, outputs] - coarse[samples, outputs]) * (present / case.noise)
+    squares, count = np.einsum("soe,soe->oe", errors, errors), present.sum(axis=0)
     interval = np.asarray(case.data.excitation.sample_time)
     # Apart by sample time: in the mean over all, many short steps would hide that few long ones are too long.
-    alike = [interval == one for one in np.unique(interval)]
+    alike = [interval == one for one in set(interval.tolist())]
     change = [np.sqrt(squares[:, c].sum(axis=1) / np.maximum(count[:, c].sum(axis=1), 1.0)) for c in alike]
     return bool(np.all(np.array(change) < STEP_ERROR))
 

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from estimators.core.active_bounds import OFF_BOUNDS
 from estimators.core.data import CHANNELS, Data, moving, pieces
 from estimators.core.initial_state import space_in_numpy
-from estimators.core.parameter_space import Space
+from estimators.core.parameter_space import Space, unconstrained_in_numpy
 from estimators.core.sensor_noise import noise_levels
 from estimators.output_error.normal_equations import Columns
 from rtac_jax import RTAC
@@ -98,8 +98,8 @@ class Case:
             *(np.asarray(x) for x in (space.start, space.start_scale, space.start_spread, space.start_held)),
             known=each([float(known[name]) for name in held]).reshape(len(held), count),
         )
-        begun = _started(space, start or {}).unconstrained(off_bounds=OFF_BOUNDS)
-        unknowns = np.concatenate([each(begun.shared), np.asarray(begun.each), np.asarray(begun.start)])
+        common, own = unconstrained_in_numpy(_started(space, start or {}), off_bounds=OFF_BOUNDS)
+        unknowns = np.concatenate([each(common), own, np.zeros_like(space.start)])
         data = Data.in_numpy(experiments)
         return cls(
             model, experiments, space, shared, held, outputs, data, columns, unknowns,

@@ -10,13 +10,14 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from estimators.core.data import CHANNELS
-from estimators.output_error.batched_fit import places_for, side_by_side
+from estimators.output_error.batched_step_size import stable_substeps
 from estimators.output_error.fit_case import shape_of
+from estimators.output_error.side_by_side import places_for, side_by_side
 from rtac_jax import RTAC, Excitation
 from rtac_jax.excitation import BEYOND
 from rtac_jax.measurement import Experiment
 from rtac_jax.programs import program
-from rtac_jax.simulation import Steps, substeps_for, trajectories
+from rtac_jax.simulation import Steps, trajectories
 from rtac_jax.time_loop import room_for
 
 # Step times fastest rate; a classic Runge-Kutta step then errs by 0.5^5 / 120 of what that mode moves, as `rtac.simulate` has it.
@@ -45,8 +46,8 @@ def simulate_together(jobs: Sequence[Simulated]) -> list[list[dict[str, np.ndarr
     """
     groups: dict[Hashable, list[int]] = defaultdict(list)
     made = [_columns(job) for job in jobs]
-    for number, (job, (excitation, _, _)) in enumerate(zip(jobs, made, strict=True)):
-        steps = substeps_for(job.model, excitation, stability=_STABILITY)
+    substeps = stable_substeps([job.model for job in jobs], [one[0] for one in made], stability=_STABILITY)
+    for number, (job, (excitation, _, _), steps) in enumerate(zip(jobs, made, substeps, strict=True)):
         shapes = tuple(np.shape(leaf) for leaf in jax.tree.leaves(excitation))
         key = steps, jax.tree.structure((job.model, excitation)), shapes, shape_of(job.experiments)
         groups[key].append(number)

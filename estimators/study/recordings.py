@@ -1,10 +1,11 @@
 """The data of repetitions: what is played, on the virtual rig or on the model itself."""
 
-import dataclasses
+import functools
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from estimators.study.model_simulation import Simulated, simulate_together
 from estimators.study.spec import Excitation, StudySpec
@@ -95,49 +96,55 @@ def _conditions(excitation: Excitation, random: np.random.Generator) -> list[vir
 
 def _simulated(spec: StudySpec, jobs: Mapping[int, tuple[RTAC, Sequence[virtual_rig.Plan]]]) -> dict[int, Recording]:
     """Return the models' own simulations with white noise of the sensors."""
-    bare = {index: _noise_alone(spec, index, plans) for index, (_, plans) in jobs.items()}
-    moving = {index: [n for n, e in enumerate(bare[index]) if e.kind != "rest"] for index in jobs}
     several = {
-        index: Simulated(
-            model,
-            [bare[index][n] for n in moving[index]],
-            [p.start for p in (plans[n] for n in moving[index])],
-        )
+        index: Simulated(model, [_to_simulate(plan) for plan in moving], [plan.start for plan in moving])
         for index, (model, plans) in jobs.items()
-        if moving[index]
+        if (moving := [plan for plan in plans if plan.kind != "rest"])
     }
-    found = {}
     shown = dict(zip(several, simulate_together(list(several.values())), strict=True))
-    for index, (model, _) in jobs.items():
-        experiments = bare[index]
-        for n, outputs in zip(moving[index], shown.get(index, ()), strict=True):
-            moved = {
-                name: dataclasses.replace(signal, values=signal.values + outputs[name])
-                for name, signal in experiments[n].outputs.items()
-            }
-            experiments[n] = dataclasses.replace(experiments[n], outputs=moved)
+    found = {}
+    for index, (model, plans) in jobs.items():
+        simulated = iter(shown.get(index, ()))
+        experiments = tuple(
+            _measured(plan, noise, None if plan.kind == "rest" else next(simulated))
+            for plan, noise in zip(plans, _noise(spec, index, plans), strict=True)
+        )
         known = {name: float(np.asarray(model[name])) for name in ("total_mass", "arm_inertia")}
         comment = f"model, repetition {index}"
-        found[index] = Recording(experiments=tuple(experiments), rig=known, rig_name="model", comment=comment)
+        found[index] = Recording(experiments=experiments, rig=known, rig_name="model", comment=comment)
     return found
 
 
-def _noise_alone(spec: StudySpec, index: int, plans: Sequence[virtual_rig.Plan]) -> list[Experiment]:
-    """Return the experiments with nothing but noise in their outputs."""
+def _to_simulate(plan: virtual_rig.Plan) -> Experiment:
+    """Return the plan as an experiment of which only the inputs are looked at."""
+    if plan.current is None and plan.disturbance_force is None:
+        return _undriven(plan.name, plan.kind, plan.samples, plan.sample_time, plan.arm, plan.cart)
+    return plan.to_simulate()
+
+
+# A study of free decays simulates what differs in starts and parameters only.
+@functools.lru_cache(maxsize=256)
+def _undriven(name: str, kind: Any, samples: int, sample_time: float, arm: Any, cart: Any) -> Experiment:
+    return virtual_rig.Plan(name, kind, samples * sample_time, sample_time, arm=arm, cart=cart).to_simulate()
+
+
+def _measured(
+    plan: virtual_rig.Plan, noise: Mapping[str, np.ndarray], simulated: Mapping[str, np.ndarray] | None
+) -> Experiment:
+    """Return the experiment with these outputs; at rest nothing but noise is in them."""
+    outputs = dict(noise) if simulated is None else {name: values + simulated[name] for name, values in noise.items()}
+    return plan.experiment(outputs, repeat_of=plan.repeat_of)
+
+
+def _noise(
+    spec: StudySpec, index: int, plans: Sequence[virtual_rig.Plan]
+) -> list[dict[str, Float[np.ndarray, " sample"]]]:
+    """Return the white noise of the sensors in each experiment, by channel."""
     random = np.random.default_rng(Streams.of(spec.seed, index).noise)
     levels = {"cart_position": spec.noise.position, "arm_velocity": spec.noise.velocity}
     if spec.noise.encoder:
         levels["arm_angle"] = spec.noise.angle
-    bare = []
-    for plan in plans:
-        fields: dict[str, Any] = {
-            "kind": plan.kind, "sample_time": plan.sample_time, "current": plan.current,
-            "disturbance_force": plan.disturbance_force, "intersample": plan.intersample,
-            "initial_arm_angle": plan.initial_angle, "arm": plan.arm, "cart": plan.cart, "repeat_of": plan.repeat_of,
-        }  # fmt: skip
-        noise: dict[str, Any] = {name: level * random.standard_normal(plan.samples) for name, level in levels.items()}
-        bare.append(Experiment.of(plan.name, **fields, **noise))
-    return bare
+    return [{name: level * random.standard_normal(plan.samples) for name, level in levels.items()} for plan in plans]
 
 
 def _why(error: Exception) -> str:

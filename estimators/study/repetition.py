@@ -1,8 +1,9 @@
 """Repetitions of a study: draw parameters, make data, estimate, and keep what was asked for."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
+from estimators.core.collection import collected_later
 from estimators.study.chunk_size import per_chunk
 from estimators.study.fit_chunk import QUANTITIES, fit_chunk, model_for, parameters_of
 from estimators.study.layout import Arrays, Layout
@@ -53,21 +54,7 @@ class Repetitions(Work):
         spec, layout = self.spec, self.layout
         kept = layout.empty(len(indices))
         place = {axis: {name: n for n, name in enumerate(names)} for axis, names in layout.coordinates.items()}
-        truths = [_truth(spec, index) for index in indices]
-        data = recordings(spec, indices, truths)
-        ready: dict[int, Prepared] = {}
-        for row, (truth, recording) in enumerate(zip(truths, data, strict=True)):
-            if not isinstance(truth, str):
-                kept["hidden"][row], kept["excitation"][row] = truth.hidden.effect, truth.excitation.name
-                for name, column in place["parameter"].items():
-                    kept["truth"][row, column] = truth.values.get(name, float("nan"))
-            if isinstance(recording, str) or isinstance(truth, str):
-                kept["reason"][row, :] = str(recording)
-                continue
-            try:
-                ready[row] = Prepared(model_for(spec, truth, recording), recording, truth)
-            except (ValueError, ArithmeticError) as error:
-                kept["reason"][row, :] = f"no model: {type(error).__name__}: {' '.join(str(error).split())}"
+        ready = _ready(spec, indices, kept, place["parameter"])
         for column, estimate in enumerate(spec.estimate):
             ended = fit_chunk(estimate, list(ready.values()), spec.model.start)
             for row, outcome in zip(ready, ended, strict=True):
@@ -76,6 +63,26 @@ class Repetitions(Work):
                 else:
                     _keep(outcome, kept, row, column, place)
         return kept
+
+
+def _ready(spec: StudySpec, indices: Sequence[int], kept: Arrays, places: Mapping[str, int]) -> dict[int, Prepared]:
+    """Return what is to be estimated from, by row, and keep truths and the reasons of what cannot be made."""
+    ready: dict[int, Prepared] = {}
+    with collected_later():
+        truths = [_truth(spec, index) for index in indices]
+        for row, (truth, recording) in enumerate(zip(truths, recordings(spec, indices, truths), strict=True)):
+            if not isinstance(truth, str):
+                kept["hidden"][row], kept["excitation"][row] = truth.hidden.effect, truth.excitation.name
+                for name, column in places.items():
+                    kept["truth"][row, column] = truth.values.get(name, float("nan"))
+            if isinstance(recording, str) or isinstance(truth, str):
+                kept["reason"][row, :] = str(recording)
+                continue
+            try:
+                ready[row] = Prepared(model_for(spec, truth, recording), recording, truth)
+            except (ValueError, ArithmeticError) as error:
+                kept["reason"][row, :] = f"no model: {type(error).__name__}: {' '.join(str(error).split())}"
+    return ready
 
 
 def _truth(spec: StudySpec, index: int) -> Truth | str:

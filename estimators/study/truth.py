@@ -118,8 +118,7 @@ def true_for(spec: StudySpec, index: int) -> Truth:
     given = {name: _drawn(value, random) for name, value in {**spec.plant.values, **hidden.values}.items()}
     if spec.plant.truth == "virtual_rig":
         return _true_rig(spec, factors, given, hidden, excitation)
-    model = _true_model(spec, factors, given)
-    values = {name: float(value) for name, value in model.values.items()}
+    model, values = _true_model(spec, factors, given)
     return Truth(values | _derived(values), model, hidden, excitation)
 
 
@@ -144,21 +143,22 @@ def _true_rig(
 
 
 @functools.cache
-def _paper() -> RTAC:
-    return RTAC.paper()
+def _paper() -> tuple[RTAC, dict[str, float]]:
+    paper = RTAC.paper()
+    return paper, {name: float(value) for name, value in paper.values.items()}
 
 
-def _true_model(spec: StudySpec, factors: dict[str, float], given: dict[str, Any]) -> RTAC:
-    model = _paper()
+def _true_model(spec: StudySpec, factors: dict[str, float], given: dict[str, Any]) -> tuple[RTAC, dict[str, float]]:
+    """Return the model, and the values of its parameters by name, read of it once and not in every repetition."""
+    model, paper = _paper()
     for effect in spec.model.effects:
         own = {name: given.get(f"{effect}.{name}") for name in declarations(CATALOGUE[effect])}
         missing = [name for name, value in own.items() if value is None]
         if missing:
             raise SpecError(f"plant.values: the model makes the data, so give a value of {effect}.{missing[0]}.")
         model = model + CATALOGUE[effect](**own)
-    paper = model.values
-    spread = {name: float(paper[name]) * float(factor) for name, factor in factors.items()}
-    return model.with_values(spread | given)
+    drawn = {name: paper[name] * float(factor) for name, factor in factors.items()} | given
+    return model.with_values(drawn), {name: float(value) for name, value in {**paper, **drawn}.items()}
 
 
 def _derived(values: Mapping[str, float]) -> dict[str, float]:

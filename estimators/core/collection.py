@@ -1,0 +1,21 @@
+"""Garbage collection put off while many records are made."""
+
+import contextlib
+import gc
+from collections.abc import Iterator
+
+
+@contextlib.contextmanager
+def collected_later() -> Iterator[None]:
+    """Put off the search for unreachable cycles, which looks at all objects of the process, JAX's above all, again and again.
+
+    For records by the thousand that are all kept; what is no longer referred to is freed as ever.
+    """
+    if not gc.isenabled():
+        yield
+        return
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.enable()

@@ -1,8 +1,9 @@
 """Which rules of the verdict earn their place: each is switched off over saved evidence, and the verdicts that change are counted.
 
     python benchmarks/study_diagnosis.py run --evidence DIR --first 96 --draws 2
-    python benchmarks/ablate_policy.py DIR
-    python benchmarks/ablate_policy.py DIR --verdicts     # every recording with its verdict, and what changes it
+    python benchmarks/study_diagnosis.py run --evidence HARD --first 110 --draws 2 --kinds short mistaken gross bristles
+    python benchmarks/ablate_policy.py DIR HARD
+    python benchmarks/ablate_policy.py DIR HARD --verdicts     # every recording with its verdict, and what changes it
 
 A verdict is better or worse than before against what the rig hides: the right name is best, then it among rivals, more
 than it or a part of it, "unknown", "adequate", and last a wrong name. Evidence holds the refits that the standard policy
@@ -21,7 +22,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 from unittest import mock
 
-from diagnosis_cases import KINDS, kind_of, outcome
+from diagnosis_cases import HARD_WORDS, KINDS, kind_of, outcome
 from diagnosis_evidence import as_result, evidence_in
 
 from estimators.diagnosis import stepwise_selection, verdict
@@ -35,8 +36,13 @@ _WORTH = {
     "effects": ("wrong", "adequate", "unknown", "a part", "right and more", "in the group", "right"),
     "outside": ("wrong", "adequate", "unknown"),
     "nothing": ("wrong", "unknown", "adequate"),
+    "mistaken": (
+        "wrong",
+        "adequate",
+        "unknown",
+    ),  # no effect of the catalogue is a mistake, and nothing is adequate beside one
 }
-_ORDER = {kind: _WORTH.get(kind, _WORTH["effects"]) for kind in KINDS}
+_ORDER = {kind: _WORTH.get(kind, _WORTH["effects"]) for kind in (*KINDS, *HARD_WORDS)}
 
 
 class Told(NamedTuple):
@@ -258,11 +264,11 @@ def verdicts(kept: dict[tuple[str, int], Evidence]) -> Iterator[str]:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("directory", type=Path)
+    parser.add_argument("directory", type=Path, nargs="+")
     parser.add_argument("--verdicts", action="store_true", help="list every recording")
     options = parser.parse_args(arguments)
-    kept = evidence_in(options.directory)
-    assert kept, f"no evidence in {options.directory}"
+    kept = {key: one for directory in options.directory for key, one in evidence_in(directory).items()}
+    assert kept, f"no evidence in {', '.join(map(str, options.directory))}"
     print(ablation(kept))
     print("\nstandard policy\n" + rates(kept, by_policy()))
     print("\none currency, 2 standard errors\n" + rates(kept, one_currency(2.0)))

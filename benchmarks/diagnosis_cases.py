@@ -133,6 +133,7 @@ LIMITS: dict[str, tuple[str, Callable[[float], float]]] = {
     "dead_zone": ("dead_zone", _itself),
 }
 MULTIPLES = {"twice the limit of": 2.0, "a third of the limit of": 1 / 3}
+HARD_WORDS = ("short", "mistaken", "gross", "bristles")  # before the names of the cases of diagnosis_hard_cases.py
 KINDS = {"effects": EFFECTS, "outside": OUTSIDE, "nothing": NULLS, "pairs": PAIRS, "little": LITTLE}
 
 
@@ -155,6 +156,8 @@ def hidden_in(name: str) -> list[str]:
     """The effects that a case hides; of one with nothing hidden its name, which no effect has."""
     for words in MULTIPLES:
         name = name.removeprefix(f"{words} ")
+    for words in HARD_WORDS:
+        name = name.removeprefix(f"{words}: ")
     return name.removesuffix(LITTLE_NOISE).split(" + ")
 
 
@@ -166,6 +169,8 @@ def drawn(case: Case, seed: int, draw: int) -> virtual_rig.Rig:
 
 def kind_of(name: str) -> str:
     """The kind of a case."""
+    if (words := name.split(": ")[0]) in HARD_WORDS:
+        return words
     return next(kind for kind, members in KINDS.items() if name in members)
 
 

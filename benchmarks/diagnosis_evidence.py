@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from diagnosis_cases import KINDS, Case, cases, drawn, kind_of, outcome
+from diagnosis_hard_cases import HARD, HardCase, recording_of
 from diagnosis_protocols import PROTOCOLS, Protocol, plans_of, recorded
 
 import estimators as est
@@ -23,6 +24,8 @@ def keep(
     """Diagnose what has no evidence yet, one kind of case and one protocol after the other, and print each verdict."""
     rtac.configure()
     several = [(p, *one) for p in names for one in cases(draws, {}, kinds) if only in one[0]]
+    hard = {name: case for kind in kinds for name, case in HARD.get(kind, {}).items() if only in name}
+    several += [("usual", name, draw, case) for draw in draws for name, case in hard.items()]
     for protocol, name, draw, case in sorted(several, key=lambda one: zlib.crc32(" ".join(map(str, one[:3])).encode())):
         path = evidence_path(folder_of(directory, protocol), name, draw)
         if path.exists() or zlib.crc32(f"{protocol} {name}".encode()) % part[1] != part[0]:
@@ -41,10 +44,15 @@ def keep(
 def evidence_of(name: str, draw: int, case: Case, protocol: Protocol) -> Evidence:
     """The evidence of the diagnosis of one rig."""
     seed = 10 * zlib.crc32(f"{draw} {name}".encode())
+    if isinstance(case, HardCase):
+        return _evidence(recording_of(case, seed, draw))
     # What is hidden comes last: a protocol may not take it away.
     rig = dataclasses.replace(drawn(case, seed, draw), **{**protocol.sensors, **case.hidden})
     plans = plans_of(protocol, seed=seed + 1, rest=case.rest, repeats=case.repeats, played=case.played)
-    recording = recorded(protocol, rig, plans, seed=seed + 2, write_noise=case.write_noise)
+    return _evidence(recorded(protocol, rig, plans, seed=seed + 2, write_noise=case.write_noise))
+
+
+def _evidence(recording: rtac.Recording) -> Evidence:
     fit = est.output_error(rtac.RTAC.from_rig(recording), recording, progress=False)
     found = est.diagnose(fit, recording, progress=False).evidence
     assert found is not None
@@ -87,6 +95,7 @@ def evidence_path(directory: Path, name: str, draw: int) -> Path:
 def evidence_in(directory: Path) -> dict[tuple[str, int], Evidence]:
     """All evidence that is kept, by case and draw."""
     known = {evidence_path(directory, name, 0).name[3:]: name for members in KINDS.values() for name in members}
+    known |= {evidence_path(directory, name, 0).name[3:]: name for members in HARD.values() for name in members}
     return {
         (known[path.name[3:]], int(path.name[:3])): Evidence.load(path)
         for path in sorted(directory.glob("*.json"))

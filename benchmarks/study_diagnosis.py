@@ -58,6 +58,7 @@ from diagnosis_cases import (
     outcome,
 )  # fmt: skip
 from diagnosis_evidence import by_protocol, keep
+from diagnosis_hard_cases import HARD
 from diagnosis_protocols import PROTOCOLS
 
 import estimators as est
@@ -275,7 +276,9 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=34)
     parser.add_argument("--draws", type=int, default=5)
     every = [*KINDS, "limits"]
-    parser.add_argument("--kinds", nargs="+", choices=every, default=every)
+    parser.add_argument(
+        "--kinds", nargs="+", choices=[*every, *HARD], default=every, help="the last four with --evidence"
+    )
     parser.add_argument("--only", default="", help="cases whose name contains this")
     parser.add_argument("--part", default="0/1", help="I/N: the Ith of N processes that share the work")
     arguments = parser.parse_args()

@@ -96,7 +96,7 @@ def runge_kutta(
     began = None
     if apart:
         began = model.since(state, _polynomial(current, begin), step, _polynomial(current, begin + 1.0 / substeps))
-    middle, end = (began and began._replace(elapsed=share) for share in (0.5, 1.0))
+    middle, end = (began and began._replace(elapsed=fraction) for fraction in (0.5, 1.0))
     k1 = slope(state, begin, way, began)
     k2 = slope(moved(0.5 * step, k1), begin + 0.5 / substeps, way, middle)
     k3 = slope(moved(0.5 * step, k2), begin + 0.5 / substeps, way, middle)

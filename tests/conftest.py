@@ -89,4 +89,4 @@ def _compiled_code_is_dropped() -> Iterator[None]:
     A module needs up to half of them, and what the one before it has compiled may serve it too.
     """
     yield
-    make_room(share=0.2)
+    make_room(fraction=0.2)

@@ -50,11 +50,11 @@ def test_three_calls_lead_from_conditions_to_a_controller(
     # `rtac control` holds the model with the electric spring against the envelope with it.
     sprung = with_arm_spring(names["fit"].model, made.actuation)
     assert fitted_in_envelope(names["fit"].model, made.covered, with_spring=sprung).agrees
-    assert np.all(made.covered.gaps <= made.covered.weight_magnitude())
+    assert np.all(made.covered.model_errors <= made.covered.weight_magnitude())
     printed = capsys.readouterr().out
     assert f"under a tenth after {made.closed.settling_time()[0]:.2f} s with the controller" in printed
     assert "beyond that band it is only continued" in printed
-    assert made.shares["parameter_covariance"] >= 0.99
+    assert made.fractions["parameter_covariance"] >= 0.99
     assert f"closed loop {made.closed.settling_time()[0]:.2f} s" in made.plot().get_suptitle()
 
 

@@ -92,7 +92,7 @@ def envelope(
             ("Envelope", [f"{finding(found)}.", *beside, *said]),
             ("Figures", shown(figures, **captions)),
             ("Nominal model and weight", [models]),
-            ("Where the gaps come from", [sources]),
+            ("Where the model errors come from", [sources]),
             ("Conditions", [conditions]),
         ]
         if used.models is not None:

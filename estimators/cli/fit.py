@@ -49,8 +49,8 @@ def fit(
         start = start_model(work, model, effects)
         closed = est.least_squares(start, work.train, weak=True)
         longest = max(e.samples for e in work.train)
-        share = longest / 1e5
-        times = {"samples": longest, "minutes": _MINUTES * share, "seconds": _COMPILING + _SECONDS * share}
+        fraction = longest / 1e5
+        times = {"samples": longest, "minutes": _MINUTES * fraction, "seconds": _COMPILING + _SECONDS * fraction}
         if longest >= _TOO_LONG:
             work.note(_LEFT_OUT.format(**times))
             typer.echo(f"rtac: {_LEFT_OUT.format(**times)}", err=True)

@@ -240,14 +240,14 @@ def integrated_terms(
 
 
 @functools.lru_cache(maxsize=64)
-def _sections(share: float) -> np.ndarray:
-    return np.asarray(scipy.signal.butter(4, 2 * share, output="sos"))
+def _sections(fraction: float) -> np.ndarray:
+    return np.asarray(scipy.signal.butter(4, 2 * fraction, output="sos"))
 
 
-def _smooth(values: Values, share: float) -> Values:
+def _smooth(values: Values, fraction: float) -> Values:
     """Return the signal below this fraction of the sampling rate, without delay."""
-    share = min(share, 0.33)
-    return scipy.signal.sosfiltfilt(_sections(share), values, padlen=min(len(values) - 1, math.ceil(4 / share)))
+    fraction = min(fraction, 0.33)
+    return scipy.signal.sosfiltfilt(_sections(fraction), values, padlen=min(len(values) - 1, math.ceil(4 / fraction)))
 
 
 class _Distance(NamedTuple):

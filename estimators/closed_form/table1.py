@@ -242,8 +242,8 @@ def _rule(found: ClosedForm) -> str:
     return f"{scatter} That judges scatter, not {judged}.{alone}"
 
 
-def _percent(share: float) -> str:
-    return "" if np.isnan(share) else f"{100 * share:.3g} %"
+def _percent(fraction: float) -> str:
+    return "" if np.isnan(fraction) else f"{100 * fraction:.3g} %"
 
 
 def _table(rows: list[list[str]]) -> str:

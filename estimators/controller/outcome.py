@@ -12,6 +12,7 @@ from estimators.uncertainty.attribution import SOURCE_WORDS, SOURCES
 from estimators.uncertainty.envelope import Envelope
 from rtac_jax.control import Actuation, ClosedLoop, Margins, Reduction, Synthesis, Units, Weights
 from rtac_jax.overview import Overview
+from rtac_jax.renamed import renamed
 
 _ANYWAY = 0.9  # fraction of plants that hold without a controller, above which a batch says little of it
 _USEFUL = 0.8  # fraction of the settling time, above which a controller is of little use
@@ -70,8 +71,10 @@ class ControlDesign(Result):
     inside_free: ClosedLoop | None
     printed_bound: tuple[float, float]
 
+    shares = renamed("shares", "fractions")
+
     @property
-    def shares(self) -> dict[str, float]:
+    def fractions(self) -> dict[str, float]:
         """Fraction of the plants of each batch that settle within `within` and keep the arm in its half of the circle [1]."""
         batches = {"parameters_off": self.off, "parameter_covariance": self.drawn, "envelope": self.inside}
         return {name: float(np.mean(one.holds(within=self.within))) for name, one in batches.items() if one is not None}
@@ -112,24 +115,24 @@ def outcome(found: ControlDesign) -> list[str]:
         f"after {_seconds(now)} with the controller and {_seconds(alone)} without; the torque stays within "
         f"{1e3 * float(found.closed.peak_torque[0]):.1f} mN m and the arm swings {float(found.closed.arm_swing[0]):.2f} rad."
     )
-    times, before, shares = found.off.settling_time(), found.off_free.settling_time(), found.shares
+    times, before, fractions = found.off.settling_time(), found.off_free.settling_time(), found.fractions
     second = (
         f"Of {len(times)} plants whose parameters are each up to {100 * OFF:.0f} % off, {_percent(times < before)} settle "
         f"sooner than without it, in the median after {_seconds(float(np.median(times)))} instead of "
-        f"{_seconds(float(np.median(before)))}; {_percent(shares['parameters_off'])} settle within {found.within:.2f} s, two "
+        f"{_seconds(float(np.median(before)))}; {_percent(fractions['parameters_off'])} settle within {found.within:.2f} s, two "
         f"thirds of what the fitted model takes alone, and keep the arm in its half of the circle "
         f"({_without(found.off_free, found.within)}{_astray(found.off)})."
     )
     third = (
         f"Of {len(found.drawn.peak_torque)} plants drawn from the covariance of the fit, in which no free parameter has a standard "
-        f"deviation above {100 * found.doubt:.2g} %, {_percent(shares['parameter_covariance'])} do{_astray(found.drawn)}."
+        f"deviation above {100 * found.doubt:.2g} %, {_percent(fractions['parameter_covariance'])} do{_astray(found.drawn)}."
     )
     if found.inside is None:
         fourth = "No plant with parameters near the fitted ones was found in the envelope."
     else:
         fourth = (
             f"Of {len(found.inside.peak_torque)} plants of the envelope, parameters up to {100 * OFF:.0f} % off and damped as much "
-            f"as the envelope asks, {_percent(shares['envelope'])} do "
+            f"as the envelope asks, {_percent(fractions['envelope'])} do "
             f"({_without(found.inside_free, found.within)}{_astray(found.inside)})."
         )
     said = [first, f"{second} {third} {fourth}"]
@@ -137,7 +140,7 @@ def outcome(found: ControlDesign) -> list[str]:
         resonance = _resonance(found)
         width = float(np.max(np.abs(found.covered.weight(1j * resonance))))
         there = int(np.argmin(np.abs(found.covered.frequency - resonance)))
-        source = SOURCES[int(np.argmax(found.covered.attribution.shares[:, there]))]
+        source = SOURCES[int(np.argmax(found.covered.attribution.fractions[:, there]))]
         if not found.helps:
             said.insert(0, "Do not use this controller: the fitted model settles no sooner with it than without.")
         why, limit = "That is little" if found.helps else "The reason", 1e3 * found.actuation.controller_limit
@@ -153,7 +156,7 @@ def outcome(found: ControlDesign) -> list[str]:
             return said
         said.append(
             f"{why}: at the resonance the weight is {width:.2f}; the wider the "
-            "envelope is there, the less damping can be promised for all of it. The largest part of the gaps there is "
+            "envelope is there, the less damping can be promised for all of it. The largest part of the model errors there is "
             f"{SOURCE_WORDS[source]}; what narrows it: {_NARROWER[source]}."
         )
     return said
@@ -201,8 +204,10 @@ def _without(free: ClosedLoop | None, within: float) -> str:
     """Say what the comparison is worth: how many plants settle anyway."""
     if free is None:
         return ""
-    share = float(np.mean(free.holds(within=within)))
-    return f"without a controller {_percent(share)} do" + (", so this says little of it" if share > _ANYWAY else "")
+    fraction = float(np.mean(free.holds(within=within)))
+    return f"without a controller {_percent(fraction)} do" + (
+        ", so this says little of it" if fraction > _ANYWAY else ""
+    )
 
 
 def _astray(batch: ClosedLoop) -> str:

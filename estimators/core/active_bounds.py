@@ -17,14 +17,14 @@ from estimators.core.parameter_space import Space, Unknowns
 _NEAR = 0.3
 _TURNS = 4  # of holding and releasing, before what is left is taken as it is
 _FLAT = 0.01  # of the slope that it has amid its range, below which a parameter hardly moves though the data pull it
-# How far inside a parameter begins again that the data pull off its bound, as shares of its scale: where a straight line
+# How far inside a parameter begins again that the data pull off its bound, as fractions of its scale: where a straight line
 # leads, but neither back to where its slope is lost, nor beyond a plausible size.
 _INSIDE = (0.05, 1.0)
 # Unconstrained values that are as good as the bound, 1e-5 of the scale from a single one and 2e-9 of the width from one of two,
 # and where the slope is still a number: a parameter without any would look as if nothing pulled it.
 _AT_ONE, _AT_TWO = 1e5, 20.0
 OFF_BOUNDS = 0.05
-"""Share of its plausible size with which a parameter begins that is given exactly on a bound; the refits of a diagnosis begin
+"""Fraction of its plausible size with which a parameter begins that is given exactly on a bound; the refits of a diagnosis begin
 no nearer to null either."""
 
 
@@ -178,7 +178,7 @@ def _released(
     inward = move if value - low < high - value else -move
     if slope >= _FLAT * amid or inward <= _NEAR * deviation:
         return None
-    least, most = (share * scale for share in _INSIDE)
+    least, most = (fraction * scale for fraction in _INSIDE)
     by = min(max(inward, least), most, 0.5 * width)
     target = low + by if value - low < high - value else high - by
     return float(to_unconstrained(*(np.asarray(x) for x in (target, low, high, scale))))

@@ -36,10 +36,10 @@ def to_unconstrained(
     with np.errstate(all="ignore"):
         above = np.maximum((value - lower) / scale, inside)
         below = np.maximum((upper - value) / scale, inside)
-        share = np.clip((value - lower) / (upper - lower), inside, 1 - inside)
+        fraction = np.clip((value - lower) / (upper - lower), inside, 1 - inside)
         return np.select(
             [low & high, low, high],
-            [np.log(share / (1 - share)), above - 1 / above, 1 / below - below],
+            [np.log(fraction / (1 - fraction)), above - 1 / above, 1 / below - below],
             value / scale,
         )
 

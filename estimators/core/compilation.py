@@ -9,7 +9,7 @@ import jax
 
 from rtac_jax.programs import forget_programs
 
-_SHARE = 0.5
+_FRACTION = 0.5
 
 
 class Ahead:
@@ -32,7 +32,9 @@ def compile_beside(piece: Callable[[], None]) -> None:
 
 
 def make_room(
-    used: Path = Path("/proc/self/maps"), allowed: Path = Path("/proc/sys/vm/max_map_count"), share: float = _SHARE
+    used: Path = Path("/proc/self/maps"),
+    allowed: Path = Path("/proc/sys/vm/max_map_count"),
+    fraction: float = _FRACTION,
 ) -> bool:
     """Drop compiled code if it takes up more than this fraction of the memory maps that Linux allows a process.
 
@@ -43,7 +45,7 @@ def make_room(
         maps, limit = used.read_bytes().count(b"\n"), int(allowed.read_text())
     except (OSError, ValueError):  # not Linux
         return False
-    if maps <= share * limit:
+    if maps <= fraction * limit:
         return False
     forget_programs()
     jax.clear_caches()

@@ -14,7 +14,7 @@ from estimators.core.undetermined import UNDETERMINED
 _SCALES = ("total_mass", "arm_inertia")
 _FIX_THE_SCALE = "Give a known constant in /rig (total_mass or arm_inertia fixes the scale). "
 
-# The least that a parameter is taken to show, and the least slope of its stand-in as a share of its size: far below whatever
+# The least that a parameter is taken to show, and the least slope of its stand-in as a fraction of its size: far below whatever
 # rounding leaves, and of squares that are still numbers. What shows nothing at all gets a deviation of 1e100 times its size.
 _LEAST = 1e-100
 
@@ -45,11 +45,13 @@ class Information:
         for direction, deviation in zip(self.directions, self.deviations, strict=True):
             if deviation < UNDETERMINED:
                 continue
-            parts = [(name, share) for name, share in zip(self.names, direction, strict=True) if abs(share) > 0.2]
+            parts = [
+                (name, fraction) for name, fraction in zip(self.names, direction, strict=True) if abs(fraction) > 0.2
+            ]
             if len(parts) == 1:
                 said.append(f"{parts[0][0]} has no effect on what was measured")
             else:
-                signs = {share > 0 for _, share in parts}
+                signs = {fraction > 0 for _, fraction in parts}
                 how = "scaled together" if len(signs) == 1 else "traded against each other"
                 said.append(f"{', '.join(name for name, _ in parts)} may be {how}")
         return said
@@ -74,8 +76,8 @@ class Information:
                 break
             if deviation >= UNDETERMINED:
                 continue
-            shares = np.abs(direction)
-            names = [n for n, share in zip(self.names, shares, strict=True) if share > 0.3 * np.max(shares)]
+            fractions = np.abs(direction)
+            names = [n for n, fraction in zip(self.names, fractions, strict=True) if fraction > 0.3 * np.max(fractions)]
             if len(names) == 1:
                 said.append(f"these data hardly show {names[0]} (+-{_percent(deviation)})")
                 continue
@@ -210,5 +212,5 @@ def sizes_of(space: Space, unknowns: Unknowns) -> np.ndarray:
     return np.where(inside, np.maximum(present, 0.1 * np.asarray(space.scale)[place]), 1.0)
 
 
-def _percent(share: float) -> str:
-    return f"{float(f'{100 * share:.2g}'):g} %"
+def _percent(fraction: float) -> str:
+    return f"{float(f'{100 * fraction:.2g}'):g} %"

@@ -58,8 +58,8 @@ class InformationCriteria:
 
         It estimates the mean square of the errors in fresh data.
         """
-        share = self.unknowns / self.samples
-        factor = (1 + share) / (1 - share) if share < 1 else float("inf")
+        fraction = self.unknowns / self.samples
+        factor = (1 + fraction) / (1 - fraction) if fraction < 1 else float("inf")
         return {channel: factor * s**2 for channel, s in self.rms.items()}
 
     def __str__(self) -> str:

@@ -118,6 +118,11 @@ def initial_states(
     return state, spread, held
 
 
+def without_angle(experiments: Sequence[Experiment]) -> list[Experiment]:
+    """Return the experiments of whose arm's angle nothing is known: neither noted at the start nor measured."""
+    return [e for e in experiments if e.initial_arm_angle is None and "arm_angle" not in e.outputs]
+
+
 def angle_spread(experiment: Experiment) -> float:
     """Return the standard deviation of what is known beforehand of the arm's angle at the start [rad]."""
     if experiment.initial_arm_angle is None:

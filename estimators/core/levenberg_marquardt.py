@@ -29,7 +29,7 @@ _WORTH = 0.01
 # Damping of a full step, far below what any data say of an unknown that they show; by how much less it is after a step that
 # gained what it promised; its factors along the arc, and from what was best last to where the next arc begins.
 _FULL, _LESS, _ALONG, _BOLDER = 1.0, 3.5, 8.0, 64.0
-# Damping below which nothing creeps any more; and of rounding, as a share of a matrix's trace.
+# Damping below which nothing creeps any more; and of rounding, as a fraction of a matrix's trace.
 _LEAST, _ROUNDING = 1e-12, 1e-12
 # A step that gains less than this fraction of what a full one promises was stopped by a kink; of how many points beyond it the
 # slopes are counted, too.
@@ -302,11 +302,11 @@ def _together(several: Sequence[Float[np.ndarray, "every every"]], damping: floa
     curvature = several[0][:, :-1].T @ several[0][:, :-1]
     curvature += max(damping, _ROUNDING * np.trace(curvature)) * np.eye(len(slopes))
     length = np.linalg.solve(np.linalg.cholesky(curvature), slopes)
-    # Shares that add up to one, as the heavy last row asks.
+    # Fractions that add up to one, as the heavy last row asks.
     heavy = 1e3 * max(float(np.max(np.abs(length))), np.finfo(float).tiny)
-    shares, _ = nnls(np.vstack([length, np.full(len(several), heavy)]), np.append(np.zeros(len(length)), heavy))
-    shares /= np.sum(shares)
-    rows = np.concatenate([np.sqrt(share) * one for share, one in zip(shares, several, strict=True)])
+    fractions, _ = nnls(np.vstack([length, np.full(len(several), heavy)]), np.append(np.zeros(len(length)), heavy))
+    fractions /= np.sum(fractions)
+    rows = np.concatenate([np.sqrt(fraction) * one for fraction, one in zip(fractions, several, strict=True)])
     return np.asarray(np.linalg.qr(rows, mode="r"))
 
 

@@ -160,9 +160,9 @@ def in_turn(
         if best is not None:
             space, noise = best[1], best[0].predictor.noise
         noise = few_random_forces(noise, _SOME)
-        least, share = _WORTH_A_SWEEP
+        least, fraction = _WORTH_A_SWEEP
         all_gained = last.predictor.log_likelihood + gained - before.predictor.log_likelihood
-        if best is not None and not gained > max(least, share * all_gained):
+        if best is not None and not gained > max(least, fraction * all_gained):
             break
     if best is None:
         raise FloatingPointError("the model diverges, or leaves parameters free, after all trials.")

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from estimators.core.fit import Parameter
 from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
-from estimators.diagnosis.removed_error import Verdict, share_removed, without_named_rivals
+from estimators.diagnosis.removed_error import Verdict, fraction_removed, without_named_rivals
 from estimators.diagnosis.step import Step
 from estimators.diagnosis.verdict import Consequence
 from estimators.inference.simulation_residual import SimulationResidual, known_noise
@@ -17,8 +17,8 @@ from estimators.misspecification.static_force import ForceCurve
 from estimators.prediction_error.latent_force import LatentForce
 from rtac_jax.measurement import Recording
 
-_LEFT_OUT = 0.02  # share of the samples from which it is worth a word that they do not count
-SHAKEN = 1e-2  # share of the rms forces from which random forces in one sample are worth a word
+_LEFT_OUT = 0.02  # fraction of the samples from which it is worth a word that they do not count
+SHAKEN = 1e-2  # fraction of the rms forces from which random forces in one sample are worth a word
 _STRAYED = 3.0  # rms of what a simulation leaves over the noise, from which it is worth a word
 
 
@@ -90,16 +90,16 @@ def words(
         if rest
         else ", and nothing rejects any more"
     )
-    share = (
+    fraction = (
         f" {'It removes' if len(steps) == 1 else 'Together they remove'} {100 * removed:.0f} % of the misfit{after}."
     )
     if consequence is not None:
-        share += f" The error falls by {_fall(consequence)}."
+        fraction += f" The error falls by {_fall(consequence)}."
     if verdict == "missing":
-        return f"Missing: {text}.{share}{shown} The intervals do not count that the effect was selected."
+        return f"Missing: {text}.{fraction}{shown} The intervals do not count that the effect was selected."
     groups = "; ".join(f"{step.id} or {', '.join(step.rivals)}" for step in steps if step.rivals)
     return (
-        f"Ambiguous: the data cannot tell {groups} apart. The best fit: {text}.{share}{shown} An experiment that separates "
+        f"Ambiguous: the data cannot tell {groups} apart. The best fit: {text}.{fraction}{shown} An experiment that separates "
         "them would decide (est.next_experiment)."
     )
 
@@ -144,9 +144,9 @@ def static_force(
 def not_named(further: Sequence[Step], left: Sequence[AdequacyTest], samples: int) -> str:
     """Say what would explain a part of what the named effects leave, but too little of it."""
     first = further[0]
-    share = share_removed([first], samples)
+    fraction = fraction_removed([first], samples)
     choice = " or ".join([first.id, *first.rivals])
-    return f" Of what is then left {choice} would remove {100 * share:.0f} %, too little to be named."
+    return f" Of what is then left {choice} would remove {100 * fraction:.0f} %, too little to be named."
 
 
 def without_the_physics(steps: Sequence[Step], simulation: SimulationResidual) -> str:

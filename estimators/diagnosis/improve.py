@@ -2,7 +2,6 @@
 
 import dataclasses
 import time
-import warnings
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
@@ -21,6 +20,7 @@ from rtac_jax import RTAC
 from rtac_jax.effects import CATALOGUE, Effect, SplineForce
 from rtac_jax.measurement import Recording
 from rtac_jax.overview import Overview
+from rtac_jax.renamed import renamed
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
@@ -61,11 +61,7 @@ class Improvement(Result):
     learned: LearnedForce | None = None
     nearest: Candidate | None = None
 
-    @property
-    def foreseen(self) -> tuple[PredictedGain, ...]:
-        """Return `predicted_gains`, by the old name."""
-        warnings.warn("Improvement.foreseen is called predicted_gains now.", DeprecationWarning, stacklevel=2)
-        return self.predicted_gains
+    foreseen = renamed("foreseen", "predicted_gains")
 
     @property
     def base(self) -> Fit:

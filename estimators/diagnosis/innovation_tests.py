@@ -6,6 +6,7 @@ from functools import partial
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from estimators.core.compilation import Ahead
 from estimators.core.data import CHANNELS
@@ -35,8 +36,10 @@ from rtac_jax import RTAC
 
 _GROUPS = 4  # of candidates, each simulated with a model of its own
 _MANY = 50_000  # samples of all experiments, from which on that is faster than one model for all
-_SLOW = 1e-2  # share of the rms speed below which a learned friction fades
-QUIET = np.log(1e-3**2)  # variance of random forces, in shares of the rms forces, where they should not hide an effect
+_SLOW = 1e-2  # fraction of the rms speed below which a learned friction fades
+_LOW = np.log(
+    1e-3**2
+)  # variance of random forces, over the square of the rms forces, where they should not hide an effect
 
 
 def pieces_of_tests(
@@ -113,14 +116,19 @@ def run_tests(setting: Setting, refit: Refit, ahead: Ahead | None = None) -> Tes
     return Tested(tuple(screened), tuple(curves), findings)
 
 
-def quietly_screened(setting: Setting, refit: Refit) -> list[Screened]:
+def low_process_noise(exponents: Float[np.ndarray, " noise"]) -> Float[np.ndarray, " noise"]:
+    """Return the exponents of the noise with random forces so small that they hide no effect."""
+    return np.concatenate([np.minimum(exponents[:2], _LOW), exponents[2:]])
+
+
+def screened_at_low_noise(setting: Setting, refit: Refit) -> list[Screened]:
     """Score candidates against a predictor with low process noise.
 
     Random forces that stand for a missing effect make the predictor follow the sensors, and hide from it what moves
     slowly beside the samples. Such statistics only rank: the innovations are not white.
     """
     found = refit.predictor
-    noise = np.concatenate([np.minimum(found.noise[:2], QUIET), found.noise[2:]])
+    noise = low_process_noise(found.noise)
     prior = setting.prior.starting(refit.space)
     passed = run_filter(refit.model, setting.data, refit.space, found.physical, prior, noise, setting.substeps).filtered
     quiet = dataclasses.replace(refit, predictor=dataclasses.replace(found, noise=noise, filtered=passed))

@@ -86,7 +86,9 @@ class LearnedForce:
             "that it is not known and keeps its last value."
         )
         if self.outside:
-            where = ", ".join(f"{name} ({100 * share:.0f} % of the samples)" for name, share in self.outside.items())
+            where = ", ".join(
+                f"{name} ({100 * fraction:.0f} % of the samples)" for name, fraction in self.outside.items()
+            )
             text += f" Experiments held out that go beyond: {where}."
         if self.laws:
             text += f" Laws that would describe it: {'; '.join(self.laws)}."
@@ -152,5 +154,5 @@ def _described(step: Added, curve: ForceCurve) -> LearnedForce:
         covariance = step.fit.information.covariance[np.ix_(places, places)]
         std = np.sqrt(np.einsum("sk,st,tk->k", shapes, covariance, shapes))
     laws = tuple(law.text for law in curve.formulas(most=_LAWS)) if curve.evidence is not None else ()
-    outside = {name: share for name, (_, share) in step.tested.beyond.items()}
+    outside = {name: fraction for name, (_, fraction) in step.tested.beyond.items()}
     return LearnedForce(curve.port, curve.variable, curve.at, amounts @ shapes, std, outside, laws)

@@ -17,7 +17,13 @@ from estimators.diagnosis.evidence import (
     SimulationError,
 )
 from estimators.diagnosis.gross_effects import screened_by_equations
-from estimators.diagnosis.innovation_tests import limits_of, quietly_screened, run_tests, scores_of, simulation_error
+from estimators.diagnosis.innovation_tests import (
+    limits_of,
+    run_tests,
+    scores_of,
+    screened_at_low_noise,
+    simulation_error,
+)
 from estimators.diagnosis.laboratory import Way
 from estimators.diagnosis.noise_colour import coloured, recoloured
 from estimators.diagnosis.refit import Refit, Tested
@@ -108,7 +114,7 @@ class LiveLaboratory:
         """Score candidates against a predictor with low process noise."""
         if model.number not in self._quiet:
             setting, refit = self.computed(model)
-            screened = quietly_screened(setting, refit)
+            screened = screened_at_low_noise(setting, refit)
             scores = self._quiet[model.number] = scores_of(screened)
             self._screened |= dict(zip(scores, screened, strict=True))
         return self._quiet[model.number]

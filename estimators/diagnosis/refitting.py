@@ -24,7 +24,7 @@ from estimators.diagnosis.contact_trials import (
 )
 from estimators.diagnosis.evidence import HeldOut, SimulationError
 from estimators.diagnosis.gross_effects import placed_inside
-from estimators.diagnosis.innovation_tests import QUIET, pieces_of_tests, run_tests, simulation_error
+from estimators.diagnosis.innovation_tests import low_process_noise, pieces_of_tests, run_tests, simulation_error
 from estimators.diagnosis.laboratory import Way
 from estimators.diagnosis.refit import Refit, Tested
 from estimators.diagnosis.setting import Setting, begun, effect_of, model_with, set_up, shared, space_for
@@ -90,7 +90,7 @@ def refit_from_equations(setting: Setting, before: Refit, e: Explained) -> Refit
     shape = {name: float(np.asarray(getattr(e.instance, name))) for name in declarations(e.instance)}
     sizes = shape | dict(zip(e.amplitudes, np.asarray(e.begin).tolist(), strict=True))
     values = {**e.values} | {f"{e.id}.{name}": value for name, value in sizes.items()}
-    noise = np.concatenate([np.minimum(before.predictor.noise[:2], QUIET), before.predictor.noise[2:]])
+    noise = low_process_noise(before.predictor.noise)
     return fitted(setting, added, placed_inside(model, values), free, noise, {})
 
 
@@ -186,7 +186,7 @@ def _from_simulation(
     setting: Setting, before: Refit, added: tuple[str, ...], model: RTAC, free: tuple[str, ...], found: Fit
 ) -> Refit:
     values = {name: parameter.value for name, parameter in found.parameters.items()}
-    noise = np.concatenate([np.minimum(before.predictor.noise[:2], QUIET), before.predictor.noise[2:]])
+    noise = low_process_noise(before.predictor.noise)
     start = np.stack([found.start[e.name] for e in setting.experiments], axis=1)
     starts = dict(zip(start_rows(found.model), start, strict=True))
     return fitted(setting, added, model.with_values(values), free, noise, starts)

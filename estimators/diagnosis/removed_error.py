@@ -21,13 +21,13 @@ def named(
     everything that was wrong before it. So a strong effect does not carry a doubtful one along.
     """
     for count in range(len(steps), 0, -1):
-        shares = [share_removed(steps[first:count], samples) for first in range(count)]
-        if min(shares) >= policy.removed:
+        fractions = [fraction_removed(steps[first:count], samples) for first in range(count)]
+        if min(fractions) >= policy.removed:
             open_question = any(step.rivals for step in without_named_rivals(steps[:count]))
-            return ("ambiguous" if open_question else "missing"), count, shares[0]
+            return ("ambiguous" if open_question else "missing"), count, fractions[0]
     if not steps:
         return ("unknown" if any(test.rejects for test in tests) else "adequate"), 0, 0.0
-    return "unknown", 0, share_removed(steps, samples)
+    return "unknown", 0, fraction_removed(steps, samples)
 
 
 def without_named_rivals(steps: Sequence[Step]) -> list[Step]:
@@ -39,7 +39,7 @@ def without_named_rivals(steps: Sequence[Step]) -> list[Step]:
     return [dataclasses.replace(step, rivals=tuple(r for r in step.rivals if r not in named)) for step in steps]
 
 
-def share_removed(steps: Sequence[Step], samples: int) -> float:
+def fraction_removed(steps: Sequence[Step], samples: int) -> float:
     """Return the fraction of the excess squared prediction error that steps remove."""
     after = math.exp(-sum(step.gain for step in steps) / samples)
     return (1 - after) / (1 - floor(steps, samples))

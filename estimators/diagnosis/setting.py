@@ -11,7 +11,7 @@ import numpy as np
 from estimators.closed_form.initial_angle import with_initial_angles
 from estimators.core.data import Data, moving, pieces
 from estimators.core.fit import Fit
-from estimators.core.initial_state import scales_of, space_of
+from estimators.core.initial_state import scales_of, space_of, without_angle
 from estimators.core.parameter_space import Space
 from estimators.core.residual import start_rows
 from estimators.core.sensor_noise import noise_levels
@@ -122,8 +122,7 @@ def set_up(
     colours = capped(colours_at_rest(recording.experiments, policy.colour))
     # The first samples tell the start better than a simulation of a model that may be wrong, except for an angle
     # that nobody measured.
-    blind = [e for e in experiments if e.initial_arm_angle is None and "arm_angle" not in e.outputs]
-    start = {e.name: starts[e.name] for e in blind if e.name in starts}
+    start = {e.name: starts[e.name] for e in without_angle(experiments) if e.name in starts}
     space = space_of(model, experiments, free=shared(model), start=start)
     prior = NoiseModel.of(levels, recording.experiments, scales, space)
     return Setting(

@@ -74,10 +74,10 @@ def default_plans(model: RTAC, limits: Limits, *, sample_time: float, duration: 
     highest = 0.4 / sample_time  # Hz
     plans = [
         Plan(
-            f"decay {1e3 * share * limits.travel:.3g} mm at {_degrees(angle)}", "free", duration, sample_time,
-            initial_position=share * limits.travel, initial_angle=angle,
+            f"decay {1e3 * fraction * limits.travel:.3g} mm at {_degrees(angle)}", "free", duration, sample_time,
+            initial_position=fraction * limits.travel, initial_angle=angle,
         )
-        for share, angle in itertools.product(_DISPLACEMENTS, _ANGLES)
+        for fraction, angle in itertools.product(_DISPLACEMENTS, _ANGLES)
     ]  # fmt: skip
     waves: list[tuple[str, np.ndarray]] = []
     for frequency, swing in itertools.product(_SQUARES, _SWINGS):

@@ -10,7 +10,7 @@ from tqdm import tqdm
 
 from estimators.core.data import Data, moving, pieces
 from estimators.core.fit import Fit
-from estimators.core.initial_state import scales_of, space_of
+from estimators.core.initial_state import scales_of, space_of, without_angle
 from estimators.core.sensor_noise import noise_levels
 from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.diagnose import Diagnosis
@@ -101,8 +101,7 @@ def contest_of(
     for effect in [*others, *(instances[best][:1] if best else ())]:
         truth = truth + effect
 
-    blind = [e for e in experiments if e.initial_arm_angle is None and "arm_angle" not in e.outputs]
-    start = {e.name: fit.start[e.name][:4] for e in blind}
+    start = {e.name: fit.start[e.name][:4] for e in without_angle(experiments)}
     free = [name for name in truth.free if name not in truth.per_experiment]
     space = space_of(truth, experiments, free=free, start=start)
     prior = NoiseModel.of(dict(noise_levels(recording.experiments)), recording.experiments, scales, space)
@@ -143,8 +142,8 @@ def _hidden(instance: Effect, known: Candidate, alarm: float) -> Effect:
     largest = known.detection_limit * np.sqrt(max(known.score / alarm, 1.0))
     declared = declarations(instance)
     alike = [n for n in names if declared[n].unit == known.unit]
-    share = min(1.0, largest / max(abs(values[n]) for n in alike))
-    return type(instance)(**{n: value * (share if n in names else 1.0) for n, value in values.items()})
+    fraction = min(1.0, largest / max(abs(values[n]) for n in alike))
+    return type(instance)(**{n: value * (fraction if n in names else 1.0) for n, value in values.items()})
 
 
 def _chosen(found: Diagnosis, between: Sequence[str] | None) -> tuple[str, ...]:

@@ -163,9 +163,9 @@ class FrequencyResponses(Result):
         for one in self.conditions:
             band = f"{one.frequency[0]:.3g} to {one.frequency[-1]:.3g}"
             angle = "" if one.arm_angle is None else f"{one.arm_angle:.2f}"
-            share = 100 * float(np.median(one.std / np.abs(one.response)))
+            fraction = 100 * float(np.median(one.std / np.abs(one.response)))
             rows.append(
-                f"{one.name:16s} {len(one.frequency):5d} {band:>16s} {one.input_rms:10.3g} {angle:>11s} {share:8.2f}"
+                f"{one.name:16s} {len(one.frequency):5d} {band:>16s} {one.input_rms:10.3g} {angle:>11s} {fraction:8.2f}"
             )
         return "\n".join(rows)
 

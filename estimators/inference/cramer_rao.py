@@ -40,13 +40,13 @@ class Expected:
         return dict(zip(self.information.names, (float(s) for s in spread), strict=True))
 
     def __str__(self) -> str:
-        lines = [f"{'parameter':30s} {'value':>12s} {'expected std':>13s} {'share':>9s}  unit"]
+        lines = [f"{'parameter':30s} {'value':>12s} {'expected std':>13s} {'fraction':>9s}  unit"]
         for name, std in self.std.items():
             value = self.values[name]
             free = value != 0 and std > _FREE * abs(value)
             shown = "free" if free else f"{std:.2g}"
-            share = f"{100 * std / abs(value):.2g} %" if value and not free else ""
-            lines.append(f"{name:30s} {value:12.5g} {shown:>13s} {share:>9s}  {self.units[name]}")
+            fraction = f"{100 * std / abs(value):.2g} %" if value and not free else ""
+            lines.append(f"{name:30s} {value:12.5g} {shown:>13s} {fraction:>9s}  {self.units[name]}")
         weak = [*self.information.undetermined(), *self.information.weakest()]
         return "\n".join([*lines, *(f"{text[0].upper()}{text[1:]}." for text in dict.fromkeys(weak))])
 

@@ -120,14 +120,14 @@ def covariances(fit: Fit, recording: Recording) -> Covariances:
 
 
 def _of_experiments(information: Information, rows: Rows) -> Information:
-    """Return scores and parts of the experiments alone, without their shares of what was measured of constants beforehand."""
+    """Return scores and parts of the experiments alone, without their fractions of what was measured of constants beforehand."""
     if not len(rows.known) or information.parts is None or information.scores is None:
         return information
-    share = 1.0 / len(information.scores)
+    fraction = 1.0 / len(information.scores)
     return dataclasses.replace(
         information,
-        parts=information.parts - share * rows.known.T @ rows.known,
-        scores=information.scores - share * rows.known.T @ rows.known_residual,
+        parts=information.parts - fraction * rows.known.T @ rows.known,
+        scores=information.scores - fraction * rows.known.T @ rows.known_residual,
     )
 
 
@@ -200,7 +200,7 @@ def clustered(information: Information, clusters: list[str]) -> tuple[Matrix, Fl
     bread = information.covariance
     moved = scores @ bread  # what each cluster moves each parameter by, but for the sign
     raw = moved.T @ moved
-    # Were the residual white, cluster g's share of parameter p would be c' B (s_g - H_g B sum s) with Cov(s_g) = H_g.
+    # Were the residual white, cluster g's fraction of parameter p would be c' B (s_g - H_g B sum s) with Cov(s_g) = H_g.
     # Its covariance over clusters tells how far the raw variance is off, and how much it scatters.
     width = len(information.names)
     scale, degrees = np.full(width, np.nan), np.full(width, np.nan)

@@ -54,7 +54,7 @@ def simulation_deviation(
 def shaken_by(
     fit: PredictorFit, start: Float[np.ndarray, "start experiment"]
 ) -> tuple[Float[np.ndarray, " output"], tuple[float, float]]:
-    """Return `simulation_deviation` of a predictor, and its random force and torque in one sample as shares of the rms forces.
+    """Return `simulation_deviation` of a predictor, and its random force and torque in one sample as fractions of the rms forces.
 
     Args:
         fit: the predictor.

@@ -53,7 +53,7 @@ class SimulationResidual:
         ratio: rms error over the noise [1].
         shaken_ratio: rms error over the noise that the random forces of the predictor would leave [1]; NaN if not known.
         signal_fraction: rms error over the rms of the signal [1].
-        random_force, random_torque: in one sample, as shares of the rms forces; NaN if not known.
+        random_force, random_torque: in one sample, as fractions of the rms forces; NaN if not known.
         words: what is known, as one or two sentences; empty for "noise".
     """
 
@@ -100,7 +100,7 @@ def random_forces_are_large(
     """Return whether random forces, averaged over a radian of the cart's swing, are no small disturbance any more.
 
     Args:
-        random: force and torque in one sample as shares of the rms forces; False if NaN.
+        random: force and torque in one sample as fractions of the rms forces; False if NaN.
         samples_per_radian: of the cart's natural swing.
         limits: from which on they are large.
     """
@@ -114,7 +114,7 @@ def follows_nothing(
 
     Args:
         unfollowed: rms error of its simulation over the rms of the motion.
-        random: force and torque of its predictor in one sample, as shares of the rms forces.
+        random: force and torque of its predictor in one sample, as fractions of the rms forces.
         samples_per_radian: of the cart's natural swing.
         limits: from which on it is so.
     """
@@ -143,7 +143,7 @@ def simulation_residual(
         error: rms over the noise, by channel of known noise.
         shaken: what the random forces of the predictor and the sensors would leave of it; empty if no predictor tells.
         signal: rms of the motion over the noise.
-        random: force and torque in one sample as shares of the rms forces; NaN if not known.
+        random: force and torque in one sample as fractions of the rms forces; NaN if not known.
         samples_per_radian: of the cart's natural swing, over which random forces average.
         experiments: number of them.
         suspect: the effect that speaks loudest of those that the data are too few to confirm, with what it reaches.

@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from estimators.core.drawing import draw
 from estimators.linear.model import LinearModel
+from rtac_jax.renamed import renamed
 
 _DETERMINED = 0.5  # standard deviation over value
 _SINGULAR = 1e-9  # of correlations
@@ -34,15 +35,17 @@ class Trend:
             "mean_angle", the angle itself; "time", the order of the conditions; or one that was given.
         slope, slope_std: change of the quantity over the range of the covariate. The deviation counts what scatters
             beyond the estimates' own uncertainty.
-        share: fraction of the scatter's chi-square that the regression removes [1].
+        fraction: fraction of the scatter's chi-square that the regression removes [1].
         p_value: of no slope.
     """
 
     covariate: str
     slope: float
     slope_std: float
-    share: float
+    fraction: float
     p_value: float
+
+    share = renamed("share", "fraction")
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +122,7 @@ class Equality:
             else:
                 said.append(
                     f"{name[0].upper()}{name[1:]} drifts with {covariate_words(trend.covariate)}: {trend.slope:+.3g} ± "
-                    f"{trend.slope_std:.1g}{unit} over its range, {100 * trend.share:.0f} % of the scatter."
+                    f"{trend.slope_std:.1g}{unit} over its range, {100 * trend.fraction:.0f} % of the scatter."
                 )
         return " ".join(said)
 

@@ -165,7 +165,7 @@ def _sized(group: Group, error: np.ndarray, basis: Rows, s: Screened) -> Screene
     (name,) = s.amplitudes
     plausible = abs(float(np.asarray(getattr(s.instance, name))))
     linear = float(s.begin[0])
-    sizes = np.array([linear, *(np.sign(linear) * plausible * share for share in _SIZES)])
+    sizes = np.array([linear, *(np.sign(linear) * plausible * fraction for fraction in _SIZES)])
     left = group.switched_on(
         [dataclasses.replace(s.instance, **{name: float(size)}) for size in sizes], [name] * len(sizes)
     )

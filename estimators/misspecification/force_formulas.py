@@ -145,12 +145,12 @@ def _library(variable: str, at: np.ndarray, slow: float, information: np.ndarray
     base, level = variable.split(",")[0], "," in variable
     found = [(Term("power", n), 1.0) for n in range(6)] + [(Term("odd", n), 1.0) for n in (2, 4)]
     found += [] if level else [(Term("sign"), 1.0)]
-    found += [(Term("saturation"), share * span) for share in _SHAPES]
+    found += [(Term("saturation"), fraction * span) for fraction in _SHAPES]
     if base == "arm_angle":
         found += [(Term(kind, n), 1.0) for kind in ("sine", "cosine") for n in range(1, _TURN_NUMBERS + 1)]
     else:
         width = float(at[-1] - at[0])
-        found += [(Term(kind), 2 * np.pi / (share * width)) for kind in ("sine", "cosine") for share in _PERIODS]
+        found += [(Term(kind), 2 * np.pi / (fraction * width)) for kind in ("sine", "cosine") for fraction in _PERIODS]
 
     def seen(one: tuple[Term, float]) -> float:
         column = _heights(at, [one[0].value(_fine(at), one[1], slow)])[0]

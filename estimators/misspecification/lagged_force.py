@@ -58,7 +58,7 @@ def delayed_forces(
 
     Only measurements up to the present are used, so that without a missing effect the innovations do not depend on them.
     """
-    lags = [share * 2 * np.pi / frequency for share in _LAGS]
+    lags = [fraction * 2 * np.pi / frequency for fraction in _LAGS]
     position = _lagged(experiments, "outputs", "cart_position", lags, innovations)
     velocity = _lagged(experiments, "outputs", "arm_velocity", lags, innovations)
     current = _lagged(experiments, "inputs", "current", lags, innovations)

@@ -6,6 +6,7 @@ import numpy as np
 from scipy.signal import lfilter
 from scipy.stats import f as fisher
 
+from estimators.core.correlation import autocovariance
 from estimators.misspecification.findings import RepeatTest
 from rtac_jax.measurement import Experiment
 
@@ -63,9 +64,8 @@ def repeat_test(innovations: np.ndarray, present: np.ndarray, experiments: Seque
 def _effective(apart: np.ndarray) -> float:
     """Return the number of independent values that have as uncertain a mean square as these."""
     count = len(apart)
-    power = np.abs(np.fft.rfft(apart, 2 * count, axis=0)) ** 2
-    autocovariance = np.fft.irfft(power, axis=0)[: count // 2].sum(axis=1)
-    correlation = autocovariance / autocovariance[0]
+    own = np.sum([autocovariance(column, count // 2 - 1) for column in apart.T], axis=0)
+    correlation = own / own[0]
     # Beyond the first lag where nothing is left the estimate is noise only.
     small = np.abs(correlation) < 2 / np.sqrt(count)
     last = int(np.argmax(small)) if small.any() else len(correlation)

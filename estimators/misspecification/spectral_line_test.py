@@ -15,8 +15,8 @@ from rtac_jax.measurement import Experiment
 _AROUND = 31  # lines whose median tells how strong the noise is there
 # Their median scatters as a mean of so many independent powers by two, since a window ties neighbours together.
 _FREEDOM = 20
-_THERE = 0.5  # share of an experiment's samples that must count
-_ALIKE = 0.9  # share of the longest's samples from which on experiments are cut to one length, and little is lost
+_THERE = 0.5  # fraction of an experiment's samples that must count
+_ALIKE = 0.9  # fraction of the longest's samples from which on experiments are cut to one length, and little is lost
 _BLIND = 8  # lowest lines, where transients of the start end up
 
 

@@ -22,7 +22,7 @@ class BatchFit:
     """Result of `output_error_batch`, in the order of the recordings.
 
     Attributes:
-        names: of the free parameters that all experiments of a recording share.
+        names: of the free parameters that all experiments of a recording fraction.
         values: SI units; not a number where the model diverged.
         covariance: of them.
         result: how each fit ended.

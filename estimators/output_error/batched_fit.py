@@ -33,7 +33,7 @@ from rtac_jax.programs import program
 TOLERANCE = 1e-7
 """Distance to the minimum, in standard deviations, at which repetitions agree with single fits to a millionth."""
 
-# The slope of a bounded parameter, over its scale, below which it is at its bound: the distance is as small a share.
+# The slope of a bounded parameter, over its scale, below which it is at its bound: the distance is as small a fraction.
 _FLAT = 1e-3
 
 

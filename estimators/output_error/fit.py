@@ -91,7 +91,7 @@ def output_error(
     for name, start in candidates:
         bar.set_description(f"output error from {name}")
         try:
-            end = run.descend(start, best=min((end.cost for _, end in ends), default=np.inf))
+            end = run.descend(start, best=min((end.cost for _, end in ends), default=np.inf), given=start is model)
             if end is not None:
                 ends.append((name, end))
         except FloatingPointError as error:

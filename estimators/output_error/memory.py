@@ -19,8 +19,8 @@ _OF_SAMPLE, _OF_STATE = 45, 7
 # Where sensitivities are kept whole: three outputs, and copies while they are compressed.
 _OF_DIRECTION = 12
 _COMPILER = 500_000_000  # bytes that compiling and its results take, whatever the recording
-_SHARE = 0.25
-"""Share of the memory that is free from which on a fit says what it takes."""
+_FRACTION = 0.25
+"""Fraction of the memory that is free from which on a fit says what it takes."""
 
 
 def bytes_needed(model: RTAC, experiments: Sequence[Experiment]) -> int:
@@ -61,7 +61,7 @@ def require_memory(model: RTAC, experiments: Sequence[Experiment]) -> str:
     """
     free = bytes_free()
     needed = bytes_needed(model, experiments)
-    if free is None or needed < _SHARE * free:
+    if free is None or needed < _FRACTION * free:
         return ""
     samples = sum(e.samples for e in experiments)
     said = f"{samples:,} samples in {len(experiments)} experiment(s) take about {needed / 1e9:.2g} GB"

@@ -12,8 +12,8 @@ def plot_agreement(found: Agreement) -> Picture:
     figure = picture(8.4, 0.45 * len(found.names) + 2.0)
     axes = figure.subplots()
     places = np.arange(len(found.names))
-    share = found.level / (len(found.names) * len(found.pairs))
-    bound = float(student.isf(share / 2, found.draws - 1))
+    fraction = found.level / (len(found.names) * len(found.pairs))
+    bound = float(student.isf(fraction / 2, found.draws - 1))
     axes.axvspan(-bound, bound, zorder=0, label=f"chance, at {100 * found.level:.3g} % for all together", **NOISE)
     axes.axvline(0, color="black", linewidth=0.8)
     farthest = bound

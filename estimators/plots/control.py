@@ -100,7 +100,7 @@ def plot_margins(found: Margins) -> Picture:
     axis.set_xlim(at / 100, 100 * at)
     axis.set_ylim(0, 1.15 * max(1.0, performance))
     axis.set_xlabel("Frequency [rad/s]", fontsize=SMALL)
-    axis.set_ylabel("Share of what is allowed [1]", fontsize=SMALL)
+    axis.set_ylabel("Fraction of what is allowed [1]", fontsize=SMALL)
     axis.legend(fontsize=SMALL)
     tidy(axis)
     stable = "stable for the whole envelope" if stability < 1 else "stability is not guaranteed for the whole envelope"

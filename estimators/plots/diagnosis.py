@@ -85,7 +85,7 @@ def finding(diagnosis: Diagnosis) -> str:
             return f"{failed}; what is missing on the {_deficient(diagnosis)} {what} of position, velocity or angle"
         return f"{failed}; what is missing on the {best.port} depends most on {NAMES[best.variable]}"
     best = accepted[0]
-    share = f"{100 * best.error_reduction:.0f} % of the misfit"
+    fraction = f"{100 * best.error_reduction:.0f} % of the misfit"
     groups: list[list[str]] = []
     for c in accepted:
         if (group := sorted({c.id, *c.confusable_with})) not in groups:
@@ -96,7 +96,7 @@ def finding(diagnosis: Diagnosis) -> str:
         return f"{named} together explain {100 * diagnosis.removed:.0f} % of the misfit{unclear}"
     if diagnosis.verdict == "ambiguous":
         others = ", ".join(c.id for c in accepted[1:])
-        return f"{best.id} explains {share}, but the data cannot tell it from {others}"
+        return f"{best.id} explains {fraction}, but the data cannot tell it from {others}"
     rest = [
         c
         for c in diagnosis.candidates
@@ -104,9 +104,9 @@ def finding(diagnosis: Diagnosis) -> str:
     ]
     rest = [c for c in rest if c.refitted and c.error_reduction > _NEAR]
     if not rest:
-        return f"{best.id} explains {share}; nothing else comes near"
+        return f"{best.id} explains {fraction}; nothing else comes near"
     second = max(rest, key=lambda c: (c.bic_gain, c.score))
-    return f"{best.id} explains {share}; the next, {second.id}, {100 * second.error_reduction:.0f} %"
+    return f"{best.id} explains {fraction}; the next, {second.id}, {100 * second.error_reduction:.0f} %"
 
 
 def _alarms(c: Candidate, policy: DiagnosisPolicy) -> bool:

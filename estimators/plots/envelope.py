@@ -39,7 +39,7 @@ def plot_responses(responses: FrequencyResponses) -> Picture:
     for one in responses:
         top.semilogx(one.frequency, _decibel(np.abs(one.response)), **_PLANT)
         below.semilogx(one.frequency, _degrees(one.response), **_PLANT)
-    shares = np.concatenate([one.radius(0.95) / np.abs(one.response) for one in responses])
+    fractions = np.concatenate([one.radius(0.95) / np.abs(one.response) for one in responses])
     noisy = max(responses, key=lambda one: float(np.median(one.std / np.abs(one.response))))
     size, radius = np.abs(noisy.response), noisy.radius(0.95)
     top.fill_between(
@@ -63,7 +63,7 @@ def plot_responses(responses: FrequencyResponses) -> Picture:
     top.legend(fontsize=SMALL, loc="best")
     for axes in (top, below):
         _frequencies(axes)
-    median = 100 * float(np.median(shares))
+    median = 100 * float(np.median(fractions))
     title(figure, f"{len(responses)} conditions, each known to {median:.2g} % (95 % radius, median)")
     return figure
 
@@ -102,13 +102,13 @@ def plot_envelope(
         omega, word = closed_form.frequency, "closed form, linearised"
         axes[0].semilogx(omega, _decibel(np.abs(closed_form.response)), **_CLOSED, label=word)
         axes[1].semilogx(omega, phase + _degrees(closed_form.response / nominal), **_CLOSED)
-        gap = np.abs(errors(closed_form.response[None], nominal, envelope.kind))[0]
-        axes[2].semilogx(omega, _decibel(np.maximum(gap, 1e-3 * envelope.profile.max())), **_CLOSED, label=word)
+        model_error = np.abs(errors(closed_form.response[None], nominal, envelope.kind))[0]
+        axes[2].semilogx(omega, _decibel(np.maximum(model_error, 1e-3 * envelope.profile.max())), **_CLOSED, label=word)
         axes[0].legend(fontsize=SMALL, loc="lower left", framealpha=0.9)
     if fitted is not None and envelope.kind.startswith("multiplicative"):
-        gap = np.abs(fitted.response / envelope.nominal_response(fitted.frequency) - 1)
-        axes[2].semilogx(fitted.frequency, _decibel(np.maximum(gap, 1e-3)), **_FITTED, label="fitted model")
-        axes[2].set_ylim(top=max(axes[2].get_ylim()[1], float(_decibel(gap).max()) + 3))
+        model_error = np.abs(fitted.response / envelope.nominal_response(fitted.frequency) - 1)
+        axes[2].semilogx(fitted.frequency, _decibel(np.maximum(model_error, 1e-3)), **_FITTED, label="fitted model")
+        axes[2].set_ylim(top=max(axes[2].get_ylim()[1], float(_decibel(model_error).max()) + 3))
     if closed_form is not None or fitted is not None:
         axes[2].legend(fontsize=SMALL, loc="lower left", ncols=3, framealpha=0.9)
     _draw_sources(axes[3], envelope)
@@ -130,7 +130,7 @@ def plot_effect_cost(cost: EffectCost) -> Picture:
             _decibel(found.profile),
             color=colour,
             linewidth=2.0,
-            label=f"{word}: largest gap, γ = {gamma:.3f}",
+            label=f"{word}: largest model error, γ = {gamma:.3f}",
         )
         dense = np.geomspace(found.frequency[0], found.frequency[-1], 800)
         axes.semilogx(
@@ -148,7 +148,7 @@ def plot_effect_cost(cost: EffectCost) -> Picture:
     _frequencies(axes)
     before, after = (100 * float(found.profile.max()) for found in (cost.before, cost.after))
     named = ", ".join(cost.effects) or "nothing more"
-    title(figure, f"Knowing {named} brings the largest gap from {before:.0f}\u00a0% to {after:.0f}\u00a0%")
+    title(figure, f"Knowing {named} brings the largest model error from {before:.0f}\u00a0% to {after:.0f}\u00a0%")
     return figure
 
 
@@ -160,7 +160,7 @@ def finding(envelope: Envelope) -> str:
     if envelope.kind == "additive":
         return text
     useful = float(log_measure(envelope.frequency) @ (envelope.weight_magnitude() < 1))
-    where = f"largest gap {100 * envelope.profile[at]:.0f}\u00a0% at {envelope.frequency[at]:.3g}\u00a0rad/s"
+    where = f"largest model error {100 * envelope.profile[at]:.0f}\u00a0% at {envelope.frequency[at]:.3g}\u00a0rad/s"
     return f"{text}; {where}, |W| < 1 on {100 * useful:.0f}\u00a0% of the band"
 
 
@@ -186,11 +186,13 @@ def draw_responses(axes: Any, envelope: Envelope) -> None:
 
 def draw_profile(axes: Any, envelope: Envelope) -> None:
     """Draw the model errors of the conditions, their largest and the weight, as in Fig. 6(b)."""
-    for gap, held in _shown(envelope, envelope.gaps):
+    for model_error, held in _shown(envelope, envelope.model_errors):
         axes.semilogx(
-            envelope.frequency, _decibel(np.maximum(gap, 1e-3 * envelope.profile.max())), **(_HELD if held else _PLANT)
+            envelope.frequency,
+            _decibel(np.maximum(model_error, 1e-3 * envelope.profile.max())),
+            **(_HELD if held else _PLANT),
         )
-    axes.semilogx(envelope.frequency, _decibel(envelope.profile), **_NOMINAL, label="profile: the largest gap")
+    axes.semilogx(envelope.frequency, _decibel(envelope.profile), **_NOMINAL, label="profile: the largest model error")
     dense = np.geomspace(envelope.frequency[0], envelope.frequency[-1], 800)
     axes.semilogx(dense, _decibel(envelope.weight_magnitude(dense)), **_WEIGHT, label="weight |W|")
     if envelope.kind != "additive":
@@ -203,17 +205,17 @@ def draw_profile(axes: Any, envelope: Envelope) -> None:
 
 
 def _draw_sources(axes: Any, envelope: Envelope) -> None:
-    shares = 100 * envelope.attribution.shares
+    fractions = 100 * envelope.attribution.fractions
     base = np.zeros(len(envelope.frequency))
     for number, name in enumerate(SOURCES):
         axes.fill_between(
-            envelope.frequency, base, base + shares[number], color=_TONES[number], hatch=(*HATCHES, "\\\\")[number],
+            envelope.frequency, base, base + fractions[number], color=_TONES[number], hatch=(*HATCHES, "\\\\")[number],
             edgecolor="0.3", linewidth=0.4, label=_WORDS[name],
         )  # fmt: skip
-        base = base + shares[number]
+        base = base + fractions[number]
     axes.set_xscale("log")
     axes.set_ylim(0, 100)
-    axes.set_ylabel("Share of the\nsquared gap [%]", fontsize=SMALL)
+    axes.set_ylabel("Fraction of the\nsquared model error [%]", fontsize=SMALL)
     axes.legend(fontsize=SMALL, ncols=4, loc="lower center", bbox_to_anchor=(0.5, 1.0), frameon=False)
 
 

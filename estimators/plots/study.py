@@ -138,17 +138,17 @@ def plot_confusions(found: StudyResults) -> Picture:
     Raises:
         ValueError: the study made no diagnosis.
     """
-    hidden, named, share = found.confusion()
+    hidden, named, fraction = found.confusion()
     figure = picture(max(5.6, 2.6 + 0.34 * len(named)), 2.2 + 0.3 * len(hidden))
     axes = figure.subplots()
-    image = axes.imshow(100 * share, cmap="Greys", vmin=0.0, vmax=100.0, aspect="auto")
+    image = axes.imshow(100 * fraction, cmap="Greys", vmin=0.0, vmax=100.0, aspect="auto")
     axes.set_xticks(range(len(named)), list(named), rotation=45, ha="right", rotation_mode="anchor", fontsize=SMALL)
     axes.set_yticks(range(len(hidden)), list(hidden), fontsize=SMALL)
     axes.set_xlabel("Named, or the verdict", fontsize=SMALL)
     axes.set_ylabel("Hidden", fontsize=SMALL)
-    for row, column in np.argwhere(share > 0):
-        color = "white" if share[row, column] > 0.6 else "black"
-        axes.text(column, row, f"{100 * share[row, column]:.0f}", ha="center", va="center", fontsize=7, color=color)
+    for row, column in np.argwhere(fraction > 0):
+        color = "white" if fraction[row, column] > 0.6 else "black"
+        axes.text(column, row, f"{100 * fraction[row, column]:.0f}", ha="center", va="center", fontsize=7, color=color)
     axes.tick_params(length=0)
     bar = figure.colorbar(image, ax=axes, shrink=0.8)
     bar.set_label("Repetitions [%]", fontsize=SMALL)
@@ -283,14 +283,14 @@ def _pairs_say(found: StudyResults, e: int, names: list[tuple[int, str]]) -> str
 
 
 def _confusion_says(found: StudyResults) -> str:
-    hidden, named, share = found.confusion()
+    hidden, named, fraction = found.confusion()
     totals = {h: int(np.sum(found.arrays["hidden"] == h)) for h in hidden}
     effects = [h for h in hidden if h != "nothing"]
-    hits = sum(share[hidden.index(h), named.index(h)] * totals[h] for h in effects if h in named)
+    hits = sum(fraction[hidden.index(h), named.index(h)] * totals[h] for h in effects if h in named)
     count = sum(totals[h] for h in effects)
     said = f"The hidden effect is named in {hits:.0f} of {count} repetitions" if count else ""
     if "nothing" in hidden:
-        adequate = share[hidden.index("nothing"), named.index("adequate")] if "adequate" in named else 0.0
+        adequate = fraction[hidden.index("nothing"), named.index("adequate")] if "adequate" in named else 0.0
         alarms = round((1 - adequate) * totals["nothing"])
         said += f"{'; ' if said else ''}{alarms} false alarms in {totals['nothing']} with nothing hidden"
     return said

@@ -25,7 +25,7 @@ from rtac_jax.measurement import Experiment
 from rtac_jax.parameters import Scalar, parameter
 
 Colours = dict[str, tuple[float, float]]
-"""Share of coloured noise and its correlation time [s], by channel."""
+"""Fraction of coloured noise and its correlation time [s], by channel."""
 
 _LAGS = 5  # of the correlations that have to be more than chance
 _SHORTEST = 160  # samples of a rest record that tells anything

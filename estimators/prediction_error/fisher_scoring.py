@@ -20,7 +20,7 @@ from rtac_jax.simulation import Steps
 
 # The likelihood is differenced over this fraction of a standard deviation to either side: dry friction has steps, which a
 # derivative at a point would see, or miss. What is hardly known moves by a fraction of its size.
-_REACH, _SHARE = 0.25, 0.1
+_REACH, _FRACTION = 0.25, 0.1
 _NOISE_REACH = 0.02  # in the logarithm of a variance
 # Gain in log-likelihood that a step must promise; less moves nothing by more than a fifth of its deviation.
 _WORTH = 0.02
@@ -85,7 +85,7 @@ def most_likely(
     upper = _Point(np.asarray(space.upper)[places], np.asarray(space.each_upper)[:, None] + np.zeros_like(each_std))
     size = sizes_of(space, found.unknowns)[inside]
     each_size = np.maximum(np.abs(found.physical[1]), np.asarray(space.each_scale)[:, None])
-    each_reach = np.minimum(_REACH * each_std, _SHARE * each_size)
+    each_reach = np.minimum(_REACH * each_std, _FRACTION * each_size)
 
     def physical(at: _Point) -> tuple[Array, Array, Array]:
         shared = np.asarray(found.physical[0]).copy()
@@ -114,9 +114,9 @@ def most_likely(
         if promised < _WORTH:
             break
         here = passed(at, noise.exponents)[0]
-        for share in _SHORTER:
+        for fraction in _SHORTER:
             there = _Point(
-                *(np.clip(x + share * dx, *ends) for x, dx, *ends in zip(at, move, lower, upper, strict=True))
+                *(np.clip(x + fraction * dx, *ends) for x, dx, *ends in zip(at, move, lower, upper, strict=True))
             )
             if passed(there, noise.exponents)[0] > here:
                 break
@@ -150,13 +150,13 @@ def _axes(
     difference of what each does alone, over steps of dry friction, would look like information on what they do together.
     A parameter so near to a bound that a move could cross it moves alone.
     """
-    alone = np.minimum(_REACH * np.sqrt(np.diagonal(known.covariance)), _SHARE * size)
+    alone = np.minimum(_REACH * np.sqrt(np.diagonal(known.covariance)), _FRACTION * size)
     inner = np.flatnonzero((at.shared - alone > lower.shared) & (at.shared + alone < upper.shared))
     axes = np.diag(alone)
     assert known.parts is not None  # since it comes from the factors of experiments
     relative = known.parts.sum(axis=0)[np.ix_(inner, inner)] * np.outer(size[inner], size[inner])
     shown, directions = np.linalg.eigh(relative)
-    step = np.minimum(_REACH / np.sqrt(np.maximum(shown, _NOTHING)), _SHARE)
+    step = np.minimum(_REACH / np.sqrt(np.maximum(shown, _NOTHING)), _FRACTION)
     axes[np.ix_(inner, inner)] = size[inner, None] * directions * step
     return axes
 

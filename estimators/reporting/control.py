@@ -54,7 +54,7 @@ def design_dict(
         "batches": {
             name: {
                 "plants": len(batch.peak_torque),
-                "share_that_holds": found.shares[name],
+                "share_that_holds": found.fractions[name],
                 "share_that_holds_without": None if free is None else float(np.mean(free.holds(within=found.within))),
                 "never_settle": int(np.sum(~np.isfinite(batch.settling_time()))),
                 "wound_up": int(np.sum(batch.wound_up)),

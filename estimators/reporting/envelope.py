@@ -42,7 +42,7 @@ def envelope_dict(
             "inside": bool(inside[i]),
             "response": pairs(one.response),
             "std": one.std.tolist(),
-            "gap": found.gaps[i].tolist(),
+            "gap": found.model_errors[i].tolist(),
         }
         for i, one in enumerate(used.responses)
     ]
@@ -61,7 +61,7 @@ def envelope_dict(
         "largest_excess_db": found.largest_excess_db,
         "minimise": found.minimise,
         "coverage": coverage_dict(found.coverage),
-        "attribution": {name: found.attribution.shares[i].tolist() for i, name in enumerate(SOURCES)},
+        "attribution": {name: found.attribution.fractions[i].tolist() for i, name in enumerate(SOURCES)},
         "conditions": conditions,
         "left_out": dict(used.left_out),
         "method": "local" if used.models is None else "prediction-error",
@@ -140,7 +140,7 @@ def conditions_table(found: Envelope, responses: FrequencyResponses) -> Table:
     rows = []
     for i, one in enumerate(responses):
         spread = 100 * float(np.median(one.std / np.abs(one.response)))
-        at = int(np.argmax(found.gaps[i]))
+        at = int(np.argmax(found.model_errors[i]))
         rows.append(
             (
                 one.name,
@@ -148,13 +148,13 @@ def conditions_table(found: Envelope, responses: FrequencyResponses) -> Table:
                 "" if one.arm_angle is None else f"{one.arm_angle:.2f}",
                 f"{1e3 * one.input_rms:.3g}",
                 f"{spread:.2g}",
-                f"{found.gaps[i, at]:.2f}",
+                f"{found.model_errors[i, at]:.2f}",
                 f"{found.frequency[at]:.3g}",
                 f"{distance[i]:.2f}",
             )
         )
     header = (
-        "condition", "use", "mean arm angle [rad]", "current rms [mA]", "std [%]", "largest gap [1]", "at [rad/s]",
+        "condition", "use", "mean arm angle [rad]", "current rms [mA]", "std [%]", "largest model error [1]", "at [rad/s]",
         "largest |Δ| [1]",
     )  # fmt: skip
     return Table(header, tuple(rows), "A condition whose largest |Δ| is at most 1 lies inside the envelope.")
@@ -167,10 +167,12 @@ def sources_table(found: Envelope) -> Table:
     for low, high in pairwise(edges):
         inside = (found.frequency >= low * (1 - 1e-9)) & (found.frequency <= high * (1 + 1e-9))
         if np.any(inside):
-            shares = 100 * found.attribution.shares[:, inside].mean(axis=1)
-            rows.append((f"{low:.3g} to {high:.3g}", *(f"{share:.0f}" for share in shares)))
+            fractions = 100 * found.attribution.fractions[:, inside].mean(axis=1)
+            rows.append((f"{low:.3g} to {high:.3g}", *(f"{fraction:.0f}" for fraction in fractions)))
     header = ("band [rad/s]", *(f"{SOURCE_WORDS[name]} [%]" for name in SOURCES))
-    return Table(header, tuple(rows), "Shares of the mean squared gap between the conditions and the nominal model.")
+    return Table(
+        header, tuple(rows), "Fractions of the mean squared model error between the conditions and the nominal model."
+    )
 
 
 def remarks(found: Envelope, used: UsableConditions) -> list[str]:
@@ -182,9 +184,9 @@ def remarks(found: Envelope, used: UsableConditions) -> list[str]:
             "phase or sign, or the nominal model needs a higher order."
         )
     said += cancelled_modes(found.nominal)
-    largest = SOURCES[int(np.argmax(found.attribution.shares.mean(axis=1)))]
+    largest = SOURCES[int(np.argmax(found.attribution.fractions.mean(axis=1)))]
     said.append(
-        f"The gaps come mostly from the {SOURCE_WORDS[largest].replace('left by', 'dynamics that are left by')}. "
+        f"The model errors come mostly from the {SOURCE_WORDS[largest].replace('left by', 'dynamics that are left by')}. "
         + (
             "The responses are estimates by local polynomials, which count nonlinear distortion as noise."
             if used.models is None

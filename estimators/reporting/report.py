@@ -374,5 +374,5 @@ def candidate_table(diagnosis: Diagnosis) -> Table:
         header,
         tuple(rows),
         "Score: chi-square gained on the one-step predictions, less the price of the parameters. Those that came nearest were "
-        "fitted, which gives BIC gain and share of the misfit.",
+        "fitted, which gives BIC gain and fraction of the misfit.",
     )

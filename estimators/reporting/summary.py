@@ -138,7 +138,7 @@ def of_envelope(found: Envelope, warnings: list[str], *, file: str) -> Bullets:
 def of_control(found: ControlDesign, warnings: list[str]) -> Bullets:
     """Return the bullets of a controller; `warnings` say where the fitted model does not meet the envelope."""
     said = outcome(found)
-    held = found.shares["parameter_covariance"]
+    held = found.fractions["parameter_covariance"]
     sure = f"{100 * held:.1f} % of plants drawn from the covariance of the fit hold; {found.covered.coverage}."
     step = "Load controller.mat, or the matrices of the JSON, and try it on the rig with the torque limited."
     if not found.helps:

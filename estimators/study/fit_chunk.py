@@ -29,8 +29,9 @@ QUANTITIES: Mapping[str, tuple[str, ...]] = {
     "diagnosis": ("residual", "removed", "likeness"),
 }
 """Numbers that a method gives besides parameters: largest residual over noise; random force and torque as spectral densities;
-the probability that an envelope states, with which confidence, the fraction of new conditions inside, its largest gap and how far
-it lies above it; the fraction of misfit that named effects remove, and how much the hidden effect looks like its nearest rival."""
+the probability that an envelope states, with which confidence, the fraction of new conditions inside, its largest model error and
+how far it lies above it; the fraction of misfit that named effects remove, and how much the hidden effect looks like its nearest
+rival."""
 
 
 def fit_chunk(estimate: Estimate, chunk: Sequence[Prepared], start: str) -> list[Outcome | str]:

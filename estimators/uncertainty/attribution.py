@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from estimators.uncertainty.uncertainty_structures import Kind, Nominal, Plants, errors, slopes
+from rtac_jax.renamed import renamed
 
 Curve = Float64[np.ndarray, " frequency"]
 SOURCES = ("unmodelled", "amplitude", "scatter", "estimation")
@@ -27,15 +28,17 @@ class Attribution:
     scatter: Curve
     estimation: Curve
 
+    shares = renamed("shares", "fractions")
+
     @property
-    def shares(self) -> Float64[np.ndarray, "source frequency"]:
+    def fractions(self) -> Float64[np.ndarray, "source frequency"]:
         """Fraction of the mean squared model error [1] in the order of `SOURCES`."""
         squares = np.stack([getattr(self, name) ** 2 for name in SOURCES])
         return squares / np.maximum(squares.sum(axis=0), 1e-300)
 
     def largest(self) -> tuple[str, ...]:
         """Return the name of the largest source at each frequency."""
-        return tuple(SOURCES[i] for i in np.argmax(self.shares, axis=0))
+        return tuple(SOURCES[i] for i in np.argmax(self.fractions, axis=0))
 
 
 def attribute(
@@ -51,14 +54,14 @@ def attribute(
     The mean is unmodelled dynamics; of the scatter about it, a straight line in the amplitude takes its part, less what
     it would take by chance; of the rest, the estimation's variance is taken off, and scatter is what remains.
     """
-    gap = errors(plants, nominal, kind)
-    count = len(gap)
-    mean = gap.mean(axis=0)
-    spread = np.mean(np.abs(gap - mean) ** 2, axis=0)
+    model_error = errors(plants, nominal, kind)
+    count = len(model_error)
+    mean = model_error.mean(axis=0)
+    spread = np.mean(np.abs(model_error - mean) ** 2, axis=0)
     by_amplitude = np.zeros_like(spread)
     if amplitude is not None and count > 3 and np.ptp(amplitude) > 1e-9 * np.max(np.abs(amplitude)):
         away = amplitude - amplitude.mean()
-        slope = away @ gap / (away @ away)
+        slope = away @ model_error / (away @ away)
         explained = np.abs(slope) ** 2 * (away @ away) / count
         chance = (spread - explained) / (count - 2)
         by_amplitude = np.maximum(explained - chance, 0.0)

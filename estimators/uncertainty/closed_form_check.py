@@ -48,14 +48,17 @@ class ClosedFormCheck:
             return f"The closed form, linearised, lies inside W: it needs at most a {most}."
         out = self.frequency[self.needed > 1.0]
         between = f"from {out[0]:.3g} to {out[-1]:.3g} rad/s" if len(out) > 1 else f"at {out[0]:.3g} rad/s"
-        share = np.mean(self.needed > 1.0)
+        fraction = np.mean(self.needed > 1.0)
         dry = "cart_coulomb.level" in self.model.parameters and float(self.model["cart_coulomb.level"]) > 0
         why = (
             f" There its magnitude is {self.ratio[at]:.2g} times the responses' mean"
             + (", which contain the dry friction that a linearisation leaves out" if dry and self.ratio[at] > 1 else "")
             + "."
         )
-        return f"The closed form, linearised, lies outside W {between} ({100 * share:.0f} % of the lines): it needs a {most}.{why}"
+        return (
+            f"The closed form, linearised, lies outside W {between} ({100 * fraction:.0f} % of the lines): "
+            f"it needs a {most}.{why}"
+        )
 
 
 def closed_form_check(recording: Recording, found: Envelope, responses: FrequencyResponses) -> ClosedFormCheck:

@@ -159,6 +159,6 @@ def _grid(experiments: list[Experiment], band: tuple[float, float] | None) -> np
 def _band(experiment: Experiment) -> tuple[float, float]:
     """Return the band in which the current has its energy [Hz]."""
     power = np.abs(np.fft.rfft(experiment.inputs[_INPUT].values)[1:]) ** 2
-    share = np.cumsum(power) / np.sum(power)
-    low, high = (1 + int(np.searchsorted(share, edge)) for edge in _EDGES)
+    fraction = np.cumsum(power) / np.sum(power)
+    low, high = (1 + int(np.searchsorted(fraction, edge)) for edge in _EDGES)
     return low / experiment.duration, high / experiment.duration

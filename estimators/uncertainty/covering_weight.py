@@ -53,14 +53,14 @@ def _shortfall(
 
     Points are closer where the weight is near.
     """
-    gaps = np.maximum(_profile(found, which, model, kind, dense), floor)
-    margin = shape.log_magnitude(dense) - np.log(gaps)
+    model_errors = np.maximum(_profile(found, which, model, kind, dense), floor)
+    margin = shape.log_magnitude(dense) - np.log(model_errors)
     worst = float(np.max(-margin))
     near = np.flatnonzero(np.minimum(margin[1:], margin[:-1]) < margin.min() + _NEAR)
     steps = np.linspace(np.log(dense[near]), np.log(dense[near + 1]), _CLOSER, axis=1).ravel()
     closer = np.exp(steps)
-    gaps = np.maximum(_profile(found, which, model, kind, closer), floor)
-    return max(worst, float(np.max(np.log(gaps) - shape.log_magnitude(closer)))) + _CLEAR
+    model_errors = np.maximum(_profile(found, which, model, kind, closer), floor)
+    return max(worst, float(np.max(np.log(model_errors) - shape.log_magnitude(closer)))) + _CLEAR
 
 
 def _filled(omega: Curve, between: int) -> Float64[np.ndarray, " dense"]:
@@ -77,6 +77,6 @@ def _profile(
     if found.systems is not None:
         chosen = [system for system, wanted in zip(found.systems, which, strict=True) if wanted]
         return np.abs(errors(evaluate(chosen, at), evaluate([model], at)[0], kind)).max(axis=0)
-    gaps = np.abs(errors(found.plants[which], evaluate([model], found.omega)[0], kind)).max(axis=0)
-    tiny = _FLOOR * max(float(gaps.max()), 1e-300)
-    return np.exp(np.interp(np.log(at), np.log(found.omega), np.log(np.maximum(gaps, tiny))))
+    model_errors = np.abs(errors(found.plants[which], evaluate([model], found.omega)[0], kind)).max(axis=0)
+    tiny = _FLOOR * max(float(model_errors.max()), 1e-300)
+    return np.exp(np.interp(np.log(at), np.log(found.omega), np.log(np.maximum(model_errors, tiny))))

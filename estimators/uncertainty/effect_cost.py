@@ -46,10 +46,11 @@ class EffectCost:
                 f"{word:6s}: the conditions lie up to {100 * found.profile[at]:.0f} % from the model, at {found.frequency[at]:.3g} "
                 f"rad/s; gamma {gamma:.3f}{'' if gamma <= 1 else ', above 1: what is asked cannot be promised'}"
             )
-        omega, gap, size = self.gain
+        omega, error, size = self.gain
         lines.append(
-            f"Most is gained at {omega:.3g} rad/s, where a controller made from the first model may have |T| = {1 / gap:.2g} at "
-            f"most; this one has {size:.2g}" + (", so its gamma hardly depends on it." if gap * size < _LITTLE else ".")
+            f"Most is gained at {omega:.3g} rad/s, where a controller made from the first model may have |T| = {1 / error:.2g} at "
+            f"most; this one has {size:.2g}"
+            + (", so its gamma hardly depends on it." if error * size < _LITTLE else ".")
         )
         return "\n".join(lines)
 

@@ -22,6 +22,7 @@ from estimators.uncertainty.uncertainty_structures import KINDS, Kind, corners, 
 from estimators.uncertainty.weight import WEIGHT_STEPS, Minimise
 from rtac_jax.measurement.atomic_write import replacing
 from rtac_jax.overview import Overview
+from rtac_jax.renamed import renamed
 
 Curve = Float64[np.ndarray, " frequency"]
 
@@ -39,7 +40,7 @@ class Envelope(Result):
         names: of the conditions.
         frequency: [rad/s].
         plants: the responses covered, [condition, frequency].
-        gaps: model error of each about P_0, in the unit of W, [condition, frequency].
+        model_errors: model error of each about P_0, in the unit of W, [condition, frequency].
         profile: the largest model error at each frequency, over the conditions that were fitted and those held out.
         held_out: which conditions took no part in the fit.
         excess_db: distance of W above the profile, mean over log frequency [dB].
@@ -55,7 +56,7 @@ class Envelope(Result):
     names: tuple[str, ...]
     frequency: Curve
     plants: Complex128[np.ndarray, "condition frequency"]
-    gaps: Float64[np.ndarray, "condition frequency"]
+    model_errors: Float64[np.ndarray, "condition frequency"]
     profile: Curve
     held_out: Bool[np.ndarray, " condition"]
     excess_db: float
@@ -63,6 +64,8 @@ class Envelope(Result):
     coverage: Coverage
     attribution: Attribution
     minimise: str = "mean"
+
+    gaps = renamed("gaps", "model_errors")
 
     def nominal_response(self, omega: Curve | None = None) -> Complex128[np.ndarray, " frequency"]:
         """Return P_0(j omega); on the envelope's grid by default."""
@@ -79,15 +82,15 @@ class Envelope(Result):
             ValueError: as `envelope` does for its responses.
         """
         found = _representable(responses, self.frequency if omega is None else omega, self.kind)
-        gap = np.abs(errors(found.plants, self.nominal_response(found.omega), self.kind))
-        return np.max(gap / self.weight_magnitude(found.omega), axis=1)
+        model_error = np.abs(errors(found.plants, self.nominal_response(found.omega), self.kind))
+        return np.max(model_error / self.weight_magnitude(found.omega), axis=1)
 
     def covers(self, responses: Responses, omega: Curve | None = None) -> Bool[np.ndarray, " condition"]:
         """Return whether each plant lies inside at every frequency."""
         return self.distance(responses, omega) <= 1.0
 
     def save_mat(self, path: str | PathLike[str]) -> None:
-        """Write a MAT file (version 5): P0 and W as num, den and as A, B, C, D; omega, plants, gaps and profile."""
+        """Write a MAT file (version 5): P0 and W as num, den and as A, B, C, D; omega, plants, gaps (model errors) and profile."""
         contents: dict[str, Any] = {}
         for name, system in (("P0", self.nominal), ("W", self.weight)):
             state: Any = ct.tf2ss(system)
@@ -96,22 +99,22 @@ class Envelope(Result):
                 "A": state.A, "B": state.B, "C": state.C, "D": state.D,
             }  # fmt: skip
         contents |= {
-            "kind": self.kind, "omega": self.frequency, "plants": self.plants, "gaps": self.gaps, "profile": self.profile,
+            "kind": self.kind, "omega": self.frequency, "plants": self.plants, "gaps": self.model_errors, "profile": self.profile,
             "conditions": np.array(self.names, dtype=object), "held_out": self.held_out,
         }  # fmt: skip
         with replacing(path) as temporary:
             scipy.io.savemat(temporary, contents, appendmat=False)
 
     def overview(self) -> Overview:
-        """Return orders, largest gap, where the weight is below one, and the coverage."""
+        """Return orders, largest model error, where the weight is below one, and the coverage."""
         at = int(np.argmax(self.profile))
         magnitude = self.weight_magnitude()
-        share = 100 * float(log_measure(self.frequency) @ (magnitude < 1))
+        fraction = 100 * float(log_measure(self.frequency) @ (magnitude < 1))
         rows = [
             ("band [rad/s]", f"{self.frequency[0]:.3g} to {self.frequency[-1]:.3g}"),
             ("order of P0, of W", f"{len(self.nominal.poles())}, {len(self.weight.poles())}"),
-            ("largest gap", f"{self.profile[at]:.3g} at {self.frequency[at]:.3g} rad/s"),
-            ("|W| < 1 on [% of the band]", f"{share:.0f}"),
+            ("largest model error", f"{self.profile[at]:.3g} at {self.frequency[at]:.3g} rad/s"),
+            ("|W| < 1 on [% of the band]", f"{fraction:.0f}"),
             ("W above the profile [dB]", f"{self.excess_db:.1f} on the mean, {self.largest_excess_db:.1f} at most"),
         ]
         title = f"{self.kind} envelope of {len(self.plants)} conditions"
@@ -135,7 +138,7 @@ class Envelope(Result):
             f"P0 zeros: {roots(self.nominal.zeros())}",
             f"W poles:  {roots(self.weight.poles())}",
             f"W zeros:  {roots(self.weight.zeros())}",
-            f"largest gap {self.profile[at]:.3g} at {self.frequency[at]:.3g} rad/s",
+            f"largest model error {self.profile[at]:.3g} at {self.frequency[at]:.3g} rad/s",
             f"W lies {self.excess_db:.1f} dB above the profile on average, {self.largest_excess_db:.1f} dB at most",
             useful if self.kind != "additive" else "",
             "|W| >= 1 everywhere: no controller can hold all of these; their phases or signs differ, or P0 needs a higher order"
@@ -209,7 +212,7 @@ def envelope(
     held = _held(found.names, held_out)
     if kind != "additive" and np.any(found.plants == 0):
         raise ValueError(
-            f"responses: a plant is zero at a frequency, where a {kind} gap has no size; use kind='additive'."
+            f"responses: a plant is zero at a frequency, where a {kind} model error has no size; use kind='additive'."
         )
     weightings = np.ones(len(found.omega)) if importance is None else importance
     if weightings.shape != found.omega.shape or not np.all(weightings > 0):
@@ -239,7 +242,7 @@ def envelope(
             f"than within_db = {within_db:g}; raise order_weight or order_nominal, or within_db."
         )
     response = evaluate([model], found.omega)[0]
-    gaps = np.abs(errors(found.plants, response, chosen))
+    model_errors = np.abs(errors(found.plants, response, chosen))
     coverage = (
         held_out_coverage(int(held.sum()), confidence=confidence, raised=raised)
         if held.any()
@@ -252,8 +255,8 @@ def envelope(
         names=found.names,
         frequency=found.omega,
         plants=found.plants,
-        gaps=gaps,
-        profile=gaps.max(axis=0),
+        model_errors=model_errors,
+        profile=model_errors.max(axis=0),
         held_out=held,
         excess_db=excess,
         largest_excess_db=float(np.max(above)),

@@ -103,8 +103,8 @@ def fitted_in_envelope(model: RTAC, found: Envelope, *, with_spring: Response | 
     of = with_spring or _plain(model)
     omega = np.geomspace(found.frequency[0], found.frequency[-1], _POINTS)
     fitted, nominal = of(omega), found.nominal_response(omega)
-    gap = np.abs(errors(fitted[None], nominal, found.kind))[0] / found.weight_magnitude(omega)
-    at = int(np.argmax(gap))
+    model_error = np.abs(errors(fitted[None], nominal, found.kind))[0] / found.weight_magnitude(omega)
+    at = int(np.argmax(model_error))
     size, own = (20 * np.log10(np.maximum(np.abs(x), 1e-300)) for x in (fitted, nominal))
     resonance = float(omega[np.argmax(size)])
     known = [resonance, *omega[_peaks(size)]]
@@ -113,7 +113,7 @@ def fitted_in_envelope(model: RTAC, found: Envelope, *, with_spring: Response | 
     )
     peak_db = float(own.max() - size.max())
     return FittedInEnvelope(
-        omega, fitted, float(gap[at]), float(omega[at]), peak_db, resonance, spurious,
+        omega, fitted, float(model_error[at]), float(omega[at]), peak_db, resonance, spurious,
         _DRY if abs(peak_db) <= _NEAR and not spurious else _remedy(model, resonance), with_spring is not None,
     )  # fmt: skip
 

@@ -50,7 +50,8 @@ def nominal_fit(
     # The best fit lies nearer to most plants than what came of it, and may lead to another minimum.
     settled = [searched(fit, ceiling) for fit in (*refined, starts[0])]
     return min(
-        settled, key=lambda fit: _merit(_gaps(fit, omega, plants, kind, importance), log_measure(omega), ceiling)
+        settled,
+        key=lambda fit: _merit(_model_errors(fit, omega, plants, kind, importance), log_measure(omega), ceiling),
     )
 
 
@@ -67,14 +68,14 @@ def _mean_log(plants: Plants) -> Complex128[np.ndarray, " frequency"]:
     return np.log(plants / turn).mean(axis=0) + np.log(turn)
 
 
-def _gaps(
+def _model_errors(
     fit: Rational, omega: Curve, plants: Plants, kind: Kind, importance: Curve
 ) -> Float64[np.ndarray, "corner frequency"]:
     return np.abs(errors(plants, fit(omega), kind)) * importance
 
 
 def _largest(fit: Rational, omega: Curve, plants: Plants, kind: Kind, importance: Curve) -> float:
-    return float(np.max(_gaps(fit, omega, plants, kind, importance)))
+    return float(np.max(_model_errors(fit, omega, plants, kind, importance)))
 
 
 def _descend(
@@ -84,7 +85,7 @@ def _descend(
     measure = log_measure(omega)
 
     def merit(candidate: Rational) -> float:
-        return _merit(_gaps(candidate, omega, plants, kind, importance), measure, ceiling)
+        return _merit(_model_errors(candidate, omega, plants, kind, importance), measure, ceiling)
 
     reach, value = 0.2, merit(fit)
     for _ in range(_ROUNDS):
@@ -106,8 +107,8 @@ def _descend(
     return fit
 
 
-def _merit(gaps: Float64[np.ndarray, "corner frequency"], measure: Curve, ceiling: float | None) -> float:
-    profile = gaps.max(axis=0)
+def _merit(model_errors: Float64[np.ndarray, "corner frequency"], measure: Curve, ceiling: float | None) -> float:
+    profile = model_errors.max(axis=0)
     if ceiling is None:
         return float(profile.max())
     # An exact penalty: a step along a curved bound leaves it by a little, and may.
@@ -154,11 +155,11 @@ def _programme(
     tangent = np.real(by_log[:, None, :] * sensitivity) * (
         sizes[:, None] * importance
     )  # [corner, parameter, frequency]
-    gaps = size[rows, columns] * importance
+    model_errors = size[rows, columns] * importance
     count, lines = len(sizes), len(omega)
     matrix = np.moveaxis(tangent, 1, 2).reshape(-1, count)
     bounds: Sequence[tuple[float, float | None]] = [(-reach, reach)] * count
-    right = -gaps.ravel()
+    right = -model_errors.ravel()
     if ceiling is None:
         left = np.concatenate([matrix, -np.ones((len(matrix), 1))], axis=1)
         cost = np.append(np.zeros(count), 1.0)

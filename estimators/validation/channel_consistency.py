@@ -213,7 +213,7 @@ class _Search:
         push = by["offset"] - by["against_offset"]
         if by["spring"] <= 0 or abs(push) < LEVEL:
             return None
-        # The equation is q'' + k/(M+m) (q - offset) = 0, so the constant is less the offset's share of the spring.
+        # The equation is q'' + k/(M+m) (q - offset) = 0, so the constant is less the offset's fraction of the spring.
         off = -push / by["spring"]
         return Inconsistency(
             None,

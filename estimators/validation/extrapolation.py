@@ -31,9 +31,9 @@ def beyond(
         values = _values(variable, experiment, simulated)
         known = values[np.isfinite(values)]
         low, high = effect.between
-        share = float(np.mean((known < low) | (known > high))) if known.size else 0.0
-        if share >= _WORTH:
-            return variable, share
+        fraction = float(np.mean((known < low) | (known > high))) if known.size else 0.0
+        if fraction >= _WORTH:
+            return variable, fraction
     return None
 
 

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float, Int
 
 from estimators.core.data import Data, moving, pieces
 from estimators.core.fit import Fit
-from estimators.core.initial_state import scales_of, space_of
+from estimators.core.initial_state import scales_of, space_of, without_angle
 from estimators.core.parameter_space import Space
 from estimators.core.sensor_noise import noise_levels
 from estimators.prediction_error.coloured_noise import colours_at_rest, with_colours
@@ -117,8 +117,8 @@ def _counting(data: Data, shaken: np.ndarray) -> Data:
 
 def _space(model: RTAC, experiments: Sequence[Experiment], starts: Mapping[str, np.ndarray]) -> Space:
     # The first samples tell the start better than a simulation of a model that may be wrong, but for an unmeasured angle.
-    blind = [e.name for e in experiments if e.initial_arm_angle is None and "arm_angle" not in e.outputs]
-    return space_of(model, experiments, free=[], start={name: starts[name] for name in blind if name in starts})
+    start = {e.name: starts[e.name] for e in without_angle(experiments) if e.name in starts}
+    return space_of(model, experiments, free=[], start=start)
 
 
 def _values(space: Space) -> tuple[Array, Array, Array]:

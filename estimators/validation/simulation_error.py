@@ -12,7 +12,7 @@ from estimators.core.data import CHANNELS, Data, mark_of, moving
 from estimators.core.drawing import draw
 from estimators.core.fit import Fit
 from estimators.core.information_criteria import InformationCriteria
-from estimators.core.initial_state import space_of
+from estimators.core.initial_state import space_of, without_angle
 from estimators.core.jacobian_factor import Arguments, plain_residual
 from estimators.core.parameter_space import Space, Unknowns
 from estimators.core.residual import diagonal_whitener, no_gain
@@ -144,9 +144,9 @@ class Comparison(Result):
                 )
             if compared.criteria is not None:
                 lines.append(f"{compared.label}: {compared.criteria}, of the fit on what it was fitted to")
-            for experiment, (variable, share) in compared.beyond.items():
+            for experiment, (variable, fraction) in compared.beyond.items():
                 lines.append(
-                    f"{compared.label}: at {100 * share:.0f} % of {experiment} {variable} lies beyond the range of the learned "
+                    f"{compared.label}: at {100 * fraction:.0f} % of {experiment} {variable} lies beyond the range of the learned "
                     "force, which keeps its last value there. One that is learned from such motion may follow it further."
                 )
         return "\n".join(lines)
@@ -234,9 +234,9 @@ def _compare_one(
         if ahead is None:
             simulated, start, used = _simulated(model, label, group, levels, known, start_samples, fit)
         else:
-            blind = [e for e in group if e.initial_arm_angle is None and "arm_angle" not in e.outputs]
-            begun = {e.name: known[e.name] for e in blind if known is not None and e.name in known}
-            if unknown := [e for e in blind if e.name not in begun]:
+            lost = without_angle(group)
+            begun = {e.name: known[e.name] for e in lost if known is not None and e.name in known}
+            if unknown := [e for e in lost if e.name not in begun]:
                 begun |= _simulated(model, label, unknown, levels, None, start_samples, fit)[1]
             predictor = fit if isinstance(fit, PredictorFit) else None
             simulated, start = ahead_of(model, group, levels, ahead=ahead, fit=predictor, starts=begun)

@@ -17,7 +17,7 @@ from rtac_jax.control._checks import (
 )
 
 # Rules of the proposal, found by a search over closed loops of the plant of Table 1(c) and its relatives 15 % about it.
-_LINEAR_SHARE = 1 / 3  # of the displacement that uses the whole effort; above it the motor saturates
+_LINEAR_FRACTION = 1 / 3  # of the displacement that uses the whole effort; above it the motor saturates
 _PERFORMANCE = 0.6  # W_3
 _EFFORT = 0.2  # |W_1 W_d C S| at the resonance under the loop that is aimed at, over W_3
 _AIM = (
@@ -133,7 +133,7 @@ def propose_weights(
             raise ValueError(f"{name} is {value}, but must be positive and finite, in the nominal plant's units.")
     pole, residue = _dominant(plant, band)
     resonance, damping = float(abs(pole)), float(-pole.real)
-    gain = torque_limit / (_LINEAR_SHARE * displacement)
+    gain = torque_limit / (_LINEAR_FRACTION * displacement)
     width = float(np.abs(finite_response(weight, np.array([resonance]), "uncertainty"))[0])
     aimed = max(damping / (damping + abs(residue) * gain), _LEAST)
     sensitivity = max(aimed, 1.0 - (_AIM / max(width, _AIM)) ** 2)

@@ -34,5 +34,5 @@ def averaged(by: Any, ratio: Any, change: Any, elapsed: Any) -> Any:
     left = decay(ratio)
     mean = ratio * (1.0 - left)
     slope = 12.0 * ratio * (mean - left) - 6.0 * mean
-    share = mean + slope * (elapsed - 0.5)
-    return by * share - ratio * change * (1.0 - share)
+    fraction = mean + slope * (elapsed - 0.5)
+    return by * fraction - ratio * change * (1.0 - fraction)

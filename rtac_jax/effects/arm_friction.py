@@ -65,7 +65,7 @@ class ArmStribeck(DryFriction):
     )  # fmt: skip
     velocity: Scalar = parameter(
         symbol="w_s", unit="rad/s", bounds=(0.0, np.inf), meaning="velocity at which it has fallen to 37 %",
-        plausible=lambda s: tuple(s.arm_velocity * share for share in (0.05, 0.15, 0.5)),
+        plausible=lambda s: tuple(s.arm_velocity * fraction for fraction in (0.05, 0.15, 0.5)),
     )  # fmt: skip
 
     def levels(self, motion: Motion, own: States) -> tuple[Any, Any]:

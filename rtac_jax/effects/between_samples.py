@@ -32,7 +32,7 @@ class InputHold(Input):
     port: ClassVar[str] = "input"
 
     share: Scalar = parameter(
-        symbol="a", unit="1", bounds=(0.0, 2.0), meaning="share of the other behaviour between samples", null=0.0,
+        symbol="a", unit="1", bounds=(0.0, 2.0), meaning="fraction of the other behaviour between samples", null=0.0,
         plausible=1.0,
     )  # fmt: skip
     order: Scalar = parameter(

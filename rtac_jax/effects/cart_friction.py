@@ -60,7 +60,7 @@ class CartStribeck(DryFriction):
     )  # fmt: skip
     velocity: Scalar = parameter(
         symbol="v_s", unit="m/s", bounds=(0.0, np.inf), meaning="velocity at which it has fallen to 37 %",
-        plausible=lambda s: tuple(s.velocity * share for share in (0.05, 0.15, 0.5)),
+        plausible=lambda s: tuple(s.velocity * fraction for fraction in (0.05, 0.15, 0.5)),
     )  # fmt: skip
 
     def levels(self, motion: Motion, own: States) -> tuple[Any, Any]:

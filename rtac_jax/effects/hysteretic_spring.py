@@ -31,7 +31,7 @@ class HystereticSpring(Force):
     )  # fmt: skip
     yield_displacement: Scalar = parameter(
         symbol="z_y", unit="m", bounds=(0.0, np.inf), meaning="displacement at which it yields",
-        plausible=lambda s: tuple(s.position * share for share in (0.05, 0.2, 0.6)),
+        plausible=lambda s: tuple(s.position * fraction for fraction in (0.05, 0.2, 0.6)),
     )  # fmt: skip
 
     def force(self, motion: Motion, own: States) -> tuple[Any, Any]:

@@ -66,7 +66,7 @@ class CartPresliding(_Presliding):
     )  # fmt: skip
     displacement: Scalar = parameter(
         symbol="z_y", unit="m", bounds=(0.0, np.inf), meaning="displacement over which stuck bristles yield",
-        plausible=lambda s: tuple(s.position * share for share in (0.01, 0.1)),
+        plausible=lambda s: tuple(s.position * fraction for fraction in (0.01, 0.1)),
     )  # fmt: skip
 
     def force(self, motion: Motion, own: States) -> tuple[Any, Any]:
@@ -93,7 +93,7 @@ class ArmPresliding(_Presliding):
     )  # fmt: skip
     angle: Scalar = parameter(
         symbol="z_y", unit="rad", bounds=(0.0, np.inf), meaning="angle over which stuck bristles yield",
-        plausible=lambda s: tuple(s.arm_velocity / s.frequency * share for share in (0.01, 0.1)),
+        plausible=lambda s: tuple(s.arm_velocity / s.frequency * fraction for fraction in (0.01, 0.1)),
     )  # fmt: skip
 
     def force(self, motion: Motion, own: States) -> tuple[Any, Any]:

@@ -15,7 +15,7 @@ from rtac_jax.parameters import Scalar, parameter
 
 def _rotor_share(grid: tuple[float, ...]) -> Any:
     return parameter(
-        symbol="r", unit="1", bounds=(0.0, 0.95), meaning="share of the arm's inertia that is the rotor's",
+        symbol="r", unit="1", bounds=(0.0, 0.95), meaning="fraction of the arm's inertia that is the rotor's",
         plausible=grid,
     )  # fmt: skip
 

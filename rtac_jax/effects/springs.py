@@ -98,7 +98,7 @@ class EndStop(Force):
     )  # fmt: skip
     travel: Scalar = parameter(
         symbol="a", unit="m", bounds=(0.0, np.inf), meaning="travel to each side before the stop is touched",
-        plausible=lambda s: tuple(s.position * share for share in (1.0, 1.3, 1.7, 2.2, 3.0)),
+        plausible=lambda s: tuple(s.position * fraction for fraction in (1.0, 1.3, 1.7, 2.2, 3.0)),
     )  # fmt: skip
 
     def force(self, motion: Motion, own: States) -> tuple[Any, Any]:

@@ -72,9 +72,9 @@ def multisine(
         raise ValueError(f"crest_iterations: is {crest_iterations}; give a number of iterations, or 0 for none.")
     if seed is None:
         # Schroeder's rule for unequal amplitudes; for equal ones it is -pi n (n + 1) / N.
-        share = np.cumsum(sizes**2) / np.sum(sizes**2)
+        fraction = np.cumsum(sizes**2) / np.sum(sizes**2)
         order = np.arange(len(chosen))
-        phases = -np.pi * order * (order + 1) / len(chosen) if amplitudes is None else -2 * np.pi * np.cumsum(share)
+        phases = -np.pi * order * (order + 1) / len(chosen) if amplitudes is None else -2 * np.pi * np.cumsum(fraction)
     else:
         phases = np.random.default_rng(seed).uniform(0, 2 * np.pi, len(chosen))
     wave = _wave(chosen, sizes, phases, period)

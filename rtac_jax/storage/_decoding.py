@@ -21,6 +21,13 @@ MOVED: Mapping[str, str] = {
 }
 """Where records stand today that files of this version name by an older path."""
 
+RENAMED: Mapping[tuple[str, str], str] = {
+    ("Envelope", "gaps"): "model_errors",
+    ("Trend", "share"): "fraction",
+    ("Improvement", "foreseen"): "predicted_gains",
+}
+"""What fields of records are called today, by class and the name that older files of this version give."""
+
 
 class Decoder:
     """Decodes one result.
@@ -141,6 +148,7 @@ class Decoder:
 
     def _made(self, record: Any, fields: Mapping[str, Any]) -> Any:
         known = field_names(record)
+        fields = {RENAMED.get((record.__name__, name), name): value for name, value in fields.items()}
         unknown = [name for name in fields if name not in known]
         if unknown:
             raise ResultFileError(

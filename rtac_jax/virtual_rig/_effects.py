@@ -222,12 +222,12 @@ def shaft(batch: Batch) -> Act | None:
     if not there.any():
         return None
     rows = slice(int(np.flatnonzero(there)[0]), int(np.flatnonzero(there)[-1]) + 1)
-    on, step, share = there[rows].astype(float), batch.step, batch.column("rotor_share")[rows]
-    inertia = share * batch.column("arm_inertia")[rows]
+    on, step, fraction = there[rows].astype(float), batch.step, batch.column("rotor_share")[rows]
+    inertia = fraction * batch.column("arm_inertia")[rows]
     half_gap, stiffness = 0.5 * batch.column("backlash")[rows], batch.column("shaft_stiffness")[rows]
     hard = ~np.isfinite(stiffness)
     # As damped as the step allows, and less stiff, so that it hardly bounces; smaller steps come nearer to a hard contact.
-    relative = inertia * (1 - share)
+    relative = inertia * (1 - fraction)
     stiffness[hard] = (0.25 / step) ** 2 * relative[hard]
     damping = np.where(hard, 2.0 / step * relative, batch.column("shaft_damping")[rows])
     felt = np.where(hard, relative, inertia)  # the arm's extrapolated speed knows what a soft shaft does to the arm

@@ -175,7 +175,7 @@ class Rig:
     shaft_damping: float = 0.0
     """Damping [N m s/rad] of the twist; a contact without a stiffness of its own has enough not to bounce."""
     rotor_share: float = 0.3
-    """Share [1] of J that is the rotor's, where rotor and arm are apart; motor, tachometer and encoder sit on the rotor."""
+    """Fraction [1] of J that is the rotor's, where rotor and arm are apart; motor, tachometer and encoder sit on the rotor."""
 
     saturation: float = math.inf
     """Limit of the commanded current [A]."""

@@ -99,7 +99,7 @@ def test_prediction_error_keeps_the_means_within_two_deviations_over_many_record
 
 
 def coverage(runs: int) -> dict[str, float]:
-    """Share of runs whose 95 % interval, by Student's distribution, holds the truth."""
+    """Fraction of runs whose 95 % interval, by Student's distribution, holds the truth."""
     jobs = [
         (RIG, virtual_rig.standard_plans(seed=300 + i, sample_time=0.01, duration=5.0, free=6, forced=8, rest=1), i)
         for i in range(runs)

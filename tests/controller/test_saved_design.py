@@ -48,7 +48,7 @@ def test_a_controller_comes_back_bit_for_bit(design, tmp_path):
     loaded = est.load(tmp_path / "controller.h5")
     assert str(loaded) == str(design)
     assert loaded._repr_html_() == design._repr_html_()
-    assert loaded.shares == design.shares
+    assert loaded.fractions == design.fractions
     for name in ("controller", "sampled"):
         here, there = getattr(design, name), getattr(loaded, name)
         for part in "ABCD":

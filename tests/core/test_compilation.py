@@ -30,7 +30,7 @@ def test_compiled_code_is_dropped_where_memory_maps_run_out(tmp_path: Path) -> N
     maps.write_text("a line for each\n" * 60)
     allowed.write_text("100\n")
     doubled(jnp.ones(3))
-    assert not make_room(maps, allowed, share=0.7)
+    assert not make_room(maps, allowed, fraction=0.7)
     doubled(jnp.ones(3))
     assert len(traced) == 1
     assert make_room(maps, allowed)

@@ -11,7 +11,7 @@ import estimators as est
 import rtac_jax as rtac
 from estimators.core.parameter_space import Space
 from estimators.diagnosis.contact_trials import acting_on_arm, begins_of, in_turn
-from estimators.diagnosis.innovation_tests import quietly_screened
+from estimators.diagnosis.innovation_tests import screened_at_low_noise
 from estimators.diagnosis.refit import Refit
 from estimators.diagnosis.refitting import fit_base, refit_thoroughly, refit_with
 from estimators.diagnosis.setting import setting_of
@@ -28,7 +28,7 @@ from rtac_jax.effects import Backlash, Cogging, CubicSpring, CurrentLag, TachoBi
     ],
 )
 def test_a_play_is_found_where_a_fit_along_derivatives_ends_beside_it(seed: int, rotor: float) -> None:
-    """Whatever share of the inertia is the rotor's: an effect is looked for from 0.3."""
+    """Whatever fraction of the inertia is the rotor's: an effect is looked for from 0.3."""
     rig = virtual_rig.Rig().drawn(seed)
     rig = dataclasses.replace(rig, backlash=0.1, rotor_share=rotor, force_noise=1e-3, torque_noise=3e-5)
     plans = virtual_rig.standard_plans(seed=seed + 1, sample_time=0.002, duration=2.0, free=1, forced=2, rest=1)
@@ -36,7 +36,7 @@ def test_a_play_is_found_where_a_fit_along_derivatives_ends_beside_it(seed: int,
     fit = est.output_error(rtac.RTAC.from_rig(recording), recording, progress=False)
     setting = setting_of(fit, recording, [Backlash], tqdm(disable=True))
     base = fit_base(setting)
-    (play,) = quietly_screened(setting, base)
+    (play,) = screened_at_low_noise(setting, base)
     along, tried = refit_with(setting, base, play), refit_thoroughly(setting, base, play)
     assert tried.predictor.log_likelihood > along.predictor.log_likelihood + 100
     assert tried.added == ("backlash",)
@@ -69,7 +69,7 @@ def test_trials_begin_at_every_size_with_every_shape() -> None:
     assert min(rotors) == pytest.approx(0.1)
     assert max(rotors) == pytest.approx(0.8)
     assert len(begins) == len(gaps) * len(rotors)
-    # A share of an inertia lies below one, so half as much again and more has no place.
+    # A fraction of an inertia lies below one, so half as much again and more has no place.
     assert max(one["rotor"] for one in begins_of(Backlash(0.02, 0.7), ["gap"])) == pytest.approx(0.7)
 
 

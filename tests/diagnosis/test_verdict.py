@@ -12,7 +12,7 @@ from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.evidence import FittedModel
 from estimators.diagnosis.explanation import shaken, strayed, words
 from estimators.diagnosis.policy import STANDARD
-from estimators.diagnosis.removed_error import named, share_removed
+from estimators.diagnosis.removed_error import fraction_removed, named
 from estimators.diagnosis.step import Step
 from estimators.misspecification.adequacy import AdequacyTest
 from estimators.misspecification.line_classes import LineClass
@@ -73,7 +73,7 @@ def test_nothing_found_and_nothing_wrong_is_adequate() -> None:
 def test_the_share_is_that_of_the_excess_squared_error() -> None:
     # The error falls to a quarter, of which a tenth could still be explained: from 1 to 0.25 where 0.225 is possible.
     one = step("a", SAMPLES * math.log(4), 0.1 * SAMPLES)
-    assert share_removed([one], SAMPLES) == pytest.approx(0.75 / 0.775)
+    assert fraction_removed([one], SAMPLES) == pytest.approx(0.75 / 0.775)
 
 
 def missing_force(**rms: float) -> LatentForce:

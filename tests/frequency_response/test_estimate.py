@@ -48,7 +48,7 @@ def recording(current, out, **options):
 
 
 def inside(responses, confidence=0.95):
-    """Share of runs and lines whose disc holds the truth."""
+    """Fraction of runs and lines whose disc holds the truth."""
     expected = held_truth(responses.frequency)
     return np.mean([np.abs(one.response - expected) <= one.radius(confidence) for one in responses])
 

@@ -47,7 +47,7 @@ def fitted(recording: rtac.Recording) -> tuple[est.Fit, Covariances]:
 
 
 def coverage(found: Iterable[Covariances], truth: Mapping[str, float]) -> dict[str, float]:
-    """Share of 95 % intervals that hold the truth, over recordings and parameters."""
+    """Fraction of 95 % intervals that hold the truth, over recordings and parameters."""
     hits: dict[str, list[bool]] = {"plain": [], "sandwich": [], "clustered": []}
     for one in found:
         for kind, held in hits.items():

@@ -37,12 +37,12 @@ def test_a_drift_is_found_and_named():
     assert trend is not None
     # The truth drifts with the size of the input, and the output's rms, which grows a little less evenly, follows.
     assert trend.covariate == "input"
-    assert trend.share > 0.9
+    assert trend.fraction > 0.9
     # 0.02 of 10.5 rad/s over inputs from 0.5 to 2.
     assert trend.slope == pytest.approx(-0.02 * 1.5 * np.sqrt(110), rel=0.1)
     assert "drifts with the input's amplitude" in str(test)
     output = next(t for t in test.trends[test.names.index("natural frequency")] if t.covariate == "amplitude")
-    assert output.share > 0.8
+    assert output.fraction > 0.8
     assert output.slope == pytest.approx(-0.02 * 1.5 * np.sqrt(110), rel=0.2)
     assert "drifts" in test.plot()._suptitle.get_text()
     assert found.plot()._suptitle.get_text()

@@ -93,7 +93,7 @@ TOLERANCE = {
     "end_stop": 5e-6,  # a kink at each end leaves second order
     "channel_delay": 5e-4,  # Pade's approximation of a delay, where the motion begins
 }
-"""Largest error of an output as a share of its largest value; 1e-6 for the others."""
+"""Largest error of an output as a fraction of its largest value; 1e-6 for the others."""
 
 SAMPLES, SAMPLE_TIME = 160, 0.005
 TIME = SAMPLE_TIME * np.arange(SAMPLES)
@@ -138,7 +138,7 @@ def modelled(effect: Effect | None, substeps: int = 50) -> np.ndarray:
 
 
 def apart(one: np.ndarray, other: np.ndarray) -> float:
-    """Largest difference as a share of the largest value, of any channel."""
+    """Largest difference as a fraction of the largest value, of any channel."""
     return float(np.max(np.abs(one - other).max(axis=1) / np.abs(other).max(axis=1)))
 
 

@@ -46,7 +46,7 @@ def models(recording):
 
 
 def falls(found):
-    """Both the largest gap and gamma; the second by little, as the controller acts on the first mode."""
+    """Both the largest model error and gamma; the second by little, as the controller acts on the first mode."""
     assert found.effects == ("flexible_mode",)
     before, after = found.before.profile.max(), found.after.profile.max()
     assert after < 0.3 * before
@@ -82,7 +82,7 @@ def test_knowing_the_mode_narrows_the_envelope_and_lowers_gamma(models, response
     assert f"gamma {found.price.gamma['before']:.3f}" in text
     assert "its gamma hardly depends on it" in text
     title = found.plot().get_suptitle()
-    assert title.startswith("Knowing flexible_mode brings the largest gap from 1")
+    assert title.startswith("Knowing flexible_mode brings the largest model error from 1")
 
 
 def test_swapped_it_costs_instead(models, responses):

@@ -250,7 +250,7 @@ def test_a_pair_of_poles_may_become_two_real_ones():
     plants = np.array([(1 + 0.2 * random.normal()) / ((s / 20 + 1) * (s / 50 + 1)) for _ in range(3)])
     noise = random.normal(size=(3, 40)) + 1j * random.normal(size=(3, 40))
     found = cover(plants * (1 + 0.1 * noise), omega=omega)
-    assert np.all(found.gaps <= found.weight_magnitude() * (1 + 1e-9))
+    assert np.all(found.model_errors <= found.weight_magnitude() * (1 + 1e-9))
     assert np.all(found.nominal.poles().real < 0)
 
 
@@ -281,9 +281,9 @@ def test_attribution_finds_sizes_that_were_put_in():
     assert np.median(parts.scatter) == pytest.approx(scatter, rel=0.1)
     assert np.median(parts.estimation) == pytest.approx(noise, rel=0.1)
     total = parts.unmodelled**2 + parts.amplitude**2 + parts.scatter**2 + parts.estimation**2
-    np.testing.assert_allclose(total, np.mean(found.gaps**2, axis=0), rtol=1e-9)
+    np.testing.assert_allclose(total, np.mean(found.model_errors**2, axis=0), rtol=1e-9)
     assert set(parts.largest()) <= {"unmodelled", "amplitude", "scatter", "estimation"}
-    np.testing.assert_allclose(parts.shares.sum(axis=0), 1.0)
+    np.testing.assert_allclose(parts.fractions.sum(axis=0), 1.0)
 
 
 # -- export, text, picture ---------------------------------------------------------------------------------------------------

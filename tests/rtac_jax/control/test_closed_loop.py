@@ -209,7 +209,7 @@ def test_the_printed_problem_is_less_robust_than_our_own_design(design):
 
 
 def saturated(result: ClosedLoop, acting: Actuation) -> np.ndarray:
-    """Share of the first three seconds in which each plant's controller asks for more than it may."""
+    """Fraction of the first three seconds in which each plant's controller asks for more than it may."""
     within = result.time <= 3.0
     own = result.torque + acting.arm_stiffness * result.arm_angle
     return np.mean(np.abs(own[within]) >= acting.controller_limit * (1 - 1e-9), axis=0)

@@ -186,6 +186,16 @@ def test_what_a_study_takes_for_true_is_what_the_model_has(effect_id):
             assert value not in fields.values(), f"one field holds {name}: it belongs into EFFECT_FIELD"
 
 
+@pytest.mark.parametrize(("name", "field"), EFFECT_FIELD.items())
+def test_the_rig_refuses_a_sign_that_the_model_refuses(name, field):
+    effect, _, parameter_name = name.partition(".")
+    if declarations(CATALOGUE[effect])[parameter_name].bounds[0] < 0.0:
+        assert getattr(Rig(**{field: -1e-6}), field) == -1e-6
+    else:
+        with pytest.raises(ValueError, match=field):
+            Rig(**{field: -1e-6})
+
+
 @pytest.mark.parametrize("effect_id", [name for name in CASES if name != "backlash"])
 def test_agrees_with_the_truth(effect_id):
     truth, plain = all_truths()[effect_id], all_truths()["plain"]

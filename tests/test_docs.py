@@ -2,6 +2,7 @@
 
 import ast
 import re
+import tomllib
 from pathlib import Path
 from types import ModuleType
 
@@ -35,6 +36,12 @@ def test_links_of_the_root_lead_somewhere(page: Path) -> None:
     links = re.findall(r"\]\(([^)#:]+)", page.read_text())
     assert links
     assert not [link for link in links if not ROOT.joinpath(link).exists()]
+
+
+def test_contributing_lists_the_rooms_in_the_order_of_imports() -> None:
+    contracts = tomllib.loads(ROOT.joinpath("pyproject.toml").read_text())["tool"]["importlinter"]["contracts"]
+    listed = re.findall(r"^\| `(\w+)` \|", ROOT.joinpath("CONTRIBUTING.md").read_text(), re.MULTILINE)
+    assert listed == contracts[0]["layers"]
 
 
 GUIDE = ROOT / "docs" / "guide"

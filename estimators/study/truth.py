@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -27,7 +28,7 @@ FIELD_OF: Mapping[str, str] = {
 }
 """The parameters of the paper's model and the fields of the virtual rig that hold them."""
 
-_EFFECT_FIELD: Mapping[str, str] = {
+EFFECT_FIELD: Mapping[str, str] = {
     "cart_stribeck.level": "cart_stribeck",
     "cart_stribeck.velocity": "cart_stribeck_velocity",
     "cart_presliding.level": "cart_presliding",
@@ -41,15 +42,21 @@ _EFFECT_FIELD: Mapping[str, str] = {
     "flexible_mode.mass": "flexible_mass",
     "flexible_mode.frequency": "flexible_frequency",
     "flexible_mode.damping": "flexible_damping",
+    "end_stop.stiffness": "end_stop_stiffness",
+    "end_stop.travel": "end_stop_travel",
     "arm_coulomb.level": "arm_coulomb",
     "arm_stribeck.level": "arm_stribeck",
     "arm_stribeck.velocity": "arm_stribeck_velocity",
     "arm_presliding.level": "arm_presliding",
     "arm_presliding.angle": "arm_presliding_yield",
     "arm_quadratic_drag.coefficient": "arm_quadratic_drag",
+    "cogging.harmonic": "cogging_order",
     "cable_spring.stiffness": "cable_stiffness",
     "gravity_tilt.along": "tilt_along",
     "gravity_tilt.across": "tilt_across",
+    "backlash.gap": "backlash",
+    "backlash.rotor": "rotor_share",
+    "flexible_shaft.rotor": "rotor_share",
     "input_delay.delay": "input_delay",
     "current_lag.time_constant": "current_lag",
     "current_offset.offset": "current_offset",
@@ -57,11 +64,18 @@ _EFFECT_FIELD: Mapping[str, str] = {
     "torque_droop.droop": "torque_droop",
     "tacho_lag.time_constant": "tacho_lag",
     "tacho_bias.bias": "tacho_bias",
+    "tacho_ripple.harmonic": "tacho_ripple_order",
     "lvdt_lag.time_constant": "lvdt_lag",
     "lvdt_nonlinearity.cubic": "lvdt_cubic",
     "lvdt_offset.offset": "lvdt_offset",
+    "lvdt_ripple.pitch": "lvdt_ripple_pitch",
+    "encoder_offset.offset": "encoder_offset",
+    "encoder_lag.time_constant": "encoder_lag",
+    "encoder_ripple.harmonic": "encoder_ripple_order",
     "channel_delay.delay": "channel_delay",
 }
+"""The parameters of effects that one field of the virtual rig holds; of the others a study knows no bias."""
+
 RATIOS: Mapping[str, str] = {"(M+m)/k": "total_mass", "v/k": "cart_viscous.coefficient", "d/k": "cart_coulomb.level"}
 """Table 1(a): what of the model is divided by the spring's stiffness."""
 
@@ -137,8 +151,11 @@ def _true_rig(
         "quantisation_bits": noise.bits or None, "encoder": noise.encoder,
     }  # fmt: skip
     rig = dataclasses.replace(paper, **(spread | sensors | given))
-    fields = {**FIELD_OF, **{n: _EFFECT_FIELD[n] for n in parameter_names(spec.model.effects) if n in _EFFECT_FIELD}}
+    fields = {**FIELD_OF, **{n: EFFECT_FIELD[n] for n in parameter_names(spec.model.effects) if n in EFFECT_FIELD}}
     values = {name: float(getattr(rig, field)) for name, field in fields.items()}
+    # A stop that a rig lacks is infinitely far away; how stiff it is then says nothing.
+    absent = {name.partition(".")[0] for name, value in values.items() if not math.isfinite(value)}
+    values = {name: value for name, value in values.items() if name.partition(".")[0] not in absent}
     return Truth(values | _derived(values), rig, hidden, excitation)
 
 

@@ -82,14 +82,18 @@ class Effect(eqx.Module):
         needs_channel: name of the output without which it cannot be seen either, as that of a sensor; None if there is none.
         undriven: whether a diagnosis offers it only where no current drives the motor, since another effect is the same elsewhere.
         states: names of its own states, with units.
-        contains: ids of simpler effects that it becomes at the edge of its shape.
-        presupposes: ids of effects beside which it stands on a rig: a law of its own only where the data rule those out.
-        resembles: ids of effects that change the motion as it does, whatever their size, so that they are held against it.
+        contains: ids of simpler effects that it becomes at the edge of its shape. Where the data cannot tell it from one of
+            them, that one is named.
+        presupposes: ids of effects beside which it stands on a rig: a law of its own only where the data rule those out, as
+            Stribeck friction is what dry friction has more of near rest.
+        resembles: ids of effects that change the motion as it does, whatever their size, so that they are refitted
+            beside it where screening puts it first, whatever it says of them.
         free_start: whether a recording may begin with these states away from `start`, so that a fit estimates them.
         closed: whether the states follow in closed form over a step (`follow`) instead of by integrating `rate`. A lag
             is exact in this way and may be as short as it likes without asking for small steps.
-        looked_at: fraction of the plausible size at which a diagnosis looks at what it changes; below 1 for one that changes it far
-            from in proportion to its size, until the other parameters follow.
+        looked_at: fraction of the plausible size at which a diagnosis looks at what it changes. It takes that for the slope, and
+            carries it to other sizes, so this is below 1 for what changes the motion far from in proportion to its size (0.1 for
+            a fifth power of position), or moves it far off until the other parameters follow (0.01 for a mass).
         acts_by_contact: whether parts hit each other, so that it acts at instants that move by whole steps as a parameter changes
             and derivatives do not tell of them.
     """

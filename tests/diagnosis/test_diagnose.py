@@ -13,7 +13,8 @@ import rtac_jax as rtac
 from rtac_jax import virtual_rig
 from rtac_jax.effects import CATALOGUE, Effect
 
-# What the rig hides, and which parameter of the model's effect should come out at which value.
+# What the rig hides, and which parameter of the model's effect should come out at which value. A new one goes last: rigs are
+# numbered by their place.
 HIDDEN = {
     "cubic_spring": (dict(cubic_spring=5e4), {"stiffness": 5e4}),
     "quadratic_spring": (dict(quadratic_spring=600.0), {"stiffness": 600.0}),
@@ -45,8 +46,8 @@ SHAKEN_SEED = (
 @pytest.fixture(scope="module")
 def recordings() -> dict[str, rtac.Recording]:
     hidden = {name: values for name, (values, _) in HIDDEN.items()}
-    hidden["two effects"] = dict(cubic_spring=5e4, current_lag=0.01)
-    return recorded(hidden, 0) | recorded({"nothing": {}}, 13)
+    others: dict[str, dict[str, Any]] = {"two effects": dict(cubic_spring=5e4, current_lag=0.01), "nothing": {}}
+    return recorded(hidden, 0) | recorded(others, 12)
 
 
 @pytest.fixture(scope="module")

@@ -20,12 +20,51 @@ from rtac_jax.parameters import declarations
 IDS = tuple(CATALOGUE)
 FORCES = tuple(name for name, cls in CATALOGUE.items() if issubclass(cls, Force))
 NAMES = frozenset(
-    """cart_viscous cart_coulomb cart_stribeck cart_presliding cart_quadratic_drag cubic_spring quadratic_spring hysteretic_spring
-    force_offset flexible_mode end_stop arm_viscous arm_coulomb arm_stribeck arm_presliding arm_quadratic_drag cogging cable_spring
-    gravity_tilt backlash flexible_shaft input_hold current_lag input_delay saturation dead_zone current_offset
-    torque_droop torque_offset tacho_gain tacho_ripple tacho_bias tacho_lag lvdt_gain lvdt_ripple lvdt_offset lvdt_lag
-    lvdt_nonlinearity encoder_gain encoder_ripple encoder_offset encoder_lag
-    channel_delay""".split()  # noqa: SIM905 - forty quoted lines
+    {
+        "cart_viscous",
+        "cart_coulomb",
+        "cart_stribeck",
+        "cart_presliding",
+        "cart_quadratic_drag",
+        "cubic_spring",
+        "quadratic_spring",
+        "hysteretic_spring",
+        "force_offset",
+        "flexible_mode",
+        "end_stop",
+        "arm_viscous",
+        "arm_coulomb",
+        "arm_stribeck",
+        "arm_presliding",
+        "arm_quadratic_drag",
+        "cogging",
+        "cable_spring",
+        "gravity_tilt",
+        "backlash",
+        "flexible_shaft",
+        "input_hold",
+        "current_lag",
+        "input_delay",
+        "saturation",
+        "dead_zone",
+        "current_offset",
+        "torque_droop",
+        "torque_offset",
+        "tacho_gain",
+        "tacho_ripple",
+        "tacho_bias",
+        "tacho_lag",
+        "lvdt_gain",
+        "lvdt_ripple",
+        "lvdt_offset",
+        "lvdt_lag",
+        "lvdt_nonlinearity",
+        "encoder_gain",
+        "encoder_ripple",
+        "encoder_offset",
+        "encoder_lag",
+        "channel_delay",
+    }
 )
 """Names that the catalogue may use."""
 

@@ -10,9 +10,11 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
-from rtac_jax import RTAC, Experiment, effects, parameter, simulate
+from estimators.study.truth import EFFECT_FIELD, FIELD_OF
+from rtac_jax import RTAC, Experiment, RigidBody, effects, parameter, simulate
 from rtac_jax.effects import CATALOGUE, Effect, Force
 from rtac_jax.effects.gravity_tilt import STANDARD_GRAVITY
+from rtac_jax.parameters import declarations
 from rtac_jax.virtual_rig import Plan, Rig
 from rtac_jax.virtual_rig._motion import integrate
 from rtac_jax.virtual_rig._record import measure
@@ -87,6 +89,22 @@ CASES: dict[str, tuple[dict[str, float], Effect]] = {
     ),
     "encoder_lag": ({"encoder_lag": 0.01}, effects.EncoderLag(0.01)),
 }  # fmt: skip
+# Parameters that no field of the rig holds as they are, by the reason.
+NO_FIELD = {
+    "the rig has an amplitude and a phase": (
+        "cogging.sine", "cogging.cosine", "tacho_ripple.sine", "tacho_ripple.cosine", "lvdt_ripple.sine", "lvdt_ripple.cosine",
+        "encoder_ripple.sine", "encoder_ripple.cosine",
+    ),
+    "the rig has a factor": ("tacho_gain.error", "lvdt_gain.error", "encoder_gain.error"),
+    "the rig has the limit": ("saturation.inverse_limit",),
+    "the rig has the angle": ("cable_spring.torque",),
+    "the rig has the current": ("torque_offset.offset",),
+    "the rig has a stiffness and a viscous damping": (
+        "flexible_shaft.compliance", "flexible_shaft.damping", "flexible_shaft.fastest",
+    ),
+    "a plan has it": ("input_hold.share", "input_hold.order"),
+    "the rig's sensor is zeroed on a level plane": ("gravity_tilt.zeroed",),
+}  # fmt: skip
 IN_THE_PAPER = {"cart_viscous", "arm_viscous"}  # of every rig here
 
 TOLERANCE = {
@@ -144,6 +162,38 @@ def apart(one: np.ndarray, other: np.ndarray) -> float:
 
 def test_no_effect_of_the_catalogue_is_left_out():
     assert set(CASES) | IN_THE_PAPER == set(CATALOGUE)
+
+
+def test_a_study_has_a_field_of_every_parameter_or_a_reason():
+    """Without its field a study reports no bias of a parameter, and says nothing of that."""
+    parameters = {f"{name}.{one}" for name, cls in CATALOGUE.items() for one in declarations(cls)}
+    held = set(EFFECT_FIELD) | set(FIELD_OF) - set(declarations(RigidBody))
+    excused = [name for several in NO_FIELD.values() for name in several]
+    assert held.isdisjoint(excused)
+    assert held | set(excused) == parameters
+
+
+@pytest.mark.parametrize("effect_id", CASES)
+def test_what_a_study_takes_for_true_is_what_the_model_has(effect_id):
+    fields, effect = CASES[effect_id]
+    rig = Rig(**fields)
+    for name in declarations(effect):
+        value = float(getattr(effect, name))
+        field = {**FIELD_OF, **EFFECT_FIELD}.get(f"{effect_id}.{name}")
+        if field is not None:
+            assert getattr(rig, field) == pytest.approx(value, rel=1e-3), name  # an angle and its sine at most apart
+        else:
+            assert value not in fields.values(), f"one field holds {name}: it belongs into EFFECT_FIELD"
+
+
+@pytest.mark.parametrize(("name", "field"), EFFECT_FIELD.items())
+def test_the_rig_refuses_a_sign_that_the_model_refuses(name, field):
+    effect, _, parameter_name = name.partition(".")
+    if declarations(CATALOGUE[effect])[parameter_name].bounds[0] < 0.0:
+        assert getattr(Rig(**{field: -1e-6}), field) == -1e-6
+    else:
+        with pytest.raises(ValueError, match=field):
+            Rig(**{field: -1e-6})
 
 
 @pytest.mark.parametrize("effect_id", [name for name in CASES if name != "backlash"])

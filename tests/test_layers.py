@@ -35,3 +35,18 @@ def test_private_modules_are_imported_within_their_package_only(package: str) ->
     ]
     assert not wrong
     assert len(files) > 50
+
+
+def test_only_the_command_line_imports_the_root_of_estimators() -> None:
+    # What is above a module would be imported within functions only, and no contract on rooms would see it.
+    package = ROOT / "estimators"
+    rooms = {f"estimators.{path.stem}" for path in package.iterdir()}
+    files = [path for path in package.rglob("*.py") if path.parent not in (package, package / "cli")]
+    wrong = [
+        f"{path.relative_to(ROOT)}: {name}"
+        for path in files
+        for name in imported(path)
+        if name == "estimators" or (name.count(".") == 1 and name.startswith("estimators.") and name not in rooms)
+    ]
+    assert not wrong
+    assert len(files) > 100

@@ -32,6 +32,7 @@ test: $(STAMP)
 	$(BIN)/ruff format --check .
 	$(BIN)/lint-imports --no-logo
 	$(BIN)/pyright
+	$(BIN)/pyright --project pyright-strict.json
 	$(PYTEST)
 
 test-slow: $(STAMP)
@@ -42,6 +43,7 @@ lint: $(STAMP)
 	$(BIN)/ruff format .
 	$(BIN)/lint-imports --no-logo
 	$(BIN)/pyright
+	$(BIN)/pyright --project pyright-strict.json
 
 docs: $(DOCS_STAMP)
 	$(BIN)/mkdocs build --strict

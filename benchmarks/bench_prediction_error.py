@@ -56,7 +56,7 @@ def compiled(structure: str, data: Recording, repeats: int, *, optimistix: bool)
     from estimators.linear.fit import structure_of
     from estimators.linear.operating_conditions import conditions as signals
     from estimators.linear.operating_conditions import stacked
-    from estimators.linear.predictor import _errors, solve
+    from estimators.linear.predictor import prediction_errors, solve
     from estimators.linear.stages import predictor_stage, simulation_stages
 
     options: dict[str, Any] = {
@@ -82,7 +82,7 @@ def compiled(structure: str, data: Recording, repeats: int, *, optimistix: bool)
     def by_optimistix(theta: Any, signals: Any) -> Any:
         def one(at: Any, of: Any) -> Any:
             return optx.least_squares(
-                lambda t, s: _errors(kind, t, s), optx.LevenbergMarquardt(rtol=1e-8, atol=1e-8), at, args=of,
+                lambda t, s: prediction_errors(kind, t, s), optx.LevenbergMarquardt(rtol=1e-8, atol=1e-8), at, args=of,
                 max_steps=100, throw=False, options={"jac": "fwd"},
             ).value  # fmt: skip
 

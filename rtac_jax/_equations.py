@@ -1,21 +1,46 @@
 """The equations of motion of a rigid body with effects, and what the end of an integration step adds to them."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol, runtime_checkable
 
+from rtac_jax._rigid_body import RigidBody
 from rtac_jax._since import Since, through
 from rtac_jax._sincos import sincos
 from rtac_jax.effects import Actuator, DryFriction, Effect, Force, Impact, Motion, Sensor
 from rtac_jax.effects._interface import in_parts
 
-if TYPE_CHECKING:
-    from rtac_jax._rtac import RTAC
-
 _PORTS = ("on the cart", "on the arm")
 RIGID_STATES = {"cart_position": "m", "cart_velocity": "m/s", "arm_angle": "rad", "arm_velocity": "rad/s"}
 
 
+@runtime_checkable
+class Moving(Protocol):
+    """What the equations ask of a model; `RTAC` says what each of these is."""
+
+    @property
+    def body(self) -> RigidBody:
+        """Return the rigid body."""
+        ...
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """Return what else acts."""
+        ...
+
+    def own_states(self, state: tuple[Any, ...]) -> dict[str, tuple[Any, ...]]:
+        """Return the states of each effect, by its id."""
+        ...
+
+    def mobility(self, cosine: Any, arm_free: Any, cart_free: Any) -> tuple[Any, Any, Any]:
+        """Return the inverse of the mass matrix."""
+        ...
+
+    def since(self, state: tuple[Any, ...], current: Any, step: Any, last: Any) -> Since:
+        """Return the beginning of a step."""
+        ...
+
+
 def derivative(
-    model: "RTAC",
+    model: Moving,
     state: tuple[Any, ...],
     current: Any,
     force: Any,
@@ -70,7 +95,7 @@ def derivative(
     return result
 
 
-def settle(model: "RTAC", after: tuple[Any, ...], since: Since, arm_free: Any, cart_free: Any) -> tuple[Any, ...]:
+def settle(model: Moving, after: tuple[Any, ...], since: Since, arm_free: Any, cart_free: Any) -> tuple[Any, ...]:
     """Return the state after a step, as `RTAC.settle` says."""
     own = model.own_states(after)
     motion = since.seen_from(model.since(after, since.last, since.step, since.last).motion)

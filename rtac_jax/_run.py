@@ -14,7 +14,8 @@ from rtac_jax._adjoint import differentiable_states
 from rtac_jax._rtac import RTAC
 from rtac_jax._substeps_traced import substeps_traced
 from rtac_jax.excitation import Excitation
-from rtac_jax.simulation import MOST_SUBSTEPS, _states, substeps_for
+from rtac_jax.programs import program
+from rtac_jax.simulation import MOST_SUBSTEPS, Steps, substeps_for, trajectories
 
 _STABILITY = 0.5  # step times fastest rate; a classic Runge-Kutta step then errs by 0.5^5 / 120 of what that mode moves
 
@@ -66,3 +67,8 @@ def run(
     if substeps is None:
         steps = substeps_traced(model, excitation, stability=_STABILITY, most=most)
     return differentiable_states(model, jnp.asarray(start), excitation, room, jnp.asarray(samples), steps, most)
+
+
+@program
+def _states(model: RTAC, start: Array, excitation: Excitation, room: int, samples: Steps, substeps: Steps) -> Array:
+    return trajectories(model, tuple(start), excitation, room=room, samples=samples, substeps=substeps, states=True)

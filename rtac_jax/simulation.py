@@ -223,8 +223,3 @@ def rate_jacobians(model: RTAC) -> Float[Array, "angle state state"]:
 
     at = jnp.zeros((len(ANGLES), len(model.states))).at[:, 2].set(jnp.asarray(ANGLES))
     return jax.vmap(jax.jacfwd(rate))(at)
-
-
-@program
-def _states(model: RTAC, start: Array, excitation: Excitation, room: int, samples: Steps, substeps: Steps) -> Array:
-    return trajectories(model, tuple(start), excitation, room=room, samples=samples, substeps=substeps, states=True)

@@ -35,3 +35,33 @@ def test_private_modules_are_imported_within_their_package_only(package: str) ->
     ]
     assert not wrong
     assert len(files) > 50
+
+
+def test_only_the_command_line_imports_the_root_of_estimators() -> None:
+    # What is above a module would be imported within functions only, and no contract on rooms would see it.
+    package = ROOT / "estimators"
+    rooms = {f"estimators.{path.stem}" for path in package.iterdir()}
+    files = [path for path in package.rglob("*.py") if path.parent not in (package, package / "cli")]
+    wrong = [
+        f"{path.relative_to(ROOT)}: {name}"
+        for path in files
+        for name in imported(path)
+        if name == "estimators" or (name.count(".") == 1 and name.startswith("estimators.") and name not in rooms)
+    ]
+    assert not wrong
+    assert len(files) > 100
+
+
+def test_no_module_imports_a_private_name_of_another() -> None:
+    # Tests may: what they look at within a module is no part of what it offers.
+    files = [*(path for package in ("rtac_jax", "estimators", "benchmarks") for path in (ROOT / package).rglob("*.py"))]
+    wrong = [
+        f"{path.relative_to(ROOT)}: {alias.name} of {node.module}"
+        for path in files
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.ImportFrom) and node.module  # without one they are modules of the same package
+        for alias in node.names
+        if alias.name.startswith("_") and not alias.name.startswith("__")
+    ]
+    assert not wrong
+    assert len(files) > 300

@@ -89,7 +89,7 @@ class ControlDesign(Result):
         rows = [
             (
                 name,
-                _seconds(float(one.settling_time()[0])),
+                settling_words(float(one.settling_time()[0])),
                 f"{1e3 * float(one.peak_torque[0]):.2f}",
                 f"{float(one.arm_swing[0]):.2f}",
             )
@@ -112,15 +112,15 @@ def outcome(found: ControlDesign) -> list[str]:
     alone, now = (float(r.settling_time()[0]) for r in (found.free, found.closed))
     first = (
         f"Released {1e3 * found.displacement:g} mm off, the cart of the fitted nonlinear model stays under a tenth "
-        f"after {_seconds(now)} with the controller and {_seconds(alone)} without; the torque stays within "
+        f"after {settling_words(now)} with the controller and {settling_words(alone)} without; the torque stays within "
         f"{1e3 * float(found.closed.peak_torque[0]):.1f} mN m and the arm swings {float(found.closed.arm_swing[0]):.2f} rad."
     )
     times, before, fractions = found.off.settling_time(), found.off_free.settling_time(), found.fractions
     second = (
         f"Of {len(times)} plants whose parameters are each up to {100 * OFF:.0f} % off, {_percent(times < before)} settle "
-        f"sooner than without it, in the median after {_seconds(float(np.median(times)))} instead of "
-        f"{_seconds(float(np.median(before)))}; {_percent(fractions['parameters_off'])} settle within {found.within:.2f} s, two "
-        f"thirds of what the fitted model takes alone, and keep the arm in its half of the circle "
+        f"sooner than without it, in the median after {settling_words(float(np.median(times)))} instead of "
+        f"{settling_words(float(np.median(before)))}; {_percent(fractions['parameters_off'])} settle "
+        f"within {found.within:.2f} s, two thirds of what the fitted model takes alone, and keep the arm in its half of the circle "
         f"({_without(found.off_free, found.within)}{_astray(found.off)})."
     )
     third = (
@@ -221,5 +221,6 @@ def _percent(which: Any) -> str:
     return f"{100 * float(np.mean(which)):.1f} %"
 
 
-def _seconds(value: float) -> str:
+def settling_words(value: float) -> str:
+    """Return a settling time [s] in words; it is infinite where nothing settles."""
     return f"{value:.2f} s" if np.isfinite(value) else "never in this simulation"

@@ -152,8 +152,11 @@ def _columns(arguments: Arguments, part: slice) -> Arguments:
     if part == slice(None):
         return arguments
 
+    def cut_leaf(leaf: Any) -> Any:
+        return leaf[..., part] if np.ndim(leaf) else leaf
+
     def cut(tree: Any) -> Any:
-        return jax.tree.map(lambda x: x[..., part] if np.ndim(x) else x, tree)
+        return jax.tree.map(cut_leaf, tree)
 
     space = arguments.space
     own = ("each_values", "start", "start_scale", "start_spread", "start_held")

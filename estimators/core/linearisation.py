@@ -134,16 +134,15 @@ def _columns(unknowns: Unknowns, arguments: Arguments) -> tuple[Array, Array]:
     a = arguments
     edges = np.cumsum([0, *(leaf.shape[0] for leaf in unknowns)])
 
+    def at_point(at: Unknowns) -> tuple[Array, Array]:
+        return residual(a.model, a.data, a.space, at, a.whitener, substeps=a.substeps, gain=a.gain)
+
     def along(direction: Array) -> tuple[Array, Array]:
         parts = [direction[edges[i] : edges[i + 1]] for i in range(3)]
         tangent = Unknowns(
             parts[0], *(jnp.broadcast_to(p[:, None], x.shape) for p, x in zip(parts[1:], unknowns[1:], strict=True))
         )
-        return jax.jvp(
-            lambda at: residual(a.model, a.data, a.space, at, a.whitener, substeps=a.substeps, gain=a.gain),
-            (unknowns,),
-            (tangent,),
-        )[1]
+        return jax.jvp(at_point, (unknowns,), (tangent,))[1]
 
     return jax.lax.optimization_barrier(jax.vmap(along)(jnp.eye(int(edges[-1]))))
 

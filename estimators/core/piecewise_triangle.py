@@ -73,9 +73,12 @@ def piecewise_triangle(
         found = states_at_start(placed(shared, each, 1), start, data.excitation)
         return shared, each, jnp.stack([jnp.broadcast_to(x, (many,)) for x in found]), prior_residual(space, at, many)
 
+    def physical_along(direction: Unknowns) -> tuple[Any, Any]:
+        return jax.jvp(physical, (unknowns,), (direction,))
+
     # Once, before the loop: XLA for processors fails to compile what it draws out of the loop of this itself.
     (shared, each, state, known), (d_shared, d_each, d_state, d_known) = jax.lax.optimization_barrier(
-        jax.vmap(lambda along: jax.jvp(physical, (unknowns,), (along,)), out_axes=(None, 0))(directions)
+        jax.vmap(physical_along, out_axes=(None, 0))(directions)
     )
     now = placed(shared, each, 1)
 
@@ -115,12 +118,13 @@ def piecewise_triangle(
             ends, error = run(there, at, first, pieces, size + 1)
             return ends[-1], error
 
+        def local_along(direction: tuple[Array, Array, Array]) -> tuple[Any, Any]:
+            return jax.jvp(local, (shared, each, starts), direction)
+
         # Directions of a piece: the parameters, then its first state.
         by_state = jnp.broadcast_to(jnp.eye(own + states)[:, own:, None], (own + states, *starts.shape))
         tangents = (_padded(d_shared[:own], states), _padded(d_each[:own], states), by_state)
-        (_, error), (d_end, d_error) = jax.vmap(
-            lambda along: jax.jvp(local, (shared, each, starts), along), out_axes=(None, -1)
-        )(tangents)  # fmt: skip
+        (_, error), (d_end, d_error) = jax.vmap(local_along, out_axes=(None, -1))(tangents)
         rows = jnp.moveaxis(jnp.concatenate([d_error, error[..., None]], axis=-1), 0, 2).swapaxes(0, 1)
         # One block for each piece and channel, of its own directions, its first state and the error.
         local_factor = triangular(rows.reshape(pieces * many * outputs, -1, own + states + 1))

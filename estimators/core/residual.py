@@ -175,7 +175,11 @@ def _each_r(rows: Float[Array, "block row column"]) -> Float[Array, "block colum
     A batch waits within XLA's threads for others of these. Two threads that factor batches at the same time would wait
     for each other for ever.
     """
-    return jax.lax.map(lambda block: jnp.linalg.qr(block, mode="r"), rows)
+
+    def of_one(block: Array) -> Array:
+        return jnp.linalg.qr(block, mode="r")
+
+    return jax.lax.map(of_one, rows)
 
 
 def no_gain(model: RTAC, data: Data) -> Array:

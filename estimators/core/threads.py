@@ -2,7 +2,7 @@
 
 import os
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import TypeVar
@@ -41,7 +41,7 @@ def at_once(work: Callable[[One], Result], several: Sequence[One]) -> list[Resul
 
 
 @contextmanager
-def one_thread() -> Iterator[None]:
+def one_thread() -> Generator[None, None, None]:
     """Let this thread do one thing after the other, where other processes have the other cores."""
     before = getattr(_here, "at_work", False)
     _here.at_work = True

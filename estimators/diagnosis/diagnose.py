@@ -317,7 +317,7 @@ def _candidates(laboratory: LiveLaboratory, found: Judgement) -> list[Candidate]
     limits = laboratory.limits if beside_base else limits_of(setting, base, best)
     most = _most(selection, samples)
     within = set(found.effects)
-    several = []
+    several: list[Candidate] = []
     for s in best.values():
         first, limit = main_amplitude(s), limits[s.id]
         c = Candidate(

@@ -260,10 +260,10 @@ def improve(
     learned: LearnedForce | None = None
     nearest: Candidate | None = None
     if learned_force and diagnoses[-1].verdict == "unknown":
-        last, options = steps[-1][1], {"policy": policy, "progress": progress}
+        last = steps[-1][1]
         classes = {c.id: c for c in candidates or CATALOGUE.values()}
-        near = add_nearest(last, diagnoses[-1], classes, train, held_out, **options)
-        resort = learn_force(last.fit, last.tested, diagnoses[-1], train, held_out, **options)
+        near = add_nearest(last, diagnoses[-1], classes, train, held_out, policy=policy, progress=progress)
+        resort = learn_force(last.fit, last.tested, diagnoses[-1], train, held_out, policy=policy, progress=progress)
         if near is not None and (isinstance(resort, str) or misfit(near[0].tested) < misfit(resort[0].tested)):
             nearest = near[1]
             steps.append((nearest.id, near[0]))

@@ -56,7 +56,6 @@ class LiveLaboratory:
         policy: the thresholds by which is chosen what to compute.
         base: the record of the base model.
         limits: size from which on each candidate would be found beside it.
-        say: shows what is asked now.
     """
 
     def __init__(self, setting: Setting, fit: Fit, base: Refit, tested: Tested, workers: Workers) -> None:
@@ -69,7 +68,7 @@ class LiveLaboratory:
             tested: the tests of that.
             workers: compute side by side.
         """
-        self._fit, self._workers = fit, workers
+        self._fit, self._workers, self._bar = fit, workers, setting.bar
         self._models: list[FittedModel] = []
         self._computed: list[tuple[Setting, Refit]] = []
         self._tested: dict[int, Tested] = {}
@@ -82,7 +81,6 @@ class LiveLaboratory:
         self._simulations: dict[int, SimulationError] = {}
         self._coloured: list[FittedModel | None] = []  # empty until asked
         self._stretches = setting.stretches()
-        self.say = lambda text: setting.bar.set_description(f"diagnose: {text}")
         self.facts, self.policy = facts_of(setting, fit), setting.policy
         self.base = self._record(setting, base, tested)
         best = by_statistic(tested.screened)
@@ -90,6 +88,10 @@ class LiveLaboratory:
         shown = {i for i, s in best.items() if is_testable(s, self.limits[i], setting.policy.testable)}
         blind = [i for i, s in best.items() if not s.instance.acts_by_contact and i not in shown]
         self.facts = dataclasses.replace(self.facts, untestable=tuple(sorted(blind)))
+
+    def say(self, text: str) -> None:
+        """Show what is asked now."""
+        self._bar.set_description(f"diagnose: {text}")
 
     def first_refits(
         self, before: FittedModel, first: Score, near: Sequence[Score], way: Way

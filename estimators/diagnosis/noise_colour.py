@@ -60,13 +60,10 @@ def coloured(setting: Setting, base: Refit, workers: Workers) -> Setting | None:
     """
     count = np.asarray(setting.data.present).sum(axis=(0, 2))
     times = np.unique(np.outer(np.unique(np.asarray(setting.data.excitation.sample_time)), _CORRELATION_TIMES))
-    best, likelihood, price = (
-        {},
-        base.predictor.log_likelihood,
-        float(np.log(setting.samples)),
-    )  # of the correlation time
+    best: Colours = {}
+    likelihood, price = base.predictor.log_likelihood, float(np.log(setting.samples))  # of the correlation time
     for channel in np.array(CHANNELS)[count > 0]:
-        trials = [{**best, str(channel): (1.0, float(correlation_time))} for correlation_time in times]
+        trials: list[Colours] = [{**best, str(channel): (1.0, float(correlation_time))} for correlation_time in times]
         values = workers.each(lambda colours: _likelihood_with(setting, colours, base), trials)
         for trial, value in zip(trials, values, strict=True):
             if 2 * (value - likelihood) - price > setting.policy.bic_gain:

@@ -135,7 +135,7 @@ def refit_by_simulation(setting: Setting, before: Refit, s: Screened, filtered: 
     if filtered is not None:
         known = {name: value for name, value in filtered.values.items() if name in begins[0].parameters}
         begins.append(begins[0].with_values(known))
-    simulated = []
+    simulated: list[Fit] = []
     for begin in begins:
         with contextlib.suppress(ArithmeticError, NotIdentifiableError):
             simulated.append(output_error(begin, setting.recording, from_model=True, progress=False))

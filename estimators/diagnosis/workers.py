@@ -1,6 +1,6 @@
 """Workers of a diagnosis: threads that compute, and compile ahead of time, beside the one that asks."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import TypeVar
@@ -23,7 +23,7 @@ class Workers:
     @contextmanager
     def compiling(
         self, pieces: Sequence[Callable[[], None]], *, before: Callable[[], None] | None = None
-    ) -> Iterator[Ahead]:
+    ) -> Generator[Ahead, None, None]:
         """Compile pieces of code on two other threads, while this one goes on: tracing on one waits for no compiler.
 
         Args:

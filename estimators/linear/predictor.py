@@ -79,7 +79,7 @@ def _sampled(structure: Structure, theta: Array, one: Signals) -> Sampled:
     return sampled(structure, theta, one.scale, one.interval, one.input.shape[-1])
 
 
-def _errors(structure: Structure, theta: Float[Array, " unknown"], one: Signals) -> Float[Array, " sample"]:
+def prediction_errors(structure: Structure, theta: Float[Array, " unknown"], one: Signals) -> Float[Array, " sample"]:
     """Return prediction errors over their size."""
     return track(_sampled(structure, theta, one), one).error / one.scale.error
 
@@ -96,7 +96,9 @@ def rows(structure: Structure, theta: Float[Array | np.ndarray, "condition unkno
     """Return prediction errors and Jacobian at these unknowns."""
 
     def of_one(at: Array, one: Signals) -> Rows:
-        return Rows(_errors(structure, at, one), jax.jacfwd(lambda t: _errors(structure, t, one))(at))
+        return Rows(
+            prediction_errors(structure, at, one), jax.jacfwd(lambda t: prediction_errors(structure, t, one))(at)
+        )
 
     return jax.vmap(of_one)(jnp.asarray(theta), data)
 
@@ -127,7 +129,7 @@ def _solve(
     structure: Structure, theta: Float[Array, "condition unknown"], data: Signals, most: Int[Array, ""]
 ) -> tuple[Array, Array, Array]:
     def of_one(at: Array, one: Signals) -> tuple[Array, Array, Array]:
-        found, converged = gauss_newton(lambda t: _errors(structure, t, one), at, most=most)
+        found, converged = gauss_newton(lambda t: prediction_errors(structure, t, one), at, most=most)
         return found.theta, found.cost, converged
 
     return jax.vmap(of_one)(theta, data)

@@ -35,6 +35,7 @@ from estimators.plots.study import plot_confusions, plot_coverage, plot_envelope
 from estimators.plots.table1 import plot_table_1
 from estimators.plots.where import plot_where
 from estimators.prediction_error.fit import PredictorFit
+from estimators.study.results import StudyResults
 from estimators.uncertainty.effect_cost import EffectCost
 from estimators.uncertainty.envelope import Envelope
 from estimators.validation.simulation_error import Comparison
@@ -74,6 +75,18 @@ for _type, _picture in {
 @draw.register
 def _(result: ControlDesign) -> Any:
     return plot_closed_loop(result.free, {"closed loop": result.closed})
+
+
+@draw.register
+def _(result: StudyResults, which: str) -> Any:
+    # The names by which a study captions its pictures.
+    return {
+        "estimates": plot_estimates,
+        "coverage": plot_coverage,
+        "pairs": plot_pairs,
+        "confusion": plot_confusions,
+        "envelopes": plot_envelopes,
+    }[which](result)
 
 
 __all__ = [

@@ -6,7 +6,7 @@ from jaxtyping import Float
 from estimators.core.fit import Fit
 from estimators.frequency_response.response import FrequencyResponses
 from estimators.inference.model_response import model_response
-from estimators.plots.envelope import _decibel, _degrees, _frequencies, gain_label
+from estimators.plots.envelope import decibel, degrees, frequency_axis, gain_label
 from estimators.plots.style import SMALL, Picture, picture, title
 from estimators.prediction_error.fit import PredictorFit
 
@@ -45,18 +45,18 @@ def plot_bode(
         distance = np.abs(np.interp(one.frequency, grid, np.abs(fitted.response)) - size)
         inside, total = inside + int(np.sum(distance <= radius)), total + len(size)
         top.fill_between(
-            one.frequency, _decibel(np.maximum(size - radius, 0.05 * size)), _decibel(size + radius), color="0.85",
+            one.frequency, decibel(np.maximum(size - radius, 0.05 * size)), decibel(size + radius), color="0.85",
             linewidth=0, label="95 % of each measured response" if number == 0 else None,
         )  # fmt: skip
-        top.semilogx(one.frequency, _decibel(size), ".", color="0.45", markersize=2.5)
-        below.semilogx(one.frequency, _degrees(one.response), ".", color="0.45", markersize=2.5)
+        top.semilogx(one.frequency, decibel(size), ".", color="0.45", markersize=2.5)
+        below.semilogx(one.frequency, degrees(one.response), ".", color="0.45", markersize=2.5)
     size, radius = np.abs(fitted.response), fitted.radius(0.95)
     top.fill_between(
-        grid, _decibel(np.maximum(size - radius, 0.05 * size)), _decibel(size + radius), color="#fdae6b", linewidth=0,
+        grid, decibel(np.maximum(size - radius, 0.05 * size)), decibel(size + radius), color="#fdae6b", linewidth=0,
         label="95 % of the model, by its parameters",
     )  # fmt: skip
-    top.semilogx(grid, _decibel(size), color="#08306b", linewidth=1.6, label="fitted model, linearised")
-    below.semilogx(grid, _degrees(fitted.response), color="#08306b", linewidth=1.6)
+    top.semilogx(grid, decibel(size), color="#08306b", linewidth=1.6, label="fitted model, linearised")
+    below.semilogx(grid, degrees(fitted.response), color="#08306b", linewidth=1.6)
     top.set_ylabel(gain_label(fitted), fontsize=SMALL)
     below.set_ylabel("Phase [deg]", fontsize=SMALL)
     below.set_yticks(np.arange(-180, 181, 90))
@@ -64,8 +64,8 @@ def plot_bode(
     below.set_xlabel("Frequency [rad/s]", fontsize=SMALL)
     top.legend(fontsize=SMALL, loc="best")
     for axes in (top, below):
-        _frequencies(axes)
-    peak, at = float(_decibel(np.array([size.max()]))[0]), float(grid[np.argmax(size)])
+        frequency_axis(axes)
+    peak, at = float(decibel(np.array([size.max()]))[0]), float(grid[np.argmax(size)])
     title(
         figure,
         f"The fitted model peaks with {peak:.1f} dB at {at:.3g} rad/s; {100 * inside / total:.0f} % of the measured magnitudes "

@@ -37,13 +37,13 @@ def plot_responses(responses: FrequencyResponses) -> Picture:
     figure = picture(8.0, 5.4)
     top, below = figure.subplots(2, 1, sharex=True, height_ratios=[2, 1])
     for one in responses:
-        top.semilogx(one.frequency, _decibel(np.abs(one.response)), **_PLANT)
-        below.semilogx(one.frequency, _degrees(one.response), **_PLANT)
+        top.semilogx(one.frequency, decibel(np.abs(one.response)), **_PLANT)
+        below.semilogx(one.frequency, degrees(one.response), **_PLANT)
     fractions = np.concatenate([one.radius(0.95) / np.abs(one.response) for one in responses])
     noisy = max(responses, key=lambda one: float(np.median(one.std / np.abs(one.response))))
     size, radius = np.abs(noisy.response), noisy.radius(0.95)
     top.fill_between(
-        noisy.frequency, _decibel(np.maximum(size - radius, 0.1 * size)), _decibel(size + radius), color="#fdd0a2",
+        noisy.frequency, decibel(np.maximum(size - radius, 0.1 * size)), decibel(size + radius), color="#fdd0a2",
         linewidth=0, label=f"95 % of {noisy.name}, the least certain",
     )  # fmt: skip
     for row, level in enumerate(("odd_distortion", "even_distortion")):
@@ -52,7 +52,7 @@ def plot_responses(responses: FrequencyResponses) -> Picture:
             omega, values = known[0]
             style = ("-.", ":")[row]
             top.semilogx(
-                omega, _decibel(np.maximum(values, 1e-3 * size.max())), color="black", linewidth=1.1, linestyle=style,
+                omega, decibel(np.maximum(values, 1e-3 * size.max())), color="black", linewidth=1.1, linestyle=style,
                 label=f"{level.split('_')[0]} distortion of {responses[0].name}",
             )  # fmt: skip
     top.set_ylabel(gain_label(responses[0]), fontsize=SMALL)
@@ -62,7 +62,7 @@ def plot_responses(responses: FrequencyResponses) -> Picture:
     below.set_xlabel("Frequency [rad/s]", fontsize=SMALL)
     top.legend(fontsize=SMALL, loc="best")
     for axes in (top, below):
-        _frequencies(axes)
+        frequency_axis(axes)
     median = 100 * float(np.median(fractions))
     title(figure, f"{len(responses)} conditions, each known to {median:.2g} % (95 % radius, median)")
     return figure
@@ -85,36 +85,36 @@ def plot_envelope(
     phase = np.degrees(np.unwrap(np.angle(nominal)))
     for plant, held in _shown(envelope, envelope.plants):
         # About the nominal phase, so that a crossing of 180 degrees is no jump.
-        axes[1].semilogx(envelope.frequency, phase + _degrees(plant / nominal), **(_HELD if held else _PLANT))
+        axes[1].semilogx(envelope.frequency, phase + degrees(plant / nominal), **(_HELD if held else _PLANT))
     axes[1].semilogx(envelope.frequency, phase, **_NOMINAL)
     if fitted is not None:
         beside = fitted.response / envelope.nominal_response(fitted.frequency)
         along = np.interp(fitted.frequency, envelope.frequency, phase)
         axes[0].semilogx(
-            fitted.frequency, _decibel(np.abs(fitted.response)), **_FITTED, label="fitted model, linearised"
+            fitted.frequency, decibel(np.abs(fitted.response)), **_FITTED, label="fitted model, linearised"
         )
-        axes[1].semilogx(fitted.frequency, along + _degrees(beside), **_FITTED)
+        axes[1].semilogx(fitted.frequency, along + degrees(beside), **_FITTED)
         axes[0].legend(fontsize=SMALL, loc="lower left", framealpha=0.9)
     axes[1].yaxis.set_major_locator(MultipleLocator(90))
     axes[1].set_ylabel("Phase [deg]", fontsize=SMALL)
     draw_profile(axes[2], envelope)
     if closed_form is not None:
         omega, word = closed_form.frequency, "closed form, linearised"
-        axes[0].semilogx(omega, _decibel(np.abs(closed_form.response)), **_CLOSED, label=word)
-        axes[1].semilogx(omega, phase + _degrees(closed_form.response / nominal), **_CLOSED)
+        axes[0].semilogx(omega, decibel(np.abs(closed_form.response)), **_CLOSED, label=word)
+        axes[1].semilogx(omega, phase + degrees(closed_form.response / nominal), **_CLOSED)
         model_error = np.abs(errors(closed_form.response[None], nominal, envelope.kind))[0]
-        axes[2].semilogx(omega, _decibel(np.maximum(model_error, 1e-3 * envelope.profile.max())), **_CLOSED, label=word)
+        axes[2].semilogx(omega, decibel(np.maximum(model_error, 1e-3 * envelope.profile.max())), **_CLOSED, label=word)
         axes[0].legend(fontsize=SMALL, loc="lower left", framealpha=0.9)
     if fitted is not None and envelope.kind.startswith("multiplicative"):
         model_error = np.abs(fitted.response / envelope.nominal_response(fitted.frequency) - 1)
-        axes[2].semilogx(fitted.frequency, _decibel(np.maximum(model_error, 1e-3)), **_FITTED, label="fitted model")
-        axes[2].set_ylim(top=max(axes[2].get_ylim()[1], float(_decibel(model_error).max()) + 3))
+        axes[2].semilogx(fitted.frequency, decibel(np.maximum(model_error, 1e-3)), **_FITTED, label="fitted model")
+        axes[2].set_ylim(top=max(axes[2].get_ylim()[1], float(decibel(model_error).max()) + 3))
     if closed_form is not None or fitted is not None:
         axes[2].legend(fontsize=SMALL, loc="lower left", ncols=3, framealpha=0.9)
     _draw_sources(axes[3], envelope)
     axes[3].set_xlabel("Frequency [rad/s]", fontsize=SMALL)
     for panel in (axes[1], axes[3]):
-        _frequencies(panel)
+        frequency_axis(panel)
     title(figure, finding(envelope))
     return figure
 
@@ -127,7 +127,7 @@ def plot_effect_cost(cost: EffectCost) -> Picture:
         gamma = cost.price.gamma[word]
         axes.semilogx(
             found.frequency,
-            _decibel(found.profile),
+            decibel(found.profile),
             color=colour,
             linewidth=2.0,
             label=f"{word}: largest model error, γ = {gamma:.3f}",
@@ -135,7 +135,7 @@ def plot_effect_cost(cost: EffectCost) -> Picture:
         dense = np.geomspace(found.frequency[0], found.frequency[-1], 800)
         axes.semilogx(
             dense,
-            _decibel(found.weight_magnitude(dense)),
+            decibel(found.weight_magnitude(dense)),
             color=colour,
             linewidth=1.2,
             linestyle="--",
@@ -145,7 +145,7 @@ def plot_effect_cost(cost: EffectCost) -> Picture:
     axes.set_ylabel("|ΔW| needed [dB]", fontsize=SMALL)
     axes.set_xlabel("Frequency [rad/s]", fontsize=SMALL)
     axes.legend(fontsize=SMALL, ncols=2, framealpha=0.9)
-    _frequencies(axes)
+    frequency_axis(axes)
     before, after = (100 * float(found.profile.max()) for found in (cost.before, cost.after))
     named = ", ".join(cost.effects) or "nothing more"
     title(figure, f"Knowing {named} brings the largest model error from {before:.0f}\u00a0% to {after:.0f}\u00a0%")
@@ -176,12 +176,12 @@ def draw_responses(axes: Any, envelope: Envelope) -> None:
     named: set[bool] = set()
     for plant, held in _shown(envelope, envelope.plants):
         text = None if held in named else ("held out" if held else f"{len(envelope.plants)} conditions")
-        axes.semilogx(envelope.frequency, _decibel(np.abs(plant)), **(_HELD if held else _PLANT), label=text)
+        axes.semilogx(envelope.frequency, decibel(np.abs(plant)), **(_HELD if held else _PLANT), label=text)
         named.add(held)
-    axes.semilogx(envelope.frequency, _decibel(np.abs(envelope.nominal_response())), **_NOMINAL, label="nominal P₀")
+    axes.semilogx(envelope.frequency, decibel(np.abs(envelope.nominal_response())), **_NOMINAL, label="nominal P₀")
     axes.set_ylabel("Magnitude\n[dB above 1 output/input]", fontsize=SMALL)
     axes.legend(fontsize=SMALL, loc="lower left", framealpha=0.9)
-    _frequencies(axes)
+    frequency_axis(axes)
 
 
 def draw_profile(axes: Any, envelope: Envelope) -> None:
@@ -189,19 +189,19 @@ def draw_profile(axes: Any, envelope: Envelope) -> None:
     for model_error, held in _shown(envelope, envelope.model_errors):
         axes.semilogx(
             envelope.frequency,
-            _decibel(np.maximum(model_error, 1e-3 * envelope.profile.max())),
+            decibel(np.maximum(model_error, 1e-3 * envelope.profile.max())),
             **(_HELD if held else _PLANT),
         )
-    axes.semilogx(envelope.frequency, _decibel(envelope.profile), **_NOMINAL, label="profile: the largest model error")
+    axes.semilogx(envelope.frequency, decibel(envelope.profile), **_NOMINAL, label="profile: the largest model error")
     dense = np.geomspace(envelope.frequency[0], envelope.frequency[-1], 800)
-    axes.semilogx(dense, _decibel(envelope.weight_magnitude(dense)), **_WEIGHT, label="weight |W|")
+    axes.semilogx(dense, decibel(envelope.weight_magnitude(dense)), **_WEIGHT, label="weight |W|")
     if envelope.kind != "additive":
         axes.axhline(0.0, color="black", linestyle=":", linewidth=1.0)
-    low = _decibel(np.array([envelope.profile.min()]))[0] - 12
+    low = decibel(np.array([envelope.profile.min()]))[0] - 12
     axes.set_ylim(max(low, -60) if envelope.kind != "additive" else low)
     axes.set_ylabel("|ΔW| needed [dB]", fontsize=SMALL)
     axes.legend(fontsize=SMALL, loc="lower left", ncols=2, framealpha=0.9)
-    _frequencies(axes)
+    frequency_axis(axes)
 
 
 def _draw_sources(axes: Any, envelope: Envelope) -> None:
@@ -225,7 +225,8 @@ def _shown(envelope: Envelope, rows: Any) -> list[tuple[Any, bool]]:
     return [(rows[i], bool(envelope.held_out[i])) for i in range(0, len(rows), step)]
 
 
-def _frequencies(axes: Any) -> None:
+def frequency_axis(axes: Any) -> None:
+    """Tidy axes over a logarithmic frequency, with plain numbers at 1, 2 and 5 of every decade."""
     tidy(axes)
     axes.grid(True, which="minor", axis="x", color="0.95", linewidth=0.4)
     axes.margins(x=0.0)
@@ -234,11 +235,12 @@ def _frequencies(axes: Any) -> None:
     axes.xaxis.set_minor_formatter(NullFormatter())
 
 
-def _decibel(values: Float64[np.ndarray, " frequency"]) -> Float64[np.ndarray, " frequency"]:
+def decibel(values: Float64[np.ndarray, " frequency"]) -> Float64[np.ndarray, " frequency"]:
+    """Return magnitudes in decibel, those of nothing far below any other."""
     return 20 * np.log10(np.maximum(values, 1e-300))
 
 
-def _degrees(values: Any) -> Any:
+def degrees(values: Any) -> Any:
     """Return the phase in degrees; a jump by a whole turn is not drawn."""
     phase = np.degrees(np.angle(values))
     return np.where(np.abs(np.diff(phase, prepend=phase[0])) > 180, np.nan, phase)

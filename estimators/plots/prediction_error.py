@@ -8,7 +8,7 @@ from matplotlib.ticker import MaxNLocator
 
 from estimators.linear.fit import LinearModels
 from estimators.linear.homogeneity_test import Equality
-from estimators.plots.envelope import _decibel, _degrees, _frequencies, gain_label
+from estimators.plots.envelope import decibel, degrees, frequency_axis, gain_label
 from estimators.plots.style import MARKERS, NOISE, SMALL, Picture, picture, tidy, title
 from estimators.prediction_error.fit import PredictorFit
 
@@ -33,12 +33,12 @@ def plot_prediction_error(found: LinearModels, omega: Float[np.ndarray, " freque
     for number, one in enumerate(every):
         size, radius = np.abs(one.response), one.radius(0.95)
         top.fill_between(
-            grid, _decibel(np.maximum(size - radius, 0.05 * size)), _decibel(size + radius),
+            grid, decibel(np.maximum(size - radius, 0.05 * size)), decibel(size + radius),
             label="95 % of each" if number == 0 else None, **_BAND,
         )  # fmt: skip
     for one in every:
-        top.semilogx(grid, _decibel(np.abs(one.response)), **_LINE)
-        below.semilogx(grid, _degrees(one.response), **_LINE)
+        top.semilogx(grid, decibel(np.abs(one.response)), **_LINE)
+        below.semilogx(grid, degrees(one.response), **_LINE)
     top.set_ylabel(gain_label(responses[0]), fontsize=SMALL)
     top.legend(fontsize=SMALL, loc="best")
     below.set_ylabel("Phase [deg]", fontsize=SMALL)
@@ -46,7 +46,7 @@ def plot_prediction_error(found: LinearModels, omega: Float[np.ndarray, " freque
     below.set_ylim(-200, 200)
     below.set_xlabel("Frequency [rad/s]", fontsize=SMALL)
     for axes in (top, below):
-        _frequencies(axes)
+        frequency_axis(axes)
     _correlations(parts[2, 0], parts[2, 1], found)
     sound = sum(one.residuals.white and one.residuals.independent for one in found)
     kind = found.structure.kind.replace("_", " ")

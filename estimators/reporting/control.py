@@ -6,7 +6,7 @@ from typing import Any
 import control as ct
 import numpy as np
 
-from estimators.controller.outcome import ControlDesign, _seconds
+from estimators.controller.outcome import ControlDesign, settling_words
 from estimators.reporting.envelope import coverage_dict, fitted_dict, roots, system_dict
 from estimators.reporting.html import Table
 from estimators.reporting.report import FORMAT, VERSION
@@ -93,7 +93,7 @@ def design_table(found: ControlDesign) -> Table:
         rows.append(
             (
                 name,
-                _seconds(float(one.settling_time()[0])),
+                settling_words(float(one.settling_time()[0])),
                 f"{1e3 * float(one.peak_torque[0]):.2f}",
                 f"{1e3 * float(one.effort[0]):.2f}",
                 f"{float(one.arm_swing[0]):.2f}",

@@ -14,7 +14,8 @@ from jaxtyping import Float
 from estimators.core.data import CHANNELS, fitted_part, mark_of, moving
 from estimators.core.fit import Fit
 from estimators.inference.bootstrap import Shaken, Shuffled, measured_again
-from estimators.prediction_error.fit import PredictorFit
+from estimators.output_error.fit import output_error
+from estimators.prediction_error.fit import PredictorFit, prediction_error_nonlinear
 from estimators.reporting.html import Table
 from estimators.study.layout import Arrays, Layout
 from estimators.study.run import repeated
@@ -256,8 +257,6 @@ class Replicates(Work):
         return dataclasses.replace(model, priors=priors) if priors else model
 
     def _refitted(self, recording: Recording, model: RTAC) -> Float[np.ndarray, " parameter"]:
-        import estimators as est
-
-        function = est.prediction_error_nonlinear if isinstance(self.fit, PredictorFit) else est.output_error
+        function = prediction_error_nonlinear if isinstance(self.fit, PredictorFit) else output_error
         found = function(model, recording, from_model=True, progress=False)
         return np.array([found.parameters[name].value for name in self.fit.information.names])

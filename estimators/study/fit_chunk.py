@@ -5,13 +5,20 @@ from typing import Any
 
 import numpy as np
 
+from estimators.closed_form.fit import least_squares
 from estimators.core.initial_state import scales_of
 from estimators.core.results import RESULTS
+from estimators.diagnosis.diagnose import diagnose
+from estimators.frequency_response.estimate import frequency_responses
+from estimators.linear.fit import prediction_error
+from estimators.output_error.fit import output_error
+from estimators.prediction_error.fit import prediction_error_nonlinear
 from estimators.study.batched_fits import fit_together, suits
 from estimators.study.outcome import Outcome, Prepared, Value
 from estimators.study.recordings import NEW
-from estimators.study.spec import Estimate, StudySpec, options_for
+from estimators.study.spec import Estimate, StudySpec, options_for, parameter_names
 from estimators.study.truth import RATIOS, Truth
+from estimators.uncertainty.envelope import envelope
 from rtac_jax import RTAC
 from rtac_jax.effects import CATALOGUE
 from rtac_jax.measurement import Recording
@@ -75,8 +82,6 @@ def model_for(spec: StudySpec, truth: Truth, recording: Recording) -> RTAC:
 
 def parameters_of(spec: StudySpec) -> tuple[str, ...]:
     """Return all that the estimators of a study may estimate, and a few besides."""
-    from estimators.study.spec import parameter_names
-
     methods = {estimate.method for estimate in spec.estimate}
     own = [n for n in parameter_names(spec.model.effects) if n not in ("total_mass", "arm_inertia")]
     names = [n for n in own if not spec.model.free or n in spec.model.free]
@@ -92,10 +97,8 @@ def _from_model(function: Callable[..., Any], options: Mapping[str, Any], start:
 
 
 def _closed_form(prepared: Prepared, options: Mapping[str, Any], weak: bool) -> Outcome:
-    import estimators as est
-
     chosen: dict[str, Any] = {"weak": weak} | dict(options)
-    found = est.least_squares(prepared.model, prepared.recording, **chosen)
+    found = least_squares(prepared.model, prepared.recording, **chosen)
     estimates = {**found.ratios, **found.estimates}
     if not estimates:
         raise ValueError(next(iter(found.skipped.values()), "no experiment serves the closed form."))
@@ -118,9 +121,7 @@ def _shared(found: Any) -> dict[str, Value]:
 
 
 def _output_error(prepared: Prepared, options: Mapping[str, Any], start: str) -> Outcome:
-    import estimators as est
-
-    found = est.output_error(prepared.model, prepared.recording, **_from_model(est.output_error, options, start))
+    found = output_error(prepared.model, prepared.recording, **_from_model(output_error, options, start))
     return Outcome(_shared(found), {"residual": _residual(found)}, _ended(found))
 
 
@@ -135,9 +136,7 @@ def _ended(fit: Any) -> str:
 
 
 def _prediction_error_nonlinear(prepared: Prepared, options: Mapping[str, Any], start: str) -> Outcome:
-    import estimators as est
-
-    function = est.prediction_error_nonlinear
+    function = prediction_error_nonlinear
     found = function(prepared.model, prepared.recording, **_from_model(function, options, start))
     quantities = {
         "residual": max(w.rms for w in found.whiteness),
@@ -150,12 +149,10 @@ def _prediction_error_nonlinear(prepared: Prepared, options: Mapping[str, Any], 
 
 def _prediction_error(prepared: Prepared, options: Mapping[str, Any], start: str) -> Outcome:
     """Return the mean over the conditions of a repetition, each counting by its stated precision."""
-    import estimators as est
-
     recording = prepared.recording
     angle = all("arm_angle" in e.outputs for e in recording if e.kind == "forced")
-    model = None if angle else est.output_error(prepared.model, recording, progress=False).model
-    found = est.prediction_error(recording, model=model, progress=False, **dict(options))
+    model = None if angle else output_error(prepared.model, recording, progress=False).model
+    found = prediction_error(recording, model=model, progress=False, **dict(options))
     values = {}
     for name in LINEAR:
         own = next(n for n in found.models[0].names if n.startswith(name))  # of the first mode, where there are several
@@ -168,14 +165,12 @@ def _prediction_error(prepared: Prepared, options: Mapping[str, Any], start: str
 
 
 def _envelope(prepared: Prepared, options: Mapping[str, Any], start: str) -> Outcome:
-    import estimators as est
-
     recording = prepared.recording
     new = [name for name in recording.names if name.startswith(NEW)]
-    chosen = options_for(est.frequency_responses, options)
-    responses = est.frequency_responses(recording.select([n for n in recording.names if n not in new]), **chosen)
-    made = est.envelope(responses, progress=False, **options_for(est.envelope, options))
-    inside = made.covers(est.frequency_responses(recording.select(new), **chosen)) if new else np.zeros(0)
+    chosen = options_for(frequency_responses, options)
+    responses = frequency_responses(recording.select([n for n in recording.names if n not in new]), **chosen)
+    made = envelope(responses, progress=False, **options_for(envelope, options))
+    inside = made.covers(frequency_responses(recording.select(new), **chosen)) if new else np.zeros(0)
     quantities = {
         "stated": made.coverage.probability,
         "confidence": made.coverage.confidence,
@@ -187,13 +182,11 @@ def _envelope(prepared: Prepared, options: Mapping[str, Any], start: str) -> Out
 
 
 def _diagnosis(prepared: Prepared, options: Mapping[str, Any], start: str) -> Outcome:
-    import estimators as est
-
-    fit = est.output_error(prepared.model, prepared.recording, **_from_model(est.output_error, {}, start))
+    fit = output_error(prepared.model, prepared.recording, **_from_model(output_error, {}, start))
     chosen = dict(options)
     if "candidates" in chosen:
         chosen["candidates"] = [CATALOGUE[name] for name in chosen["candidates"]]
-    found = est.diagnose(fit, prepared.recording, progress=False, **chosen)
+    found = diagnose(fit, prepared.recording, progress=False, **chosen)
     groups = {c.id: c.confusable_with for c in found.effects}
     named = ["|".join((effect.id, *groups.get(effect.id, ()))) for effect in found.additions]
     own = [c for c in found.candidates if c.id == prepared.truth.hidden.effect]

@@ -10,8 +10,15 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Literal
 
+from estimators.closed_form.fit import least_squares
+from estimators.diagnosis.diagnose import diagnose
+from estimators.frequency_response.estimate import frequency_responses
+from estimators.linear.fit import prediction_error
+from estimators.output_error.fit import output_error
+from estimators.prediction_error.fit import prediction_error_nonlinear
 from estimators.study.declarative import SpecError, Values, freeze_fields, from_table, to_table
 from estimators.study.toml_writer import toml
+from estimators.uncertainty.envelope import envelope
 from rtac_jax import RigidBody
 from rtac_jax.effects import CATALOGUE
 from rtac_jax.parameters import declarations
@@ -331,16 +338,14 @@ def parameter_names(effects: tuple[str, ...]) -> tuple[str, ...]:
 
 def functions_of(method: str) -> tuple[Callable[..., Any], ...]:
     """Return the public functions behind a method, whose arguments are its options."""
-    import estimators as est  # deferred: the package imports this module
-
     return {
-        "least_squares": (est.least_squares,),
-        "weak_form": (est.least_squares,),
-        "output_error": (est.output_error,),
-        "prediction_error_nonlinear": (est.prediction_error_nonlinear,),
-        "prediction_error": (est.prediction_error,),
-        "envelope": (est.envelope, est.frequency_responses),
-        "diagnosis": (est.diagnose,),
+        "least_squares": (least_squares,),
+        "weak_form": (least_squares,),
+        "output_error": (output_error,),
+        "prediction_error_nonlinear": (prediction_error_nonlinear,),
+        "prediction_error": (prediction_error,),
+        "envelope": (envelope, frequency_responses),
+        "diagnosis": (diagnose,),
     }[method]
 
 

@@ -3,7 +3,7 @@
 import os
 from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypedDict
+from typing import Any, TypedDict
 
 import numpy as np
 from jaxtyping import Float64
@@ -11,9 +11,6 @@ from jaxtyping import Float64
 from ._errors import RecordingError
 from ._experiment import Experiment
 from ._signal import INPUTS, OUTPUTS, finite, positive
-
-if TYPE_CHECKING:
-    from ._recording import Recording
 
 # Factor from a unit that a file may use to the unit of the layout.
 FACTORS: Mapping[str, Mapping[str, float]] = {
@@ -66,14 +63,12 @@ def imported(
     channels: Mapping[str, str],
     kind: str,
     options: ImportOptions,
-) -> "Recording":
-    """Return the recording of one experiment in a foreign file, of which `read` returns the columns of these names.
+) -> tuple[Experiment, Mapping[str, float]]:
+    """Return the one experiment in a foreign file, and the constants of its rig; `read` returns the columns of these names.
 
     Raises:
         RecordingError: names the column, option or sample that is wrong.
     """
-    from ._recording import Recording
-
     told: dict[str, Any] = dict(options)
     name, rig = told.pop("name", None), told.pop("rig", None)
     by_channel = {key: options.get(key) for key in ("units", "scale", "remove_mean")}
@@ -84,7 +79,7 @@ def imported(
         )
     except RecordingError as error:
         raise RecordingError(f"{os.fspath(path)}: {error}") from error.__cause__
-    return Recording((experiment,), rig or {})
+    return experiment, rig or {}
 
 
 def check_options(

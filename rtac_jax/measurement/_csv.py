@@ -4,38 +4,24 @@ import csv
 import math
 import os
 from collections.abc import Callable, Iterable, Mapping
-from typing import TYPE_CHECKING, TypeVar, Unpack
+from typing import TypeVar
 
 import numpy as np
 from jaxtyping import Float64
 
 from ._columns import ImportOptions, imported
+from ._contents import Contents
 from ._errors import RecordingError
+from ._experiment import Experiment
 from .atomic_write import replacing
-
-if TYPE_CHECKING:
-    from ._recording import Recording
 
 Read = TypeVar("Read")
 
 
-def from_csv(
-    path: str | os.PathLike[str],
-    *,
-    channels: Mapping[str, str],
-    kind: str,
-    delimiter: str = ",",
-    **options: Unpack[ImportOptions],
-) -> "Recording":
-    """Import a recording of one experiment from the columns of a CSV file whose first row names them.
-
-    `channels` maps channels to columns, as in `{"current": "i_motor", "cart_position": "x"}`. Either `time`,
-    the column with the times [s], or `sample_time` [s] is given. An empty cell and "nan" mean a missing
-    sample. The other options are those of `ImportOptions`.
-
-    Raises `FileNotFoundError`, or `RecordingError` naming the row (counted from 1, with the header) and the
-    column.
-    """
+def read(
+    path: str | os.PathLike[str], channels: Mapping[str, str], kind: str, delimiter: str, options: ImportOptions
+) -> tuple[Experiment, Mapping[str, float]]:
+    """Return the experiment in a CSV file, and the constants of its rig; see `Recording.from_csv`."""
     return imported(path, lambda names: _read_columns(path, names, delimiter), channels, kind, options)
 
 
@@ -49,13 +35,14 @@ def csv_header(path: str | os.PathLike[str], delimiter: str = ",") -> list[str]:
     return _opened(path, delimiter, lambda rows: [cell.strip() for cell in next(iter(rows), [])])
 
 
-def write(path: str | os.PathLike[str], recording: "Recording") -> None:
+def write(path: str | os.PathLike[str], recording: Contents) -> None:
     """Write the one experiment of `recording` as CSV; see `Recording.save`."""
-    if len(recording) != 1:
+    experiments = recording.experiments
+    if len(experiments) != 1:
         raise RecordingError(
-            f"{os.fspath(path)}: a CSV file holds one experiment, and this recording has {len(recording)}; save it as .h5."
+            f"{os.fspath(path)}: a CSV file holds one experiment, and this recording has {len(experiments)}; save it as .h5."
         )
-    (experiment,) = recording
+    (experiment,) = experiments
     channels = {**experiment.inputs, **experiment.outputs}
     columns = {"time [s]": experiment.sample_time * np.arange(experiment.samples)}
     columns |= {f"{name} [{signal.unit}]": signal.values for name, signal in channels.items()}

@@ -2,19 +2,17 @@
 
 import hashlib
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from ._contents import Contents
 from ._errors import RecordingError
-
-if TYPE_CHECKING:
-    from ._recording import Recording
 
 ATTRIBUTE = "digest"
 # 64 bits: damage that nobody intends goes unseen once in 10**19 times.
 DIGITS = 16
 
 
-def digest(recording: "Recording") -> str:
+def digest(recording: Contents) -> str:
     """Return one line for each group and data set of a recording's file: its SHA-256 and its path, in the file's order.
 
     What is hashed is what a reader makes of the file: every attribute with its name and type, and every sample. Whatever
@@ -25,7 +23,7 @@ def digest(recording: "Recording") -> str:
     return "\n".join(f"{value} {path}" for path, value in _parts(recording))
 
 
-def verify(recording: "Recording", written: str) -> None:
+def verify(recording: Contents, written: str) -> None:
     """Compare a recording that was read with the digest that its file carries.
 
     Raises:
@@ -48,11 +46,11 @@ def _split(line: str) -> tuple[str, str]:
     return path, value
 
 
-def _parts(recording: "Recording") -> Iterator[tuple[str, str]]:
+def _parts(recording: Contents) -> Iterator[tuple[str, str]]:
     yield "/", _hash({"rig": recording.rig_name, "comment": recording.comment})
     # In order of name: HDF5 keeps no order of attributes unless it is asked to.
     yield "/rig", _hash(dict(sorted(recording.rig_attributes.items())))
-    for experiment in recording:
+    for experiment in recording.experiments:
         place = f"/experiments/{experiment.name}"
         names = ("kind", "sample_time", "initial_arm_angle", "arm", "cart", "repeat_of")
         kept = {name: getattr(experiment, name) for name in names}

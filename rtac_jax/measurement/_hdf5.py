@@ -2,14 +2,15 @@
 
 import io
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import Any, TypeVar
 
 import h5py
 import numpy as np
 from jaxtyping import Float64
 
+from ._contents import Contents
 from ._digest import ATTRIBUTE, digest, verify
 from ._errors import RecordingError
 from ._experiment import Experiment, check_name
@@ -17,8 +18,7 @@ from ._global_heap import endless
 from ._signal import INPUTS, OUTPUTS, Signal
 from .atomic_write import replacing
 
-if TYPE_CHECKING:
-    from ._recording import Recording
+Made = TypeVar("Made", bound=Contents)
 
 FORMAT = "rtac-measurement"
 VERSION = 1
@@ -34,7 +34,7 @@ CHUNK_SAMPLES = 1 << 16
 LIBRARY_VERSION = "v108"
 
 
-def write(path: str | os.PathLike[str], recording: "Recording") -> None:
+def write(path: str | os.PathLike[str], recording: Contents) -> None:
     """Write `recording` to `path`; an interrupted write leaves an earlier file as it was.
 
     Every data set carries HDF5's checksum, and the root a digest of everything, which `read` verifies.
@@ -57,7 +57,7 @@ def holds_measurements(path: str | os.PathLike[str]) -> bool:
         return False  # no such file, or none that anybody could read
 
 
-def _fill(file: h5py.File, recording: "Recording") -> None:
+def _fill(file: h5py.File, recording: Contents) -> None:
     file.attrs.update(format=FORMAT, version=VERSION, rig=recording.rig_name, comment=recording.comment)
     file.attrs[ATTRIBUTE] = digest(recording)
     file.create_group("rig").attrs.update(recording.rig_attributes)
@@ -79,14 +79,16 @@ def _fill(file: h5py.File, recording: "Recording") -> None:
                         dataset.attrs[key] = value
 
 
-def read(path: str | os.PathLike[str]) -> "Recording":
-    """Read the recording in the file.
+def read(
+    path: str | os.PathLike[str], make: Callable[[tuple[Experiment, ...], dict[str, float], str, str], Made]
+) -> Made:
+    """Return what `make` makes of the experiments in the file, the constants of its rig, the rig's name and the comment.
 
     Raises `FileNotFoundError`, or `RecordingError` saying where and how the file departs from the layout.
     """
     try:
         with open_hdf5(path) as file:
-            return _read_file(file, Budget(os.path.getsize(path)))
+            return _read_file(file, Budget(os.path.getsize(path)), make)
     except RecordingError as error:
         # Said once, here, so that no reader below needs to know the name of the file.
         raise RecordingError(f"{os.fspath(path)}: {error}") from error.__cause__
@@ -98,9 +100,9 @@ def guarded_by_digest(path: str | os.PathLike[str]) -> bool:
         return ATTRIBUTE in file.attrs
 
 
-def _read_file(file: h5py.File, budget: "Budget") -> "Recording":
-    from ._recording import Recording
-
+def _read_file(
+    file: h5py.File, budget: "Budget", make: Callable[[tuple[Experiment, ...], dict[str, float], str, str], Made]
+) -> Made:
     found = text(file, "format", required=True)
     if found != FORMAT:
         raise RecordingError(
@@ -119,11 +121,11 @@ def _read_file(file: h5py.File, budget: "Budget") -> "Recording":
     if "experiments" not in members:
         raise RecordingError("/experiments: the group is missing; add it with one group for each experiment.")
     folders = children(_group(members["experiments"]), None)
-    recording = Recording(
+    recording = make(
         tuple(_read_experiment(name, folder, budget) for name, folder in folders.items()),
         rig,
-        rig_name=text(file, "rig") or "",
-        comment=text(file, "comment") or "",
+        text(file, "rig") or "",
+        text(file, "comment") or "",
     )
     written = text(file, ATTRIBUTE)
     if written is not None:

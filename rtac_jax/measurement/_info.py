@@ -6,9 +6,9 @@ import numpy as np
 
 from rtac_jax.overview import aligned
 
+from ._contents import Contents
 from ._errors import printable
 from ._experiment import Experiment
-from ._recording import Recording
 from ._signal import Signal
 
 # The constants of the rig that the README names; others are shown without a unit.
@@ -22,11 +22,12 @@ RIG_UNITS: Mapping[str, str] = {
 HEADER = ("channel", "unit", "rms", "missing", "noise std", "between samples")
 
 
-def describe(recording: Recording) -> str:
+def describe(recording: Contents) -> str:
     """Describe the experiments in a readable table: their conditions, and the unit, rms and noise of each channel."""
-    total = sum(experiment.samples for experiment in recording)
-    length = sum(experiment.duration for experiment in recording)
-    kinds = [experiment.kind for experiment in recording]
+    experiments = recording.experiments
+    total = sum(experiment.samples for experiment in experiments)
+    length = sum(experiment.duration for experiment in experiments)
+    kinds = [experiment.kind for experiment in experiments]
     counts = ", ".join(f"{kinds.count(kind)} {kind}" for kind in dict.fromkeys(kinds))
     known = ", ".join(
         f"{name} = {value:.6g}{_spread(recording.rig_std.get(name))} {RIG_UNITS.get(name, '')}".rstrip()
@@ -35,9 +36,9 @@ def describe(recording: Recording) -> str:
     lines = [
         f"rig: {printable(recording.rig_name) or 'not named'}; known beforehand: {known or 'nothing'}",
         *(f"comment: {printable(line)}" for line in recording.comment.splitlines()),
-        f"experiments: {len(recording)} ({counts}), {total} samples, {length:.6g} s",
+        f"experiments: {len(experiments)} ({counts}), {total} samples, {length:.6g} s",
     ]
-    for experiment in recording:
+    for experiment in experiments:
         lines += ["", _conditions(experiment), *_table(experiment)]
     return "\n".join(lines)
 

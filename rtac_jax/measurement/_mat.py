@@ -2,7 +2,6 @@
 
 import os
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Unpack
 
 import h5py
 import numpy as np
@@ -11,27 +10,18 @@ from jaxtyping import Float64
 
 from ._columns import ImportOptions, imported
 from ._errors import RecordingError
+from ._experiment import Experiment
 from ._hdf5 import MOST_ELEMENTS, Budget, guarded, open_hdf5
 from ._mat5 import Mat5
-
-if TYPE_CHECKING:
-    from ._recording import Recording
 
 LONGEST_NAME = 63  # characters of a name in MATLAB; a damaged file may declare longer ones
 NUMERIC = ("double", "single", "int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64")
 
 
-def from_mat(
-    path: str | os.PathLike[str], *, channels: Mapping[str, str], kind: str, **options: Unpack[ImportOptions]
-) -> "Recording":
-    """Import a recording of one experiment from the variables of a MAT file (v5 or v7.3).
-
-    `channels` maps channels to variables, as in `{"disturbance_force": "V1", "cart_position": "V2"}`; each
-    variable is a vector. Either `sample_time` [s] or `time`, the variable with the times [s], is given. The other
-    options are those of `ImportOptions`.
-
-    Raises `FileNotFoundError`, or `RecordingError` naming the variable, option or sample that is wrong.
-    """
+def read(
+    path: str | os.PathLike[str], channels: Mapping[str, str], kind: str, options: ImportOptions
+) -> tuple[Experiment, Mapping[str, float]]:
+    """Return the experiment in a MAT file, and the constants of its rig; see `Recording.from_mat`."""
     return imported(path, lambda names: _read_vectors(path, names), channels, kind, options)
 
 

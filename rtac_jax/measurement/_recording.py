@@ -5,13 +5,15 @@ from dataclasses import dataclass, field, replace
 from os import PathLike, fspath
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Unpack
 
 from rtac_jax.overview import Overview
 
 from . import _csv, _hdf5, _mat
+from ._columns import ImportOptions
 from ._errors import RecordingError
 from ._experiment import Experiment
+from ._info import describe
 from ._signal import finite, positive, rebuild
 
 POSITIVE = ("total_mass", "arm_inertia", "spring_stiffness", "torque_constant", "eccentric_moment")
@@ -78,7 +80,7 @@ class Recording:
         Raises `FileNotFoundError`, or `RecordingError` naming the path inside the file that departs from the
         layout.
         """
-        return _hdf5.read(path)
+        return _hdf5.read(path, Recording)
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write an HDF5 file, which loses nothing, or a CSV file, which a rig plays and a spreadsheet opens.
@@ -118,13 +120,43 @@ class Recording:
         return self.overview().to_html()
 
     def __str__(self) -> str:
-        from ._info import describe
-
         return describe(self)
 
-    # The importers themselves, so that their options are written down once.
-    from_mat = staticmethod(_mat.from_mat)
-    from_csv = staticmethod(_csv.from_csv)
+    @staticmethod
+    def from_mat(
+        path: str | PathLike[str], *, channels: Mapping[str, str], kind: str, **options: Unpack[ImportOptions]
+    ) -> "Recording":
+        """Import a recording of one experiment from the variables of a MAT file (v5 or v7.3).
+
+        `channels` maps channels to variables, as in `{"disturbance_force": "V1", "cart_position": "V2"}`; each
+        variable is a vector. Either `sample_time` [s] or `time`, the variable with the times [s], is given. The other
+        options are those of `ImportOptions`.
+
+        Raises `FileNotFoundError`, or `RecordingError` naming the variable, option or sample that is wrong.
+        """
+        experiment, rig = _mat.read(path, channels, kind, options)
+        return Recording((experiment,), rig)
+
+    @staticmethod
+    def from_csv(
+        path: str | PathLike[str],
+        *,
+        channels: Mapping[str, str],
+        kind: str,
+        delimiter: str = ",",
+        **options: Unpack[ImportOptions],
+    ) -> "Recording":
+        """Import a recording of one experiment from the columns of a CSV file whose first row names them.
+
+        `channels` maps channels to columns, as in `{"current": "i_motor", "cart_position": "x"}`. Either `time`,
+        the column with the times [s], or `sample_time` [s] is given. An empty cell and "nan" mean a missing
+        sample. The other options are those of `ImportOptions`.
+
+        Raises `FileNotFoundError`, or `RecordingError` naming the row (counted from 1, with the header) and the
+        column.
+        """
+        experiment, rig = _csv.read(path, channels, kind, delimiter, options)
+        return Recording((experiment,), rig)
 
     @staticmethod
     def join(*recordings: "Recording") -> "Recording":

@@ -5,6 +5,7 @@ import zlib
 from types import SimpleNamespace
 from typing import Any, TypeVar
 
+import made_up_results
 import numpy as np
 import pytest
 
@@ -269,3 +270,10 @@ def test_a_fit_by_predictions_tells_its_likelihood_and_calls_nothing_a_cost(monk
     found = _add_effect._predicted(model, before, rtac.Recording((experiment,)), progress=False)
     assert found.statistics["log_likelihood"] == 1234.0
     assert "cost" not in found.statistics
+
+
+def test_predicted_gains_have_their_old_name_with_a_warning() -> None:
+    gains = (made_up_results.PREDICTED,)
+    found = made_up_results.improvement(predicted_gains=gains)
+    with pytest.warns(DeprecationWarning, match="foreseen is called predicted_gains now"):
+        assert found.foreseen == gains

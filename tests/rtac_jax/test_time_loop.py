@@ -10,8 +10,8 @@ import pytest
 from estimators.core.data import Data
 from estimators.prediction_error.innovations import stretches
 from rtac_jax import RTAC, Experiment, simulate
+from rtac_jax._run import _states
 from rtac_jax.excitation import BEYOND
-from rtac_jax.simulation import _states
 from rtac_jax.time_loop import room_for, time_loop
 
 

@@ -3,7 +3,6 @@
 import dataclasses
 import functools
 import os
-import types
 from collections.abc import Mapping
 from typing import Any
 
@@ -13,6 +12,7 @@ import jax.numpy as jnp
 
 from rtac_jax._equations import RIGID_STATES, derivative, settle
 from rtac_jax._excited_parts import excited_parts
+from rtac_jax._model_structure import declared_of, places_of, with_fixed
 from rtac_jax._model_tables import overview_of, table_of
 from rtac_jax._rigid_body import RigidBody
 from rtac_jax._since import Since
@@ -36,7 +36,7 @@ from rtac_jax.effects import (
 from rtac_jax.excitation import Excitation
 from rtac_jax.measurement import Recording
 from rtac_jax.overview import Overview
-from rtac_jax.parameters import Declaration, as_value, declarations
+from rtac_jax.parameters import Declaration, as_value
 from rtac_jax.prior import Prior
 from rtac_jax.storage import save
 
@@ -110,7 +110,7 @@ class RTAC(eqx.Module):
         priors = {name: Prior(known[name], std) for name, std in recording.rig_std.items() if name not in fixed}
         if priors:
             model = cls(model.body, model.effects, priors=priors)
-        return model.with_values(known).fix(*(fixed & set(_declared_of(model))))
+        return model.with_values(known).fix(*(fixed & set(declared_of(model))))
 
     # -- composition -------------------------------------------------------------------------------------------------
 
@@ -154,20 +154,20 @@ class RTAC(eqx.Module):
     @property
     def parameters(self) -> dict[str, Declaration]:
         """Return every parameter's declaration by name."""
-        return dict(_declared_of(self))
+        return dict(declared_of(self))
 
     @property
     def values(self) -> dict[str, Any]:
         """Return every parameter's value by name: a scalar, or one for each experiment."""
         # By places among the leaves, as in `with_values`.
         leaves, structure = jax.tree.flatten(self)
-        names = tuple(_declared_of(self))
-        return {name: leaves[place] for name, place in zip(names, _places_of(structure, names), strict=True)}
+        names = tuple(declared_of(self))
+        return {name: leaves[place] for name, place in zip(names, places_of(structure, names), strict=True)}
 
     @property
     def free(self) -> tuple[str, ...]:
         """Return the names of the parameters that a fit estimates."""
-        return tuple(n for n, declared in _declared_of(self).items() if n not in self.fixed and not declared.fixed)
+        return tuple(n for n, declared in declared_of(self).items() if n not in self.fixed and not declared.fixed)
 
     def __getitem__(self, name: str) -> Any:
         """Return the value of a parameter.
@@ -175,7 +175,7 @@ class RTAC(eqx.Module):
         Raises:
             KeyError: there is none of that name.
         """
-        if name not in _declared_of(self):
+        if name not in declared_of(self):
             raise KeyError(f"no parameter is called {name}; this model has {', '.join(self.parameters)}.")
         owner, _, field = name.rpartition(".")
         return getattr(self.effects[self.ids.index(owner)] if owner else self.body, field)
@@ -186,14 +186,14 @@ class RTAC(eqx.Module):
             return self
         # By places among the leaves: `eqx.tree_at` would look for them at every call, which studies make by the thousand.
         leaves, structure = jax.tree.flatten(self)
-        for place, value in zip(_places_of(structure, tuple(values)), values.values(), strict=True):
+        for place, value in zip(places_of(structure, tuple(values)), values.values(), strict=True):
             leaves[place] = as_value(value)
         return jax.tree.unflatten(structure, leaves)
 
     def fix(self, *names: str) -> "RTAC":
         """Return the model with these parameters held at their values."""
         leaves, structure = jax.tree.flatten(self)
-        return jax.tree.unflatten(_fixed(structure, frozenset(names)), leaves)
+        return jax.tree.unflatten(with_fixed(structure, frozenset(names)), leaves)
 
     def release(self, *names: str) -> "RTAC":
         """Return the model with these parameters estimated."""
@@ -376,27 +376,6 @@ class RTAC(eqx.Module):
         return own
 
 
-# No methods: equinox makes an object of its own whenever it is asked for a method, which takes longer than what they do.
-def _declared_of(model: RTAC) -> Mapping[str, Declaration]:
-    return _declared_by(type(model.body), tuple((effect.id, type(effect)) for effect in model.effects))
-
-
-@functools.lru_cache(maxsize=1024)
-def _declared_by(body: type, effects: tuple[tuple[str, type], ...]) -> Mapping[str, Declaration]:
-    found = dict(declarations(body))
-    for name, effect in effects:
-        found |= {f"{name}.{field}": declared for field, declared in declarations(effect).items()}
-    return types.MappingProxyType(found)
-
-
-@functools.lru_cache(maxsize=256)
-def _fixed(structure: Any, names: frozenset[str]) -> Any:
-    """Return the structure of a model with these parameters fixed besides; to check a model of it once is enough."""
-    model = jax.tree.unflatten(structure, [0.0] * structure.num_leaves)
-    fixed = RTAC(model.body, model.effects, model.fixed | names, model.per_experiment, model.priors)
-    return jax.tree.structure(fixed)
-
-
 # A model holds arrays of the precision in which it was made.
 @functools.lru_cache(maxsize=16)
 def _paper_parts(moves: frozenset[str], precision: Any) -> "RTAC":
@@ -405,10 +384,3 @@ def _paper_parts(moves: frozenset[str], precision: Any) -> "RTAC":
         paper = RTAC.paper()
     ids = {name for part in moves for name in _FRICTION[part]}
     return paper.without(*(set(paper.ids) - ids))
-
-
-@functools.lru_cache(maxsize=256)
-def _places_of(structure: Any, names: tuple[str, ...]) -> tuple[int, ...]:
-    """Return where these parameters stand among the leaves of a model of this structure."""
-    model = jax.tree.unflatten(structure, range(structure.num_leaves))
-    return tuple(model[name] for name in names)

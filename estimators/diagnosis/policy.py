@@ -7,13 +7,13 @@ from estimators.inference.simulation_residual import SimulationLimits
 from estimators.misspecification.findings import CriticalValues
 from estimators.prediction_error.colour_limits import ColourLimits
 
-VERSION = 8
+VERSION = 9
 """Of the standard policy: counts up when a threshold comes, goes or changes."""
 
 _PROTOTYPE = "prototype study of 42 cases a setting"
 _UNSTUDIED = "set when the rule was added; never studied by itself"
 _FRACTIONS = (
-    "removed", "static", "close", "line_left", "chance", "level", "known", "consequence", "colour_little", "unfollowed",
+    "removed", "static", "close", "chance", "level", "known", "consequence", "colour_little", "unfollowed",
 )  # fmt: skip
 
 
@@ -56,11 +56,6 @@ class DiagnosisPolicy:
         0.3,
         "fraction of the best score within which a candidate is refitted too",
         _PROTOTYPE,
-    )
-    line_left: float = _threshold(
-        0.02,
-        "fraction of the gain of an effect without an alarm that may be left in a spectral line",
-        "a mode that followed a vibration of the floor left 9 %, a backlash 0.4 %",
     )
     consequence: float = _threshold(
         0.01,

@@ -16,7 +16,6 @@ from estimators.misspecification.adequacy import (
     Candidate,
     adequacy_tests,
     alarming,
-    line_left,
     overshadowing,
     suspects,
 )
@@ -140,13 +139,11 @@ def hidden(laboratory: Laboratory, found: Selection, policy: DiagnosisPolicy) ->
     Where the innovations are far from white, what is alike in every second tells more than what is large. What the predictor
     could not show at all beside its random forces is among them, and the largest of it is tried: it may be what they stand for.
     """
-    effects, masked = laboratory.facts.effects, set(laboratory.facts.untestable)
+    masked = set(laboratory.facts.untestable)
     large = by_size(laboratory.quiet_scores(found.base), math.log(laboratory.facts.samples))
     alike = sorted(large, key=_consistency, reverse=True)
-    # What works by contact shows nowhere until the filter follows it.
-    contacts = [s for s in large if effects[s.id].contact]
     stood_for = [s for s in large if s.id in masked]
-    ranked = list({s.id: s for s in (*alike[:1], *large[:1], *contacts, *stood_for[:1])}.values())
+    ranked = list({s.id: s for s in (*alike[:1], *large[:1], *stood_for[:1])}.values())
     return _Look(ranked, [], "thorough")
 
 
@@ -158,9 +155,7 @@ def second_looks(laboratory: Laboratory, found: Selection, policy: DiagnosisPoli
         laboratory.say("what raised no alarm")
         again, more = improvements(laboratory, found.base, found.findings, policy, look(laboratory, found, policy))
         found = dataclasses.replace(found, tried=more | found.tried)
-        count = named(again, found.tests, laboratory.facts.samples, policy)[1]
-        # A mode without damping can follow a vibration from outside, but for the line that this leaves.
-        if count and line_left(again[count - 1].left) <= policy.line_left * again[0].gain:
+        if named(again, found.tests, laboratory.facts.samples, policy)[1]:
             return dataclasses.replace(found, steps=again, tried=found.tried | more)
     return found
 
@@ -216,7 +211,7 @@ def _next_step(
     policy: DiagnosisPolicy,
     look: _Look | None,
 ) -> Step | None:
-    """Refit a model with its suspects and return the best that leaves no large line; add all of them to those that were tried."""
+    """Refit a model with its suspects and return the best; add all of them to those that were tried."""
     price = math.log(laboratory.facts.samples)
     if look is not None:
         way, ranked, near, above = look.way, look.ranked, look.near, []
@@ -243,15 +238,11 @@ def _next_step(
     for i, model in models.items():
         tried.setdefault(i, (now, model))
     laboratory.say("what is left")
-    while (step := chosen(laboratory, now, several, policy)) is not None:
-        left = laboratory.findings(step.model)
-        if left is None:
-            return None
-        tests = adequacy_tests(left, policy.critical)
-        if not any(s.id == step.id for s in above) or line_left(tests) <= policy.line_left * step.gain:
-            return dataclasses.replace(step, left=tests)
-        del several[step.id]
-    return None
+    step = chosen(laboratory, now, several, policy)
+    left = None if step is None else laboratory.findings(step.model)
+    if step is None or left is None:
+        return None
+    return dataclasses.replace(step, left=adequacy_tests(left, policy.critical))
 
 
 def _beside(laboratory: Laboratory, now: FittedModel, seen: Findings, policy: DiagnosisPolicy) -> list[Score]:

@@ -81,14 +81,6 @@ def suspects(screened: Sequence[Candidate], tests: Sequence[AdequacyTest], criti
     return [s for s in screened if s.statistic >= critical.alarm]
 
 
-def line_left(tests: Sequence[AdequacyTest]) -> float:
-    """Return the excess beyond chance of a spectral line that neither input nor state explains.
-
-    Zero where no test of a line rejects.
-    """
-    return max((test.excess for test in tests if test.test == "spectral line" and test.rejects), default=0.0)
-
-
 def few_for(s: Scored, stretches: int, tried: int, critical: CriticalValues) -> bool:
     """Return whether a candidate is large by the model's variance, and so few stretches of time could not confirm it."""
     return critical.alarm <= s.statistic < critical.of_few(stretches, tried)

@@ -3,6 +3,7 @@
 import itertools
 
 from rtac_jax.effects import CATALOGUE
+from rtac_jax.effects.one_sided_spring import GROSS
 
 NOTHING = "nothing"
 
@@ -25,7 +26,7 @@ def outcome(hidden: str, verdict: str, named: str) -> str:
         for some in itertools.permutations(truth, fewer)
         for order in itertools.combinations(groups, fewer)
     )
-    if matched < fewer or not set(truth) <= set(CATALOGUE):
+    if matched < fewer or not set(truth) <= {*CATALOGUE, *GROSS}:
         return "wrong"
     if len(groups) > len(truth):
         return "right and more"

@@ -8,7 +8,7 @@ from scipy.signal import lfilter
 
 from estimators.core.data import Data
 from estimators.diagnosis.policy import DiagnosisPolicy
-from estimators.misspecification.adequacy import AdequacyTest, adequacy_tests, line_left, overshadowing, suspects
+from estimators.misspecification.adequacy import AdequacyTest, adequacy_tests, overshadowing, suspects
 from estimators.misspecification.findings import CriticalValues, Findings, Score, StaticForce
 from estimators.misspecification.line_classes import line_classes, period
 from estimators.misspecification.replication_test import repeat_test
@@ -357,14 +357,6 @@ def test_what_is_larger_than_all_that_alarms_is_not_passed_over_for_it() -> None
     other_shape = one("lvdt_gain", 3000.0, 0.02)
     assert overshadowing([ripple, mode, gain, other_shape], CRITICAL) == [ripple]
     assert overshadowing([ripple, mode], CRITICAL) == []
-
-
-def test_only_a_line_that_rejects_is_left() -> None:
-    def line(p_value: float) -> AdequacyTest:
-        return AdequacyTest("spectral line", p_value, 128.0, 0.002, "")
-
-    assert line_left([line(1e-18), AdequacyTest("static force", 1e-9, 400.0, 0.002, "")]) == 128.0
-    assert line_left([line(0.1)]) == 0.0
 
 
 def test_a_large_candidate_that_raises_no_alarm_keeps_its_own_p_value() -> None:

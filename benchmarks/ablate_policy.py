@@ -108,6 +108,8 @@ _OFF: dict[str, dict[str, float]] = {
     "simulation_noise: the simulation's error is asked (never)": {"simulation_noise": math.inf},
     "simulation_poor: of a poor simulation (never)": {"simulation_poor": math.inf},
     "random_large: random forces in place of physics (never)": {"random_large": math.inf},
+    "level: no test of adequacy rejects (0)": {"level": 0.0},
+    "gross_random: what is named beside a poor fit must be followed (never)": {"gross_random": math.inf},
 }
 
 

@@ -1,5 +1,6 @@
 """Files of models: the same bits come back, and whatever is wrong with a file is one sentence."""
 
+import dataclasses
 import importlib
 import json
 from pathlib import Path
@@ -10,11 +11,14 @@ import numpy as np
 import pytest
 from users_effects import MagneticSpring
 
+import estimators as est
 import rtac_jax as rtac
+from estimators.linear.homogeneity_test import Trend
 from rtac_jax.effects import CATALOGUE, CubicSpring, FlexibleMode, Force, SplineForce
 from rtac_jax.parameters import declarations
 from rtac_jax.storage import _file
-from rtac_jax.storage._decoding import MOVED
+from rtac_jax.storage._decoding import MOVED, RENAMED, Decoder
+from rtac_jax.storage._encoding import KIND
 
 KEPT = Path(__file__).parents[2] / "data" / "model_version_1.h5"
 
@@ -210,3 +214,25 @@ def test_a_record_that_moved_is_where_files_of_before_look_for_it(old, new):
     module, _, name = new.rpartition(".")
     assert getattr(importlib.import_module(module), name).__module__ == module
     assert old != new
+
+
+def test_a_field_that_was_renamed_is_read_by_its_old_name():
+    """As a file of before names it; in Python the old name warns."""
+    trend = Trend("angle", 0.2, 0.1, 0.75, 0.01)
+    fields = {field.name: getattr(trend, field.name) for field in dataclasses.fields(trend)}
+    fields["share"] = fields.pop("fraction")
+    decoder = Decoder(np.zeros, ("estimators",), (), "")
+    made = decoder.decode({KIND: "record", "type": f"{Trend.__module__}.Trend", "fields": fields})
+    assert made == trend
+    with pytest.warns(DeprecationWarning, match="Trend.share is called fraction now"):
+        assert made.share == trend.fraction
+
+
+@pytest.mark.parametrize(("record", "old", "new"), [(*key, new) for key, new in RENAMED.items()])
+def test_the_old_name_of_a_field_is_no_field(record, old, new):
+    found = getattr(est, record, Trend)
+    names = {field.name for field in dataclasses.fields(found)}
+    assert found.__name__ == record
+    assert new in names
+    assert old not in names
+    assert isinstance(getattr(found, old), property)

@@ -94,6 +94,14 @@ def without_look(name: str) -> Judge:
     return with_patch(stepwise_selection, name, lambda *found: dataclasses.replace(look(*found), ranked=[], near=[]))
 
 
+def _without_traits(trait: str, value: object) -> Judge:
+    def told(evidence: Evidence) -> Told:
+        effects = {i: dataclasses.replace(t, **{trait: value}) for i, t in evidence.facts.effects.items()}
+        return by_policy()(dataclasses.replace(evidence, facts=dataclasses.replace(evidence.facts, effects=effects)))
+
+    return told
+
+
 _OFF: dict[str, dict[str, float]] = {
     "removed: nearly everything must go (0)": {"removed": 0.0},
     "bic_gain (0)": {"bic_gain": 0.0},
@@ -126,6 +134,7 @@ def rules() -> dict[str, Judge]:
     found["what overshadows the alarms is tried"] = with_patch(stepwise_selection, "overshadowing", lambda *_: [])
     found["second look: large, but at a few instants"] = without_look("unalarmed")
     found["second look: what random forces may hide"] = without_look("hidden")
+    found["contacts are tried however little they show"] = _without_traits("contact", False)
     found["a shape that ran away gives way"] = with_patch(FittedModel, "leaves_free", lambda *_: False)
     found["too few data: a suspect vetoes"] = with_patch(verdict, "few_for", lambda *_: False)
     return found

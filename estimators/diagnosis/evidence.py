@@ -20,11 +20,13 @@ class EffectTraits:
     """The traits of a class of effects that the selection asks for.
 
     Attributes:
+        contact: whether it acts by contact.
         contains: ids of effects that it contains.
         presupposes: ids of effects beside which it stands.
         resembles: ids of effects that change the motion as it does, whatever their size.
     """
 
+    contact: bool = False
     contains: tuple[str, ...] = ()
     presupposes: tuple[str, ...] = ()
     resembles: tuple[str, ...] = ()

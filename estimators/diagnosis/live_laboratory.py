@@ -275,4 +275,6 @@ def facts_of(setting: Setting, fit: Fit) -> Facts:
 
 def traits(effect: type[Effect]) -> EffectTraits:
     """Return what a selection asks of a class of effects."""
-    return EffectTraits(tuple(effect.contains), tuple(effect.presupposes), tuple(effect.resembles))
+    return EffectTraits(
+        bool(effect.acts_by_contact), tuple(effect.contains), tuple(effect.presupposes), tuple(effect.resembles)
+    )

@@ -139,11 +139,13 @@ def hidden(laboratory: Laboratory, found: Selection, policy: DiagnosisPolicy) ->
     Where the innovations are far from white, what is alike in every second tells more than what is large. What the predictor
     could not show at all beside its random forces is among them, and the largest of it is tried: it may be what they stand for.
     """
-    masked = set(laboratory.facts.untestable)
+    effects, masked = laboratory.facts.effects, set(laboratory.facts.untestable)
     large = by_size(laboratory.quiet_scores(found.base), math.log(laboratory.facts.samples))
     alike = sorted(large, key=_consistency, reverse=True)
+    # What works by contact shows nowhere until the filter follows it.
+    contacts = [s for s in large if effects[s.id].contact]
     stood_for = [s for s in large if s.id in masked]
-    ranked = list({s.id: s for s in (*alike[:1], *large[:1], *stood_for[:1])}.values())
+    ranked = list({s.id: s for s in (*alike[:1], *large[:1], *contacts, *stood_for[:1])}.values())
     return _Look(ranked, [], "thorough")
 
 

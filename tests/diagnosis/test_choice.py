@@ -152,18 +152,30 @@ QUIET = (
 
 
 def test_what_random_forces_hide_is_tried_in_this_order() -> None:
-    """First what is most alike in every second, then what is largest."""
+    """First what is most alike in every second, then what is largest, then what works by contact."""
     search = Late(known(base=0.0))
     search.quiet = QUIET
     look = hidden(search, selected(search, FORCE), STANDARD)
-    assert [s.id for s in look.ranked] == ["lvdt_lag", "end_stop"]
+    assert [s.id for s in look.ranked] == ["lvdt_lag", "end_stop", "backlash"]
     assert list(look.near) == []
     # What could not be shown at all beside random forces that stand for it is what they hide; the largest of it comes too.
     search.facts = dataclasses.replace(search.facts, untestable=("end_stop",))
-    assert [s.id for s in hidden(search, selected(search, FORCE), STANDARD).ranked] == ["lvdt_lag", "end_stop"]
+    assert [s.id for s in hidden(search, selected(search, FORCE), STANDARD).ranked] == [
+        "lvdt_lag",
+        "end_stop",
+        "backlash",
+    ]
     search.facts = dataclasses.replace(search.facts, untestable=("saturation", "flexible_shaft"))
     ranked = [s.id for s in hidden(search, selected(search, FORCE), STANDARD).ranked]
-    assert ranked == ["lvdt_lag", "end_stop", "flexible_shaft"]
+    assert ranked == ["lvdt_lag", "end_stop", "backlash", "flexible_shaft"]
+
+
+def test_what_works_by_contact_is_tried_however_little_it_shows() -> None:
+    search = Late(known(base=0.0))
+    search.quiet = (*(one for one in QUIET if one[0] != "backlash"), ("backlash", 1.0, 1.0))
+    look = hidden(search, selected(search, FORCE), STANDARD)
+    ranked = [s.id for s in look.ranked]
+    assert ranked == ["lvdt_lag", "end_stop", "backlash"]
 
 
 def test_what_overshadows_the_alarms_is_chosen_where_it_gains_most() -> None:

@@ -44,7 +44,8 @@ def output_error(
     counted beside the measurements, so that constants are estimated and standard deviations count their uncertainty.
 
     The first start is the closed form, the second the values of the model itself, further ones are drawn around the first.
-    From each it goes by one-step-ahead predictions with ever weaker correction to the free simulation.
+    From each it goes by one-step-ahead predictions with ever weaker correction to the free simulation; from the model's own
+    values without, where its simulation follows the motion already.
 
     Args:
         model: gives the free parameters and the values of the second start.

@@ -36,7 +36,7 @@ _CORRECTION = (0.3, 0.03)
 # noise of every channel or, where its values were given, this fraction of the motion: predictions hardly show a mode near its
 # true frequency, which simulations do. From ten modes 1 to 20 % off in frequency, whose simulations left 4 to 24 % of the motion,
 # the simulation led to the true one each time, predictions 4 times. With an effect missing either may be left behind by the other.
-_GUIDED, _FOLLOWED = 5.0, 0.25
+_NEAR_NOISE, _NEAR_MOTION = 5.0, 0.25
 # An experiment begins at rest where that leaves less than this fraction of what is left from where its first samples begin.
 _AT_REST = 0.5
 # An arm whose angle nobody tells is begun elsewhere where that leaves less than this fraction of an experiment's squares.
@@ -122,10 +122,10 @@ class Descent:
         parts = horizons(Arguments(model, self.data, space, whitener, nothing, substeps), unknowns)
         deviation = self._deviation(model, space, unknowns, substeps, noise)
         # A start whose free simulation is near already, as after adding what a diagnosis found, needs no guidance.
-        if np.all(deviation < _GUIDED * noise):
+        if np.all(deviation < _NEAR_NOISE * noise):
             return self._ended(model, space, unknowns, substeps, noise, best)
         end = None
-        if given and np.all(deviation < np.maximum(_GUIDED * noise, _FOLLOWED * self._motion())):
+        if given and np.all(deviation < np.maximum(_NEAR_NOISE * noise, _NEAR_MOTION * self._motion())):
             end = self._ended(model, space, unknowns, substeps, noise, best)
             if end.solved.converged:
                 return end

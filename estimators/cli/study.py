@@ -94,7 +94,8 @@ def list_studies(
         for place in studies_in(folder):
             found = _finished(place)
             lines.append(f"{place}: {found.ending} {found.spec.question}".strip())
-        for file in sorted(folder.glob("*.toml")):
+        # Those that come with the package stand in a folder of their own.
+        for file in sorted([*folder.glob("*.toml"), *folder.glob("studies/*.toml")]):
             try:
                 spec = est.StudySpec.load(file)
             except SpecError:

@@ -166,6 +166,12 @@ class LinearModel:
         return 100 * float(1 - np.linalg.norm(error) / np.linalg.norm(self.output[here] - np.mean(self.output[here])))
 
     @property
+    def undamped(self) -> bool:
+        """Return whether only the bound on stability keeps a mode, which then stands for noise."""
+        poles: Any = self.poles
+        return bool(np.min(np.abs(poles.real) / np.abs(poles)) < _UNDAMPED)
+
+    @property
     def verdict(self) -> str:
         """Return the verdict of the residual tests, and what else is wrong with the fit."""
         said = self.residuals.verdict(self.structure.noise > 0)
@@ -173,8 +179,7 @@ class LinearModel:
             said += f"; the data leave {self.undetermined} combination(s) of unknowns free: fewer modes or noise_order would do"
         elif not self.converged:
             said += "; the fit did not come to rest, so compare it with another start"
-        poles: Any = self.poles
-        if np.min(np.abs(poles.real) / np.abs(poles)) < _UNDAMPED:
+        if self.undamped:
             said += "; a mode is held by the bound on stability alone: it stands for noise, and fewer modes would do, or the plant "
             said += "is not stable"
         return said

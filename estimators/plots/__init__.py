@@ -32,6 +32,7 @@ from estimators.plots.profile import plot_profile
 from estimators.plots.recording import plot_recording
 from estimators.plots.residuals import plot_residuals
 from estimators.plots.study import plot_confusions, plot_coverage, plot_envelopes, plot_estimates, plot_pairs
+from estimators.plots.study_bode import plot_bode_bands
 from estimators.plots.table1 import plot_table_1
 from estimators.plots.where import plot_where
 from estimators.prediction_error.fit import PredictorFit
@@ -86,6 +87,7 @@ def _(result: StudyResults, which: str) -> Any:
         "pairs": plot_pairs,
         "confusion": plot_confusions,
         "envelopes": plot_envelopes,
+        "bode": plot_bode_bands,
     }[which](result)
 
 
@@ -95,6 +97,7 @@ __all__ = [
     "plot_bands",
     "plot_batch",
     "plot_bode",
+    "plot_bode_bands",
     "plot_closed_loop",
     "plot_comparison",
     "plot_confusion",

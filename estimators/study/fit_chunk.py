@@ -31,14 +31,14 @@ QUANTITIES: Mapping[str, tuple[str, ...]] = {
     "weak_form": (),
     "output_error": ("residual",),
     "prediction_error_nonlinear": ("residual", "force_noise", "torque_noise"),
-    "prediction_error": (),
+    "prediction_error": ("undamped",),
     "envelope": ("stated", "confidence", "inside", "largest_gap", "excess_db"),
     "diagnosis": ("residual", "removed", "likeness"),
 }
 """Numbers that a method gives besides parameters: largest residual over noise; random force and torque as spectral densities;
-the probability that an envelope states, with which confidence, the fraction of new conditions inside, its largest model error and
-how far it lies above it; the fraction of misfit that named effects remove, and how much the hidden effect looks like its nearest
-rival."""
+how many conditions were left out as only the bound on stability keeps a mode there; the probability that an envelope states, with
+which confidence, the fraction of new conditions inside, its largest model error and how far it lies above it; the fraction of
+misfit that named effects remove, and how much the hidden effect looks like its nearest rival."""
 
 
 def fit_chunk(estimate: Estimate, chunk: Sequence[Prepared], start: str) -> list[Outcome | str]:
@@ -148,20 +148,31 @@ def _prediction_error_nonlinear(prepared: Prepared, options: Mapping[str, Any], 
 
 
 def _prediction_error(prepared: Prepared, options: Mapping[str, Any], start: str) -> Outcome:
-    """Return the mean over the conditions of a repetition, each counting by its stated precision."""
+    """Return the mean over the conditions of a repetition, each counting by its stated precision, with its scatter over them.
+
+    A condition in which only the bound on stability keeps a mode tells of noise, and is left out.
+
+    Raises:
+        ValueError: fewer than two conditions are left.
+    """
     recording = prepared.recording
     angle = all("arm_angle" in e.outputs for e in recording if e.kind == "forced")
     model = None if angle else output_error(prepared.model, recording, progress=False).model
     found = prediction_error(recording, model=model, progress=False, **dict(options))
+    kept = [one for one in found.models if not one.undamped]
+    if len(kept) < 2:
+        raise ValueError(f"in {len(found.models) - len(kept)} of {len(found.models)} conditions a mode has no damping.")
     values = {}
     for name in LINEAR:
         own = next(n for n in found.models[0].names if n.startswith(name))  # of the first mode, where there are several
         place = found.models[0].names.index(own)
-        each = np.array([one.values[place] for one in found.models])
-        stds = np.array([one.std[place] for one in found.models])
-        weights = 1 / stds**2
-        values[name] = Value(float(np.sum(weights * each) / np.sum(weights)), float(1 / np.sqrt(np.sum(weights))))
-    return Outcome(values, verdict="converged" if all(one.converged for one in found.models) else "not converged")
+        each = np.array([one.values[place] for one in kept])
+        weights = 1 / np.array([one.std[place] for one in kept]) ** 2
+        mean, freedom = float(np.average(each, weights=weights)), len(kept) - 1
+        scatter = np.sum((weights * (each - mean)) ** 2) * len(kept) / freedom
+        values[name] = Value(mean, float(np.sqrt(scatter) / np.sum(weights)), float(freedom))
+    quantities = {"undamped": float(len(found.models) - len(kept))}
+    return Outcome(values, quantities, "converged" if all(one.converged for one in kept) else "not converged")
 
 
 def _envelope(prepared: Prepared, options: Mapping[str, Any], start: str) -> Outcome:

@@ -118,7 +118,7 @@ class StudyResults(Kept):
         return tables.text(self)
 
     def plot(self, which: str | None = None) -> Any:
-        """Return a picture: "estimates", "coverage", "pairs", "confusion" or "envelopes"; by default the first that suits.
+        """Return a picture: "estimates", "coverage", "pairs", "bode", "confusion" or "envelopes".
 
         Raises:
             ValueError: the study has no such picture.

@@ -18,7 +18,7 @@ from estimators.study.layout import Arrays
 from estimators.study.repetition import Repetitions
 from estimators.study.results import StudyResults
 from estimators.study.spec import StudySpec
-from estimators.study.storage import Storage
+from estimators.study.storage import Storage, description_in
 from estimators.study.work import Work
 from rtac_jax import configure, require_configured
 
@@ -63,8 +63,22 @@ def study(
     described = spec if isinstance(spec, StudySpec) else StudySpec.load(spec)
     require_configured()
     work = Repetitions(described)
-    indices, arrays = repeated(work, described.to_toml(), executor=executor, out=out, chunk=chunk, progress=progress)
+    text = _description(described, out)
+    indices, arrays = repeated(work, text, executor=executor, out=out, chunk=chunk, progress=progress)
     return StudyResults(described, indices, work.layout, arrays)
+
+
+def _description(spec: StudySpec, out: str | os.PathLike[str] | None) -> str:
+    """Return what is kept beside the results: of the study in the folder, where it is the same and longer."""
+    if out is not None:
+        try:
+            text = description_in(out)
+            there = StudySpec.from_toml(text)
+        except (OSError, ValueError):
+            return spec.to_toml()
+        if there.digest == spec.digest and there.repetitions > spec.repetitions:
+            return text
+    return spec.to_toml()
 
 
 def repeated(

@@ -36,7 +36,7 @@ Method = Literal[
 Statistic = Literal["estimate", "std", "consistency", "quantities"]
 STATISTICS: tuple[Statistic, ...] = ("estimate", "std", "consistency", "quantities")
 
-_FORMAT = 2  # of what a repetition keeps: raised when the same study would give other numbers
+_FORMAT = 3  # of what a repetition keeps: raised when the same study would give other numbers
 
 
 @dataclasses.dataclass(frozen=True)

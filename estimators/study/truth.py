@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from estimators.study.declarative import SpecError
 from estimators.study.spec import Excitation, Hidden, StudySpec, parameter_names
@@ -78,6 +79,10 @@ EFFECT_FIELD: Mapping[str, str] = {
 
 RATIOS: Mapping[str, str] = {"(M+m)/k": "total_mass", "v/k": "cart_viscous.coefficient", "d/k": "cart_coulomb.level"}
 """Table 1(a): what of the model is divided by the spring's stiffness."""
+
+
+LINEARISED = tuple(name for name in FIELD_OF if name not in ("cart_coulomb.level", "torque_constant"))
+"""The parameters of equation (4), from torque to position."""
 
 
 class Streams(NamedTuple):
@@ -178,18 +183,25 @@ def _true_model(spec: StudySpec, factors: dict[str, float], given: dict[str, Any
     return model.with_values(drawn), {name: float(value) for name, value in {**paper, **drawn}.items()}
 
 
+def small_motion(
+    values: Mapping[str, float],
+) -> tuple[Float[np.ndarray, "state state"], Float[np.ndarray, "state state"]]:
+    """Return E and F of E x' = F x for small motions about theta = 0 without dry friction: equation (4).
+
+    The states are the cart's position and velocity and the arm's velocity:
+    (M+m) q'' + v q' + k q + me w' = 0 and J w' + K_v w + me q'' = 0.
+    """
+    moment, drag = values["eccentric_moment"], 0.5 * (values["arm_viscous.positive"] + values["arm_viscous.negative"])
+    inertias = [[1.0, 0.0, 0.0], [0.0, values["total_mass"], moment], [0.0, moment, values["arm_inertia"]]]
+    damping = values["cart_viscous.coefficient"]
+    forces = [[0.0, 1.0, 0.0], [-values["spring_stiffness"], -damping, 0.0], [0.0, 0.0, -drag]]
+    return np.array(inertias), np.array(forces)
+
+
 def _derived(values: Mapping[str, float]) -> dict[str, float]:
-    """Ratios of Table 1(a), and the resonance of small motions about theta = 0 without dry friction: equation (4)."""
+    """Return ratios of Table 1(a), and the resonance of small motions about theta = 0 without dry friction: equation (4)."""
     ratios = {name: values[of] / values["spring_stiffness"] for name, of in RATIOS.items()}
-    mass, stiffness = values["total_mass"], values["spring_stiffness"]
-    moment, inertia = values["eccentric_moment"], values["arm_inertia"]
-    damping, drag = (
-        values["cart_viscous.coefficient"],
-        0.5 * (values["arm_viscous.positive"] + values["arm_viscous.negative"]),
-    )
-    # (M+m) q'' + v q' + k q + me w' = 0 and J w' + K_v w + me q'' = 0
-    inertias = np.array([[1.0, 0.0, 0.0], [0.0, mass, moment], [0.0, moment, inertia]])
-    forces = np.array([[0.0, 1.0, 0.0], [-stiffness, -damping, 0.0], [0.0, 0.0, -drag]])
+    inertias, forces = small_motion(values)
     poles = np.linalg.eigvals(np.linalg.solve(inertias, forces))
     pair = poles[np.argmax(poles.imag)]
     return ratios | {"natural frequency": float(abs(pair)), "damping ratio": float(-pair.real / abs(pair))}

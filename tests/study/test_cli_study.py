@@ -35,6 +35,10 @@ def test_a_study_is_run_shown_and_listed(tmp_path):
         f"{out}: 5 of 5 repetitions; none failed. Does it run?",
         f"{tmp_path / 'little.toml'}: 3 repetitions. Does it run?",
     ]
+    ready = tmp_path / "project" / "studies" / "little.toml"
+    ready.parent.mkdir(parents=True)
+    small(repetitions=3, question="Does it run?").save(ready)
+    assert call("study", "list", tmp_path / "project").stdout == f"{ready}: 3 repetitions. Does it run?\n"
 
 
 def test_wrong_use_is_refused_in_one_sentence(tmp_path):

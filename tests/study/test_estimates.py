@@ -4,6 +4,7 @@ import csv
 import dataclasses
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,8 +13,12 @@ from small_study import small
 import estimators as est
 from estimators.study import Estimate, Excitation, Fitted, Hidden, Noise, Plant, StudyResults, fit_chunk
 from estimators.study.naming import outcome
+from estimators.study.outcome import Prepared
+from estimators.study.recordings import recordings
 from estimators.study.repetition import layout_of
 from estimators.study.statistics import clopper_pearson
+from estimators.study.truth import true_for
+from rtac_jax import RTAC
 
 QUIET = {"progress": False}
 DECAYS = Excitation(duration=2.0, free=2, forced=0, rest=1)
@@ -216,3 +221,35 @@ def test_the_ready_studies_are_read():
         assert spec.name == file.stem
         assert spec.question.endswith("?")
         assert dataclasses.replace(spec, repetitions=1).digest == spec.digest
+
+
+def test_conditions_whose_mode_has_no_damping_do_not_count(monkeypatch):
+    """Of a mode that only the bound on stability keeps next to no deviation is stated: weighed by it, nothing else counted."""
+    plain = np.array([10.4, 10.6, 10.5]), np.array([0.020, 0.024, 0.023])
+    stds = np.array([[0.05, 0.1, 0.05], [0.002, 0.004, 0.002]])
+
+    def model(number: int | None) -> SimpleNamespace:
+        names = ("natural frequency [rad/s]", "damping ratio")
+        if number is None:
+            return SimpleNamespace(names=names, values=(9.0, 4e-15), std=(1e-3, 1e-16), undamped=True, converged=True)
+        values, std = (plain[0][number], plain[1][number]), stds[:, number]
+        return SimpleNamespace(names=names, values=values, std=std, undamped=False, converged=True)
+
+    spec = small()
+    truth = true_for(spec, 0)
+    (recording,) = recordings(spec, [0], [truth])
+    prepared = Prepared(RTAC.paper(), recording, truth)
+    found = SimpleNamespace(models=[model(0), model(None), model(1), model(2)])
+    monkeypatch.setattr(fit_chunk, "prediction_error", lambda *_, **__: found)
+    outcome = fit_chunk._METHODS["prediction_error"](prepared, {}, "paper")
+    for row, name in enumerate(fit_chunk.LINEAR):
+        weights = stds[row] ** -2
+        mean = np.sum(weights * plain[row]) / np.sum(weights)
+        assert outcome.values[name].value == pytest.approx(mean)
+        assert outcome.values[name].freedom == 2
+        # By the scatter over conditions, whatever each states.
+        assert 0.3 * np.std(plain[row]) < outcome.values[name].std < 1.5 * np.std(plain[row])
+    assert outcome.quantities == {"undamped": 1.0}
+    found.models = [model(0), model(None)]
+    with pytest.raises(ValueError, match="in 1 of 2 conditions a mode has no damping"):
+        fit_chunk._METHODS["prediction_error"](prepared, {}, "paper")

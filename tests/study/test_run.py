@@ -301,3 +301,10 @@ def test_the_excitation_and_what_is_hidden_take_turns():
     found = est.study(spec, **QUIET)
     assert list(found["excitation"].values) == ["a", "b", "a", "b"]
     assert list(found.select(excitation="b").index) == [1, 3]
+
+
+def test_fewer_repetitions_of_a_finished_study_leave_what_is_there(tmp_path, undisturbed):
+    est.study(small(), out=tmp_path, **QUIET)
+    fewer = est.study(small(repetitions=5), out=tmp_path, **QUIET)
+    assert len(fewer.index) == 5
+    assert same_bits(est.StudyResults.load(tmp_path), undisturbed)

@@ -17,7 +17,7 @@ from estimators.study.batched_fits import fit_together, suits
 from estimators.study.outcome import Outcome, Prepared, Value
 from estimators.study.recordings import NEW
 from estimators.study.spec import Estimate, StudySpec, options_for, parameter_names
-from estimators.study.truth import RATIOS, Truth
+from estimators.study.truth import RATIOS, Truth, the_paper
 from estimators.uncertainty.envelope import envelope
 from rtac_jax import RTAC
 from rtac_jax.effects import CATALOGUE
@@ -76,7 +76,8 @@ def model_for(spec: StudySpec, truth: Truth, recording: Recording) -> RTAC:
     if spec.model.start == "truth":
         known |= {name: truth.values[name] for name in model.free if name in truth.values}
     known |= {name: truth.values[name] for name in held if name in truth.values}
-    model = model.with_values(known)
+    begun = the_paper()[1]  # as `from_rig` has it, but for constants of the recording
+    model = model.with_values({n: v for n, v in known.items() if n in recording.rig or v != begun.get(n)})
     return model.fix(*held) if held else model
 
 

@@ -14,7 +14,7 @@ RIGID_STATES = {"cart_position": "m", "cart_velocity": "m/s", "arm_angle": "rad"
 
 @runtime_checkable
 class Moving(Protocol):
-    """What the equations ask of a model; `RTAC` says what each of these is."""
+    """A model, as far as the equations ask for it; `RTAC` says what each of these is."""
 
     @property
     def body(self) -> RigidBody:

@@ -205,9 +205,14 @@ def substeps_for(model: RTAC, excitation: Excitation, *, stability: float = 1.0,
         stability: step times fastest rate; classic Runge-Kutta is stable up to about 2.8.
         most: largest number of steps.
     """
-    longest = float(np.max(np.asarray(excitation.sample_time)))
     first = jax.tree.map(lambda leaf: np.ravel(leaf)[0], model)
     fastest = float(np.max(np.abs(np.linalg.eigvals(np.asarray(rate_jacobians(first))))))
+    return substeps_at(fastest, excitation, stability=stability, most=most)
+
+
+def substeps_at(fastest: float, excitation: Excitation, *, stability: float = 1.0, most: int = MOST_SUBSTEPS) -> int:
+    """Return what `substeps_for` does where the fastest rate [1/s] is known."""
+    longest = float(np.max(np.asarray(excitation.sample_time)))
     return int(np.clip(np.ceil(longest * fastest / stability), 1, most))
 
 

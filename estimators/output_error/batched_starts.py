@@ -25,8 +25,8 @@ def with_starts_of_first_samples(cases: Sequence[Case], *, substeps: int) -> lis
     """Return the cases with states at the start that fit the first third of the samples, at the parameters as they are.
 
     For cases that begin at the true parameters: a stiffness that is off by a tenth leads the starts astray, and a fit after them.
-    One Gauss-Newton step, which costs a third of a pass and saves a whole one. Where a
-    simulation diverges the starts are left. A case has the same bits in any company.
+    One Gauss-Newton step, which costs a third of a pass and saves a whole one. Where a simulation diverges the starts are left. A
+    case has the same bits in any company.
 
     Args:
         cases: of one kind.

@@ -16,8 +16,7 @@ from estimators.output_error.normal_equations import Columns, physical
 from estimators.output_error.side_by_side import places_for, side_by_side
 from rtac_jax import RTAC, Excitation
 from rtac_jax.programs import program
-from rtac_jax.simulation import MOST_SUBSTEPS as MOST_STABLE
-from rtac_jax.simulation import Steps, rate_jacobians, trajectories
+from rtac_jax.simulation import Steps, rate_jacobians, substeps_at, trajectories
 
 _TOGETHER = 32  # models whose rates are computed at once
 
@@ -60,8 +59,7 @@ def stable_substeps(models: Sequence[RTAC], excitations: Sequence[Excitation], *
             jacobians = np.asarray(_rate_jacobians(jax.tree.map(jnp.asarray, stacked)))[: len(here)]
             fastest = np.max(np.abs(np.linalg.eigvals(jacobians)), axis=(1, 2))
             for number, rate in zip(here, fastest, strict=True):
-                longest = np.max(np.asarray(excitations[number].sample_time))
-                counts[number] = int(np.clip(np.ceil(longest * rate / stability), 1, MOST_STABLE))
+                counts[number] = substeps_at(float(rate), excitations[number], stability=stability)
     return counts
 
 

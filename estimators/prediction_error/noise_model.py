@@ -1,4 +1,4 @@
-"""What is known of the noise before a fit: of sensors, random forces, and states at the start."""
+"""The noise as it is known before a fit: of sensors, random forces, and states at the start."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence

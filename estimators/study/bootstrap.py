@@ -109,7 +109,7 @@ def bootstrap(
     `prediction_error_nonlinear` random forces and sensor noise of the estimated sizes. It shows what linearising hid. "blocks" puts
     stretches of the residual in another order, so that it holds where the residual is coloured, or what is missing in the model
     acts alike everywhere. Of runs that are few blocks long it is too narrow: a residual has lost what the fit could take from it
-    (five runs of 3 s, blocks of half a second, white noise: 0.71 to 1.03 of the stated deviation; parametric 0.95 to 1.01).
+    (five runs of 3 s, blocks of half a second, white noise: 0.9 of the stated deviation, 0.68 at least; parametric 1.0).
     Constants that were measured with a standard deviation are measured again for each replicate.
 
     Args:

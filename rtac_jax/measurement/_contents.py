@@ -1,4 +1,4 @@
-"""What a recording holds, for what reads, writes and describes recordings: the class itself knows of all of these."""
+"""The contents of a recording, for readers, writers and descriptions, which the class itself imports."""
 
 from collections.abc import Mapping
 from typing import Protocol

@@ -1,0 +1,28 @@
+"""Fits that begin at values that somebody gave, near enough to be followed."""
+
+import dataclasses
+
+import pytest
+
+import estimators as est
+import rtac_jax as rtac
+from rtac_jax import virtual_rig
+
+
+@pytest.mark.parametrize("frequency", [45.0, 50.0])
+def test_a_mode_is_found_from_a_frequency_some_way_off(frequency: float) -> None:
+    """The simulation begins far above the noise, yet follows the motion; led by predictions it ended at 63 and 556 rad/s."""
+    rig = virtual_rig.Rig(
+        flexible_mass=0.12, flexible_frequency=37.4, flexible_damping=0.03, cart_coulomb=0.0, encoder=True
+    )
+    plans = virtual_rig.standard_plans(
+        seed=4, sample_time=0.005, duration=10.0, free=0, forced=3, rest=1, current_rms=0.05
+    )
+    quiet = dataclasses.replace(rig, position_noise=2e-6, quantisation_bits=16)
+    recording = virtual_rig.record(quiet, plans, seed=4)
+    model = rtac.RTAC.from_rig(recording).without("cart_coulomb")
+    without = est.output_error(model, recording, from_model=True, progress=False)
+    mode = rtac.effects.FlexibleMode(mass=0.06, frequency=frequency, damping=0.05)
+    found = est.output_error(without.model + mode, recording, from_model=True, progress=False).parameters
+    for name, true in (("mass", 0.12), ("frequency", 37.4), ("damping", 0.03)):
+        assert found[f"flexible_mode.{name}"].value == pytest.approx(true, rel=0.02)

@@ -1,6 +1,6 @@
 """A scan whose length the compiler does not know, so that recordings of many lengths run the same compiled code."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -25,7 +25,8 @@ def time_loop(
 ) -> tuple[Any, Any]:
     """Scan as `jax.lax.scan` does, over the first `samples` of the rows; all other results are zero.
 
-    Forward derivatives only.
+    Forward derivatives only. What is shown in arrays of one shape is kept in one array: of two of them XLA for processors
+    writes both by one loop, and copies one of them whole in every step.
 
     Args:
         step: from the carry and a row to the carry and what is shown.
@@ -41,9 +42,22 @@ def time_loop(
     def onward(k: Any, at: tuple[Any, Any]) -> tuple[Any, Any]:
         carry, shown = at
         carry, new = step(carry, row_at(k))
-        place = jax.lax.dynamic_update_index_in_dim
-        return carry, jax.tree.map(lambda all_of_it, one: place(all_of_it, one, k, 0), shown, new)
+        leaves = jax.tree.leaves(new)
+        together = [jnp.stack([leaves[place] for place in places]) for places in alike]
+        put = jax.lax.dynamic_update_index_in_dim
+        return carry, [put(all_of_it, one, k, 0) for all_of_it, one in zip(shown, together, strict=True)]
 
-    shapes = jax.eval_shape(step, carry, jax.eval_shape(row_at, 0))[1]
-    shown = jax.tree.map(lambda x: jnp.zeros((room, *x.shape), x.dtype), shapes)
-    return jax.lax.fori_loop(0, jnp.asarray(samples), onward, (carry, shown))
+    shapes, structure = jax.tree.flatten(jax.eval_shape(step, carry, jax.eval_shape(row_at, 0))[1])
+    alike = _alike(shapes)
+    shown = [jnp.zeros((room, len(places), *shapes[places[0]].shape), shapes[places[0]].dtype) for places in alike]
+    carry, shown = jax.lax.fori_loop(0, jnp.asarray(samples), onward, (carry, shown))
+    apart = {p: rows[:, i] for rows, places in zip(shown, alike, strict=True) for i, p in enumerate(places)}
+    return carry, jax.tree.unflatten(structure, [apart[place] for place in range(len(shapes))])
+
+
+def _alike(shapes: Sequence[jax.ShapeDtypeStruct]) -> list[list[int]]:
+    """Return the places of arrays of one shape and type, for each of them."""
+    found: dict[Any, list[int]] = {}
+    for place, one in enumerate(shapes):
+        found.setdefault((one.shape, one.dtype), []).append(place)
+    return list(found.values())

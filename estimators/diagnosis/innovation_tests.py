@@ -130,7 +130,7 @@ def screened_at_low_noise(setting: Setting, refit: Refit) -> list[Screened]:
     found = refit.predictor
     noise = low_process_noise(found.noise)
     prior = setting.prior.starting(refit.space)
-    passed = run_filter(refit.model, setting.data, refit.space, found.physical, prior, noise, setting.substeps).filtered
+    passed = run_filter(refit.model, setting.data, refit.space, found.physical, prior, noise, setting.substeps)
     quiet = dataclasses.replace(refit, predictor=dataclasses.replace(found, noise=noise, filtered=passed))
     probed = _innovations(setting, quiet, [], quiet.free)
     basis = orthonormal(probed.jacobian())

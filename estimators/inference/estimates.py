@@ -19,7 +19,7 @@ from estimators.linear.fit import LinearModels
 from estimators.linear.model_sets import Scale
 from estimators.linear.operating_conditions import conditions, stacked
 from estimators.linear.predictor import rows
-from estimators.prediction_error.filter_pass import all_trusted, filter_alone
+from estimators.prediction_error.filter_pass import all_trusted, run_filter
 from estimators.prediction_error.fit import PredictorFit
 from rtac_jax import RTAC
 from rtac_jax.measurement import Recording
@@ -138,7 +138,7 @@ def _predicted(fit: PredictorFit, here: Vector) -> Callable[[Outputs], Vector]:
     def again(values: Outputs) -> np.ndarray:
         a = with_outputs(problem, jnp.asarray(np.nan_to_num(values)))
         a = dataclasses.replace(a, data=all_trusted(a.data))
-        passed = filter_alone(a.model, a.data, space, physical, fit.prior, fit.noise_exponents, a.substeps)
+        passed = run_filter(a.model, a.data, space, physical, fit.prior, fit.noise_exponents, a.substeps)
         # Dry friction is shaken loose at other samples than in the recording.
         whitener = passed.whitener * (1.0 - passed.shaken)[:, None, None]
         a = dataclasses.replace(a, whitener=whitener, gain=passed.gain)

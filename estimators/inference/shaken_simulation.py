@@ -42,7 +42,7 @@ def simulation_deviation(
     """
     known = dataclasses.replace(prior, start_variance=jnp.zeros_like(prior.start_variance))
     ignored = dataclasses.replace(all_trusted(data), present=_IGNORED * data.present)
-    passed = run_filter(model, ignored, space, physical, known, noise, substeps).filtered
+    passed = run_filter(model, ignored, space, physical, known, noise, substeps)
     weights = np.moveaxis(np.diagonal(np.asarray(passed.whitener), axis1=1, axis2=2), -1, 1)
     present = np.asarray(data.present) > 0
     # The whitener's diagonal is the weight squared over the deviation.

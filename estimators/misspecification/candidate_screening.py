@@ -147,11 +147,13 @@ def _one_by_one(
     sound = np.isfinite(columns).all(axis=0)  # a candidate at its plausible size may make the model diverge
     columns[:, sound] -= basis @ (basis.T @ columns[:, sound])
     blocks = group.innovations.blocks()
+    stretches = len(np.unique(blocks))
     edges = np.cumsum([0, *(len(type(i).amplitudes()) for i in group.instances)])
 
     def one(place: int) -> Screened:
         instance, templates = group.instances[place], columns[:, edges[place] : edges[place + 1]].copy()
-        return _screened(instance, tuple(type(instance).amplitudes()), templates, error, basis, blocks, tried, critical)
+        names = tuple(type(instance).amplitudes())
+        return _screened(instance, names, templates, error, basis, blocks, critical.of_few(stretches, tried))
 
     return at_once(one, range(len(group.instances)))
 
@@ -185,8 +187,7 @@ def _screened(
     error: np.ndarray,
     basis: Float[np.ndarray, "row explained"],
     blocks: np.ndarray,
-    tried: int,
-    critical: CriticalValues,
+    alarm: float,
 ) -> Screened:
     declared = declarations(instance)
     if not np.all(np.isfinite(templates)):
@@ -195,7 +196,7 @@ def _screened(
     gram = templates.T @ templates
     size = np.sqrt(np.diagonal(gram))
     with np.errstate(divide="ignore"):
-        limit = np.sqrt(critical.of_few(len(np.unique(blocks)), tried)) / size
+        limit = np.sqrt(alarm) / size
     sound = size > 1e-12 / np.array([max(abs(float(np.asarray(getattr(instance, n)))), 1e-300) for n in names])
     estimate = np.zeros(len(names))
     if sound.any():

@@ -282,7 +282,7 @@ class Descent:
         known = NoiseModel(noise, np.ones_like(noise), scales.force, scales.torque, interval, start_variance(space))
         size = np.concatenate([np.full(2, 2 * np.log(fraction)), np.zeros(len(CHANNELS))])
         physical = space.physical(unknowns)
-        result = run_filter(model, data, space, physical, known, size, jnp.asarray(substeps)).filtered
+        result = run_filter(model, data, space, physical, known, size, jnp.asarray(substeps))
         # One whitener for all samples: enough for a start, and the same compiled function as for the simulation.
         return result.gain, jnp.asarray(_settled(np.asarray(result.whitener), data))
 

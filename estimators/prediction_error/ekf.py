@@ -10,7 +10,6 @@ from estimators.core.data import CHANNELS, Data
 from estimators.core.parameter_space import Space
 from estimators.core.residual import states_at_start
 from estimators.prediction_error.coloured_noise import ColourStates
-from estimators.prediction_error.noise_quadrature import ByNoise
 from rtac_jax import RTAC
 from rtac_jax.programs import program
 from rtac_jax.simulation import Steps, advance, unit_pushes
@@ -45,6 +44,28 @@ class Filtered(NamedTuple):
     shaken: Float[Array, "sample experiment"]
 
 
+class Linearised(NamedTuple):
+    """The linear model along a pass of the filter, of which the derivatives of its likelihood by the noise are made.
+
+    Attributes:
+        shown: derivatives of the outputs by the state; zero where nothing is measured.
+        transition: derivatives of the next state by this one.
+        pushes: standard deviations of the state from half of what a random force and a random torque do in an interval.
+        weighed: prediction errors times the inverse of their covariance, trusted or not.
+        variance: of what is white of each output's noise.
+        stationary: variance of the states at the start that is in proportion to each noise.
+        fresh: of that, what every sample brings anew.
+    """
+
+    shown: Float[Array, "sample output state experiment"]
+    transition: Float[Array, "sample state state experiment"]
+    pushes: Float[Array, "sample process state experiment"]
+    weighed: Float[Array, "sample output experiment"]
+    variance: Float[Array, "output experiment"]
+    stationary: Float[Array, "noise state experiment"]
+    fresh: Float[Array, "noise state experiment"]
+
+
 def kalman(
     model: RTAC,
     data: Data,
@@ -55,8 +76,7 @@ def kalman(
     process: tuple[Any, Any],
     start_variance: Float[Array, "start experiment"],
     substeps: Steps,
-    by_noise: bool = False,
-) -> tuple[Filtered, ByNoise | None]:
+) -> tuple[Filtered, Linearised]:
     """Run the extended Kalman filter along all experiments.
 
     Args:
@@ -68,7 +88,6 @@ def kalman(
         process: spectral densities of a random force on the cart [N^2 s] and of a random torque on the arm [(N m)^2 s].
         start_variance: of the states at the start.
         substeps: of the integrator in each sample.
-        by_noise: carry the derivatives by the logarithm of each noise beside it.
 
     Source: Jazwinski, Stochastic Processes and Filtering Theory (1970), chapter 8.
     """
@@ -91,10 +110,9 @@ def kalman(
     rubs = bool(placed.friction_levels(state))
     strikes = impact_places(model)
     wide = (*(_VELOCITIES if rubs else ()), *strikes)
-    slopes = ByNoise.at_start(wander.by_noise(wander.stationary)) if by_noise else None
 
-    def one_sample(carry: tuple[Any, Array, ByNoise | None], row: dict[str, Any]) -> tuple[Any, Any]:
-        state, spread, slopes = carry
+    def one_sample(carry: tuple[Any, Array], row: dict[str, Any]) -> tuple[Any, Any]:
+        state, spread = carry
 
         def shown(at: Any) -> tuple[Any, ...]:
             return tuple(jnp.broadcast_to(y, shape) for y in placed.outputs(at))
@@ -144,26 +162,26 @@ def kalman(
         spread = spread + jnp.eye(count)[:, :, None] * wander.fresh[:, None]
         for place in strikes:
             spread = spread.at[place, place].add((_EARLY * (moved[place] - state[place])) ** 2)
-        white, weigh, counts = jnp.stack(innovations), jnp.stack(whitener), row["trusted"]
-        if slopes is not None:
-            slopes = slopes.onward(
-                seen * row["present"][:, None], weigh, white, gain, sensor_variance, counts, jacobian, pushed,
-                wander.by_noise(wander.fresh),
-            )  # fmt: skip
-        carry = jax.tree.map(
-            lambda new, held: jnp.where(row["lasts"], new, held), (tuple(moved), spread, slopes), carry
-        )
-        return carry, (gain, counts * weigh, counts * white, counts * likelihood, shaken)
+        carry = jax.tree.map(lambda new, held: jnp.where(row["lasts"], new, held), (tuple(moved), spread), carry)
+        linear = seen * row["present"][:, None], jacobian, halves
+        return carry, ((gain, jnp.stack(whitener), jnp.stack(innovations), likelihood, shaken), linear)
 
     rows = {
         "current": excitation.current, "force": excitation.force, "values": data.values, "present": data.present,
-        "trusted": data.trusted, "lasts": excitation.lasts(data.room),
+        "lasts": excitation.lasts(data.room),
     }  # fmt: skip
-    (_, _, slopes), found = time_loop(one_sample, (state, spread, slopes), rows, room=data.room, samples=data.length)
+    _, (found, linear) = time_loop(one_sample, (state, spread), rows, room=data.room, samples=data.length)
     gain, whitener, innovations, likelihood, shaken = found
     # Not the sample itself: to leave out samples for what they show would bias what is left.
     after = jnp.concatenate([jnp.zeros_like(shaken[:1]), shaken[:-1]]) * rows["lasts"]
-    return Filtered(gain, whitener, innovations, likelihood.sum(axis=0), after), slopes
+    # Not within the loop: written there, too, one of two arrays of a shape is copied in every step.
+    weighed, counts = jnp.sum(whitener * innovations[:, :, None], axis=1), data.trusted[:, None]
+    filtered = Filtered(
+        gain, counts[:, None] * whitener, counts * innovations, jnp.sum(data.trusted * likelihood, axis=0), after
+    )
+    stationary, fresh = map(wander.by_noise, (wander.stationary, wander.fresh))
+    shown, transition, pushed = linear
+    return filtered, Linearised(shown, transition, pushed, weighed, wander.white, stationary, fresh)
 
 
 @program
@@ -276,21 +294,24 @@ def _linearised(
     """
     at = jnp.stack(state)
     count = len(state)
-    points, along = [at] * count, [jnp.broadcast_to(row[:, None], at.shape) for row in jnp.eye(count)]
-    reaches = [jnp.sqrt(jnp.maximum(spread[place, place], 0.0)) for place in wide]
+    narrow = [place for place in range(count) if place not in wide]
+    points, unit = [at] * len(narrow), jnp.eye(count)
+    along = [jnp.broadcast_to(unit[place][:, None], at.shape) for place in narrow]
+    least = {place: _SMALL if place in _VELOCITIES else _SURE for place in wide}
+    reaches = [jnp.maximum(jnp.sqrt(jnp.maximum(spread[place, place], 0.0)), least[place]) for place in wide]
     points += [at.at[place].add(sign * r) for place, r in zip(wide, reaches, strict=True) for sign in (1.0, -1.0)]
-    along += [jnp.zeros_like(at)] * (len(points) - count)
+    along += [jnp.zeros_like(at)] * (len(points) - len(narrow))
 
     def one(point: Array, direction: Array) -> tuple[Array, Array]:
         return jax.jvp(lambda x: jnp.stack(function(tuple(x))), (point,), (direction,))
 
     ends, slopes = jax.vmap(one)(jnp.stack(points), jnp.stack(along))
-    columns = [slopes[place] for place in range(count)]
-    for place, r, ahead, behind in zip(wide, reaches, ends[count::2], ends[count + 1 :: 2], strict=True):
-        known = r > (_SMALL if place in _VELOCITIES else _SURE)
-        columns[place] = jnp.where(known, (ahead - behind) / (2 * jnp.where(known, r, 1.0)), columns[place])
+    columns = dict(zip(narrow, slopes, strict=False))
+    beside = ends[len(narrow) :]
+    for place, r, ahead, behind in zip(wide, reaches, beside[::2], beside[1::2], strict=True):
+        columns[place] = (ahead - behind) / (2 * r)
     # Not set within an array that is read beside it: the compiled code then mixed the two.
-    return ends[0], jnp.stack(columns, axis=1)
+    return ends[0], jnp.stack([columns[place] for place in range(count)], axis=1)
 
 
 def _product(a: Array, b: Array) -> Array:

@@ -3,109 +3,110 @@
 import dataclasses
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from estimators.core.data import CHANNELS, Data
 from estimators.core.parameter_space import Space
-from estimators.core.piecewise_triangle import LONG
-from estimators.prediction_error.ekf import Filtered, kalman
+from estimators.prediction_error.ekf import Filtered, Linearised, kalman
 from estimators.prediction_error.noise_model import NoiseModel
-from estimators.prediction_error.noise_quadrature import ByNoise
+from estimators.prediction_error.noise_score import noise_information, noise_slope
 from rtac_jax import RTAC
 from rtac_jax.programs import program
 from rtac_jax.simulation import Steps
 
+# How far in the logarithm of a variance the expected curvature is taken for the same: it sets the steps, and not where they end.
+_NEAR = 0.5
 
-class Passed(NamedTuple):
-    """A pass of the filter, and the derivatives of the likelihood by the noise.
+
+class Curvature(NamedTuple):
+    """The expected curvature of the negative log-likelihood (Fisher), and the noise at which it was computed."""
+
+    at: Float[np.ndarray, " noise"]
+    information: Float[np.ndarray, "noise noise"]
+
+
+class Passed:
+    """A pass of the filter, and the derivatives of the likelihood by the noise, computed when they are asked for.
 
     Attributes:
-        value: negative log-likelihood.
-        slope: of that, by the logarithms of the variances.
-        information: expected curvature (Fisher).
         filtered: the pass.
+        value: negative log-likelihood.
     """
 
-    value: Array
-    slope: Float[Array, " noise"]
-    information: Float[Array, "noise noise"]
-    filtered: Filtered
+    def __init__(
+        self, noise: Float[np.ndarray, " noise"], filtered: Filtered, linear: Linearised, length: Array
+    ) -> None:
+        self.filtered, self._noise = filtered, noise
+        self.value = -float(filtered.log_likelihood.sum())
+        self._given = filtered, linear, length
 
+    def slope(self) -> Float[np.ndarray, " noise"]:
+        """Return the derivatives of the value by the logarithms of the variances."""
+        return np.asarray(_slope(*self._given)).sum(-1)
 
-# Experiments from which on a filter passes through all of them abreast, a column for each, instead of one after the other.
-_ABREAST = 16
+    def curvature(self, known: Curvature | None = None) -> Curvature:
+        """Return the expected curvature here, or what is known of these data where that is near."""
+        if known is not None and np.max(np.abs(known.at - self._noise)) <= _NEAR:
+            return known
+        return Curvature(self._noise, np.asarray(_information(*self._given)).sum(-1))
 
 
 @program
-def _pass(*arguments: Any) -> Passed:
-    """Run the filter and its derivatives as one compiled function; see `_arguments`."""
-    found, slopes = _filtered(*arguments, by_noise=True)
-    assert slopes is not None  # since they were asked for
-    return Passed(-found.log_likelihood.sum(), slopes.slope.sum(-1), slopes.information.sum(-1), found)
-
-
-@program
-def _filter(*arguments: Any) -> Filtered:
-    """Run the filter alone; see `_arguments`."""
-    return _filtered(*arguments, by_noise=False)[0]
+def _filter(*arguments: Any) -> tuple[Filtered, Linearised]:
+    """Run the filter; see `_arguments`."""
+    return _filtered(*arguments)
 
 
 @program
 def _negative_log_likelihood(*arguments: Any) -> Float[Array, ""]:
     """Run the filter for the negative log-likelihood alone; see `_arguments`."""
-    return -_filtered(*arguments, by_noise=False)[0].log_likelihood.sum()
+    return -_filtered(*arguments)[0].log_likelihood.sum()
+
+
+_slope, _information = program(noise_slope), program(noise_information)
 
 
 def _filtered(
     model: RTAC, data: Data, space: Space, physical: Any, noise: Array, scale: Array, sensor: Array, start: Array,
-    substeps: Steps, *, by_noise: bool,
-) -> tuple[Filtered, ByNoise | None]:  # fmt: skip
+    substeps: Steps,
+) -> tuple[Filtered, Linearised]:  # fmt: skip
     density = jnp.exp(noise[:2]) * scale
     variance = (jnp.exp(noise[2:]) * sensor**2)[:, None]
-
-    def passed(data: Data, each: Array, begun: Array, start: Array) -> tuple[Filtered, ByNoise | None]:
-        return kalman(
-            model, data, space, (physical[0], each, begun),
-            sensor_variance=jnp.broadcast_to(variance, (len(CHANNELS), data.experiments)),
-            process=(density[0], density[1]), start_variance=start, substeps=substeps, by_noise=by_noise,
-        )  # fmt: skip
-
-    given = (data, physical[1], physical[2], start)
-    if data.experiments >= _ABREAST:
-        return passed(*given)
-    # Few columns fill no vectors, and what is computed for one alone is shorter code.
-    columns = jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0) if np.ndim(x) else jnp.full(data.experiments, x), given)
-    widths = jax.tree.map(np.ndim, given)
-    found = jax.lax.map(lambda one: passed(*jax.tree.map(lambda x, n: x[..., None] if n else x, one, widths)), columns)
-    return jax.tree.map(lambda x: jnp.moveaxis(x[..., 0], 0, -1), found)
+    return kalman(
+        model, data, space, physical, sensor_variance=jnp.broadcast_to(variance, (len(CHANNELS), data.experiments)),
+        process=(density[0], density[1]), start_variance=start, substeps=substeps,
+    )  # fmt: skip
 
 
 def run_filter(
     model: RTAC, data: Data, space: Space, physical: Any, prior: NoiseModel, noise: np.ndarray, substeps: Steps
-) -> Passed:
-    """Run the filter's pass at given noise."""
-    return _pass(*_arguments(model, data, space, physical, prior, noise, substeps))
-
-
-def filter_alone(
-    model: RTAC, data: Data, space: Space, physical: Any, prior: NoiseModel, noise: np.ndarray, substeps: Steps
 ) -> Filtered:
-    """Return what `run_filter` filters, without the derivatives by the noise where experiments are long.
+    """Run the filter's pass at given noise."""
+    return _filter(*_arguments(model, data, space, physical, prior, noise, substeps))[0]
 
-    These take two thirds of a pass, and a program without them some seconds to compile.
-    """
-    arguments = _arguments(model, data, space, physical, prior, noise, substeps)
-    return _filter(*arguments) if data.room >= LONG else _pass(*arguments).filtered
+
+def score_noise(
+    model: RTAC, data: Data, space: Space, physical: Any, prior: NoiseModel, noise: np.ndarray, substeps: Steps
+) -> Passed:
+    """Run the filter's pass at given noise, with the derivatives of its likelihood by that."""
+    filtered, linear = _filter(*_arguments(model, data, space, physical, prior, noise, substeps))
+    return Passed(noise, filtered, linear, data.length)
 
 
 def negative_log_likelihood(
     model: RTAC, data: Data, space: Space, physical: Any, prior: NoiseModel, noise: np.ndarray, substeps: Steps
 ) -> float:
-    """Return the negative log-likelihood at given noise: `run_filter`'s value, without the derivatives by the noise."""
+    """Return the negative log-likelihood at given noise: the value of `score_noise`, without the derivatives."""
     return float(_negative_log_likelihood(*_arguments(model, data, space, physical, prior, noise, substeps)))
+
+
+def prepare_filter(
+    model: RTAC, data: Data, space: Space, physical: Any, prior: NoiseModel, noise: np.ndarray, substeps: Steps
+) -> None:
+    """Compile the filter of `score_noise`, and run nothing."""
+    _filter.prepare(*_arguments(model, data, space, physical, prior, noise, substeps))
 
 
 def _arguments(
@@ -114,13 +115,6 @@ def _arguments(
     scale = jnp.asarray(np.array([prior.force**2, prior.torque**2]) * prior.interval)
     sensor = jnp.asarray(prior.sensor)
     return model, data, space, physical, jnp.asarray(noise), scale, sensor, prior.start_variance, substeps
-
-
-def prepare_filter(
-    model: RTAC, data: Data, space: Space, physical: Any, prior: NoiseModel, noise: np.ndarray, substeps: Steps
-) -> None:
-    """Compile what `run_filter` runs, and run nothing."""
-    _pass.prepare(*_arguments(model, data, space, physical, prior, noise, substeps))
 
 
 def without_shaken(data: Data, filtered: Filtered) -> Data:

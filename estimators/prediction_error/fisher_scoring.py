@@ -94,9 +94,9 @@ def most_likely(
 
     def passed(at: _Point, noise: np.ndarray) -> tuple[float, _Seen]:
         run = run_filter(model, data, space, physical(at), prior, noise, substeps)
-        weight = np.diagonal(np.asarray(run.filtered.whitener), axis1=1, axis2=2)
-        return -float(run.value) - space.penalty(physical(at)[0]), _Seen(
-            np.asarray(run.filtered.innovations), np.moveaxis(weight, -1, 1)
+        weight = np.diagonal(np.asarray(run.whitener), axis1=1, axis2=2)
+        return float(run.log_likelihood.sum()) - space.penalty(physical(at)[0]), _Seen(
+            np.asarray(run.innovations), np.moveaxis(weight, -1, 1)
         )
 
     def rows(at: _Point, noise: np.ndarray) -> Float[np.ndarray, "experiment row column"]:
@@ -107,7 +107,7 @@ def most_likely(
         return _with_constants(_triangular(rows), space, physical(at)[0], places)
 
     at = _Point(np.asarray(found.physical[0])[places], np.asarray(found.physical[1]))
-    noise = Noise(found.noise, found.log_likelihood, found.filtered)
+    noise = Noise(found.noise, found.log_likelihood, found.filtered, None)
     found_rows = rows(at, noise.exponents)
     for _ in range(_STEPS):
         move, promised = _scoring(triangles(found_rows, at), at, lower, upper)

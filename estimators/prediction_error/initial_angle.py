@@ -9,7 +9,7 @@ from jaxtyping import Float
 from estimators.core.data import Data
 from estimators.core.initial_angle import ANGLE, CIRCLE, angle_unknown
 from estimators.core.parameter_space import Space
-from estimators.prediction_error.filter_pass import filter_alone
+from estimators.prediction_error.filter_pass import run_filter
 from estimators.prediction_error.noise_estimation import first_noise
 from estimators.prediction_error.noise_model import NoiseModel
 from rtac_jax import RTAC
@@ -45,7 +45,7 @@ def with_likeliest_angles(model: RTAC, data: Data, space: Space, prior: NoiseMod
         variance[ANGLE] = np.where(blind, (0.5 * step) ** 2, variance[ANGLE])
         known = dataclasses.replace(prior, start_variance=jnp.asarray(variance))
         physical = (jnp.asarray(shared), jnp.asarray(each), jnp.asarray(there))
-        found = np.asarray(filter_alone(model, data, space, physical, known, first_noise(), substeps).log_likelihood)
+        found = np.asarray(run_filter(model, data, space, physical, known, first_noise(), substeps).log_likelihood)
         return np.where(np.isfinite(found), found, -np.inf)
 
     step = 2 * np.pi / len(CIRCLE)

@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -13,7 +14,14 @@ from estimators.core.data import CHANNELS, Data
 from estimators.core.jacobian_factor import Arguments, Passes
 from estimators.core.parameter_space import Space, Unknowns
 from estimators.prediction_error.ekf import Filtered
-from estimators.prediction_error.filter_pass import Passed, prepare_filter, run_filter, without_shaken
+from estimators.prediction_error.filter_pass import (
+    Curvature,
+    Passed,
+    prepare_filter,
+    run_filter,
+    score_noise,
+    without_shaken,
+)
 from estimators.prediction_error.noise_model import NoiseModel
 from rtac_jax import RTAC
 from rtac_jax.simulation import Steps
@@ -91,54 +99,96 @@ class Noise(NamedTuple):
         exponents: logarithms of the process variances and of the sensors' variance ratios.
         log_likelihood: there, without the prior's part.
         filtered: the pass of the filter there.
+        curvature: there or near there, to begin another fit with.
     """
 
     exponents: Float[np.ndarray, " noise"]
     log_likelihood: float
     filtered: Filtered
+    curvature: Curvature | None
 
 
 def fit_noise(
-    model: RTAC, data: Data, space: Space, physical: Any, prior: NoiseModel, first: np.ndarray | None, substeps: Steps
+    model: RTAC,
+    data: Data,
+    space: Space,
+    physical: Any,
+    prior: NoiseModel,
+    first: np.ndarray | None,
+    substeps: Steps,
+    known: Curvature | None = None,
 ) -> Noise:
     """Fit the noise by maximum likelihood: Newton's steps with the expected curvature, damped where they lead uphill.
 
-    A pass of the filter costs far more than a step, and gives the expected curvature with the slope; so few passes do. Where
-    the noise is far off, most of these are over the beginning of all experiments only.
+    The expected curvature is computed anew where the noise has moved; slopes only where a step gained. Where the noise is far
+    off, most passes are over the beginning of all experiments only.
+
+    Args:
+        model: as `kalman` takes it, and so `data`, `space`, `physical` and `substeps`.
+        data: of all experiments.
+        space: of the model's parameters and starts.
+        physical: parameters and starts.
+        prior: noise to which the estimated noise is relative.
+        first: exponents to begin from; by default the prior's.
+        substeps: of the integrator in each sample.
+        known: the curvature of another fit to these data.
 
     Source: Gupta and Mehra, IEEE Transactions on Automatic Control 19 (1974), scoring.
     """
     tight = np.concatenate([np.zeros(2), 1.0 / prior.doubt**2])
 
-    def scored(at: np.ndarray, data: Data = data) -> _Scored:
-        passed = run_filter(model, data, space, physical, prior, at, substeps)
-        total = float(passed.value) + 0.5 * float(tight @ at**2)
-        curvature = np.asarray(passed.information) + np.diag(tight)
-        return _Scored(at, total, np.asarray(passed.slope) + tight * at, curvature, passed)
+    def scored(at: np.ndarray, known: Curvature | None, data: Data = data) -> _Scored:
+        return _Scored(at, score_noise(model, data, space, physical, prior, at, substeps), tight, known)
+
+    def scored_in_part(at: np.ndarray, known: Curvature | None) -> _Scored:
+        return scored(at, known, part)
 
     part = dataclasses.replace(data, length=jnp.asarray(data.samples // _PART))
     long = part.samples >= _FEWEST
     if first is None:
-        at = _climbed(lambda at: scored(at, part), scored(first_noise(), part)).at if long else first_noise()
-        found = scored(at)
+        begin = first_noise()
+        at = _climbed(scored_in_part, scored_in_part(begin, None)).at if long else begin
+        found = scored(at, known)
     else:
-        found = scored(first)
+        found = scored(first, known)
         if long and np.isfinite(found.value) and found.promised(_moved(found, 0.0)) > _MUCH:
-            nearer = scored(_climbed(lambda at: scored(at, part), scored(first, part)).at)
+            nearer = scored(_climbed(scored_in_part, scored_in_part(first, None)).at, found.curvature)
             found = nearer if nearer.value < found.value else found
     found = _climbed(scored, found)
-    passed = found.passed
-    return Noise(found.at, -float(passed.value) if np.isfinite(found.value) else -np.inf, passed.filtered)
+    value = found.passed.value
+    return Noise(found.at, -value if np.isfinite(found.value) else -np.inf, found.passed.filtered, found.latest)
 
 
-class _Scored(NamedTuple):
-    """A point of the noise, with the negative log-likelihood, slope and curvature there, prior included."""
+class _Scored:
+    """A point of the noise, with the negative log-likelihood, slope and curvature there, prior included.
 
-    at: Float[np.ndarray, " noise"]
-    value: float
-    slope: Float[np.ndarray, " noise"]
-    curvature: Float[np.ndarray, "noise noise"]
-    passed: Passed
+    Attributes:
+        at: the noise.
+        passed: the pass of the filter there.
+        value: negative log-likelihood.
+        latest: the curvature that is known, here or elsewhere.
+    """
+
+    def __init__(self, at: np.ndarray, passed: Passed, tight: np.ndarray, known: Curvature | None) -> None:
+        self.at, self.passed, self.latest = at, passed, known
+        self.value = passed.value + 0.5 * float(tight @ at**2)
+        self._tight = tight
+
+    @cached_property
+    def slope(self) -> Float[np.ndarray, " noise"]:
+        """Return the derivative by each noise."""
+        return self.passed.slope() + self._tight * self.at
+
+    @cached_property
+    def curvature(self) -> Curvature:
+        """Return the expected curvature of the likelihood, here or near here."""
+        self.latest = self.passed.curvature(self.latest)
+        return self.latest
+
+    @property
+    def information(self) -> Float[np.ndarray, "noise noise"]:
+        """Return the curvature with that of the prior."""
+        return self.curvature.information + np.diag(self._tight)
 
     def promised(self, trial: np.ndarray) -> float:
         """Return the gain in log-likelihood that the slope promises there."""
@@ -151,21 +201,22 @@ def _moved(here: _Scored, damping: float) -> Float[np.ndarray, " noise"]:
     high = np.array([*_MOST, 6.0, 6.0, 6.0])
     at, slope = here.at, here.slope
     free = np.flatnonzero(~((at <= low) & (slope > 0) | (at >= high) & (slope < 0)))
-    inner = here.curvature[free][:, free]
-    damped = inner + damping * np.diag(np.diagonal(inner)) + 1e-9 * np.trace(here.curvature) * np.eye(len(free))
+    information = here.information
+    inner = information[free][:, free]
+    damped = inner + damping * np.diag(np.diagonal(inner)) + 1e-9 * np.trace(information) * np.eye(len(free))
     move = np.zeros_like(at)
     move[free] = np.clip(-np.linalg.solve(damped, slope[free]), -_FAR, _FAR)
     return np.clip(at + move, low, high)
 
 
-def _climbed(scored: Callable[[np.ndarray], _Scored], here: _Scored) -> _Scored:
+def _climbed(scored: Callable[[np.ndarray, Curvature | None], _Scored], here: _Scored) -> _Scored:
     """Climb by Newton's steps, and return the last point."""
     damping = 0.0
     for _ in range(_PASSES if np.isfinite(here.value) else 0):
         trial = _moved(here, damping)
         if here.promised(trial) < _LITTLE:
             break
-        there = scored(trial)
+        there = scored(trial, here.latest)
         gained = here.value - there.value
         if not gained > 0:
             damping = max(10.0 * damping, 1.0)
@@ -230,12 +281,12 @@ def fit_predictor(
         passed = noise.filtered
         if _LESS[failed] > 0:
             used = np.concatenate([np.maximum(noise.exponents[:2] - _LESS[failed], _LEAST), noise.exponents[2:]])
-            passed = run_filter(model, data, space, physical, prior, used, substeps).filtered
+            passed = run_filter(model, data, space, physical, prior, used, substeps)
         arguments = Arguments(model, data, space, passed.whitener, passed.gain, substeps)
         solved = solve_bounded(unknowns, arguments, tolerance=1e-4, gain=_PHYSICS, most=20, progress=progress)
         trial = solved.unknowns
         moved = space.physical(trial)
-        new = fit_noise(model, data, space, moved, prior, noise.exponents, substeps)
+        new = fit_noise(model, data, space, moved, prior, noise.exponents, substeps, noise.curvature)
         gained = new.log_likelihood - noise.log_likelihood + space.penalty(physical[0]) - space.penalty(moved[0])
         if gained > 0:
             unknowns, physical, noise = trial, moved, new

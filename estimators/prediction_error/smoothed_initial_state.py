@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from estimators.prediction_error.filter_pass import all_trusted, filter_alone
+from estimators.prediction_error.filter_pass import all_trusted, run_filter
 from estimators.prediction_error.fit import PredictorFit
 
 _STEPS = 12
@@ -36,7 +36,7 @@ def smoothed_start(fit: PredictorFit) -> Float[np.ndarray, "start experiment"]:
     def looked_at(moved: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the log of the probability, and the innovations, after moves in standard deviations beforehand."""
         physical: Any = (jnp.asarray(shared), jnp.asarray(each), jnp.asarray(first + deviation * moved))
-        passed = filter_alone(a.model, data, a.space, physical, sure, fit.noise_exponents, a.substeps)
+        passed = run_filter(a.model, data, a.space, physical, sure, fit.noise_exponents, a.substeps)
         likelihood = np.asarray(passed.log_likelihood) - 0.5 * np.sum(moved**2, axis=0)
         return np.where(np.isfinite(likelihood), likelihood, -np.inf), np.nan_to_num(
             np.asarray(passed.innovations), posinf=0.0, neginf=0.0

@@ -105,7 +105,7 @@ def one_step_ahead(
     space, data = _space(model, others, starts), Data.of(others)
     if like is not None:
         data = _counting(data, like.shaken[1])
-    passed = run_filter(model, data, space, _values(space), prior.starting(space), noise.exponents, substeps).filtered
+    passed = run_filter(model, data, space, _values(space), prior.starting(space), noise.exponents, substeps)
     there = slice(data.samples)
     shaken = (np.asarray(noise.filtered.shaken)[:fitted_length], np.asarray(passed.shaken)[there])
     return OneStepAhead(by_sample(passed)[there], stretches(data)[there], _errors(passed, levels), shaken)

@@ -10,7 +10,7 @@ import estimators as est
 import rtac_jax as rtac
 from estimators.core.results import DivergedError, NotIdentifiableError
 from estimators.prediction_error import fisher_scoring as _maximum_likelihood
-from estimators.prediction_error.filter_pass import run_filter
+from estimators.prediction_error.filter_pass import score_noise
 from rtac_jax.virtual_rig import Rig, record, standard_plans
 
 SHAKEN = {"force_noise": 1e-3, "torque_noise": 3e-5}
@@ -56,10 +56,10 @@ def fall_over_one_deviation(found, name):
 
     def value(share):
         physical = (shared.at[places].add(share * along), each, start)
-        passed = run_filter(a.model, a.data, a.space, physical, found.prior, found.noise_exponents, a.substeps)
-        slope = np.asarray(passed.slope) + tight * found.noise_exponents
-        curvature = np.asarray(passed.information) + np.diag(tight)
-        return float(passed.value) - 0.5 * slope @ np.linalg.solve(curvature, slope)  # the noise follows
+        passed = score_noise(a.model, a.data, a.space, physical, found.prior, found.noise_exponents, a.substeps)
+        slope = passed.slope() + tight * found.noise_exponents
+        curvature = passed.curvature().information + np.diag(tight)
+        return passed.value - 0.5 * slope @ np.linalg.solve(curvature, slope)  # the noise follows
 
     tight = np.concatenate([np.zeros(2), found.prior.doubt**-2])
     return 0.5 * (value(1.0) + value(-1.0)) - value(0.0)

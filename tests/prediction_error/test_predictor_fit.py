@@ -1,19 +1,12 @@
 """Prediction error of the nonlinear model against the virtual rig, shaken by random forces."""
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import estimators as est
 import rtac_jax as rtac
-from estimators.core.data import Data
-from estimators.core.initial_state import scales_of, space_of
-from estimators.core.sensor_noise import noise_levels
-from estimators.prediction_error import filter_pass, noise_estimation
-from estimators.prediction_error.filter_pass import filter_alone, negative_log_likelihood, run_filter
-from estimators.prediction_error.noise_estimation import first_noise
-from estimators.prediction_error.noise_model import NoiseModel
+from estimators.prediction_error import noise_estimation
+from estimators.prediction_error.filter_pass import negative_log_likelihood, score_noise
 from rtac_jax.virtual_rig import Rig, record, standard_plans
 
 
@@ -62,32 +55,18 @@ def test_the_curvature_of_the_noise_is_that_of_its_likelihood(shaken):
     physical = a.space.physical(found.problem.unknowns)
 
     def passed(noise):
-        return run_filter(a.model, a.data, a.space, physical, found.prior, noise, a.substeps)
+        return score_noise(a.model, a.data, a.space, physical, found.prior, noise, a.substeps)
 
     step = 1e-3
-    observed = [
-        (np.asarray(passed(at + d).slope) - np.asarray(passed(at - d).slope)) / (2 * step) for d in step * np.eye(5)
-    ]
+    observed = [(passed(at + d).slope() - passed(at - d).slope()) / (2 * step) for d in step * np.eye(5)]
     alone = negative_log_likelihood(a.model, a.data, a.space, physical, found.prior, at, a.substeps)
-    assert alone == pytest.approx(float(passed(at).value), rel=1e-12)
-    expected = np.asarray(passed(at).information)
+    assert alone == pytest.approx(passed(at).value, rel=1e-12)
+    expected = passed(at).curvature().information
     size = np.sqrt(np.diagonal(expected))
     np.testing.assert_allclose(np.array(observed) / np.outer(size, size), expected / np.outer(size, size), atol=0.1)
     # Where the noise is likeliest, less than a tenth is to be gained by a step.
-    slope = np.asarray(passed(at).slope) + np.concatenate([np.zeros(2), at[2:] / found.prior.doubt**2])
+    slope = passed(at).slope() + np.concatenate([np.zeros(2), at[2:] / found.prior.doubt**2])
     assert slope @ np.linalg.solve(expected, slope) < 0.2
-
-
-def test_a_filter_alone_is_the_filter(shaken, monkeypatch):
-    data, model, _, _ = shaken
-    found = est.prediction_error_nonlinear(model, data, progress=False, rounds=2)
-    a = found.problem.arguments
-    given = (a.model, a.data, a.space, a.space.physical(found.problem.unknowns), found.prior, found.noise_exponents)
-    whole = filter_alone(*given, a.substeps)
-    monkeypatch.setattr(filter_pass, "LONG", 1)
-    for name, value in filter_alone(*given, a.substeps)._asdict().items():
-        size = np.max(np.abs(np.asarray(value)))
-        np.testing.assert_allclose(value, getattr(whole, name), rtol=0, atol=1e-12 * size, err_msg=name)
 
 
 def test_noise_that_a_part_tells_first_is_that_of_all_samples(shaken, monkeypatch):
@@ -99,9 +78,9 @@ def test_noise_that_a_part_tells_first_is_that_of_all_samples(shaken, monkeypatc
 
     def counted(model, data, *others):
         lengths.append(data.samples)
-        return run_filter(model, data, *others)
+        return score_noise(model, data, *others)
 
-    monkeypatch.setattr(noise_estimation, "run_filter", counted)
+    monkeypatch.setattr(noise_estimation, "score_noise", counted)
     noise = {}
     for fewest in (50, 10**9):
         monkeypatch.setattr(noise_estimation, "_FEWEST", fewest)
@@ -155,24 +134,3 @@ def test_random_forces_do_not_bend_dry_friction():
     assert max(abs(x) for x in away(found, truth).values()) < 3
     counted = found.statistics["samples"] / sum(e.samples * len(e.outputs) for e in data if e.kind != "rest")
     assert 0.5 < counted < 0.98, "some samples are left out, and not most"
-
-
-def test_experiments_one_after_the_other_are_as_abreast(monkeypatch, compile_anew):
-    recording = record(Rig(), standard_plans(seed=4, duration=1.0, free=1, forced=2, rest=1), seed=4)
-    moving = [e for e in recording if e.kind != "rest"]
-    model = rtac.RTAC.from_rig(recording).each_experiment("cart_coulomb.level")
-    model = model.with_values({"cart_coulomb.level": np.array([0.01, 0.02, 0.03])})
-    data, space = Data.of(moving), space_of(model, moving, free=["eccentric_moment"])
-    levels = noise_levels(recording.experiments)
-    prior = NoiseModel.of(levels, recording.experiments, scales_of(model, moving), space)
-    physical = space.physical(space.unconstrained(start=False))
-
-    def passed():
-        return run_filter(model, data, space, physical, prior, first_noise(), jnp.asarray(1))
-
-    one_after_the_other = passed()
-    monkeypatch.setattr(filter_pass, "_ABREAST", 1)
-    compile_anew()
-    abreast = passed()
-    for one, other in zip(jax.tree.leaves(one_after_the_other), jax.tree.leaves(abreast), strict=True):
-        np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-9 * float(np.max(np.abs(other), initial=1e-300)))

@@ -12,6 +12,7 @@ from estimators.core.initial_state import space_of
 from estimators.prediction_error.coloured_noise import with_colours
 from estimators.prediction_error.ekf import filtered, kalman
 from estimators.prediction_error.noise_model import start_variance
+from estimators.prediction_error.noise_score import noise_information, noise_slope
 from rtac_jax import RTAC, Experiment
 
 SENSOR = np.array([2e-5, 0.05, 1.0])
@@ -45,18 +46,17 @@ def test_slopes_are_those_of_the_likelihood(colour):
 
     @eqx.filter_jit
     def sloped(at):
-        found, slopes = kalman(model, data, space, physical, **noise(at), substeps=1, by_noise=True)
-        return -found.log_likelihood.sum(), slopes
+        found, linear = kalman(model, data, space, physical, **noise(at), substeps=1)
+        given = found, linear, data.length
+        return -found.log_likelihood.sum(), noise_slope(*given).sum(axis=1), noise_information(*given).sum(axis=2)
 
     at = jnp.asarray([0.3, -0.2, 0.5, 0.1, 0.0])
-    total, slopes = sloped(at)
+    total, slope, information = map(np.asarray, sloped(at))
     assert float(total) == pytest.approx(float(value(at)), rel=1e-12)
     step = 1e-4
     differences = [(value(at + d) - value(at - d)) / (2 * step) for d in step * jnp.eye(5)]
-    slope = np.asarray(slopes.slope.sum(axis=1))
     assert np.all(np.abs(slope[[0, 2]]) > 1.0)
     np.testing.assert_allclose(slope, differences, rtol=1e-6, atol=1e-5)
-    information = np.asarray(slopes.information.sum(axis=2))
     np.testing.assert_allclose(information, information.T, rtol=1e-12)
     assert information[0, 0] > 0
     assert information[2, 2] > 0

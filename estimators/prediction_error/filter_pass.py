@@ -9,6 +9,7 @@ from jaxtyping import Array, Float
 
 from estimators.core.data import CHANNELS, Data
 from estimators.core.parameter_space import Space
+from estimators.core.piecewise_triangle import LONG
 from estimators.prediction_error.ekf import Filtered, Linearised, kalman
 from estimators.prediction_error.noise_model import NoiseModel
 from estimators.prediction_error.noise_score import noise_information, noise_slope
@@ -60,6 +61,12 @@ def _filter(*arguments: Any) -> tuple[Filtered, Linearised]:
 
 
 @program
+def _filter_alone(*arguments: Any) -> Filtered:
+    """Run the filter, and keep nothing of the linear model, which takes as much memory as the filter's own; see `_arguments`."""
+    return _filtered(*arguments)[0]
+
+
+@program
 def _negative_log_likelihood(*arguments: Any) -> Float[Array, ""]:
     """Run the filter for the negative log-likelihood alone; see `_arguments`."""
     return -_filtered(*arguments)[0].log_likelihood.sum()
@@ -83,8 +90,9 @@ def _filtered(
 def run_filter(
     model: RTAC, data: Data, space: Space, physical: Any, prior: NoiseModel, noise: np.ndarray, substeps: Steps
 ) -> Filtered:
-    """Run the filter's pass at given noise."""
-    return _filter(*_arguments(model, data, space, physical, prior, noise, substeps))[0]
+    """Run the filter's pass at given noise; where experiments are long, by a program of its own, which takes less memory."""
+    arguments = _arguments(model, data, space, physical, prior, noise, substeps)
+    return _filter_alone(*arguments) if data.room >= LONG else _filter(*arguments)[0]
 
 
 def score_noise(

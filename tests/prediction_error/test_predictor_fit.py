@@ -5,8 +5,8 @@ import pytest
 
 import estimators as est
 import rtac_jax as rtac
-from estimators.prediction_error import noise_estimation
-from estimators.prediction_error.filter_pass import negative_log_likelihood, score_noise
+from estimators.prediction_error import filter_pass, noise_estimation
+from estimators.prediction_error.filter_pass import negative_log_likelihood, run_filter, score_noise
 from rtac_jax.virtual_rig import Rig, record, standard_plans
 
 
@@ -67,6 +67,18 @@ def test_the_curvature_of_the_noise_is_that_of_its_likelihood(shaken):
     # Where the noise is likeliest, less than a tenth is to be gained by a step.
     slope = passed(at).slope() + np.concatenate([np.zeros(2), at[2:] / found.prior.doubt**2])
     assert slope @ np.linalg.solve(expected, slope) < 0.2
+
+
+def test_a_filter_of_long_experiments_is_the_same(shaken, monkeypatch):
+    data, model, _, _ = shaken
+    found = est.prediction_error_nonlinear(model, data, progress=False, rounds=2)
+    a = found.problem.arguments
+    given = (a.model, a.data, a.space, a.space.physical(found.problem.unknowns), found.prior, found.noise_exponents)
+    whole = run_filter(*given, a.substeps)
+    monkeypatch.setattr(filter_pass, "LONG", 1)
+    for name, value in run_filter(*given, a.substeps)._asdict().items():
+        size = np.max(np.abs(np.asarray(value)))
+        np.testing.assert_allclose(value, getattr(whole, name), rtol=0, atol=1e-12 * size, err_msg=name)
 
 
 def test_noise_that_a_part_tells_first_is_that_of_all_samples(shaken, monkeypatch):

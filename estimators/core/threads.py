@@ -4,8 +4,11 @@ import os
 import threading
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
-from typing import TypeVar
+from contextlib import AbstractContextManager, contextmanager
+from functools import cache
+from typing import Any, TypeVar
+
+from threadpoolctl import ThreadpoolController
 
 One = TypeVar("One")
 Result = TypeVar("Result")
@@ -32,7 +35,7 @@ def at_once(work: Callable[[One], Result], several: Sequence[One]) -> list[Resul
     """
     if len(several) < 2 or getattr(_here, "at_work", False):
         return [work(one) for one in several]
-    with ThreadPoolExecutor(threads(), initializer=_begin) as pool:
+    with one_blas_thread(), ThreadPoolExecutor(threads(), initializer=_begin) as pool:
         begun = [pool.submit(work, one) for one in several]
         try:
             return [one.result() for one in begun]
@@ -49,6 +52,53 @@ def one_thread() -> Generator[None, None, None]:
         yield
     finally:
         _here.at_work = before
+
+
+class _OneBlasThread:
+    """How many ask for one thread of linear algebra, which is a setting of the process."""
+
+    def __init__(self) -> None:
+        self._lock, self._asked = threading.Lock(), 0
+        self._limit: AbstractContextManager[Any] | None = None
+
+    def ask(self) -> None:
+        """Limit the libraries of linear algebra, if nobody else asks already."""
+        with self._lock:
+            self._asked += 1
+            if self._asked == 1:
+                limit: AbstractContextManager[Any] = _libraries().limit(limits=1, user_api="blas")
+                limit.__enter__()
+                self._limit = limit
+
+    def let_go(self) -> None:
+        """Give the libraries back the threads that they had, if nobody else asks."""
+        with self._lock:
+            self._asked -= 1
+            if self._asked == 0 and self._limit is not None:
+                self._limit.__exit__(None, None, None)
+
+
+_blas = _OneBlasThread()
+
+
+@contextmanager
+def one_blas_thread() -> Generator[None, None, None]:
+    """Let NumPy and SciPy factor matrices by one thread; also as a decorator.
+
+    The matrices of a fit are small, or tall and factored side by side. Threads of the library would wait for each other, busily,
+    on the cores that compute and compile: a diagnosis takes a fifth longer.
+    """
+    _blas.ask()
+    try:
+        yield
+    finally:
+        _blas.let_go()
+
+
+@cache
+def _libraries() -> ThreadpoolController:
+    """Return what the process has loaded; to look takes milliseconds."""
+    return ThreadpoolController()
 
 
 def _begin() -> None:

@@ -14,6 +14,7 @@ from estimators.core.data import fitted_part
 from estimators.core.drawing import draw
 from estimators.core.fit import Fit
 from estimators.core.result_base import Result
+from estimators.core.threads import one_blas_thread
 from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.candidate_set import offered
 from estimators.diagnosis.choice import bic_gain, gain, held_out_gain
@@ -140,6 +141,7 @@ class Diagnosis(Result):
         return draw(self)
 
 
+@one_blas_thread()
 def diagnose(
     fit: Fit,
     recording: Recording,

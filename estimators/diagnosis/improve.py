@@ -9,6 +9,7 @@ from typing import Any
 from estimators.core.drawing import draw
 from estimators.core.fit import Fit
 from estimators.core.result_base import Result
+from estimators.core.threads import one_blas_thread
 from estimators.diagnosis.diagnose import Candidate, Diagnosis, Verdict, compile_diagnosis, diagnose
 from estimators.diagnosis.learned_force import LearnedForce, learn_force
 from estimators.diagnosis.model_extension import Added, PredictedGain, add_effect, misfit, parameters_of
@@ -180,6 +181,7 @@ def _held(steps: Sequence[tuple[str, Added]]) -> tuple[str, ...]:
     return tuple(name for name, step in steps if step.way == "held")
 
 
+@one_blas_thread()
 def improve(
     model: RTAC,
     recording: Recording,

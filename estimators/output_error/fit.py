@@ -16,6 +16,7 @@ from estimators.core.fit import Fit
 from estimators.core.parameter_space import number_of_unknowns
 from estimators.core.results import RESULTS, DivergedError
 from estimators.core.sensor_noise import noise_levels
+from estimators.core.threads import one_blas_thread
 from estimators.output_error.descent import Descent, DescentEnd
 from estimators.output_error.memory import require_memory
 from estimators.output_error.robust import without_spikes
@@ -27,6 +28,7 @@ from rtac_jax.measurement import Experiment, Recording
 _AGREES = 1e-3
 
 
+@one_blas_thread()
 def output_error(
     model: RTAC,
     recording: Recording,

@@ -26,6 +26,7 @@ from estimators.core.parameter_space import Space, number_of_unknowns
 from estimators.core.results import DivergedError
 from estimators.core.sensor_noise import noise_levels
 from estimators.core.step_size import accurate_substeps
+from estimators.core.threads import one_blas_thread
 from estimators.prediction_error.fisher_scoring import most_likely
 from estimators.prediction_error.initial_angle import with_likeliest_angles
 from estimators.prediction_error.innovations import one_step_rms
@@ -134,6 +135,7 @@ class PredictorFit(ModelFit):
         return draw(self)
 
 
+@one_blas_thread()
 def prediction_error_nonlinear(
     model: RTAC,
     recording: Recording,

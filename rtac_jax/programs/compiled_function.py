@@ -123,7 +123,8 @@ class Program(Generic[Given, Result]):
         # A name of its own, also in JAX's cache: code that is loaded from there cannot be kept here.
         flat.__name__ = f"program_{self._name}"
         try:
-            lowered = jax.jit(flat).lower(*filter(_is_array, leaves))
+            # No type gives way to others, as that of an array made of a number does: each would be a program more.
+            lowered = jax.jit(flat).lower(*(jax.ShapeDtypeStruct(x.shape, x.dtype) for x in leaves if _is_array(x)))
         except _NotOnlyArraysError:
             return _Made(None, None)
         code = None if file is None else code_file(file.parents[1], self._name, lowered)
@@ -174,6 +175,6 @@ def _can_be_kept(leaves: Sequence[Any]) -> bool:
     )
 
 
-def _shown(array: Any) -> tuple[tuple[int, ...], str, bool]:
-    """Return what tracing sees of an array: shape, type, and whether the type is weak."""
-    return array.shape, str(array.dtype), bool(getattr(array, "weak_type", False))
+def _shown(array: Any) -> tuple[tuple[int, ...], str]:
+    """Return what tracing sees of an array: shape and type."""
+    return array.shape, str(array.dtype)

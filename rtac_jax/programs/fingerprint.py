@@ -23,12 +23,10 @@ class Traced:
     Attributes:
         shape: of it.
         dtype: by name.
-        weak: whether the type gives way to others.
     """
 
     shape: tuple[int, ...]
     dtype: str
-    weak: bool
 
 
 def fingerprint(value: Any, packages: Sequence[str]) -> str:

@@ -255,7 +255,7 @@ def test_a_fingerprint_tells_apart_what_tracing_tells_apart() -> None:
         np.zeros(1),
         np.ones(2),
     ]
-    values += [Traced((1,), "float64", False), Traced((1,), "float64", True), Traced((2,), "float64", False)]
+    values += [Traced((1,), "float64"), Traced((1,), "int64"), Traced((2,), "float64")]
     values += [RTAC, fingerprint, jax.tree.structure((1, 2)), jax.tree.structure([1, 2]), jax.tree.structure((1, (2,)))]
     assert len({fingerprint(value, known) for value in values}) == len(values)
     assert fingerprint(frozenset("abc"), known) == fingerprint(frozenset("cab"), known)

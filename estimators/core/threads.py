@@ -8,7 +8,7 @@ from contextlib import AbstractContextManager, contextmanager
 from functools import cache
 from typing import Any, TypeVar
 
-from threadpoolctl import ThreadpoolController
+from threadpoolctl import OpenBLASController, ThreadpoolController
 
 One = TypeVar("One")
 Result = TypeVar("Result")
@@ -55,7 +55,11 @@ def one_thread() -> Generator[None, None, None]:
 
 
 class _OneBlasThread:
-    """How many ask for one thread of linear algebra, which is a setting of the process."""
+    """How many ask for one thread of linear algebra, which is a setting of the process.
+
+    The last to let go gives back what the first has taken, whichever threads these are; the library lets only the thread change
+    the setting that did so first, and has to be told.
+    """
 
     def __init__(self) -> None:
         self._lock, self._asked = threading.Lock(), 0
@@ -66,6 +70,7 @@ class _OneBlasThread:
         with self._lock:
             self._asked += 1
             if self._asked == 1:
+                OpenBLASController.clear_controlling_thread(force=True)
                 limit: AbstractContextManager[Any] = _libraries().limit(limits=1, user_api="blas")
                 limit.__enter__()
                 self._limit = limit
@@ -75,6 +80,7 @@ class _OneBlasThread:
         with self._lock:
             self._asked -= 1
             if self._asked == 0 and self._limit is not None:
+                OpenBLASController.clear_controlling_thread(force=True)
                 self._limit.__exit__(None, None, None)
 
 

@@ -43,15 +43,23 @@ def time_loop(
         carry, shown = at
         carry, new = step(carry, row_at(k))
         leaves = jax.tree.leaves(new)
-        together = [jnp.stack([leaves[place] for place in places]) for places in alike]
+        together = [
+            leaves[places[0]] if len(places) == 1 else jnp.stack([leaves[p] for p in places]) for places in alike
+        ]
         put = jax.lax.dynamic_update_index_in_dim
         return carry, [put(all_of_it, one, k, 0) for all_of_it, one in zip(shown, together, strict=True)]
 
     shapes, structure = jax.tree.flatten(jax.eval_shape(step, carry, jax.eval_shape(row_at, 0))[1])
     alike = _alike(shapes)
-    shown = [jnp.zeros((room, len(places), *shapes[places[0]].shape), shapes[places[0]].dtype) for places in alike]
+    many = [(len(places),) if len(places) > 1 else () for places in alike]
+    ones = [shapes[places[0]] for places in alike]
+    shown = [jnp.zeros((room, *several, *one.shape), one.dtype) for several, one in zip(many, ones, strict=True)]
     carry, shown = jax.lax.fori_loop(0, jnp.asarray(samples), onward, (carry, shown))
-    apart = {p: rows[:, i] for rows, places in zip(shown, alike, strict=True) for i, p in enumerate(places)}
+    apart = {
+        place: found[:, i] if len(places) > 1 else found
+        for found, places in zip(shown, alike, strict=True)
+        for i, place in enumerate(places)
+    }
     return carry, jax.tree.unflatten(structure, [apart[place] for place in range(len(shapes))])
 
 

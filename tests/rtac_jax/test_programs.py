@@ -214,6 +214,19 @@ def test_what_was_prepared_for_shapes_is_not_compiled_again(kept) -> None:
     assert len(TRACED) == 1
 
 
+def test_an_array_made_of_a_number_runs_what_another_of_its_type_does(kept) -> None:
+    function = Program(scaled)
+    TRACED.clear()
+    weak, strong = jnp.asarray(2.0), jnp.asarray(np.float64(2.0))
+    assert weak.weak_type, "or else nothing is asked here"
+    assert not strong.weak_type
+    for factor in (weak, strong):
+        found = function(jnp.ones(3), factor)
+        assert float(found["sum"]) == 3.0
+        np.testing.assert_array_equal(found["twice"], [2.0, 2.0, 2.0])
+    assert len(TRACED) == 1
+
+
 def test_programs_of_older_versions_are_deleted_where_nobody_used_them_for_long(kept) -> None:
     old, recent = kept / kept_files.FOLDER / "old", kept / kept_files.FOLDER / "recent"
     code = kept / kept_files.FOLDER / "code" / "old"

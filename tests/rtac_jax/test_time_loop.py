@@ -17,7 +17,7 @@ from rtac_jax.time_loop import room_for, time_loop
 
 def moved(carry: Any, row: Any) -> tuple[Any, Any]:
     after = 0.9 * carry + row["push"]
-    return after, {"before": carry, "both": jnp.stack([carry, after])}
+    return after, {"before": carry, "after": after, "both": jnp.stack([carry, after])}  # two of one shape
 
 
 ROWS = {"push": jnp.asarray(np.random.default_rng(1).normal(size=100))}

@@ -70,45 +70,34 @@ def noise_information(
     """
     outputs, states, experiments = linear.shown.shape[1:]
     count, process = len(linear.fresh), linear.pushes.shape[1]
-    eye = jnp.eye(outputs)
-
-    # All noises side by side, as more columns beside the experiments.
-    def beside(several: Array) -> Array:
-        """Return an array for each noise [noise ... experiment] as columns."""
-        return jnp.moveaxis(several, 0, -2).reshape(*several.shape[1:-1], count * experiments)
-
-    def repeated(one: Array) -> Array:
-        return jnp.concatenate([one] * count, axis=-1)
-
-    sensors = jnp.concatenate([jnp.zeros((process, outputs)), eye])[:, :, None] * linear.variance
-    sensors = beside(sensors)
-    fresh = beside(jnp.eye(states)[:, :, None] * linear.fresh[:, :, None])
+    sensors = jnp.concatenate([jnp.zeros((process, outputs)), jnp.eye(outputs)])[:, :, None] * linear.variance
 
     def onward(k: Any, carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        """Carry the derivatives of the predicted state and its covariance by each noise one sample on."""
         state, spread, information = carry
         at, row = _row(filtered, linear, k)
         kept, carried = _moved(row, at.gain)
         later = _product(row.pushes, _turned(row.transition))
-        kept, shown, whitener, lead = map(repeated, (kept, row.shown, at.whitener, carried))
-        weighed = repeated(row.weighed)
-        error = -_applied(whitener, _applied(shown, state))
-        reach = _product(spread, _turned(shown))
-        doubt = _product(shown, reach) + eye[:, :, None] * sensors[:, None]
-        doubt = _product(_product(whitener, doubt), _turned(whitener))
-        seen = jnp.concatenate([error, jnp.sqrt(0.5) * doubt.reshape(outputs**2, -1)]).reshape(-1, count, experiments)
-        information = information + jnp.sum(seen[:, :, None] * seen[:, None], axis=0)
-        # The change of the gain times the error, from the whitened error.
-        state = _applied(kept, state + _applied(reach, weighed)) - _applied(lead, sensors * weighed)
+        error = jax.vmap(lambda one: _applied(at.whitener, _applied(row.shown, one)))(state)
+        reach = jax.vmap(lambda one: _product(one, _turned(row.shown)))(spread)
+        doubt = jax.vmap(lambda one: _product(row.shown, one))(reach)
+        doubt = doubt + jnp.eye(outputs)[:, :, None] * sensors[:, :, None]
+        doubt = jax.vmap(lambda one: _product(_product(at.whitener, one), _turned(at.whitener)))(doubt)
+        information = information + jnp.sum(error[:, None] * error[None], axis=2)
+        information = information + 0.5 * jnp.sum(doubt[:, None] * doubt[None], axis=(2, 3))
+        # The change of the gain times the error, from the weighed error.
+        state = state + jax.vmap(lambda one: _applied(one, row.weighed))(reach)
+        state = jax.vmap(lambda one, own: _applied(kept, one) - _applied(carried, own * row.weighed))(state, sensors)
+        spread = jax.vmap(lambda one: _product(_product(kept, one), _turned(kept)))(spread)
         pushed = row.pushes[:, :, None] * row.pushes[:, None] + later[:, :, None] * later[:, None]
         struck = _turned(carried)[:, :, None] * _turned(carried)[:, None] * linear.variance[:, None, None]
-        spread = _product(_product(kept, spread), _turned(kept)) + beside(jnp.concatenate([pushed, struck])) + fresh
-        return state, spread, information
+        own = jnp.eye(states)[:, :, None] * linear.fresh[:, :, None]
+        return state, spread + jnp.concatenate([pushed, struck]) + own, information
 
     start = (
-        jnp.zeros((states, count * experiments)),
-        beside(jnp.eye(states)[:, :, None] * linear.stationary[:, :, None]),
+        jnp.zeros((count, states, experiments)), jnp.eye(states)[:, :, None] * linear.stationary[:, :, None],
         jnp.zeros((count, count, experiments)),
-    )
+    )  # fmt: skip
     return jax.lax.fori_loop(0, length, onward, start)[2]
 
 

@@ -15,6 +15,9 @@ def blas_threads() -> list[int]:
 
 @pytest.fixture
 def two_threads():
+    threadpoolctl.OpenBLASController.clear_controlling_thread(
+        force=True
+    )  # or else a thread of another test may be the one
     with threadpoolctl.threadpool_limits(2, "blas"):
         if set(blas_threads()) != {2}:
             pytest.skip("no library of linear algebra here takes two threads.")

@@ -68,7 +68,7 @@ class Data(eqx.Module):
 
     @property
     def counted(self) -> Outputs3:
-        """1 where an output was measured and counts, else 0."""
+        """Return 1 where an output was measured and counts, else 0."""
         return self.present * self.trusted[:, None]
 
     @property

@@ -174,14 +174,13 @@ def kalman(
     gain, whitener, innovations, likelihood, shaken = found
     # Not the sample itself: to leave out samples for what they show would bias what is left.
     after = jnp.concatenate([jnp.zeros_like(shaken[:1]), shaken[:-1]]) * rows["lasts"]
-    # Not within the loop: written there, too, one of two arrays of a shape is copied in every step.
     weighed, counts = jnp.sum(whitener * innovations[:, :, None], axis=1), data.trusted[:, None]
     filtered = Filtered(
         gain, counts[:, None] * whitener, counts * innovations, jnp.sum(data.trusted * likelihood, axis=0), after
     )
     stationary, fresh = map(wander.by_noise, (wander.stationary, wander.fresh))
-    shown, transition, pushed = linear
-    return filtered, Linearised(shown, transition, pushed, weighed, wander.white, stationary, fresh)
+    shown, transition, pushes = linear
+    return filtered, Linearised(shown, transition, pushes, weighed, wander.white, stationary, fresh)
 
 
 @program
@@ -281,6 +280,8 @@ def _linearised(
     never doubt again that the body rests, while random forces shake it loose. The same holds for parts that are about
     to hit each other: a filter that believes the derivative never doubts whether they have by the next sample.
 
+    Where a state is known better than rounding lets differences be, they are over the least that it does.
+
     Every derivative has its own copy of the state: arrays of one shape become few loops, and these cost more than their
     work.
 
@@ -306,7 +307,7 @@ def _linearised(
         return jax.jvp(lambda x: jnp.stack(function(tuple(x))), (point,), (direction,))
 
     ends, slopes = jax.vmap(one)(jnp.stack(points), jnp.stack(along))
-    columns = dict(zip(narrow, slopes, strict=False))
+    columns = dict(zip(narrow, slopes[: len(narrow)], strict=True))
     beside = ends[len(narrow) :]
     for place, r, ahead, behind in zip(wide, reaches, beside[::2], beside[1::2], strict=True):
         columns[place] = (ahead - behind) / (2 * r)

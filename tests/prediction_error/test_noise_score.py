@@ -3,17 +3,20 @@
 import dataclasses
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from estimators.core.data import Data
 from estimators.core.initial_state import space_of
+from estimators.core.residual import states_at_start
 from estimators.prediction_error.coloured_noise import with_colours
 from estimators.prediction_error.ekf import filtered, kalman
 from estimators.prediction_error.noise_model import start_variance
 from estimators.prediction_error.noise_score import noise_information, noise_slope
 from rtac_jax import RTAC, Experiment
+from rtac_jax.simulation import advance
 
 SENSOR = np.array([2e-5, 0.05, 1.0])
 COLOUR = {"cart_position": (0.6, 0.02)}
@@ -60,3 +63,28 @@ def test_slopes_are_those_of_the_likelihood(colour):
     np.testing.assert_allclose(information, information.T, rtol=1e-12)
     assert information[0, 0] > 0
     assert information[2, 2] > 0
+
+
+def test_where_a_state_is_sure_its_derivatives_are_those_of_the_model():
+    """Of a cart that slides and an arm that turns, with dry friction; the velocities' are differences over next to nothing."""
+    motion = {"cart_position": np.linspace(0.01, 0.02, 8), "arm_velocity": np.linspace(4.0, 3.9, 8)}
+    experiments = [Experiment.of("e", kind="free", sample_time=0.01, initial_arm_angle=0.7, **motion)]
+    model = RTAC.paper()
+    data = Data.of(experiments)
+    space = space_of(model, experiments, free=[], start={"e": np.array([0.01, 0.3, 0.7, 4.0])})
+    physical = space.physical(space.unconstrained(start=False))
+    sure, loud = jnp.zeros_like(start_variance(space)), jnp.full((3, 1), 1e6)
+
+    @eqx.filter_jit
+    def transition():
+        given = {"sensor_variance": loud, "process": (0.0, 0.0), "start_variance": sure}
+        return kalman(model, data, space, physical, **given, substeps=1)[1].transition[0, :, :, 0]
+
+    def onward(state):
+        current, force = (None if x is None else tuple(x[0]) for x in (data.excitation.current, data.excitation.force))
+        at = tuple(x[None] for x in state)
+        return jnp.stack(advance(model, at, current, force, data.excitation, substeps=1))[:, 0]
+
+    begun = jnp.array([x[0] for x in states_at_start(model, physical[2], data.excitation)])
+    assert np.all(np.abs(np.asarray(begun)[[1, 3]]) > 0.1), "or else a body may rest"
+    np.testing.assert_allclose(transition(), jax.jacfwd(onward)(begun), rtol=1e-5, atol=1e-7)

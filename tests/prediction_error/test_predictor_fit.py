@@ -81,6 +81,28 @@ def test_a_filter_of_long_experiments_is_the_same(shaken, monkeypatch):
         np.testing.assert_allclose(value, getattr(whole, name), rtol=0, atol=1e-12 * size, err_msg=name)
 
 
+def test_a_curvature_that_is_kept_changes_steps_and_not_where_they_end(shaken, monkeypatch):
+    data, model, _, _ = shaken
+    computed: list[int] = []
+    information = filter_pass._information
+
+    def counted(*given):
+        computed[-1] += 1
+        return information(*given)
+
+    monkeypatch.setattr(filter_pass, "_information", counted)
+    ends = []
+    for near in (filter_pass._NEAR, -1.0):  # never kept
+        monkeypatch.setattr(filter_pass, "_NEAR", near)
+        computed.append(0)
+        ends.append(est.prediction_error_nonlinear(model, data, progress=False))
+    kept, anew = ends
+    assert computed[0] < computed[1]
+    assert kept.log_likelihood == pytest.approx(anew.log_likelihood, abs=0.2)
+    for name, parameter in kept.parameters.items():
+        assert parameter.value == pytest.approx(anew.parameters[name].value, abs=0.05 * parameter.std), name
+
+
 def test_noise_that_a_part_tells_first_is_that_of_all_samples(shaken, monkeypatch):
     data, model, _, _ = shaken
     found = est.prediction_error_nonlinear(model, data, progress=False, rounds=2)

@@ -57,8 +57,7 @@ def one_thread() -> Generator[None, None, None]:
 class _OneBlasThread:
     """How many ask for one thread of linear algebra, which is a setting of the process.
 
-    The last to let go gives back what the first has taken, whichever threads these are; the library lets only the thread change
-    the setting that did so first, and has to be told.
+    The last to let go gives back what the first has taken, whichever threads these are.
     """
 
     def __init__(self) -> None:
@@ -70,7 +69,7 @@ class _OneBlasThread:
         with self._lock:
             self._asked += 1
             if self._asked == 1:
-                OpenBLASController.clear_controlling_thread(force=True)
+                _let_any_thread_limit()
                 limit: AbstractContextManager[Any] = _libraries().limit(limits=1, user_api="blas")
                 limit.__enter__()
                 self._limit = limit
@@ -80,8 +79,15 @@ class _OneBlasThread:
         with self._lock:
             self._asked -= 1
             if self._asked == 0 and self._limit is not None:
-                OpenBLASController.clear_controlling_thread(force=True)
+                _let_any_thread_limit()
                 self._limit.__exit__(None, None, None)
+
+
+def _let_any_thread_limit() -> None:
+    """Forget which thread has set the number first: from 3.8 on, threadpoolctl lets no other thread change it."""
+    forget = getattr(OpenBLASController, "clear_controlling_thread", None)
+    if forget is not None:
+        forget(force=True)
 
 
 _blas = _OneBlasThread()

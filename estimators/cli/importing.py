@@ -55,7 +55,9 @@ def import_files(
     time: Annotated[str | None, option('"COLUMN [UNIT]"', "The column of the times; s, ms or us.")] = None,
     sample_time: Annotated[float | None, option("SECONDS", "Instead of a column of times.")] = None,
     name: Annotated[
-        Pairs, option("NAME", "Of the experiments, one for each file; by default the files' names.")
+        Pairs,
+        # Named here: typer 0.27 takes the word in the help for the option's name where the two are one word.
+        option("NAME", "Of the experiments, one for each file; by default the files' names.", "--name"),
     ] = None,
     angle: Annotated[
         list[float] | None,

@@ -6,9 +6,15 @@ from typing import Annotated, Any
 import typer
 
 
-def option(metavar: str, help: str) -> Any:
-    """Declare an option that is nothing by default, so that no default is shown."""
-    return typer.Option(metavar=metavar, help=help, show_default=False)
+def option(metavar: str, help: str, *names: str) -> Any:
+    """Declare an option that is nothing by default, so that no default is shown.
+
+    Args:
+        metavar: what stands for its value in the help.
+        help: what it is for.
+        names: of the option, with their dashes; by default made of the parameter's.
+    """
+    return typer.Option(*names, metavar=metavar, help=help, show_default=False)
 
 
 File = Annotated[Path, typer.Argument(help="Recording (HDF5).", metavar="FILE", show_default=False)]

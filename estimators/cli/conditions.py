@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import typer
 
-from estimators.cli.job import Job, progress
+from estimators.cli.job import Job
 from estimators.cli.options import option
 from estimators.cli.refusals import WRONG_USE, stop
 
@@ -40,7 +40,7 @@ def enveloped(
     import estimators as est
     from estimators.uncertainty.condition_selection import usable_conditions
 
-    used = usable_conditions(work.recording, band=band, modes=modes, progress=progress())
+    used = usable_conditions(work.recording, band=band, modes=modes, progress=True)
     apart = set(work.held_out.names) if work.held_out is not None else set()
     held = [i for i, one in enumerate(used.responses) if one.name in apart]
     if work.names is None and (for_control or len(used.responses) - len(held) < 2):
@@ -53,7 +53,7 @@ def enveloped(
         try:
             one = est.envelope(
                 used.responses, kind=kind, order_nominal=order, order_weight=weight_order, held_out=held,
-                importance=importance, minimise=minimise, progress=progress(),
+                importance=importance, minimise=minimise,
             )  # fmt: skip
             found.append(one)
         except ValueError as error:

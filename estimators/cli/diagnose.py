@@ -4,7 +4,7 @@ from functools import reduce
 from typing import Any
 
 from estimators.cli.captions import BANDS, CONFUSION, DIAGNOSIS, WHERE, shown, without_limits
-from estimators.cli.job import Job, job, progress
+from estimators.cli.job import Job, job
 from estimators.cli.models import base_fit
 from estimators.cli.options import Effects, File, Json, Model, Out, Quick, Save, Validation
 from estimators.cli.own_effects import offered
@@ -29,7 +29,7 @@ def diagnose(
 
         candidates = offered(effects)
         base = base_fit(work, model, effects)
-        found = est.diagnose(base, work.train, candidates=candidates, thorough=not quick, progress=progress())
+        found = est.diagnose(base, work.train, candidates=candidates, thorough=not quick)
         fits, labels = _refitted(work, base, found)
         trained, tested = work.compared(fits, labels)
         table, errors = _report.candidate_table(found), _report.error_table(trained, tested)
@@ -100,7 +100,7 @@ def _refitted(work: Job, base: Any, found: Any) -> tuple[list[Any], list[str]]:
             (holding(free, [effect.id for effect in found.additions]), ", held at the estimate of the diagnosis"),
         ):
             try:
-                fits.append(est.output_error(extended, work.train, from_model=True, progress=progress()))
+                fits.append(est.output_error(extended, work.train, from_model=True))
             except (est.NotIdentifiableError, est.DivergedError, FloatingPointError) as error:
                 work.note(f"The model with {names}{held} could not be fitted by simulation: {error}")
             else:

@@ -5,7 +5,7 @@ from typing import Annotated, Any
 import typer
 
 from estimators.cli.captions import shown
-from estimators.cli.job import Job, job, progress
+from estimators.cli.job import Job, job
 from estimators.cli.models import start_model
 from estimators.cli.options import Effects, File, Json, Model, Out, Save, Validation
 
@@ -113,12 +113,12 @@ def _side_by_side(work: Job, closed: Any, found: Any) -> tuple[Any, Any]:
 
     predicted, agreed = None, None
     try:
-        predicted = est.prediction_error_nonlinear(found.model, work.train, from_model=True, progress=progress())
+        predicted = est.prediction_error_nonlinear(found.model, work.train, from_model=True)
     except (ValueError, est.DivergedError) as error:  # such as data that leave parameters free beside random forces
         work.note(f"No prediction error: {error}")
     try:
         estimates = [closed, found] if predicted is None else [closed, found, predicted]
-        agreed = est.agreement(estimates, work.train, progress=progress())
+        agreed = est.agreement(estimates, work.train)
     except ValueError as error:  # the closed form needs channels that the fit does not
         work.note(f"The estimators were not compared: {error}")
     return predicted, agreed

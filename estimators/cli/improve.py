@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from estimators.cli.captions import BANDS, CONFUSION, DIAGNOSIS, LADDER, LEARNED, WHERE, shown, without_limits
-from estimators.cli.job import Job, job, progress
+from estimators.cli.job import Job, job
 from estimators.cli.models import start_model
 from estimators.cli.options import Effects, File, Json, Model, NoLearnedForce, Out, Quick, Save, Validation
 from estimators.cli.own_effects import offered
@@ -50,7 +50,7 @@ def improved(
     with work.explaining():
         found = est.improve(
             start, work.recording, validation=work.held_out.names, candidates=candidates, thorough=not quick,
-            progress=progress(), learned_force=learned_force,
+            learned_force=learned_force,
         )  # fmt: skip
     extended = len(found.validation.models) > 1
     errors = _report.error_table(found.train, found.validation)

@@ -95,7 +95,7 @@ class Job:
         options = {"robust": True} if robust else {}
         self.note_doubts()
         with self.explaining():
-            return est.output_error(model, self.train, from_model=from_model, progress=progress(), **options)
+            return est.output_error(model, self.train, from_model=from_model, **options)
 
     def note_doubts(self) -> None:
         """Note what contradicts itself or the equations of motion, which a fit would turn into confident numbers."""
@@ -263,11 +263,6 @@ def prepare() -> None:
     matplotlib.use("Agg")
     say_once_that_the_cache_is_full()
     note_cache(rtac_jax.configure())
-
-
-def progress() -> bool:
-    """Return whether to show bars, which are for people."""
-    return sys.stderr.isatty()
 
 
 def say(*blocks: Any) -> None:

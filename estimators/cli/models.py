@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from estimators.cli.job import Job, progress
+from estimators.cli.job import Job
 from estimators.cli.own_effects import own_classes
 from estimators.cli.refusals import WRONG_USE, stop
 
@@ -65,7 +65,7 @@ def base_fit(work: Job, path: Path | None, effects: Path | None = None) -> Any:
         return found
     work.note(f"The model of {path.name} was fitted to this recording, from its values on.")
     with work.explaining():
-        return est.output_error(_model_of(found), work.train, from_model=True, progress=progress())
+        return est.output_error(_model_of(found), work.train, from_model=True)
 
 
 def any_fit(work: Job, path: Path | None, effects: Path | None = None) -> Any:

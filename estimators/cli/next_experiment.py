@@ -6,7 +6,7 @@ from typing import Annotated, Any
 import typer
 
 from estimators.cli.captions import shown
-from estimators.cli.job import Job, job, progress
+from estimators.cli.job import Job, job
 from estimators.cli.limits import TorqueLimit, Travel, positive
 from estimators.cli.models import base_fit, loaded, with_article
 from estimators.cli.options import Effects, File, Json, Model, Out, Quick, Validation, option
@@ -70,7 +70,7 @@ def next_experiment(
         planned = est.next_experiment(
             base, work.train, found, between=None if between is None else [name.strip() for name in between.split(",")],
             candidates=candidates, travel=1e-3 * travel, torque_limit=torque_limit, speed_limit=speed_limit,
-            current_limit=current_limit, duration=duration, held_out=work.held_out, progress=progress(),
+            current_limit=current_limit, duration=duration, held_out=work.held_out,
         )  # fmt: skip
         if play is not None:
             planned.save(play)
@@ -100,7 +100,7 @@ def _found(work: Job, base: Any, path: Path | None, effects: Path | None, candid
     import estimators as est
 
     if path is None:
-        return est.diagnose(base, work.train, candidates=candidates, thorough=not quick, progress=progress())
+        return est.diagnose(base, work.train, candidates=candidates, thorough=not quick)
     found = loaded(path, effects, "--diagnosis")
     if not isinstance(found, est.Diagnosis):
         stop(

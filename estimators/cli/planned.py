@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from estimators.cli.job import Job, progress
+from estimators.cli.job import Job
 
 
 def plan_next(work: Job, base: Any, found: Any, candidates: Any) -> Any:
@@ -15,9 +15,7 @@ def plan_next(work: Job, base: Any, found: Any, candidates: Any) -> Any:
     import estimators as est
 
     try:
-        return est.next_experiment(
-            base, work.train, found, candidates=candidates, held_out=work.held_out, progress=progress()
-        )
+        return est.next_experiment(base, work.train, found, candidates=candidates, held_out=work.held_out)
     except (ValueError, FloatingPointError) as error:
         work.note(f"No next experiment could be planned: {error}")
         return None

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from estimators.cli.job import prepare, progress, say
+from estimators.cli.job import prepare, say
 from estimators.cli.options import option
 from estimators.cli.refusals import NOT_POSSIBLE, WRONG_USE, answering, stop
 
@@ -51,7 +51,7 @@ def run(
         folder = out or _folder_beside(file)
         prepare()
         with _executor(executor) as chosen:
-            found = est.study(spec, executor=chosen, out=folder, chunk=chunk, progress=progress())
+            found = est.study(spec, executor=chosen, out=folder, chunk=chunk)
         say(found, f"report: {found.report(folder)}")
 
 

@@ -7,12 +7,12 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from tqdm import tqdm
 
 from estimators.core.compilation import make_room
 from estimators.core.data import fitted_part
 from estimators.core.drawing import draw
 from estimators.core.fit import Fit
+from estimators.core.progress import Progress
 from estimators.core.result_base import Result
 from estimators.core.threads import one_blas_thread
 from estimators.diagnosis.candidate import Candidate
@@ -160,7 +160,7 @@ def diagnose(
             as exact beside others. Those of the model are passed over.
         thorough: where the verdict would be unknown, look again at what raised no alarm; that may take minutes.
         policy: the thresholds; see `DiagnosisPolicy`.
-        progress: show a bar.
+        progress: show how far it is, as `core.progress.Progress` does.
 
     Raises:
         ValueError: nothing that was fitted is in the recording, no candidate is left, or one is declared so that it cannot be
@@ -177,8 +177,8 @@ def diagnose(
     classes = offered(fit.model, candidates)
     if not classes:
         raise ValueError("no candidate is left: the model has every effect that was offered.")
-    with tqdm(total=None, disable=not progress, desc="diagnose", unit=" steps", leave=False) as bar:
-        setting = setting_of(fit, recording, classes, bar, policy)
+    with Progress("diagnose", show=progress) as shown:
+        setting = setting_of(fit, recording, classes, shown, policy)
         # Where some are in the model already, as in the loop, its other tests are still worth asking.
         if not setting.absent and not any(c.id in fit.model for c in candidates or ()):
             raise ValueError(
@@ -188,7 +188,7 @@ def diagnose(
             laboratory = _begun(setting, fit, Workers(), whole=candidates is None)
             decide(laboratory, policy, thorough=thorough)
             evidence = laboratory.evidence(thorough=thorough)
-        bar.set_description("diagnose: verdict")
+        shown.at("diagnose: verdict")
         unshown = [c for c in classes if c.id not in setting.absent and not stood_for(c, setting.experiments)]
         told = _told(laboratory, evidence, judge(evidence, policy), unshown)
     if (
@@ -209,14 +209,14 @@ def _begun(setting: Setting, fit: Fit, workers: Workers, *, whole: bool) -> Live
         workers: compute side by side.
         whole: whether the candidates are all that are known.
     """
-    setting.bar.set_description("diagnose: predictor of the base model")
+    setting.progress.at("diagnose: predictor of the base model")
     first = setting
     with workers.compiling(pieces_of_tests(first), before=lambda: compile_base(first)) as ahead:
         setting, base = recoloured(setting, fit_base(setting))
         setting, base = trusting(setting, base)
         if whole and is_gross(setting, fit, base):
             setting = offering_gross(setting)
-        setting.bar.set_description("diagnose: candidates")
+        setting.progress.at("diagnose: candidates")
         return LiveLaboratory(setting, fit, base, run_tests(setting, base, ahead), workers)
 
 

@@ -68,7 +68,7 @@ class LiveLaboratory:
             tested: the tests of that.
             workers: compute side by side.
         """
-        self._fit, self._workers, self._bar = fit, workers, setting.bar
+        self._fit, self._workers, self._progress = fit, workers, setting.progress
         self._models: list[FittedModel] = []
         self._computed: list[tuple[Setting, Refit]] = []
         self._tested: dict[int, Tested] = {}
@@ -91,7 +91,7 @@ class LiveLaboratory:
 
     def say(self, text: str) -> None:
         """Show what is asked now."""
-        self._bar.set_description(f"diagnose: {text}")
+        self._progress.at(f"diagnose: {text}")
 
     def first_refits(
         self, before: FittedModel, first: Score, near: Sequence[Score], way: Way

@@ -12,6 +12,7 @@ from estimators.core.fisher_information import information
 from estimators.core.fit import Fit, Parameter
 from estimators.core.jacobian_factor import Arguments, factor
 from estimators.core.parameter_space import Space
+from estimators.core.progress import Progress
 from estimators.core.residual import start_rows
 from estimators.core.results import NotIdentifiableError
 from estimators.diagnosis.contact_trials import (
@@ -43,7 +44,7 @@ from rtac_jax.parameters import declarations
 
 def compile_for(model: RTAC, recording: Recording, classes: Sequence[type[Effect]]) -> None:
     """Compile what the diagnosis of a model will run first, so that this can be done while the model is fitted."""
-    setting = set_up(model, recording, classes, {}, 1, None)
+    setting = set_up(model, recording, classes, {}, 1, Progress("compile", show=False))
     for piece in pieces_of_tests(setting):  # first: a fit begins with the filter too, and compiles it
         piece()
     _compile_fit(setting, model_with(setting, []), tuple(shared(model)))
@@ -202,7 +203,7 @@ def extended_simulation(setting: Setting, fit: Fit, final: Refit) -> SimulationE
         fit: that is diagnosed.
         final: the predictor of the model with the effects.
     """
-    setting.bar.set_description("diagnose: simulation with what was added")
+    setting.progress.at("diagnose: simulation with what was added")
     extended = reduce(RTAC.__add__, [effect_of(setting, i, final) for i in final.added], fit.model)
     extended = extended.with_values({n: v for n, v in final.values.items() if n in extended.parameters})
     base = [name for name in extended.free if name.split(".")[0] not in final.added]
@@ -216,7 +217,7 @@ def extended_simulation(setting: Setting, fit: Fit, final: Refit) -> SimulationE
 
 def _refit_or_none(setting: Setting, before: Refit, s: Screened | Explained, way: Way) -> Refit | None:
     """Fit a model with one candidate more; None if the model diverges with it."""
-    setting.bar.set_description(f"diagnose: refit with {s.id}")
+    setting.progress.at(f"diagnose: refit with {s.id}")
     with contextlib.suppress(ArithmeticError, NotIdentifiableError):
         if isinstance(s, Explained):
             return refit_from_equations(setting, before, s)
@@ -334,11 +335,7 @@ def fitted(
     Raises:
         ArithmeticError: the model diverges, or leaves parameters free.
     """
-
-    def show(text: str) -> None:
-        setting.bar.update(1)
-        setting.bar.set_postfix_str(text, refresh=False)
-
+    show = setting.progress.step
     space = begun(space_for(setting, model, free), model, start)
     prior = setting.prior.starting(space)
     found = fit_predictor(model, setting.data, space, prior, substeps=setting.substeps, first=noise, progress=show)

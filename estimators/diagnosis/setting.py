@@ -13,6 +13,7 @@ from estimators.core.data import Data, moving, pieces
 from estimators.core.fit import Fit
 from estimators.core.initial_state import scales_of, space_of, without_angle
 from estimators.core.parameter_space import Space
+from estimators.core.progress import Progress
 from estimators.core.residual import start_rows
 from estimators.core.sensor_noise import noise_levels
 from estimators.diagnosis.candidate_set import plausible
@@ -51,7 +52,7 @@ class Setting:
     instances: list[Effect]
     substeps: Steps
     start: dict[str, np.ndarray]
-    bar: Any
+    progress: Progress
     policy: DiagnosisPolicy = STANDARD
 
     @property
@@ -81,7 +82,11 @@ class Setting:
 
 
 def setting_of(
-    fit: Fit, recording: Recording, classes: Sequence[type[Effect]], bar: Any, policy: DiagnosisPolicy = STANDARD
+    fit: Fit,
+    recording: Recording,
+    classes: Sequence[type[Effect]],
+    progress: Progress,
+    policy: DiagnosisPolicy = STANDARD,
 ) -> Setting:
     """Set up for the model of a fit.
 
@@ -89,10 +94,10 @@ def setting_of(
         fit: that is diagnosed.
         recording: that it was fitted to.
         classes: of the candidates.
-        bar: shows progress.
+        progress: that is told of every step.
         policy: the thresholds.
     """
-    return set_up(fit.model, recording, classes, fit.start, int(fit.statistics["substeps"]), bar, policy)
+    return set_up(fit.model, recording, classes, fit.start, int(fit.statistics["substeps"]), progress, policy)
 
 
 def set_up(
@@ -101,7 +106,7 @@ def set_up(
     classes: Sequence[type[Effect]],
     starts: Mapping[str, np.ndarray],
     substeps: int,
-    bar: Any,
+    progress: Progress,
     policy: DiagnosisPolicy = STANDARD,
 ) -> Setting:
     """Set up for a model; candidates that nothing in the recording could show are passed over."""
@@ -127,7 +132,7 @@ def set_up(
     prior = NoiseModel.of(levels, recording.experiments, scales, space)
     return Setting(
         model, recording, absent, colours, bool(colours), experiments, Data.of(experiments), prior, possible, instances,
-        jnp.asarray(substeps), start, bar, policy,
+        jnp.asarray(substeps), start, progress, policy,
     )  # fmt: skip
 
 

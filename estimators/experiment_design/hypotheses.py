@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from tqdm import tqdm
 
 from estimators.core.data import Data, moving, pieces
 from estimators.core.fit import Fit
 from estimators.core.initial_state import scales_of, space_of, without_angle
+from estimators.core.progress import Progress
 from estimators.core.sensor_noise import noise_levels
 from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.diagnose import Diagnosis
@@ -106,14 +106,14 @@ def contest_of(
     space = space_of(truth, experiments, free=free, start=start)
     prior = NoiseModel.of(dict(noise_levels(recording.experiments)), recording.experiments, scales, space)
     substeps = int(fit.statistics["substeps"])
-    with tqdm(total=None, disable=not progress, desc="next experiment", unit=" steps", leave=False) as bar:
+    with Progress("next experiment", show=progress) as shown:
         predictor, _ = fit_trusted(
             truth,
             Data.of(experiments),
             space,
             prior,
             substeps=jnp.asarray(substeps),
-            progress=lambda text: bar.update(1),
+            progress=shown.step,
         )
     shared, each, _ = (np.asarray(part) for part in predictor.physical)
     truth = truth.with_values(dict(zip(space.names, shared, strict=True)) | dict(zip(space.each, each, strict=True)))

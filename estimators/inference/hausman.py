@@ -8,7 +8,6 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.stats import f as fisher
 from scipy.stats import t as student
-from tqdm import tqdm
 
 from estimators.closed_form.table1 import ClosedForm
 from estimators.core.data import CHANNELS
@@ -16,6 +15,7 @@ from estimators.core.fit import Fit
 from estimators.core.initial_state import scales_of
 from estimators.core.linearisation import at_fit
 from estimators.core.piecewise_triangle import LONG
+from estimators.core.progress import Progress
 from estimators.inference.agreement import Agreement, Disagreement, Vector
 from estimators.inference.bootstrap import Shaken, Shuffled, Source
 from estimators.inference.estimates import MODAL, Estimator, Result, estimator_of, label_of
@@ -65,7 +65,7 @@ def agreement(
             long: p-values count that they are few, and a replicate takes seconds there.
         block: duration that stays together when the residual is put in another order [s]; longer than its correlation time.
         seed: of the replicates.
-        progress: show a bar.
+        progress: show how far it is, as `core.progress.Progress` does.
 
     Raises:
         ValueError: fewer than two results, no fit of the nonlinear model among them, nothing in common, too few draws, or
@@ -124,10 +124,12 @@ def agreement(
     units = tuple(next(w.units[w.names.index(n)] for w in estimators if n in w.names) for n in names)
     random = np.random.default_rng(seed)
     found = np.full((draws, len(estimators), len(names)), np.nan)
-    for number in tqdm(range(draws), desc="agreement", unit=" replicates", disable=not progress, leave=False):
-        measured = source.draw(random)
-        for row, estimator in enumerate(estimators):
-            found[number, row] = _in_order(estimator, estimator.again(measured), names)
+    with Progress("agreement", show=progress, unit="replicates", total=draws) as shown:
+        for number in range(draws):
+            measured = source.draw(random)
+            for row, estimator in enumerate(estimators):
+                found[number, row] = _in_order(estimator, estimator.again(measured), names)
+            shown.step()
     # The estimates by the same step as in the replicates: what an optimiser left undone is large beside the difference of
     # two estimators that almost agree.
     measured = source.measured

@@ -9,9 +9,9 @@ import control as ct
 import jax
 import numpy as np
 from jaxtyping import Float, Float64
-from tqdm import tqdm
 
 from estimators.core.drawing import draw
+from estimators.core.progress import Progress
 from estimators.frequency_response.response import FrequencyResponses
 from estimators.linear.homogeneity_test import Covariates, Equality, equality_of
 from estimators.linear.initialisation import Pair, pole_pairs
@@ -168,7 +168,7 @@ def prediction_error(
         detrend: take the means off input and output first. The paper advises against it.
         angles: theta(t) [rad] by name of experiment, where it is not measured.
         model: simulates theta(t) where it is neither measured nor given.
-        progress: show a bar.
+        progress: show how far it is, as `core.progress.Progress` does.
 
     Returns:
         One model for each forced experiment.
@@ -195,13 +195,13 @@ def prediction_error(
     require_enough(first if search else largest, names, raw, present)
     data = stacked(raw, present)
     ended: dict[int, Stage] = {}
-    with tqdm(total=2 * most if search else most + 1, desc="linear fits", disable=not progress, leave=False) as bar:
+    with Progress("linear fits", show=progress, total=2 * most if search else most + 1) as shown:
         for simulated in simulation_stages(largest, data, raw, candidates, most):
-            bar.update()
+            shown.step()
             number = simulated.structure.modes
             if search or number == most:
                 ended[number] = predictor_stage(first.with_modes(number) if search else first, simulated)
-                bar.update()
+                shown.step()
     scores = {number: float(np.sum(_criteria(stage)[2])) for number, stage in ended.items()}
     stage = ended[min(scores, key=lambda number: scores[number])]
     sides = [(x, mask, a) for x, mask, a in zip(raw, present, angle, strict=True)]

@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Float, Int
-from tqdm import tqdm
 
 from estimators.core.data import CHANNELS, Data, moving, pieces
+from estimators.core.progress import Progress
 from estimators.core.results import RESULTS
 from estimators.core.step_size import accurate_substeps
 from estimators.output_error.batched_fit import TOLERANCE, fit_cases
@@ -88,7 +88,7 @@ def output_error_batch(
         tolerance: distance to the minimum to which a fit comes, as far as its steps tell [standard deviations].
         substeps: Runge-Kutta steps per sample; by default so many that more change the first recording's outputs by less
             than a fiftieth of the noise.
-        progress: show a bar.
+        progress: show how far it is, as `core.progress.Progress` does.
 
     Raises:
         ValueError: no recording, nothing moves in one, recordings of several shapes, no free parameter, or a start of one that
@@ -110,8 +110,8 @@ def output_error_batch(
         noise[list(first.outputs)] = first.noise[:, 0]
         data = Data.of(first.experiments)
         substeps = accurate_substeps(model, data, first.space, first.space.unconstrained(), noise)
-    with tqdm(total=len(cases), disable=not progress, desc="output error", unit=" recordings", leave=False) as bar:
-        ends = fit_cases(cases, substeps=substeps, steps=steps, tolerance=tolerance, progress=bar.update)
+    with Progress("output error", show=progress, unit="recordings", total=len(cases)) as shown:
+        ends = fit_cases(cases, substeps=substeps, steps=steps, tolerance=tolerance, progress=shown.count)
     unknown = np.full((len(shared), len(shared)), np.nan)
     return BatchFit(
         names=first.shared,

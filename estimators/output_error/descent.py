@@ -19,6 +19,7 @@ from estimators.core.initial_state import scales_of, space_of
 from estimators.core.jacobian_factor import Arguments, Passes, diverged, factor, plain_residual
 from estimators.core.levenberg_marquardt import NEGLIGIBLE, Solved
 from estimators.core.parameter_space import Space, Unknowns
+from estimators.core.progress import Progress
 from estimators.core.residual import diagonal_whitener, no_gain
 from estimators.core.start_search import beyond_noise, searched
 from estimators.core.step_size import accurate_substeps
@@ -80,7 +81,7 @@ class Descent:
         data, experiments: that are fitted.
         levels: noise of each channel, SI units.
         tolerance, steps: as `output_error` takes them.
-        bar: of progress.
+        progress: that is told of every step.
         taken: steps that all descents took.
         nearest: least cost of guided predictions so far.
         followed: what each descent simulated once it was guided, and where it ended.
@@ -91,7 +92,7 @@ class Descent:
     levels: Mapping[str, float]
     tolerance: float
     steps: int
-    bar: Any
+    progress: Progress
     taken: int = 0
     nearest: float = np.inf
     followed: list[tuple[np.ndarray, DescentEnd]] = dataclasses.field(default_factory=list)
@@ -260,8 +261,7 @@ class Descent:
 
     def _show(self, text: str) -> None:
         self.taken += 1
-        self.bar.update(1)
-        self.bar.set_postfix_str(text, refresh=False)
+        self.progress.step(text)
 
     def _require_determined(self, space: Space, unknowns: Unknowns, arguments: Arguments) -> None:
         """Refuse data that leave parameters free, before the first step.

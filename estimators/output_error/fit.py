@@ -1,19 +1,18 @@
 """Output error: the simulation that comes nearest to all measurements, with shared physics and separate starts."""
 
 import dataclasses
-import sys
 import time
 from collections.abc import Sequence
 
 import jax.numpy as jnp
 import numpy as np
-from tqdm import tqdm
 
 from estimators.closed_form.fit import starting_values
 from estimators.core.data import CHANNELS, Data, mark_of, moving, pieces
 from estimators.core.fisher_information import information
 from estimators.core.fit import Fit
 from estimators.core.parameter_space import number_of_unknowns
+from estimators.core.progress import Progress
 from estimators.core.results import RESULTS, DivergedError
 from estimators.core.sensor_noise import noise_levels
 from estimators.core.threads import one_blas_thread
@@ -59,7 +58,7 @@ def output_error(
         robust: let samples that lie too far off for noise, as spikes and dropouts do, count for little, and list them; see
             `estimators.output_error.robust`. The standard deviations allow for it. What a missing effect leaves may be
             discounted too, so look at the list.
-        progress: show a bar.
+        progress: show how far it is, as `core.progress.Progress` does.
 
     Raises:
         ValueError: nothing moves in the recording, no parameter is free, or a user's own effect does not work.
@@ -85,32 +84,30 @@ def output_error(
         experiments = pieces(moving(first))
         data = Data.of(experiments)
     candidates = [("the model's values", model)] if from_model else _starts(model, first, experiments, starts)
-    bar = tqdm(total=None, disable=not progress, desc="output error", unit=" steps", leave=False)
-    if note and progress:
-        bar.write(note, file=sys.stderr)
-    run = Descent(data, experiments, levels, tolerance, steps, bar)
-    ends: list[tuple[str, DescentEnd]] = []
-    failures = []
-    for name, start in candidates:
-        bar.set_description(f"output error from {name}")
-        try:
-            end = run.descend(start, best=min((end.cost for _, end in ends), default=np.inf), given=start is model)
-            if end is not None:
-                ends.append((name, end))
-        except FloatingPointError as error:
-            failures.append(f"from {name}: {error}")
-    if not ends:
-        bar.close()
-        raise DivergedError(" ".join(failures))
-    winner, stage = min(ends, key=lambda end: end[1].cost)
-    agreed = sum(_same(end, stage, float(jnp.sum(data.present))) for _, end in ends)
-    weighted = None
-    if robust:
-        bar.set_description("output error, weighted")
-        data, experiments = whole
-        weighted = run.weighted(stage, data, experiments)
-        stage = dataclasses.replace(stage, solved=weighted.solved, deviation=weighted.deviation, cost=weighted.cost)
-    bar.close()
+    with Progress("output error", show=progress) as shown:
+        if note:
+            shown.say(note)
+        run = Descent(data, experiments, levels, tolerance, steps, shown)
+        ends: list[tuple[str, DescentEnd]] = []
+        failures = []
+        for name, start in candidates:
+            shown.at(f"output error from {name}")
+            try:
+                end = run.descend(start, best=min((end.cost for _, end in ends), default=np.inf), given=start is model)
+                if end is not None:
+                    ends.append((name, end))
+            except FloatingPointError as error:
+                failures.append(f"from {name}: {error}")
+        if not ends:
+            raise DivergedError(" ".join(failures))
+        winner, stage = min(ends, key=lambda end: end[1].cost)
+        agreed = sum(_same(end, stage, float(jnp.sum(data.present))) for _, end in ends)
+        weighted = None
+        if robust:
+            shown.at("output error, weighted")
+            data, experiments = whole
+            weighted = run.weighted(stage, data, experiments)
+            stage = dataclasses.replace(stage, solved=weighted.solved, deviation=weighted.deviation, cost=weighted.cost)
     found = information(stage.solved.factor, stage.space, stage.solved.unknowns)
     # The data were asked before the first step. What a fit that ends on a bound has lost hangs on that bound: its report says so.
     if not stage.solved.held:

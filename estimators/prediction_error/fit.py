@@ -8,7 +8,6 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
-from tqdm import tqdm
 
 from estimators.closed_form.fit import starting_values
 from estimators.closed_form.initial_angle import with_initial_angles
@@ -23,6 +22,7 @@ from estimators.core.initial_state import scales_of, space_of
 from estimators.core.jacobian_factor import Arguments, diverged, factor
 from estimators.core.linearisation import Problem
 from estimators.core.parameter_space import Space, number_of_unknowns
+from estimators.core.progress import Progress
 from estimators.core.results import DivergedError
 from estimators.core.sensor_noise import noise_levels
 from estimators.core.step_size import accurate_substeps
@@ -162,7 +162,7 @@ def prediction_error_nonlinear(
         recording: with moving experiments; those at rest tell the sensors' noise.
         rounds: at most, of physics and noise in turn.
         from_model: begin at the model's values instead of the closed form.
-        progress: show a bar.
+        progress: show how far it is, as `core.progress.Progress` does.
 
     Raises:
         ValueError: nothing moves in the recording, no parameter is free, or a user's own effect does not work.
@@ -189,30 +189,23 @@ def prediction_error_nonlinear(
     prior = NoiseModel.of(levels, recording.experiments, scales, space)
     sensors = np.array([levels.get(channel, 1.0) for channel in CHANNELS])
     substeps = accurate_substeps(start, data, space, space.unconstrained(off_bounds=OFF_BOUNDS), sensors)
-    bar = tqdm(total=None, disable=not progress, desc="prediction error", unit=" steps", leave=False)
-
-    def show(text: str) -> None:
-        bar.update(1)
-        bar.set_postfix_str(text, refresh=False)
-
-    try:
-        steps = jnp.asarray(substeps)
-        space = with_likeliest_angles(start, data, space, prior, steps)
-        found, data = fit_trusted(
-            start, data, space, prior, substeps=steps, rounds=rounds, off_bounds=OFF_BOUNDS, progress=show
-        )
-        factors = factor(found.unknowns, _arguments_at(found, start, data, space, substeps))
-        if diverged(factors):
-            raise DivergedError(
-                "The model diverges at the estimate; begin with from_model=True at values nearer to the rig."
+    with Progress("prediction error", show=progress) as shown:
+        show, steps = shown.step, jnp.asarray(substeps)
+        try:
+            space = with_likeliest_angles(start, data, space, prior, steps)
+            found, data = fit_trusted(
+                start, data, space, prior, substeps=steps, rounds=rounds, off_bounds=OFF_BOUNDS, progress=show
             )
-        frozen = np.asarray(factors)
-        information(frozen, space, found.unknowns).require_determined()
-        found, triangles = most_likely(found, start, data, space, prior, frozen, substeps=steps, progress=show)
-    except FloatingPointError as error:
-        raise DivergedError(str(error)) from None
-    finally:
-        bar.close()
+            factors = factor(found.unknowns, _arguments_at(found, start, data, space, substeps))
+            if diverged(factors):
+                raise DivergedError(
+                    "The model diverges at the estimate; begin with from_model=True at values nearer to the rig."
+                )
+            frozen = np.asarray(factors)
+            information(frozen, space, found.unknowns).require_determined()
+            found, triangles = most_likely(found, start, data, space, prior, frozen, substeps=steps, progress=show)
+        except FloatingPointError as error:
+            raise DivergedError(str(error)) from None
     arguments = _arguments_at(found, start, data, space, substeps)
     known = information(triangles, space, found.unknowns)
     known.require_determined()

@@ -4,15 +4,15 @@ import multiprocessing
 import os
 import tempfile
 import threading
-import warnings
 from collections.abc import Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, ProcessPoolExecutor, wait
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
 
+from estimators.core.progress import Progress
 from estimators.core.threads import one_thread
 from estimators.study.layout import Arrays
 from estimators.study.repetition import Repetitions
@@ -51,7 +51,7 @@ def study(
             Processes of a pool must be spawned, as JAX does not survive a fork.
         out: folder of the results; None keeps them in memory only.
         chunk: repetitions that are computed and written together; by default as many as suit the methods.
-        progress: show a bar.
+        progress: show how far it is, as `core.progress.Progress` does.
 
     Raises:
         SpecError: the study is not described as it must be.
@@ -108,10 +108,10 @@ def repeated(
         size = chunk or work.per_chunk
         parts = [missing[first : first + size] for first in range(0, len(missing), size)]
         counted = work.count - len(missing)
-        with _bar(work, counted, progress) as bar:
+        with Progress(work.name, show=progress, unit="repetitions", total=work.count, done=counted) as shown:
             for indices, arrays in _computed(work, parts, executor):
                 storage.keep(indices, arrays)
-                bar.update(len(indices))
+                shown.count(len(indices))
         return storage.read(below=work.count)
 
 
@@ -249,16 +249,3 @@ def _end_with_parent() -> None:
 def _renewed(executor: Executor) -> Executor:
     """Return a pool as large as the one that broke, which cannot be used again."""
     return _Pool(getattr(executor, "_max_workers", None))  # there is no public question for its size
-
-
-@contextmanager
-def _bar(work: Work, counted: int, progress: bool) -> Iterator[Any]:
-    with (
-        warnings.catch_warnings()
-    ):  # without ipywidgets a notebook shows the bar of a terminal, and is told so at length
-        warnings.simplefilter("ignore")
-        from tqdm.auto import tqdm
-    with tqdm(
-        total=work.count, initial=counted, desc=work.name, unit=" repetitions", disable=not progress, leave=False
-    ) as bar:
-        yield bar

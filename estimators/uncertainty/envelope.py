@@ -9,9 +9,9 @@ import control as ct
 import numpy as np
 import scipy.io
 from jaxtyping import Bool, Complex128, Float64
-from tqdm import tqdm
 
 from estimators.core.drawing import draw
+from estimators.core.progress import Progress
 from estimators.core.result_base import Result
 from estimators.uncertainty.attribution import Attribution, attribute
 from estimators.uncertainty.coverage import Coverage, held_out_coverage, scenario_coverage
@@ -201,7 +201,7 @@ def envelope(
         amplitude: of each condition's input; by default theirs.
         within_db: largest mean excess of W over the profile that is still called covering.
         confidence: of the statement of coverage [1].
-        progress: show a bar.
+        progress: show how far it is, as `core.progress.Progress` does.
 
     Raises:
         ValueError: fewer than two conditions to fit, an unstable nominal or plant, a plant or nominal that is zero where the
@@ -220,19 +220,17 @@ def envelope(
 
     fitted = found.plants[~held]
     kept = corners(fitted, chosen)
-    with tqdm(
-        total=NOMINAL_STEPS + WEIGHT_STEPS, desc="envelope", unit=" steps", disable=not progress, leave=False
-    ) as bar:
+    with Progress("envelope", show=progress, total=NOMINAL_STEPS + WEIGHT_STEPS) as shown:
         if nominal is None:
             fit = nominal_fit(
                 found.omega, packed(fitted, kept), chosen, order=order_nominal, zeros=free, importance=weightings,
-                done=bar.update,
+                done=shown.count,
             )  # fmt: skip
             model = _named(ct.tf(*fit.coefficients()), "P0")
         else:
             model = _given(nominal)
-            bar.update(NOMINAL_STEPS)
-        shape, raised, profile = cover(found, held, model, chosen, order_weight, cast(Minimise, minimise), bar.update)
+            shown.count(NOMINAL_STEPS)
+        shape, raised, profile = cover(found, held, model, chosen, order_weight, cast(Minimise, minimise), shown.count)
     measure = log_measure(found.omega)
     above = _DECIBEL * (shape.log_magnitude(found.omega) - np.log(profile))
     excess = float(measure @ above)

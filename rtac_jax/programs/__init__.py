@@ -1,5 +1,5 @@
 """Compiled programs that outlive the process: what was traced and compiled once is loaded, not traced again."""
 
-from rtac_jax.programs.compiled_function import Program, forget_programs, program
+from rtac_jax.programs.compiled_function import Program, compiling, forget_programs, program
 
-__all__ = ["Program", "forget_programs", "program"]
+__all__ = ["Program", "compiling", "forget_programs", "program"]

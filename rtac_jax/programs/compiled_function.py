@@ -28,6 +28,7 @@ from rtac_jax.programs.fingerprint import NoFingerprintError, Traced, fingerprin
 Given = ParamSpec("Given")
 Result = TypeVar("Result")
 
+_compiling: list[str] = []
 _all: "weakref.WeakSet[Program[Any, Any]]" = weakref.WeakSet()
 
 
@@ -102,7 +103,11 @@ class Program(Generic[Given, Result]):
         if entry.made is None:
             with entry.lock:  # of several threads one compiles
                 if entry.made is None:
-                    entry.made = self._loaded_or_compiled(leaves, structure)
+                    _compiling.append(self._name)
+                    try:
+                        entry.made = self._loaded_or_compiled(leaves, structure)
+                    finally:
+                        _compiling.remove(self._name)
         return entry.made
 
     def _loaded_or_compiled(self, leaves: Sequence[Any], structure: Any) -> _Made:
@@ -150,6 +155,11 @@ class Program(Generic[Given, Result]):
 def program(function: Callable[Given, Result]) -> Program[Given, Result]:
     """Make a function of arrays a `Program`."""
     return Program(function)
+
+
+def compiling() -> tuple[str, ...]:
+    """Return the names of the functions that threads of this process trace, compile or load at this moment."""
+    return tuple(_compiling)
 
 
 def forget_programs() -> None:

@@ -53,7 +53,7 @@ def ran(file, tmp_path_factory):
 
         return remembered
 
-    def loop(model, recording, *, validation, candidates, thorough, learned_force, progress):
+    def loop(model, recording, *, validation, candidates, thorough, learned_force):
         train, held_out = recording.split(validation)
         fits = tuple(fit for (name, _), fit in kept.items() if name == "output_error")
         (diagnosis,) = (record for (name, _), record in kept.items() if name == "diagnose")

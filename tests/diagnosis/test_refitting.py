@@ -25,7 +25,7 @@ def setting() -> Setting:
     found = Setting.__new__(Setting)
     found.model, found.recording = RTAC.paper(), None  # type: ignore[assignment]
     found.classes = dict(CATALOGUE)
-    found.bar = SimpleNamespace(set_description=lambda text: None)
+    found.progress = SimpleNamespace(at=lambda text: None)
     return found
 
 

@@ -1,5 +1,6 @@
 """Design of currents that are safe on the model before the rig plays them: torque, travel, and an arm without grip."""
 
+import dataclasses
 from collections.abc import Sequence
 
 import jax
@@ -8,13 +9,17 @@ import numpy as np
 from jaxtyping import Array, Float64
 
 from rtac_jax._rtac import RTAC
+from rtac_jax.effects import Input
 from rtac_jax.excitation import Excitation
 from rtac_jax.measurement import DESIGNED, Experiment, Recording
 from rtac_jax.programs import program
-from rtac_jax.simulation import State, Steps, advance, substeps_for
+from rtac_jax.simulation import State, Steps, advance, substeps_for, trajectories
 
 _FEWER = 0.9  # by which an amplitude is lowered until the travel holds
 _MOST_TRIES = 60
+_MOST_ROUNDS = (
+    1000  # simulations of a record; one more for every time that its arm passes where it has no grip, at most
+)
 _MOST_SILENT = 0.5  # fraction of the samples that a dead band may silence: an arm that rests in it cannot be driven out
 
 
@@ -47,7 +52,7 @@ def design_excitation(
         sample_time: [s].
         initial_angles: of the arm at the start [rad], one for each experiment; the cart starts at rest in the middle.
         amplitudes: fraction of the largest safe current [1], for each experiment or in turn.
-        travel: largest cart position to each side [m].
+        travel: largest position of the cart itself to each side [m], whatever its sensor makes of it.
         torque_limit: largest |N| [N m].
         dead_band: [1].
         name: of the experiments, which are numbered.
@@ -80,8 +85,8 @@ def design_excitation(
         raise ValueError(f"current: has {len(waves)} rows for {len(initial_angles)} initial_angles; give one for each.")
     scale = min(1.0, torque_limit / (float(np.asarray(model["torque_constant"])) * float(np.max(np.abs(current)))))
     for _ in range(_MOST_TRIES):
-        played, outputs = _play(model, scale * sizes[:, None] * waves, initial_angles, sample_time, dead_band)
-        farthest = float(np.max(np.abs(outputs[:, :, 0])))
+        played, places, outputs = _play(model, scale * sizes[:, None] * waves, initial_angles, sample_time, dead_band)
+        farthest = float(np.max(np.abs(places)))
         if farthest <= travel:
             break
         # The cart is nearly linear, so its travel says how much is too much; the factor ends the search in any case.
@@ -96,7 +101,7 @@ def design_excitation(
             f"initial_angles: the arm that starts at {initial_angles[int(np.argmax(silent))]:.3g} rad is, or soon comes to rest, "
             "near 90 degrees, where it has no grip on the cart; start elsewhere, or change the current."
         )
-    sticks = np.flatnonzero(np.ptp(outputs[:, :, 0], axis=1) == 0)
+    sticks = np.flatnonzero(np.ptp(places, axis=1) == 0)
     if len(sticks):
         raise ValueError(
             f"current: in experiment {int(sticks[0]) + 1} it is too weak to move the cart against its friction; raise it or its "
@@ -119,24 +124,64 @@ def design_excitation(
 
 def _play(
     model: RTAC, currents: np.ndarray, angles: Sequence[float], sample_time: float, dead_band: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return currents that are zero where their own motion has no grip [experiment, sample], and that motion's outputs."""
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return currents that are zero where their own motion has no grip [experiment, sample], the cart's places and the outputs."""
     count = len(currents)
     excitation = Excitation(None, None, jnp.full(count, sample_time), jnp.ones(count), jnp.ones(count))
     rigid = (jnp.zeros(count), jnp.zeros(count), jnp.asarray(angles, dtype=float), jnp.zeros(count))
     start = tuple(jnp.broadcast_to(x, (count,)) for x in model.start(rigid, jnp.zeros(count)))
     substeps = jnp.asarray(substeps_for(model, excitation, stability=0.5))
-    played, outputs = _closed(model, start, excitation, jnp.asarray(currents.T), jnp.asarray(dead_band), substeps)
-    return np.asarray(played).T, np.moveaxis(np.asarray(outputs), 2, 0)
+    if any(isinstance(effect, Input) for effect in model.effects):
+        played, places, outputs = _settled(model, start, excitation, currents.T, dead_band, substeps)
+    else:
+        played, places, outputs = _closed(
+            model, start, excitation, jnp.asarray(currents.T), jnp.asarray(dead_band), substeps
+        )
+    return np.asarray(played).T, np.asarray(places).T, np.moveaxis(np.asarray(outputs), 2, 0)
 
 
 @program
 def _closed(
     model: RTAC, start: State, excitation: Excitation, currents: Array, dead_band: Array, substeps: Steps
-) -> tuple[Array, Array]:
-    def one_sample(state: State, wanted: Array) -> tuple[State, tuple[Array, Array]]:
+) -> tuple[Array, Array, Array]:
+    def one_sample(state: State, wanted: Array) -> tuple[State, tuple[Array, Array, Array]]:
         shown = jnp.stack([jnp.broadcast_to(y, wanted.shape) for y in model.outputs(state)])
         current = jnp.where(jnp.abs(jnp.cos(state[2])) <= dead_band, 0.0, wanted)
-        return advance(model, state, (current,), None, excitation, substeps=substeps), (current, shown)
+        return advance(model, state, (current,), None, excitation, substeps=substeps), (current, state[0], shown)
 
     return jax.lax.scan(one_sample, start, currents)[1]
+
+
+def _settled(
+    model: RTAC, start: State, excitation: Excitation, wanted: np.ndarray, dead_band: float, substeps: Steps
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return what `_closed` does where an input acts across its samples, as a delayed one does.
+
+    The whole record is simulated again until its currents are zero where, and only where, its own motion has no grip: each time
+    that holds some samples farther.
+    """
+    played = wanted
+    for _ in range(_MOST_ROUNDS):
+        path, outputs = _followed(model, start, excitation, jnp.asarray(played), substeps)
+        states = np.asarray(path)
+        before, played = played, np.where(np.abs(np.cos(states[:, 2])) <= dead_band, 0.0, wanted)
+        if np.array_equal(before, played):
+            return played, states[:, 0], np.asarray(outputs)
+    late = ", ".join(effect.id for effect in model.effects if isinstance(effect, Input))
+    raise ValueError(
+        f"model: with {late} no current was found that is zero where, and only where, the arm has no grip; set dead_band=0, or "
+        "start the arm elsewhere."
+    )
+
+
+@program
+def _followed(
+    model: RTAC, start: State, excitation: Excitation, currents: Array, substeps: Steps
+) -> tuple[Array, Array]:
+    given = dataclasses.replace(excitation, current=currents[:, None, :])
+    path = trajectories(model, start, given, samples=len(currents), substeps=substeps, states=True)
+
+    def shown(state: Array) -> Array:
+        return jnp.stack([jnp.broadcast_to(y, state[0].shape) for y in model.outputs(tuple(state))])
+
+    return path, jax.vmap(shown)(path)

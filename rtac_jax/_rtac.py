@@ -292,6 +292,11 @@ class RTAC(eqx.Module):
         return dataclasses.replace(excitation, current=current, force=force)
 
     @property
+    def dead_time(self) -> Any:
+        """By how much the current comes later than its command [s]."""
+        return sum((effect.dead_time() for effect in self.effects if isinstance(effect, Input)), start=0.0)
+
+    @property
     def steps_apart(self) -> bool:
         """Return whether an effect needs to know where an integration step began, because it is not integrated itself."""
         return any(effect.closed or isinstance(effect, Impact) for effect in self.effects)

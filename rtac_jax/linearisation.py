@@ -26,32 +26,42 @@ def linearise(
     *,
     arm_angle: float = 0.0,
     drive: Literal["torque", "current"] = "torque",
+    delay_order: int = 3,
 ) -> ct.StateSpace:
-    """Return the exact linear system for small motions about the equilibrium with the arm at this angle.
+    """Return the linear system for small motions about the equilibrium with the arm at this angle.
 
-    The Jacobian is that of the model's own derivative, so every effect with its states takes part. Where gravity, cogging
-    or an offset acts, the equilibrium's cart position and holding current are found first, and states, input and outputs
-    are deviations from them. Dry friction has no linearisation, because its force jumps at rest: it is left out, so the
-    linear system is that of a rig with no dry friction and is damped less than the rig. Where a force has a kink at
-    rest (the arm's friction, which differs by direction), the slope is the mean of both sides.
+    The Jacobian is that of the model's own derivative, exact, so every effect with its states takes part. A dead time of the
+    current, which no linear system of finite order has, is Pade's approximation, whose phase is off by less than a hundredth of
+    a radian up to the frequency 2.5 over the dead time at order 3. How the current runs between samples is no part of it.
+    Where gravity, cogging or an offset acts, the equilibrium's cart position and holding current are found first, and states,
+    input and outputs are deviations from them. Dry friction has no linearisation, because its force jumps at rest: it is
+    left out, so the linear system is that of a rig with no dry friction and is damped less than the rig. Where a force has a
+    kink at rest (the arm's friction, which differs by direction), the slope is the mean of both sides.
 
     Args:
         model: with one value of each parameter.
         arm_angle: at the equilibrium [rad].
-        drive: the first input is the motor's torque [N m] or its current [A].
+        drive: the first input is the motor's torque [N m] or its current [A], as commanded.
+        delay_order: of the approximation of a dead time; 0 leaves the dead time out.
 
     Returns:
         Inputs `torque` or `current` and `disturbance_force` [N], outputs `cart_position` [m], `arm_velocity` [rad/s] and
-        `arm_angle` [rad] as the sensors show them, states named as the model's.
+        `arm_angle` [rad] as the sensors show them, states named as the model's,
+        and those of the dead time.
 
     Raises:
-        ValueError: the angle is not finite, a parameter has several values, or there is no equilibrium at this angle.
+        ValueError: the angle is not finite, the order negative, a parameter has several values, or there is no equilibrium at
+            this angle.
         RuntimeError: `configure()` was not called.
+
+    Source: Golub and Van Loan, Matrix Computations (2013), section 9.3, for Pade's approximation of exp.
     """
     require_configured()
     require_working_model(model)
     if not np.isfinite(arm_angle):
         raise ValueError(f"arm_angle is {arm_angle}; give a finite angle in radians.")
+    if delay_order < 0:
+        raise ValueError(f"delay_order is {delay_order}; give a whole number from 0 on.")
     if drive not in ("torque", "current"):
         raise ValueError(f"drive is {drive!r}; choose 'torque' or 'current'.")
     several = [name for name in model.parameters if np.ndim(model[name])]
@@ -61,10 +71,30 @@ def linearise(
     a, b, c = _both_sides(lambda at, inputs: _jacobians(model, at, inputs), rest, holding)
     if drive == "torque":
         b = b / np.array([float(model["torque_constant"]), 1.0])
+    states = [name.replace(".", "_") for name in model.states]
+    if delay_order and float(model.dead_time) > 0:
+        a, b, c = _delayed(a, b, c, float(model.dead_time), delay_order)
+        states += [f"dead_time_{number + 1}" for number in range(delay_order)]
     return ct.StateSpace(
-        a, b, c, np.zeros((len(OUTPUTS), 2)), states=[name.replace(".", "_") for name in model.states],
+        a, b, c, np.zeros((len(OUTPUTS), 2)), states=states,
         inputs=[drive, "disturbance_force"], outputs=list(OUTPUTS), name="rtac",
     )  # fmt: skip
+
+
+def _delayed(
+    a: np.ndarray, b: np.ndarray, c: np.ndarray, dead_time: float, order: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the system whose first input comes later by a dead time."""
+    # Of a dead time of one, whose coefficients are moderate; the states of any other run faster or slower.
+    unit = ct.ss(ct.tf(*ct.pade(1.0, order)))
+    within, fed = np.asarray(unit.A) / dead_time, np.asarray(unit.B) / dead_time
+    late, at_once = b[:, :1] @ np.asarray(unit.C), b[:, :1] * float(unit.D[0, 0])
+    none = np.zeros((order, len(a)))
+    return (
+        np.block([[a, late], [none, within]]),
+        np.block([[at_once, b[:, 1:]], [fed, np.zeros((order, b.shape[1] - 1))]]),
+        np.hstack([c, np.zeros((len(c), order))]),
+    )
 
 
 def linear_matrices(
@@ -72,7 +102,7 @@ def linear_matrices(
 ) -> tuple[
     Float[np.ndarray, "plant state state"], Float[np.ndarray, "plant state 2"], Float[np.ndarray, "plant 3 state"]
 ]:
-    """Return A, B and C of `linearise` at theta = 0, from the current, for many plants at once.
+    """Return A, B and C of `linearise` at theta = 0, from the current as it flows, for many plants at once.
 
     All are linearised about the equilibrium of the model itself, which is theirs too where nothing pulls the rig aside.
 

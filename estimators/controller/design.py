@@ -167,7 +167,7 @@ def _with_spring(model: RTAC, actuation: Actuation, found: Envelope, responses: 
         )
         for one in responses
     ]
-    linear = linearise(model)
+    linear = linearise(model, delay_order=0)
     damping, gain = -float(np.array(linear.A)[3, 3]), float(np.array(linear.B)[3, 0])
     spring = ct.TransferFunction([1.0, damping, 0.0], [1.0, damping, gain * actuation.arm_stiffness])
     order = len(np.asarray(found.weight.poles()))

@@ -41,7 +41,8 @@ def model_response(
         )
 
     def of(model: RTAC) -> Float[np.ndarray, " part"]:
-        response = np.asarray(_plant(model, arm_angle)(1j * omega)).ravel() / along
+        late = np.exp(-1j * omega * float(model.dead_time))
+        response = np.asarray(_plant(model, arm_angle)(1j * omega)).ravel() * late / along
         return np.concatenate([response.real, response.imag])
 
     value, slope = _moved(fit, of)
@@ -100,7 +101,8 @@ def model_roots(fit: Fit | PredictorFit, *, arm_angle: float = 0.0) -> tuple[Roo
 
 
 def _plant(model: RTAC, arm_angle: float) -> ct.StateSpace:
-    return linearise(model, arm_angle=arm_angle, drive="current")["cart_position", "current"]
+    """Return the plant from the current as it flows, after any dead time."""
+    return linearise(model, arm_angle=arm_angle, drive="current", delay_order=0)["cart_position", "current"]
 
 
 def _poles_and_zeros(model: RTAC, arm_angle: float) -> tuple[np.ndarray, np.ndarray]:

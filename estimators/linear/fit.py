@@ -237,7 +237,7 @@ def _candidates(start: RTAC | ct.TransferFunction | ct.StateSpace | None) -> lis
     if start is None:
         return []
     if isinstance(start, RTAC):
-        poles = np.asarray(linearise(start).poles()).astype(np.complex128)
+        poles = np.asarray(linearise(start, delay_order=0).poles()).astype(np.complex128)
         # The arm that turns freely is no part of the response to the cart: its poles lie at zero or near it on the axis.
         return pole_pairs(poles[poles.imag != 0])
     if not isinstance(start, ct.TransferFunction | ct.StateSpace):

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 import scipy.signal
 from jaxtyping import Complex128, Float64
@@ -21,6 +22,11 @@ _DRY = (
     "The peaks are near each other, so another excitation would change little: W covers what was recorded, and every condition has "
     "the dry friction that the linearisation leaves out. Larger currents let the cart move more beside it, as far as the arm does "
     "not swing far."
+)
+_OTHERWISE = (
+    "The peaks are near each other, so another excitation would change little: W covers what was recorded, and the fitted model, "
+    "which has no dry friction, is not what was recorded. Ask `diagnose` what it lacks, and check the gains and delays of its "
+    "drive and sensors."
 )
 _PROMINENT = 3.0  # dB by which a mode stands out of the curve: half of the power
 _ELSEWHERE = 1.2  # ratio of frequencies from which on a peak is another mode
@@ -45,6 +51,7 @@ class FittedInEnvelope:
         spurious: modes that P_0 has and the fitted model has not [rad/s].
         remedy: the excitation that would bring the two together.
         spring: whether it has the electric spring on the arm that the conditions were given for a controller.
+        dry: whether it has dry friction, which its linearisation leaves out.
     """
 
     frequency: Curve
@@ -56,6 +63,7 @@ class FittedInEnvelope:
     spurious: tuple[float, ...]
     remedy: str
     spring: bool = False
+    dry: bool = True
 
     @property
     def agrees(self) -> bool:
@@ -72,7 +80,8 @@ class FittedInEnvelope:
             else f"inside W (largest |Delta| {self.distance:.2f}, at {self.at:.3g} rad/s)"
         )
         as_drawn = (
-            "linearised without dry friction"
+            "linearised"
+            + self.dry * " without dry friction"
             + self.spring * " and, as the conditions, with the electric spring on the arm"
         )
         if self.agrees:
@@ -112,15 +121,19 @@ def fitted_in_envelope(model: RTAC, found: Envelope, *, with_spring: Response | 
         float(one) for one in omega[_peaks(own)] if all(max(one / other, other / one) > _ELSEWHERE for other in known)
     )
     peak_db = float(own.max() - size.max())
+    at_rest = tuple(jnp.zeros(len(model.states)))
+    dry = any(float(np.max(level)) > 0 for levels in model.friction_levels(at_rest) for level in levels)
     return FittedInEnvelope(
         omega, fitted, float(model_error[at]), float(omega[at]), peak_db, resonance, spurious,
-        _DRY if abs(peak_db) <= _NEAR and not spurious else _remedy(model, resonance), with_spring is not None,
+        (_DRY if dry else _OTHERWISE) if abs(peak_db) <= _NEAR and not spurious else _remedy(model, resonance),
+        with_spring is not None, dry,
     )  # fmt: skip
 
 
 def _plain(model: RTAC) -> Response:
-    plant: Any = linearise(model, drive="current")["cart_position", "current"]
-    return lambda omega: np.asarray(plant(1j * omega)).ravel().astype(np.complex128)
+    plant: Any = linearise(model, drive="current", delay_order=0)["cart_position", "current"]
+    late = float(model.dead_time)
+    return lambda omega: (np.asarray(plant(1j * omega)).ravel() * np.exp(-1j * late * omega)).astype(np.complex128)
 
 
 def _peaks(size: Curve) -> Any:

@@ -78,7 +78,7 @@ class Compared:
             if not traces:
                 continue
             residual = np.concatenate([t.residual for t in traces])
-            spread = np.concatenate([np.where(t.used, t.measured - np.nanmean(t.measured), np.nan) for t in traces])
+            spread = np.concatenate([t.deviation for t in traces])
             rms = float(np.sqrt(np.nanmean(residual**2)))
             whole = float(np.sqrt(np.nanmean(spread**2)))
             percent = 100 * (1 - rms / whole) if whole > 0 else float("-inf")

@@ -46,9 +46,14 @@ class Trace:
     @property
     def fit_percent(self) -> float:
         """100 (1 - |y - yhat| / |y - mean y|); minus infinity for a constant output."""
-        measured = np.where(self.used, self.measured, np.nan)
-        spread = np.sqrt(np.nanmean((measured - np.nanmean(measured)) ** 2))
+        spread = np.sqrt(np.nanmean(self.deviation**2))
         return float(100 * (1 - self.rms / spread)) if spread > 0 else float("-inf")
+
+    @property
+    def deviation(self) -> Values:
+        """Measured less its mean, over the samples that count; NaN elsewhere."""
+        measured = np.where(self.used, self.measured, np.nan)
+        return measured - np.nanmean(measured)
 
     def autocorrelation(self, lags: int = 50) -> tuple[Float[np.ndarray, " lag"], float]:
         """Return the residual's autocorrelation at lags 0 to `lags`, and the 99 % band for white noise."""

@@ -301,6 +301,10 @@ class Input(Effect):
             sample_time: of each experiment [s].
         """
 
+    def dead_time(self) -> Any:
+        """Return by how much the current comes later than its command [s], which a linearised model needs to know."""
+        return 0.0
+
 
 class Sensor(Effect):
     """An effect between the motion and what is recorded."""

@@ -114,6 +114,9 @@ class InputDelay(Input):
         now, late = shifted(curved)
         return (part * late + (1.0 - part) * now).at[:, :_KEPT].add(lines)
 
+    def dead_time(self) -> Any:
+        return self.delay
+
 
 def _projected(moments: Any, pieces: Any) -> Any:
     """Return the sum over the powers of the pieces of what each of them contributes: [interval, power, experiment]."""

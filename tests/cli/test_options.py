@@ -103,7 +103,8 @@ def test_names_may_hold_commas(recording):
 
 
 @pytest.mark.parametrize("progress", [True, False])
-def test_a_long_call_shows_a_bar_on_request(recording, capsys, progress):
+def test_a_long_call_shows_a_bar_on_request(recording, capsys, monkeypatch, progress):
+    monkeypatch.setattr("estimators.core.progress.watched", lambda: True)
     train, _ = recording.split()  # which was fitted before, so that nothing is compiled anew
     est.output_error(RTAC.from_rig(recording), train, from_model=True, progress=progress)
     said, shown = capsys.readouterr()

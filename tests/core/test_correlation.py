@@ -48,3 +48,18 @@ def test_the_sign_of_a_lag_tells_response_from_feedback(later: int) -> None:
     assert found.outside >= (later > 0)
     assert found.outside <= 1 + (later > 0)
     assert found.values.max() > 0.95
+
+
+def test_lags_that_no_two_samples_are_apart_do_not_count() -> None:
+    """A channel read at every fourth sample: of 25 lags six tell something."""
+    random = np.random.default_rng(2)
+    present = (np.arange(1600) % 4 == 0).astype(float)
+    rejected = {0.0: 0, 0.2: 0}
+    for colour in rejected:
+        for _ in range(DRAWS):
+            slow = scipy.signal.lfilter([1.0], [1.0, -colour], random.normal(size=450))[50:]
+            values = np.zeros(1600)
+            values[::4] = slow
+            rejected[colour] += whiteness(values, present).p_value < 0.1
+    assert 0.05 < rejected[0.0] / DRAWS < 0.16
+    assert rejected[0.2] / DRAWS > 0.7

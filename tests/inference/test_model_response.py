@@ -12,6 +12,7 @@ from estimators.frequency_response.response import FrequencyResponses
 from estimators.inference.model_response import model_response, model_roots
 from estimators.plots import plot_bode, plot_correlations, plot_poles_zeros
 from rtac_jax import RTAC
+from rtac_jax.effects import InputDelay
 
 MODEL = RTAC.paper()
 VALUES = {name: float(MODEL[name]) for name in MODEL.parameters}
@@ -113,3 +114,10 @@ def test_pictures_state_what_they_show(fit):
     for name, figure in pictures.items():
         figure.draw_without_rendering()
         assert all("[" in axes.get_xlabel() for axes in figure.get_axes() if axes.get_xlabel()), name
+
+
+def test_a_dead_time_turns_the_response_exactly_and_moves_no_pole(fit):
+    late = dataclasses.replace(fit, model=MODEL + InputDelay(0.01))
+    turned = response({}, OMEGA) * np.exp(-1j * OMEGA * 0.01)
+    np.testing.assert_allclose(model_response(late, OMEGA).response, turned, rtol=1e-9)
+    np.testing.assert_allclose(model_roots(late)[0].values, model_roots(fit)[0].values, rtol=1e-9)

@@ -5,6 +5,7 @@ import pytest
 import scipy.signal
 
 import rtac_jax as rtac
+from rtac_jax.effects import InputDelay, LvdtGain
 from rtac_jax.measurement import (
     Recording,
     chirp,
@@ -127,6 +128,25 @@ def test_design_keeps_its_limits_on_an_independent_rig_and_in_a_file(name, tmp_p
         error = predicted.outputs["cart_position"].values[first] - shown.outputs["cart_position"].values[first]
         assert np.max(np.abs(error)) < 2e-4
         assert np.max(np.abs(shown.outputs["cart_position"].values)) <= 1.25 * 0.004
+
+
+@pytest.mark.parametrize("effect", [InputDelay(0.03), InputDelay(0.007), LvdtGain(-0.3)], ids=str)
+def test_the_cart_itself_keeps_its_travel_whatever_delays_the_current_or_scales_the_sensor(effect):
+    model, limit = rtac.RTAC.paper() + effect, 0.0025
+    angles = (0.0, 1.4)
+    made = rtac.design_excitation(
+        model, 10 * WAVES["multisine"], sample_time=DT, initial_angles=angles, travel=limit, dead_band=0.05
+    )
+    again = rtac.simulate(model, made, start={e.name: (0.0, 0.0, e.initial_arm_angle, 0.0) for e in made})
+    for one in made:
+        simulated, predicted = again[one.name], one.outputs
+        assert np.max(np.abs(simulated.states["cart_position"])) <= limit
+        np.testing.assert_allclose(simulated.cart_position, predicted["cart_position"].values, atol=1e-6)
+        np.testing.assert_allclose(simulated.arm_angle, predicted["arm_angle"].values, atol=1e-3)
+        no_grip = np.abs(np.cos(predicted["arm_angle"].values)) <= 0.05
+        assert np.all(one.inputs["current"].values[no_grip] == 0)
+    assert any(np.any(np.abs(np.cos(e.outputs["arm_angle"].values)) <= 0.05) for e in made), "an arm passes there"
+    assert max(np.max(np.abs(again[e.name].states["cart_position"])) for e in made) > 0.6 * limit
 
 
 @pytest.mark.parametrize("limit", [0.1, 0.02])

@@ -6,7 +6,7 @@ import pytest
 
 from rtac_jax import RTAC, Experiment, RigidBody, equation_4, linearise, simulate
 from rtac_jax.control import Actuation, Units, nominal_plant
-from rtac_jax.effects import ArmViscous, CartViscous, FlexibleMode, GravityTilt
+from rtac_jax.effects import ArmViscous, CartViscous, FlexibleMode, GravityTilt, InputDelay
 from rtac_jax.linearisation import linear_matrices
 
 M, J, ME, K, KM = 1.23, 9.5e-5, 1.06e-3, 132.6, 8.04e-2
@@ -98,6 +98,25 @@ def test_small_motions_follow_it():
     assert np.all(error(1e-4)[:2] > 5 * error(1e-5)[:2])  # so it is the nonlinear terms that are left
 
 
+@pytest.mark.parametrize("dead_time", [1e-3, 0.03])
+def test_a_dead_time_of_the_current_turns_its_phase_and_not_the_disturbance(dead_time):
+    friction = (CartViscous(VISCOUS), ArmViscous(2e-4, 2e-4))
+    late = linearise(RTAC(BODY, (*friction, InputDelay(dead_time))))
+    omega = OMEGA[2.5 / dead_time > OMEGA]
+    s = 1j * omega
+    turned = numpy_plant(0.0, 2e-4)[: len(omega)] * np.exp(-s * dead_time)
+    np.testing.assert_allclose(late[0, 0](s), turned, rtol=0.01)
+    within = omega < 1.0 / dead_time
+    np.testing.assert_allclose(late[0, 0](s[within]), turned[within], rtol=2e-5)
+    plain = linearise(RTAC(BODY, friction))
+    np.testing.assert_allclose(late(s)[:, 1], plain(s)[:, 1], rtol=1e-9)
+    assert late.nstates == plain.nstates + 3
+    without = linearise(RTAC(BODY, (*friction, InputDelay(dead_time))), delay_order=0)
+    np.testing.assert_allclose(np.array(without.A), np.array(plain.A))
+    nominal = nominal_plant(RTAC(BODY, (*friction, InputDelay(dead_time))), units=Units.si())
+    np.testing.assert_allclose(nominal(s[within]), turned[within], rtol=2e-5)
+
+
 def test_tilted_rig_is_linearised_about_its_equilibrium():
     along, across, angle, gravity = 0.02, 0.03, 0.7, 9.80665
     tilted = RTAC(BODY, (CartViscous(VISCOUS), ArmViscous(2e-4, 2e-4), GravityTilt(along, across)))
@@ -127,6 +146,7 @@ def test_nominal_plant_is_minimal_and_scaled():
     [
         (lambda m: linearise(m, arm_angle=np.nan), "finite angle"),
         (lambda m: linearise(m.with_values({"total_mass": np.ones(3)})), "one plant at a time"),
+        (lambda m: linearise(m, delay_order=-1), "whole number from 0"),
         (lambda m: equation_4(m, rate=0.0), "positive rate"),
         (lambda m: Units(0.0, 1.0), "position is 0.0"),
         (lambda m: Units.nondimensional(m.with_values({"total_mass": np.ones(3)})), "differ in their scales"),

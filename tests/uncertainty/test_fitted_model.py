@@ -9,6 +9,7 @@ from estimators.plots import plot_envelope
 from estimators.uncertainty.closed_form_check import closed_form_check
 from estimators.uncertainty.fitted_model import FittedInEnvelope, fitted_in_envelope
 from rtac_jax import RTAC, virtual_rig
+from rtac_jax.effects import InputDelay
 from rtac_jax.measurement import from_rest, multisine
 
 MODEL = RTAC.paper()
@@ -121,3 +122,22 @@ def test_the_picture_shows_the_fitted_curve(held_by_friction):
 def test_a_little_outside_is_said_in_percent(distance: float, words: str) -> None:
     found = FittedInEnvelope(np.ones(2), np.ones(2, dtype=complex), distance, 10.4, -6.0, 10.4, (), "Record more.")
     assert words in found.sentences()[0]
+
+
+@pytest.fixture(scope="module")
+def late():
+    """An envelope of responses whose current comes ten milliseconds late."""
+    plants = np.stack([f * rig(OMEGA) * np.exp(-0.01j * OMEGA) for f in (0.9, 1.0, 1.1)])
+    return est.envelope(plants, omega=OMEGA, order_nominal=4, progress=False)
+
+
+def test_dry_friction_is_spoken_of_where_the_model_has_it(late):
+    for model, dry in ((MODEL, True), (MODEL.without("cart_coulomb"), False)):
+        found = fitted_in_envelope(model, late)
+        assert found.distance > 1
+        assert ("dry friction" in found.sentences()[0]) == dry
+        assert ("every condition has the dry friction" in found.remedy) == dry
+
+
+def test_a_dead_time_of_the_fitted_model_takes_part(late):
+    assert fitted_in_envelope(MODEL + InputDelay(0.01), late).distance < 1

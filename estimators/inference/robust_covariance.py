@@ -12,6 +12,7 @@ from estimators.core.data import moving, origins
 from estimators.core.fisher_information import Information
 from estimators.core.fit import Fit
 from estimators.core.linearisation import Problem, Rows, at_fit, rows_at
+from estimators.core.long_run_covariance import long_run_covariance
 from estimators.core.result_base import Result
 from rtac_jax import require_configured
 from rtac_jax.measurement import Recording
@@ -138,17 +139,14 @@ def _coloured(rows: Rows, problem: Problem) -> tuple[Matrix, Matrix, float]:
     """
     scores = np.einsum("sokp,sok->ksp", rows.jacobian, rows.residual)
     bread = np.linalg.inv(rows.gauss_newton)
-    meat = np.einsum("ksp,ksq->pq", scores, scores)
+    meat = np.zeros(rows.gauss_newton.shape)
     independent = 0.0
     interval = np.array([e.sample_time for e in problem.experiments])
     for one in np.unique(interval):
         alike = np.flatnonzero(interval == one)
         longest = max(problem.experiments[column].samples for column in alike)
-        own = scores[alike, :longest]
-        lag = _bandwidth(own)
-        for k in range(1, lag + 1):
-            shifted = np.einsum("ksp,ksq->pq", own[:, k:], own[:, :-k])
-            meat += (1 - k / (lag + 1)) * (shifted + shifted.T)
+        own, lag = long_run_covariance(scores[alike, :longest])
+        meat = meat + own
         independent += float(np.sum(np.asarray(problem.arguments.data.present)[..., alike])) / (lag + 1)
     return meat, bread, independent
 
@@ -164,19 +162,6 @@ def _spent(rows: Rows, problem: Problem) -> float:
     starts = float(np.sum(1 - np.asarray(problem.arguments.space.start_held)))
     fitted = len(problem.names) + np.size(problem.unknowns.each) + starts
     return worth / max(worth - fitted, 0.5 * worth)
-
-
-def _bandwidth(scores: Float[np.ndarray, "experiment sample parameter"]) -> int:
-    """Return Andrews' bandwidth for Bartlett's window, from the correlation of neighbouring scores.
-
-    It is the largest of all parameters'.
-    """
-    power = np.sum(scores**2, axis=(0, 1))
-    near = np.sum(scores[:, 1:] * scores[:, :-1], axis=(0, 1)) / np.where(power > 0, power, 1.0)
-    rho = float(np.clip(np.max(near, initial=0.0), 0.0, 0.99))
-    samples = scores.shape[1]
-    wide = 1.1447 * (4 * rho**2 / (1 - rho**2) ** 2 * samples) ** (1 / 3)
-    return int(min(np.ceil(wide), samples // 4))
 
 
 def clustered(information: Information, clusters: list[str]) -> tuple[Matrix, Float[np.ndarray, " parameter"]]:

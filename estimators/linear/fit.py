@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float, Float64
 
 from estimators.core.drawing import draw
+from estimators.core.long_run_covariance import long_run_covariance
 from estimators.core.progress import Progress
 from estimators.frequency_response.response import FrequencyResponses
 from estimators.linear.homogeneity_test import Covariates, Equality, equality_of
@@ -305,7 +306,9 @@ def _covariance(
 ) -> tuple[Float[np.ndarray, "unknown unknown"], int]:
     """Return the covariance of the unknowns, and the number of their combinations that the data leave free.
 
-    For output error, whose errors may be coloured, by Ljung's (9.42) with the colour of an autoregression (`whitened`).
+    For output error, whose errors may be coloured, by Ljung's (9.42) with the colour of an autoregression (`whitened`). With a
+    model of the noise the errors are white, but not where samples are missing: a prediction across a gap is off by more, and
+    those after it with it, so the scores' own covariance counts there.
     """
     size = np.linalg.norm(jacobian, axis=0)
     size = np.where(size > 1e-12 * np.max(size), size, np.inf)  # without any effect: nothing else depends on it
@@ -314,8 +317,11 @@ def _covariance(
     half = vectors[:, kept] / np.sqrt(values[kept]) / size[:, None]
     bread = half @ half.T
     freedom = float(np.sum(present)) - structure.count
-    if structure.noise:
+    if structure.noise and np.all(present):
         return bread * float(np.sum(error**2)) / freedom, int(np.sum(~kept))
+    if structure.noise:
+        meat, _ = long_run_covariance((jacobian * error[:, None])[None])
+        return bread @ meat @ bread * float(np.sum(present)) / freedom, int(np.sum(~kept))
     whitening, variance = colour
     rows = backward_coloured(jacobian, whitening)
     factor = variance * len(error) / freedom

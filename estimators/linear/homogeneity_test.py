@@ -188,6 +188,12 @@ def equality_of(models: Sequence[LinearModel], level: float, given: Covariates |
     everyone = models
     models = [m for m in everyone if not m.undetermined and _known(m)]
     if len(models) < 3:
+        free = [m for m in everyone if m.undetermined]
+        if len(everyone) - len(free) < 3 <= len(everyone):
+            raise ValueError(
+                f"equality: in {len(free)} of {len(everyone)} conditions the data leave unknowns free, of the noise model too, and "
+                f"deviations are too small there to be compared; {free[0].fewer} would do, or structure='output_error'."
+            )
         raise ValueError(
             f"equality: {len(models)} of {len(everyone)} condition(s) determine their modes, too few to tell a drift; give at "
             "least three, or fit fewer modes."

@@ -172,11 +172,17 @@ class LinearModel:
         return bool(np.min(np.abs(poles.real) / np.abs(poles)) < _UNDAMPED)
 
     @property
+    def fewer(self) -> str:
+        """Return in words what has fewer unknowns."""
+        shares_poles = self.structure.kind in ("armax", "state_space")
+        return f"fewer modes or {'a structure whose noise has poles of its own' if shares_poles else 'noise_order'}"
+
+    @property
     def verdict(self) -> str:
         """Return the verdict of the residual tests, and what else is wrong with the fit."""
         said = self.residuals.verdict(self.structure.noise > 0)
         if self.undetermined:
-            said += f"; the data leave {self.undetermined} combination(s) of unknowns free: fewer modes or noise_order would do"
+            said += f"; the data leave {self.undetermined} combination(s) of unknowns free: {self.fewer} would do"
         elif not self.converged:
             said += "; the fit did not come to rest, so compare it with another start"
         if self.undamped:

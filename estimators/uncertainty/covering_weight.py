@@ -16,6 +16,9 @@ _DENSE = 10  # points between two of the grid, at which the weight is checked
 _FEWEST = 200  # points to which a coarse grid is filled up for the fit of the weight
 _NEAR = 0.05  # logarithm of weight over profile, below which the neighbourhood is looked at more closely
 _CLOSER = 20  # points between two of the dense grid there
+_WIDTHS = np.linspace(
+    -4, 4, 33
+)  # places about a mode, in half-widths of its peak, at which the weight is checked besides
 _FLOOR = 1e-6  # of the largest model error: a profile that touches zero has no logarithm
 _CLEAR = 1e-6  # by which the weight clears the model errors, for what lies between even the closest points
 _EQUAL = 1e-9  # of the plant, below which model errors are rounding
@@ -30,6 +33,7 @@ def cover(
     dense = _filled(found.omega, between)
     fitting = dense[:: max(1, len(dense) // max(_FEWEST, len(found.omega)))]
     within = ~held
+    dense = _with_modes(dense, found, model)
     target = _profile(found, within, model, kind, dense)
     whole = float(np.abs(found.plants).max()) if kind == "additive" else 1.0
     if target.max() < _EQUAL * whole:
@@ -69,6 +73,14 @@ def _filled(omega: Curve, between: int) -> Float64[np.ndarray, " dense"]:
     dense = np.exp(np.append(steps.ravel(), np.log(omega[-1])))
     dense[::between] = omega
     return dense
+
+
+def _with_modes(dense: Curve, found: PlantSet, model: ct.TransferFunction) -> Float64[np.ndarray, " denser"]:
+    """Return the grid with points about the plants' poles and the model's roots: peaks may be narrower than its steps."""
+    roots = [np.roots(model.num_array[0, 0]), *(one.poles() for one in (model, *(found.systems or ())))]
+    every = np.concatenate(roots).astype(np.complex128)
+    about = (np.abs(every.imag)[:, None] + np.abs(every.real)[:, None] * _WIDTHS).ravel()
+    return np.union1d(dense, about[(about > dense[0]) & (about < dense[-1])])
 
 
 def _profile(

@@ -324,6 +324,12 @@ def _representable(responses: Responses, omega: Any, kind: Kind) -> PlantSet:
 
 
 def _given(nominal: ct.TransferFunction | ct.StateSpace) -> ct.TransferFunction:
+    if not isinstance(nominal, ct.TransferFunction | ct.StateSpace):
+        raise ValueError(
+            f"nominal: is a {type(nominal).__name__}; give a transfer function or a state-space system of control."
+        )
+    if nominal.dt:
+        raise ValueError("nominal: is a discrete-time system; give its continuous-time equivalent.")
     poles: Any = np.asarray(nominal.poles())
     unstable = poles[poles.real >= 0]
     if len(unstable):

@@ -96,3 +96,44 @@ def test_a_mode_that_only_the_bound_on_stability_keeps_is_called_so():
     one = drifting(0.02)[0]
     assert "stability" not in one.verdict
     assert "bound on stability" in dataclasses.replace(one, poles=one.poles.imag * 1j - 1e-12).verdict
+
+
+def equal_plants(seed, noise, missing):
+    """Twelve runs of one plant, with noise of a colour, and samples missing at random."""
+    random = np.random.default_rng(seed)
+    a, b, c, d, _ = scipy.signal.cont2discrete(scipy.signal.tf2ss([2.0, 30.0], [1.0, 1.6, 110.0]), DT)
+    experiments = []
+    for i in range(12):
+        current = random.standard_normal(1500)
+        out = scipy.signal.dlsim((a, b, c, d, DT), current[:, None])[1][:, 0]
+        out = out + scipy.signal.lfilter(*noise, 0.02 * random.standard_normal(1500))
+        out[random.random(1500) < missing] = np.nan
+        experiments.append(
+            Experiment.of(f"run_{i + 1}", kind="forced", sample_time=DT, current=current, cart_position=out)
+        )
+    return Recording(tuple(experiments))
+
+
+def test_missing_samples_under_a_model_of_the_noise_make_equal_conditions_no_different():
+    """A prediction across a gap is off by more than others, and those after it with it."""
+    away, p_values = [], []
+    for seed in range(6):
+        found = est.prediction_error(
+            equal_plants(seed, ([1.0, 0.4], [1.0, -0.95]), 0.15), structure="box_jenkins", compensate=False
+        )
+        away += [(one.values[:2] - [np.sqrt(110), 0.8 / np.sqrt(110)]) / one.std[:2] for one in found]
+        p_values.append(found.equality().p_value)
+    assert np.min(p_values) > 2e-3
+    assert np.mean(p_values) > 0.2
+    assert np.all(np.sqrt(np.mean(np.square(away), axis=0)) < 1.2)
+    assert np.all(np.sqrt(np.mean(np.square(away), axis=0)) > 0.8)
+
+
+def test_unknowns_of_the_noise_that_the_data_leave_free_are_not_called_modes():
+    """As where ARMAX describes white noise of the sensor: with as many zeros as poles."""
+    few = drifting(0.0)
+    shared = dataclasses.replace(few[0].structure, kind="armax", noise_order=2)
+    free = tuple(dataclasses.replace(one, undetermined=1, structure=shared) for one in few)
+    assert "a structure whose noise has poles of its own would do" in free[0].verdict
+    with pytest.raises(ValueError, match=r"leave unknowns free, of the noise model too.*structure='output_error'"):
+        dataclasses.replace(few, models=(*few.models[:2], *free[2:])).equality()

@@ -1,6 +1,7 @@
 """A weight that covers given plants, between the points of their grid too."""
 
 from collections.abc import Callable
+from typing import Any
 
 import control as ct
 import numpy as np
@@ -77,10 +78,15 @@ def _filled(omega: Curve, between: int) -> Float64[np.ndarray, " dense"]:
 
 def _with_modes(dense: Curve, found: PlantSet, model: ct.TransferFunction) -> Float64[np.ndarray, " denser"]:
     """Return the grid with points about the plants' poles and the model's roots: peaks may be narrower than its steps."""
-    roots = [np.roots(model.num_array[0, 0]), *(one.poles() for one in (model, *(found.systems or ())))]
+    roots = [np.roots(np.ravel(model.num[0][0])), *(_poles(one) for one in (model, *(found.systems or ())))]
     every = np.concatenate(roots).astype(np.complex128)
     about = (np.abs(every.imag)[:, None] + np.abs(every.real)[:, None] * _WIDTHS).ravel()
     return np.union1d(dense, about[(about > dense[0]) & (about < dense[-1])])
+
+
+def _poles(system: ct.TransferFunction | ct.StateSpace) -> Any:
+    """Return the poles; of a transfer function the roots of its denominator, whatever its numerator."""
+    return np.roots(np.ravel(system.den[0][0])) if isinstance(system, ct.TransferFunction) else system.poles()
 
 
 def _profile(

@@ -29,7 +29,7 @@ class Profile:
         std: its standard deviation from the curvature at the estimate.
         held: values at which the parameter was held.
         rise: of twice the negative log-likelihood above its minimum, at each of them.
-        interval: where the rise stays below the level's quantile; infinite where it never crosses it.
+        interval: where the rise stays below the level's quantile, up to the parameter's bounds; infinite where it never crosses it.
         level: of the interval.
     """
 
@@ -101,6 +101,8 @@ def profile(
     offsets = offsets[(value + offsets > lower) & (value + offsets < upper)]
     rise = np.zeros(len(offsets))
     correlated = fit.information.covariance[:, fit.information.names.index(name)] / std**2
+    # Off its bound a friction level finds back over a kink, or not: from one that lies near it both are tried.
+    bounded = [n for n in fit.information.names if n != name and _near_bound(fit, n)]
     for side in (-1, 1):
         for place in np.argsort(np.abs(offsets)):
             if np.sign(offsets[place]) != side:
@@ -110,20 +112,24 @@ def profile(
                 n: float(np.clip(fit.parameters[n].value + c * offsets[place], *fit.model.parameters[n].bounds))
                 for n, c in zip(fit.information.names, correlated, strict=True)
             }
-            model = fit.model.with_values(moved | {name: value + offsets[place]})
-            problem = problem_of(
-                model, whole.experiments, deviation, substeps=int(fit.statistics["substeps"]), start=fit.start,
-                off_bounds=OFF_BOUNDS,
-            )  # fmt: skip
-            # A place past the end holds the parameter at the space's value; the fit's compiled function serves again.
-            space = problem.arguments.space
-            active = np.asarray(space.active).copy()
-            active[problem.names.index(name)] = len(space.names)
-            held = dataclasses.replace(space, active=jnp.asarray(active))
-            solved = solve_bounded(
-                problem.unknowns, dataclasses.replace(problem.arguments, space=held), tolerance=1e-8, most=steps
-            )
-            rise[place] = 2 * (solved.cost - best.cost)
+            kept = {n: float(fit.parameters[n].value) for n in bounded}
+            costs = []
+            for others in (moved, moved | kept) if bounded else (moved,):
+                model = fit.model.with_values(others | {name: value + offsets[place]})
+                problem = problem_of(
+                    model, whole.experiments, deviation, substeps=int(fit.statistics["substeps"]), start=fit.start,
+                    off_bounds=OFF_BOUNDS,
+                )  # fmt: skip
+                # A place past the end holds the parameter at the space's value; the fit's compiled function serves again.
+                space = problem.arguments.space
+                active = np.asarray(space.active).copy()
+                active[problem.names.index(name)] = len(space.names)
+                held = dataclasses.replace(space, active=jnp.asarray(active))
+                solved = solve_bounded(
+                    problem.unknowns, dataclasses.replace(problem.arguments, space=held), tolerance=1e-8, most=steps
+                )
+                costs.append(solved.cost)
+            rise[place] = 2 * (min(costs) - best.cost)
     return Profile(
         name,
         fit.parameters[name].unit,
@@ -131,22 +137,39 @@ def profile(
         std,
         value + offsets,
         rise,
-        _interval(value, offsets, rise, level),
+        _interval(value, offsets, rise, level, ends=(lower, upper), reach=reach * std),
         level,
     )
 
 
-def _interval(value: float, offsets: np.ndarray, rise: np.ndarray, level: float) -> tuple[float, float]:
-    """Return where the signed root of the rise, which is nearly a straight line, crosses the quantile's root."""
+def _near_bound(fit: Fit, name: str) -> bool:
+    """Return whether a bound of a parameter lies within three deviations of its estimate."""
+    at = fit.parameters[name]
+    return any(abs(at.value - end) < 3 * at.std for end in fit.model.parameters[name].bounds)
+
+
+def _interval(
+    value: float, offsets: np.ndarray, rise: np.ndarray, level: float, *, ends: tuple[float, float], reach: float
+) -> tuple[float, float]:
+    """Return where the signed root of the rise, which is nearly a straight line, crosses the quantile's root.
+
+    Args:
+        value: the estimate.
+        offsets: from it, at which the rise is known.
+        rise: there.
+        level: of the interval.
+        ends: the parameter's bounds, where the interval ends at the latest.
+        reach: how far to each side it was looked, unless a bound came first.
+    """
     root = np.sign(offsets) * np.sqrt(np.maximum(rise, 0.0))
     bound = float(np.sqrt(chi2.ppf(level, 1)))
-    ends = []
-    for side in (-1, 1):
+    found = []
+    for side, end in zip((-1, 1), ends, strict=True):
         reached = root[-1] if side > 0 else -root[0]
         if reached < bound:
-            ends.append(side * np.inf)
+            found.append(end if side * (end - value) < reach else side * np.inf)
             continue
         far = offsets[-1] if side > 0 else offsets[0]
         crossing = brentq(lambda x, s=side: float(np.interp(x, offsets, root)) - s * bound, 0.0, far)
-        ends.append(value + float(np.asarray(crossing)))
-    return ends[0], ends[1]
+        found.append(value + float(np.asarray(crossing)))
+    return found[0], found[1]

@@ -123,6 +123,27 @@ def test_weak_form_removes_the_bias_of_the_papers_estimates(as_in_paper: est.Clo
     assert np.mean(within) > 0.8, dict(zip(TRUTH, within, strict=True))
 
 
+@pytest.mark.parametrize("every", [2, 5])
+def test_a_position_that_is_read_at_some_samples_only_gives_the_same(
+    quiet: rtac.Recording, model: rtac.RTAC, weak: est.ClosedForm, every: int
+) -> None:
+    """Straight lines from one to the next would take from the tops of its oscillation, and from the eccentric moment."""
+
+    def read(one: rtac.Experiment) -> rtac.Experiment:
+        position = one.outputs["cart_position"]
+        values = np.where(np.arange(one.samples) % every == 0, position.values, np.nan)
+        return dataclasses.replace(
+            one, outputs={**one.outputs, "cart_position": dataclasses.replace(position, values=values)}
+        )
+
+    seldom = dataclasses.replace(quiet, experiments=tuple(map(read, quiet.experiments)))
+    found = est.least_squares(model, seldom, weak=True)
+    for name in ("eccentric_moment", "spring_stiffness", "torque_constant", "arm_viscous.positive"):
+        one, whole = found.estimates[name], weak.estimates[name]
+        assert abs(one.value - whole.value) < 2 * np.hypot(one.std, whole.std)
+        assert abs(one.value / whole.value - 1) < 5e-3
+
+
 def test_what_the_paper_does_not_write_of_is_needed(
     quiet: rtac.Recording, model: rtac.RTAC, as_in_paper: est.ClosedForm
 ) -> None:

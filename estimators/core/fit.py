@@ -132,11 +132,13 @@ class Fit(ModelFit):
         for name, bound in self.on_bounds().items():
             said += f" {name} ended on its bound, {bound:g}: the data ask for no such term in this model."
         if (promised := self.statistics.get("promised", 0.0)) > _KINK:
+            rest = self.result != RESULTS.steps_exhausted
             said += (
-                f" It came to rest at a kink, as dry friction makes them, where the slopes still promise {promised:.2g} in "
-                "log-likelihood: estimates may lie several of their deviations beside the best. Begin elsewhere (starts), or hold "
-                "it against est.prediction_error_nonlinear."
+                " It came to rest at a kink, as dry friction makes them, where the slopes" if rest else " The slopes"
             )
+            said += f" still promise {promised:.2g} in log-likelihood: estimates may lie several of their deviations "
+            said += "beside the best."
+            said += " Begin elsewhere (starts), or hold it against est.prediction_error_nonlinear." if rest else ""
         worst = max(ratios, key=lambda c: ratios[c], default="")
         if worst and ratios[worst] > FAR:
             said += (

@@ -60,6 +60,9 @@ def test_a_fit_that_a_kink_stopped_says_so(noisy_fit: est.Fit) -> None:
     assert "kink" in stopped.outcome
     assert "still promise 22 in log-likelihood" in str(stopped)
     assert "kink" not in str(noisy_fit)
+    moving = dataclasses.replace(stopped, result=est.RESULTS.steps_exhausted).outcome
+    assert "still promise 22" in moving
+    assert "kink" not in moving, "it has not come to rest"
 
 
 def test_starts_that_no_sensor_could_tell_apart_are_followed_once(

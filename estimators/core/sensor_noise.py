@@ -1,6 +1,7 @@
 """Sensor noise levels: seen at rest, stated in the file, or read off the quietest part of the spectrum."""
 
 from collections.abc import Iterable, Sequence
+from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Float
@@ -10,6 +11,7 @@ from rtac_jax.measurement import OUTPUTS, Experiment, filled
 
 Values = Float[np.ndarray, " sample"]
 
+_SOME = 0.02  # fraction of samples that are missing, up to which lines take less than a fiftieth of the noise
 _FEWEST = 16  # samples of which a spectrum is taken
 _WHITE_DRAWS = (
     9  # of white noise; the median of their ratios scatters by a twentieth where half of 300 samples are missing
@@ -78,13 +80,19 @@ def spectral_floor(values: Values) -> float:
     if len(apart) == 1 and len(present) >= _FEWEST:
         return _quietest(values[present])
     level = _quietest(filled(values))
-    if len(present) < 2 or len(present) == len(values):
+    if len(present) < 2 or len(present) > (1 - _SOME) * len(values):
         return level
-    random = np.random.default_rng(0)
-    whole = random.standard_normal((_WHITE_DRAWS, len(values)))
-    gapped = np.where(np.isfinite(values), whole, np.nan)
-    taken = [_quietest(filled(row)) / _quietest(white) for row, white in zip(gapped, whole, strict=True)]
-    return level / float(np.median(taken))
+    return level / _left_by_lines(np.isfinite(values).tobytes())
+
+
+@lru_cache(maxsize=256)
+def _left_by_lines(measured: bytes) -> float:
+    """Return the fraction of white noise that is left where lines bridge what was not measured; asked often, for the same."""
+    mask = np.frombuffer(measured, dtype=bool)
+    whole = np.random.default_rng(0).standard_normal((_WHITE_DRAWS, len(mask)))
+    gapped = np.where(mask, whole, np.nan)
+    left = [_quietest(filled(row)) / _quietest(white) for row, white in zip(gapped, whole, strict=True)]
+    return float(np.median(left))
 
 
 def _quietest(values: Values) -> float:

@@ -10,6 +10,7 @@ import estimators as est
 import rtac_jax as rtac
 from estimators.core.initial_angle import angle_unknown
 from estimators.core.initial_state import space_of
+from estimators.core.progress import Progress
 from estimators.diagnosis.setting import set_up, space_for
 from rtac_jax import virtual_rig
 from rtac_jax.measurement import Signal
@@ -141,7 +142,7 @@ def test_a_diagnosis_begins_where_no_missing_effect_has_moved_the_arm() -> None:
     for one in recorded(3, 5, cable_stiffness=1e-3):
         model = rtac.RTAC.from_rig(one.recording)
         fit = est.output_error(model, one.recording, progress=False)
-        setting = set_up(fit.model, one.recording, [], fit.start, 1, None)
+        setting = set_up(fit.model, one.recording, [], fit.start, 1, Progress("diagnose", show=False))
         told = {e.name: e.initial_arm_angle for e in setting.experiments if e.initial_arm_angle is not None}
         assert len(told) >= 2
         for name, angle in told.items():

@@ -5,11 +5,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from tqdm import tqdm
 
 import estimators as est
 import rtac_jax as rtac
 from estimators.core.parameter_space import Space
+from estimators.core.progress import Progress
 from estimators.diagnosis.contact_trials import acting_on_arm, begins_of, in_turn
 from estimators.diagnosis.innovation_tests import screened_at_low_noise
 from estimators.diagnosis.refit import Refit
@@ -34,7 +34,7 @@ def test_a_play_is_found_where_a_fit_along_derivatives_ends_beside_it(seed: int,
     plans = virtual_rig.standard_plans(seed=seed + 1, sample_time=0.002, duration=2.0, free=1, forced=2, rest=1)
     recording = virtual_rig.record(rig, plans, seed=seed + 2)
     fit = est.output_error(rtac.RTAC.from_rig(recording), recording, progress=False)
-    setting = setting_of(fit, recording, [Backlash], tqdm(disable=True))
+    setting = setting_of(fit, recording, [Backlash], Progress("diagnose", show=False))
     base = fit_base(setting)
     (play,) = screened_at_low_noise(setting, base)
     along, tried = refit_with(setting, base, play), refit_thoroughly(setting, base, play)

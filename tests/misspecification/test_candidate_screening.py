@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 from hidden_effects import recorded
-from tqdm import tqdm
 
 import estimators as est
 import rtac_jax as rtac
+from estimators.core.progress import Progress
 from estimators.diagnosis import innovation_tests
 from estimators.diagnosis.innovation_tests import grouped, run_tests
 from estimators.diagnosis.refitting import fit_base
@@ -28,7 +28,7 @@ CANDIDATES = (
 def test_smaller_models_give_the_same_scores_as_one_for_all(monkeypatch: pytest.MonkeyPatch) -> None:
     recording = recorded({"cubic": {"cubic_spring": 5e4}}, first=40)["cubic"]
     fit = est.output_error(rtac.RTAC.from_rig(recording), recording, progress=False)
-    setting = setting_of(fit, recording, [CATALOGUE[i] for i in CANDIDATES], tqdm(disable=True))
+    setting = setting_of(fit, recording, [CATALOGUE[i] for i in CANDIDATES], Progress("diagnose", show=False))
     base = fit_base(setting)
     found = []
     for many, groups in ((np.inf, 1), (0, 4)):

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from hidden_effects import recorded
 from scipy.signal import lfilter
-from tqdm import tqdm
 
 import estimators as est
 import rtac_jax as rtac
+from estimators.core.progress import Progress
 from estimators.diagnosis.noise_colour import recoloured
 from estimators.diagnosis.refitting import fit_base
 from estimators.diagnosis.setting import setting_of
@@ -86,7 +86,7 @@ def recordings():
 def test_motion_makes_the_colour_more_exact(recordings):
     recording = recordings["nothing"]
     fit = est.output_error(rtac.RTAC.from_rig(recording), recording, progress=False)
-    setting = setting_of(fit, recording, [rtac.effects.Cogging], tqdm(disable=True))
+    setting = setting_of(fit, recording, [rtac.effects.Cogging], Progress("diagnose", show=False))
     base = fit_base(setting)
     better, refit = recoloured(setting, base)
     assert refit.predictor.log_likelihood > base.predictor.log_likelihood
@@ -116,7 +116,7 @@ def test_the_colour_stays_where_the_rest_record_does_not_speak_against_it(record
             experiments.append(e)
     recording = rtac.Recording(tuple(experiments), rig=recordings["nothing"].rig)
     fit = est.output_error(rtac.RTAC.from_rig(recording), recording, progress=False)
-    setting = setting_of(fit, recording, [rtac.effects.Cogging], tqdm(disable=True))
+    setting = setting_of(fit, recording, [rtac.effects.Cogging], Progress("diagnose", show=False))
     better, _ = recoloured(setting, fit_base(setting))
     spectra = rest_spectra(recording.experiments)
     lost = {}

@@ -36,6 +36,23 @@ def test_residual_statistics_of_a_trace() -> None:
     assert stained.whiteness_p < 1e-6
 
 
+def test_all_experiments_count_the_samples_that_each_counts() -> None:
+    """A decay whose first samples only set the start, and whose mean over them is another."""
+    time = 0.01 * np.arange(2000)
+    decay = np.exp(-time) + 0.1 * np.sin(20 * time)
+    traces = tuple(
+        Trace(name, "cart_position", time, decay, 0.9 * decay, decay, time >= begin, 0.1)
+        for name, begin in (("a", 2.0), ("b", 5.0))
+    )
+    for own in (traces[:1], traces[1:]):
+        compared = simulation_error.Compared("m", rtac.RTAC.paper(), own, {}, {})
+        assert compared.errors["cart_position"].fit_percent == pytest.approx(own[0].fit_percent, rel=1e-12)
+    both = simulation_error.Compared("m", rtac.RTAC.paper(), traces, {}, {}).errors["cart_position"]
+    used = [decay[time >= begin] for begin in (2.0, 5.0)]
+    left = np.sqrt(sum(np.sum((0.1 * y) ** 2) for y in used) / sum(np.sum((y - np.mean(y)) ** 2) for y in used))
+    assert both.fit_percent == pytest.approx(100 * (1 - left), rel=1e-9)
+
+
 def test_a_simulation_begins_at_a_speed_of_the_arm_that_no_sample_shows() -> None:
     """The tachometer sits on the rotor, which swings by radians per second about an arm behind a soft shaft."""
     rig = dataclasses.replace(virtual_rig.Rig(), shaft_stiffness=STIFFNESS, shaft_damping=DAMPING, rotor_share=ROTOR)

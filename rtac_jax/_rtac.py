@@ -293,7 +293,7 @@ class RTAC(eqx.Module):
 
     @property
     def dead_time(self) -> Any:
-        """By how much the current comes later than its command [s]."""
+        """Return by how much the current comes later than its command [s]."""
         return sum((effect.dead_time() for effect in self.effects if isinstance(effect, Input)), start=0.0)
 
     @property

@@ -54,7 +54,7 @@ class Job:
 
     @property
     def digest(self) -> str:
-        """SHA-256 of the file that was read; empty where there is none."""
+        """Return the SHA-256 of the file that was read; empty where there is none."""
         if self.path is None:
             return ""
         with open(self.path, "rb") as stream:
@@ -62,7 +62,7 @@ class Job:
 
     @property
     def held(self) -> str:
-        """Caption of a picture of what tests the fit."""
+        """Return the caption of a picture of what tests the fit."""
         return "Experiments that were fitted." if self.held_out is None else "Held-out experiments."
 
     def say(self, *blocks: Any) -> None:

@@ -56,9 +56,7 @@ def whiteness(error: Values, present: Values, lags: int = LAGS, *, fitted: int =
     own = autocovariance(error, lags)
     found = own[1:] / own[0] if own[0] > 0 else 0.0 * own[1:]
     pairs = autocovariance(present, lags)[1:] * len(present)  # where samples are missing, fewer tell of a lag
-    told = (
-        pairs > 0.5
-    )  # whole numbers but for rounding; none where a channel is read every nth sample, between its samples
+    told = pairs > 0.5  # whole numbers but for rounding; of a channel read every nth sample most lags have none
     statistic = count * (count + 2) * float(np.sum(found[told] ** 2 / pairs[told]))
     p_value = float(chi2.sf(statistic, max(int(np.sum(told)) - fitted, 1))) if told.any() else 1.0
     return Whiteness(found, quantile() / np.sqrt(max(count, 1.0)), p_value)

@@ -13,9 +13,8 @@ Values = Float[np.ndarray, " sample"]
 
 _SOME = 0.02  # fraction of samples that are missing, up to which lines take less than a fiftieth of the noise
 _FEWEST = 16  # samples of which a spectrum is taken
-_WHITE_DRAWS = (
-    9  # of white noise; the median of their ratios scatters by a twentieth where half of 300 samples are missing
-)
+# Draws of white noise; the median of their ratios scatters by a twentieth where half of 300 samples are missing.
+_WHITE_DRAWS = 9
 
 
 def noise_levels(experiments: Sequence[Experiment]) -> dict[str, float]:

@@ -335,10 +335,11 @@ def fitted(
     Raises:
         ArithmeticError: the model diverges, or leaves parameters free.
     """
-    show = setting.progress.step
     space = begun(space_for(setting, model, free), model, start)
     prior = setting.prior.starting(space)
-    found = fit_predictor(model, setting.data, space, prior, substeps=setting.substeps, first=noise, progress=show)
+    found = fit_predictor(
+        model, setting.data, space, prior, substeps=setting.substeps, first=noise, progress=setting.progress.step
+    )
     arguments = Arguments(model, setting.data, space, found.filtered.whitener, found.filtered.gain, setting.substeps)
     triangles = np.asarray(factor(found.unknowns, arguments))
     return Refit(added, model, found, space, by_sample(found.filtered), free, triangles)

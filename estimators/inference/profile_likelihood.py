@@ -99,37 +99,32 @@ def profile(
     best = solve_bounded(whole.unknowns, whole.arguments, tolerance=1e-8, most=steps)
     offsets = np.linspace(-reach, reach, points + (points + 1) % 2) * std
     offsets = offsets[(value + offsets > lower) & (value + offsets < upper)]
-    rise = np.zeros(len(offsets))
     correlated = fit.information.covariance[:, fit.information.names.index(name)] / std**2
     # Off its bound a friction level finds back over a kink, or not: from one that lies near it both are tried.
-    bounded = [n for n in fit.information.names if n != name and _near_bound(fit, n)]
-    for side in (-1, 1):
-        for place in np.argsort(np.abs(offsets)):
-            if np.sign(offsets[place]) != side:
-                continue
-            # The others begin where the ridge of the likelihood leads, as its curvature has it.
-            moved = {
-                n: float(np.clip(fit.parameters[n].value + c * offsets[place], *fit.model.parameters[n].bounds))
-                for n, c in zip(fit.information.names, correlated, strict=True)
-            }
-            kept = {n: float(fit.parameters[n].value) for n in bounded}
-            costs = []
-            for others in (moved, moved | kept) if bounded else (moved,):
-                model = fit.model.with_values(others | {name: value + offsets[place]})
-                problem = problem_of(
-                    model, whole.experiments, deviation, substeps=int(fit.statistics["substeps"]), start=fit.start,
-                    off_bounds=OFF_BOUNDS,
-                )  # fmt: skip
-                # A place past the end holds the parameter at the space's value; the fit's compiled function serves again.
-                space = problem.arguments.space
-                active = np.asarray(space.active).copy()
-                active[problem.names.index(name)] = len(space.names)
-                held = dataclasses.replace(space, active=jnp.asarray(active))
-                solved = solve_bounded(
-                    problem.unknowns, dataclasses.replace(problem.arguments, space=held), tolerance=1e-8, most=steps
-                )
-                costs.append(solved.cost)
-            rise[place] = 2 * (min(costs) - best.cost)
+    kept = {n: float(fit.parameters[n].value) for n in fit.information.names if n != name and _near_bound(fit, n)}
+
+    def cost(values: dict[str, float]) -> float:
+        """Return the cost with the parameter held, all else fitted again from these values."""
+        problem = problem_of(
+            fit.model.with_values(values), whole.experiments, deviation, substeps=int(fit.statistics["substeps"]),
+            start=fit.start, off_bounds=OFF_BOUNDS,
+        )  # fmt: skip
+        # A place past the end holds the parameter at the space's value; the fit's compiled function serves again.
+        space = problem.arguments.space
+        active = np.asarray(space.active).copy()
+        active[problem.names.index(name)] = len(space.names)
+        held = dataclasses.replace(problem.arguments, space=dataclasses.replace(space, active=jnp.asarray(active)))
+        return solve_bounded(problem.unknowns, held, tolerance=1e-8, most=steps).cost
+
+    rise = np.zeros(len(offsets))
+    for place in np.flatnonzero(offsets):
+        # The others begin where the ridge of the likelihood leads, as its curvature has it.
+        moved = {
+            n: float(np.clip(fit.parameters[n].value + c * offsets[place], *fit.model.parameters[n].bounds))
+            for n, c in zip(fit.information.names, correlated, strict=True)
+        } | {name: value + offsets[place]}
+        starts = (moved, moved | kept) if kept else (moved,)
+        rise[place] = 2 * (min(map(cost, starts)) - best.cost)
     return Profile(
         name,
         fit.parameters[name].unit,

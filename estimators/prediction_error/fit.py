@@ -190,11 +190,11 @@ def prediction_error_nonlinear(
     sensors = np.array([levels.get(channel, 1.0) for channel in CHANNELS])
     substeps = accurate_substeps(start, data, space, space.unconstrained(off_bounds=OFF_BOUNDS), sensors)
     with Progress("prediction error", show=progress) as shown:
-        show, steps = shown.step, jnp.asarray(substeps)
+        steps = jnp.asarray(substeps)
         try:
             space = with_likeliest_angles(start, data, space, prior, steps)
             found, data = fit_trusted(
-                start, data, space, prior, substeps=steps, rounds=rounds, off_bounds=OFF_BOUNDS, progress=show
+                start, data, space, prior, substeps=steps, rounds=rounds, off_bounds=OFF_BOUNDS, progress=shown.step
             )
             factors = factor(found.unknowns, _arguments_at(found, start, data, space, substeps))
             if diverged(factors):
@@ -203,7 +203,9 @@ def prediction_error_nonlinear(
                 )
             frozen = np.asarray(factors)
             information(frozen, space, found.unknowns).require_determined()
-            found, triangles = most_likely(found, start, data, space, prior, frozen, substeps=steps, progress=show)
+            found, triangles = most_likely(
+                found, start, data, space, prior, frozen, substeps=steps, progress=shown.step
+            )
         except FloatingPointError as error:
             raise DivergedError(str(error)) from None
     arguments = _arguments_at(found, start, data, space, substeps)

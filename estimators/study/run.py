@@ -118,7 +118,7 @@ def repeated(
 def _computed(
     work: Work, parts: Sequence[Sequence[int]], executor: Executor | str | None
 ) -> Iterator[tuple[Sequence[int], Arrays]]:
-    """Chunks as they are finished, in any order."""
+    """Yield chunks as they are finished, in any order."""
     if executor is None:
         for part in parts:
             yield part, work.compute(part)

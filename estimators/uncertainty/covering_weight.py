@@ -17,9 +17,8 @@ _DENSE = 10  # points between two of the grid, at which the weight is checked
 _FEWEST = 200  # points to which a coarse grid is filled up for the fit of the weight
 _NEAR = 0.05  # logarithm of weight over profile, below which the neighbourhood is looked at more closely
 _CLOSER = 20  # points between two of the dense grid there
-_WIDTHS = np.linspace(
-    -4, 4, 33
-)  # places about a mode, in half-widths of its peak, at which the weight is checked besides
+# Places about a mode, in half-widths of its peak, at which the weight is checked besides.
+_WIDTHS = np.linspace(-4, 4, 33)
 _FLOOR = 1e-6  # of the largest model error: a profile that touches zero has no logarithm
 _CLEAR = 1e-6  # by which the weight clears the model errors, for what lies between even the closest points
 _EQUAL = 1e-9  # of the plant, below which model errors are rounding

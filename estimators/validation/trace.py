@@ -51,7 +51,7 @@ class Trace:
 
     @property
     def deviation(self) -> Values:
-        """Measured less its mean, over the samples that count; NaN elsewhere."""
+        """Return what was measured less its mean, over the samples that count; NaN elsewhere."""
         measured = np.where(self.used, self.measured, np.nan)
         return measured - np.nanmean(measured)
 

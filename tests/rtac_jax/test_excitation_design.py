@@ -149,6 +149,21 @@ def test_the_cart_itself_keeps_its_travel_whatever_delays_the_current_or_scales_
     assert max(np.max(np.abs(again[e.name].states["cart_position"])) for e in made) > 0.6 * limit
 
 
+def test_what_is_foretold_of_a_delayed_current_is_what_an_independent_rig_does():
+    made = rtac.design_excitation(
+        rtac.RTAC.paper() + InputDelay(0.03), 10 * WAVES["chirp"], sample_time=DT, initial_angles=(0.2,), travel=0.004
+    )
+    (foretold,) = made
+    plan = Plan("a", "forced", foretold.duration, DT, foretold.inputs["current"].values, initial_angle=0.2)
+    error = {}
+    for delay in (0.03, 0.0):
+        (shown,) = record(Rig(input_delay=delay, encoder=True, quantisation_bits=None), [plan], seed=1)
+        away = foretold.outputs["cart_position"].values - shown.outputs["cart_position"].values
+        error[delay] = float(np.max(np.abs(away[:400])))
+    assert error[0.03] < 2e-4
+    assert error[0.0] > 5 * error[0.03]
+
+
 @pytest.mark.parametrize("limit", [0.1, 0.02])
 def test_torque_binds_where_travel_does_not(limit):
     """A rig of another motor constant: the largest current is that of the limit, and the cart stays well within its travel."""

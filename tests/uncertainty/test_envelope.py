@@ -391,21 +391,3 @@ def test_compensation_keeps_the_profile_of_the_rig_low_and_without_it_nothing_is
     assert np.abs(errors(raw.response, found.nominal_response(), found.kind)).max(axis=0).min() > 1
     spread = est.envelope(raw, order_weight=1)
     assert spread.profile.max() > 0.9, "angles on both sides of 90 degrees have gains of both signs"
-
-
-@pytest.mark.parametrize("damping", [0.02, 0.001])
-def test_a_weight_covers_peaks_that_are_narrower_than_the_grid(damping):
-    """Between points of a grid of 40 over four decades a mode of this damping is not seen."""
-    places = (9.7, 10.0, 10.3)
-    plants = [ct.tf([place**2], [1.0, 2 * damping * place, place**2]) for place in places]
-    covering = est.envelope(
-        plants, omega=np.geomspace(0.1, 1000, 40), order_nominal=2, order_weight=4, within_db=200.0, progress=False
-    )
-    near = np.linspace(-10, 10, 4001) * damping
-    nominal = np.abs(np.concatenate([covering.nominal.poles(), covering.nominal.zeros()]).imag)
-    omega = np.unique(np.concatenate([place * (1 + near) for place in (*places, *nominal[nominal > 1])]))
-    omega = omega[(omega > 0.1) & (omega < 1000)]
-    model = covering.nominal_response(omega)
-    weight = covering.weight_magnitude(omega)
-    worst = max(np.max(np.abs(plant(1j * omega) / model - 1) / weight) for plant in plants)
-    assert 0.9 < worst < 1.0 + 1e-4

@@ -1,0 +1,25 @@
+"""A weight between the points of its grid, against plants evaluated by python-control at points a hundred times as close."""
+
+import control as ct
+import numpy as np
+import pytest
+
+import estimators as est
+
+
+@pytest.mark.parametrize("damping", [0.02, 0.001])
+def test_a_weight_covers_peaks_that_are_narrower_than_the_grid(damping):
+    """Between points of a grid of 40 over four decades a mode of this damping is not seen."""
+    places = (9.7, 10.0, 10.3)
+    plants = [ct.tf([place**2], [1.0, 2 * damping * place, place**2]) for place in places]
+    covering = est.envelope(
+        plants, omega=np.geomspace(0.1, 1000, 40), order_nominal=2, order_weight=4, within_db=200.0, progress=False
+    )
+    near = np.linspace(-10, 10, 4001) * damping
+    nominal = np.abs(np.concatenate([covering.nominal.poles(), covering.nominal.zeros()]).imag)
+    omega = np.unique(np.concatenate([place * (1 + near) for place in (*places, *nominal[nominal > 1])]))
+    omega = omega[(omega > 0.1) & (omega < 1000)]
+    model = covering.nominal_response(omega)
+    weight = covering.weight_magnitude(omega)
+    worst = max(np.max(np.abs(plant(1j * omega) / model - 1) / weight) for plant in plants)
+    assert 0.9 < worst < 1.0 + 1e-4

@@ -36,10 +36,13 @@ jaxtyping.install_import_hook([*(f"rtac_jax.{part}" for part in sorted(parts)), 
 import matplotlib  # noqa: E402 - after the hook
 
 import rtac_jax  # noqa: E402 - after the hook
+from estimators.core import progress  # noqa: E402 - after the hook
 from estimators.core.compilation import make_room  # noqa: E402 - after the hook
 from rtac_jax.programs import forget_programs  # noqa: E402 - after the hook
 
 rtac_jax.configure()
+# What tests read of a command is not to hang on when the process began.
+progress._LINE = 1e9
 # Tracing makes many objects that stay: looking through them as often as Python does by itself costs a twentieth of the time.
 gc.set_threshold(50_000, 20, 100)
 matplotlib.use("Agg")

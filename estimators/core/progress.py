@@ -14,6 +14,35 @@ _REFRESH = 1.0  # s, of a bar, so that its clock goes on while code compiles
 _LINE = 60.0  # s between lines where nobody watches
 
 
+class _Clock:
+    """When the next line of a log is due; one for the process, since long work may be made of many short parts."""
+
+    def __init__(self) -> None:
+        self._lock, self._due = threading.Lock(), 0.0
+
+    def begin(self) -> None:
+        """Let a line be due in a minute, unless work that was going on a minute ago goes on."""
+        with self._lock:
+            now = time.monotonic()
+            if now > self._due + _LINE:
+                self._due = now + _LINE
+
+    def left(self) -> float:
+        """Return the seconds until the next line is due."""
+        return max(self._due - time.monotonic(), 0.0)
+
+    def is_due(self) -> bool:
+        """Return whether a line is due, and let the next be due in a minute; of several that ask one is told so."""
+        with self._lock:
+            now = time.monotonic()
+            due = now >= self._due
+            self._due = now + _LINE if due else self._due
+            return due
+
+
+_clock = _Clock()
+
+
 class Progress:
     """A bar at a terminal or in a notebook, one line a minute in a log; it says what is done, how fast, and what compiles.
 
@@ -35,6 +64,7 @@ class Progress:
         self._bar = tqdm(total=total, initial=done, desc=task, unit=f" {unit}", leave=False, disable=not self._watched)
         self._task, self._unit, self._total, self._done, self._first = task, unit, total, done, done
         self._ended = threading.Event()
+        _clock.begin()
         if show:
             threading.Thread(target=self._tick, daemon=True).start()
 
@@ -81,10 +111,10 @@ class Progress:
         return f"compiling {', '.join(names)}" if names else self._note
 
     def _tick(self) -> None:
-        while not self._ended.wait(_REFRESH if self._watched else _LINE):
+        while not self._ended.wait(_REFRESH if self._watched else _clock.left()):
             if self._watched:
                 self._bar.set_postfix_str(self._state())
-            else:
+            elif _clock.is_due():
                 print(self.line(), file=sys.stderr, flush=True)
 
 

@@ -24,6 +24,7 @@ def _quick(monkeypatch):
     """Let seconds and minutes pass in a twentieth of a second."""
     monkeypatch.setattr(progress, "_REFRESH", 0.05)
     monkeypatch.setattr(progress, "_LINE", 0.05)
+    monkeypatch.setattr(progress, "_clock", progress._Clock())
 
 
 def until(holds) -> None:
@@ -45,6 +46,21 @@ def test_a_log_gets_whole_lines_with_what_is_done_and_left(capsys):
     assert "25%" in lines[-1]
     assert "<" in lines[-1], "no time left is said"
     assert "draws/s" in lines[-1] or "s/ draws" in lines[-1]
+
+
+def test_work_of_many_short_parts_is_told_of_once_a_minute(capsys, monkeypatch):
+    monkeypatch.setattr(progress, "_LINE", 0.5)
+    said = ""
+    for _ in range(15):
+        with Progress("part", show=True) as shown:
+            time.sleep(0.1)
+            shown.step()
+        said += capsys.readouterr().err
+    assert 2 <= len(said.splitlines()) <= 4
+    time.sleep(1.2)  # more than a minute of nothing
+    with Progress("later", show=True):
+        time.sleep(0.1)
+    assert capsys.readouterr().err == ""
 
 
 def test_without_a_total_steps_and_what_was_noted_of_the_last_are_said():

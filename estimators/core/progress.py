@@ -1,5 +1,6 @@
 """Progress of work that takes seconds or hours, told to people at a terminal and to those who read a log."""
 
+import math
 import sys
 import threading
 import time
@@ -18,7 +19,7 @@ class _Clock:
     """When the next line of a log is due; one for the process, since long work may be made of many short parts."""
 
     def __init__(self) -> None:
-        self._lock, self._due = threading.Lock(), 0.0
+        self._lock, self._due = threading.Lock(), -math.inf
 
     def begin(self) -> None:
         """Let a line be due in a minute, unless work that was going on a minute ago goes on."""

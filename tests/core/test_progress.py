@@ -63,6 +63,14 @@ def test_work_of_many_short_parts_is_told_of_once_a_minute(capsys, monkeypatch):
     assert capsys.readouterr().err == ""
 
 
+def test_the_first_minute_of_a_process_is_silent(capsys, monkeypatch):
+    """Also where the machine has just begun to count."""
+    monkeypatch.setattr(progress, "_LINE", 1e9)
+    with Progress("fit", show=True):
+        time.sleep(0.2)
+    assert capsys.readouterr().err == ""
+
+
 def test_without_a_total_steps_and_what_was_noted_of_the_last_are_said():
     shown = Progress("fit", show=False)
     shown.step("cost 3")

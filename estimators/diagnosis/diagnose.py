@@ -23,7 +23,6 @@ from estimators.diagnosis.explanation import SHAKEN, not_named, shaken, strayed,
 from estimators.diagnosis.gross_effects import is_gross, offering_gross
 from estimators.diagnosis.innovation_tests import (
     latent_of,
-    limits_of,
     lines_of,
     pieces_of_tests,
     places_of,
@@ -42,7 +41,6 @@ from estimators.diagnosis.workers import Workers
 from estimators.diagnosis.wrong_constant import doubt
 from estimators.inference.simulation_residual import SimulationResidual
 from estimators.misspecification.adequacy import AdequacyTest, alarming, excess_of, p_by_chance
-from estimators.misspecification.candidate_screening import correlations
 from estimators.misspecification.detection_limit import is_testable, main_amplitude
 from estimators.misspecification.line_classes import LineClass
 from estimators.misspecification.residual_maps import Place
@@ -310,18 +308,15 @@ def _not_testable(c: type[Effect], price: float) -> Candidate:
 def _candidates(laboratory: LiveLaboratory, found: Judgement) -> list[Candidate]:
     """Return all candidates, those that improved the model first."""
     selection, samples, policy = found.selection, laboratory.facts.samples, laboratory.policy
-    setting, base = laboratory.computed(selection.base)
     screened = laboratory.tested(selection.base).screened
     price = float(np.log(samples))
     best = {s.id: s for s in by_size(screened, price)}
-    alike = correlations(best)
-    beside_base = selection.base.number == laboratory.base.number
-    limits = laboratory.limits if beside_base else limits_of(setting, base, best)
+    detectable = laboratory.detectability(selection.base)
     most = _most(selection, samples)
     within = set(found.effects)
     several: list[Candidate] = []
     for s in best.values():
-        first, limit = main_amplitude(s), limits[s.id]
+        first, limit = main_amplitude(s), detectable.limits[s.id]
         c = Candidate(
             id=s.id,
             score=s.statistic - len(s.amplitudes) * price,
@@ -331,7 +326,7 @@ def _candidates(laboratory: LiveLaboratory, found: Judgement) -> list[Candidate]
             unit=declarations(s.instance)[first].unit,
             # What acts by contact, or random forces stand for, shows once the filter follows it.
             testable=is_testable(s, limit, policy.testable) or s.id in within,
-            correlation=alike[s.id],
+            correlation=detectable.correlations[s.id],
         )
         if s.id in selection.tried:
             before, model = selection.tried[s.id]

@@ -2,7 +2,8 @@
 
 import contextlib
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -40,12 +41,24 @@ from estimators.diagnosis.setting import Setting
 from estimators.diagnosis.workers import Workers
 from estimators.inference.shaken_simulation import unfollowed
 from estimators.inference.simulation_residual import known_noise
-from estimators.misspecification.candidate_screening import Screened
+from estimators.misspecification.candidate_screening import Screened, by_statistic, correlations
 from estimators.misspecification.detection_limit import is_testable
 from estimators.misspecification.equation_screening import Explained
 from estimators.misspecification.findings import Findings, Score
 from estimators.validation.vuong_test import by_stretch
 from rtac_jax.effects import Effect
+
+
+class Detectability(NamedTuple):
+    """What the data could show of candidates beside a model.
+
+    Attributes:
+        limits: size from which on each would be found.
+        correlations: of what each two would change.
+    """
+
+    limits: dict[str, float]
+    correlations: dict[str, dict[str, float]]
 
 
 class LiveLaboratory:
@@ -55,7 +68,6 @@ class LiveLaboratory:
         facts: about the recording.
         policy: the thresholds by which is chosen what to compute.
         base: the record of the base model.
-        limits: size from which on each candidate would be found beside it.
     """
 
     def __init__(self, setting: Setting, fit: Fit, base: Refit, tested: Tested, workers: Workers) -> None:
@@ -82,10 +94,11 @@ class LiveLaboratory:
         self._coloured: list[FittedModel | None] = []  # empty until asked
         self._stretches = setting.stretches()
         self.facts, self.policy = facts_of(setting, fit), setting.policy
-        self.base = self._record(setting, base, tested)
         best = by_statistic(tested.screened)
-        self.limits = limits_of(setting, base, best)
-        shown = {i for i, s in best.items() if is_testable(s, self.limits[i], setting.policy.testable)}
+        found = _detectability(setting, base, best)
+        self.base = self._record(setting, base, tested)
+        self._detectable = {self.base.number: found}
+        shown = {i for i, s in best.items() if is_testable(s, found.limits[i], setting.policy.testable)}
         blind = [i for i, s in best.items() if not s.instance.acts_by_contact and i not in shown]
         self.facts = dataclasses.replace(self.facts, untestable=tuple(sorted(blind)))
 
@@ -116,7 +129,7 @@ class LiveLaboratory:
         """Score candidates against a predictor with low process noise."""
         if model.number not in self._quiet:
             setting, refit = self.computed(model)
-            screened = screened_at_low_noise(setting, refit)
+            screened = [s.without_templates() for s in screened_at_low_noise(setting, refit)]
             scores = self._quiet[model.number] = scores_of(screened)
             self._screened |= dict(zip(scores, screened, strict=True))
         return self._quiet[model.number]
@@ -169,9 +182,17 @@ class LiveLaboratory:
         """Return the tests of the innovations of a model, with what they were computed from."""
         if model.number not in self._tested:
             setting, refit = self.computed(model)
-            self._tested[model.number] = tested = run_tests(setting, refit)
+            tested = run_tests(setting, refit)
+            if not model.added:  # a base model with coloured noise
+                self._detectable[model.number] = _detectability(setting, refit, by_statistic(tested.screened))
+            self._tested[model.number] = tested = tested.without_templates()
             self._screened |= dict(zip(tested.findings.scores, tested.screened, strict=True))
         return self._tested[model.number]
+
+    def detectability(self, model: FittedModel) -> Detectability:
+        """Return what the data could show beside a base model."""
+        self.tested(model)
+        return self._detectable[model.number]
 
     def evidence(self, *, thorough: bool) -> Evidence:
         """Return everything that was computed so far.
@@ -238,18 +259,13 @@ class LiveLaboratory:
         self._models.append(model)
         self._computed.append((setting, refit))
         if tested is not None:
-            self._tested[model.number] = tested
+            self._tested[model.number] = tested = tested.without_templates()
             self._screened |= dict(zip(tested.findings.scores, tested.screened, strict=True))
         return model
 
 
-def by_statistic(screened: Sequence[Screened]) -> dict[str, Screened]:
-    """Return the largest shape of every candidate, by id."""
-    best: dict[str, Screened] = {}
-    for s in screened:
-        if s.id not in best or s.statistic > best[s.id].statistic:
-            best[s.id] = s
-    return best
+def _detectability(setting: Setting, refit: Refit, best: Mapping[str, Screened]) -> Detectability:
+    return Detectability(limits_of(setting, refit, best), correlations(best))
 
 
 def facts_of(setting: Setting, fit: Fit) -> Facts:

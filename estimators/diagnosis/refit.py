@@ -59,3 +59,7 @@ class Tested:
     screened: tuple[Screened, ...]
     curves: tuple[ForceCurve, ...]
     findings: Findings
+
+    def without_templates(self) -> "Tested":
+        """Return the tests without the templates of candidates, of which detection limits and correlations are made."""
+        return dataclasses.replace(self, screened=tuple(s.without_templates() for s in self.screened))

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from estimators.core.threads import at_once
 from estimators.misspecification.findings import CriticalValues
 from estimators.misspecification.score_test import score_test
-from estimators.prediction_error.innovations import Innovations, Rows, orthonormal
+from estimators.prediction_error.innovations import AT_ONCE, Innovations, Rows, orthonormal
 from rtac_jax.effects import Effect
 from rtac_jax.parameters import declarations
 
@@ -77,7 +77,8 @@ class Screened:
         statistic: chi-square distributed when the effect is absent; zero where the sign is unphysical.
         p_value: by the model's variance or by the scatter over seconds of data, whichever is larger.
         limit: size of the amplitudes at which an effect alone would reject on average.
-        templates: projected change of the innovations per unit of each amplitude.
+        templates: projected change of the innovations per unit of each amplitude, of a candidate's largest shape; of others no
+            row is kept.
     """
 
     id: str
@@ -89,10 +90,15 @@ class Screened:
     limit: Float[np.ndarray, " amplitude"]
     templates: Rows
 
+    def without_templates(self) -> "Screened":
+        """Return the score alone: of 90,000 samples, templates of all candidates and shapes take two hundred megabytes."""
+        return dataclasses.replace(self, templates=np.zeros((0, self.templates.shape[1])))
+
 
 _ROUNDING = 1e-2  # what the filter's own pass and a simulation with its gains differ by is far less
 _SIZES = (0.1, 0.2, 0.35, 0.5, 0.7, 1.0, 1.5)  # of the plausible amplitude, that are tried
 _THRESHOLD = 0.1  # of what proportion would ask of the smallest size, below which there is a threshold
+_COLUMNS = 2 * AT_ONCE - 1  # that are simulated for a part, beside what the model says without any
 _TRIED = 3  # candidates whose size is looked for so
 
 
@@ -112,7 +118,15 @@ def screen(
 
     def held(group: Group) -> list[Screened]:
         ready()
-        return _one_by_one(group, _each(group), error, basis, tried, critical)
+        scores: list[Screened] = []
+        for part in _parts(group):
+            try:
+                columns = _each(part)
+            except NotNothingError:
+                raise NotNothingError([instance.id for instance in group.instances]) from None
+            scores += _one_by_one(part, columns, error, basis, tried, critical)
+        best = {id(s) for s in by_statistic(scores).values()}
+        return [s if id(s) in best else s.without_templates() for s in scores]
 
     found = [s for part in at_once(held, groups) for s in part]
     clear = [s for s in found if s.statistic >= critical.alarm and len(s.amplitudes) == 1 and s.begin[0] != 0]
@@ -122,6 +136,29 @@ def screen(
     sized = at_once(lambda s: _sized(owner[s.id], error, basis, s), largest)
     instead = {id(s): other for s, other in zip(largest, sized, strict=True)}
     return [instead.get(id(s), s) for s in found]
+
+
+def by_statistic(screened: Sequence[Screened]) -> dict[str, Screened]:
+    """Return the largest shape of every candidate, by id."""
+    best: dict[str, Screened] = {}
+    for s in screened:
+        if s.id not in best or s.statistic > best[s.id].statistic:
+            best[s.id] = s
+    return best
+
+
+def _parts(group: Group) -> list[Group]:
+    """Cut a group into parts of few columns: those of all candidates side by side would take hundreds of megabytes."""
+    parts: list[list[Effect]] = [[]]
+    columns = 0
+    for instance in group.instances:
+        own = len(type(instance).amplitudes())
+        if columns and columns + own > _COLUMNS:
+            parts.append([])
+            columns = 0
+        parts[-1].append(instance)
+        columns += own
+    return [group._replace(instances=part) for part in parts]
 
 
 def _each(group: Group) -> Rows:
@@ -145,7 +182,9 @@ def _one_by_one(
 ) -> list[Screened]:
     """Score each instance of a group by itself."""
     sound = np.isfinite(columns).all(axis=0)  # a candidate at its plausible size may make the model diverge
-    columns[:, sound] -= basis @ (basis.T @ columns[:, sound])
+    columns[:, ~sound] = 0.0
+    columns -= basis @ (basis.T @ columns)
+    columns[:, ~sound] = np.nan
     blocks = group.innovations.blocks()
     stretches = len(np.unique(blocks))
     edges = np.cumsum([0, *(len(type(i).amplitudes()) for i in group.instances)])

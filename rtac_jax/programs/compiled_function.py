@@ -24,6 +24,7 @@ from rtac_jax.programs.files import (
     save,
 )  # fmt: skip
 from rtac_jax.programs.fingerprint import NoFingerprintError, Traced, fingerprint
+from rtac_jax.programs.heap import give_back
 
 Given = ParamSpec("Given")
 Result = TypeVar("Result")
@@ -78,6 +79,7 @@ class Program(Generic[Given, Result]):
         if not _can_be_kept(leaves):
             return self._jitted(*args, **kwargs)
         made = self._made(leaves, structure)
+        give_back()
         if made.run is None:
             return self._jitted(*args, **kwargs)
         return jax.tree.unflatten(made.structure, made.run(*filter(_is_array, leaves)))

@@ -11,6 +11,7 @@ from estimators.diagnosis import innovation_tests
 from estimators.diagnosis.innovation_tests import grouped, run_tests
 from estimators.diagnosis.refitting import fit_base
 from estimators.diagnosis.setting import setting_of
+from estimators.misspecification.candidate_screening import by_statistic
 from rtac_jax.effects import CATALOGUE
 
 CANDIDATES = (
@@ -34,7 +35,12 @@ def test_smaller_models_give_the_same_scores_as_one_for_all(monkeypatch: pytest.
     for many, groups in ((np.inf, 1), (0, 4)):
         monkeypatch.setattr(innovation_tests, "_MANY", many)
         assert len(grouped(setting, ())) == groups
-        found.append({(s.id, str(s.instance)): s for s in run_tests(setting, base).screened})
+        screened = run_tests(setting, base).screened
+        found.append({(s.id, str(s.instance)): s for s in screened})
+        # Of all shapes of a candidate, the templates of the largest are kept, whatever part it was in.
+        best = by_statistic(screened)
+        assert all((len(s.templates) > 0) == (s is best[s.id]) for s in screened)
+        assert len(screened) > len(best)
     one, several = found
     assert one.keys() == several.keys()
     assert {name for name, _ in one} == set(CANDIDATES)

@@ -8,16 +8,19 @@ import jax.numpy as jnp
 import numpy as np
 
 _SHORTEST = 64
+SHORT = 4096
+"""Samples up to which arrays are small, and to compile takes longer than to fill room that is not used."""
 
 
 def room_for(samples: int) -> int:
-    """Return the length of arrays that hold so many samples: one of a few, each about 1.4 times the one before.
+    """Return the length of arrays that hold so many samples: one of a few, each twice or, of long ones, 1.4 times the one before.
 
     Code is compiled for a length of the arrays and stops after the samples that there are.
     """
     if samples <= _SHORTEST:
         return _SHORTEST
-    return int(np.ceil(_SHORTEST * 2.0 ** (0.5 * np.ceil(2 * np.log2(samples / _SHORTEST)) - 1e-12)))
+    steps = 1 if samples <= SHORT else 2  # to twice the length
+    return int(np.ceil(_SHORTEST * 2.0 ** (np.ceil(steps * np.log2(samples / _SHORTEST)) / steps - 1e-12)))
 
 
 def time_loop(

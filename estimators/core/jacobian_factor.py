@@ -4,7 +4,6 @@ import dataclasses
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -12,6 +11,7 @@ from jaxtyping import Array, Float
 from estimators.core.data import Data
 from estimators.core.parameter_space import Space, Unknowns
 from estimators.core.piecewise_triangle import piecewise_triangle, worth_cutting
+from estimators.core.repeated_experiments import repeated, taken, taken_of_space
 from estimators.core.residual import residual, triangle
 from estimators.core.threads import at_once
 from rtac_jax import RTAC
@@ -106,7 +106,7 @@ class Passes:
                 # Of equal sizes, or each would be compiled: the one in the middle of an odd number is in both.
                 half = (self._all + 1) // 2
                 self._parts = [slice(half), slice(self._all - half, self._all)]
-        self._arguments = [_columns(arguments, part) for part in self._parts]
+        self._arguments = [_wide(_columns(arguments, part)) for part in self._parts]
 
     def prepare(self, unknowns: Unknowns) -> None:
         """Compile what `factors` will run, and run nothing."""
@@ -118,6 +118,10 @@ class Passes:
 
         def of(number: int) -> tuple[np.ndarray, np.ndarray]:
             channels, prior = map(np.array, _factors(*self._given(unknowns, number)))
+            part = len(range(self._all)[self._parts[number]])
+            if len(channels) > part:  # some were repeated
+                prior[:, start:] *= np.sqrt(len(channels) / part)
+                channels, prior = channels[:part], prior[:part]
             if not start:  # the columns of what is held, and the rows of what would be known of it
                 held = len(self._arguments[number].space.start)
                 channels, prior = (np.delete(rows, np.s_[own : own + held], axis=-1) for rows in (channels, prior))
@@ -136,7 +140,9 @@ class Passes:
     def _given(self, unknowns: Unknowns, number: int) -> tuple[Unknowns, Arguments]:
         """Return the unknowns and the arguments of a part, with states at the start that are held where they are no unknowns."""
         part, arguments = self._parts[number], self._arguments[number]
-        unknowns = unknowns._replace(each=unknowns.each[:, part], start=unknowns.start[:, part])
+        places = np.arange(self._all)[part]
+        places = np.pad(places, (0, arguments.data.experiments - len(places)), mode="edge")
+        unknowns = unknowns._replace(each=taken(unknowns.each, places), start=taken(unknowns.start, places))
         if len(unknowns.start):
             return unknowns, arguments
         space = arguments.space
@@ -147,26 +153,23 @@ class Passes:
         )
 
 
-def _columns(arguments: Arguments, part: slice) -> Arguments:
-    """Return the arguments of some experiments."""
-    if part == slice(None):
+def _columns(arguments: Arguments, places: Any) -> Arguments:
+    """Return the arguments of the experiments at some places."""
+    if isinstance(places, slice) and places == slice(None):
         return arguments
-
-    def cut_leaf(leaf: Any) -> Any:
-        return leaf[..., part] if np.ndim(leaf) else leaf
-
-    def cut(tree: Any) -> Any:
-        return jax.tree.map(cut_leaf, tree)
-
-    space = arguments.space
-    own = ("each_values", "start", "start_scale", "start_spread", "start_held")
     return dataclasses.replace(
         arguments,
-        data=cut(arguments.data),
-        space=dataclasses.replace(space, **{name: cut(getattr(space, name)) for name in own}),
-        whitener=cut(arguments.whitener),
-        gain=cut(arguments.gain),
+        data=taken(arguments.data, places),
+        space=taken_of_space(arguments.space, places),
+        whitener=taken(arguments.whitener, places),
+        gain=taken(arguments.gain, places),
     )
+
+
+def _wide(arguments: Arguments) -> Arguments:
+    """Return the arguments of experiments that are `repeated`."""
+    places = repeated(arguments.data)
+    return arguments if places is None else _columns(arguments, places)
 
 
 def factor(unknowns: Unknowns, arguments: Arguments) -> Float[np.ndarray, "experiment row column"]:
@@ -180,10 +183,21 @@ def diverged(factor: Float[np.ndarray, "experiment row column"]) -> bool:
 
 
 @program
-def plain_residual(unknowns: Unknowns, arguments: Arguments) -> tuple[Array, Array]:
-    """Return the residual itself and the deviation of the starts from what is known of them; see `residual`."""
+def _residual(unknowns: Unknowns, arguments: Arguments) -> tuple[Array, Array]:
     a = arguments
     return residual(a.model, a.data, a.space, unknowns, a.whitener, substeps=a.substeps, gain=a.gain)
+
+
+def plain_residual(
+    unknowns: Unknowns, arguments: Arguments
+) -> tuple[Float[np.ndarray, "sample output experiment"], Float[np.ndarray, "start experiment"]]:
+    """Return the residual itself and the deviation of the starts from what is known of them; see `residual`."""
+    places, count = repeated(arguments.data), arguments.data.experiments
+    if places is not None:
+        unknowns = unknowns._replace(each=taken(unknowns.each, places), start=taken(unknowns.start, places))
+        arguments = _columns(arguments, places)
+    error, known = map(np.asarray, _residual(unknowns, arguments))
+    return error[..., :count], known[..., :count]
 
 
 def promised_gain(factor: np.ndarray, shared: int) -> float:

@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 from estimators.core.data import CHANNELS, Data
 from estimators.core.parameter_space import Space
 from estimators.core.piecewise_triangle import LONG
+from estimators.core.repeated_experiments import repeated, taken, taken_of_space
 from estimators.prediction_error.ekf import Filtered, Linearised, kalman
 from estimators.prediction_error.noise_model import NoiseModel
 from estimators.prediction_error.noise_score import noise_information, noise_slope
@@ -37,21 +38,35 @@ class Passed:
     """
 
     def __init__(
-        self, noise: Float[np.ndarray, " noise"], filtered: Filtered, linear: Linearised, length: Array
+        self,
+        noise: Float[np.ndarray, " noise"],
+        filtered: Filtered,
+        linear: Linearised,
+        length: Array,
+        experiments: int,
     ) -> None:
-        self.filtered, self._noise = filtered, noise
-        self.value = -float(filtered.log_likelihood.sum())
-        self._given = filtered, linear, length
+        """Keep a pass.
+
+        Args:
+            noise: at which it was.
+            filtered: its result, of experiments some of which may be repeated.
+            linear: the linear model along it.
+            length: samples of the pass.
+            experiments: number of those that count, the first.
+        """
+        self.filtered, self._noise = _first(filtered, experiments), noise
+        self.value = -float(self.filtered.log_likelihood.sum())
+        self._given, self._count = (filtered, linear, length), experiments
 
     def slope(self) -> Float[np.ndarray, " noise"]:
         """Return the derivatives of the value by the logarithms of the variances."""
-        return np.asarray(_slope(*self._given)).sum(-1)
+        return np.asarray(_slope(*self._given))[..., : self._count].sum(-1)
 
     def curvature(self, known: Curvature | None = None) -> Curvature:
         """Return the expected curvature here, or what is known of these data where that is near."""
         if known is not None and np.max(np.abs(known.at - self._noise)) <= _NEAR:
             return known
-        return Curvature(self._noise, np.asarray(_information(*self._given)).sum(-1))
+        return Curvature(self._noise, np.asarray(_information(*self._given))[..., : self._count].sum(-1))
 
 
 @program
@@ -67,9 +82,9 @@ def _filter_alone(*arguments: Any) -> Filtered:
 
 
 @program
-def _negative_log_likelihood(*arguments: Any) -> Float[Array, ""]:
-    """Run the filter for the negative log-likelihood alone; see `_arguments`."""
-    return -_filtered(*arguments)[0].log_likelihood.sum()
+def _likelihood(*arguments: Any) -> Float[Array, " experiment"]:
+    """Run the filter for the log-likelihood alone; see `_arguments`."""
+    return _filtered(*arguments)[0].log_likelihood
 
 
 _slope, _information = program(noise_slope), program(noise_information)
@@ -92,7 +107,8 @@ def run_filter(
 ) -> Filtered:
     """Run the filter's pass at given noise; where experiments are long, by a program of its own, which takes less memory."""
     arguments = _arguments(model, data, space, physical, prior, noise, substeps)
-    return _filter_alone(*arguments) if data.room >= LONG else _filter(*arguments)[0]
+    found = _filter_alone(*arguments) if data.room >= LONG else _filter(*arguments)[0]
+    return _first(found, data.experiments)
 
 
 def score_noise(
@@ -100,14 +116,15 @@ def score_noise(
 ) -> Passed:
     """Run the filter's pass at given noise, with the derivatives of its likelihood by that."""
     filtered, linear = _filter(*_arguments(model, data, space, physical, prior, noise, substeps))
-    return Passed(noise, filtered, linear, data.length)
+    return Passed(noise, filtered, linear, data.length, data.experiments)
 
 
 def negative_log_likelihood(
     model: RTAC, data: Data, space: Space, physical: Any, prior: NoiseModel, noise: np.ndarray, substeps: Steps
 ) -> float:
     """Return the negative log-likelihood at given noise: the value of `score_noise`, without the derivatives."""
-    return float(_negative_log_likelihood(*_arguments(model, data, space, physical, prior, noise, substeps)))
+    found = _likelihood(*_arguments(model, data, space, physical, prior, noise, substeps))
+    return -float(found[: data.experiments].sum())
 
 
 def prepare_filter(
@@ -120,9 +137,21 @@ def prepare_filter(
 def _arguments(
     model: RTAC, data: Data, space: Space, physical: Any, prior: NoiseModel, noise: np.ndarray, substeps: Steps
 ) -> tuple[Any, ...]:
+    """Return what a pass is given, of experiments that are `repeated`."""
     scale = jnp.asarray(np.array([prior.force**2, prior.torque**2]) * prior.interval)
-    sensor = jnp.asarray(prior.sensor)
-    return model, data, space, physical, jnp.asarray(noise), scale, sensor, prior.start_variance, substeps
+    sensor, start = jnp.asarray(prior.sensor), prior.start_variance
+    places = repeated(data)
+    if places is not None:
+        data, space, start = taken(data, places), taken_of_space(space, places), taken(start, places)
+        physical = (physical[0], *taken(tuple(physical[1:]), places))
+    return model, data, space, physical, jnp.asarray(noise), scale, sensor, start, substeps
+
+
+def _first(filtered: Filtered, experiments: int) -> Filtered:
+    """Return the pass of the first experiments: the others repeat one of them."""
+    if len(filtered.log_likelihood) == experiments:
+        return filtered
+    return taken(filtered, slice(experiments))
 
 
 def without_shaken(data: Data, filtered: Filtered) -> Data:

@@ -11,6 +11,7 @@ from jaxtyping import Array, Float, Int
 
 from estimators.core.data import CHANNELS, Data
 from estimators.core.parameter_space import Space
+from estimators.core.repeated_experiments import repeated, taken, taken_of_space
 from estimators.core.residual import predict, whitened
 from estimators.core.threads import at_once
 from estimators.prediction_error.ekf import Filtered
@@ -37,6 +38,11 @@ class Innovations:
         self.whitener, self.gain, self.substeps = whitener, gain, substeps
         self.used = np.asarray(data.present).any(axis=(0, 2))
         self.weight = np.asarray(data.present)[: data.samples, self.used]
+        self._places = repeated(data)
+        self._arguments = (model, data, space, whitener, gain)
+        if (places := self._places) is not None:
+            wide = taken(data, places), taken_of_space(space, places), *taken((whitener, gain), places)
+            self._arguments = (model, *wide)
 
     def at(self, values: Float[np.ndarray, "point parameter"]) -> Rows:
         """Return innovations for several sets of shared parameter values, one column each."""
@@ -44,7 +50,7 @@ class Innovations:
         def some(first: int) -> Rows:
             part = values[first : first + AT_ONCE]
             padded = np.concatenate([part, np.repeat(part[-1:], AT_ONCE - len(part), axis=0)])
-            found = np.asarray(_innovations(*self._arguments(), jnp.asarray(padded), self.substeps))[: len(part)]
+            found = np.asarray(_innovations(*self._arguments, jnp.asarray(padded), self.substeps))[: len(part)]
             return self.rows(found, np.stack([self._constants(one) for one in part]))
 
         return np.concatenate(at_once(some, range(0, len(values), AT_ONCE)), axis=1)
@@ -70,7 +76,7 @@ class Innovations:
         for first in range(0, len(constants), DIRECTIONS):
             part = {name: rows[first : first + DIRECTIONS] for name, rows in along.items()}
             count = len(constants[first : first + DIRECTIONS])
-            found = _derivatives(*self._arguments(), probe, self._along(**part), self.substeps)
+            found = _derivatives(*self._arguments, probe, self._along(**part), self.substeps)
             columns.append(self.rows(np.asarray(found)[:count], constants[first : first + count]))
         return np.concatenate(columns, axis=1)
 
@@ -82,20 +88,17 @@ class Innovations:
         for name, shape in shapes.items():
             rows = np.zeros((DIRECTIONS, *shape))
             rows[: len(given.get(name, ()))] = given.get(name, 0.0)
-            found[name] = jnp.asarray(rows)
+            found[name] = jnp.asarray(rows if shape != added or self._places is None else rows[..., self._places])
         return _Along(**found)
 
     def compile(self) -> None:
         """Compile `at`, and run nothing."""
         several = np.repeat(np.asarray(self.space.values)[None], AT_ONCE, axis=0)
-        _innovations.prepare(*self._arguments(), jnp.asarray(several), self.substeps)
+        _innovations.prepare(*self._arguments, jnp.asarray(several), self.substeps)
 
     def compile_derivatives(self) -> None:
         """Compile `jacobian`, `pushed` and `by_force`, which are one program; and run nothing."""
-        _derivatives.prepare(*self._arguments(), _no_force(), self._along(), self.substeps)
-
-    def _arguments(self) -> tuple[RTAC, Data, Space, Array, Array]:
-        return self.model, self.data, self.space, self.whitener, self.gain
+        _derivatives.prepare(*self._arguments, _no_force(), self._along(), self.substeps)
 
     def _directions(self) -> np.ndarray:
         # A free parameter past the end is none: its direction, and so its column, is zero.
@@ -111,7 +114,7 @@ class Innovations:
             found: of several directions.
             constants: of each, the rows of constants that were measured beforehand; by default those of the present values.
         """
-        there = found[:, : self.data.samples, self.used]
+        there = found[:, : self.data.samples, self.used, : self.data.experiments]
         shown = np.moveaxis(there, 3, 1).reshape(len(found), -1)
         if self.space.known is None:
             return shown.T

@@ -12,7 +12,7 @@ from estimators.prediction_error.innovations import stretches
 from rtac_jax import RTAC, Experiment, simulate
 from rtac_jax._run import _states
 from rtac_jax.excitation import BEYOND
-from rtac_jax.time_loop import room_for, time_loop
+from rtac_jax.time_loop import SHORT, room_for, time_loop
 
 
 def moved(carry: Any, row: Any) -> tuple[Any, Any]:
@@ -46,8 +46,9 @@ def test_derivatives_are_those_of_a_scan():
 
 def test_there_is_room_for_all_and_few_sizes():
     sizes = [room_for(samples) for samples in range(1, 20_000)]
-    assert all(samples <= size <= 1.42 * max(samples, 64) for samples, size in enumerate(sizes, start=1))
-    assert len(set(sizes)) < 20
+    for samples, size in enumerate(sizes, start=1):
+        assert samples <= size <= (2.0 if samples <= SHORT else 1.42) * max(samples, 64)
+    assert len(set(sizes)) < 15
     assert room_for(128) == 128
 
 

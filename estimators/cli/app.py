@@ -21,6 +21,7 @@ from estimators.cli.info import info
 from estimators.cli.next_experiment import next_experiment
 from estimators.cli.refusals import show_tracebacks
 from estimators.cli.study import study
+from estimators.cli.warm_up import warm_up
 
 
 class _Group(TyperGroup):
@@ -67,7 +68,7 @@ def _options(
 
 app.command()(demo)
 app.command("import")(import_files)
-for _command in (info, fit, compare, diagnose, improve, next_experiment, design, envelope, control):
+for _command in (info, fit, compare, diagnose, improve, next_experiment, design, envelope, control, warm_up):
     app.command()(_command)
 app.add_typer(study, name="study")
 

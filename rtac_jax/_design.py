@@ -16,6 +16,9 @@ from rtac_jax.programs import program
 from rtac_jax.simulation import State, Steps, advance, substeps_for, trajectories
 
 _FEWER = 0.9  # by which an amplitude is lowered until the travel holds
+_AFTER = (
+    2.0  # periods of the cart without a current after the last sample, in which a motion that still grew is largest
+)
 _MOST_TRIES = 60
 _MOST_ROUNDS = (
     1000  # simulations of a record; one more for every time that its arm passes where it has no grip, at most
@@ -52,7 +55,8 @@ def design_excitation(
         sample_time: [s].
         initial_angles: of the arm at the start [rad], one for each experiment; the cart starts at rest in the middle.
         amplitudes: fraction of the largest safe current [1], for each experiment or in turn.
-        travel: largest position of the cart itself to each side [m], whatever its sensor makes of it.
+        travel: largest position of the cart itself to each side [m], whatever its sensor makes of it; also while it swings out
+            after the last sample, without a current.
         torque_limit: largest |N| [N m].
         dead_band: [1].
         name: of the experiments, which are numbered.
@@ -83,9 +87,12 @@ def design_excitation(
     waves = np.broadcast_to(current, (len(initial_angles), current.shape[-1])) if current.ndim == 1 else current
     if len(waves) != len(initial_angles):
         raise ValueError(f"current: has {len(waves)} rows for {len(initial_angles)} initial_angles; give one for each.")
+    count = waves.shape[1]
+    period = 2 * np.pi / float(np.asarray(model.body.natural_frequency()))
+    longer = np.pad(waves, ((0, 0), (0, int(np.ceil(_AFTER * period / sample_time)))))
     scale = min(1.0, torque_limit / (float(np.asarray(model["torque_constant"])) * float(np.max(np.abs(current)))))
     for _ in range(_MOST_TRIES):
-        played, places, outputs = _play(model, scale * sizes[:, None] * waves, initial_angles, sample_time, dead_band)
+        played, places, outputs = _play(model, scale * sizes[:, None] * longer, initial_angles, sample_time, dead_band)
         farthest = float(np.max(np.abs(places)))
         if farthest <= travel:
             break
@@ -95,6 +102,7 @@ def design_excitation(
         raise ValueError(
             f"travel: the cart leaves {travel:g} m however small the current is; allow it more, or check the model."
         )
+    played, places, outputs = played[:, :count], places[:, :count], outputs[:, :count]
     silent = np.mean((played == 0) & (waves != 0), axis=1) > _MOST_SILENT
     if silent.any():
         raise ValueError(

@@ -22,6 +22,10 @@ MOVING_SIGMAS = 2  # times the noise from which on a channel moves: three quarte
 # From the median of absolute values to the standard deviation, for Gaussian noise.
 MEDIAN_TO_STD = 1.4826
 
+_UNEQUAL = (
+    1.5  # ratio of stated noise: where half of the samples have either, equal weights make deviations larger by 8 %
+)
+
 
 def concerns(recording: Recording) -> list[str]:
     """Return what looks wrong with `recording`, one sentence each; empty when nothing does."""
@@ -67,8 +71,28 @@ def _about_recording(recording: Recording) -> Iterator[str]:
             "was measured, so only ratios of parameters can be found; weigh the cart (total_mass) or give "
             "arm_inertia."
         )
+    for channel, levels in _stated_levels(recording).items():
+        quiet, loud = min(levels, key=lambda name: levels[name]), max(levels, key=lambda name: levels[name])
+        if levels[loud] > _UNEQUAL * levels[quiet]:
+            yield (
+                f"The stated noise of {channel} differs between experiments, from {levels[quiet]:.3g} in {quiet} to "
+                f"{levels[loud]:.3g} in {loud}, and whatever fits them takes one level for all, the root mean square: the noisier "
+                "ones count too much, what is said of errors over noise is wrong for each, and standard deviations are not "
+                "those of the quieter ones; fit experiments of one level at a time (Recording.select)."
+            )
     if all(experiment.kind == "rest" for experiment in recording):
         yield "All experiments are at rest, so there is nothing to fit; record free or forced ones."
+
+
+def _stated_levels(recording: Recording) -> dict[str, dict[str, float]]:
+    """Return the stated noise of each output by experiment, where no record at rest decides."""
+    found: dict[str, dict[str, float]] = {}
+    for experiment in recording:
+        for name, signal in experiment.outputs.items():
+            if signal.noise_std is not None:
+                found.setdefault(name, {})[experiment.name] = signal.noise_std
+    resting = {name for experiment in recording if experiment.kind == "rest" for name in experiment.outputs}
+    return {name: levels for name, levels in found.items() if name not in resting}
 
 
 def _about_experiment(experiment: Experiment) -> Iterator[str]:

@@ -149,6 +149,20 @@ def test_the_cart_itself_keeps_its_travel_whatever_delays_the_current_or_scales_
     assert max(np.max(np.abs(again[e.name].states["cart_position"])) for e in made) > 0.6 * limit
 
 
+@pytest.mark.parametrize("seconds", [0.6, 1.75])
+def test_the_travel_holds_also_while_the_cart_swings_out(seconds):
+    """A current that ends while the motion still grows; played on a virtual rig, whose integrator is its own."""
+    limit, step = 0.001, 0.01
+    wave = np.sin(10.38 * step * np.arange(round(seconds / step)))  # at the resonance
+    made = rtac.design_excitation(rtac.RTAC.paper(), wave, sample_time=step, travel=limit)
+    (designed,) = made
+    assert designed.samples == len(wave)
+    current = np.pad(designed.inputs["current"].values, (0, 200))
+    (played,) = record(Rig(), [Plan("a", "forced", step * len(current), step, current)], seed=1)
+    reach = np.max(np.abs(played.outputs["cart_position"].values))
+    assert 0.5 * limit < reach < limit + 3e-5  # what the sensor adds
+
+
 def test_what_is_foretold_of_a_delayed_current_is_what_an_independent_rig_does():
     made = rtac.design_excitation(
         rtac.RTAC.paper() + InputDelay(0.03), 10 * WAVES["chirp"], sample_time=DT, initial_angles=(0.2,), travel=0.004

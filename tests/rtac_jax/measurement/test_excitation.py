@@ -174,6 +174,21 @@ def test_concerns(experiment, message):
     assert any(message in sentence for sentence in concerns(Recording((experiment,))))
 
 
+def test_stated_noise_that_differs_is_a_concern():
+    """Ten times noisier in one experiment: fits take one level for all, and no rest record decides."""
+
+    def stated(name, level, **more):
+        return replace(free(noise_std={"cart_position": level}, **more), name=name)
+
+    told = [c for c in concerns(Recording((stated("a", 2e-5), stated("b", 2e-4)))) if "stated noise" in c]
+    assert len(told) == 1
+    for part in ("cart_position", "2e-05 in a", "0.0002 in b", "Recording.select"):
+        assert part in told[0]
+    alike = Recording((stated("a", 2e-5), stated("b", 2.5e-5)))
+    resting = Recording((stated("a", 2e-5), stated("b", 2e-4), rest()))
+    assert not any("stated noise" in c for r in (alike, resting) for c in concerns(r))
+
+
 def test_concerns_do_not_cry_wolf():
     stopped = np.where(T > 3, DECAY[1500], DECAY)
     kinked = np.cumsum(np.sign(np.sin(5 * T))) * DT + noise(6)

@@ -12,7 +12,7 @@ import rtac_jax as rtac
 from estimators.core.data import Data, moving
 from estimators.core.initial_rest import at_rest, best_starts, squares
 from estimators.core.initial_state import space_of
-from estimators.core.jacobian_factor import Arguments, _factors, plain_residual
+from estimators.core.jacobian_factor import Arguments, _factors, _residual
 from estimators.core.residual import diagonal_whitener, no_gain
 from estimators.validation import simulation_error
 from estimators.validation.simulation_error import Trace
@@ -95,14 +95,14 @@ def test_fewer_experiments_than_were_fitted_need_no_other_program(monkeypatch: p
     train, held_out = recording.split(["free_2", "forced_3"])
     # What other tests compiled would serve here too, and both counts below would stay as they are.
     _factors.forget()
-    plain_residual.forget()
+    _residual.forget()
     fit = est.output_error(rtac.RTAC.from_rig(recording), train, progress=False)
-    before = _factors.compiled, plain_residual.compiled
+    before = _factors.compiled, _residual.compiled
     found = est.compare(fit, held_out).models[0]
-    assert (_factors.compiled, plain_residual.compiled) == before
+    assert (_factors.compiled, _residual.compiled) == before
     monkeypatch.setattr(simulation_error, "_OVER", 0)
     alone = est.compare(fit, held_out).models[0]
-    assert (_factors.compiled, plain_residual.compiled) != before
+    assert (_factors.compiled, _residual.compiled) != before
     assert [trace.experiment for trace in found.traces] == [trace.experiment for trace in alone.traces]
     for one, other in zip(found.traces, alone.traces, strict=True):
         np.testing.assert_allclose(one.simulated, other.simulated, atol=1e-3 * one.noise)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from functools import cache
 
 # Seconds between two times: a time takes some milliseconds for a gigabyte, in which other threads that allocate wait.
-_INTERVAL = 0.3
+_INTERVAL = 1.0
 _last = 0.0
 
 

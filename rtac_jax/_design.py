@@ -16,13 +16,11 @@ from rtac_jax.programs import program
 from rtac_jax.simulation import State, Steps, advance, substeps_for, trajectories
 
 _FEWER = 0.9  # by which an amplitude is lowered until the travel holds
-_AFTER = (
-    2.0  # periods of the cart without a current after the last sample, in which a motion that still grew is largest
-)
+# Periods of the cart without a current after the last sample, in which a motion that still grew is largest.
+_AFTER = 2.0
 _MOST_TRIES = 60
-_MOST_ROUNDS = (
-    1000  # simulations of a record; one more for every time that its arm passes where it has no grip, at most
-)
+# Simulations of a record; one more for every time that its arm passes where it has no grip, at most.
+_MOST_ROUNDS = 1000
 _MOST_SILENT = 0.5  # fraction of the samples that a dead band may silence: an arm that rests in it cannot be driven out
 
 

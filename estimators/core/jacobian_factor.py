@@ -1,7 +1,6 @@
 """The triangular factors of residual and Jacobian, by experiment and channel: all of a pass that an optimiser needs."""
 
 import dataclasses
-from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -9,9 +8,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from estimators.core.data import Data
+from estimators.core.padded_experiments import experiments_at, padded, space_at
 from estimators.core.parameter_space import Space, Unknowns
 from estimators.core.piecewise_triangle import piecewise_triangle, worth_cutting
-from estimators.core.repeated_experiments import repeated, taken, taken_of_space
 from estimators.core.residual import residual, triangle
 from estimators.core.threads import at_once
 from rtac_jax import RTAC
@@ -106,7 +105,7 @@ class Passes:
                 # Of equal sizes, or each would be compiled: the one in the middle of an odd number is in both.
                 half = (self._all + 1) // 2
                 self._parts = [slice(half), slice(self._all - half, self._all)]
-        self._arguments = [_wide(_columns(arguments, part)) for part in self._parts]
+        self._arguments = [_padded(_columns(arguments, part)) for part in self._parts]
 
     def prepare(self, unknowns: Unknowns) -> None:
         """Compile what `factors` will run, and run nothing."""
@@ -119,7 +118,7 @@ class Passes:
         def of(number: int) -> tuple[np.ndarray, np.ndarray]:
             channels, prior = map(np.array, _factors(*self._given(unknowns, number)))
             part = len(range(self._all)[self._parts[number]])
-            if len(channels) > part:  # some were repeated
+            if len(channels) > part:  # the experiments were padded
                 prior[:, start:] *= np.sqrt(len(channels) / part)
                 channels, prior = channels[:part], prior[:part]
             if not start:  # the columns of what is held, and the rows of what would be known of it
@@ -140,9 +139,7 @@ class Passes:
     def _given(self, unknowns: Unknowns, number: int) -> tuple[Unknowns, Arguments]:
         """Return the unknowns and the arguments of a part, with states at the start that are held where they are no unknowns."""
         part, arguments = self._parts[number], self._arguments[number]
-        places = np.arange(self._all)[part]
-        places = np.pad(places, (0, arguments.data.experiments - len(places)), mode="edge")
-        unknowns = unknowns._replace(each=taken(unknowns.each, places), start=taken(unknowns.start, places))
+        unknowns = _padded_unknowns(unknowns, np.arange(self._all)[part], arguments.data.experiments)
         if len(unknowns.start):
             return unknowns, arguments
         space = arguments.space
@@ -153,23 +150,30 @@ class Passes:
         )
 
 
-def _columns(arguments: Arguments, places: Any) -> Arguments:
+def _columns(arguments: Arguments, places: slice) -> Arguments:
     """Return the arguments of the experiments at some places."""
-    if isinstance(places, slice) and places == slice(None):
+    if places == slice(None):
         return arguments
     return dataclasses.replace(
         arguments,
-        data=taken(arguments.data, places),
-        space=taken_of_space(arguments.space, places),
-        whitener=taken(arguments.whitener, places),
-        gain=taken(arguments.gain, places),
+        data=experiments_at(arguments.data, places),
+        space=space_at(arguments.space, places),
+        whitener=experiments_at(arguments.whitener, places),
+        gain=experiments_at(arguments.gain, places),
     )
 
 
-def _wide(arguments: Arguments) -> Arguments:
-    """Return the arguments of experiments that are `repeated`."""
-    places = repeated(arguments.data)
-    return arguments if places is None else _columns(arguments, places)
+def _padded(arguments: Arguments) -> Arguments:
+    """Return the arguments with their experiments `padded`."""
+    a = arguments
+    data, space, whitener, gain = padded(a.data, a.space, a.whitener, a.gain)
+    return dataclasses.replace(a, data=data, space=space, whitener=whitener, gain=gain)
+
+
+def _padded_unknowns(unknowns: Unknowns, places: np.ndarray, count: int) -> Unknowns:
+    """Return the unknowns of the experiments at some places, those of the last repeated up to a number."""
+    at = np.pad(places, (0, count - len(places)), mode="edge")
+    return unknowns._replace(each=experiments_at(unknowns.each, at), start=experiments_at(unknowns.start, at))
 
 
 def factor(unknowns: Unknowns, arguments: Arguments) -> Float[np.ndarray, "experiment row column"]:
@@ -192,10 +196,8 @@ def plain_residual(
     unknowns: Unknowns, arguments: Arguments
 ) -> tuple[Float[np.ndarray, "sample output experiment"], Float[np.ndarray, "start experiment"]]:
     """Return the residual itself and the deviation of the starts from what is known of them; see `residual`."""
-    places, count = repeated(arguments.data), arguments.data.experiments
-    if places is not None:
-        unknowns = unknowns._replace(each=taken(unknowns.each, places), start=taken(unknowns.start, places))
-        arguments = _columns(arguments, places)
+    count, arguments = arguments.data.experiments, _padded(arguments)
+    unknowns = _padded_unknowns(unknowns, np.arange(count), arguments.data.experiments)
     error, known = map(np.asarray, _residual(unknowns, arguments))
     return error[..., :count], known[..., :count]
 

@@ -8,9 +8,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from estimators.core.data import CHANNELS, Data
+from estimators.core.padded_experiments import experiments_at, padded
 from estimators.core.parameter_space import Space
 from estimators.core.piecewise_triangle import LONG
-from estimators.core.repeated_experiments import repeated, taken, taken_of_space
 from estimators.prediction_error.ekf import Filtered, Linearised, kalman
 from estimators.prediction_error.noise_model import NoiseModel
 from estimators.prediction_error.noise_score import noise_information, noise_slope
@@ -49,7 +49,7 @@ class Passed:
 
         Args:
             noise: at which it was.
-            filtered: its result, of experiments some of which may be repeated.
+            filtered: its result, of experiments that may be padded.
             linear: the linear model along it.
             length: samples of the pass.
             experiments: number of those that count, the first.
@@ -137,21 +137,19 @@ def prepare_filter(
 def _arguments(
     model: RTAC, data: Data, space: Space, physical: Any, prior: NoiseModel, noise: np.ndarray, substeps: Steps
 ) -> tuple[Any, ...]:
-    """Return what a pass is given, of experiments that are `repeated`."""
+    """Return what a pass is given, its experiments `padded`."""
     scale = jnp.asarray(np.array([prior.force**2, prior.torque**2]) * prior.interval)
-    sensor, start = jnp.asarray(prior.sensor), prior.start_variance
-    places = repeated(data)
-    if places is not None:
-        data, space, start = taken(data, places), taken_of_space(space, places), taken(start, places)
-        physical = (physical[0], *taken(tuple(physical[1:]), places))
+    sensor, (shared, each, at) = jnp.asarray(prior.sensor), physical
+    data, space, each, at, start = padded(data, space, each, at, prior.start_variance)
+    physical = (shared, each, at)
     return model, data, space, physical, jnp.asarray(noise), scale, sensor, start, substeps
 
 
 def _first(filtered: Filtered, experiments: int) -> Filtered:
-    """Return the pass of the first experiments: the others repeat one of them."""
+    """Return the pass of the first experiments, without what they were padded by."""
     if len(filtered.log_likelihood) == experiments:
         return filtered
-    return taken(filtered, slice(experiments))
+    return experiments_at(filtered, slice(experiments))
 
 
 def without_shaken(data: Data, filtered: Filtered) -> Data:

@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from estimators.core.data import CHANNELS, Data
+from estimators.core.padded_experiments import padded
 from estimators.core.parameter_space import Space
-from estimators.core.repeated_experiments import repeated, taken, taken_of_space
 from estimators.core.residual import predict, whitened
 from estimators.core.threads import at_once
 from estimators.prediction_error.ekf import Filtered
@@ -38,11 +38,8 @@ class Innovations:
         self.whitener, self.gain, self.substeps = whitener, gain, substeps
         self.used = np.asarray(data.present).any(axis=(0, 2))
         self.weight = np.asarray(data.present)[: data.samples, self.used]
-        self._places = repeated(data)
-        self._arguments = (model, data, space, whitener, gain)
-        if (places := self._places) is not None:
-            wide = taken(data, places), taken_of_space(space, places), *taken((whitener, gain), places)
-            self._arguments = (model, *wide)
+        wide, of_wide, whiteners, gains = padded(data, space, whitener, gain)
+        self._arguments = (model, wide, of_wide, whiteners, gains)
 
     def at(self, values: Float[np.ndarray, "point parameter"]) -> Rows:
         """Return innovations for several sets of shared parameter values, one column each."""
@@ -88,8 +85,9 @@ class Innovations:
         for name, shape in shapes.items():
             rows = np.zeros((DIRECTIONS, *shape))
             rows[: len(given.get(name, ()))] = given.get(name, 0.0)
-            found[name] = jnp.asarray(rows if shape != added or self._places is None else rows[..., self._places])
-        return _Along(**found)
+            found[name] = jnp.asarray(rows)
+        *_, current, force = padded(self.data, self.space, found["current"], found["force"])
+        return _Along(**found | {"current": current, "force": force})
 
     def compile(self) -> None:
         """Compile `at`, and run nothing."""

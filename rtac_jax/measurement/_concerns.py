@@ -21,10 +21,8 @@ OUTLIER_WINDOW = 51
 MOVING_SIGMAS = 2  # times the noise from which on a channel moves: three quarters of its power are motion
 # From the median of absolute values to the standard deviation, for Gaussian noise.
 MEDIAN_TO_STD = 1.4826
-
-_UNEQUAL = (
-    1.5  # ratio of stated noise: where half of the samples have either, equal weights make deviations larger by 8 %
-)
+# Ratio of stated noise: where half of the samples have either, equal weights make deviations larger by 8 %.
+UNEQUAL_NOISE = 1.5
 
 
 def concerns(recording: Recording) -> list[str]:
@@ -73,7 +71,7 @@ def _about_recording(recording: Recording) -> Iterator[str]:
         )
     for channel, levels in _stated_levels(recording).items():
         quiet, loud = min(levels, key=lambda name: levels[name]), max(levels, key=lambda name: levels[name])
-        if levels[loud] > _UNEQUAL * levels[quiet]:
+        if levels[loud] > UNEQUAL_NOISE * levels[quiet]:
             yield (
                 f"The stated noise of {channel} differs between experiments, from {levels[quiet]:.3g} in {quiet} to "
                 f"{levels[loud]:.3g} in {loud}, and whatever fits them takes one level for all, the root mean square: the noisier "

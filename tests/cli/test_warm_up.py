@@ -1,34 +1,38 @@
-"""`rtac warm-up`: what it compiles, another process and another number of experiments find."""
+"""`rtac warm-up`: what it compiles, recordings of other sizes run."""
 
-import os
-import subprocess
-import sys
-from pathlib import Path
-
+import jax
 from command_line import call, refused
 
-ROOT = Path(__file__).parents[2]
+from estimators.core import jacobian_factor
+from estimators.prediction_error import filter_pass, innovations
+
+PROGRAMS = (
+    jacobian_factor._factors,
+    jacobian_factor._residual,
+    filter_pass._filter,
+    innovations._innovations,
+    innovations._derivatives,
+)
 
 
-def _process(folder: Path, *options: str) -> subprocess.CompletedProcess:
-    return subprocess.run(
-        [sys.executable, "-m", "estimators.cli.app", "warm-up", *options],
-        cwd=ROOT, env=os.environ | {"JAX_COMPILATION_CACHE_DIR": str(folder)}, capture_output=True, text=True, timeout=300,
-    )  # fmt: skip
+def _compiled() -> list[int]:
+    return [program.compiled for program in PROGRAMS]
 
 
-def test_another_size_finds_what_was_compiled(tmp_path: Path) -> None:
-    first = _process(tmp_path, "--experiments", "4", "--samples", "250", "--hidden", "")
-    assert first.returncode == 0, first.stderr
-    assert f"{tmp_path} holds" in first.stdout
+def test_other_sizes_find_what_was_compiled() -> None:
+    for program in PROGRAMS:
+        program.forget()  # what other tests compiled
+    first = call("warm-up", "--experiments", "4", "--samples", "250", "--hidden", "")
+    assert first.exit_code == 0, first.output
+    assert f"{jax.config.jax_compilation_cache_dir} holds" in first.stdout  # pyright: ignore[reportAttributeAccessIssue] - made when JAX starts
     row = next(line for line in first.stdout.splitlines() if "nothing" in line)
     assert row.split()[:3] == ["4", "250", "nothing"]
     assert "adequate" in row
-    programs = {path.name for path in (tmp_path / "programs").rglob("_f*-*")}
-    assert {name.split("-")[0] for name in programs} >= {"_factors", "_filter"}
-    again = _process(tmp_path, "--experiments", "3", "--samples", "300", "--hidden", "")
-    assert again.returncode == 0, again.stderr
-    assert {path.name for path in (tmp_path / "programs").rglob("_f*-*")} == programs
+    before = _compiled()
+    assert min(before) > 0
+    again = call("warm-up", "--experiments", "3", "--samples", "300", "--hidden", "")
+    assert again.exit_code == 0, again.output
+    assert _compiled() == before
 
 
 def test_what_is_no_size_and_no_effect_is_refused() -> None:

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 import rtac_jax as rtac
-from estimators.core import jacobian_factor, repeated_experiments
+from estimators.core import jacobian_factor, padded_experiments
 from estimators.core.data import CHANNELS, Data
 from estimators.core.initial_state import space_of
 from estimators.core.jacobian_factor import Arguments, Passes, plain_residual
+from estimators.core.padded_experiments import experiments_at, padded_places
 from estimators.core.parameter_space import Space
-from estimators.core.repeated_experiments import repeated, taken
 from estimators.core.residual import diagonal_whitener, no_gain
 from estimators.prediction_error import filter_pass, innovations
 from estimators.prediction_error.filter_pass import run_filter, score_noise
@@ -80,7 +80,7 @@ def recording() -> rtac.Recording:
 
 def test_each_counts_once(recording: rtac.Recording, monkeypatch: pytest.MonkeyPatch) -> None:
     found = Problem(recording, 3).everything()
-    monkeypatch.setattr(repeated_experiments, "_FEW", 0)
+    monkeypatch.setattr(padded_experiments, "_FEW", 0)
     expected = Problem(recording, 3).everything()
     for name, there in expected.items():
         assert np.shape(found[name]) == np.shape(there), name
@@ -91,7 +91,7 @@ def test_each_counts_once(recording: rtac.Recording, monkeypatch: pytest.MonkeyP
 
 def test_five_and_six_run_the_same_code(recording: rtac.Recording) -> None:
     first = Problem(recording, 5)
-    assert np.array_equal(repeated(first.data), [0, 1, 2, 3, 4, 4, 4, 4])
+    assert np.array_equal(padded_places(first.data), [0, 1, 2, 3, 4, 4, 4, 4])
     programs = [jacobian_factor._factors, jacobian_factor._residual, filter_pass._filter, innovations._innovations]
     programs += [innovations._derivatives, filter_pass._slope, filter_pass._information]
     first.everything()
@@ -101,10 +101,10 @@ def test_five_and_six_run_the_same_code(recording: rtac.Recording) -> None:
     assert min(before) > 0
 
 
-def test_nothing_is_repeated_where_it_would_cost_time(recording: rtac.Recording) -> None:
+def test_nothing_is_padded_where_it_would_cost_time(recording: rtac.Recording) -> None:
     data = Problem(recording, 3).data
-    assert repeated(data) is not None
-    assert repeated(Data.of(recording.experiments[:4])) is None
-    assert repeated(taken(data, np.zeros(9, int))) is None
+    assert padded_places(data) is not None
+    assert padded_places(Data.of(recording.experiments[:4])) is None
+    assert padded_places(experiments_at(data, np.zeros(9, int))) is None
     long = rtac.Experiment.of("long", kind="free", sample_time=0.001, cart_position=np.arange(5000.0))
-    assert repeated(Data.of([long] * 3)) is None
+    assert padded_places(Data.of([long] * 3)) is None

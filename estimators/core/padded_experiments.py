@@ -1,4 +1,4 @@
-"""Experiments repeated up to one of a few numbers, so that recordings of other numbers run the same compiled code."""
+"""Recordings padded by copies of an experiment to one of a few numbers, so that others of near size run the same compiled code."""
 
 import dataclasses
 from typing import Any, TypeVar
@@ -16,12 +16,11 @@ Tree = TypeVar("Tree")
 
 # More of them fill vectors of the processor, and one more takes its time.
 _FEW = 8
-OWN = ("each_values", "start", "start_scale", "start_spread", "start_held")
-"""What of a `Space` each experiment has for itself."""
+_OWN = ("each_values", "start", "start_scale", "start_spread", "start_held")  # that a `Space` has for each experiment
 
 
-def repeated(data: Data) -> Int[np.ndarray, " place"] | None:
-    """Return the places of experiments, the last of them repeated up to a power of two; None where there is nothing to repeat.
+def padded_places(data: Data) -> Int[np.ndarray, " place"] | None:
+    """Return the places of experiments, that of the last repeated up to a power of two; None where nothing has to be padded.
 
     Only a few short ones are: then to compile takes longer than to compute, and vectors are half empty.
     """
@@ -32,7 +31,15 @@ def repeated(data: Data) -> Int[np.ndarray, " place"] | None:
     return np.minimum(np.arange(wide), count - 1)
 
 
-def taken(tree: Tree, places: Any) -> Tree:
+def padded(data: Data, space: Space, *others: Any) -> tuple[Any, ...]:
+    """Return data, space and arrays whose last axis are their experiments, padded."""
+    places = padded_places(data)
+    if places is None:
+        return data, space, *others
+    return experiments_at(data, places), space_at(space, places), *experiments_at(others, places)
+
+
+def experiments_at(tree: Tree, places: Any) -> Tree:
     """Return the experiments at some places of arrays whose last axis they are; numbers stay as they are."""
 
     def of(leaf: Any) -> Any:
@@ -41,6 +48,6 @@ def taken(tree: Tree, places: Any) -> Tree:
     return jax.tree.map(of, tree)
 
 
-def taken_of_space(space: Space, places: Any) -> Space:
+def space_at(space: Space, places: Any) -> Space:
     """Return the space of the experiments at some places."""
-    return dataclasses.replace(space, **{name: taken(getattr(space, name), places) for name in OWN})
+    return dataclasses.replace(space, **{name: experiments_at(getattr(space, name), places) for name in _OWN})

@@ -1,7 +1,7 @@
 """The missing force and torque in time: smoothed from the innovations as forces that change slowly, or that swing."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -251,10 +251,13 @@ def _linearised(
     def onward(*at: Array) -> Array:
         return jnp.stack(advance(placed, at, inputs[0], inputs[1], excitation, substeps=substeps))
 
-    unit = [tuple(jnp.full(shape, float(i == j)) for i in range(count)) for j in range(count)]
-    # [direction, row, sample, experiment] -> [sample, row, direction, experiment]
-    transition = jnp.transpose(jnp.stack([jax.jvp(onward, corrected, u)[1] for u in unit]), (2, 1, 0, 3))
-    shown = jnp.transpose(jnp.stack([jax.jvp(outputs, state, u)[1] for u in unit]), (2, 1, 0, 3))
+    def by_state(function: Callable[..., Array], at: tuple[Array, ...]) -> Array:
+        """Return derivatives [sample row state experiment]; one map over directions, or each would be compiled by itself."""
+        unit = tuple(jnp.broadcast_to(row[:, None, None], (count, *shape)) for row in jnp.eye(count))
+        slopes = jax.vmap(lambda *along: jax.jvp(function, at, along)[1])(*unit)
+        return jnp.transpose(slopes, (2, 1, 0, 3))
+
+    transition, shown = by_state(onward, corrected), by_state(outputs, state)
     cart_cart, cart_arm, arm_arm = (
         jnp.broadcast_to(x, shape) for x in placed.pushes(corrected, excitation.arm_free, excitation.cart_free)
     )

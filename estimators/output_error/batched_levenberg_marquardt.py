@@ -1,8 +1,9 @@
 """Levenberg-Marquardt on many data sets of one shape in one compiled loop, each with damping and an end of its own."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
@@ -158,15 +159,20 @@ def one_step(
 
     stuck = tried & (after.failed >= jnp.asarray(_TRIES)[jnp.minimum(batch.stage, last - 1)])
     after = next_stage(after, stuck)
-    step, descending = jnp.zeros_like(step), after.stage < last
-    for _ in range(_STAGES):  # new weights may leave it as close, which costs no simulation to see
-        step, left = _newton(weighted(after, columns), shared, jnp.zeros_like(after.damping))
+    descending = after.stage < last
+
+    def look(_: Any, state: tuple[Batch, Array]) -> tuple[Batch, Array]:
+        at, _ = state
+        step, left = _newton(weighted(at, columns), shared, jnp.zeros_like(at.damping))
         distance = jnp.sqrt(2.0 * jnp.maximum(left, 0.0))
         # Steps before came so many times nearer, and the next one does.
         ahead = distance**2 / jnp.maximum(jnp.maximum(batch.distance, distance), _ROUNDING)
-        asked = nearness[jnp.minimum(after.stage, last - 1)]
-        after = after._replace(distance=distance)
-        after = next_stage(after, tried & (jnp.where(after.stage == last - 1, ahead, distance) < asked))
+        asked = nearness[jnp.minimum(at.stage, last - 1)]
+        done = tried & (jnp.where(at.stage == last - 1, ahead, distance) < asked)
+        return next_stage(at._replace(distance=distance), done), step
+
+    # New weights may leave it as close, which costs no simulation to see.
+    after, step = jax.lax.fori_loop(0, _STAGES, look, (after, jnp.zeros_like(step)))
     step = jnp.where(_per_column(descending & (after.stage == last), batch), step, 0.0)
     # What it leaves is known as far as the problem is linear: the error there is the error here and Jacobian times step.
     along = jnp.concatenate([step, jnp.ones((1, step.shape[1]))])
@@ -240,34 +246,48 @@ def _damped(matrix: Array, damping: Array, diagonal: Array | None = None) -> Arr
     return matrix.at[place, place].set(jnp.where(own > 0, own + extra, 1.0))
 
 
-def _cholesky(matrix: Float[Array, "row row *batch"]) -> list[list[Array]]:
-    """Return the lower factor, by rows.
+class _Lower(NamedTuple):
+    """The lower triangular factor of many small matrices: what stands on the diagonal, and what below it."""
 
-    The matrices are small and many: written out, the batch is what is vectorised, and LAPACK's threads are left alone.
+    diagonal: Float[Array, "row *batch"]
+    below: Float[Array, "row row *batch"]
+
+
+def _cholesky(matrix: Float[Array, "row row *batch"]) -> _Lower:
+    """Return the lower factor.
+
+    The matrices are small and many: the batch is what is vectorised, and LAPACK's threads are left alone. A loop over columns
+    compiles in a tenth of the time that numbers written out take.
     """
-    size = len(matrix)
-    lower: list[list[Array]] = []
-    for i in range(size):
-        row: list[Array] = []
-        for j in range(i + 1):
-            rest = matrix[i, j] - sum((row[k] * lower[j][k] if j < i else row[k] ** 2 for k in range(j)), start=0.0)
-            # A pivot lost to rounding belongs to a direction that the data leave free: it is not moved along.
-            floor = 1e-14 * matrix[i, i]
-            row.append(rest / lower[j][j] if j < i else jnp.sqrt(jnp.where(rest > floor, rest, jnp.inf)))
-        lower.append(row)
-    return lower
+    row = jnp.arange(len(matrix)).reshape(-1, *[1] * (matrix.ndim - 2))
+
+    def column(k: Any, state: tuple[Array, _Lower]) -> tuple[Array, _Lower]:
+        rest, factor = state
+        # A pivot lost to rounding belongs to a direction that the data leave free: it is not moved along.
+        pivot = jnp.sqrt(jnp.where(rest[k, k] > 1e-14 * matrix[k, k], rest[k, k], jnp.inf))
+        below = jnp.where(row > k, rest[:, k] / pivot, 0.0)
+        after = _Lower(factor.diagonal.at[k].set(pivot), factor.below.at[:, k].set(below))
+        return rest - below[:, None] * below[None], after
+
+    begin = _Lower(jnp.zeros_like(matrix[:, 0]), jnp.zeros_like(matrix))
+    return jax.lax.fori_loop(0, len(matrix), column, (matrix, begin))[1]
 
 
-def _solve(lower: Sequence[Sequence[Array]], right: Float[Array, "row side *batch"]) -> Array:
-    forwards: list[Array] = []
-    for i in range(len(lower)):
-        rest = right[i] - sum((lower[i][k] * forwards[k] for k in range(i)), start=0.0)
-        forwards.append(rest / lower[i][i])
-    found: list[Array] = [*forwards]
-    for i in reversed(range(len(lower))):
-        rest = forwards[i] - sum((lower[k][i] * found[k] for k in range(i + 1, len(lower))), start=0.0)
-        found[i] = rest / lower[i][i]
-    return jnp.stack(found) if found else right
+def _solve(lower: _Lower, right: Float[Array, "row side *batch"]) -> Array:
+    last = len(right) - 1
+
+    def forwards(k: Any, rest: Array) -> Array:
+        value = rest[k] / lower.diagonal[k]
+        return rest.at[k].set(value) - lower.below[:, k, None] * value
+
+    def backwards(n: Any, rest: Array) -> Array:
+        k = last - n
+        value = rest[k] / lower.diagonal[k]
+        return rest.at[k].set(value) - lower.below[k, :, None] * value
+
+    for substitute in (forwards, backwards):
+        right = jax.lax.fori_loop(0, len(right), substitute, right)
+    return right
 
 
 def _per_column(of_set: Array, batch: Batch) -> Array:

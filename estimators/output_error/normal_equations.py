@@ -132,10 +132,10 @@ def normal_equations(
     # The products are symmetric: of each row from the diagonal on.
     rows_of = tuple(jnp.zeros((len(outputs), many + 1 - n, *shape)) for n in range(many + 1))
     above = jax.lax.fori_loop(0, data.length, one_sample, (state, change, rows_of))[2]
-    products = jnp.zeros((len(outputs), many + 1, many + 1, *shape))
-    for n, row in enumerate(above):
-        products = products.at[:, n, n:].set(row).at[:, n:, n].set(row)
-    return products
+    # Parts that are set within an array take the compiler as long as the simulation does.
+    upper = jnp.stack([jnp.pad(row, ((0, 0), (n, 0), (0, 0))) for n, row in enumerate(above)], axis=1)
+    place = jnp.arange(many + 1)
+    return jnp.where((place[:, None] <= place)[:, :, None], upper, jnp.swapaxes(upper, 1, 2))
 
 
 def _stacked(values: Sequence[Any], shape: tuple[int, ...]) -> Array:

@@ -39,7 +39,7 @@ from estimators.diagnosis.testability import stood_for
 from estimators.diagnosis.verdict import Consequence, Judgement, decide, judge
 from estimators.diagnosis.workers import Workers
 from estimators.diagnosis.wrong_constant import doubt
-from estimators.inference.simulation_residual import SimulationResidual
+from estimators.inference.simulation_residual import SimulationResidual, random_forces_are_large
 from estimators.misspecification.adequacy import AdequacyTest, alarming, excess_of, p_by_chance
 from estimators.misspecification.detection_limit import is_testable, main_amplitude
 from estimators.misspecification.line_classes import LineClass
@@ -189,12 +189,14 @@ def diagnose(
         shown.at("diagnose: verdict")
         unshown = [c for c in classes if c.id not in setting.absent and not stood_for(c, setting.experiments)]
         told = _told(laboratory, evidence, judge(evidence, policy), unshown)
-    if (
-        told.simulation is not None
-        and told.simulation.cause == "unexplained"
-        and max(told.random_force, told.random_torque) < SHAKEN  # or else they are the reason
-    ):
-        told = dataclasses.replace(told, explanation=told.explanation + strayed(fit.residual_std, fit.noise, recording))
+    facts = evidence.facts
+    doubted = told.verdict == "adequate" if not facts.noise_known else told.simulation is not None
+    doubted = doubted and (told.simulation is None or told.simulation.cause == "unexplained")
+    if doubted and max(told.random_force, told.random_torque) < SHAKEN:  # or else they are the reason
+        said = strayed(
+            fit.residual_std, fit.noise, recording, unfollowed=facts.unfollowed, poor=policy.simulation.poor
+        )
+        told = dataclasses.replace(told, explanation=told.explanation + said)
     return dataclasses.replace(told, seconds=time.perf_counter() - began)
 
 
@@ -284,7 +286,9 @@ def _explanation(told: Diagnosis, found: Judgement, setting: Setting, *, thoroug
     if not vetoed and not any(
         test.rejects for test in told.left
     ):  # or else random forces may stand for what is still missing
-        text += shaken(found.final.random_force, found.final.random_torque, setting.left_out)
+        random = (found.final.random_force, found.final.random_torque)
+        large = random_forces_are_large(random, float(setting.samples_per_radian), told.policy.simulation)
+        text += shaken(*random, setting.left_out, large=large)
     if setting.assumed:
         text += f" Coloured noise of {', '.join(setting.assumed)} was assumed: the data are far more likely with it."
     text += doubt([c.id for c in told.effects], setting.model)

@@ -173,13 +173,14 @@ def surer(verdict: Verdict, recording: Recording) -> str:
     return f" {surer} with {', and '.join(lacking)}."
 
 
-def shaken(random_force: float, random_torque: float, left_out: float) -> str:
+def shaken(random_force: float, random_torque: float, left_out: float, *, large: bool = False) -> str:
     """Say what random forces mean for the verdict and for the fit that follows; nothing where they are small.
 
     Args:
         random_force: in one sample, as a fraction of the rms spring force.
         random_torque: in one sample, as a fraction of the rms motor torque.
         left_out: fraction of the samples that are stick-slip ambiguous.
+        large: whether they are no small disturbance any more, by `random_forces_are_large`.
     """
     said = ""
     if left_out > _LEFT_OUT:
@@ -189,27 +190,51 @@ def shaken(random_force: float, random_torque: float, left_out: float) -> str:
         )
     if max(random_force, random_torque) < SHAKEN:
         return said
+    stand = "the rig is shaken, or they stand for what sensors round off, or for something missing that is too small to tell"
+    if large:
+        stand = (
+            "the rig is shaken hard, or they hide what is missing, as parts that hit each other, for which stated limits do not"
+            " hold beside such forces"
+        )
     return said + (
-        f" Random forces shake the rig even so ({100 * random_force:.1f} % of the rms spring force in one sample,"
-        f" {100 * random_torque:.1f} % of the rms torque). A simulation cannot follow them: est.prediction_error_nonlinear"
+        f" The predictor asks for random forces even so ({100 * random_force:.1f} % of the rms spring force in one sample,"
+        f" {100 * random_torque:.1f} % of the rms torque): {stand}. A simulation cannot follow them: est.prediction_error_nonlinear"
         " estimates parameters of such a rig, est.output_error may not."
     )
 
 
-def strayed(residual_std: Mapping[str, float], noise: Mapping[str, float], recording: Recording) -> str:
+def strayed(
+    residual_std: Mapping[str, float],
+    noise: Mapping[str, float],
+    recording: Recording,
+    *,
+    unfollowed: float = 0.0,
+    poor: float = 0.1,
+) -> str:
     """Say what it means that a simulation leaves the recording although no prediction shows why; nothing where it stays.
 
-    Of sensors whose noise is stated or recorded at rest: that of others is taken from fast changes, and is more where
-    it is slow.
+    Of sensors whose noise is stated or recorded at rest: that of others is taken from fast changes, and is more where it is
+    slow. Where no noise is known, of a simulation that is poor.
+
+    Args:
+        residual_std: rms that the simulation leaves, by channel.
+        noise: by channel, in the same units.
+        recording: that was simulated.
+        unfollowed: rms error over the rms of the motion, of the channel where it is most.
+        poor: fraction of the motion from which a simulation is poor.
     """
     at_rest = known_noise(recording)
     known = [c for c in noise if c in at_rest and c in residual_std]
     channel = max(known, key=lambda c: residual_std[c] / noise[c], default=None)
     far = residual_std[channel] / noise[channel] if channel is not None else 0.0
-    if far < _STRAYED:
+    if far >= _STRAYED:
+        away = f"{far:.0f} times the noise away from the recording ({channel})"
+    elif not known and unfollowed > poor:
+        away = f"{100 * unfollowed:.0f} % of the motion away from the recording"
+    else:
         return ""
     return (
-        f" Even so, the simulation of the fit is {far:.0f} times the noise away from the recording ({channel}): the fit ended at"
+        f" Even so, the simulation of the fit is {away}: the fit ended at"
         " values that are not the best, or no simulation can follow this motion, as where an arm tumbles. Its parameters and"
         " their standard deviations are not to be trusted then; est.prediction_error_nonlinear estimates them by predictions."
     )

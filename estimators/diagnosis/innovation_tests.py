@@ -145,7 +145,7 @@ def simulation_error(setting: Setting, fit: Fit, base: Refit) -> SimulationError
         fit: whose simulation it is.
         base: the predictor of the same model.
     """
-    known = [c for c in fit.residual_std if c in known_noise(setting.recording)]
+    known = [c for c in fit.residual_std if c in known_noise(setting.recording)] or list(fit.residual_std)
     start = np.stack([fit.start[e.name] for e in setting.experiments], axis=1)
     space = begun(
         space_for(setting, base.model, base.free), base.model, dict(zip(start_rows(fit.model), start, strict=True))

@@ -200,9 +200,8 @@ class LiveLaboratory:
         Args:
             thorough: whether what raised no alarm was looked at again.
         """
-        if self.facts.noise_known:  # cheap, and any policy may ask for it
-            with contextlib.suppress(ArithmeticError):
-                self.simulation(self.base)
+        with contextlib.suppress(ArithmeticError):  # cheap, and any policy may ask for it
+            self.simulation(self.base)
         coloured = self._coloured[0] if self._coloured else None
         return Evidence(
             facts=self.facts,

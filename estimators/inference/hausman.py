@@ -171,7 +171,8 @@ def _simulation(fit: Fit, recording: Recording, predictors: Sequence[PredictorFi
     """Return what the residual of an output error means, beside the random forces of a predictor if there is one."""
     problem = at_fit(fit, recording)
     data = problem.arguments.data
-    rows = {c: CHANNELS.index(c) for c in fit.residual_std if c in known_noise(recording)}
+    known = [c for c in fit.residual_std if c in known_noise(recording)]
+    rows = {c: CHANNELS.index(c) for c in known or fit.residual_std}
     random, deviation = (float("nan"), float("nan")), {}
     if predictors:
         left, random = shaken_by(predictors[0], np.asarray(problem.arguments.space.physical(problem.unknowns)[2]))
@@ -185,6 +186,7 @@ def _simulation(fit: Fit, recording: Recording, predictors: Sequence[PredictorFi
         random=random,
         samples_per_radian=1.0 / (scales.frequency * scales.sample_time),
         experiments=len(problem.experiments),
+        noise_known=bool(known),
     )
 
 

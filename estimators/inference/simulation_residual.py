@@ -1,4 +1,4 @@
-"""The meaning of a simulation error beyond a known noise: random forces, too few data, or what nobody explained."""
+"""The meaning of a simulation error beyond the noise: random forces, too few data, or what nobody explained."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -43,18 +43,19 @@ STANDARD = SimulationLimits()
 
 @dataclasses.dataclass(frozen=True)
 class SimulationResidual:
-    """Error of a fitted simulation in the channel in which it is farthest beyond a known noise.
+    """Error of a fitted simulation in the channel in which it is farthest beyond the noise.
 
     Attributes:
         cause: "noise" where no channel is beyond it; "shaken" where random forces explain it; "too few data" where so would an
             effect that the data are too few to confirm; "stand-in" where the random forces take the place of the model's own;
             "unexplained".
-        channel: name of the output; empty where no noise is known.
+        channel: name of the output; empty where no noise is known and the simulation is not poor.
         ratio: rms error over the noise [1].
         shaken_ratio: rms error over the noise that the random forces of the predictor would leave [1]; NaN if not known.
         signal_fraction: rms error over the rms of the signal [1].
         random_force, random_torque: in one sample, as fractions of the rms forces; NaN if not known.
         words: what is known, as one or two sentences; empty for "noise".
+        noise_known: whether the noise is known apart from any fit; else it is that of the fastest changes.
     """
 
     cause: Cause
@@ -65,6 +66,7 @@ class SimulationResidual:
     random_force: float
     random_torque: float
     words: str
+    noise_known: bool = True
 
     @property
     def vetoes(self) -> bool:
@@ -81,6 +83,8 @@ class SimulationResidual:
             "stand-in": "Random forces stand in for the physics",
             "unexplained": "Nothing explains the error of the simulation",
         }[self.cause]
+        if not self.noise_known:
+            return f"{said}: {100 * self.signal_fraction:.0f} % of the motion ({self.channel})"
         return f"{said}: {self.ratio:.2g} times the noise ({self.channel})"
 
 
@@ -131,16 +135,20 @@ def simulation_residual(
     experiments: int,
     suspect: str = "",
     seconds: int = 0,
+    noise_known: bool = True,
     limits: SimulationLimits = STANDARD,
 ) -> SimulationResidual:
-    """Judge the simulation error of a fit in channels of known noise.
+    """Judge the simulation error of a fit.
 
     In this order: within the noise; random forces that take the place of the model's own, where they are large and the
     simulation is poor; more than random forces explain; an effect of the catalogue that would explain it too, and that so few
     data cannot confirm; random forces.
 
+    Where no noise is known apart from a fit, that of the fastest changes stands for it, which is less than there is where sensors
+    wander slowly. Only a poor simulation is judged then, which no usual sensor makes.
+
     Args:
-        error: rms over the noise, by channel of known noise.
+        error: rms over the noise, by channel of known noise; by every channel where none is known.
         shaken: what the random forces of the predictor and the sensors would leave of it; empty if no predictor tells.
         signal: rms of the motion over the noise.
         random: force and torque in one sample as fractions of the rms forces; NaN if not known.
@@ -148,20 +156,30 @@ def simulation_residual(
         experiments: number of them.
         suspect: the effect that speaks loudest of those that the data are too few to confirm, with what it reaches.
         seconds: of data.
+        noise_known: whether the noise is known apart from any fit.
         limits: the thresholds.
     """
     nothing = float("nan")
-    if not error:
-        return SimulationResidual("noise", "", nothing, nothing, nothing, *random, "")
+    beyond = {
+        c: ratio
+        for c, ratio in error.items()
+        if ratio**2 > limits.beyond and (noise_known or ratio > limits.poor * signal[c])
+    }
+    if not error or not (beyond or noise_known):
+        return SimulationResidual("noise", "", nothing, nothing, nothing, *random, "", noise_known)
 
     def said(cause: Cause, channel: str) -> SimulationResidual:
         fraction = error[channel] / signal[channel]
-        words = _words(cause, channel, error[channel], shaken.get(channel, nothing), fraction, random, suspect, seconds)
+        misses = (
+            f"{error[channel]:.2g} times the known noise away from the recording ({channel}), by {100 * fraction:.0f} % of the motion"
+            if noise_known
+            else f"{100 * fraction:.0f} % of the motion away from the recording ({channel})"
+        )
+        words = _words(cause, misses, shaken.get(channel, nothing), random, suspect, seconds)
         return SimulationResidual(
-            cause, channel, error[channel], shaken.get(channel, nothing), fraction, *random, words
+            cause, channel, error[channel], shaken.get(channel, nothing), fraction, *random, words, noise_known
         )
 
-    beyond = {c: ratio for c, ratio in error.items() if ratio**2 > limits.beyond}
     if not beyond:
         return said("noise", max(error, key=lambda c: error[c]))
     farthest = max(beyond, key=lambda c: beyond[c])
@@ -177,31 +195,29 @@ def simulation_residual(
 
 def _words(
     cause: Cause,
-    channel: str,
-    ratio: float,
+    away: str,
     shaken: float,
-    fraction: float,
     random: tuple[float, float],
     suspect: str,
     seconds: int,
 ) -> str:
     if cause == "noise":
         return ""
-    misses = f"the simulation is {ratio:.2g} times the known noise away from the recording ({channel})"
+    misses = f"the simulation is {away}"
     size = (
         f"{100 * random[0]:.2g} % of the rms spring force and {100 * random[1]:.2g} % of the rms torque in one sample"
     )
     if cause == "stand-in":
         return (
-            f"Although predictions one sample ahead are at the noise, {misses}, by {100 * fraction:.0f} % of the motion. Random"
-            f" forces stand in for the physics there ({size}): the model's own forces are wrong, as by a sign, a unit, a constant"
-            " of the rig, or a gross effect, or the rig is shaken as hard as that, which these data cannot tell from it."
+            f"Although predictions one sample ahead are at the noise, {misses}. Random forces stand in for the physics there"
+            f" ({size}): the model's own forces are wrong, as by a sign, a unit, a constant of the rig, or a gross effect, or the"
+            " rig is shaken as hard as that, which these data cannot tell from it."
         )
     if cause == "unexplained":
         if shaken != shaken:  # NaN
             return f"Unexplained: {misses}, and nothing says how much of that random forces would explain."
         return (
-            f"Unexplained: {misses}. The random forces that the predictions ask for ({size}) would leave {shaken:.2g} times, so"
+            f"Unexplained: {misses}. The random forces that the predictions ask for ({size}) would leave {shaken:.2g} times the noise, so"
             " they do not explain it."
         )
     if cause == "too few data":
@@ -211,5 +227,5 @@ def _words(
         )
     return (
         f"One sample ahead nothing is missing. Even so, {misses}, as random forces of the size that the predictions ask for would"
-        f" leave it ({shaken:.2g} times; {size}): the rig is shaken, or they hide what is smaller."
+        f" leave it ({shaken:.2g} times the noise; {size}): the rig is shaken, or they hide what is smaller."
     )

@@ -42,6 +42,7 @@ def test_an_adequate_model_whose_simulation_strays_says_so() -> None:
         far, noise, Recording((moving, still))
     )
     assert strayed(far, noise, Recording((moving,))) == ""  # nobody knows that noise
+    assert "43 % of the motion away from the recording" in strayed(far, noise, Recording((moving,)), unfollowed=0.43)
 
 
 @pytest.mark.parametrize(

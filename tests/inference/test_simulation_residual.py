@@ -86,6 +86,21 @@ def test_without_a_predictor_nothing_explains_it() -> None:
     assert empty.cause == "noise"  # nobody knows the noise
 
 
+def test_where_no_noise_is_known_a_poor_simulation_is_judged_and_no_other() -> None:
+    def of(error: float, random: tuple[float, float]) -> SimulationResidual:
+        channels = {"arm_velocity": error}, {}, {"arm_velocity": 200.0}
+        return simulation_residual(
+            *channels, random=random, samples_per_radian=20.0, experiments=3, noise_known=False
+        )
+
+    assert of(60.0, (0.4, 0.0)).cause == "stand-in"
+    assert "the simulation is 30 % of the motion away from the recording (arm_velocity)" in of(60.0, (0.4, 0.0)).words
+    assert of(60.0, (0.4, 0.0)).headline == "Random forces stand in for the physics: 30 % of the motion (arm_velocity)"
+    assert of(60.0, (NAN, NAN)).cause == "unexplained"
+    assert of(15.0, (0.4, 0.0)).cause == "noise"  # of a sensor that wanders slowly the fastest changes tell too little
+    assert of(15.0, (0.4, 0.0)).words == ""
+
+
 def train(seed: int, duration: float, free: int, forced: int, **hidden: Any) -> Recording:
     rig = virtual_rig.Rig(**hidden)
     plans = virtual_rig.standard_plans(seed=seed, duration=duration, free=free, forced=forced)
@@ -112,7 +127,7 @@ def test_dry_friction_in_too_few_data_is_not_called_adequate(level: float) -> No
     assert found.simulation.cause == "too few data"
     assert "at the noise floor nothing is missing" not in found.explanation
     assert "arm_coulomb" in found.explanation
-    assert "Random forces shake the rig" not in found.explanation
+    assert "asks for random forces" not in found.explanation
     assert "Too few data" in found.plot().get_suptitle().replace("\n", " ")
 
 
@@ -142,6 +157,17 @@ def test_random_forces_in_place_of_the_physics_are_not_called_adequate(millimetr
     assert found.simulation is not None
     assert found.simulation.cause == "stand-in"
     assert "stand in for the physics" in found.explanation
+
+
+def test_nor_where_nobody_knows_the_noise(millimetres: tuple[est.Fit, Recording]) -> None:
+    fit, recording = millimetres
+    moving = Recording(tuple(e for e in recording if e.kind != "rest"), rig=recording.rig)
+    assert known_noise(moving) == frozenset()
+    found = est.diagnose(fit, moving, progress=False, thorough=False)
+    assert found.verdict == "unknown", found
+    assert found.simulation is not None
+    assert found.simulation.cause == "stand-in"
+    assert "% of the motion away from the recording" in found.explanation
 
 
 @pytest.mark.slow

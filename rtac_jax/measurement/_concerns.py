@@ -8,7 +8,7 @@ from jaxtyping import Float64
 
 from ._channel_checks import channel_concerns, rest_concerns, unit_concerns
 from ._experiment import Experiment
-from ._momentary_faults import momentary_faults
+from ._momentary_faults import momentary_faults, resolution
 from ._recording import POSITIVE, Recording
 from ._signal import OUTPUTS, Signal
 
@@ -162,7 +162,7 @@ def _about_output(signal: Signal, at_rest: bool, held: bool) -> Iterator[str]:
         yield (
             "stays repeatedly at exactly its largest or smallest value, as if clipped; widen the range of the sensor."
         )
-    spikes = _spikes(values, step or 1e-9 * spread)
+    spikes = _spikes(values, max(resolution(values), 1e-9 * spread))
     if len(spikes):
         where = np.flatnonzero(~missing)[spikes[0]]
         yield (

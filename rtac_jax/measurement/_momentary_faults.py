@@ -20,6 +20,8 @@ _NEARBY = 51  # samples in which a step is usual
 _WIDEST_SPIKE = 3  # samples
 _SLOPE_SAMPLES = 13  # neighbouring steps whose median is the slope
 MEDIAN_TO_STD = 1.4826
+# Levels by which a slow signal that is quantised comes to a value and leaves it: a step of two is no jump.
+_QUIET_LEVELS = 2.5
 
 
 def momentary_faults(name: str, signal: Signal) -> Iterator[str]:
@@ -70,6 +72,19 @@ def momentary_faults(name: str, signal: Signal) -> Iterator[str]:
             )
 
 
+def resolution(values: Values) -> float:
+    """Return the step of a quantised signal [its unit]; zero where the steps between neighbours are no multiples of the least."""
+    steps = np.abs(np.diff(values))
+    steps = steps[steps > 1e-9 * np.ptp(values)]
+    if not len(steps):
+        return 0.0
+    least = float(np.min(steps))
+    few = steps[steps < 10.5 * least]  # a file with few digits rounds each of them
+    level = float(np.sum(few) / np.sum(np.round(few / least)))
+    multiples = steps / level
+    return level if np.mean(np.abs(multiples - np.round(multiples)) < 0.1) > 0.95 else 0.0
+
+
 def spikes(values: Values) -> np.ndarray:
     """Return the samples of spikes of one to three samples in a channel, which may have gaps."""
     present = np.flatnonzero(~np.isnan(values))
@@ -98,8 +113,9 @@ def _excess_of_steps(values: Values, present: np.ndarray, inside: np.ndarray) ->
 def dropouts(values: Values) -> list[tuple[int, int]]:
     """Return first and past-the-last index of runs of one value that are too long for chance.
 
-    A cart that has stopped shows one value too where the noise is below the resolution; it neither comes to it nor leaves it by a
-    jump. Where the sensor flickers, one value is a fault whatever comes next.
+    A cart that has stopped shows one value too where the noise is below the resolution, and so does a slow arm between two lines
+    of its encoder; they neither come to it nor leave it by a jump. Where the sensor flickers, one value is a fault whatever comes
+    next.
     """
     equal = np.concatenate([[False], np.diff(values) == 0, [False]]).astype(np.int8)
     edges = np.flatnonzero(np.diff(equal))
@@ -113,6 +129,7 @@ def dropouts(values: Values) -> list[tuple[int, int]]:
     still = _unchanged_by_noise(values)
     logarithm = np.log(CHANCE / len(values))
     needed, certain = (1 + logarithm / np.log(min(max(usual, p), 1 - 1e-9)) for p in (usual, still))
+    quiet = _QUIET_LEVELS * resolution(values)
     found = []
     for first, last in zip(firsts[long], lasts[long], strict=True):
         if last - first < needed or last - first == len(values):
@@ -121,7 +138,7 @@ def dropouts(values: Values) -> list[tuple[int, int]]:
         nearby = np.abs(np.concatenate([np.diff(before), np.diff(after)]))
         usual_step = MEDIAN_TO_STD * float(np.median(nearby)) if len(nearby) else np.inf
         ends = [abs(float(x)) for x in (*(values[first] - before[-1:]), *(after[:1] - values[first]))]
-        if last - first >= certain or max(ends, default=0.0) > 0.5 * _SIGMAS * usual_step:
+        if last - first >= certain or max(ends, default=0.0) > max(0.5 * _SIGMAS * usual_step, quiet):
             found.append((int(first), int(last)))
     return found
 

@@ -197,3 +197,26 @@ def test_concerns_do_not_cry_wolf():
         assert "clipped" not in words
         assert "outliers" not in words
         assert "quantised" not in words
+
+
+@pytest.mark.parametrize("count", [2 * np.pi / 500, 2 * np.pi / 2000, 2 * np.pi / 65536])
+@pytest.mark.parametrize("digits", [4, 12])
+def test_counts_of_an_encoder_are_no_faults(count, digits):
+    """A swing that dies away, a start from rest, and turns, read by an encoder and written with few digits or with many."""
+    quiet = np.where(T < 0.5, 0.0, 1.0)
+    for angle in (0.5 * np.cos(6 * T) * np.exp(-T), quiet * 0.2 * (1 - np.cos(3 * (T - 0.5))), 8 * np.sin(1.5 * T)):
+        read = np.round(np.degrees(np.floor(angle / count) * count), digits)
+        words = " ".join(concerns(Recording((free(arm_angle=np.radians(read)),))))
+        assert "outlier" not in words, (count, words)
+        assert "drops out" not in words
+        assert "spikes" not in words
+
+
+def test_faults_among_counts_are_still_seen():
+    count = 2 * np.pi / 2000
+    angle = np.floor(0.5 * np.cos(6 * T) / count) * count
+    lone, held = angle.copy(), angle.copy()
+    lone[700] += 40 * count
+    held[600:650] = held[599]
+    assert any("1 suspicious outlier, the first at sample 700" in c for c in concerns(Recording((free(arm_angle=lone),))))
+    assert any("one and the same value for 5" in c for c in concerns(Recording((free(arm_angle=held),))))

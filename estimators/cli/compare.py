@@ -10,6 +10,7 @@ from estimators.cli.job import Job, job
 from estimators.cli.models import model_or_fit, seen
 from estimators.cli.options import Effects, File, Json, Out, Validation
 from estimators.cli.refusals import WRONG_USE, stop
+from estimators.validation.trace import colour_of
 
 Models = Annotated[
     list[Path] | None,
@@ -109,7 +110,7 @@ def _judged(work: Job, models: list[Path] | None, effects: Path | None) -> tuple
 def _where(compared: Any, rows: list[dict[str, Any]], against: Any, *, several: bool) -> str:
     own = [row for row in rows if row["model"] == compared.label]
     worst = compared.worst(1)[0]
-    white = sum(row["whiteness_p"] > 0.01 for row in own)
+    white = sum(colour_of(row["whiteness_p"]) == "white" for row in own)
     tested = "" if against.several_ahead else f"; {white} of {len(own)} residuals are white"
     return (
         f"{compared.label if several else 'The model'} fails most in {worst.channel} of {worst.experiment}, by "

@@ -33,7 +33,8 @@ class Whiteness:
     Attributes:
         autocorrelation: at lags 1, 2, ... samples [1].
         band: 99 % of each of them lie within plus and minus this if the residual is white.
-        p_value: probability of autocorrelations as large by chance, all lags together.
+        p_value: probability of autocorrelations as large by chance, all lags together; NaN where no two samples are as far
+            apart as any of the lags.
     """
 
     autocorrelation: Float[np.ndarray, " lag"]
@@ -44,21 +45,28 @@ class Whiteness:
 def whiteness(error: Values, present: Values, lags: int = LAGS, *, fitted: int = 0) -> Whiteness:
     """Compute the autocorrelation of a residual, and Ljung and Box's test of whether it is white.
 
+    The test takes a channel that is read every nth sample at its own rate: its lags are n, 2 n, ... samples.
+
     Args:
         error: zero where there is none.
         present: 1 where a sample counts, else 0.
-        lags: largest lag [samples].
+        lags: largest lag [samples that count].
         fitted: number of parameters of a noise model that were fitted to make it white, which cost degrees of freedom.
 
     Source: Ljung and Box, Biometrika 65 (1978); Ljung, System Identification (1999), section 16.6.
     """
     count = float(np.sum(present))
     own = autocovariance(error, lags)
-    found = own[1:] / own[0] if own[0] > 0 else 0.0 * own[1:]
+    places = np.flatnonzero(present)
+    rate = int(np.gcd.reduce(np.diff(places))) if len(places) > 1 else 1
+    error, present = (x[places[0] if len(places) else 0 :: rate] for x in (error, present))
+    products = own if rate == 1 else autocovariance(error, lags)
+    correlated = products[1:] / products[0] if products[0] > 0 else 0.0 * products[1:]
     pairs = autocovariance(present, lags)[1:] * len(present)  # where samples are missing, fewer tell of a lag
-    told = pairs > 0.5  # whole numbers but for rounding; of a channel read every nth sample most lags have none
-    statistic = count * (count + 2) * float(np.sum(found[told] ** 2 / pairs[told]))
-    p_value = float(chi2.sf(statistic, max(int(np.sum(told)) - fitted, 1))) if told.any() else 1.0
+    told = pairs > 0.5  # whole numbers but for rounding
+    statistic = count * (count + 2) * float(np.sum(correlated[told] ** 2 / pairs[told]))
+    p_value = float(chi2.sf(statistic, max(int(np.sum(told)) - fitted, 1))) if told.any() else float("nan")
+    found = own[1:] / own[0] if own[0] > 0 else 0.0 * own[1:]
     return Whiteness(found, quantile() / np.sqrt(max(count, 1.0)), p_value)
 
 

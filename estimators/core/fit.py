@@ -72,9 +72,14 @@ class ModelFit(Result):
         ]
 
     def on_bounds(self) -> dict[str, float]:
-        """Return the bound on which an estimate ended, SI units, by the name of its parameter."""
+        """Return the bound on which an estimate ended, SI units, by the name of its parameter.
+
+        Of effects: a mass or a stiffness is never nothing, and one that the data leave free is near every bound by its deviation.
+        """
         found = {}
         for name, p in self.parameters.items():
+            if "." not in name:
+                continue
             for bound in self.model.parameters[name].bounds:
                 if name in self.information.names and abs(p.value - bound) < _ON_BOUND * p.std:
                     found[name] = bound

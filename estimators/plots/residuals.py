@@ -87,8 +87,7 @@ def _autocorrelation(axes: Any, trace: Trace) -> None:
     _stems(axes, found[1:], band, first=1)
     axes.set_xlabel("Lag [samples]", fontsize=SMALL)
     axes.set_ylabel("Autocorrelation [1]", fontsize=SMALL)
-    verdict = "white" if trace.whiteness_p > 0.01 else "not white"
-    axes.set_title(f"residual is {verdict}", fontsize=9, loc="left")
+    axes.set_title(f"residual is {trace.colour}", fontsize=9, loc="left")
 
 
 def _cross_correlation(axes: Any, trace: Trace) -> None:

@@ -20,6 +20,7 @@ from estimators.reporting.fit_table import AllEstimates
 from estimators.reporting.html import Table, cleaned
 from estimators.validation.recommendation import Recommendation
 from estimators.validation.simulation_error import Compared, Comparison, Trace
+from estimators.validation.trace import colour_of
 from rtac_jax.measurement import OUTPUTS
 
 FORMAT, VERSION = "rtac-report", 1
@@ -313,7 +314,7 @@ def comparison_table(rows: Sequence[Mapping[str, Any]], *, whiteness: bool = Tru
                 "" if row["fit_percent"] is None else f"{row['fit_percent']:.2f}",
                 f"{row['rms']:.3g}",
                 f"{row['rms_over_noise']:.2f}",
-                *("white" if row["whiteness_p"] > 0.01 else "not white",) * whiteness,
+                *(colour_of(row["whiteness_p"]),) * whiteness,
             )
             for row in rows
         ),

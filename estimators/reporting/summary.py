@@ -44,7 +44,7 @@ def of_comparison(trained: Comparison, tested: Comparison | None, *, file: str) 
     """Return the bullets of a comparison, of several models of that which follows best; arguments as of `of_fit`."""
     models = (tested or trained).models
     best, *others = sorted(models, key=_largest)
-    white = sum(trace.whiteness_p > 0.01 for trace in best.traces)
+    white = sum(trace.colour == "white" for trace in best.traces)
     kind = "held out" if tested is not None else "fitted, so that nothing validates them"
     error = _error(best, tested is not None)
     found = f"{error[0].upper()}{error[1:]}"

@@ -1,13 +1,14 @@
 """One estimate and one standard deviation of each parameter, where several are at hand, by a stated rule."""
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from estimators.core.correlation import LEVEL
 from estimators.core.fit import HEADER, Fit, Parameter
 from estimators.core.result_base import Result
+from estimators.core.results import RESULTS
 from estimators.inference.robust_covariance import Covariances
 from estimators.prediction_error.fit import PredictorFit
 from estimators.validation.simulation_error import Compared
@@ -15,7 +16,8 @@ from rtac_jax.overview import Overview, aligned
 
 RULE = (
     "The rule: output error with its plain standard deviation where its residuals are white; else prediction error, where its "
-    "innovations are; else output error with the larger of the deviations for a coloured residual and for independent experiments."
+    "innovations are, or where output error did not converge; else output error with the larger of the deviations for a coloured "
+    "residual and for independent experiments."
 )
 
 
@@ -78,11 +80,14 @@ def recommended(
 
     Source: Ljung, System Identification (1999), sections 7.4 and 9.3; White, Econometrica 50 (1982).
     """
-    bound = LEVEL / max(len(fitted.traces), 1)  # all traces together reject one right model in a hundred
-    if all(trace.whiteness_p >= bound for trace in fitted.traces):
+    converged = fit.result != RESULTS.steps_exhausted
+    if converged and _white([trace.whiteness_p for trace in fitted.traces]):
         return Recommendation(fit.parameters, "output error", "a white residual, which it has", True)
-    if predicted is not None and all(w.p_value >= LEVEL / len(predicted.whiteness) for w in predicted.whiteness):
-        return Recommendation(predicted.parameters, "prediction error", "white innovations, which it has", True)
+    if predicted is not None:
+        white = _white([w.p_value for w in predicted.whiteness])
+        if white or not converged:
+            deviation = f"white innovations, which it has{'' if white else ' not; output error did not converge'}"
+            return Recommendation(predicted.parameters, "prediction error", deviation, white)
     if spread is None:
         return Recommendation(fit.parameters, "output error", "a white residual, which it has not", False)
     kinds = {"a coloured residual": spread.std("sandwich"), "independent experiments": spread.std("clustered")}
@@ -93,3 +98,9 @@ def recommended(
         for name, p in fit.parameters.items()
     }
     return Recommendation(found, "output error", f"{' or '.join(kinds)}, the larger of both", False)
+
+
+def _white(p_values: Sequence[float]) -> bool:
+    """Return whether no residual is coloured, of those that could be tested; all together reject one right model in a hundred."""
+    tested = [p for p in p_values if np.isfinite(p)]
+    return bool(tested) and all(p >= LEVEL / len(tested) for p in tested)

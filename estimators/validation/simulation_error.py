@@ -132,10 +132,9 @@ class Comparison(Result):
         ]
         for compared in self.models:
             for t in compared.traces:
-                white = "  white" if t.whiteness_p > 0.01 else "  not white"
                 lines.append(
                     f"{compared.label:18s} {t.experiment:16s} {t.channel:14s} {t.fit_percent:7.2f}% {t.rms:10.4g} "
-                    f"{t.rms / t.noise:10.2f}{white * asked}"
+                    f"{t.rms / t.noise:10.2f}{f'  {t.colour}' * asked}"
                 )
             for channel, error in compared.errors.items():
                 lines.append(

@@ -6,9 +6,16 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from estimators.core.correlation import LAGS, CrossCorrelation, Whiteness, centred, cross_correlation, whiteness
+from estimators.core.correlation import LAGS, LEVEL, CrossCorrelation, Whiteness, centred, cross_correlation, whiteness
 
 Values = Float[np.ndarray, " sample"]
+
+
+def colour_of(p_value: float | None) -> str:
+    """Return what the p-value of a test of whiteness says; without one, that nothing was tested."""
+    if p_value is None or np.isnan(p_value):
+        return "not tested"
+    return "white" if p_value > LEVEL else "not white"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -79,9 +86,17 @@ class Trace:
 
     @property
     def whiteness_p(self) -> float:
-        """Probability that white noise is at least as correlated over 25 lags (Ljung and Box, Biometrika 65, 1978)."""
+        """Probability that white noise is at least as correlated over 25 lags (Ljung and Box, Biometrika 65, 1978).
+
+        NaN where fewer than four samples count, which tell nothing.
+        """
         lags = int(min(LAGS, np.sum(np.isfinite(self.residual)) // 4))
-        return 1.0 if lags < 1 else self._whiteness(lags).p_value
+        return float("nan") if lags < 1 else self._whiteness(lags).p_value
+
+    @property
+    def colour(self) -> str:
+        """Return whether the residual is "white" at 1 %, "not white", or "not tested"."""
+        return colour_of(self.whiteness_p)
 
     def _whiteness(self, lags: int) -> Whiteness:
         return whiteness(centred(self.residual), np.isfinite(self.residual).astype(float), lags)

@@ -5,6 +5,7 @@ import pytest
 import scipy.signal
 
 from estimators.core.correlation import autocovariance, cross_correlation, whiteness
+from estimators.validation.trace import colour_of
 
 COUNT, DRAWS = 600, 300
 
@@ -50,16 +51,24 @@ def test_the_sign_of_a_lag_tells_response_from_feedback(later: int) -> None:
     assert found.values.max() > 0.95
 
 
-def test_lags_that_no_two_samples_are_apart_do_not_count() -> None:
-    """A channel read at every fourth sample: of 25 lags six tell something."""
-    random = np.random.default_rng(2)
-    present = (np.arange(1600) % 4 == 0).astype(float)
-    rejected = {0.0: 0, 0.2: 0}
+@pytest.mark.parametrize("stride", [4, 40])
+def test_a_channel_read_every_nth_sample_is_tested_at_its_own_rate(stride: int) -> None:
+    """Of 25 lags in samples none, or few, would be asked: everything would be white."""
+    random = np.random.default_rng(3)
+    present = np.zeros(60 * stride)
+    present[1::stride] = 1.0
+    rejected = {0.0: 0, 0.8: 0}
     for colour in rejected:
-        for _ in range(DRAWS):
-            slow = scipy.signal.lfilter([1.0], [1.0, -colour], random.normal(size=450))[50:]
-            values = np.zeros(1600)
-            values[::4] = slow
-            rejected[colour] += whiteness(values, present).p_value < 0.1
-    assert 0.05 < rejected[0.0] / DRAWS < 0.16
-    assert rejected[0.2] / DRAWS > 0.7
+        for _ in range(200):
+            values = np.zeros(len(present))
+            values[1::stride] = scipy.signal.lfilter([1.0], [1.0, -colour], random.normal(size=60))
+            rejected[colour] += whiteness(values, present, 15).p_value < 0.1
+    assert 8 <= rejected[0.0] <= 36  # a tenth of 200, five deviations to either side
+    assert rejected[0.8] >= 190
+
+
+def test_where_nothing_can_be_tested_nothing_is_called_white() -> None:
+    once = np.zeros(50)
+    once[7] = 1.0
+    assert np.isnan(whiteness(once, once).p_value)
+    assert [colour_of(p) for p in (0.5, 1e-3, float("nan"), None)] == ["white", "not white", "not tested", "not tested"]

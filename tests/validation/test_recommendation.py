@@ -51,6 +51,14 @@ def test_a_coloured_one_by_predictions_if_these_are_white():
     assert dataclasses.astuple(found.parameters["spring_stiffness"])[:2] == pytest.approx((130.0, 0.5))
 
 
+@pytest.mark.parametrize(("p_value", "sound"), [(0.5, True), (1e-9, False)])
+def test_an_output_error_that_did_not_converge_is_not_recommended_beside_predictions(p_value, sound):
+    astray = dataclasses.replace(FIT, result=RESULTS.steps_exhausted)
+    found = recommended(astray, compared("model", 0.0), predicted=predictor(p_value), spread=SPREAD)
+    assert (found.estimator, found.sound) == ("prediction error", sound)
+    assert recommended(astray, compared("model", 0.0), spread=SPREAD).sound is False
+
+
 @pytest.mark.parametrize("predicted", [None, predictor(1e-9)])
 def test_where_nothing_is_white_the_larger_robust_deviation_is_given_and_the_reader_told(predicted):
     found = recommended(FIT, compared("model", 5.0), predicted=predicted, spread=SPREAD)

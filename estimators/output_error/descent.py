@@ -145,7 +145,7 @@ class Descent:
         for fraction in _CORRECTION:
             gain, corrected = self._gain(parts[0], model, space, unknowns, noise, scales, fraction, substeps)
             arguments = Arguments(model, parts[0], space, corrected, gain, substeps)
-            self._require_determined(space, unknowns, arguments)
+            self._require_determined(model, space, unknowns, substeps, noise)
             near = self._solve(unknowns, arguments, tolerance=1e-3, gain=_GUIDANCE, most=15)
             unknowns = near.unknowns
             if fraction == _CORRECTION[0]:
@@ -187,7 +187,7 @@ class Descent:
         arguments = Arguments(
             model, self.data, space, diagonal_whitener(deviation, self.data), no_gain(model, self.data), substeps
         )
-        self._require_determined(space, unknowns, arguments)
+        self._require_determined(model, space, unknowns, substeps, levels)
         solved = self._solve(unknowns, arguments, tolerance=1e-2, gain=_START, most=15)
         # In units of the sensors' noise, as whoever weighs anew begins from no weights.
         arguments = dataclasses.replace(arguments, whitener=diagonal_whitener(levels, self.data))
@@ -263,13 +263,19 @@ class Descent:
         self.taken += 1
         self.progress.step(text)
 
-    def _require_determined(self, space: Space, unknowns: Unknowns, arguments: Arguments) -> None:
+    def _require_determined(
+        self, model: RTAC, space: Space, unknowns: Unknowns, substeps: int, noise: np.ndarray
+    ) -> None:
         """Refuse data that leave parameters free, before the first step.
 
-        Along directions that are free the descent would wander until the model breaks.
+        Along directions that are free the descent would wander until the model breaks. What a free simulation of all the data tells
+        beside the noise of the sensors is asked: what the start misses, or a filter that follows the sensors hides, a descent finds.
         """
         if self.taken == 0:
-            first = factor(unknowns, arguments)
+            whitener = diagonal_whitener(noise, self.data)
+            first = factor(
+                unknowns, Arguments(model, self.data, space, whitener, no_gain(model, self.data), substeps)
+            )
             if not diverged(first):
                 information(np.asarray(first), space, unknowns).require_determined()
 

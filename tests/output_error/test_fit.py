@@ -55,6 +55,22 @@ def test_noisy_estimates_agree_with_the_truth_within_their_deviations(
     assert train.errors["arm_velocity"].fit_percent > 95.0
 
 
+def test_a_start_that_is_far_off_does_not_hide_what_the_data_show() -> None:
+    """The closed form of two short decays puts the dry friction on its bound, from where a simulation misses by much."""
+    rig = virtual_rig.Rig(cart_coulomb=1.5e-3)
+    decays = [
+        virtual_rig.Plan(f"free_{n}", "free", 2.5, 0.01, initial_position=x, initial_angle=np.pi / 2)
+        for n, x in enumerate((6e-3, 12e-3))
+    ]
+    recording = virtual_rig.record(rig, [*decays, virtual_rig.Plan("rest_1", "rest", 1.0, 0.01)], seed=100)
+    model = rtac.RTAC.from_rig(recording)
+    asked = ("cart_coulomb.level", "spring_stiffness", "cart_viscous.coefficient")
+    fit = est.output_error(model.fix(*[n for n in model.free if n not in asked]), recording, progress=False)
+    level = fit.parameters["cart_coulomb.level"]
+    assert level.std < 0.1 * rig.cart_coulomb
+    assert abs(level.value - rig.cart_coulomb) < 4 * level.std
+
+
 def test_a_fit_that_a_kink_stopped_says_so(noisy_fit: est.Fit) -> None:
     stopped = dataclasses.replace(noisy_fit, statistics={**noisy_fit.statistics, "promised": 21.7})
     assert "kink" in stopped.outcome

@@ -24,7 +24,7 @@ FAR = 10.0
 # fits with dry friction and nothing missing ended at 0.05 at most, one at 20 beside a Stribeck friction that a kink kept off.
 _KINK = 0.5
 # Standard deviations: one that a fit holds there lies nearer, and one that happens to come so near seldom.
-_ON_BOUND = 0.02
+ON_BOUND = 0.02
 
 
 @dataclasses.dataclass(frozen=True)
@@ -81,7 +81,7 @@ class ModelFit(Result):
             if "." not in name:
                 continue
             for bound in self.model.parameters[name].bounds:
-                if name in self.information.names and abs(p.value - bound) < _ON_BOUND * p.std:
+                if name in self.information.names and abs(p.value - bound) < ON_BOUND * p.std:
                     found[name] = bound
         return found
 

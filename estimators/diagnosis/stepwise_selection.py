@@ -236,6 +236,12 @@ def _next_step(
     far = [] if settled else [*(s for s in ranked[1:most] if s.id not in begun), *above]
     models |= laboratory.refits(now, far, way)
     asked = {s.id: s for s in (*ranked, *near, *above)}
+    if way == "equations" and models:
+        # What only an output shows, as a sensor's zero, has no part in the equations.
+        best = max(models, key=lambda i: models[i].log_likelihood)
+        alike = [s for s in _resembling(laboratory, now, seen, [asked[best]]) if s.id not in asked]
+        models |= laboratory.refits(now, alike, "filter") if alike else {}
+        asked |= {s.id: s for s in alike}
     several = {i: (asked[i], model) for i, model in models.items()}
     for i, model in models.items():
         tried.setdefault(i, (now, model))

@@ -9,10 +9,10 @@ from concurrent.futures import Executor
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from estimators.core.data import CHANNELS, fitted_part, mark_of, moving
-from estimators.core.fit import Fit
+from estimators.core.fit import ON_BOUND, Fit
 from estimators.inference.bootstrap import Shaken, Shuffled, measured_again
 from estimators.output_error.fit import output_error
 from estimators.prediction_error.fit import PredictorFit, prediction_error_nonlinear
@@ -40,6 +40,7 @@ class Bootstrap:
         samples: estimates from each replicate; NaN where the fit of it failed.
         reasons: why it failed; empty where it did not.
         method: how replicates were drawn.
+        bounds: lowest and highest value that each parameter can have.
     """
 
     names: tuple[str, ...]
@@ -49,6 +50,7 @@ class Bootstrap:
     samples: Float[np.ndarray, "replicate parameter"]
     reasons: tuple[str, ...]
     method: str
+    bounds: Float[np.ndarray, "parameter 2"]
 
     @property
     def std(self) -> dict[str, float]:
@@ -63,11 +65,31 @@ class Bootstrap:
     def interval(self, level: float = 0.95) -> dict[str, tuple[float, float]]:
         """Confidence interval of each parameter: the errors of the replicates, turned about the estimate.
 
-        Source: Davison and Hinkley, Bootstrap Methods and their Application (1997), section 2.4: the basic interval.
+        Where these end beyond a bound, as those of a friction level that may be nothing, errors are no longer alike about the
+        estimate and about the truth: there, the interval holds the middle of the replicates themselves.
+
+        Source: Davison and Hinkley, Bootstrap Methods and their Application (1997), section 2.4: the basic interval; Efron and
+        Tibshirani, An Introduction to the Bootstrap (1993), chapter 13: that of percentiles, which keeps to bounds.
         """
         low, high = np.quantile(self._kept, [0.5 - 0.5 * level, 0.5 + 0.5 * level], axis=0)
-        ends = zip(2 * self.values - high, 2 * self.values - low, strict=True)
+        inside = self._inside(high, low)
+        lowest, highest = self.bounds.T
+        low = np.where(inside, low, np.where(low - lowest < ON_BOUND * self.stated, lowest, low))
+        high = np.where(inside, high, np.where(highest - high < ON_BOUND * self.stated, highest, high))
+        ends = zip(
+            np.where(inside, 2 * self.values - high, low), np.where(inside, 2 * self.values - low, high), strict=True
+        )
         return {n: (float(a), float(b)) for n, (a, b) in zip(self.names, ends, strict=True)}
+
+    @property
+    def bounded(self) -> tuple[str, ...]:
+        """Return the parameters whose 95 % interval is one of percentiles, because they may lie on a bound."""
+        low, high = np.quantile(self._kept, [0.025, 0.975], axis=0)
+        return tuple(n for n, inside in zip(self.names, self._inside(high, low), strict=True) if not inside)
+
+    def _inside(self, high: np.ndarray, low: np.ndarray) -> Bool[np.ndarray, " parameter"]:
+        """Return which basic intervals end within the bounds."""
+        return (2 * self.values - high > self.bounds[:, 0]) & (2 * self.values - low < self.bounds[:, 1])
 
     @property
     def _kept(self) -> Float[np.ndarray, "replicate parameter"]:
@@ -84,6 +106,8 @@ class Bootstrap:
         header = ("parameter", "value", "std stated", "std of bootstrap", "bias", "95 % interval", "unit")
         failed = sum(bool(reason) for reason in self.reasons)
         note = f"; {failed} could not be fitted" if failed else ""
+        if self.bounded:
+            note += f"; of {', '.join(self.bounded)}, which may lie on a bound, the interval is that of percentiles"
         return Table(header, rows, f"{len(self.samples)} replicates, {self.method}{note}.")
 
     def __str__(self) -> str:
@@ -152,6 +176,7 @@ def bootstrap(
         arrays["estimate"],
         tuple(str(reason) for reason in arrays["reason"]),
         method,
+        np.array([fit.model.parameters[name].bounds for name in names]),
     )
 
 

@@ -144,6 +144,7 @@ class LvdtOffset(Sensor):
     """
 
     id: ClassVar[str] = "lvdt_offset"
+    resembles: ClassVar[tuple[str, ...]] = ("force_offset",)
     equation: ClassVar[str] = "q + q_0"
     source: ClassVar[str] = _AMPLIFIER
     needs_channel: ClassVar[str | None] = "cart_position"

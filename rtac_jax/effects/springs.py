@@ -49,6 +49,8 @@ class ForceOffset(Force):
     """A constant force: an offset of the force input, or a spring whose rest is not at the position sensor's zero."""
 
     id: ClassVar[str] = "force_offset"
+    # On a linear spring the same as a zero of the sensor beside the spring's rest.
+    resembles: ClassVar[tuple[str, ...]] = ("lvdt_offset",)
     equation: ClassVar[str] = "F_0"
     source: ClassVar[str] = "offset of an analogue amplifier"
     port: ClassVar[str] = "cart"

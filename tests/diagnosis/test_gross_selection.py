@@ -54,6 +54,26 @@ def test_the_equations_are_asked_and_a_step_begins_there() -> None:
     assert "arm_coulomb" not in found.selection.tried  # what gains nothing there is not refitted
 
 
+def test_what_only_a_sensor_shows_stands_beside_what_the_equations_name() -> None:
+    """A constant force and the sensor's zero are one on a linear spring; only the force has a part in the equations."""
+
+    class Offset(Gross):
+        def findings(self, model: FittedModel) -> Findings:
+            scores = (sized("force_offset", 800.0, 1e-9), sized("lvdt_offset", 799.0, 1e-9))
+            return Findings() if model.added else Findings(scores, curves=(force(2000.0),))
+
+        def equation_scores(self, model: FittedModel) -> tuple[Score, ...]:
+            return (sized("force_offset", 700.0, 1e-9),)
+
+    laboratory = Offset()
+    laboratory.likelihood = known(base=0.0, force_offset=5000.0, lvdt_offset=4999.5)
+    found = decide(laboratory, STANDARD, thorough=True)
+    assert found.verdict == "ambiguous"
+    assert found.rivals == {"force_offset": ("lvdt_offset",)}
+    laboratory.likelihood = known(base=0.0, force_offset=5000.0, lvdt_offset=4000.0)  # as on a spring that is not linear
+    assert decide(laboratory, STANDARD, thorough=True).verdict == "missing"
+
+
 @pytest.mark.parametrize(("unfollowed", "torque"), [(0.2, 0.6), (0.8, 0.01)])
 def test_a_fit_that_follows_or_is_hardly_shaken_goes_the_ordinary_way(unfollowed: float, torque: float) -> None:
     laboratory = Gross(unfollowed=unfollowed, torque=torque)

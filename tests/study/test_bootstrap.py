@@ -83,3 +83,21 @@ def test_what_cannot_be_drawn_is_refused(white):
     ):
         with pytest.raises(ValueError, match=words):
             est.bootstrap(fit, recording, progress=False, **options)
+
+
+@pytest.mark.parametrize("level", [0.0, 2e-3])
+def test_the_interval_of_a_level_that_may_be_nothing_keeps_to_its_bound(level):
+    """A cart with dry friction or without, of which the fit knows nothing: without, half of all estimates lie on the bound."""
+    plans = [virtual_rig.Plan("free_1", "free", 4.0, 0.01, initial_position=2e-3, initial_angle=np.pi / 2)]
+    rig = virtual_rig.Rig(cart_coulomb=level)
+    recording = virtual_rig.record(rig, [*plans, virtual_rig.Plan("rest_1", "rest", 1.0, 0.01)], seed=4)
+    model = rtac.RTAC.from_rig(recording)
+    asked = ("cart_coulomb.level", "spring_stiffness", "cart_viscous.coefficient")
+    model = model.fix(*[n for n in model.free if n not in asked]).with_values({"cart_coulomb.level": 1e-3})
+    found = est.bootstrap(
+        est.output_error(model, recording, from_model=True, progress=False), recording, repetitions=40, seed=1, progress=False
+    )
+    low, high = found.interval()["cart_coulomb.level"]
+    assert 0.0 <= low <= level <= high
+    assert ("cart_coulomb.level" in found.bounded) == (level == 0.0)
+    assert ("which may lie on a bound" in str(found)) == (level == 0.0)

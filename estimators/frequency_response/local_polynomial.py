@@ -4,11 +4,14 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+import scipy.stats
 from jaxtyping import Bool, Complex128, Float64, Int, Real
 
 # Two take off the bias by noise; more would let a pole chase the noise of single lines where the data show none.
 REFINEMENTS = 2
 NOTHING = 1e-9  # of the largest line, below which an input is rounding
+RINGING_POLES = 2  # of one lightly damped mode
+RINGING_LEVEL = 1e-3  # at which a fraction explains more of a transient than a polynomial: one line in a thousand by chance
 
 
 class VanishingError(ValueError):
@@ -228,7 +231,9 @@ def local_transient(
     """Estimate transient and noise at harmonics of a record of whole periods, from the lines between the harmonics.
 
     A periodic steady state has only every `periods`-th line, so what lies between is transient, which is smooth, and
-    noise, which is not (Pintelon and Schoukens 2012, section 7.3).
+    noise, which is not (Pintelon and Schoukens 2012, section 7.3). A transient that rings on beyond the record is a peak as narrow
+    as a line, which no polynomial follows: a fraction with two poles stands for it where it leaves so much less that chance does so
+    at one line in a thousand.
 
     Raises:
         ValueError: fewer neighbours than the polynomial has unknowns, or than the spectrum has lines.
@@ -250,4 +255,47 @@ def local_transient(
     at_line = np.linalg.inv(upper)[:, 0]  # the polynomial at distance zero is its constant
     left = values - np.einsum("fwp,fp->fw", orthogonal, projected)
     factor = 1.0 + np.sum(at_line**2, axis=1)
-    return Transient(np.einsum("fp,fp->f", at_line, projected), left, factor, neighbours - degree - 1)
+    found = Transient(np.einsum("fp,fp->f", at_line, projected), left, factor, neighbours - degree - 1)
+    return _ringing(found, values, distance, degree)
+
+
+def _ringing(
+    smooth: Transient,
+    values: Complex128[np.ndarray, "line neighbour"],
+    distance: Float64[np.ndarray, "line neighbour"],
+    degree: int,
+) -> Transient:
+    """Return the transient with a fraction in place of the polynomial at those lines where that explains more than chance.
+
+    Its residuals are scaled to the freedom of the polynomial's.
+    """
+    freedom = smooth.freedom - RINGING_POLES
+    if freedom < RINGING_POLES:
+        return smooth
+    powers = distance[:, :, None] ** np.arange(max(degree, RINGING_POLES) + 1)
+    below = powers[:, :, 1 : RINGING_POLES + 1]
+    regressors = np.concatenate(
+        [powers[:, :, : degree + 1].astype(np.complex128), -below * values[:, :, None]], axis=2
+    )
+    scale = np.sqrt(np.mean(np.abs(regressors) ** 2, axis=1, keepdims=True))
+    scale = np.where(scale > 0, scale, 1.0)
+    regressors = regressors / scale
+    upper = np.abs(np.diagonal(np.linalg.qr(regressors, mode="r"), axis1=1, axis2=2))
+    sound = upper.min(axis=1) > NOTHING * upper.max(axis=1)
+    found = smooth._replace(left=smooth.left.copy(), smooth=smooth.smooth.copy(), factor=smooth.factor.copy())
+    if not sound.any():
+        return found
+    part = (regressors[sound], values[sound])
+    begun = _least_squares(*part)[0]
+    solution, first_row, left = _refined(
+        begun / scale[sound, 0], part[1], part[0], scale[sound], below[sound], degree + 1
+    )
+    before, after = (np.sum(np.abs(x) ** 2, axis=1) for x in (smooth.left[sound], left))
+    least = 1.0 + RINGING_POLES / freedom * float(scipy.stats.f.isf(RINGING_LEVEL, 2 * RINGING_POLES, 2 * freedom))
+    rings = before > least * after
+    places = np.flatnonzero(sound)[rings]
+    size = scale[places, 0, 0]
+    found.smooth[places] = solution[rings, 0] / size
+    found.factor[places] = 1.0 + (first_row[rings] / size) ** 2
+    found.left[places] = left[rings] * np.sqrt(smooth.freedom / freedom)
+    return found

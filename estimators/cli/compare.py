@@ -29,7 +29,13 @@ def compare(
     models: Models = None,
     effects: Effects = None,
     ahead: Annotated[
-        int | None, typer.Option(min=1, metavar="SAMPLES", help="Predict so many samples ahead instead of simulating.")
+        int | None,
+        typer.Option(
+            min=1,
+            metavar="SAMPLES",
+            help="Predict so many samples ahead instead of simulating; a model or a fit by simulation takes the noise that these "
+            "data make likeliest, held-out ones too.",
+        ),
     ] = None,
     out: Out = None,
     json: Json = None,

@@ -7,7 +7,7 @@ import typer
 from estimators.cli.captions import shown
 from estimators.cli.job import Job, job
 from estimators.cli.models import start_model
-from estimators.cli.options import Effects, File, Json, Model, Out, Save, Validation
+from estimators.cli.options import Effects, File, Fix, Json, Model, Out, Save, Validation
 
 # For each 100,000 samples, as measured with an arm that is free and sampled at 2 ms; output error's with what compiling takes.
 _MINUTES = 3.0
@@ -33,6 +33,7 @@ def fit(
         bool, typer.Option("--robust", help="Let spikes and dropouts count for little in output error, and list them.")
     ] = False,
     model: Model = None,
+    fix: Fix = None,
     effects: Effects = None,
     save: Save = None,
     out: Out = None,
@@ -46,7 +47,7 @@ def fit(
         from estimators.reporting import summary
         from estimators.reporting.fit_table import AllEstimates, estimates_table, fit_table, recommended_table
 
-        start = start_model(work, model, effects)
+        start = start_model(work, model, effects, fix)
         closed = est.least_squares(start, work.train, weak=True)
         longest = max(e.samples for e in work.train)
         fraction = longest / 1e5

@@ -6,7 +6,7 @@ from typing import Any
 from estimators.cli.captions import BANDS, CONFUSION, DIAGNOSIS, LADDER, LEARNED, WHERE, shown, without_limits
 from estimators.cli.job import Job, job
 from estimators.cli.models import start_model
-from estimators.cli.options import Effects, File, Json, Model, NoLearnedForce, Out, Quick, Save, Validation
+from estimators.cli.options import Effects, File, Fix, Json, Model, NoLearnedForce, Out, Quick, Save, Validation
 from estimators.cli.own_effects import offered
 from estimators.cli.planned import plan_next, show_plan
 from estimators.cli.refusals import NOT_POSSIBLE, stop
@@ -18,6 +18,7 @@ def improve(
     quick: Quick = False,
     no_learned_force: NoLearnedForce = False,
     model: Model = None,
+    fix: Fix = None,
     effects: Effects = None,
     save: Save = None,
     out: Out = None,
@@ -25,7 +26,7 @@ def improve(
 ) -> None:
     """Add what is missing, fit again, and check on experiments held out, until nothing more is missing."""
     with job(file, validation, out, json, save) as work:
-        improved(work, effects, quick=quick, learned_force=not no_learned_force, model=model, save=save)
+        improved(work, effects, quick=quick, learned_force=not no_learned_force, model=model, fix=fix, save=save)
 
 
 def improved(
@@ -35,6 +36,7 @@ def improved(
     quick: bool = False,
     learned_force: bool = True,
     model: Path | None = None,
+    fix: str | None = None,
     save: Path | None = None,
 ) -> None:
     """Run the loop on a job, and say and write what it found."""
@@ -45,7 +47,7 @@ def improved(
     if work.held_out is None:
         stop(NOT_POSSIBLE, work.not_split)
     candidates = offered(effects)
-    start = start_model(work, model, effects)
+    start = start_model(work, model, effects, fix)
     work.note_doubts()
     with work.explaining():
         found = est.improve(

@@ -46,11 +46,30 @@ def model_or_fit(path: Path, effects: Path | None = None) -> Any:
     )
 
 
-def start_model(work: Job, path: Path | None, effects: Path | None = None) -> Any:
-    """Return the model to begin with: that of a file, or the paper's with the constants of the recording."""
-    if path is None:
-        return work.model()
-    return _model_of(model_or_fit(path, effects))
+def start_model(work: Job, path: Path | None, effects: Path | None = None, fix: str | None = None) -> Any:
+    """Return the model to begin with: that of a file, or the paper's with the constants of the recording.
+
+    Args:
+        work: the job.
+        path: of the file.
+        effects: Python file with the user's own effects that it may hold.
+        fix: parameters that are not estimated, NAME or NAME=VALUE, with commas between.
+    """
+    model = work.model() if path is None else _model_of(model_or_fit(path, effects))
+    for one in filter(None, (text.strip() for text in (fix or "").split(","))):
+        name, _, value = (text.strip() for text in one.partition("="))
+        try:
+            model = model.fix(name)
+        except ValueError as error:
+            stop(WRONG_USE, f"--fix {one}: {error}")
+        if value:
+            low, high = model.parameters[name].bounds
+            number = _number(value)
+            if not low <= number <= high:
+                unit = model.parameters[name].unit
+                stop(WRONG_USE, f"--fix {one}: give a number from {low:g} to {high:g} {unit} after the equals sign.")
+            model = model.with_values({name: number})
+    return model
 
 
 def base_fit(work: Job, path: Path | None, effects: Path | None = None) -> Any:
@@ -95,6 +114,14 @@ def _moving(recording: Any) -> Any:
     from estimators.core.data import moving, pieces
 
     return pieces(moving(recording))
+
+
+def _number(text: str) -> float:
+    """Return a number, NaN where the text is none."""
+    try:
+        return float(text)
+    except ValueError:
+        return float("nan")
 
 
 def _model_of(found: Any) -> Any:

@@ -31,6 +31,12 @@ Model = Annotated[
     Path | None,
     option("FILE.h5", "Begin with a saved model, fit or improvement (its last model) instead of the paper's model."),
 ]
+Fix = Annotated[
+    str | None,
+    option(
+        "NAME[=VALUE],...", "Parameters that are not estimated, at their value in the model or at this one (SI units)."
+    ),
+]
 Save = Annotated[
     Path | None,
     option(

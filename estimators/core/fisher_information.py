@@ -102,7 +102,7 @@ class Information:
             known = "" if set(self.names).isdisjoint(_SCALES) else _FIX_THE_SCALE
             raise NotIdentifiableError(
                 f"The data leave {len(said)} combination(s) of parameters free: {'; '.join(said)}. {known}Fix a parameter "
-                "(model.fix), or add an experiment that excites it."
+                "(model.fix, or --fix of rtac), or add an experiment that excites it."
             )
 
 

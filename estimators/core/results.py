@@ -12,7 +12,7 @@ class RESULTS(eqx.Enumeration):
     )
     pulled_off_bound = (
         "The fit did not converge: an estimate lies on its bound, and the data pull it inwards; begin with a plausible value "
-        "of it (model.with_values), or fix it."
+        "of it (model.with_values), or fix it (model.fix, or --fix of rtac)."
     )
     starts_disagree = (
         "The fit converged, but no second start reached the same place; it may be a local minimum, "

@@ -193,9 +193,7 @@ def diagnose(
     doubted = told.verdict == "adequate" if not facts.noise_known else told.simulation is not None
     doubted = doubted and (told.simulation is None or told.simulation.cause == "unexplained")
     if doubted and max(told.random_force, told.random_torque) < SHAKEN:  # or else they are the reason
-        said = strayed(
-            fit.residual_std, fit.noise, recording, unfollowed=facts.unfollowed, poor=policy.simulation.poor
-        )
+        said = strayed(fit.residual_std, fit.noise, recording, unfollowed=facts.unfollowed, poor=policy.simulation.poor)
         told = dataclasses.replace(told, explanation=told.explanation + said)
     return dataclasses.replace(told, seconds=time.perf_counter() - began)
 

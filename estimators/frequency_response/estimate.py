@@ -50,8 +50,9 @@ def frequency_responses(
     a model, or integrated; see `arm_angles`. Nothing is detrended.
 
     Two methods: "periodic" takes the harmonics of an input that repeats, and tells noise (what differs between periods)
-    from nonlinear distortion (what repeats at harmonics that were not excited); a transient is taken off by what
-    stands between the harmonics, also one that rings on beyond the record. "local" takes any input: polynomials and fractions over neighbouring lines, with the transient as a part of its own; noise and distortion are not told apart.
+    from nonlinear distortion (what repeats at harmonics that were not excited); a transient is taken off by what stands between
+    the harmonics, also one that rings on beyond the record. "local" takes any input: polynomials and fractions over neighbouring
+    lines, with the transient as a part of its own; noise and distortion are not told apart.
 
     Args:
         recording: with forced experiments.

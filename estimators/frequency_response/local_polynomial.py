@@ -11,7 +11,9 @@ from jaxtyping import Bool, Complex128, Float64, Int, Real
 REFINEMENTS = 2
 NOTHING = 1e-9  # of the largest line, below which an input is rounding
 RINGING_POLES = 2  # of one lightly damped mode
-RINGING_LEVEL = 1e-3  # at which a fraction explains more of a transient than a polynomial: one line in a thousand by chance
+RINGING_LEVEL = (
+    1e-3  # at which a fraction explains more of a transient than a polynomial: one line in a thousand by chance
+)
 
 
 class VanishingError(ValueError):
@@ -274,9 +276,7 @@ def _ringing(
         return smooth
     powers = distance[:, :, None] ** np.arange(max(degree, RINGING_POLES) + 1)
     below = powers[:, :, 1 : RINGING_POLES + 1]
-    regressors = np.concatenate(
-        [powers[:, :, : degree + 1].astype(np.complex128), -below * values[:, :, None]], axis=2
-    )
+    regressors = np.concatenate([powers[:, :, : degree + 1].astype(np.complex128), -below * values[:, :, None]], axis=2)
     scale = np.sqrt(np.mean(np.abs(regressors) ** 2, axis=1, keepdims=True))
     scale = np.where(scale > 0, scale, 1.0)
     regressors = regressors / scale

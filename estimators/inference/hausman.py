@@ -212,7 +212,8 @@ def _pair(
     draws, width = kept.shape
     if draws <= 2 * width:
         raise ValueError(
-            f"{labels[0]} or {labels[1]} came out in {draws} of {len(drawn)} replicates only; raise draws, or leave it out."
+            f"{labels[0]} or {labels[1]} came out in {draws} of {len(drawn)} replicates only, too few to compare them; "
+            "raise draws, or compare the others without it (est.agreement)."
         )
     bias = np.mean(kept, axis=0)
     covariance = np.cov(kept, rowvar=False).reshape(width, width) * (1 + 1 / draws)

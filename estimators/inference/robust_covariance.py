@@ -195,7 +195,7 @@ def clustered(information: Information, clusters: list[str]) -> tuple[Matrix, Fl
         own = np.einsum("q,gqr,r->g", c, parts, c)
         omega = np.diag(own) - np.einsum("gs,hst,t->gh", through, parts, c)
         trace, white = float(np.trace(omega)), float(np.sum(own))  # white: the variance if the residual is
-        if trace > 1e-9 * white:
+        if 0 < 1e-9 * white < trace:  # of a fit that ran away neither need be a number above zero
             scale[p] = np.sqrt(white / trace)
             degrees[p] = trace**2 / float(np.sum(omega**2))
     return raw * np.outer(scale, scale), degrees

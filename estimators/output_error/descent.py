@@ -273,9 +273,7 @@ class Descent:
         """
         if self.taken == 0:
             whitener = diagonal_whitener(noise, self.data)
-            first = factor(
-                unknowns, Arguments(model, self.data, space, whitener, no_gain(model, self.data), substeps)
-            )
+            first = factor(unknowns, Arguments(model, self.data, space, whitener, no_gain(model, self.data), substeps))
             if not diverged(first):
                 information(np.asarray(first), space, unknowns).require_determined()
 

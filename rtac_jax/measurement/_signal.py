@@ -179,5 +179,5 @@ def check_output(place: str, signal: Signal, unit: str, *, still: bool) -> None:
     if not still and present.min() == present.max():
         raise RecordingError(
             f"{place}: all samples are {present[0]:g}, so the sensor was not connected or nothing moved; "
-            "leave the channel out, or say so with kind='rest', arm='locked' or cart='clamped'."
+            "leave the channel out (of a CSV file, delete its column), or say so with kind='rest', arm='locked' or cart='clamped'."
         )

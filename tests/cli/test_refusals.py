@@ -3,6 +3,7 @@
 import pytest
 from command_line import COMMANDS, call, refused
 
+import estimators as est
 from rtac_jax.measurement import Recording
 
 
@@ -74,3 +75,30 @@ def test_an_interruption_has_a_status_of_its_own(file, monkeypatch):
 
     monkeypatch.setattr(Recording, "load", staticmethod(interrupt))
     refused(call("info", file), 130, "interrupted")
+
+
+@pytest.mark.parametrize("command", ["fit", "improve"])
+@pytest.mark.parametrize(
+    ("asked", "said"),
+    [
+        ("nonsense", "no parameter is called nonsense"),
+        ("cart_coulomb.level=-1", "from 0 to inf N"),
+        ("arm_viscous.positive,cart_coulomb.level=abc", "from 0 to inf N"),
+    ],
+)
+def test_a_parameter_that_cannot_be_held_is_named(file, command, asked, said):
+    refused(call(command, file, "--fix", asked), 2, "--fix", said)
+
+
+def test_what_is_held_reaches_the_fit(file, monkeypatch):
+    class FittedError(ValueError):
+        pass
+
+    def output_error(model, *_, **__):
+        assert "cart_coulomb.level" not in model.free
+        assert float(model["cart_coulomb.level"]) == 0.25
+        assert "spring_stiffness" not in model.free
+        raise FittedError("reached")
+
+    monkeypatch.setattr(est, "output_error", output_error)
+    refused(call("fit", file, "--fix", "cart_coulomb.level=0.25, spring_stiffness"), 1, "reached")

@@ -70,7 +70,9 @@ def test_what_only_a_sensor_shows_stands_beside_what_the_equations_name() -> Non
     found = decide(laboratory, STANDARD, thorough=True)
     assert found.verdict == "ambiguous"
     assert found.rivals == {"force_offset": ("lvdt_offset",)}
-    laboratory.likelihood = known(base=0.0, force_offset=5000.0, lvdt_offset=4000.0)  # as on a spring that is not linear
+    laboratory.likelihood = known(
+        base=0.0, force_offset=5000.0, lvdt_offset=4000.0
+    )  # as on a spring that is not linear
     assert decide(laboratory, STANDARD, thorough=True).verdict == "missing"
 
 

@@ -90,7 +90,10 @@ def test_a_transient_that_rings_on_beyond_the_record_hides_no_error_at_the_reson
     random = np.random.default_rng(9)
     runs, count = 60, samples * periods
     current = np.stack(
-        [multisine(samples=count, period=samples, sample_time=DT, rms=1.0, band=(0.7, 4.0), seed=s) for s in range(runs)]
+        [
+            multisine(samples=count, period=samples, sample_time=DT, rms=1.0, band=(0.7, 4.0), seed=s)
+            for s in range(runs)
+        ]
     )
     out = np.stack([scipy.signal.dlsim((a, b, c, d, DT), u)[1][:, 0] for u in current])
     noisy = out + 1e-3 * np.std(out) * random.normal(size=out.shape)

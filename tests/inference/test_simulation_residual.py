@@ -89,9 +89,7 @@ def test_without_a_predictor_nothing_explains_it() -> None:
 def test_where_no_noise_is_known_a_poor_simulation_is_judged_and_no_other() -> None:
     def of(error: float, random: tuple[float, float]) -> SimulationResidual:
         channels = {"arm_velocity": error}, {}, {"arm_velocity": 200.0}
-        return simulation_residual(
-            *channels, random=random, samples_per_radian=20.0, experiments=3, noise_known=False
-        )
+        return simulation_residual(*channels, random=random, samples_per_radian=20.0, experiments=3, noise_known=False)
 
     assert of(60.0, (0.4, 0.0)).cause == "stand-in"
     assert "the simulation is 30 % of the motion away from the recording (arm_velocity)" in of(60.0, (0.4, 0.0)).words

@@ -95,7 +95,11 @@ def test_the_interval_of_a_level_that_may_be_nothing_keeps_to_its_bound(level):
     asked = ("cart_coulomb.level", "spring_stiffness", "cart_viscous.coefficient")
     model = model.fix(*[n for n in model.free if n not in asked]).with_values({"cart_coulomb.level": 1e-3})
     found = est.bootstrap(
-        est.output_error(model, recording, from_model=True, progress=False), recording, repetitions=40, seed=1, progress=False
+        est.output_error(model, recording, from_model=True, progress=False),
+        recording,
+        repetitions=40,
+        seed=1,
+        progress=False,
     )
     low, high = found.interval()["cart_coulomb.level"]
     assert 0.0 <= low <= level <= high

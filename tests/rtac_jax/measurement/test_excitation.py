@@ -218,5 +218,7 @@ def test_faults_among_counts_are_still_seen():
     lone, held = angle.copy(), angle.copy()
     lone[700] += 40 * count
     held[600:650] = held[599]
-    assert any("1 suspicious outlier, the first at sample 700" in c for c in concerns(Recording((free(arm_angle=lone),))))
+    assert any(
+        "1 suspicious outlier, the first at sample 700" in c for c in concerns(Recording((free(arm_angle=lone),)))
+    )
     assert any("one and the same value for 5" in c for c in concerns(Recording((free(arm_angle=held),))))

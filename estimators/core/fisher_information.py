@@ -99,7 +99,7 @@ class Information:
             NotIdentifiableError: names what is free.
         """
         if said := self.undetermined():
-            known = "" if set(self.names).isdisjoint(_SCALES) else _FIX_THE_SCALE
+            known = _FIX_THE_SCALE if any(name in text for name in _SCALES for text in said) else ""
             raise NotIdentifiableError(
                 f"The data leave {len(said)} combination(s) of parameters free: {'; '.join(said)}. {known}Fix a parameter "
                 "(model.fix, or --fix of rtac), or add an experiment that excites it."

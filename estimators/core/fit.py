@@ -13,6 +13,7 @@ from estimators.core.information_criteria import InformationCriteria
 from estimators.core.parameter_correlation import ParameterCorrelations
 from estimators.core.result_base import Result
 from estimators.core.results import RESULTS
+from estimators.core.undetermined import UNDETERMINED
 from rtac_jax import RTAC
 from rtac_jax.overview import Overview
 
@@ -74,11 +75,11 @@ class ModelFit(Result):
     def on_bounds(self) -> dict[str, float]:
         """Return the bound on which an estimate ended, SI units, by the name of its parameter.
 
-        Of effects: a mass or a stiffness is never nothing, and one that the data leave free is near every bound by its deviation.
+        Of effects that the data show: a mass is never nothing, and what is free is near every bound by its deviation.
         """
         found = {}
         for name, p in self.parameters.items():
-            if "." not in name:
+            if "." not in name or self.information.looseness(name) >= UNDETERMINED:
                 continue
             for bound in self.model.parameters[name].bounds:
                 if name in self.information.names and abs(p.value - bound) < ON_BOUND * p.std:

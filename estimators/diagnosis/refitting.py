@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from estimators.closed_form.fit import starting_values
 from estimators.core.fisher_information import information
 from estimators.core.fit import Fit, Parameter
 from estimators.core.jacobian_factor import Arguments, factor
@@ -56,8 +57,16 @@ def compile_base(setting: Setting) -> None:
 
 
 def fit_base(setting: Setting) -> Refit:
-    """Fit the base model."""
-    return fitted(setting, (), model_with(setting, []), tuple(shared(setting.model)), None, {})
+    """Fit the base model.
+
+    It begins where the fit that is diagnosed ended; where that has run away, and predictions diverge there, in closed form.
+    """
+    free = tuple(shared(setting.model))
+    try:
+        return fitted(setting, (), model_with(setting, []), free, None, {})
+    except FloatingPointError:
+        model = starting_values(setting.model, setting.recording)
+        return fitted(setting, (), model_with(dataclasses.replace(setting, model=model), []), free, None, {})
 
 
 def trusting(setting: Setting, base: Refit) -> tuple[Setting, Refit]:

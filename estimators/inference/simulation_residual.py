@@ -171,7 +171,8 @@ def simulation_residual(
     def said(cause: Cause, channel: str) -> SimulationResidual:
         fraction = error[channel] / signal[channel]
         misses = (
-            f"{error[channel]:.2g} times the known noise away from the recording ({channel}), by {100 * fraction:.0f} % of the motion"
+            f"{error[channel]:.2g} times the known noise away from the recording ({channel}), by {100 * fraction:.0f} % of the"
+            " motion"
             if noise_known
             else f"{100 * fraction:.0f} % of the motion away from the recording ({channel})"
         )
@@ -217,8 +218,8 @@ def _words(
         if shaken != shaken:  # NaN
             return f"Unexplained: {misses}, and nothing says how much of that random forces would explain."
         return (
-            f"Unexplained: {misses}. The random forces that the predictions ask for ({size}) would leave {shaken:.2g} times the noise, so"
-            " they do not explain it."
+            f"Unexplained: {misses}. The random forces that the predictions ask for ({size}) would leave {shaken:.2g} times the"
+            " noise, so they do not explain it."
         )
     if cause == "too few data":
         return (

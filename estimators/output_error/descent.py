@@ -269,7 +269,7 @@ class Descent:
         """Refuse data that leave parameters free, before the first step.
 
         Along directions that are free the descent would wander until the model breaks. What a free simulation of all the data tells
-        beside the noise of the sensors is asked: what the start misses, or a filter that follows the sensors hides, a descent finds.
+        beside the noise of the sensors is asked: what the start misses, or a filter that follows sensors hides, a descent finds.
         """
         if self.taken == 0:
             whitener = diagonal_whitener(noise, self.data)

@@ -34,6 +34,7 @@ from estimators.diagnosis.workers import Workers
 from estimators.misspecification.candidate_screening import Screened
 from estimators.misspecification.equation_screening import Explained
 from estimators.output_error.fit import output_error
+from estimators.prediction_error.coloured_noise import with_colours
 from estimators.prediction_error.filter_pass import without_shaken
 from estimators.prediction_error.noise_estimation import compile_predictor, fit_predictor
 from estimators.validation.model_comparison import by_sample, held_out
@@ -65,8 +66,8 @@ def fit_base(setting: Setting) -> Refit:
     try:
         return fitted(setting, (), model_with(setting, []), free, None, {})
     except FloatingPointError:
-        model = starting_values(setting.model, setting.recording)
-        return fitted(setting, (), model_with(dataclasses.replace(setting, model=model), []), free, None, {})
+        model = with_colours(starting_values(setting.model, setting.recording), setting.colours)
+        return fitted(setting, (), model, free, None, {})
 
 
 def trusting(setting: Setting, base: Refit) -> tuple[Setting, Refit]:

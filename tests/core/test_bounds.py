@@ -70,6 +70,15 @@ def test_an_estimate_that_stays_on_its_bound_is_named(recordings):
     assert row[2].endswith(", on its bound")
     assert without.on_bounds() == {}
     assert "bound" not in without.outcome
+    # By the deviation of what the data leave free every value is near every bound.
+    known = fit.information
+    place = known.names.index("arm_coulomb.level")
+    apart = known.covariance.copy()
+    apart[place, place] *= 1e12
+    directions = np.roll(np.eye(len(known.names)), -place, axis=0)
+    deviations = np.geomspace(1e5, 1e-3, len(directions))
+    free = dataclasses.replace(known, covariance=apart, directions=directions, deviations=deviations)
+    assert dataclasses.replace(fit, information=free).on_bounds() == {}
 
 
 @pytest.mark.parametrize("name", [name for name in CASES if name != "arm_viscous.positive"])

@@ -10,10 +10,9 @@ from jaxtyping import Bool, Complex128, Float64, Int, Real
 # Two take off the bias by noise; more would let a pole chase the noise of single lines where the data show none.
 REFINEMENTS = 2
 NOTHING = 1e-9  # of the largest line, below which an input is rounding
-RINGING_POLES = 2  # of one lightly damped mode
-RINGING_LEVEL = (
-    1e-3  # at which a fraction explains more of a transient than a polynomial: one line in a thousand by chance
-)
+_RINGING_POLES = 2  # of one lightly damped mode
+# At which a fraction explains more of a transient than a polynomial does: by chance at one line in a thousand.
+_RINGING_LEVEL = 1e-3
 
 
 class VanishingError(ValueError):
@@ -271,11 +270,11 @@ def _ringing(
 
     Its residuals are scaled to the freedom of the polynomial's.
     """
-    freedom = smooth.freedom - RINGING_POLES
-    if freedom < RINGING_POLES:
+    freedom = smooth.freedom - _RINGING_POLES
+    if freedom < _RINGING_POLES:
         return smooth
-    powers = distance[:, :, None] ** np.arange(max(degree, RINGING_POLES) + 1)
-    below = powers[:, :, 1 : RINGING_POLES + 1]
+    powers = distance[:, :, None] ** np.arange(max(degree, _RINGING_POLES) + 1)
+    below = powers[:, :, 1 : _RINGING_POLES + 1]
     regressors = np.concatenate([powers[:, :, : degree + 1].astype(np.complex128), -below * values[:, :, None]], axis=2)
     scale = np.sqrt(np.mean(np.abs(regressors) ** 2, axis=1, keepdims=True))
     scale = np.where(scale > 0, scale, 1.0)
@@ -291,7 +290,7 @@ def _ringing(
         begun / scale[sound, 0], part[1], part[0], scale[sound], below[sound], degree + 1
     )
     before, after = (np.sum(np.abs(x) ** 2, axis=1) for x in (smooth.left[sound], left))
-    least = 1.0 + RINGING_POLES / freedom * float(scipy.stats.f.isf(RINGING_LEVEL, 2 * RINGING_POLES, 2 * freedom))
+    least = 1.0 + _RINGING_POLES / freedom * float(scipy.stats.f.isf(_RINGING_LEVEL, 2 * _RINGING_POLES, 2 * freedom))
     rings = before > least * after
     places = np.flatnonzero(sound)[rings]
     size = scale[places, 0, 0]

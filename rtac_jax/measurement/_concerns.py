@@ -78,8 +78,24 @@ def _about_recording(recording: Recording) -> Iterator[str]:
                 "ones count too much, what is said of errors over noise is wrong for each, and standard deviations are not "
                 "those of the quieter ones; fit experiments of one level at a time (Recording.select)."
             )
+    if zeroed := _zeroed(recording):
+        yield (
+            f"arm_angle begins at exactly 0 in {_listed(zeroed)}, as where an incremental encoder is zeroed at every start; unless "
+            "the arm began in one place each time, its zero differs between experiments, which no effect of the catalogue "
+            "explains: turn the arm to one mark before the encoder is zeroed, or add the angle at which it began."
+        )
     if all(experiment.kind == "rest" for experiment in recording):
         yield "All experiments are at rest, so there is nothing to fit; record free or forced ones."
+
+
+def _zeroed(recording: Recording) -> list[str]:
+    """Return the names of moving experiments whose free arm begins at exactly zero, if that is so of all, and they are several."""
+    turning = [e for e in recording if e.kind != "rest" and e.arm != "locked" and "arm_angle" in e.outputs]
+    return (
+        [e.name for e in turning]
+        if len(turning) > 1 and not any(e.outputs["arm_angle"].values[0] for e in turning)
+        else []
+    )
 
 
 def _stated_levels(recording: Recording) -> dict[str, dict[str, float]]:

@@ -222,3 +222,13 @@ def test_faults_among_counts_are_still_seen():
         "1 suspicious outlier, the first at sample 700" in c for c in concerns(Recording((free(arm_angle=lone),)))
     )
     assert any("one and the same value for 5" in c for c in concerns(Recording((free(arm_angle=held),))))
+
+
+def test_an_encoder_that_is_zeroed_at_every_start_is_a_concern():
+    def turned(name, by):
+        angle = np.floor((0.3 * np.sin(3 * T) + by) / 1e-3) * 1e-3
+        return replace(free(arm_angle=angle), name=name)
+
+    for offsets, said in (((0.0, 0.0), True), ((0.0, 0.2), False), ((0.0,), False)):
+        recording = Recording(tuple(turned(f"free_{n}", by) for n, by in enumerate(offsets)))
+        assert any("zeroed at every start" in c for c in concerns(recording)) == said

@@ -43,6 +43,20 @@ def noise_levels(experiments: Sequence[Experiment]) -> dict[str, float]:
     return levels
 
 
+def stated_levels(experiments: Sequence[Experiment]) -> dict[tuple[str, str], float]:
+    """Return the noise that the file states, by the names of experiment and channel, where no record at rest shows it, SI units.
+
+    Never below a twelfth of a quantisation step squared.
+    """
+    resting = {channel for e in experiments if e.kind == "rest" for channel in e.outputs}
+    return {
+        (e.name, channel): max(signal.noise_std, quantisation_step(signal.values) / np.sqrt(12.0))
+        for e in experiments
+        for channel, signal in e.outputs.items()
+        if channel not in resting and signal.noise_std is not None
+    }
+
+
 def _least_step(several: Iterable[Values]) -> float:
     """Return the smallest quantisation step of several records; where one has none, the others need not be sorted."""
     least = np.inf

@@ -18,7 +18,7 @@ from estimators.core.parameter_space import Space, Unknowns
 from estimators.core.residual import diagonal_whitener, no_gain
 from estimators.core.result_base import Result
 from estimators.core.results import DivergedError
-from estimators.core.sensor_noise import noise_levels
+from estimators.core.sensor_noise import noise_levels, stated_levels
 from estimators.core.start_search import searched
 from estimators.core.step_size import accurate_substeps
 from estimators.prediction_error.fit import PredictorFit
@@ -82,7 +82,8 @@ class Compared:
             rms = float(np.sqrt(np.nanmean(residual**2)))
             whole = float(np.sqrt(np.nanmean(spread**2)))
             percent = 100 * (1 - rms / whole) if whole > 0 else float("-inf")
-            found[channel] = ChannelError(percent, rms, rms / traces[0].noise)
+            white = np.concatenate([t.residual / t.noise for t in traces])
+            found[channel] = ChannelError(percent, rms, float(np.sqrt(np.nanmean(white**2))))
         return found
 
     def worst(self, count: int = 3) -> list[Trace]:
@@ -195,7 +196,7 @@ def compare(
         levels |= {c: s for c, s in fitted.noise.items() if c in levels}
     return Comparison(
         tuple(
-            _compare_one(fit, label, experiments, levels, start_samples, ahead)
+            _compare_one(fit, label, experiments, levels, stated_levels(recording.experiments), start_samples, ahead)
             for fit, label in zip(several, names, strict=True)
         ),
         ahead,
@@ -213,6 +214,7 @@ def _compare_one(
     label: str,
     experiments: Sequence[Experiment],
     levels: Mapping[str, float],
+    stated: Mapping[tuple[str, str], float],
     start_samples: int | None,
     ahead: int | None,
 ) -> Compared:
@@ -256,7 +258,7 @@ def _compare_one(
                         values,
                         np.zeros(e.samples) if drive is None else np.asarray(drive.values),
                         np.arange(e.samples) >= used,
-                        levels[channel],
+                        stated.get((e.name, channel), levels[channel]),
                     )
                 )
     criteria = None if isinstance(fit, RTAC) else fit.criteria

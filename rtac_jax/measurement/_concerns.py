@@ -75,8 +75,8 @@ def _about_recording(recording: Recording) -> Iterator[str]:
             yield (
                 f"The stated noise of {channel} differs between experiments, from {levels[quiet]:.3g} in {quiet} to "
                 f"{levels[loud]:.3g} in {loud}, and whatever fits them takes one level for all, the root mean square: the noisier "
-                "ones count too much, what is said of errors over noise is wrong for each, and standard deviations are not "
-                "those of the quieter ones; fit experiments of one level at a time (Recording.select)."
+                "ones count too much, standard deviations are not those of the quieter ones, and a diagnosis judges by that "
+                "level; fit experiments of one level at a time (Recording.select)."
             )
     if zeroed := _zeroed(recording):
         yield (

@@ -53,6 +53,31 @@ def test_all_experiments_count_the_samples_that_each_counts() -> None:
     assert both.fit_percent == pytest.approx(100 * (1 - left), rel=1e-9)
 
 
+def test_each_experiment_is_held_against_the_noise_that_is_stated_of_it() -> None:
+    """One is ten times noisier: against one level for both, the quiet one lies far below its noise."""
+    quiet, loud = (
+        virtual_rig.record(
+            virtual_rig.Rig(position_noise=level),
+            [virtual_rig.Plan(name, "free", 4.0, 0.01, initial_position=8e-3, initial_angle=np.pi / 2)],
+            seed=seed,
+        ).experiments[0]
+        for name, level, seed in (("quiet", 2e-5, 1), ("loud", 2e-4, 2))
+    )
+    recording = rtac.Recording(
+        tuple(
+            dataclasses.replace(
+                e, outputs={"cart_position": dataclasses.replace(e.outputs["cart_position"], noise_std=level)}
+            )
+            for e, level in ((quiet, 2e-5), (loud, 2e-4))
+        ),
+        rig={"total_mass": virtual_rig.Rig().total_mass},
+    )
+    found = est.compare(rtac.RTAC.paper(), recording).models[0]
+    for trace in found.traces:
+        assert trace.rms / trace.noise == pytest.approx(1.0, abs=0.15), trace.experiment
+    assert found.errors["cart_position"].rms_over_noise == pytest.approx(1.0, abs=0.1)
+
+
 def test_a_simulation_begins_at_a_speed_of_the_arm_that_no_sample_shows() -> None:
     """The tachometer sits on the rotor, which swings by radians per second about an arm behind a soft shaft."""
     rig = dataclasses.replace(virtual_rig.Rig(), shaft_stiffness=STIFFNESS, shaft_damping=DAMPING, rotor_share=ROTOR)

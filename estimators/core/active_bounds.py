@@ -20,6 +20,10 @@ _FLAT = 0.01  # of the slope that it has amid its range, below which a parameter
 # How far inside a parameter begins again that the data pull off its bound, as fractions of its scale: where a straight line
 # leads, but neither back to where its slope is lost, nor beyond a plausible size.
 _INSIDE = (0.05, 1.0)
+# Standard deviations inside, if that is less: from farther off a descent may not come back to what fine sensors tell from nothing.
+_BEYOND = 3.0
+# Log-likelihood within which two values of one parameter are as good: half the 95 % quantile of chi-square of one degree.
+_AS_GOOD = 1.92
 # Unconstrained values that are as good as the bound, 1e-5 of the scale from a single one and 2e-9 of the width from one of two,
 # and where the slope is still a number: a parameter without any would look as if nothing pulled it.
 _AT_ONE, _AT_TWO = 1e5, 20.0
@@ -62,6 +66,8 @@ def solve_bounded(
         solved = solved._replace(factor=full, pulled=bool(inside or apart), held=len(before))
         if best is None or solved.cost <= best.cost:
             best = solved
+        elif best.pulled and not solved.pulled and solved.cost < best.cost + _AS_GOOD:
+            best = best._replace(pulled=False)  # it was released, and inside nothing is better
         if (held == before and not inside and not apart) or turn == _TURNS:
             return best
         shared = np.asarray(unknowns.shared).copy()
@@ -179,7 +185,7 @@ def _released(
     if slope >= _FLAT * amid or inward <= _NEAR * deviation:
         return None
     least, most = (fraction * scale for fraction in _INSIDE)
-    by = min(max(inward, least), most, 0.5 * width)
+    by = min(max(inward, min(least, _BEYOND * deviation)), most, 0.5 * width)
     target = low + by if value - low < high - value else high - by
     return float(to_unconstrained(*(np.asarray(x) for x in (target, low, high, scale))))
 

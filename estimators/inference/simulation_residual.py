@@ -84,7 +84,7 @@ class SimulationResidual:
             "unexplained": "Nothing explains the error of the simulation",
         }[self.cause]
         if not self.noise_known:
-            return f"{said}: {100 * self.signal_fraction:.0f} % of the motion ({self.channel})"
+            return f"{said}: the simulation misses {100 * self.signal_fraction:.0f} % of the motion ({self.channel})"
         return f"{said}: {self.ratio:.2g} times the noise ({self.channel})"
 
 

@@ -264,3 +264,17 @@ def test_what_shows_nothing_at_all_is_undetermined():
         found = information_of(matrix, ("a", "b"), np.array([1e-4, 1e4]))
         assert np.all(np.isfinite(found.covariance))
         assert "b has no effect on what was measured" in found.undetermined() or "scaled" in str(found.undetermined())
+
+
+@pytest.mark.parametrize(("more", "pulled"), [(0.9, False), (5.0, True)])
+def test_what_was_released_and_ends_no_better_is_pulled_no_longer(fitted, monkeypatch, more, pulled):
+    """At a bound a pull of less than two deviations is chance; one that leads to a worse place has not been followed."""
+    recording, fit = fitted
+    problem = at_fit(fit, recording)
+    best = solve_bounded(problem.unknowns, problem.arguments)
+    costs = iter((100.0, 100.0 + more))
+    inside = iter(({0: float(np.asarray(problem.unknowns.shared)[0])}, {}))
+    monkeypatch.setattr(_bounds, "solve", lambda *_, **__: best._replace(cost=next(costs)))
+    monkeypatch.setattr(_bounds, "_on_bounds", lambda *_: ({}, next(inside)))
+    found = solve_bounded(problem.unknowns, problem.arguments)
+    assert (found.cost, found.pulled) == (100.0, pulled)

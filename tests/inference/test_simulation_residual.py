@@ -93,7 +93,10 @@ def test_where_no_noise_is_known_a_poor_simulation_is_judged_and_no_other() -> N
 
     assert of(60.0, (0.4, 0.0)).cause == "stand-in"
     assert "the simulation is 30 % of the motion away from the recording (arm_velocity)" in of(60.0, (0.4, 0.0)).words
-    assert of(60.0, (0.4, 0.0)).headline == "Random forces stand in for the physics: 30 % of the motion (arm_velocity)"
+    assert (
+        of(60.0, (0.4, 0.0)).headline
+        == "Random forces stand in for the physics: the simulation misses 30 % of the motion (arm_velocity)"
+    )
     assert of(60.0, (NAN, NAN)).cause == "unexplained"
     assert of(15.0, (0.4, 0.0)).cause == "noise"  # of a sensor that wanders slowly the fastest changes tell too little
     assert of(15.0, (0.4, 0.0)).words == ""

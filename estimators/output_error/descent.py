@@ -44,6 +44,8 @@ _AT_REST = 0.5
 _TURNED = 0.95
 # A start whose short predictions stay this many times worse than another's is given up.
 _HOPELESS = 5.0
+# Sensitivities of a start that all but diverges, whose squares would be no numbers.
+_SQUARED = 1e150
 # A start leads where another one did if, once both were guided, the rms of what sets their simulations apart is less than this
 # many times the noise of every sensor: no measurement could tell them from each other.
 _ALIKE = 0.3
@@ -273,9 +275,10 @@ class Descent:
         """
         if self.taken == 0:
             whitener = diagonal_whitener(noise, self.data)
-            first = factor(unknowns, Arguments(model, self.data, space, whitener, no_gain(model, self.data), substeps))
-            if not diverged(first):
-                information(np.asarray(first), space, unknowns).require_determined()
+            start = Arguments(model, self.data, space, whitener, no_gain(model, self.data), substeps)
+            first = np.asarray(factor(unknowns, start))
+            if not diverged(first) and np.max(np.abs(first)) < _SQUARED:
+                information(first, space, unknowns).require_determined()
 
     def _gain(
         self, data: Data, model: RTAC, space: Space, unknowns: Unknowns, noise: np.ndarray, scales: Any, fraction: float,

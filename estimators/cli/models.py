@@ -55,8 +55,12 @@ def start_model(work: Job, path: Path | None, effects: Path | None = None, fix: 
         effects: Python file with the user's own effects that it may hold.
         fix: parameters that are not estimated, NAME or NAME=VALUE, with commas between.
     """
-    model = work.model() if path is None else _model_of(model_or_fit(path, effects))
-    for one in filter(None, (text.strip() for text in (fix or "").split(","))):
+    return _held(work.model() if path is None else _model_of(model_or_fit(path, effects)), fix or "")
+
+
+def _held(model: Any, fix: str) -> Any:
+    """Return a model with the parameters fixed that `--fix` names, at the values that it gives."""
+    for one in filter(None, (text.strip() for text in fix.split(","))):
         name, _, value = (text.strip() for text in one.partition("="))
         try:
             model = model.fix(name)

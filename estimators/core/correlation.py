@@ -56,18 +56,16 @@ def whiteness(error: Values, present: Values, lags: int = LAGS, *, fitted: int =
     Source: Ljung and Box, Biometrika 65 (1978); Ljung, System Identification (1999), section 16.6.
     """
     count = float(np.sum(present))
-    own = autocovariance(error, lags)
     places = np.flatnonzero(present)
     rate = int(np.gcd.reduce(np.diff(places))) if len(places) > 1 else 1
-    error, present = (x[places[0] if len(places) else 0 :: rate] for x in (error, present))
-    products = own if rate == 1 else autocovariance(error, lags)
-    correlated = products[1:] / products[0] if products[0] > 0 else 0.0 * products[1:]
-    pairs = autocovariance(present, lags)[1:] * len(present)  # where samples are missing, fewer tell of a lag
+    at_rate = slice(places[0] if len(places) else 0, None, rate)
+    error_at_rate, present_at_rate = error[at_rate], present[at_rate]
+    # Where samples are missing, fewer tell of a lag.
+    pairs = autocovariance(present_at_rate, lags)[1:] * len(present_at_rate)
     told = pairs > 0.5  # whole numbers but for rounding
-    statistic = count * (count + 2) * float(np.sum(correlated[told] ** 2 / pairs[told]))
+    statistic = count * (count + 2) * float(np.sum(_autocorrelation(error_at_rate, lags)[1:][told] ** 2 / pairs[told]))
     p_value = float(chi2.sf(statistic, max(int(np.sum(told)) - fitted, 1))) if told.any() else float("nan")
-    found = own[1:] / own[0] if own[0] > 0 else 0.0 * own[1:]
-    return Whiteness(found, quantile() / np.sqrt(max(count, 1.0)), p_value)
+    return Whiteness(_autocorrelation(error, lags)[1:], quantile() / np.sqrt(max(count, 1.0)), p_value)
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +117,7 @@ def independence_band(a: Values, b: Values) -> float:
 
     Its variance is sum_k R_a(k) R_b(k) / N.
     """
-    own = _autocorrelation(a) * _autocorrelation(b)
+    own = _autocorrelation(a, len(a) - 1) * _autocorrelation(b, len(b) - 1)
     # Over all lags the sum would be the mean square of the correlations themselves, and nothing could stand out of it;
     # and Parzen's window keeps it positive, which a cut would not.
     longest = max(len(own) // 3, 1)
@@ -128,10 +126,10 @@ def independence_band(a: Values, b: Values) -> float:
     return quantile() * float(np.sqrt(inflation / len(own)))
 
 
-def _autocorrelation(x: Values) -> Float[np.ndarray, " lag"]:
-    """Return the autocorrelation at all lags; one at lag zero also where there is no signal."""
-    found = autocovariance(x, len(x) - 1)
-    return found / found[0] if found[0] > 0 else np.eye(1, len(x))[0]
+def _autocorrelation(x: Values, lags: int) -> Float[np.ndarray, " lag"]:
+    """Return the autocorrelation at lags 0 ... `lags`; one at lag zero also where there is no signal."""
+    found = autocovariance(x, lags)
+    return found / found[0] if found[0] > 0 else np.eye(1, len(found))[0]
 
 
 def centred(values: Values) -> Values:

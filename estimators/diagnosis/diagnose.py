@@ -190,9 +190,9 @@ def diagnose(
         unshown = [c for c in classes if c.id not in setting.absent and not stood_for(c, setting.experiments)]
         told = _told(laboratory, evidence, judge(evidence, policy), unshown)
     facts = evidence.facts
-    doubted = told.verdict == "adequate" if not facts.noise_known else told.simulation is not None
-    doubted = doubted and (told.simulation is None or told.simulation.cause == "unexplained")
-    if doubted and max(told.random_force, told.random_torque) < SHAKEN:  # or else they are the reason
+    unexplained = told.simulation is not None and told.simulation.cause == "unexplained"
+    unasked = told.verdict == "adequate" and not facts.noise_known
+    if (unexplained or unasked) and max(told.random_force, told.random_torque) < SHAKEN:  # or else they are the reason
         said = strayed(fit.residual_std, fit.noise, recording, unfollowed=facts.unfollowed, poor=policy.simulation.poor)
         told = dataclasses.replace(told, explanation=told.explanation + said)
     return dataclasses.replace(told, seconds=time.perf_counter() - began)

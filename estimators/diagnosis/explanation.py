@@ -9,7 +9,7 @@ from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
 from estimators.diagnosis.removed_error import Verdict, fraction_removed, without_named_rivals
 from estimators.diagnosis.step import Step
 from estimators.diagnosis.verdict import Consequence
-from estimators.inference.simulation_residual import SimulationResidual, known_noise
+from estimators.inference.simulation_residual import SimulationResidual, judged_channels
 from estimators.misspecification.adequacy import AdequacyTest, excess_of, significant
 from estimators.misspecification.line_classes import LineClass
 from estimators.misspecification.residual_maps import Place
@@ -223,16 +223,14 @@ def strayed(
         unfollowed: rms error over the rms of the motion, of the channel where it is most.
         poor: fraction of the motion from which a simulation is poor.
     """
-    at_rest = known_noise(recording)
-    known = [c for c in noise if c in at_rest and c in residual_std]
-    channel = max(known, key=lambda c: residual_std[c] / noise[c], default=None)
-    far = residual_std[channel] / noise[channel] if channel is not None else 0.0
-    if far >= _STRAYED:
-        away = f"{far:.0f} times the noise away from the recording ({channel})"
-    elif not known and unfollowed > poor:
-        away = f"{100 * unfollowed:.0f} % of the motion away from the recording"
-    else:
+    channels, noise_known = judged_channels(residual_std, recording)
+    farthest = max(channels, key=lambda c: residual_std[c] / noise[c])
+    times = residual_std[farthest] / noise[farthest]
+    if not (times >= _STRAYED if noise_known else unfollowed > poor):
         return ""
+    away = f"{100 * unfollowed:.0f} % of the motion away from the recording"
+    if noise_known:
+        away = f"{times:.0f} times the noise away from the recording ({farthest})"
     return (
         f" Even so, the simulation of the fit is {away}: the fit ended at"
         " values that are not the best, or no simulation can follow this motion, as where an arm tumbles. Its parameters and"

@@ -40,7 +40,7 @@ from estimators.diagnosis.refitting import (
 from estimators.diagnosis.setting import Setting
 from estimators.diagnosis.workers import Workers
 from estimators.inference.shaken_simulation import unfollowed
-from estimators.inference.simulation_residual import known_noise
+from estimators.inference.simulation_residual import judged_channels
 from estimators.misspecification.candidate_screening import Screened, by_statistic, correlations
 from estimators.misspecification.detection_limit import is_testable
 from estimators.misspecification.equation_screening import Explained
@@ -279,7 +279,7 @@ def facts_of(setting: Setting, fit: Fit) -> Facts:
         seconds=int(np.max(setting.stretches())) + 1,
         experiments=len(setting.experiments),
         rest=any(e.kind == "rest" for e in setting.recording.experiments),
-        noise_known=bool(known_noise(setting.recording) & set(fit.residual_std)),
+        noise_known=judged_channels(fit.residual_std, setting.recording)[1],
         samples_per_radian=float(setting.samples_per_radian),
         left_out=float(setting.left_out),
         noise={channel: float(level) for channel, level in fit.noise.items()},

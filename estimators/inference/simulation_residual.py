@@ -98,6 +98,17 @@ def known_noise(recording: "Recording") -> frozenset[str]:
     )
 
 
+def judged_channels(residual_std: Mapping[str, float], recording: "Recording") -> tuple[list[str], bool]:
+    """Return the channels whose simulation error is judged, and whether their noise is known: all of a fit, where none is.
+
+    Args:
+        residual_std: rms that the simulation of a fit leaves, by channel.
+        recording: that was fitted.
+    """
+    known = [channel for channel in residual_std if channel in known_noise(recording)]
+    return known or list(residual_std), bool(known)
+
+
 def random_forces_are_large(
     random: tuple[float, float], samples_per_radian: float, limits: SimulationLimits = STANDARD
 ) -> bool:
@@ -170,12 +181,9 @@ def simulation_residual(
 
     def said(cause: Cause, channel: str) -> SimulationResidual:
         fraction = error[channel] / signal[channel]
-        misses = (
-            f"{error[channel]:.2g} times the known noise away from the recording ({channel}), by {100 * fraction:.0f} % of the"
-            " motion"
-            if noise_known
-            else f"{100 * fraction:.0f} % of the motion away from the recording ({channel})"
-        )
+        misses = f"the simulation is {100 * fraction:.0f} % of the motion away from the recording ({channel})"
+        if noise_known:
+            misses += f", {error[channel]:.2g} times the known noise"
         words = _words(cause, misses, shaken.get(channel, nothing), random, suspect, seconds)
         return SimulationResidual(
             cause, channel, error[channel], shaken.get(channel, nothing), fraction, *random, words, noise_known
@@ -196,7 +204,7 @@ def simulation_residual(
 
 def _words(
     cause: Cause,
-    away: str,
+    misses: str,
     shaken: float,
     random: tuple[float, float],
     suspect: str,
@@ -204,7 +212,6 @@ def _words(
 ) -> str:
     if cause == "noise":
         return ""
-    misses = f"the simulation is {away}"
     size = (
         f"{100 * random[0]:.2g} % of the rms spring force and {100 * random[1]:.2g} % of the rms torque in one sample"
     )

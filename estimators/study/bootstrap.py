@@ -71,25 +71,29 @@ class Bootstrap:
         Source: Davison and Hinkley, Bootstrap Methods and their Application (1997), section 2.4: the basic interval; Efron and
         Tibshirani, An Introduction to the Bootstrap (1993), chapter 13: that of percentiles, which keeps to bounds.
         """
-        low, high = np.quantile(self._kept, [0.5 - 0.5 * level, 0.5 + 0.5 * level], axis=0)
-        inside = self._inside(high, low)
+        percentiles = self._percentiles(level)
+        basic = 2 * self.values - percentiles[::-1]
+        # A fit comes as near to a bound as this, and not onto it.
+        near = ON_BOUND * self.stated
         lowest, highest = self.bounds.T
-        low = np.where(inside, low, np.where(low - lowest < ON_BOUND * self.stated, lowest, low))
-        high = np.where(inside, high, np.where(highest - high < ON_BOUND * self.stated, highest, high))
-        ends = zip(
-            np.where(inside, 2 * self.values - high, low), np.where(inside, 2 * self.values - low, high), strict=True
-        )
-        return {n: (float(a), float(b)) for n, (a, b) in zip(self.names, ends, strict=True)}
+        low = np.where(percentiles[0] - lowest < near, lowest, percentiles[0])
+        high = np.where(highest - percentiles[1] < near, highest, percentiles[1])
+        ends = np.where(self._reaches_beyond(basic), [low, high], basic)
+        return {n: (float(a), float(b)) for n, (a, b) in zip(self.names, ends.T, strict=True)}
 
     @property
     def bounded(self) -> tuple[str, ...]:
         """Return the parameters whose 95 % interval is one of percentiles, because they may lie on a bound."""
-        low, high = np.quantile(self._kept, [0.025, 0.975], axis=0)
-        return tuple(n for n, inside in zip(self.names, self._inside(high, low), strict=True) if not inside)
+        beyond = self._reaches_beyond(2 * self.values - self._percentiles(0.95)[::-1])
+        return tuple(n for n, one in zip(self.names, beyond, strict=True) if one)
 
-    def _inside(self, high: np.ndarray, low: np.ndarray) -> Bool[np.ndarray, " parameter"]:
-        """Return which basic intervals end within the bounds."""
-        return (2 * self.values - high > self.bounds[:, 0]) & (2 * self.values - low < self.bounds[:, 1])
+    def _percentiles(self, level: float) -> Float[np.ndarray, "end parameter"]:
+        """Return the ends between which so many of the replicates lie."""
+        return np.quantile(self._kept, [0.5 - 0.5 * level, 0.5 + 0.5 * level], axis=0)
+
+    def _reaches_beyond(self, ends: Float[np.ndarray, "end parameter"]) -> Bool[np.ndarray, " parameter"]:
+        """Return which intervals end on a bound or beyond it."""
+        return (ends[0] <= self.bounds[:, 0]) | (ends[1] >= self.bounds[:, 1])
 
     @property
     def _kept(self) -> Float[np.ndarray, "replicate parameter"]:

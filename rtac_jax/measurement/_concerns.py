@@ -91,11 +91,9 @@ def _about_recording(recording: Recording) -> Iterator[str]:
 def _zeroed(recording: Recording) -> list[str]:
     """Return the names of moving experiments whose free arm begins at exactly zero, if that is so of all, and they are several."""
     turning = [e for e in recording if e.kind != "rest" and e.arm != "locked" and "arm_angle" in e.outputs]
-    return (
-        [e.name for e in turning]
-        if len(turning) > 1 and not any(e.outputs["arm_angle"].values[0] for e in turning)
-        else []
-    )
+    if len(turning) < 2 or any(e.outputs["arm_angle"].values[0] != 0 for e in turning):
+        return []
+    return [e.name for e in turning]
 
 
 def _stated_levels(recording: Recording) -> dict[str, dict[str, float]]:

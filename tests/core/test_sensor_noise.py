@@ -1,9 +1,10 @@
-"""The noise that is read off a spectrum, also where samples are missing."""
+"""The noise of a sensor: at rest, as stated, or read off a spectrum, also where samples are missing."""
 
 import numpy as np
 import pytest
 
-from estimators.core.sensor_noise import spectral_floor
+import rtac_jax as rtac
+from estimators.core.sensor_noise import noise_levels, quantisation_step, spectral_floor
 
 MISSING = {
     "none": lambda index, random: index < 0,
@@ -41,3 +42,23 @@ def test_few_samples_far_apart_have_a_level_too() -> None:
     values = np.full(100, np.nan)
     values[::20] = [0.0, 1.0, 0.5, 1.5, 0.2]
     assert np.isfinite(spectral_floor(values))
+
+
+def test_noise_levels_from_rest_statement_and_spectrum() -> None:
+    random = np.random.default_rng(0)
+    time = 0.005 * np.arange(4000)
+    motion = 0.01 * np.sin(10 * time) * np.exp(-0.2 * time)
+    moving = rtac.Experiment.of(
+        "a", kind="free", sample_time=0.005, cart_position=motion + 2e-5 * random.normal(size=4000)
+    )
+    rest = rtac.Experiment.of("r", kind="rest", sample_time=0.005, cart_position=3e-5 * random.normal(size=2000) + 1e-3)
+    assert spectral_floor(moving.outputs["cart_position"].values) == pytest.approx(2e-5, rel=0.15)
+    assert noise_levels([moving])["cart_position"] == pytest.approx(2e-5, rel=0.15)
+    assert noise_levels([moving, rest])["cart_position"] == pytest.approx(3e-5, rel=0.1)
+    stated = rtac.Experiment.of(
+        "b", kind="free", sample_time=0.005, cart_position=motion, noise_std={"cart_position": 7e-5}
+    )
+    assert noise_levels([stated])["cart_position"] == pytest.approx(7e-5)
+    coarse = np.round(motion / 1e-3) * 1e-3
+    assert quantisation_step(coarse) == pytest.approx(1e-3, rel=1e-6)
+    assert quantisation_step(motion) == 0.0

@@ -13,13 +13,11 @@ from scipy.linalg import expm
 
 import estimators as est
 import rtac_jax as rtac
-from estimators.core.bound_transform import to_physical, to_unconstrained
 from estimators.core.data import Data
-from estimators.core.fisher_information import information, information_of
+from estimators.core.fisher_information import information
 from estimators.core.initial_state import space_of
 from estimators.core.jacobian_factor import Arguments, factor
 from estimators.core.residual import diagonal_whitener
-from estimators.core.sensor_noise import noise_levels, quantisation_step, spectral_floor
 from estimators.output_error.descent import Descent
 from estimators.prediction_error.ekf import filtered
 from rtac_jax import virtual_rig
@@ -256,40 +254,6 @@ def test_a_parameter_of_each_experiment_is_estimated_for_each(noisy: rtac.Record
     np.testing.assert_allclose(np.asarray(fit.model["tacho_bias.bias"]), expected, atol=0.02)
 
 
-def test_transform_is_invertible_and_keeps_bounds() -> None:
-    infinity = np.inf
-    lower = np.array([-infinity, 0.0, 0.0, -infinity, 2.0])
-    upper = np.array([infinity, infinity, 1.0, 3.0, infinity])
-    scale = np.array([5.0, 0.1, 1.0, 2.0, 1e-6])
-    value = np.array([-7.0, 0.03, 0.3, -4.0, 2.0 + 3e-6])
-    z = to_unconstrained(value, lower, upper, scale)
-    np.testing.assert_allclose(to_physical(*map(jnp.asarray, (z, lower, upper, scale))), value, rtol=1e-12)
-    for extreme in (-50.0, 50.0):
-        moved = np.asarray(to_physical(jnp.full(5, extreme), *map(jnp.asarray, (lower, upper, scale))))
-        assert np.all(moved >= lower)
-        assert np.all(moved <= upper)
-
-
-def test_noise_levels_from_rest_statement_and_spectrum() -> None:
-    random = np.random.default_rng(0)
-    time = 0.005 * np.arange(4000)
-    motion = 0.01 * np.sin(10 * time) * np.exp(-0.2 * time)
-    moving = rtac.Experiment.of(
-        "a", kind="free", sample_time=0.005, cart_position=motion + 2e-5 * random.normal(size=4000)
-    )
-    rest = rtac.Experiment.of("r", kind="rest", sample_time=0.005, cart_position=3e-5 * random.normal(size=2000) + 1e-3)
-    assert spectral_floor(moving.outputs["cart_position"].values) == pytest.approx(2e-5, rel=0.15)
-    assert noise_levels([moving])["cart_position"] == pytest.approx(2e-5, rel=0.15)
-    assert noise_levels([moving, rest])["cart_position"] == pytest.approx(3e-5, rel=0.1)
-    stated = rtac.Experiment.of(
-        "b", kind="free", sample_time=0.005, cart_position=motion, noise_std={"cart_position": 7e-5}
-    )
-    assert noise_levels([stated])["cart_position"] == pytest.approx(7e-5)
-    coarse = np.round(motion / 1e-3) * 1e-3
-    assert quantisation_step(coarse) == pytest.approx(1e-3, rel=1e-6)
-    assert quantisation_step(motion) == 0.0
-
-
 def test_kalman_filter_agrees_with_one_for_linear_systems() -> None:
     """A locked arm and no dry friction make a linear oscillator, for which the textbook filter is written out here."""
     random = np.random.default_rng(3)
@@ -364,20 +328,6 @@ def test_the_compressed_residual_keeps_squares_and_gradients(noisy: rtac.Recordi
         whole = np.concatenate([jacobian, rows(here, column)[:, None]], axis=1)
         part = compact[column][:, [0, 1, -1]]
         np.testing.assert_allclose(part.T @ part, whole.T @ whole, rtol=2e-4)
-
-
-def test_information_names_what_is_free_and_matches_least_squares() -> None:
-    random = np.random.default_rng(1)
-    matrix = random.normal(size=(200, 2))
-    known = information_of(matrix, ("a", "b"), np.array([1.0, 1.0]))
-    np.testing.assert_allclose(known.covariance, np.linalg.inv(matrix.T @ matrix), rtol=1e-10)
-    assert known.undetermined() == []
-    together = information_of(matrix[:, :1] @ np.array([[1.0, -1.0]]), ("a", "b"), np.array([1.0, 1.0]))
-    assert together.undetermined() == ["a, b may be scaled together"]
-    silent = information_of(matrix * np.array([1.0, 0.0]), ("a", "b"), np.array([1.0, 1.0]))
-    assert silent.undetermined() == ["b has no effect on what was measured"]
-    with pytest.raises(est.NotIdentifiableError, match="b has no effect"):
-        silent.require_determined()
 
 
 def test_covariance_integrates_the_starts_out(noisy: rtac.Recording) -> None:

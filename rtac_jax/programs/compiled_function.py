@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
+from rtac_jax.programs.compiler import compile_lowered
 from rtac_jax.programs.environment import LIBRARIES, PACKAGES, environment
 from rtac_jax.programs.files import (
     Kept,
@@ -136,7 +137,7 @@ class Program(Generic[Given, Result]):
             return _Made(None, None)
         code = None if file is None else code_file(file.parents[1], self._name, lowered)
         if file is None or code is None:
-            return _Made(lowered.compile(), shapes[0])
+            return _Made(compile_lowered(lowered), shapes[0])
         given = sum(map(_is_array, leaves))
         run = loaded_code(code, given, shapes[0].num_leaves) or compile_and_save(lowered, code)
         save(file, Kept(code.name, given, jax.tree.unflatten(shapes[0], range(shapes[0].num_leaves))))

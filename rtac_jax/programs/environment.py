@@ -14,6 +14,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from rtac_jax.programs.compiler import OPTIONS
+
 PACKAGES = ("rtac_jax", "estimators")
 """Whose source determines what is traced."""
 LIBRARIES = ("jax", "jaxlib", "equinox", "jaxtyping", "lineax", "optimistix", "numpy")
@@ -29,7 +31,7 @@ def environment() -> str:
 def settings() -> tuple[Any, ...]:
     """Return JAX's settings, whether numbers are double, and the compiler's options."""
     chosen = {k: v for k, v in jax.config.values.items() if "cache" not in k and "log" not in k}
-    return sorted(map(repr, chosen.items())), str(jnp.result_type(float)), os.environ.get("XLA_FLAGS")
+    return sorted(map(repr, chosen.items())), str(jnp.result_type(float)), (os.environ.get("XLA_FLAGS"), OPTIONS)
 
 
 @functools.cache

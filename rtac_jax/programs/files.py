@@ -23,6 +23,7 @@ import jax.numpy as jnp
 from jax.experimental import serialize_executable
 
 from rtac_jax.measurement.atomic_write import replacing
+from rtac_jax.programs.compiler import compile_lowered
 from rtac_jax.programs.environment import machine, patched, settings
 
 FOLDER = "programs"
@@ -98,7 +99,7 @@ def compile_and_save(lowered: jax.stages.Lowered, file: Path) -> jax.stages.Comp
     Code that was loaded from there lacks parts when it is written again.
     """
     with _watched_cache() as hits:
-        compiled = lowered.compile()
+        compiled = compile_lowered(lowered)
     if not hits:
         with contextlib.suppress(Exception):  # code that has no such form
             _write(file, serialize_executable.serialize(compiled)[0])

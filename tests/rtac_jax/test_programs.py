@@ -15,7 +15,7 @@ import pytest
 from jax.experimental.compilation_cache.compilation_cache import reset_cache
 
 from rtac_jax import RTAC
-from rtac_jax.programs import Program, compiled_function, environment
+from rtac_jax.programs import Program, compiled_function, compiler, environment
 from rtac_jax.programs import files as kept_files
 from rtac_jax.programs.fingerprint import NoFingerprintError, Traced, fingerprint
 
@@ -311,3 +311,20 @@ def test_where_a_method_of_the_package_was_replaced_nothing_is_loaded_or_kept(tm
     told = [sys.executable, "-c", PATCHED, str(tmp_path)]
     run = subprocess.run(told, capture_output=True, text=True, check=True)
     assert run.stdout.split() == ["False", "False", "True", "True", "False", "False"]
+
+
+def test_an_option_that_the_compiler_does_not_know_is_left_out(monkeypatch) -> None:
+    monkeypatch.setattr(compiler, "OPTIONS", {"xla_cpu_no_such_thing": True})
+    monkeypatch.setattr(compiler, "_unknown", set())
+    lowered = jax.jit(lambda x: x + 1).lower(1.0)
+    assert compiler.compile_lowered(lowered)(1.0) == 2.0
+    assert compiler._unknown == {"xla_cpu_no_such_thing"}
+
+
+def test_an_error_of_the_compiler_is_not_taken_for_an_unknown_option(monkeypatch) -> None:
+    def out_of_memory(self, compiler_options) -> None:
+        raise RuntimeError("RESOURCE_EXHAUSTED: out of memory")
+
+    monkeypatch.setattr(jax.stages.Lowered, "compile", out_of_memory)
+    with pytest.raises(RuntimeError, match="out of memory"):
+        compiler.compile_lowered(jax.jit(lambda x: x + 1).lower(1.0))

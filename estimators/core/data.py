@@ -130,17 +130,31 @@ def fitted_part(recording: Recording, names: Collection[str]) -> Recording:
 def pieces(experiments: Sequence[Experiment], longest: int = 8192, length: int = 512) -> list[Experiment]:
     """Cut long experiments into pieces that are simulated side by side, each with a start of its own.
 
-    Only where every piece shows where it starts: with the arm locked or its angle measured.
+    Only where every piece shows where it starts: with the arm locked or its angle measured. What comes before the first sample
+    that a sensor measured is cut off there, too.
     """
     found = []
     for e in experiments:
-        if e.samples <= longest or (e.arm == "free" and "arm_angle" not in e.outputs):
-            found.append(e)
+        begin = first_sample(e)
+        samples = e.samples - begin
+        if samples <= longest or not _shows_its_start(e):
+            found.append(e.cut(begin, e.samples) if begin else e)
             continue
-        edges = np.linspace(0, e.samples, round(e.samples / length) + 1).astype(int)
+        edges = np.linspace(begin, e.samples, round(samples / length) + 1).astype(int)
         for first, last in itertools.pairwise(edges):
             found.append(e.cut(int(first), int(last), f"{e.name}[{first}:{last}]"))
     return found
+
+
+def first_sample(experiment: Experiment) -> int:
+    """Return the first sample at which an output was measured; 0 where the outputs then would not show where the rig is."""
+    if not _shows_its_start(experiment):
+        return 0
+    return int(min(np.argmax(np.isfinite(signal.values)) for signal in experiment.outputs.values()))
+
+
+def _shows_its_start(experiment: Experiment) -> bool:
+    return experiment.arm != "free" or "arm_angle" in experiment.outputs
 
 
 def origins(experiments: Sequence[Experiment]) -> dict[str, str]:

@@ -1,7 +1,7 @@
 """Fisher information: the only place where parameter covariance and identifiability are computed."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 from jaxtyping import Float
@@ -39,8 +39,12 @@ class Information:
     parts: Float[np.ndarray, "experiment parameter parameter"] | None = None
     scores: Float[np.ndarray, "experiment parameter"] | None = None
 
-    def undetermined(self) -> list[str]:
-        """Describe every combination of parameters that the data leave free."""
+    def undetermined(self, beside: Collection[str] = ()) -> list[str]:
+        """Describe every combination of parameters that the data leave free.
+
+        Args:
+            beside: ids of effects whose parameters may be free by themselves, as a velocity of friction that is absent.
+        """
         said = []
         for direction, deviation in zip(self.directions, self.deviations, strict=True):
             if deviation < UNDETERMINED:
@@ -48,6 +52,8 @@ class Information:
             parts = [
                 (name, fraction) for name, fraction in zip(self.names, direction, strict=True) if abs(fraction) > 0.2
             ]
+            if all(name.split(".")[0] in beside for name, _ in parts):
+                continue
             if len(parts) == 1:
                 said.append(f"{parts[0][0]} has no effect on what was measured")
             else:

@@ -134,6 +134,8 @@ class Fit(ModelFit):
     def outcome(self) -> str:
         """Return how the optimisation ended, and how far its starts can vouch for that, in a sentence or two."""
         said = f"{RESULTS[self.result]} {self.statistics['agreed']} of {self.statistics['starts']} starts agree."
+        if self.result == RESULTS.undetermined:
+            said += f" There {'; '.join(self.information.undetermined())}: of these the fit says nothing."
         ratios = {c: rms / self.noise[c] for c, rms in self.residual_std.items() if self.noise.get(c, 0.0) > 0}
         for name, bound in self.on_bounds().items():
             said += f" {name} ended on its bound, {bound:g}: the data ask for no such term in this model."

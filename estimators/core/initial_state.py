@@ -123,6 +123,17 @@ def without_angle(experiments: Sequence[Experiment]) -> list[Experiment]:
     return [e for e in experiments if e.initial_arm_angle is None and "arm_angle" not in e.outputs]
 
 
+def _unseen(experiment: Experiment) -> list[int]:
+    """Return which of the four states the first sample does not show although a sensor measures them later."""
+    late = {channel for channel, signal in experiment.outputs.items() if not np.isfinite(signal.values[0])}
+    states = [0, 1] if "cart_position" in late else []
+    if "arm_angle" in late:
+        states.append(2)
+    if late & {"arm_angle", "arm_velocity"} and not {"arm_angle", "arm_velocity"} & (set(experiment.outputs) - late):
+        states.append(3)
+    return states
+
+
 def angle_spread(experiment: Experiment) -> float:
     """Return the standard deviation of what is known beforehand of the arm's angle at the start [rad]."""
     if experiment.initial_arm_angle is None:
@@ -228,6 +239,9 @@ def space_in_numpy(
     for column, experiment in enumerate(experiments):
         if experiment.initial_arm_angle_std is not None and "arm_angle" not in experiment.outputs:
             scale[2, column] = experiment.initial_arm_angle_std
+        # The first samples that there are may be far from where the experiment begins.
+        unseen = _unseen(experiment)
+        scale[unseen, column] = 2.0 * size[unseen]
 
     def bounds(which: Sequence[str], side: int) -> np.ndarray:
         return np.array([declared[name].bounds[side] for name in which], dtype=float)

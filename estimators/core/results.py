@@ -19,7 +19,10 @@ class RESULTS(eqx.Enumeration):
         "so compare the model with the data before trusting it."
     )
     diverged = "The model diverges at the start values; give start values nearer to the rig, or check the units."
-    undetermined = "The data leave combinations of parameters free; fix a parameter (model.fix), or add an experiment."
+    undetermined = (
+        "The data leave combinations of parameters free where the fit ended; fix a parameter (model.fix, or --fix of rtac), or add "
+        "an experiment."
+    )
 
 
 class NotIdentifiableError(ValueError):

@@ -5,10 +5,12 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from estimators.closed_form.fit import starting_values
 from estimators.closed_form.motion_regression import motion_regression
 from estimators.core.data import Data, moving, pieces
 from estimators.core.fit import Fit
 from estimators.core.initial_state import scales_of
+from estimators.core.results import RESULTS
 from estimators.core.sensor_noise import noise_levels
 from estimators.diagnosis.policy import DiagnosisPolicy
 from estimators.diagnosis.refit import Refit
@@ -69,7 +71,9 @@ def screened_by_equations(setting: Setting, refit: Refit) -> list[Explained]:
 
 
 def begun_by_equations(fit: Fit, model: RTAC, recording: Recording, policy: DiagnosisPolicy) -> RTAC:
-    """Return a model with effects where the equations of motion put its other parameters, if the fit without them follows nothing.
+    """Return a model with effects where the equations of motion put its other parameters, if the fit without them is lost.
+
+    It is lost where it follows nothing, or where it ended the data leave parameters free.
 
     Args:
         fit: of the model without the effects.
@@ -78,6 +82,8 @@ def begun_by_equations(fit: Fit, model: RTAC, recording: Recording, policy: Diag
         policy: the thresholds.
     """
     experiments = pieces(moving(recording))
+    if fit.result == RESULTS.undetermined:  # its scale is lost, too, which the regression takes from the model
+        return starting_values(model, recording)
     if unfollowed(fit, Data.of(experiments), policy.simulation) <= policy.unfollowed:
         return model
     equations = motion_regression(model, experiments, noise_levels(recording.experiments))

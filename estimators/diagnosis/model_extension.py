@@ -104,6 +104,8 @@ def add_effect(
             else:
                 tried = extended if way == "simulated" else holding(extended, [effect.id])
                 fit = output_error(tried, train, from_model=True, progress=progress)
+                if fit.result == RESULTS.undetermined:
+                    raise NotIdentifiableError(fit.outcome)
             test = compare(fit, held_out, labels=[label]).models[0]
         except (NotIdentifiableError, DivergedError, FloatingPointError) as error:
             reasons.append(f"Stopped: with {effect.id} the model could not be fitted: {error}")

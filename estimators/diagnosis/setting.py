@@ -8,6 +8,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from estimators.closed_form.fit import starting_values
 from estimators.closed_form.initial_angle import with_initial_angles
 from estimators.core.data import Data, moving, pieces
 from estimators.core.fit import Fit
@@ -15,6 +16,7 @@ from estimators.core.initial_state import scales_of, space_of, without_angle
 from estimators.core.parameter_space import Space
 from estimators.core.progress import Progress
 from estimators.core.residual import start_rows
+from estimators.core.results import RESULTS
 from estimators.core.sensor_noise import noise_levels
 from estimators.diagnosis.candidate_set import plausible
 from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
@@ -97,7 +99,10 @@ def setting_of(
         progress: that is told of every step.
         policy: the thresholds.
     """
-    return set_up(fit.model, recording, classes, fit.start, int(fit.statistics["substeps"]), progress, policy)
+    model, starts = fit.model, fit.start
+    if fit.result == RESULTS.undetermined:  # then it ended where nothing holds it, and refits would begin there
+        model, starts = starting_values(model, recording), {}
+    return set_up(model, recording, classes, starts, int(fit.statistics["substeps"]), progress, policy)
 
 
 def set_up(

@@ -9,8 +9,8 @@ import numpy as np
 
 from estimators.closed_form.fit import starting_values
 from estimators.core.data import CHANNELS, Data, mark_of, moving, pieces
-from estimators.core.fisher_information import information
-from estimators.core.fit import Fit
+from estimators.core.fisher_information import Information, information
+from estimators.core.fit import ON_BOUND, Fit
 from estimators.core.parameter_space import number_of_unknowns
 from estimators.core.progress import Progress
 from estimators.core.results import RESULTS, DivergedError
@@ -63,7 +63,8 @@ def output_error(
     Raises:
         ValueError: nothing moves in the recording, no parameter is free, or a user's own effect does not work.
         TooLargeError: the recording does not fit into the memory that is free.
-        NotIdentifiableError: the data leave parameters free.
+        NotIdentifiableError: the data leave parameters free at the start. Where they do so only where the fit ended, as a model
+            that lacks much may run off, its `result` is `RESULTS.undetermined`.
         DivergedError: the model diverges from every start.
         RuntimeError: JAX was not configured for double precision.
 
@@ -109,23 +110,26 @@ def output_error(
             weighted = run.weighted(stage, data, experiments)
             stage = dataclasses.replace(stage, solved=weighted.solved, deviation=weighted.deviation, cost=weighted.cost)
     found = information(stage.solved.factor, stage.space, stage.solved.unknowns)
-    # The data were asked before the first step. What a fit that ends on a bound has lost hangs on that bound: its report says so.
-    if not stage.solved.held:
-        found.require_determined()
+    shared, each, states = (np.asarray(part) for part in stage.space.physical(stage.solved.unknowns))
+    values = dict(zip(stage.space.names, shared, strict=True)) | dict(zip(stage.space.each, each, strict=True))
+    model = stage.model.with_values(values)
+    # The data were asked before the first step: what they leave free at the end is lost on the way. What an effect that ends on a
+    # bound has lost hangs on that bound, and the report says so.
+    free = found.undetermined(beside=_absent(model, found))
     if weighted is not None and found.scores is not None:
         found = dataclasses.replace(found, scores=weighted.score_ratio * found.scores)
     if not stage.solved.converged or (weighted is not None and not weighted.settled):
         result = RESULTS.steps_exhausted
+    elif free:
+        result = RESULTS.undetermined
     elif stage.solved.pulled:
         result = RESULTS.pulled_off_bound
     elif len(candidates) > 1 and agreed < 2:
         result = RESULTS.starts_disagree
     else:
         result = RESULTS.successful
-    shared, each, states = (np.asarray(part) for part in stage.space.physical(stage.solved.unknowns))
-    values = dict(zip(stage.space.names, shared, strict=True)) | dict(zip(stage.space.each, each, strict=True))
     return Fit(
-        model=stage.model.with_values(values),
+        model=model,
         result=result,
         information=found,
         noise=levels,
@@ -169,6 +173,20 @@ def _starts(model: RTAC, recording: Recording, experiments: Sequence[Experiment]
         factors |= {name: float(np.asarray(first[name])) for name in first.uncertain}
         found.append((f"draw {number - 1}", first.with_values(factors)))
     return found
+
+
+def _absent(model: RTAC, found: Information) -> set[str]:
+    """Return the ids of effects of which a parameter ended on its bound."""
+    deviations = np.sqrt(np.diagonal(found.covariance))
+    return {
+        name.split(".")[0]
+        for name, deviation in zip(found.names, deviations, strict=True)
+        if "." in name
+        and any(
+            abs(float(np.asarray(model[name])) - bound) < ON_BOUND * deviation
+            for bound in model.parameters[name].bounds
+        )
+    }
 
 
 def _same(end: DescentEnd, best: DescentEnd, samples: float) -> bool:

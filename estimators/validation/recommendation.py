@@ -16,8 +16,8 @@ from rtac_jax.overview import Overview, aligned
 
 RULE = (
     "The rule: output error with its plain standard deviation where its residuals are white; else prediction error, where its "
-    "innovations are, or where output error did not converge; else output error with the larger of the deviations for a coloured "
-    "residual and for independent experiments."
+    "innovations are, or where output error did not converge or ended where the data leave parameters free; else output error "
+    "with the larger of the deviations for a coloured residual and for independent experiments."
 )
 
 
@@ -80,13 +80,18 @@ def recommended(
 
     Source: Ljung, System Identification (1999), sections 7.4 and 9.3; White, Econometrica 50 (1982).
     """
-    converged = fit.result != RESULTS.steps_exhausted
+    converged = fit.result not in (RESULTS.steps_exhausted, RESULTS.undetermined)
     if converged and _white([trace.whiteness_p for trace in fitted.traces]):
         return Recommendation(fit.parameters, "output error", "a white residual, which it has", True)
     if predicted is not None:
         white = _white([w.p_value for w in predicted.whiteness])
         if white or not converged:
-            deviation = f"white innovations, which it has{'' if white else ' not; output error did not converge'}"
+            why = (
+                "ended where the data leave parameters free"
+                if fit.result == RESULTS.undetermined
+                else "did not converge"
+            )
+            deviation = f"white innovations, which it has{'' if white else f' not; output error {why}'}"
             return Recommendation(predicted.parameters, "prediction error", deviation, white)
     if spread is None:
         return Recommendation(fit.parameters, "output error", "a white residual, which it has not", False)

@@ -13,7 +13,7 @@ def compile_lowered(lowered: jax.stages.Lowered) -> jax.stages.Compiled:
     if jax.default_backend() != "cpu" or not options:
         return lowered.compile()
     try:
-        return lowered.compile(compiler_options=options)
+        return lowered.compile(compiler_options={**options})
     except RuntimeError as error:  # JAX has no class of its own for it
         unknown = {name for name in options if f"No such compile option: '{name}'" in str(error)}
         if not unknown:

@@ -82,3 +82,41 @@ def test_one_step_and_no_gain_are_what_they_should_be(shaken: tuple[rtac.Recordi
 def test_a_horizon_that_is_none_is_refused(shaken: tuple[rtac.Recording, rtac.RTAC]) -> None:
     with pytest.raises(ValueError, match="ahead: is 0"):
         est.compare(shaken[1], shaken[0], ahead=0)
+
+
+def late(experiment: rtac.Experiment, samples: int) -> rtac.Experiment:
+    """Return an experiment whose sensors come on after so many samples."""
+    outputs = {
+        channel: dataclasses.replace(
+            signal, values=np.where(np.arange(experiment.samples) < samples, np.nan, signal.values)
+        )
+        for channel, signal in experiment.outputs.items()
+    }
+    return dataclasses.replace(experiment, outputs=outputs)
+
+
+def test_sensors_that_come_on_late_are_predicted_from_then_on() -> None:
+    """An encoder shows where the arm is then, as of an experiment that begins there."""
+    plans = virtual_rig.standard_plans(seed=3, sample_time=0.01, duration=3.0, free=1, forced=1, rest=0)
+    recording = virtual_rig.record(virtual_rig.Rig(encoder=True), plans, seed=4)
+    model = rtac.RTAC.from_rig(recording)
+    whole = dataclasses.replace(recording, experiments=tuple(late(e, 50) for e in recording.experiments))
+    cut = dataclasses.replace(recording, experiments=tuple(e.cut(50, e.samples, e.name) for e in recording.experiments))
+    one, other = (est.compare(model, r, ahead=5).models[0] for r in (whole, cut))
+    for of_whole, of_cut in zip(one.traces, other.traces, strict=True):
+        assert np.argmax(of_whole.used) == 55
+        np.testing.assert_allclose(
+            of_whole.residual[of_whole.used], of_cut.residual[of_cut.used], rtol=1e-8, atol=1e-14
+        )
+
+
+def test_without_an_encoder_the_start_is_unsure_until_sensors_come_on(
+    shaken: tuple[rtac.Recording, rtac.RTAC], fit: est.PredictorFit
+) -> None:
+    recording, _ = shaken
+    whole = dataclasses.replace(
+        recording, experiments=tuple(e if e.kind == "rest" else late(e, 50) for e in recording.experiments)
+    )
+    complete, found = (est.compare(fit, r, ahead=5).models[0].errors for r in (recording, whole))
+    for channel, error in complete.items():
+        assert found[channel].rms < 1.2 * error.rms

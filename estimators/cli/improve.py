@@ -62,8 +62,7 @@ def improved(
     open_question = next((d for d in found.diagnoses if d.verdict == "ambiguous"), None)
     planned = None
     if open_question is not None:
-        before = found.diagnoses[: found.diagnoses.index(open_question)]
-        base = found.fits[sum(len(diagnosis.additions) for diagnosis in before)]
+        base = found.fits[found.fitted_before(found.diagnoses.index(open_question))]
         planned = plan_next(work, base, open_question, candidates)
     table, judged = _report.candidate_table(found.diagnoses[0]), found.diagnoses[0].policy.words
     work.say(found.headline, *said, found.ending, work.remark, table, errors, parameters, planned or "", judged)

@@ -9,19 +9,22 @@ from typing import Any
 from estimators.core.drawing import draw
 from estimators.core.fit import Fit
 from estimators.core.result_base import Result
+from estimators.core.results import RESULTS
 from estimators.core.threads import one_blas_thread
-from estimators.diagnosis.diagnose import Candidate, Diagnosis, Verdict, compile_diagnosis, diagnose
-from estimators.diagnosis.learned_force import LearnedForce, learn_force
-from estimators.diagnosis.model_extension import Added, PredictedGain, add_effect, misfit, parameters_of
-from estimators.diagnosis.nearest_effect import add_nearest
+from estimators.diagnosis.diagnose import Candidate, Diagnosis, Verdict, compile_diagnosis
+from estimators.diagnosis.improvement_loop import Loop
+from estimators.diagnosis.learned_force import LearnedForce
+from estimators.diagnosis.model_extension import Added, PredictedGain
 from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
 from estimators.output_error.fit import output_error
 from estimators.validation.simulation_error import Comparison, compare
 from rtac_jax import RTAC
-from rtac_jax.effects import CATALOGUE, Effect, SplineForce
+from rtac_jax.effects import Effect
 from rtac_jax.measurement import Recording
 from rtac_jax.overview import Overview
 from rtac_jax.renamed import renamed
+
+_UNFINISHED = (RESULTS.steps_exhausted, RESULTS.pulled_off_bound, RESULTS.undetermined)
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
@@ -89,6 +92,8 @@ class Improvement(Result):
                 f"Held at the estimate of the diagnosis, because a fit by simulation fails or serves held-out experiments worse: "
                 f"{', '.join(self.held)}.",
             )
+        if self.final.result in _UNFINISHED:
+            said.append(f"The last model: {self.final.outcome}")
         return " ".join([*said, self.stopped, *([str(self.learned)] if self.learned is not None else [])])
 
     @property
@@ -97,8 +102,15 @@ class Improvement(Result):
 
         None elsewhere.
         """
-        before_last = sum(len(diagnosis.additions) for diagnosis in self.diagnoses[:-1])
+        before_last = self.fitted_before(len(self.diagnoses) - 1)
         return self.diagnoses[-1].verdict if 0 < len(self.added) <= before_last else None
+
+    def fitted_before(self, diagnosis: int) -> int:
+        """Return the place in `fits` of the model that a diagnosis, by its place, was made of.
+
+        One that names nothing is followed by another only where the effect that explains most of what is left was added.
+        """
+        return sum(len(d.additions) or d.verdict == "unknown" for d in self.diagnoses[:diagnosis])
 
     @property
     def headline(self) -> str:
@@ -176,11 +188,6 @@ class Improvement(Result):
         return draw(self)
 
 
-def _held(steps: Sequence[tuple[str, Added]]) -> tuple[str, ...]:
-    """Return the ids of what was added and is held at the estimate of a diagnosis."""
-    return tuple(name for name, step in steps if step.way == "held")
-
-
 @one_blas_thread()
 def improve(
     model: RTAC,
@@ -212,9 +219,9 @@ def improve(
         candidates: classes of effects to try; by default the whole catalogue.
         most: effects to add at most.
         thorough: where a verdict would be unknown, look again at what raised no alarm; that may take minutes.
-        learned_force: where the last verdict is unknown, add as a last resort the nearest effect, if it explains most of what is
-            missing, or a learned force (`LearnedForce`): what serves held-out experiments better, if their error clearly falls.
-            The verdict stays.
+        learned_force: where the last verdict is unknown, and an effect explains most of what is missing, add it and go on: two may
+            hide each other. Where that does not end at an adequate model, add as a last resort that effect or a learned force
+            (`LearnedForce`): what serves held-out experiments better, if their error clearly falls. The verdict stays.
         policy: the thresholds of every diagnosis; see `DiagnosisPolicy`.
         progress: show bars.
 
@@ -228,52 +235,18 @@ def improve(
         other.submit(compile_diagnosis, model, train, candidates)
         base = output_error(model, train, progress=progress)
         steps = [("", Added(base, compare(base, held_out, labels=["base"]).models[0], "simulated"))]
-    diagnoses: list[Diagnosis] = []
-    added: list[Candidate] = []
-    stopped = ""
-    while not stopped:
-        last = steps[-1][1]
-        # What is held was estimated too: a diagnosis may move it.
-        released = last.fit.model.release(*parameters_of(last.fit.model, _held(steps)))
-        base = dataclasses.replace(last.fit, model=released)
-        found = diagnose(base, train, candidates=candidates, thorough=thorough, policy=policy, progress=progress)
-        diagnoses.append(found)
-        if not found.additions:
-            enough = found.verdict == "adequate"
-            why = "nothing more is missing" if enough else "what is missing is not in the catalogue"
-            if found.simulation is not None and found.simulation.vetoes:
-                why = "no test names what the simulation's error comes from"
-            stopped = f"Stopped: {why}."
-        known = {c.id: c for c in found.effects}
-        for effect in found.additions:
-            if len(added) == most:
-                stopped = f"Stopped: {most} effects were added; more seem to be missing."
-                break
-            label = "+ " + ", ".join([*(c.id for c in added), effect.id])
-            last = steps[-1][1]
-            step = add_effect(last.fit, last.tested, effect, label, train, held_out, policy=policy, progress=progress)
-            if isinstance(step, str):
-                stopped = step
-                break
-            steps.append((effect.id, step))
-            added.append(known[effect.id])
-        if not stopped and not [c for c in (candidates or CATALOGUE.values()) if c.id not in steps[-1][1].fit.model]:
-            stopped = "Stopped: every candidate was added."
+    loop = Loop(train, held_out, candidates, most, thorough, policy, progress, steps)
+    loop.run()
     learned: LearnedForce | None = None
     nearest: Candidate | None = None
-    if learned_force and diagnoses[-1].verdict == "unknown":
-        last = steps[-1][1]
-        classes = {c.id: c for c in candidates or CATALOGUE.values()}
-        near = add_nearest(last, diagnoses[-1], classes, train, held_out, policy=policy, progress=progress)
-        resort = learn_force(last.fit, last.tested, diagnoses[-1], train, held_out, policy=policy, progress=progress)
-        if near is not None and (isinstance(resort, str) or misfit(near[0].tested) < misfit(resort[0].tested)):
-            nearest = near[1]
-            steps.append((nearest.id, near[0]))
-        elif isinstance(resort, str):
-            stopped = f"{stopped} {resort}"
+    if learned_force and loop.diagnoses[-1].verdict == "unknown":
+        near = loop.nearest()
+        further = None if near is None else loop.with_nearest(*near)
+        if further is not None:
+            loop = further
         else:
-            steps.append((SplineForce.id, resort[0]))
-            learned = resort[1]
+            nearest, learned = loop.last_resort(near)
+    steps, diagnoses, added = loop.steps, loop.diagnoses, loop.added
     fits = [step.fit for _, step in steps]
     tested = [step.tested for _, step in steps]
     labels = [model.label for model in tested]
@@ -288,10 +261,10 @@ def improve(
         verdict=verdict,
         train=compare(fits, train, labels=labels),
         validation=Comparison(tuple(tested)),
-        held=_held(steps),
+        held=loop.held,
         predicted=steps[-1][1].way == "predicted",
         predicted_gains=tuple(step.predicted_gain for _, step in steps if step.predicted_gain is not None),
-        stopped=stopped,
+        stopped=loop.stopped,
         seconds=time.perf_counter() - began,
         learned=learned,
         nearest=nearest,

@@ -1,5 +1,6 @@
 """Output error: the simulation that comes nearest to all measurements, with shared physics and separate starts."""
 
+import contextlib
 import dataclasses
 import time
 from collections.abc import Sequence
@@ -25,6 +26,9 @@ from rtac_jax.measurement import Experiment, Recording
 
 # A second start agrees with the best one when its log-likelihood is within this much for each sample.
 _AGREES = 1e-3
+# Log-likelihood that the slopes still promise where the steps ran out, from which on a fit goes on from there, led anew: parameters
+# near a bound creep, and what leads a fit at its start takes them there at once.
+_UNFINISHED = 10.0
 
 
 @one_blas_thread()
@@ -102,6 +106,13 @@ def output_error(
         if not ends:
             raise DivergedError(" ".join(failures))
         winner, stage = min(ends, key=lambda end: end[1].cost)
+        if not stage.solved.converged and stage.solved.promised > _UNFINISHED:
+            shown.at(f"output error again, from where that from {winner} ended")
+            with contextlib.suppress(FloatingPointError):
+                again = run.descend(_with_end(stage), best=stage.cost, given=True)
+                if again is not None and again.cost < stage.cost:
+                    stage = again
+                    ends.append((winner, stage))
         agreed = sum(_same(end, stage, float(jnp.sum(data.present))) for _, end in ends)
         weighted = None
         if robust:
@@ -110,9 +121,8 @@ def output_error(
             weighted = run.weighted(stage, data, experiments)
             stage = dataclasses.replace(stage, solved=weighted.solved, deviation=weighted.deviation, cost=weighted.cost)
     found = information(stage.solved.factor, stage.space, stage.solved.unknowns)
-    shared, each, states = (np.asarray(part) for part in stage.space.physical(stage.solved.unknowns))
-    values = dict(zip(stage.space.names, shared, strict=True)) | dict(zip(stage.space.each, each, strict=True))
-    model = stage.model.with_values(values)
+    states = np.asarray(stage.space.physical(stage.solved.unknowns)[2])
+    model = _with_end(stage)
     # The data were asked before the first step: what they leave free at the end is lost on the way. What an effect that ends on a
     # bound has lost hangs on that bound, and the report says so.
     free = found.undetermined(beside=_absent(model, found))
@@ -173,6 +183,13 @@ def _starts(model: RTAC, recording: Recording, experiments: Sequence[Experiment]
         factors |= {name: float(np.asarray(first[name])) for name in first.uncertain}
         found.append((f"draw {number - 1}", first.with_values(factors)))
     return found
+
+
+def _with_end(stage: DescentEnd) -> RTAC:
+    """Return the model with the values at which a descent ended."""
+    shared, each, _ = (np.asarray(part) for part in stage.space.physical(stage.solved.unknowns))
+    values = dict(zip(stage.space.names, shared, strict=True)) | dict(zip(stage.space.each, each, strict=True))
+    return stage.model.with_values(values)
 
 
 def _absent(model: RTAC, found: Information) -> set[str]:

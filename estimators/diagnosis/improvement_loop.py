@@ -1,0 +1,146 @@
+"""The loop from the base model on: diagnose, add what is named, fit again, and, at the end, last resorts."""
+
+import dataclasses
+from collections.abc import Sequence
+
+from estimators.diagnosis.diagnose import Candidate, Diagnosis, diagnose
+from estimators.diagnosis.learned_force import LearnedForce, learn_force
+from estimators.diagnosis.model_extension import Added, add_effect, misfit, parameters_of
+from estimators.diagnosis.nearest_effect import add_nearest
+from estimators.diagnosis.policy import DiagnosisPolicy
+from rtac_jax.effects import CATALOGUE, Effect, SplineForce
+from rtac_jax.measurement import Recording
+
+
+@dataclasses.dataclass
+class Loop:
+    """The loop from the base model on: diagnose, add, fit again.
+
+    Attributes:
+        train, held_out: the recording that is fitted, and the one that validates.
+        candidates: classes of effects to try; None for the catalogue.
+        most: effects to add at most.
+        thorough: look again at what raised no alarm.
+        policy: the thresholds.
+        progress: show bars.
+        steps: ids of what was added, each with the model that has it; the first is the base model.
+        diagnoses: so far.
+        added: the effects that were added.
+        stopped: why it ended.
+    """
+
+    train: Recording
+    held_out: Recording
+    candidates: Sequence[type[Effect]] | None
+    most: int
+    thorough: bool
+    policy: DiagnosisPolicy
+    progress: bool
+    steps: list[tuple[str, Added]]
+    diagnoses: list[Diagnosis] = dataclasses.field(default_factory=list)
+    added: list[Candidate] = dataclasses.field(default_factory=list)
+    stopped: str = ""
+
+    @property
+    def last(self) -> Added:
+        """The last model."""
+        return self.steps[-1][1]
+
+    @property
+    def held(self) -> tuple[str, ...]:
+        """Ids of what was added and is held at the estimate of a diagnosis."""
+        return tuple(name for name, step in self.steps if step.way == "held")
+
+    def run(self) -> None:
+        """Go on until nothing is found, or what is found does not serve held-out experiments."""
+        while not self.stopped:
+            # What is held was estimated too: a diagnosis may move it.
+            released = self.last.fit.model.release(*parameters_of(self.last.fit.model, self.held))
+            base = dataclasses.replace(self.last.fit, model=released)
+            found = diagnose(
+                base,
+                self.train,
+                candidates=self.candidates,
+                thorough=self.thorough,
+                policy=self.policy,
+                progress=self.progress,
+            )
+            self.diagnoses.append(found)
+            if not found.additions:
+                enough = found.verdict == "adequate"
+                why = "nothing more is missing" if enough else "no effect of the catalogue explains what is missing"
+                if found.simulation is not None and found.simulation.vetoes:
+                    why = "no test names what the simulation's error comes from"
+                self.stopped = f"Stopped: {why}."
+            self._add(found)
+            if not self.stopped and not [c for c in self._classes.values() if c.id not in self.last.fit.model]:
+                self.stopped = "Stopped: every candidate was added."
+
+    def _add(self, found: Diagnosis) -> None:
+        """Add what a diagnosis names, one effect after the other."""
+        known = {c.id: c for c in found.effects}
+        for effect in found.additions:
+            if len(self.added) == self.most:
+                self.stopped = f"Stopped: {self.most} effects were added; more seem to be missing."
+                return
+            label = "+ " + ", ".join([*(c.id for c in self.added), effect.id])
+            step = add_effect(
+                self.last.fit, self.last.tested, effect, label, self.train, self.held_out, policy=self.policy,
+                progress=self.progress,
+            )  # fmt: skip
+            if isinstance(step, str):
+                self.stopped = step
+                return
+            self.steps.append((effect.id, step))
+            self.added.append(known[effect.id])
+
+    def nearest(self) -> tuple[Added, Candidate] | None:
+        """Return the model with the effect that explains most of what the last diagnosis cannot name, if it serves."""
+        return add_nearest(
+            self.last,
+            self.diagnoses[-1],
+            self._classes,
+            self.train,
+            self.held_out,
+            policy=self.policy,
+            progress=self.progress,
+        )
+
+    def with_nearest(self, step: Added, nearest: Candidate) -> "Loop | None":
+        """Return the loop that goes on with the nearest effect in the model, where that ends at an adequate one; None elsewhere.
+
+        Two effects may hide each other: with neither in the model neither explains enough.
+        """
+        further = dataclasses.replace(
+            self, steps=[*self.steps, (nearest.id, step)], diagnoses=list(self.diagnoses), added=[*self.added, nearest],
+            stopped="",
+        )  # fmt: skip
+        further.run()
+        if further.diagnoses[-1].verdict != "adequate":
+            return None
+        beside = ", ".join(c.id for c in further.added[len(self.added) + 1 :])
+        with_it = f" with {beside}" if beside else ", all parameters fitted anew,"
+        further.stopped = (
+            f"{nearest.id} alone explained {100 * nearest.error_reduction:.0f} % of what was left;{with_it} it explains all. "
+            f"{further.stopped}"
+        )
+        return further
+
+    def last_resort(self, near: tuple[Added, Candidate] | None) -> tuple[Candidate | None, LearnedForce | None]:
+        """Add the nearest effect or a learned force, what serves held-out experiments better, and return which; None for none."""
+        resort = learn_force(
+            self.last.fit, self.last.tested, self.diagnoses[-1], self.train, self.held_out, policy=self.policy,
+            progress=self.progress,
+        )  # fmt: skip
+        if near is not None and (isinstance(resort, str) or misfit(near[0].tested) < misfit(resort[0].tested)):
+            self.steps.append((near[1].id, near[0]))
+            return near[1], None
+        if isinstance(resort, str):
+            self.stopped = f"{self.stopped} {resort}"
+            return None, None
+        self.steps.append((SplineForce.id, resort[0]))
+        return None, resort[1]
+
+    @property
+    def _classes(self) -> dict[str, type[Effect]]:
+        return {c.id: c for c in self.candidates or CATALOGUE.values()}

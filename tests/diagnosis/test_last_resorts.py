@@ -15,7 +15,7 @@ from hidden_effects import beyond_noise
 import estimators as est
 import rtac_jax as rtac
 from estimators.core.fit import Parameter
-from estimators.diagnosis import improve as loop
+from estimators.diagnosis import improvement_loop as loop
 from estimators.diagnosis.learned_force import learn_force
 from estimators.diagnosis.model_extension import Added
 from rtac_jax import virtual_rig

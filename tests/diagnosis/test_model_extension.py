@@ -14,7 +14,7 @@ import rtac_jax as rtac
 from estimators.core.fisher_information import information_of
 from estimators.core.fit import Parameter
 from estimators.core.results import RESULTS
-from estimators.diagnosis import improve
+from estimators.diagnosis import improve, improvement_loop
 from estimators.diagnosis import model_extension as _add_effect
 from estimators.diagnosis.model_extension import holding
 from estimators.reporting.report import _with_held
@@ -184,7 +184,8 @@ def looped(
         return made(est.Diagnosis, verdict="missing", effects=(CANDIDATE,), additions=(spring,))
 
     for module, stubs in {
-        improve: {"output_error": fitted, "compare": compared, "diagnose": diagnosed},
+        improve: {"output_error": fitted, "compare": compared},
+        improvement_loop: {"diagnose": diagnosed},
         _add_effect: {
             "output_error": fitted,
             "compare": compared,

@@ -1,0 +1,102 @@
+"""The loop goes on with the effect that explains most of what a diagnosis cannot name: two may hide each other."""
+
+import dataclasses
+from typing import Any
+
+import made_up_results
+import pytest
+
+import estimators as est
+import rtac_jax as rtac
+from estimators.diagnosis import improvement_loop
+from estimators.diagnosis.improvement_loop import Loop
+from estimators.diagnosis.model_extension import Added
+from estimators.diagnosis.policy import STANDARD
+from rtac_jax import virtual_rig
+from rtac_jax.effects import ArmCoulomb, InputDelay
+
+NEAREST = made_up_results.candidate("input_delay", 564.0, error_reduction=0.68)
+BESIDE = made_up_results.candidate("arm_coulomb", 900.0)
+
+
+def made(cls: Any, **values: Any) -> Any:
+    """Return a record with some of its values."""
+    found = object.__new__(cls)
+    for name, value in values.items():
+        object.__setattr__(found, name, value)
+    return found
+
+
+def added(model: rtac.RTAC) -> Added:
+    return made(Added, fit=made(est.Fit, model=model), tested=None, way="simulated")
+
+
+@pytest.fixture
+def loop(monkeypatch: pytest.MonkeyPatch) -> Loop:
+    """A loop that stopped at an unknown base model; with a delay in it a diagnosis names dry friction of the arm."""
+
+    def diagnosed(fit: est.Fit, *_: Any, **__: Any) -> est.Diagnosis:
+        named = "input_delay" in fit.model and "arm_coulomb" not in fit.model
+        rest = "adequate" if "arm_coulomb" in fit.model else "unknown"
+        return made(
+            est.Diagnosis, verdict="missing" if named else rest, effects=(BESIDE,) if named else (),
+            additions=(ArmCoulomb(3e-3),) if named else (), simulation=None,
+        )  # fmt: skip
+
+    def extended(before: est.Fit, tested: Any, effect: Any, *_: Any, **__: Any) -> Added | str:
+        return added(before.model + effect)
+
+    monkeypatch.setattr(improvement_loop, "diagnose", diagnosed)
+    monkeypatch.setattr(improvement_loop, "add_effect", extended)
+    begun = Loop(
+        made(rtac.Recording), made(rtac.Recording), None, 4, True, STANDARD, False, [("", added(rtac.RTAC.paper()))]
+    )
+    begun.run()
+    return begun
+
+
+def test_what_hides_behind_the_nearest_effect_is_found(loop: Loop) -> None:
+    assert loop.stopped == "Stopped: no effect of the catalogue explains what is missing."
+    further = loop.with_nearest(added(loop.last.fit.model + InputDelay(4e-3)), NEAREST)
+    assert further is not None
+    assert [c.id for c in further.added] == ["input_delay", "arm_coulomb"]
+    assert [name for name, _ in further.steps] == ["", "input_delay", "arm_coulomb"]
+    assert [d.verdict for d in further.diagnoses] == ["unknown", "missing", "adequate"]
+    assert further.stopped == (
+        "input_delay alone explained 68 % of what was left; with arm_coulomb it explains all. Stopped: nothing more is missing."
+    )
+    assert (len(loop.steps), len(loop.diagnoses), loop.added) == (1, 1, [])
+    whole = dataclasses.replace(
+        made_up_results.improvement(), diagnoses=tuple(further.diagnoses), added=tuple(further.added)
+    )
+    assert [whole.fitted_before(n) for n in range(3)] == [0, 1, 2]
+    assert whole.mended == "adequate"
+
+
+def test_where_it_leads_no_further_it_is_a_last_resort(loop: Loop, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As where a lag of the current stands for what is in no catalogue."""
+    monkeypatch.setattr(improvement_loop, "learn_force", lambda *_, **__: "No force was learned.")
+    near = added(loop.last.fit.model + rtac.effects.CurrentLag(1e-3)), dataclasses.replace(NEAREST, id="current_lag")
+    assert loop.with_nearest(*near) is None
+    assert loop.last_resort((near[0], near[1])) == (near[1], None)
+    assert [name for name, _ in loop.steps] == ["", "current_lag"]
+    assert loop.added == []
+
+
+@pytest.mark.slow
+def test_dry_friction_of_the_arm_and_a_delay_hide_each_other() -> None:
+    """On an encoder, without a rest record, where half of the torque is dry friction."""
+    rig = virtual_rig.Rig(
+        total_mass=1.0, spring_stiffness=157.9, cart_viscous=0.5, cart_coulomb=0.0, eccentric_moment=3e-3, arm_inertia=2.1e-4,
+        torque_constant=0.1, arm_viscous_positive=4e-4, arm_viscous_negative=4e-4, arm_coulomb=3e-3, input_delay=4e-3,
+        encoder=True,
+    )  # fmt: skip
+    plans = virtual_rig.standard_plans(
+        seed=2, sample_time=0.004, duration=6.0, free=1, forced=3, rest=0, current_rms=0.5, largest_current=5.0
+    )
+    recording = virtual_rig.record(rig, plans, seed=2)
+    found = est.improve(rtac.RTAC.from_rig(recording), recording, progress=False)
+    assert {c.id for c in found.added} == {"input_delay", "arm_coulomb"}, found
+    assert found.mended == "adequate"
+    assert found.final.parameters["input_delay.delay"].value == pytest.approx(4e-3, rel=0.05)
+    assert found.final.parameters["arm_coulomb.level"].value == pytest.approx(3e-3, rel=0.05)

@@ -4,10 +4,13 @@ import dataclasses
 from typing import Any
 
 import made_up_results
+import numpy as np
 import pytest
 
 import estimators as est
 import rtac_jax as rtac
+from estimators.core.fisher_information import information_of
+from estimators.core.results import RESULTS
 from estimators.diagnosis import improvement_loop
 from estimators.diagnosis.improvement_loop import Loop
 from estimators.diagnosis.model_extension import Added
@@ -28,7 +31,9 @@ def made(cls: Any, **values: Any) -> Any:
 
 
 def added(model: rtac.RTAC) -> Added:
-    return made(Added, fit=made(est.Fit, model=model), tested=None, way="simulated")
+    known = information_of(np.eye(1), ("total_mass",), np.ones(1))
+    fit = est.Fit(model, RESULTS.successful, known, {}, {}, {}, (), {})
+    return made(Added, fit=fit, tested=None, way="simulated")
 
 
 @pytest.fixture

@@ -64,8 +64,11 @@ def improved(
     if open_question is not None:
         base = found.fits[found.fitted_before(found.diagnoses.index(open_question))]
         planned = plan_next(work, base, open_question, candidates)
+    advice = _advice(found, work)
     table, judged = _report.candidate_table(found.diagnoses[0]), found.diagnoses[0].policy.words
-    work.say(found.headline, *said, found.ending, work.remark, table, errors, parameters, planned or "", judged)
+    work.say(
+        found.headline, *said, found.ending, work.remark, table, errors, parameters, *advice, planned or "", judged
+    )
     work.save(found, save)
     work.write_json(_report.report_dict(found, planned=planned, seconds=work.seconds))
     if work.folder is None:
@@ -111,10 +114,28 @@ def improved(
         ("Verdict", [found.headline, f"{finding(found)}.", *told, found.ending, work.remark]),
         ("Error before and after", [errors]),
         ("Figures", shown(figures, **captions)),
-        ("Parameters", [parameters]),
+        ("Parameters", [parameters, *advice]),
         ("Candidates", tables),
         ("Thresholds", [_report.policy_table(found.diagnoses[0].policy)]),
     ]
     bullets = summary.of_diagnosis(found, found.train, found.validation, file=work.file)
     title = f"Improvement of the model with {work.file}"
     work.write_report(title, figures, sections, summary=bullets, traces=found.validation)
+
+
+def _advice(found: Any, work: Job) -> list[Any]:
+    """Return a table of the estimates to use, and which they are, where random forces lead the last simulation astray."""
+    import estimators as est
+    from estimators.core.fit import FAR
+    from estimators.reporting.fit_table import recommended_table
+
+    last = found.diagnoses[-1]
+    far = max((rms / found.final.noise[c] for c, rms in found.final.residual_std.items()), default=0.0)
+    if found.predicted or last.verdict != "adequate" or far <= FAR:
+        return []
+    try:
+        predicted = est.prediction_error_nonlinear(found.final.model, work.train, from_model=True)
+    except (ValueError, est.DivergedError) as error:
+        return [f"No prediction error: {error}"]
+    advice = est.recommended(found.final, found.train.models[-1], predicted=predicted)
+    return [recommended_table(advice, found.final), advice.sentence]

@@ -19,7 +19,16 @@ from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.candidate_set import offered
 from estimators.diagnosis.choice import bic_gain, gain, held_out_gain
 from estimators.diagnosis.evidence import Evidence
-from estimators.diagnosis.explanation import SHAKEN, not_named, shaken, strayed, surer, without_the_physics, words
+from estimators.diagnosis.explanation import (
+    SHAKEN,
+    floor_of,
+    not_named,
+    shaken,
+    strayed,
+    surer,
+    without_the_physics,
+    words,
+)
 from estimators.diagnosis.gross_effects import is_gross, offering_gross
 from estimators.diagnosis.innovation_tests import (
     latent_of,
@@ -106,6 +115,11 @@ class Diagnosis(Result):
     def best(self) -> Effect | None:
         """Return the first effect to be added; None if there is none."""
         return self.additions[0] if self.additions else None
+
+    @property
+    def floor(self) -> str:
+        """Down to where nothing is missing, of an adequate model: the noise, or predictions that count random forces."""
+        return floor_of(max(self.random_force, self.random_torque))
 
     def overview(self) -> Overview:
         """Return the verdict with the parameters of what was accepted, and the beginning of the explanation."""
@@ -266,6 +280,7 @@ def _explanation(told: Diagnosis, found: Judgement, setting: Setting, *, thoroug
     text = words(
         told.verdict, told.effects, told.candidates, steps, told.tests, told.left, told.removed, told.curves, told.latent,
         told.places, told.lines, told.simulation, told.policy, told.consequence, found.detectable,
+        max(told.random_force, told.random_torque),
     )  # fmt: skip
     if told.simulation is not None and further and not steps:
         text += without_the_physics(further, told.simulation)

@@ -38,6 +38,7 @@ def words(
     policy: DiagnosisPolicy = STANDARD,
     consequence: Consequence | None = None,
     detectable: Sequence[Step] = (),
+    random: float = 0.0,
 ) -> str:
     """Describe in a paragraph what is missing, how big, where it shows, how sure, and what would make it surer."""
     if verdict == "adequate":
@@ -48,7 +49,7 @@ def words(
         floor = (
             simulation.words
             if simulation is not None and simulation.words
-            else "At the noise floor nothing is missing."
+            else f"Nothing is missing {floor_of(random)}."
         )
         if detectable and consequence is not None:
             floor = _of_no_consequence(detectable, candidates, consequence)
@@ -171,6 +172,15 @@ def surer(verdict: Verdict, recording: Recording) -> str:
         return ""
     surer = "A missing effect would show more surely" if verdict == "adequate" else "It would be surer"
     return f" {surer} with {', and '.join(lacking)}."
+
+
+def floor_of(random: float) -> str:
+    """Return down to where nothing is missing from an adequate model: without random forces its simulation is at the noise, too.
+
+    Args:
+        random: force or torque in one sample that its predictor asks for, whichever is more, as a fraction of the rms forces.
+    """
+    return "predicted one sample ahead, which counts random forces" if random >= SHAKEN else "at the noise floor"
 
 
 def shaken(random_force: float, random_torque: float, left_out: float, *, large: bool = False) -> str:

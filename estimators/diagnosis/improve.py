@@ -92,7 +92,7 @@ class Improvement(Result):
                 f"Held at the estimate of the diagnosis, because a fit by simulation fails or serves held-out experiments worse: "
                 f"{', '.join(self.held)}.",
             )
-        if self.final.result in _UNFINISHED:
+        if self.fits and self.final.result in _UNFINISHED:
             said.append(f"The last model: {self.final.outcome}")
         return " ".join([*said, self.stopped, *([str(self.learned)] if self.learned is not None else [])])
 
@@ -140,7 +140,7 @@ class Improvement(Result):
         whole = "it" if self.nearest is None else "all of it"
         if not self.added:
             return {
-                "adequate": "The model is adequate: nothing is missing at the noise floor.",
+                "adequate": f"The model is adequate: nothing is missing {self.diagnoses[-1].floor}.",
                 "unknown": f"The model fails, and no effect of the catalogue explains {whole}.",
             }.get(
                 self.diagnoses[-1].verdict,

@@ -74,7 +74,7 @@ def finding(diagnosis: Diagnosis) -> str:
         return diagnosis.simulation.headline
     if diagnosis.verdict == "adequate":
         tried, count = len(diagnosis.candidates), sum(c.testable for c in diagnosis.candidates)
-        return f"Nothing is missing at the noise floor: none of {tried} candidates ({count} testable) stands out"
+        return f"Nothing is missing {diagnosis.floor}: none of {tried} candidates ({count} testable) stands out"
     if diagnosis.verdict == "unknown":
         failed = "The model fails, and no effect of the catalogue explains it"
         if not diagnosis.curves:

@@ -69,9 +69,10 @@ def of_diagnosis(
     # What a model holds after all else was fitted beside it; a diagnosis estimates before that.
     final = found.final.parameters if isinstance(found, Improvement) and found.fits else {}
     named = "; ".join(_effect(c, final) for c in effects)
+    last = found.diagnoses[-1] if isinstance(found, Improvement) else found
     on_the_way = f"; added on the way: {named}" if named else ""
     whats = {
-        "adequate": "Nothing is missing from the model at the noise floor",
+        "adequate": f"Nothing is missing from the model {last.floor}",
         "missing": f"Missing: {named}" if named else "An effect is missing",
         "ambiguous": f"One of a group is missing, and these data cannot tell which: {named}",
         "unknown": f"The model fails, and no effect of the catalogue explains it{on_the_way}",
@@ -79,7 +80,7 @@ def of_diagnosis(
     what = whats[found.verdict]
     learned = found.learned if isinstance(found, Improvement) else None
     if isinstance(found, Improvement) and named and found.verdict in ("adequate", "missing"):
-        rest = "; nothing more is missing at the noise floor" if found.verdict == "adequate" else ""
+        rest = f"; nothing more is missing {last.floor}" if found.verdict == "adequate" else ""
         what = f"Was missing, and is in the model now: {named}{rest}"
     if isinstance(found, Improvement) and found.added and found.verdict == "ambiguous":
         alike = "; ".join(f"{c.id} from {', '.join(c.confusable_with)}" for c in found.added if c.confusable_with)

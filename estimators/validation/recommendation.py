@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from estimators.core.correlation import LEVEL
-from estimators.core.fit import HEADER, Fit, Parameter
+from estimators.core.fit import FAR, HEADER, Fit, Parameter
 from estimators.core.result_base import Result
 from estimators.core.results import RESULTS
 from estimators.inference.robust_covariance import Covariances
@@ -16,8 +16,8 @@ from rtac_jax.overview import Overview, aligned
 
 RULE = (
     "The rule: output error with its plain standard deviation where its residuals are white; else prediction error, where its "
-    "innovations are, or where output error did not converge or ended where the data leave parameters free; else output error "
-    "with the larger of the deviations for a coloured residual and for independent experiments."
+    "innovations are, or where output error did not converge, ended where the data leave parameters free or does not follow the "
+    "rig; else output error with the larger of the deviations for a coloured residual and for independent experiments."
 )
 
 
@@ -80,18 +80,13 @@ def recommended(
 
     Source: Ljung, System Identification (1999), sections 7.4 and 9.3; White, Econometrica 50 (1982).
     """
-    converged = fit.result not in (RESULTS.steps_exhausted, RESULTS.undetermined)
-    if converged and _white([trace.whiteness_p for trace in fitted.traces]):
+    refused = _refused(fit)
+    if not refused and _white([trace.whiteness_p for trace in fitted.traces]):
         return Recommendation(fit.parameters, "output error", "a white residual, which it has", True)
     if predicted is not None:
         white = _white([w.p_value for w in predicted.whiteness])
-        if white or not converged:
-            why = (
-                "ended where the data leave parameters free"
-                if fit.result == RESULTS.undetermined
-                else "did not converge"
-            )
-            deviation = f"white innovations, which it has{'' if white else f' not; output error {why}'}"
+        if white or refused:
+            deviation = f"white innovations, which it has{'' if white else f' not; output error {refused}'}"
             return Recommendation(predicted.parameters, "prediction error", deviation, white)
     if spread is None:
         return Recommendation(fit.parameters, "output error", "a white residual, which it has not", False)
@@ -103,6 +98,16 @@ def recommended(
         for name, p in fit.parameters.items()
     }
     return Recommendation(found, "output error", f"{' or '.join(kinds)}, the larger of both", False)
+
+
+def _refused(fit: Fit) -> str:
+    """Return why output error is no estimate to use beside another; empty where it may be."""
+    if fit.result == RESULTS.undetermined:
+        return "ended where the data leave parameters free"
+    if fit.result == RESULTS.steps_exhausted:
+        return "did not converge"
+    far = max((rms / fit.noise[channel] for channel, rms in fit.residual_std.items()), default=0.0)
+    return f"does not follow the rig, being left at {far:,.0f} times the noise" if far > FAR else ""
 
 
 def _white(p_values: Sequence[float]) -> bool:

@@ -2,9 +2,14 @@
 
 import dataclasses
 
+import numpy as np
 import pytest
 from made_up_results import LEARNED, OTHERS, diagnosis, improvement
 
+from estimators.core.fisher_information import information_of
+from estimators.core.fit import Fit
+from estimators.core.results import RESULTS
+from rtac_jax import RTAC
 from rtac_jax.effects import CubicSpring
 
 NAMED = dataclasses.replace(diagnosis("missing"), additions=(CubicSpring(1.0),))
@@ -53,6 +58,23 @@ def test_nothing_added_is_said_as_what_it_is():
     )
     assert looped(diagnosis("unknown"), steps=1).headline.startswith("The model fails, and no effect of the catalogue")
     assert looped(diagnosis("adequate"), steps=1).mended is None
+
+
+def test_a_model_whose_predictor_asks_for_random_forces_is_held_against_predictions_alone():
+    """Its simulation may be far from the noise."""
+    forced = dataclasses.replace(diagnosis("adequate"), random_torque=0.16)
+    assert looped(forced, steps=1).headline == (
+        "The model is adequate: nothing is missing predicted one sample ahead, which counts random forces."
+    )
+
+
+def test_a_last_fit_that_did_not_converge_is_told():
+    found = looped(diagnosis("adequate"), steps=1)
+    known = information_of(np.eye(1), ("total_mass",), np.ones(1))
+    statistics = {"agreed": 1, "starts": 1, "promised": 2500.0}
+    fit = Fit(RTAC.paper(), RESULTS.steps_exhausted, known, {}, {}, {}, (), statistics)
+    assert "did not converge" not in found.ending
+    assert "The last model: The fit did not converge" in dataclasses.replace(found, fits=(fit,)).ending
 
 
 def test_what_was_learned_is_called_no_physical_effect():

@@ -73,3 +73,11 @@ def test_where_nothing_is_white_the_larger_robust_deviation_is_given_and_the_rea
     assert lines[-1] == found.sentence
     assert "something may be missing" in found.sentence
     assert "spring_stiffness" in found._repr_html_()
+
+
+def test_a_simulation_that_is_far_off_is_not_recommended_beside_predictions():
+    """Where a missing effect or random forces lead the simulation astray, predictions are bent less."""
+    far = dataclasses.replace(FIT, residual_std={channel: 30.0 * level for channel, level in NOISE.items()})
+    found = recommended(far, compared("model", 30.0), predicted=predictor(1e-9), spread=SPREAD)
+    assert (found.estimator, found.sound) == ("prediction error", False)
+    assert "output error does not follow the rig, being left at 30 times the noise" in found.sentence

@@ -4,15 +4,18 @@ from collections.abc import Iterable, Sequence
 from functools import lru_cache
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
+from scipy.interpolate import CubicSpline
 from scipy.signal import welch
 
 from rtac_jax.measurement import OUTPUTS, Experiment, filled
 
 Values = Float[np.ndarray, " sample"]
 
-_SOME = 0.02  # fraction of samples that are missing, up to which lines take less than a fiftieth of the noise
+_SOME = 0.02  # fraction of samples that are missing, up to which bridging them takes less than a fiftieth of the noise
 _FEWEST = 16  # samples of which a spectrum is taken
+_BRIDGED = 16  # samples that a gap may span and be bridged: a spline swings out over longer ones
+_ENOUGH = 64  # samples of a part whose spectrum has a quiet band to be found
 # Draws of white noise; the median of their ratios scatters by a twentieth where half of 300 samples are missing.
 _WHITE_DRAWS = 9
 
@@ -85,27 +88,44 @@ def quantisation_step(values: Values) -> float:
 def spectral_floor(values: Values) -> float:
     """Return the standard deviation of the white noise that would fill the quietest fifth of the spectrum.
 
-    A channel read every nth sample is taken at its own rate. Where other samples are missing the straight lines that bridge them
-    take noise away, mostly at high frequencies: as much as they take from white noise with the same samples missing.
+    A channel read every nth sample is taken at its own rate. Where other samples are missing it is taken in parts between long
+    gaps, with short ones bridged by cubic splines, which follow the motion. What that takes from the noise is what it takes from
+    white noise with the same samples missing.
     """
     present = np.flatnonzero(np.isfinite(values))
     apart = np.unique(np.diff(present))
+    if len(present) < 2 or len(present) > (1 - _SOME) * len(values):
+        return _quietest(filled(values))
     if len(apart) == 1 and len(present) >= _FEWEST:
         return _quietest(values[present])
-    level = _quietest(filled(values))
-    if len(present) < 2 or len(present) > (1 - _SOME) * len(values):
-        return level
-    return level / _left_by_lines(np.isfinite(values).tobytes())
+    return _quietest_in_parts(values) / _left_in_parts(np.isfinite(values).tobytes())
 
 
 @lru_cache(maxsize=256)
-def _left_by_lines(measured: bytes) -> float:
-    """Return the fraction of white noise that is left where lines bridge what was not measured; asked often, for the same."""
+def _left_in_parts(measured: bytes) -> float:
+    """Return the fraction of white noise that is left where samples are missing; asked often, for the same."""
     mask = np.frombuffer(measured, dtype=bool)
     whole = np.random.default_rng(0).standard_normal((_WHITE_DRAWS, len(mask)))
     gapped = np.where(mask, whole, np.nan)
-    left = [_quietest(filled(row)) / _quietest(white) for row, white in zip(gapped, whole, strict=True)]
+    left = [_quietest_in_parts(row) / _quietest(white) for row, white in zip(gapped, whole, strict=True)]
     return float(np.median(left))
+
+
+def _quietest_in_parts(values: Values) -> float:
+    """Return the rms of what is quietest in the parts between long gaps that are long enough, or in the longest."""
+    present = np.flatnonzero(np.isfinite(values))
+    parts = np.split(present, np.flatnonzero(np.diff(present) > _BRIDGED) + 1)
+    used = [part for part in parts if len(part) >= _ENOUGH] or [max(parts, key=len)]
+    if len(used[0]) < _FEWEST:
+        return _quietest(filled(values))
+    levels = [_quietest(_bridged(values, part)) for part in used]
+    return float(np.sqrt(np.average(np.square(levels), weights=[len(part) for part in used])))
+
+
+def _bridged(values: Values, present: Int[np.ndarray, " present"]) -> Float[np.ndarray, " part"]:
+    """Return the signal from the first to the last of these samples, by a cubic spline through them."""
+    every = np.arange(present[0], present[-1] + 1)
+    return CubicSpline(present, values[present])(every) if 3 < len(present) < len(every) else filled(values[every])
 
 
 def _quietest(values: Values) -> float:

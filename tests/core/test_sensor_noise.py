@@ -16,24 +16,25 @@ MISSING = {
 }
 
 
-def decay(count, step, random):
-    """A decaying oscillation, thirty times the noise at its start, sampled at every `step`th place."""
+def decay(count, step, random, size=30):
+    """A decaying oscillation, so many times the noise at its start, sampled at every `step`th place."""
     place = step * np.arange(count)
-    return 30 * np.sin(0.05 * place + random.uniform(0, 6)) * np.exp(-place / 1500)
+    return size * np.sin(0.05 * place + random.uniform(0, 6)) * np.exp(-place / 1500)
 
 
+@pytest.mark.parametrize("size", [30, 3000])
 @pytest.mark.parametrize("which", MISSING)
-def test_missing_samples_take_no_noise_away(which) -> None:
+def test_missing_samples_take_no_noise_away(which, size) -> None:
     """The lowest of several bands lies below the noise, in a short record farther: as far as in a complete one of that length."""
     random = np.random.default_rng(3)
     index = np.arange(1500)
     step = 4 if which == "all but every fourth" else 1
     found, complete = [], []
     for _ in range(60):
-        values = decay(1500, 1, random) + random.standard_normal(1500)
+        values = decay(1500, 1, random, size) + random.standard_normal(1500)
         values[MISSING[which](index, random)] = np.nan
         found.append(spectral_floor(values))
-        complete.append(spectral_floor(decay(1500 // step, step, random) + random.standard_normal(1500 // step)))
+        complete.append(spectral_floor(decay(1500 // step, step, random, size) + random.standard_normal(1500 // step)))
     assert np.mean(found) / np.mean(complete) == pytest.approx(1.0, abs=0.05)
     assert np.std(found) < 0.15
 

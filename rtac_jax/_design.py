@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float64
 
 from rtac_jax._rtac import RTAC
+from rtac_jax.arguments import checked_arguments
 from rtac_jax.effects import Input
 from rtac_jax.excitation import Excitation
 from rtac_jax.measurement import DESIGNED, Experiment, Recording
@@ -24,6 +25,7 @@ _MOST_ROUNDS = 1000
 _MOST_SILENT = 0.5  # fraction of the samples that a dead band may silence: an arm that rests in it cannot be driven out
 
 
+@checked_arguments
 def design_excitation(
     model: RTAC,
     current: Float64[np.ndarray, " sample"] | Float64[np.ndarray, "experiment sample"],

@@ -3,7 +3,7 @@
 import dataclasses
 import functools
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import equinox as eqx
@@ -18,6 +18,7 @@ from rtac_jax._rigid_body import RigidBody
 from rtac_jax._since import Since
 from rtac_jax._sincos import sincos
 from rtac_jax._stopping import brought_to_rest
+from rtac_jax.arguments import checked_arguments
 from rtac_jax.constants import require_constants
 from rtac_jax.effects import (
     CATALOGUE,
@@ -77,7 +78,11 @@ class RTAC(eqx.Module):
         twice = sorted({name for name in ids if ids.count(name) > 1})
         if twice:
             raise ValueError(f"the model already has {', '.join(twice)}; change its parameters with with_values.")
-        unknown = sorted((self.fixed | self.per_experiment) - set(self.parameters))
+        self._require(self.fixed | self.per_experiment)
+
+    def _require(self, names: Iterable[str]) -> None:
+        """Refuse names that no parameter has."""
+        unknown = sorted(set(names) - set(self.parameters))
         if unknown:
             raise ValueError(
                 f"no parameter is called {', '.join(unknown)}; this model has {', '.join(self.parameters)}."
@@ -92,6 +97,7 @@ class RTAC(eqx.Module):
         )
 
     @classmethod
+    @checked_arguments
     def from_rig(cls, recording: Recording) -> "RTAC":
         """Return the paper's model for the rig of a recording: known constants fixed, and what nothing excites left out.
 
@@ -197,6 +203,7 @@ class RTAC(eqx.Module):
 
     def release(self, *names: str) -> "RTAC":
         """Return the model with these parameters estimated."""
+        self._require(names)
         return type(self)(self.body, self.effects, self.fixed - set(names), self.per_experiment, self.priors)
 
     def each_experiment(self, *names: str) -> "RTAC":

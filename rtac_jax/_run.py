@@ -57,6 +57,8 @@ def run(
     """Return the states of all experiments; NumPy's where all numbers are known, JAX's where they are traced."""
     if substeps is not None:
         substeps = operator.index(substeps)
+        if substeps < 1:
+            raise ValueError(f"substeps is {substeps}; give at least 1, or None for as many as the fastest mode asks.")
     if not is_traced(model, start, excitation):
         steps = substeps if substeps is not None else substeps_for(model, excitation, stability=_STABILITY)
         return np.asarray(

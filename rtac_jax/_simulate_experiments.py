@@ -9,6 +9,7 @@ from jaxtyping import Array
 from rtac_jax._rtac import RTAC
 from rtac_jax._run import run, whole_starts
 from rtac_jax._simulation_record import Simulation, simulation_of
+from rtac_jax.arguments import checked_arguments
 from rtac_jax.configuration import warn_single_precision
 from rtac_jax.effect_contract import require_working_model
 from rtac_jax.excitation import BEYOND, Excitation
@@ -26,6 +27,7 @@ def simulate(
 def simulate(
     model: RTAC, experiments: Iterable[Experiment], *, start: Starts | None = None, substeps: int | None = None
 ) -> dict[str, Simulation]: ...
+@checked_arguments
 def simulate(
     model: RTAC,
     experiments: Experiment | Iterable[Experiment],
@@ -57,7 +59,8 @@ def simulate(
         By name of experiment; of one experiment its simulation.
 
     Raises:
-        ValueError: no experiment, a start of the wrong length, or a user's own effect that does not work.
+        ValueError: no experiment, a start of the wrong length, less than one step in a sample, or a user's own effect that does
+            not work.
     """
     warn_single_precision()
     require_working_model(model)

@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 from scipy.optimize import root
 
 from rtac_jax._rtac import RTAC
+from rtac_jax.arguments import checked_arguments
 from rtac_jax.configuration import require_configured
 from rtac_jax.effect_contract import require_working_model
 from rtac_jax.programs import program
@@ -21,6 +22,7 @@ _NUDGE = 1e-12  # small against any velocity of interest, so that its square van
 _REST = 1e-9  # accelerations [m/s^2, rad/s^2] below which a state counts as an equilibrium
 
 
+@checked_arguments
 def linearise(
     model: RTAC,
     *,
@@ -130,6 +132,7 @@ def _both_sides(jacobians: Callable[[Array, Array], Any], rest: np.ndarray, hold
     return a, b, c
 
 
+@checked_arguments
 def equation_4(model: RTAC, *, arm_angle: float = 0.0, rate: float = 1.0) -> ct.TransferFunction:
     """Return equation (4): from normalised torque u to normalised cart position xi, at small motions about an arm angle.
 

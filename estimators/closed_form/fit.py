@@ -14,6 +14,7 @@ from estimators.closed_form.two_stage import Estimates, Weighting, forced_stage,
 from estimators.closed_form.unknown_scale import SCALING, scale_stage, unknown_scales
 from estimators.core.sensor_noise import noise_levels
 from rtac_jax import RTAC
+from rtac_jax.arguments import checked_arguments
 from rtac_jax.measurement import Experiment, Recording
 
 _TURNS = 4
@@ -24,6 +25,7 @@ AS_IN_PAPER: Mapping[str, Any] = {"weighting": "none", "near_zero": 0.0}
 """Options of `least_squares` that leave out what the paper does not write of: weights, and samples where the cart hardly moves."""
 
 
+@checked_arguments
 def least_squares(
     model: RTAC,
     recording: Recording,

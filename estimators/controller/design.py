@@ -14,6 +14,7 @@ from estimators.core.fit import Fit
 from estimators.frequency_response.response import FrequencyResponses
 from estimators.uncertainty.envelope import Envelope, envelope
 from rtac_jax import RTAC, linearise
+from rtac_jax.arguments import checked_arguments
 from rtac_jax.control import (
     Actuation,
     ClosedLoop,
@@ -51,6 +52,7 @@ class _Attempt(NamedTuple):
     closed: ClosedLoop
 
 
+@checked_arguments
 def control(
     fit: Fit,
     covered: Envelope | Sequence[Envelope],

@@ -56,6 +56,7 @@ from estimators.misspecification.residual_maps import Place
 from estimators.misspecification.static_force import ForceCurve
 from estimators.prediction_error.latent_force import LatentForce
 from rtac_jax import RTAC, require_configured
+from rtac_jax.arguments import checked_arguments
 from rtac_jax.effects import Effect
 from rtac_jax.measurement import Recording
 from rtac_jax.overview import Overview, shortened
@@ -153,6 +154,7 @@ class Diagnosis(Result):
         return draw(self)
 
 
+@checked_arguments
 @one_blas_thread()
 def diagnose(
     fit: Fit,

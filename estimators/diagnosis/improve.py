@@ -19,6 +19,7 @@ from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
 from estimators.output_error.fit import output_error
 from estimators.validation.simulation_error import Comparison, compare
 from rtac_jax import RTAC
+from rtac_jax.arguments import checked_arguments
 from rtac_jax.effects import Effect
 from rtac_jax.measurement import Recording
 from rtac_jax.overview import Overview
@@ -188,6 +189,7 @@ class Improvement(Result):
         return draw(self)
 
 
+@checked_arguments
 @one_blas_thread()
 def improve(
     model: RTAC,

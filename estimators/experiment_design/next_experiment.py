@@ -17,6 +17,7 @@ from estimators.experiment_design.candidate_experiments import Limits, default_p
 from estimators.experiment_design.hypotheses import contest_of
 from estimators.experiment_design.t_optimality import separations
 from rtac_jax import require_configured
+from rtac_jax.arguments import checked_arguments
 from rtac_jax.effects import Effect
 from rtac_jax.measurement import DESIGNED, OUTPUTS, Plan, Recording
 
@@ -182,6 +183,7 @@ class NextExperiment:
         return draw(self)
 
 
+@checked_arguments
 def next_experiment(
     fit: Fit,
     recording: Recording,

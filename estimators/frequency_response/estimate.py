@@ -13,6 +13,7 @@ from estimators.frequency_response.local_polynomial import LocalFit, VanishingEr
 from estimators.frequency_response.periodic import Lines, periodic_response
 from estimators.frequency_response.response import FrequencyResponse, FrequencyResponses
 from rtac_jax import RTAC
+from rtac_jax.arguments import checked_arguments
 from rtac_jax.measurement import INPUTS, OUTPUTS, Experiment, Recording
 
 _EXCITED = 1e-3  # of the largest line, from which a line counts as excited when no band is given
@@ -25,6 +26,7 @@ _POLES = 2
 _COMPILED = 500  # lines of all conditions, from which the compiled program pays for its start: 0.1 s of NumPy
 
 
+@checked_arguments
 def frequency_responses(
     recording: Recording,
     *,

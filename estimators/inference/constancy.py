@@ -11,6 +11,7 @@ from estimators.core.fit import Fit
 from estimators.core.linearisation import at_fit, rows_at
 from estimators.linear.homogeneity_test import Covariates, Equality, given_covariates, trend_of, varying
 from rtac_jax import require_configured
+from rtac_jax.arguments import checked_arguments
 from rtac_jax.measurement import Experiment, Recording
 
 # Information on a parameter in one experiment over that of the richest; with less, one linear step says nothing of it there.
@@ -18,6 +19,7 @@ _SHOWN = 1e-4
 _LEAST = 3  # experiments that a trend and what scatters beside it need
 
 
+@checked_arguments
 def constancy(fit: Fit, recording: Recording, *, covariates: Covariates | None = None, level: float = 0.01) -> Equality:
     """Test whether every experiment has the parameters of a fit; if not, name what drifts, and with which covariate.
 
@@ -43,6 +45,8 @@ def constancy(fit: Fit, recording: Recording, *, covariates: Covariates | None =
 
     Source: a test of parameter constancy by scores as in Nyblom, J. Am. Stat. Assoc. 84 (1989), with experiments for times.
     """
+    if not 0 < level < 1:
+        raise ValueError(f"level is {level:g}; give the level of a test, between 0 and 1, as 0.01.")
     require_configured()
     problem = at_fit(fit, recording)
     experiments = problem.experiments

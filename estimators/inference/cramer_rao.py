@@ -14,6 +14,7 @@ from estimators.core.results import DivergedError
 from estimators.core.sensor_noise import noise_levels
 from estimators.core.step_size import accurate_substeps
 from rtac_jax import RTAC, require_configured, simulate
+from rtac_jax.arguments import checked_arguments
 from rtac_jax.measurement import OUTPUTS, Experiment, Plan, Recording
 
 _FREE = 1e3  # times its value from which on a standard deviation says no more than that nothing is known
@@ -51,6 +52,7 @@ class Expected:
         return "\n".join([*lines, *(f"{text[0].upper()}{text[1:]}." for text in dict.fromkeys(weak))])
 
 
+@checked_arguments
 def expected_std(
     model: RTAC, planned: Recording | Sequence[Experiment | Plan], *, noise: Mapping[str, float] | None = None
 ) -> Expected:

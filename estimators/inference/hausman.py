@@ -24,11 +24,13 @@ from estimators.inference.simulation_residual import SimulationResidual, judged_
 from estimators.linear.fit import LinearModels
 from estimators.prediction_error.fit import PredictorFit
 from rtac_jax import RTAC, require_configured
+from rtac_jax.arguments import checked_arguments
 from rtac_jax.measurement import Recording
 
 _DRAWS, _FEW = 80, 32  # replicates, of experiments that are short or long
 
 
+@checked_arguments
 def agreement(
     results: Sequence[Result],
     recording: Recording,
@@ -75,6 +77,8 @@ def agreement(
     Source: Hausman, Econometrica 46 (1978); joint test: Hotelling's T^2; replicates: Kuensch, Ann. Statist. 17 (1989); a
     linear model of what is not linear: Gourieroux, Monfort and Renault, J. Appl. Econometrics 8 (1993), indirect inference.
     """
+    if not 0 < level < 1:
+        raise ValueError(f"level is {level:g}; give the level of a test, between 0 and 1, as 0.01.")
     require_configured()
     several = list(results)
     predictors = [r for r in several if isinstance(r, PredictorFit)]

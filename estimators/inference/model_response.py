@@ -11,12 +11,14 @@ from estimators.core.fit import Fit
 from estimators.frequency_response.response import FrequencyResponse
 from estimators.prediction_error.fit import PredictorFit
 from rtac_jax import RTAC, linearise
+from rtac_jax.arguments import checked_arguments
 
 _STEP = 1e-2  # of a central difference, in standard deviations of the parameter: small against what matters, large beside rounding
 _SURE = 1_000_000  # degrees of freedom of a band that counts the parameters alone
 _CANCELS = 1e-6  # distance of a pole from a zero, relative to the fastest pole, below which neither shows
 
 
+@checked_arguments
 def model_response(
     fit: Fit | PredictorFit, omega: Float[np.ndarray, " frequency"], *, arm_angle: float = 0.0
 ) -> FrequencyResponse:

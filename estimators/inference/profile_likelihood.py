@@ -15,6 +15,7 @@ from estimators.core.drawing import draw
 from estimators.core.fit import Fit
 from estimators.core.linearisation import at_fit, problem_of
 from rtac_jax import require_configured
+from rtac_jax.arguments import checked_arguments
 from rtac_jax.measurement import Recording
 
 
@@ -57,6 +58,7 @@ class Profile:
         return draw(self)
 
 
+@checked_arguments
 def profile(
     fit: Fit,
     recording: Recording,

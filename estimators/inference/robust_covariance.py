@@ -15,6 +15,7 @@ from estimators.core.linearisation import Problem, Rows, at_fit, rows_at
 from estimators.core.long_run_covariance import long_run_covariance
 from estimators.core.result_base import Result
 from rtac_jax import require_configured
+from rtac_jax.arguments import checked_arguments
 from rtac_jax.measurement import Recording
 from rtac_jax.overview import Overview
 
@@ -77,6 +78,7 @@ class Covariances(Result):
         return "\n".join(lines)
 
 
+@checked_arguments
 def covariances(fit: Fit, recording: Recording) -> Covariances:
     """Compute plain, sandwich and clustered covariance of a fit.
 

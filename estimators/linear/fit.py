@@ -23,6 +23,7 @@ from estimators.linear.predictor import tracks
 from estimators.linear.residual_tests import Colour, backward_coloured, residual_test, whitened
 from estimators.linear.stages import Stage, predictor_stage, simulation_stages
 from rtac_jax import RTAC, linearise, require_configured
+from rtac_jax.arguments import checked_arguments
 from rtac_jax.measurement import Recording
 
 _MOST_MODES = 3  # that a search tries
@@ -130,6 +131,7 @@ class LinearModels:
         return draw(self, omega)
 
 
+@checked_arguments
 def prediction_error(
     recording: Recording,
     *,

@@ -14,6 +14,7 @@ from estimators.core.step_size import accurate_substeps
 from estimators.output_error.batched_fit import TOLERANCE, fit_cases
 from estimators.output_error.fit_case import Case, shape_of
 from rtac_jax import RTAC, require_configured
+from rtac_jax.arguments import checked_arguments
 from rtac_jax.measurement import Recording
 
 
@@ -63,6 +64,7 @@ class BatchFit:
         )
 
 
+@checked_arguments
 def output_error_batch(
     model: RTAC,
     recordings: Sequence[Recording],

@@ -21,6 +21,7 @@ from estimators.output_error.descent import Descent, DescentEnd
 from estimators.output_error.memory import require_memory
 from estimators.output_error.robust import without_spikes
 from rtac_jax import RTAC, require_configured
+from rtac_jax.arguments import checked_arguments
 from rtac_jax.effect_contract import require_working_model
 from rtac_jax.measurement import Experiment, Recording
 
@@ -31,6 +32,7 @@ _AGREES = 1e-3
 _UNFINISHED = 10.0
 
 
+@checked_arguments
 @one_blas_thread()
 def output_error(
     model: RTAC,

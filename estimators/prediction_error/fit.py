@@ -33,6 +33,7 @@ from estimators.prediction_error.innovations import one_step_rms
 from estimators.prediction_error.noise_estimation import Predictor, fit_trusted
 from estimators.prediction_error.noise_model import NoiseModel
 from rtac_jax import RTAC, require_configured
+from rtac_jax.arguments import checked_arguments
 from rtac_jax.effect_contract import require_working_model
 from rtac_jax.measurement import Experiment, Recording
 from rtac_jax.overview import Overview
@@ -135,6 +136,7 @@ class PredictorFit(ModelFit):
         return draw(self)
 
 
+@checked_arguments
 @one_blas_thread()
 def prediction_error_nonlinear(
     model: RTAC,

@@ -22,6 +22,7 @@ from estimators.study.run import repeated
 from estimators.study.toml_writer import toml
 from estimators.study.work import Work
 from rtac_jax import RTAC, require_configured
+from rtac_jax.arguments import checked_arguments
 from rtac_jax.measurement import Recording
 from rtac_jax.prior import Prior
 
@@ -119,6 +120,7 @@ class Bootstrap:
         return f"{table}\n{table.caption}"
 
 
+@checked_arguments
 def bootstrap(
     fit: Fit | PredictorFit,
     recording: Recording,
@@ -168,6 +170,11 @@ def bootstrap(
         raise ValueError(f"repetitions is {repetitions}; give at least 2.")
     if not block > 0:
         raise ValueError(f"block is {block}; give a length in seconds.")
+    shortest = min(e.duration for e in moving(fitted_part(recording, fit.experiments)))
+    if method == "blocks" and not block <= 0.5 * shortest:
+        raise ValueError(
+            f"block is {block} s, and the shortest experiment takes {shortest:.3g} s; give half of that at most."
+        )
     work = Replicates(fit, fitted_part(recording, fit.experiments), repetitions, seed, method, float(block))
     _ = work.source  # refuses another recording before anything is kept
     _, arrays = repeated(work, work.description, executor=executor, out=out, chunk=None, progress=progress)

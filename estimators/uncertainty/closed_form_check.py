@@ -11,6 +11,7 @@ from estimators.frequency_response.response import FrequencyResponses
 from estimators.uncertainty.envelope import Envelope
 from estimators.uncertainty.uncertainty_structures import errors
 from rtac_jax import RTAC, linearise
+from rtac_jax.arguments import checked_arguments
 from rtac_jax.measurement import Recording
 
 _IN_RESPONSE = ("eccentric_moment", "torque_constant", "spring_stiffness")
@@ -61,6 +62,7 @@ class ClosedFormCheck:
         )
 
 
+@checked_arguments
 def closed_form_check(recording: Recording, found: Envelope, responses: FrequencyResponses) -> ClosedFormCheck:
     """Hold the linearised weak form of a recording against an envelope of its conditions.
 

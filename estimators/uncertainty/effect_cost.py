@@ -10,6 +10,7 @@ from estimators.core.fit import Fit
 from estimators.frequency_response.response import FrequencyResponses
 from estimators.uncertainty.envelope import Envelope, envelope
 from rtac_jax import RTAC
+from rtac_jax.arguments import checked_arguments
 from rtac_jax.control import Actuation, Price, Units, nominal_plant, price
 
 _LITTLE = 0.3  # |W T| that adds less than 5 % to a norm of 1
@@ -59,6 +60,7 @@ class EffectCost:
         return draw(self)
 
 
+@checked_arguments
 def effect_cost(
     before: Fit | RTAC,
     after: Fit | RTAC,

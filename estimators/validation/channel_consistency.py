@@ -21,6 +21,7 @@ from estimators.validation.equation_error import (
 )
 from estimators.validation.equilibrium import distance_from_equilibrium
 from estimators.validation.mistakes import COARSE, DELAYS, Mistake, delays, usual_mistakes
+from rtac_jax.arguments import checked_arguments
 from rtac_jax.measurement import Experiment, Recording, moving_at_rest
 
 # What is undone must take nine tenths of the squared residual beyond the noise away, the fraction of the misfit from which on an
@@ -91,6 +92,7 @@ class ChannelConsistency:
         return f"The equations of motion leave {self.residual:.3g} times the noise, and no usual mistake explains more than that."
 
 
+@checked_arguments
 def channel_consistency(recording: Recording) -> ChannelConsistency:
     """Hold channels and experiments against the equations of motion and against each other, without a fit by simulation.
 

@@ -12,6 +12,7 @@ from estimators.core.results import RESULTS
 from estimators.inference.robust_covariance import Covariances
 from estimators.prediction_error.fit import PredictorFit
 from estimators.validation.simulation_error import Compared
+from rtac_jax.arguments import checked_arguments
 from rtac_jax.overview import Overview, aligned
 
 RULE = (
@@ -63,6 +64,7 @@ class Recommendation(Result):
         return "\n".join([*aligned([HEADER, *self.rows()], right=(1, 2)), self.sentence])
 
 
+@checked_arguments
 def recommended(
     fit: Fit, fitted: Compared, *, predicted: PredictorFit | None = None, spread: Covariances | None = None
 ) -> Recommendation:

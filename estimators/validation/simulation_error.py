@@ -26,6 +26,7 @@ from estimators.validation.extrapolation import beyond
 from estimators.validation.prediction_ahead import ahead_of
 from estimators.validation.trace import Trace
 from rtac_jax import RTAC, require_configured
+from rtac_jax.arguments import checked_arguments
 from rtac_jax.measurement import Experiment, Recording
 from rtac_jax.overview import Overview
 
@@ -157,6 +158,7 @@ class Comparison(Result):
         return draw(self)
 
 
+@checked_arguments
 def compare(
     fits: Fitted | Sequence[Fitted],
     recording: Recording,
@@ -180,17 +182,23 @@ def compare(
         ahead: predict so many samples ahead instead; the first so many of an experiment do not count.
 
     Raises:
-        ValueError: nothing moves in the recording, the labels do not fit, or `ahead` is not positive.
+        ValueError: nothing moves in the recording, the labels do not fit, `ahead` is not positive, or it or `start_samples` leaves
+            no sample of an experiment.
         DivergedError: a model leaves all bounds in an experiment; the message names both.
     """
     require_configured()
     if ahead is not None and ahead < 1:
         raise ValueError(f"ahead: is {ahead}; give at least 1 sample, or None for a free simulation.")
     several = [fits] if isinstance(fits, Fit | PredictorFit | RTAC) else list(fits)
+    if not several:
+        raise ValueError("there is nothing to compare; give at least one fit or model.")
     names = list(labels) if labels is not None else ["model"] if len(several) == 1 else _default_labels(several)
     if len(names) != len(several):
         raise ValueError(f"{len(several)} models need as many labels, not {len(names)}.")
+    if len(set(names)) < len(names):
+        raise ValueError(f"labels are {', '.join(names)}: give each model one of its own.")
     experiments = moving(recording)
+    _require_samples(experiments, start_samples, ahead)
     levels = noise_levels(recording.experiments)
     fitted = next((fit for fit in several if isinstance(fit, Fit)), None)
     if fitted is not None and not any(e.kind == "rest" for e in recording.experiments):
@@ -207,7 +215,25 @@ def compare(
 def _default_labels(fits: Sequence[Fitted]) -> list[str]:
     models = [fit if isinstance(fit, RTAC) else fit.model for fit in fits]
     common = set.intersection(*(set(m.ids) for m in models))
-    return [("+ " + ", ".join(i for i in m.ids if i not in common)) if set(m.ids) - common else "base" for m in models]
+    found = [("+ " + ", ".join(i for i in m.ids if i not in common)) if set(m.ids) - common else "base" for m in models]
+    return [
+        f"{name} ({found[: place + 1].count(name)})" if found.count(name) > 1 else name
+        for place, name in enumerate(found)
+    ]
+
+
+def _require_samples(experiments: Sequence[Experiment], start_samples: int | None, ahead: int | None) -> None:
+    """Refuse to leave out all samples of an experiment."""
+    for name, count in (("ahead", ahead), ("start_samples", start_samples)):
+        if count is None:
+            continue
+        if not isinstance(count, int | np.integer):
+            raise ValueError(f"{name} is {count}; give a whole number of samples.")
+        shortest = min(experiments, key=lambda e: e.samples)
+        if count >= shortest.samples:
+            raise ValueError(
+                f"{name} is {count}: so many samples do not count, and {shortest.name} has {shortest.samples}; give fewer."
+            )
 
 
 def _compare_one(

@@ -6,6 +6,8 @@ import numpy as np
 import scipy.ndimage
 from jaxtyping import Float64
 
+from rtac_jax.arguments import checked_arguments
+
 from ._channel_checks import channel_concerns, rest_concerns, unit_concerns
 from ._experiment import Experiment
 from ._momentary_faults import momentary_faults, resolution
@@ -25,6 +27,7 @@ MEDIAN_TO_STD = 1.4826
 UNEQUAL_NOISE = 1.5
 
 
+@checked_arguments
 def concerns(recording: Recording) -> list[str]:
     """Return what looks wrong with `recording`, one sentence each; empty when nothing does."""
     with np.errstate(all="ignore"):

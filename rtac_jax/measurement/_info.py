@@ -4,6 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from rtac_jax.arguments import checked_arguments
 from rtac_jax.overview import aligned
 
 from ._contents import Contents
@@ -22,6 +23,7 @@ RIG_UNITS: Mapping[str, str] = {
 HEADER = ("channel", "unit", "rms", "missing", "noise std", "between samples")
 
 
+@checked_arguments
 def describe(recording: Contents) -> str:
     """Describe the experiments in a readable table: their conditions, and the unit, rms and noise of each channel."""
     experiments = recording.experiments

@@ -166,7 +166,9 @@ def scales_of(model: RTAC, experiments: Sequence[Experiment]) -> Scales:
             for e in moving
             if "arm_angle" in e.outputs
         ]
-        arm_velocity = max(float(np.sqrt(np.mean([np.mean(r**2) for r in rates]))) if rates else 0.0, 1e-9)
+        # Of an arm that nothing shows: one that swings by a radian as fast as the cart.
+        unseen = frequency if any(e.arm == "free" for e in moving) else 0.0
+        arm_velocity = max(float(np.sqrt(np.mean([np.mean(r**2) for r in rates]))) if rates else unseen, 1e-9)
     current = rms("inputs", "current", 1e-9)
     body = model.body
     return Scales(

@@ -137,5 +137,6 @@ def _advice(found: Any, work: Job) -> list[Any]:
         predicted = est.prediction_error_nonlinear(found.final.model, work.train, from_model=True)
     except (ValueError, est.DivergedError) as error:
         return [f"No prediction error: {error}"]
-    advice = est.recommended(found.final, found.train.models[-1], predicted=predicted)
+    spread = est.covariances(found.final, work.train)
+    advice = est.recommended(found.final, found.train.models[-1], predicted=predicted, spread=spread)
     return [recommended_table(advice, found.final), advice.sentence]

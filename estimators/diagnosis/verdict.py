@@ -16,7 +16,6 @@ from estimators.inference.simulation_residual import (
     simulation_residual,
 )
 from estimators.misspecification.adequacy import AdequacyTest, alarming, few_for
-from rtac_jax.arguments import checked_arguments
 
 _COMPUTED = {
     "noise": ("colour_little", "colour_mended"),
@@ -85,7 +84,6 @@ class Judgement:
         return self.steps[-1].model if self.steps else self.selection.base
 
 
-@checked_arguments
 def judge(evidence: Evidence, policy: DiagnosisPolicy = STANDARD) -> Judgement:
     """Judge evidence by a policy: the verdict, the effects that it names, their rivals, and the fraction that they remove.
 

@@ -17,8 +17,9 @@ from rtac_jax.overview import Overview, aligned
 
 RULE = (
     "The rule: output error with its plain standard deviation where its residuals are white; else prediction error, where its "
-    "innovations are, or where output error did not converge, ended where the data leave parameters free or does not follow the "
-    "rig; else output error with the larger of the deviations for a coloured residual and for independent experiments."
+    "innovations are, or where output error did not converge or ended where the data leave parameters free; else the larger of "
+    "the deviations for a coloured residual and for independent experiments, with output error, or, where that does not follow "
+    "the rig, with prediction error."
 )
 
 
@@ -85,31 +86,53 @@ def recommended(
     refused = _refused(fit)
     if not refused and _white([trace.whiteness_p for trace in fitted.traces]):
         return Recommendation(fit.parameters, "output error", "a white residual, which it has", True)
+    kinds = {}
+    if spread is not None:
+        kinds = {"a coloured residual": spread.std("sandwich"), "independent experiments": spread.std("clustered")}
     if predicted is not None:
         white = _white([w.p_value for w in predicted.whiteness])
         if white or refused:
             deviation = f"white innovations, which it has{'' if white else f' not; output error {refused}'}"
             return Recommendation(predicted.parameters, "prediction error", deviation, white)
-    if spread is None:
+        if (
+            far := _far(fit)
+        ) > FAR:  # then its values are nearer, and its deviations too small for what the model lacks
+            words = [*kinds, "white innovations"]
+            astray = f"output error does not follow the rig, being left at {far:,.0f} times the noise"
+            deviation = f"{' or '.join(words)}, the largest; {astray}"
+            own = {name: p.std for name, p in predicted.parameters.items()}
+            return Recommendation(
+                _with_largest(predicted.parameters, [own, *kinds.values()]), "prediction error", deviation, False
+            )
+    if not kinds:
         return Recommendation(fit.parameters, "output error", "a white residual, which it has not", False)
-    kinds = {"a coloured residual": spread.std("sandwich"), "independent experiments": spread.std("clustered")}
-    found = {
-        name: dataclasses.replace(
-            p, std=max([s[name] for s in kinds.values() if np.isfinite(s.get(name, np.nan))], default=p.std)
-        )
-        for name, p in fit.parameters.items()
-    }
+    found = _with_largest(fit.parameters, list(kinds.values()))
     return Recommendation(found, "output error", f"{' or '.join(kinds)}, the larger of both", False)
 
 
+def _with_largest(
+    parameters: Mapping[str, Parameter], deviations: Sequence[Mapping[str, float]]
+) -> dict[str, Parameter]:
+    """Return the parameters with the largest of these standard deviations that are known, each by name."""
+
+    def largest(name: str, plain: float) -> float:
+        return max([s[name] for s in deviations if np.isfinite(s.get(name, np.nan))], default=plain)
+
+    return {name: dataclasses.replace(p, std=largest(name, p.std)) for name, p in parameters.items()}
+
+
 def _refused(fit: Fit) -> str:
-    """Return why output error is no estimate to use beside another; empty where it may be."""
+    """Return why output error is no estimate; empty where it may be one."""
     if fit.result == RESULTS.undetermined:
         return "ended where the data leave parameters free"
     if fit.result == RESULTS.steps_exhausted:
         return "did not converge"
-    far = max((rms / fit.noise[channel] for channel, rms in fit.residual_std.items()), default=0.0)
-    return f"does not follow the rig, being left at {far:,.0f} times the noise" if far > FAR else ""
+    return ""
+
+
+def _far(fit: Fit) -> float:
+    """Return how many times its noise the farthest channel is left at."""
+    return max((rms / fit.noise[channel] for channel, rms in fit.residual_std.items()), default=0.0)
 
 
 def _white(p_values: Sequence[float]) -> bool:

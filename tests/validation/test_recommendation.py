@@ -81,3 +81,7 @@ def test_a_simulation_that_is_far_off_is_not_recommended_beside_predictions():
     found = recommended(far, compared("model", 30.0), predicted=predictor(1e-9), spread=SPREAD)
     assert (found.estimator, found.sound) == ("prediction error", False)
     assert "output error does not follow the rig, being left at 30 times the noise" in found.sentence
+    assert dataclasses.astuple(found.parameters["spring_stiffness"])[:2] == pytest.approx(
+        (130.0, 0.5)
+    )  # its own is larger
+    assert found.parameters["torque_constant"].std == pytest.approx(2e-4)

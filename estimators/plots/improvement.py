@@ -4,6 +4,7 @@ from typing import Any
 
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
+from estimators.core.fit import FAR
 from estimators.diagnosis.improve import Improvement
 from estimators.plots.comparison import draw_pair, same
 from estimators.plots.style import MARKERS, NAMES, SMALL, Picture, picture, tidy, times, title
@@ -36,7 +37,8 @@ def finding(improvement: Improvement) -> str:
     before, after = first[channel].rms_over_noise, last[channel].rms_over_noise
     if len(improvement.validation.models) == 1:
         if improvement.verdict == "adequate":
-            return f"Nothing is missing: the held-out error of {NAMES[channel]} is {times(before)} times the noise"
+            found = "No effect stands out, and yet" if before > FAR else "Nothing is missing:"
+            return f"{found} the held-out error of {NAMES[channel]} is {times(before)} times the noise"
         return (
             f"No effect could be added: the held-out error of {NAMES[channel]} stays at {times(before)} times the noise"
         )

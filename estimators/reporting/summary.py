@@ -5,7 +5,7 @@ import shlex
 from collections.abc import Mapping
 
 from estimators.controller.outcome import ControlDesign, outcome
-from estimators.core.fit import Fit, Parameter
+from estimators.core.fit import FAR, Fit, Parameter
 from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.diagnose import Diagnosis
 from estimators.diagnosis.improve import Improvement
@@ -115,6 +115,11 @@ def of_diagnosis(
         "unknown": "Look where and at which frequency the force acts (below); use its learned curve, or give an effect of your "
         "own with --effects.",
     }
+    if _largest(after) > FAR:
+        steps["adequate"] = (
+            "Take the parameters from predictions (est.prediction_error_nonlinear): no simulation follows the rig. A record at "
+            "rest and a repeat tell random forces from what is missing."
+        )
     if isinstance(found, Improvement):
         steps["missing"] = "Use the model with it, in the range of motion that was recorded."
     if nearest is not None:

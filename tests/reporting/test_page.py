@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from made_up_results import LEARNED, compared, improvement
 
+from estimators.plots.improvement import finding
 from estimators.reporting import summary
 from estimators.reporting.html import Bullets, Table, write_report
 from estimators.reporting.trace_viewer import trace_viewer
@@ -66,12 +67,22 @@ def test_wide_tables_stack_on_a_narrow_page(tmp_path):
         assert f'data-head="{head}">{number}</td>' in page
 
 
+def test_a_model_whose_simulation_is_far_off_is_not_to_be_used_as_it_is():
+    """Although predictions show nothing that is missing."""
+    found = improvement(1, "adequate", (30.0,))
+    bullets = summary.of_diagnosis(found, found.train, found.validation, file="rig.h5")
+    assert bullets.next.startswith("Take the parameters from predictions")
+    assert finding(found).startswith("No effect stands out, and yet the held-out error of")
+    assert finding(improvement(1, "adequate", (1.0,))).startswith("Nothing is missing: the held-out error")
+
+
 @pytest.mark.parametrize(("verdict", "next_step"), [
     ("missing", "Use the model with it"), ("adequate", "Use the model:"), ("ambiguous", "tells them apart"),
     ("unknown", "give an effect of your own"),
 ])  # fmt: skip
 def test_bullets_say_what_was_found_how_sure_and_what_next(verdict, next_step):
-    found = improvement(1 if verdict in ("adequate", "unknown") else 2, verdict)
+    errors = (1.0,) if verdict == "adequate" else (30.0, 3.0)
+    found = improvement(1 if verdict in ("adequate", "unknown") else 2, verdict, errors)
     bullets = summary.of_diagnosis(found, found.train, found.validation, file="rig.h5")
     assert next_step in bullets.next
     if verdict in ("missing", "ambiguous"):

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from estimators.core.data import CHANNELS, Data
+from estimators.core.data import CHANNELS, Data, first_sample
 from estimators.core.initial_state import scales_of, space_of
 from estimators.core.step_size import accurate_substeps
 from estimators.prediction_error.ekf import filtered
@@ -16,6 +16,8 @@ from estimators.prediction_error.noise_model import NoiseModel, start_variance
 from estimators.prediction_error.several_steps_ahead import predict_ahead
 from rtac_jax import RTAC
 from rtac_jax.measurement import Experiment
+
+_SETTLED = 10  # samples from which a predictor that knew nothing knows the speeds
 
 
 def ahead_of(
@@ -59,3 +61,27 @@ def ahead_of(
     outputs = np.where(np.asarray(data.present) > 0, outputs, np.nan)
     states = np.asarray(physical[2])
     return outputs, {e.name: states[:, column] for column, e in enumerate(experiments)}
+
+
+def known_from(experiment: Experiment) -> int:
+    """Return the sample from which on a predictor knows the state: the first measured, or soon after, where that is no start."""
+    measured = int(min(np.argmax(np.isfinite(signal.values)) for signal in experiment.outputs.values()))
+    return measured if measured == first_sample(experiment) else measured + _SETTLED
+
+
+def ahead_from_first_sample(
+    model: RTAC,
+    experiments: Sequence[Experiment],
+    levels: Mapping[str, float],
+    ahead: int,
+    fit: PredictorFit | None,
+    starts: Mapping[str, Float[np.ndarray, " state"]],
+) -> tuple[Float[np.ndarray, "sample output experiment"], dict[str, Float[np.ndarray, " state"]]]:
+    """Return the outputs predicted so many samples ahead, from the first sample of each experiment on, and the starts there."""
+    begins = [first_sample(e) for e in experiments]
+    parts = [e.cut(begin, e.samples, e.name) if begin else e for begin, e in zip(begins, experiments, strict=True)]
+    predicted, start = ahead_of(model, parts, levels, ahead=ahead, fit=fit, starts=starts)
+    outputs = np.full((max(e.samples for e in experiments), *predicted.shape[1:]), np.nan)
+    for column, (begin, part) in enumerate(zip(begins, parts, strict=True)):
+        outputs[begin : begin + part.samples, :, column] = predicted[: part.samples, :, column]
+    return outputs, start

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from estimators.core.data import CHANNELS, Data, first_sample, mark_of, moving
+from estimators.core.data import CHANNELS, Data, mark_of, moving
 from estimators.core.drawing import draw
 from estimators.core.fit import Fit
 from estimators.core.information_criteria import InformationCriteria
@@ -23,7 +23,7 @@ from estimators.core.start_search import searched
 from estimators.core.step_size import accurate_substeps
 from estimators.prediction_error.fit import PredictorFit
 from estimators.validation.extrapolation import beyond
-from estimators.validation.prediction_ahead import ahead_of
+from estimators.validation.prediction_ahead import ahead_from_first_sample, known_from
 from estimators.validation.trace import Trace
 from rtac_jax import RTAC, require_configured
 from rtac_jax.arguments import checked_arguments
@@ -35,7 +35,6 @@ _LONG, _BEGINNING = 8192, 2048
 _OVER = (
     8  # times that experiments are simulated over and over at most, which costs less than compiling for their number
 )
-_SETTLED = 10  # samples from which a predictor that knew nothing knows the speeds
 _LOST = 1e100  # an output beyond this has left all bounds, and its square would overflow
 
 Fitted = Fit | PredictorFit | RTAC
@@ -267,7 +266,7 @@ def _compare_one(
             if unknown := [e for e in lost if e.name not in begun]:
                 begun |= _simulated(model, label, unknown, levels, None, start_samples, fit)[1]
             predictor = fit if isinstance(fit, PredictorFit) else None
-            simulated, start = _predicted(model, group, levels, ahead, predictor, begun)
+            simulated, start = ahead_from_first_sample(model, group, levels, ahead, predictor, begun)
             used = max(ahead, start_samples or 0)
         starts |= start
         for column, e in enumerate(group):
@@ -284,36 +283,12 @@ def _compare_one(
                         np.asarray(e.outputs[channel].values),
                         values,
                         np.zeros(e.samples) if drive is None else np.asarray(drive.values),
-                        np.arange(e.samples) >= used + (0 if ahead is None else _known_from(e)),
+                        np.arange(e.samples) >= used + (0 if ahead is None else known_from(e)),
                         stated.get((e.name, channel), levels[channel]),
                     )
                 )
     criteria = None if isinstance(fit, RTAC) else fit.criteria
     return Compared(label, model, tuple(traces), starts, far, criteria)
-
-
-def _known_from(experiment: Experiment) -> int:
-    """Return the sample from which on a predictor knows the state: the first measured, or soon after, where that is no start."""
-    measured = int(min(np.argmax(np.isfinite(signal.values)) for signal in experiment.outputs.values()))
-    return measured if measured == first_sample(experiment) else measured + _SETTLED
-
-
-def _predicted(
-    model: RTAC,
-    experiments: Sequence[Experiment],
-    levels: Mapping[str, float],
-    ahead: int,
-    fit: PredictorFit | None,
-    starts: Mapping[str, np.ndarray],
-) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """Return the outputs predicted so many samples ahead, from the first sample of each experiment on, and the starts there."""
-    begins = [first_sample(e) for e in experiments]
-    parts = [e.cut(begin, e.samples, e.name) if begin else e for begin, e in zip(begins, experiments, strict=True)]
-    predicted, start = ahead_of(model, parts, levels, ahead=ahead, fit=fit, starts=starts)
-    outputs = np.full((max(e.samples for e in experiments), *predicted.shape[1:]), np.nan)
-    for column, (begin, part) in enumerate(zip(begins, parts, strict=True)):
-        outputs[begin : begin + part.samples, :, column] = predicted[: part.samples, :, column]
-    return outputs, start
 
 
 def _substeps(fit: Fitted) -> int | None:

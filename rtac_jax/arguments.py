@@ -82,7 +82,7 @@ def _refusal(
 
 
 def _mend(name: str, given: Mapping[str, Any], kinds: tuple[type, ...]) -> str:
-    """Return what would mend it, where that can be told."""
+    """Return what would mend it, where that can be told; classes go by name, as their modules import this one."""
     value, names = given[name], {kind.__name__ for kind in kinds}
     others = [other for other, held in given.items() if other != name and isinstance(held, kinds)]
     if others and type(None) not in kinds:

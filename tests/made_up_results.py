@@ -4,7 +4,9 @@ import dataclasses
 
 import numpy as np
 
-from estimators.core.fit import Parameter
+from estimators.core.fisher_information import information_of
+from estimators.core.fit import Fit, Parameter
+from estimators.core.results import RESULTS
 from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.diagnose import Diagnosis
 from estimators.diagnosis.improve import Improvement
@@ -19,6 +21,12 @@ from rtac_jax import RTAC
 
 NOISE = {"cart_position": 2e-5, "arm_velocity": 0.05, "arm_angle": 1e-3}
 SIZE = {"cart_position": 8e-3, "arm_velocity": 30.0, "arm_angle": 1.5}
+
+
+FIT = Fit(
+    RTAC.paper(), RESULTS.successful, information_of(np.eye(1), ("total_mass",), np.ones(1)), NOISE, NOISE, {}, (),
+    {"agreed": 1, "starts": 1},
+)  # fmt: skip
 
 
 def trace(experiment, channel, error, *, samples=600, driven=True, seed=0):
@@ -160,6 +168,6 @@ def improvement(steps=2, verdict=None, errors=(30.0, 3.0, 0.3), predicted_gains=
     models = tuple(compared(label, error) for label, error in zip(labels, errors, strict=True))
     found = diagnosis(verdict or ("missing" if steps > 1 else "adequate"))
     return Improvement(
-        (), (found,), found.effects[: min(steps - 1, 1)] + OTHERS[1 : steps - 1], found.verdict,
+        (FIT,) * steps, (found,), found.effects[: min(steps - 1, 1)] + OTHERS[1 : steps - 1], found.verdict,
         Comparison(models), Comparison(models), (), False, predicted_gains, "Stopped.", 1.0,
     )  # fmt: skip

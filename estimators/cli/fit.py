@@ -111,12 +111,10 @@ def fit(
 def _side_by_side(work: Job, closed: Any, found: Any) -> tuple[Any, Any]:
     """Return the fit by predictions one sample ahead, and how far the estimators agree; None, with a note, where there is none."""
     import estimators as est
-    from estimators.core.results import RESULTS
 
     predicted, agreed = None, None
     try:
-        lost = found.result == RESULTS.undetermined  # then the model's values are no estimates
-        predicted = est.prediction_error_nonlinear(found.model, work.train, from_model=not lost)
+        predicted = est.prediction_error_nonlinear(found.model, work.train, from_model=not found.lost)
     except (ValueError, est.DivergedError) as error:  # such as data that leave parameters free beside random forces
         work.note(f"No prediction error: {error}")
     try:

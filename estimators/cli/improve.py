@@ -129,9 +129,7 @@ def _advice(found: Any, work: Job) -> list[Any]:
     from estimators.core.fit import FAR
     from estimators.reporting.fit_table import recommended_table
 
-    last = found.diagnoses[-1]
-    far = max((rms / found.final.noise[c] for c, rms in found.final.residual_std.items()), default=0.0)
-    if found.predicted or last.verdict != "adequate" or far <= FAR:
+    if found.predicted or found.diagnoses[-1].verdict != "adequate" or found.final.farthest <= FAR:
         return []
     try:
         predicted = est.prediction_error_nonlinear(found.final.model, work.train, from_model=True)

@@ -14,6 +14,16 @@ LEVEL = 0.01  # of every band and test of correlations here: bands hold 99 %, as
 LAGS = 25  # lags of the whiteness test, as Ljung's section 16.6 and MATLAB's resid take
 
 
+def require_level(level: float) -> None:
+    """Refuse what is no level of a test.
+
+    Raises:
+        ValueError: it is not between 0 and 1.
+    """
+    if not 0 < level < 1:
+        raise ValueError(f"level is {level:g}; give the level of a test, between 0 and 1, as 0.01.")
+
+
 def quantile() -> float:
     """Return the half-width of the band of a standard normal variable."""
     return float(norm.isf(LEVEL / 2))

@@ -77,18 +77,29 @@ class ModelFit(Result):
 
         Of effects that the data show: a mass is never nothing, and what is free is near every bound by its deviation.
         """
-        found = {}
-        for name, p in self.parameters.items():
-            if "." not in name or self.information.looseness(name) >= UNDETERMINED:
-                continue
-            for bound in self.model.parameters[name].bounds:
-                if name in self.information.names and abs(p.value - bound) < ON_BOUND * p.std:
-                    found[name] = bound
-        return found
+        reached = bounds_reached(self.model, self.information)
+        return {name: bound for name, bound in reached.items() if self.information.looseness(name) < UNDETERMINED}
 
     def lines(self) -> list[str]:
         """Return the same as lines of equal columns, below a head."""
         return [f"{name:30s} {value:>12s} {std:>10s}  {unit}" for name, value, std, unit in (HEADER, *self.rows())]
+
+
+def bounds_reached(model: RTAC, information: Information) -> dict[str, float]:
+    """Return the bound at which a free parameter of an effect lies, SI units, by its name."""
+    deviations = np.sqrt(np.diagonal(information.covariance))
+    return {
+        name: bound
+        for name, deviation in zip(information.names, deviations, strict=True)
+        if "." in name
+        for bound in model.parameters[name].bounds
+        if abs(float(np.asarray(model[name])) - bound) < ON_BOUND * deviation
+    }
+
+
+def left_free(model: RTAC, information: Information) -> list[str]:
+    """Describe what the data leave free where a fit ended; what an effect that ended on a bound has lost hangs on that bound."""
+    return information.undetermined(beside={name.split(".")[0] for name in bounds_reached(model, information)})
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
@@ -131,12 +142,27 @@ class Fit(ModelFit):
         return Overview(title, HEADER, self.rows(), (RESULTS[self.result], left))
 
     @property
+    def lost(self) -> bool:
+        """Whether it ended where the data leave parameters free, so that its values are no estimates."""
+        return bool(self.result == RESULTS.undetermined)
+
+    @property
+    def residual_over_noise(self) -> dict[str, float]:
+        """Rms of each channel's residual over the sensor's noise."""
+        return {c: rms / self.noise[c] for c, rms in self.residual_std.items() if self.noise.get(c, 0.0) > 0}
+
+    @property
+    def farthest(self) -> float:
+        """The largest of them; zero where there is none."""
+        return max(self.residual_over_noise.values(), default=0.0)
+
+    @property
     def outcome(self) -> str:
         """Return how the optimisation ended, and how far its starts can vouch for that, in a sentence or two."""
         said = f"{RESULTS[self.result]} {self.statistics['agreed']} of {self.statistics['starts']} starts agree."
-        if self.result == RESULTS.undetermined:
-            said += f" There {'; '.join(self.information.undetermined())}: of these the fit says nothing."
-        ratios = {c: rms / self.noise[c] for c, rms in self.residual_std.items() if self.noise.get(c, 0.0) > 0}
+        if self.lost:
+            said += f" There {'; '.join(left_free(self.model, self.information))}: of these the fit says nothing."
+        ratios = self.residual_over_noise
         for name, bound in self.on_bounds().items():
             said += f" {name} ended on its bound, {bound:g}: the data ask for no such term in this model."
         if (promised := self.statistics.get("promised", 0.0)) > _KINK:

@@ -167,8 +167,8 @@ def scales_of(model: RTAC, experiments: Sequence[Experiment]) -> Scales:
             if "arm_angle" in e.outputs
         ]
         # Of an arm that nothing shows: one that swings by a radian as fast as the cart.
-        unseen = frequency if any(e.arm == "free" for e in moving) else 0.0
-        arm_velocity = max(float(np.sqrt(np.mean([np.mean(r**2) for r in rates]))) if rates else unseen, 1e-9)
+        plausible = frequency if any(e.arm == "free" for e in moving) else 0.0
+        arm_velocity = max(float(np.sqrt(np.mean([np.mean(r**2) for r in rates]))) if rates else plausible, 1e-9)
     current = rms("inputs", "current", 1e-9)
     body = model.body
     return Scales(

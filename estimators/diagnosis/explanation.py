@@ -49,8 +49,6 @@ def words(
         floor = (
             simulation.words
             if simulation is not None and simulation.words
-            else "At the noise floor nothing is missing."
-            if random < SHAKEN
             else f"Nothing is missing {floor_of(random)}."
         )
         if detectable and consequence is not None:

@@ -10,7 +10,6 @@ from estimators.closed_form.motion_regression import motion_regression
 from estimators.core.data import Data, moving, pieces
 from estimators.core.fit import Fit
 from estimators.core.initial_state import scales_of
-from estimators.core.results import RESULTS
 from estimators.core.sensor_noise import noise_levels
 from estimators.diagnosis.policy import DiagnosisPolicy
 from estimators.diagnosis.refit import Refit
@@ -82,7 +81,7 @@ def begun_by_equations(fit: Fit, model: RTAC, recording: Recording, policy: Diag
         policy: the thresholds.
     """
     experiments = pieces(moving(recording))
-    if fit.result == RESULTS.undetermined:  # its scale is lost, too, which the regression takes from the model
+    if fit.lost:  # its scale is lost, too, which the regression takes from the model
         return starting_values(model, recording)
     if unfollowed(fit, Data.of(experiments), policy.simulation) <= policy.unfollowed:
         return model

@@ -93,7 +93,7 @@ class Improvement(Result):
                 f"Held at the estimate of the diagnosis, because a fit by simulation fails or serves held-out experiments worse: "
                 f"{', '.join(self.held)}.",
             )
-        if self.fits and self.final.result in _UNFINISHED:
+        if self.final.result in _UNFINISHED:
             said.append(f"The last model: {self.final.outcome}")
         return " ".join([*said, self.stopped, *([str(self.learned)] if self.learned is not None else [])])
 
@@ -111,7 +111,7 @@ class Improvement(Result):
 
         One that names nothing is followed by another only where the effect that explains most of what is left was added.
         """
-        return sum(len(d.additions) or d.verdict == "unknown" for d in self.diagnoses[:diagnosis])
+        return sum(max(len(d.additions), 1) for d in self.diagnoses[:diagnosis])
 
     @property
     def headline(self) -> str:

@@ -104,7 +104,7 @@ def add_effect(
             else:
                 tried = extended if way == "simulated" else holding(extended, [effect.id])
                 fit = output_error(tried, train, from_model=True, progress=progress)
-                if fit.result == RESULTS.undetermined:
+                if fit.lost:
                     raise NotIdentifiableError(fit.outcome)
             test = compare(fit, held_out, labels=[label]).models[0]
         except (NotIdentifiableError, DivergedError, FloatingPointError) as error:

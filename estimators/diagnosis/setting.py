@@ -16,7 +16,6 @@ from estimators.core.initial_state import scales_of, space_of, without_angle
 from estimators.core.parameter_space import Space
 from estimators.core.progress import Progress
 from estimators.core.residual import start_rows
-from estimators.core.results import RESULTS
 from estimators.core.sensor_noise import noise_levels
 from estimators.diagnosis.candidate_set import plausible
 from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
@@ -100,7 +99,7 @@ def setting_of(
         policy: the thresholds.
     """
     model, starts = fit.model, fit.start
-    if fit.result == RESULTS.undetermined:  # then it ended where nothing holds it, and refits would begin there
+    if fit.lost:  # then it ended where nothing holds it, and refits would begin there
         model, starts = starting_values(model, recording), {}
     return set_up(model, recording, classes, starts, int(fit.statistics["substeps"]), progress, policy)
 

@@ -6,6 +6,7 @@ import numpy as np
 import scipy.stats
 from jaxtyping import Float
 
+from estimators.core.correlation import require_level
 from estimators.core.data import moving
 from estimators.core.fit import Fit
 from estimators.core.linearisation import at_fit, rows_at
@@ -45,8 +46,7 @@ def constancy(fit: Fit, recording: Recording, *, covariates: Covariates | None =
 
     Source: a test of parameter constancy by scores as in Nyblom, J. Am. Stat. Assoc. 84 (1989), with experiments for times.
     """
-    if not 0 < level < 1:
-        raise ValueError(f"level is {level:g}; give the level of a test, between 0 and 1, as 0.01.")
+    require_level(level)
     require_configured()
     problem = at_fit(fit, recording)
     experiments = problem.experiments

@@ -10,6 +10,7 @@ from scipy.stats import f as fisher
 from scipy.stats import t as student
 
 from estimators.closed_form.table1 import ClosedForm
+from estimators.core.correlation import require_level
 from estimators.core.data import CHANNELS
 from estimators.core.fit import Fit
 from estimators.core.initial_state import scales_of
@@ -77,8 +78,7 @@ def agreement(
     Source: Hausman, Econometrica 46 (1978); joint test: Hotelling's T^2; replicates: Kuensch, Ann. Statist. 17 (1989); a
     linear model of what is not linear: Gourieroux, Monfort and Renault, J. Appl. Econometrics 8 (1993), indirect inference.
     """
-    if not 0 < level < 1:
-        raise ValueError(f"level is {level:g}; give the level of a test, between 0 and 1, as 0.01.")
+    require_level(level)
     require_configured()
     several = list(results)
     predictors = [r for r in several if isinstance(r, PredictorFit)]

@@ -10,8 +10,8 @@ import numpy as np
 
 from estimators.closed_form.fit import starting_values
 from estimators.core.data import CHANNELS, Data, mark_of, moving, pieces
-from estimators.core.fisher_information import Information, information
-from estimators.core.fit import ON_BOUND, Fit
+from estimators.core.fisher_information import information
+from estimators.core.fit import Fit, left_free
 from estimators.core.parameter_space import number_of_unknowns
 from estimators.core.progress import Progress
 from estimators.core.results import RESULTS, DivergedError
@@ -29,7 +29,7 @@ from rtac_jax.measurement import Experiment, Recording
 _AGREES = 1e-3
 # Log-likelihood that the slopes still promise where the steps ran out, from which on a fit goes on from there, led anew: parameters
 # near a bound creep, and what leads a fit at its start takes them there at once.
-_UNFINISHED = 10.0
+_FAR_FROM_ENDED = 10.0
 
 
 @checked_arguments
@@ -108,13 +108,13 @@ def output_error(
         if not ends:
             raise DivergedError(" ".join(failures))
         winner, stage = min(ends, key=lambda end: end[1].cost)
-        if not stage.solved.converged and stage.solved.promised > _UNFINISHED:
+        if not stage.solved.converged and stage.solved.promised > _FAR_FROM_ENDED:
             shown.at(f"output error again, from where that from {winner} ended")
             with contextlib.suppress(FloatingPointError):
                 again = run.descend(_with_end(stage), best=stage.cost, given=True)
                 if again is not None and again.cost < stage.cost:
+                    ends = [(name, again if end is stage else end) for name, end in ends]
                     stage = again
-                    ends.append((winner, stage))
         agreed = sum(_same(end, stage, float(jnp.sum(data.present))) for _, end in ends)
         weighted = None
         if robust:
@@ -125,9 +125,8 @@ def output_error(
     found = information(stage.solved.factor, stage.space, stage.solved.unknowns)
     states = np.asarray(stage.space.physical(stage.solved.unknowns)[2])
     model = _with_end(stage)
-    # The data were asked before the first step: what they leave free at the end is lost on the way. What an effect that ends on a
-    # bound has lost hangs on that bound, and the report says so.
-    free = found.undetermined(beside=_absent(model, found))
+    # The data were asked before the first step: what they leave free at the end is lost on the way.
+    free = left_free(model, found)
     if weighted is not None and found.scores is not None:
         found = dataclasses.replace(found, scores=weighted.score_ratio * found.scores)
     if not stage.solved.converged or (weighted is not None and not weighted.settled):
@@ -192,20 +191,6 @@ def _with_end(stage: DescentEnd) -> RTAC:
     shared, each, _ = (np.asarray(part) for part in stage.space.physical(stage.solved.unknowns))
     values = dict(zip(stage.space.names, shared, strict=True)) | dict(zip(stage.space.each, each, strict=True))
     return stage.model.with_values(values)
-
-
-def _absent(model: RTAC, found: Information) -> set[str]:
-    """Return the ids of effects of which a parameter ended on its bound."""
-    deviations = np.sqrt(np.diagonal(found.covariance))
-    return {
-        name.split(".")[0]
-        for name, deviation in zip(found.names, deviations, strict=True)
-        if "." in name
-        and any(
-            abs(float(np.asarray(model[name])) - bound) < ON_BOUND * deviation
-            for bound in model.parameters[name].bounds
-        )
-    }
 
 
 def _same(end: DescentEnd, best: DescentEnd, samples: float) -> bool:

@@ -67,7 +67,7 @@ def of_diagnosis(
     """Return the bullets of a diagnosis or of a loop of them; arguments as of `of_fit`."""
     effects = found.added if isinstance(found, Improvement) and found.added else _named(found)
     # What a model holds after all else was fitted beside it; a diagnosis estimates before that.
-    final = found.final.parameters if isinstance(found, Improvement) and found.fits else {}
+    final = found.final.parameters if isinstance(found, Improvement) else {}
     named = "; ".join(_effect(c, final) for c in effects)
     last = found.diagnoses[-1] if isinstance(found, Improvement) else found
     on_the_way = f"; added on the way: {named}" if named else ""

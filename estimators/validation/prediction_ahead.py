@@ -28,9 +28,10 @@ def ahead_of(
     ahead: int,
     fit: PredictorFit | None,
     starts: Mapping[str, Float[np.ndarray, " state"]],
-    resting: Sequence[Experiment] = (),
 ) -> tuple[Float[np.ndarray, "sample output experiment"], dict[str, Float[np.ndarray, " state"]]]:
     """Predict experiments so many samples ahead, and return the outputs and the states at the start.
+
+    Both are from the first sample on that shows where an experiment begins; before it there are no outputs.
 
     Args:
         model: with its values.
@@ -40,14 +41,16 @@ def ahead_of(
         fit: by predictions one sample ahead, whose random forces and sensor noise are taken; without one they are those that
             make these experiments likeliest.
         starts: states at the start of experiments whose first samples do not show where the arm is.
-        resting: rest records, which tell how sure the sensors' noise is.
     """
+    begins = [first_sample(e) for e in experiments]
+    whole, room = experiments, max(e.samples for e in experiments)
+    experiments = [e.cut(begin, e.samples, e.name) if begin else e for begin, e in zip(begins, whole, strict=True)]
     space, data = space_of(model, experiments, free=[], start=starts), Data.of(experiments)
     sensors = np.array([levels.get(channel, 1.0) for channel in CHANNELS])
     substeps = jnp.asarray(accurate_substeps(model, data, space, space.unconstrained(), sensors))
     physical = space.physical(space.unconstrained(start=False))
     if fit is None:
-        prior = NoiseModel.of(levels, [*experiments, *resting], scales_of(model, experiments), space)
+        prior = NoiseModel.of(levels, experiments, scales_of(model, experiments), space)
         gain = fit_noise(model, data, space, physical, prior, None, substeps).filtered.gain
     else:
         sensors = np.array([fit.noise.get(channel, level) for channel, level in zip(CHANNELS, sensors, strict=True)])
@@ -58,30 +61,15 @@ def ahead_of(
             start_variance=start_variance(space), substeps=substeps,
         ).gain  # fmt: skip
     outputs = np.asarray(predict_ahead(model, data, space, physical, gain, ahead=ahead, substeps=substeps))
-    outputs = np.where(np.asarray(data.present) > 0, outputs, np.nan)
+    found = np.full((room, *outputs.shape[1:]), np.nan)
+    for column, (begin, e) in enumerate(zip(begins, experiments, strict=True)):
+        measured = np.asarray(data.present)[: e.samples, :, column] > 0
+        found[begin : begin + e.samples, :, column] = np.where(measured, outputs[: e.samples, :, column], np.nan)
     states = np.asarray(physical[2])
-    return outputs, {e.name: states[:, column] for column, e in enumerate(experiments)}
+    return found, {e.name: states[:, column] for column, e in enumerate(experiments)}
 
 
 def known_from(experiment: Experiment) -> int:
     """Return the sample from which on a predictor knows the state: the first measured, or soon after, where that is no start."""
     measured = int(min(np.argmax(np.isfinite(signal.values)) for signal in experiment.outputs.values()))
     return measured if measured == first_sample(experiment) else measured + _SETTLED
-
-
-def ahead_from_first_sample(
-    model: RTAC,
-    experiments: Sequence[Experiment],
-    levels: Mapping[str, float],
-    ahead: int,
-    fit: PredictorFit | None,
-    starts: Mapping[str, Float[np.ndarray, " state"]],
-) -> tuple[Float[np.ndarray, "sample output experiment"], dict[str, Float[np.ndarray, " state"]]]:
-    """Return the outputs predicted so many samples ahead, from the first sample of each experiment on, and the starts there."""
-    begins = [first_sample(e) for e in experiments]
-    parts = [e.cut(begin, e.samples, e.name) if begin else e for begin, e in zip(begins, experiments, strict=True)]
-    predicted, start = ahead_of(model, parts, levels, ahead=ahead, fit=fit, starts=starts)
-    outputs = np.full((max(e.samples for e in experiments), *predicted.shape[1:]), np.nan)
-    for column, (begin, part) in enumerate(zip(begins, parts, strict=True)):
-        outputs[begin : begin + part.samples, :, column] = predicted[: part.samples, :, column]
-    return outputs, start

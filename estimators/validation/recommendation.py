@@ -94,16 +94,13 @@ def recommended(
         if white or refused:
             deviation = f"white innovations, which it has{'' if white else f' not; output error {refused}'}"
             return Recommendation(predicted.parameters, "prediction error", deviation, white)
-        if (
-            far := _far(fit)
-        ) > FAR:  # then its values are nearer, and its deviations too small for what the model lacks
-            words = [*kinds, "white innovations"]
-            astray = f"output error does not follow the rig, being left at {far:,.0f} times the noise"
-            deviation = f"{' or '.join(words)}, the largest; {astray}"
+        if fit.farthest > FAR:
+            # Its values are nearer then, and its deviations too small for what the model lacks.
             own = {name: p.std for name, p in predicted.parameters.items()}
-            return Recommendation(
-                _with_largest(predicted.parameters, [own, *kinds.values()]), "prediction error", deviation, False
-            )
+            found = _with_largest(predicted.parameters, [own, *kinds.values()])
+            astray = f"output error does not follow the rig, being left at {fit.farthest:,.0f} times the noise"
+            words = " or ".join([*kinds, "white innovations"])
+            return Recommendation(found, "prediction error", f"{words}, the largest; {astray}", False)
     if not kinds:
         return Recommendation(fit.parameters, "output error", "a white residual, which it has not", False)
     found = _with_largest(fit.parameters, list(kinds.values()))
@@ -123,16 +120,11 @@ def _with_largest(
 
 def _refused(fit: Fit) -> str:
     """Return why output error is no estimate; empty where it may be one."""
-    if fit.result == RESULTS.undetermined:
+    if fit.lost:
         return "ended where the data leave parameters free"
     if fit.result == RESULTS.steps_exhausted:
         return "did not converge"
     return ""
-
-
-def _far(fit: Fit) -> float:
-    """Return how many times its noise the farthest channel is left at."""
-    return max((rms / fit.noise[channel] for channel, rms in fit.residual_std.items()), default=0.0)
 
 
 def _white(p_values: Sequence[float]) -> bool:

@@ -23,7 +23,7 @@ from estimators.core.start_search import searched
 from estimators.core.step_size import accurate_substeps
 from estimators.prediction_error.fit import PredictorFit
 from estimators.validation.extrapolation import beyond
-from estimators.validation.prediction_ahead import ahead_from_first_sample, known_from
+from estimators.validation.prediction_ahead import ahead_of, known_from
 from estimators.validation.trace import Trace
 from rtac_jax import RTAC, require_configured
 from rtac_jax.arguments import checked_arguments
@@ -266,7 +266,7 @@ def _compare_one(
             if unknown := [e for e in lost if e.name not in begun]:
                 begun |= _simulated(model, label, unknown, levels, None, start_samples, fit)[1]
             predictor = fit if isinstance(fit, PredictorFit) else None
-            simulated, start = ahead_from_first_sample(model, group, levels, ahead, predictor, begun)
+            simulated, start = ahead_of(model, group, levels, ahead=ahead, fit=predictor, starts=begun)
             used = max(ahead, start_samples or 0)
         starts |= start
         for column, e in enumerate(group):

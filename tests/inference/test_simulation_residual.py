@@ -126,7 +126,7 @@ def test_dry_friction_in_too_few_data_is_not_called_adequate(level: float) -> No
     assert found.verdict == "unknown", found
     assert found.simulation is not None
     assert found.simulation.cause == "too few data"
-    assert "at the noise floor nothing is missing" not in found.explanation
+    assert "nothing is missing at the noise floor" not in found.explanation
     assert "arm_coulomb" in found.explanation
     assert "asks for random forces" not in found.explanation
     assert "Too few data" in found.plot().get_suptitle().replace("\n", " ")

@@ -79,6 +79,18 @@ def test_a_fit_that_a_kink_stopped_says_so(noisy_fit: est.Fit) -> None:
     assert "kink" not in moving, "it has not come to rest"
 
 
+def test_a_fit_whose_steps_run_out_far_from_its_end_goes_on_from_there() -> None:
+    """One step is all that is allowed after the start; the start that is led anew counts as the same one."""
+    plans = virtual_rig.standard_plans(seed=7, sample_time=0.005, duration=8.0, free=1, forced=2, rest=1)
+    recording = virtual_rig.record(virtual_rig.Rig(arm_coulomb=2e-4), plans, seed=8)
+    model = rtac.RTAC.from_rig(recording)
+    one, all_of_them = (est.output_error(model, recording, steps=steps, starts=1, progress=False) for steps in (1, 60))
+    # Alone the one step leaves 46 more than all steps do, and slopes that promise 44.
+    assert one.statistics["cost"] < all_of_them.statistics["cost"] + 40.0
+    assert one.statistics["agreed"] == one.statistics["starts"] == 1
+    assert "did not converge" in one.outcome
+
+
 def test_starts_that_no_sensor_could_tell_apart_are_followed_once(
     noisy: rtac.Recording, noisy_fit: est.Fit, monkeypatch: pytest.MonkeyPatch
 ) -> None:

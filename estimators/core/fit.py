@@ -143,17 +143,17 @@ class Fit(ModelFit):
 
     @property
     def lost(self) -> bool:
-        """Whether it ended where the data leave parameters free, so that its values are no estimates."""
+        """Return whether it ended where the data leave parameters free, so that its values are no estimates."""
         return bool(self.result == RESULTS.undetermined)
 
     @property
     def residual_over_noise(self) -> dict[str, float]:
-        """Rms of each channel's residual over the sensor's noise."""
+        """Return the rms of each channel's residual over the sensor's noise."""
         return {c: rms / self.noise[c] for c, rms in self.residual_std.items() if self.noise.get(c, 0.0) > 0}
 
     @property
     def farthest(self) -> float:
-        """The largest of them; zero where there is none."""
+        """Return the largest residual over noise; zero where there is none."""
         return max(self.residual_over_noise.values(), default=0.0)
 
     @property

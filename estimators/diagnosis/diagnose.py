@@ -119,7 +119,7 @@ class Diagnosis(Result):
 
     @property
     def floor(self) -> str:
-        """Down to where nothing is missing, of an adequate model: the noise, or predictions that count random forces."""
+        """Return down to where nothing is missing, of an adequate model: the noise, or predictions that count random forces."""
         return floor_of(max(self.random_force, self.random_torque))
 
     def overview(self) -> Overview:

@@ -43,12 +43,12 @@ class Loop:
 
     @property
     def last(self) -> Added:
-        """The last model."""
+        """Return the last model."""
         return self.steps[-1][1]
 
     @property
     def held(self) -> tuple[str, ...]:
-        """Ids of what was added and is held at the estimate of a diagnosis."""
+        """Return the ids of what was added and is held at the estimate of a diagnosis."""
         return tuple(name for name, step in self.steps if step.way == "held")
 
     def run(self) -> None:

@@ -10,7 +10,7 @@ from scipy.signal.windows import hann
 from estimators.frequency_response.angle_reconstruction import arm_angles
 from estimators.frequency_response.batched_local_polynomial import local_responses
 from estimators.frequency_response.local_polynomial import LocalFit, VanishingError, one_by_one
-from estimators.frequency_response.periodic import Lines, periodic_response
+from estimators.frequency_response.periodic import Lines, periodic_response, repeated_input
 from estimators.frequency_response.response import FrequencyResponse, FrequencyResponses
 from rtac_jax import RTAC
 from rtac_jax.arguments import checked_arguments
@@ -18,8 +18,6 @@ from rtac_jax.measurement import INPUTS, OUTPUTS, Experiment, Recording
 
 _EXCITED = 1e-3  # of the largest line, from which a line counts as excited when no band is given
 _SHOWN = (3, 0.3)  # so many lines have to be as certain, standard deviation over magnitude
-_PERIODIC = 1e-6  # of its root mean square, by which a periodic input may differ from period to period
-_SILENT = 0.2  # of what is not zero, which may be zero in another period
 _HALF_WIDTH = 12
 _DEGREE = 2
 _POLES = 2
@@ -96,7 +94,7 @@ def frequency_responses(
         into, out = _signals(experiment, input, output, discard)
         theta = turned.get(name)
         x = into if theta is None else into * _between(np.cos(theta))[discard:]
-        repeats = period is not None and _repeated(x, period) is not None
+        repeats = period is not None and repeated_input(x, period) is not None
         if method == "periodic" or (method is None and repeats):
             ready[name] = _periodic(experiment, x, out, period, into, degree, band)
         else:
@@ -206,24 +204,6 @@ def _between(cosine: np.ndarray) -> np.ndarray:
     return 0.5 * (cosine + np.append(cosine[1:], cosine[-1]))
 
 
-def _repeated(values: np.ndarray, period: int) -> np.ndarray | None:
-    """Return the signal that repeats with this period; None where nothing does.
-
-    Samples that are zero may be left out of some periods, as the current is where the arm has no grip.
-    """
-    if not 1 < period <= len(values) // 2:
-        return None
-    rows = np.resize(values, (-(-len(values) // period), period))  # the last row ends in the first samples once more
-    known = np.arange(rows.size).reshape(rows.shape) < len(values)
-    largest = np.argmax(np.abs(rows) * known, axis=0)
-    once = rows[largest, np.arange(period)]
-    off = np.abs(rows - once) > _PERIODIC * np.sqrt(np.mean(values**2))
-    silent = (rows == 0) & off & known
-    if np.any(off & known & ~silent) or np.sum(silent) > _SILENT * np.count_nonzero(values):
-        return None
-    return np.resize(once, len(values))
-
-
 def _periodic(
     experiment: Experiment, x: np.ndarray, y: np.ndarray, period: int | None, raw: np.ndarray, degree: int,
     band: tuple[float | int, float | int] | None,
@@ -234,7 +214,7 @@ def _periodic(
             f"{place}: the periodic method needs a period with at least two of them in {len(x)} samples; give period, or use "
             "method='local'."
         )
-    repeated = _repeated(raw, period)
+    repeated = repeated_input(raw, period)
     if repeated is None:
         raise ValueError(
             f"{place}: the input does not repeat every {period} samples; correct period, or use method='local'."

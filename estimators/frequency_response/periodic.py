@@ -9,6 +9,8 @@ from estimators.frequency_response.local_polynomial import local_transient
 
 _EXCITED = 1e-6  # of the largest harmonic, from which a harmonic counts as excited
 _NEIGHBOURS = 14
+_PERIODIC = 1e-6  # of its root mean square, by which a periodic input may differ from period to period
+_SILENT = 0.2  # of what is not zero, which may be zero in another period
 _DETECTORS = 8  # harmonics left out, nearest to a line, that tell its distortion
 
 Curve = Float64[np.ndarray, "_frequency"]  # each condition has its own lines
@@ -95,3 +97,21 @@ def periodic_response(
     followed = np.abs(response * clean) ** 2
     coherence = followed / (followed + np.abs(clean) ** 2 * std**2)
     return Lines(on * step, response, std, noise_std, odd, even, coherence, of_y.freedom)
+
+
+def repeated_input(values: Float64[np.ndarray, " sample"], period: int) -> Float64[np.ndarray, " sample"] | None:
+    """Return the signal that repeats with this period; None where nothing does.
+
+    Samples that are zero may be left out of some periods, as the current is where the arm has no grip.
+    """
+    if not 1 < period <= len(values) // 2:
+        return None
+    rows = np.resize(values, (-(-len(values) // period), period))  # the last row ends in the first samples once more
+    known = np.arange(rows.size).reshape(rows.shape) < len(values)
+    largest = np.argmax(np.abs(rows) * known, axis=0)
+    once = rows[largest, np.arange(period)]
+    off = np.abs(rows - once) > _PERIODIC * np.sqrt(np.mean(values**2))
+    silent = (rows == 0) & off & known
+    if np.any(off & known & ~silent) or np.sum(silent) > _SILENT * np.count_nonzero(values):
+        return None
+    return np.resize(once, len(values))

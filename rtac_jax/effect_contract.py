@@ -69,14 +69,20 @@ def require_working(c: type[Effect]) -> None:
         _require_methods(c, effect, (several,))
 
 
-def require_working_model(model: RTAC) -> None:
-    """Call every method of the user's own effects in a model, as `require_working` does with classes of them.
+def require_working_model(model: RTAC, *, batch: bool = True) -> None:
+    """Refuse values that are no numbers, and call every method of the user's own effects in a model, as `require_working` does.
 
     A class is asked once. One whose numbers are traced, or several of a kind as for a batch, is let pass.
 
+    Args:
+        model: to be simulated or fitted.
+        batch: allow several values of any parameter, and not only of those that each experiment has for itself.
+
     Raises:
-        ValueError: one fails, or returns what the model cannot use.
+        ValueError: a value is not finite or several stand where there is one, or an effect fails or returns what the model
+            cannot use.
     """
+    _require_numbers(model, batch)
     for effect in model.effects:
         known = type(effect) in _WORKING or type(effect).__module__.partition(".")[0] in _OURS
         if known or is_traced(effect):
@@ -86,6 +92,20 @@ def require_working_model(model: RTAC) -> None:
         for several in TRAJECTORIES:
             _require_methods(type(effect), effect, (several,))
         _WORKING.add(type(effect))
+
+
+def _require_numbers(model: RTAC, batch: bool) -> None:
+    """Refuse values of parameters that no simulation can use."""
+    for name in model.parameters:
+        value = model[name]
+        if is_traced(value):
+            continue
+        if not np.all(np.isfinite(value)):
+            raise ValueError(f"{name} is {value}; give it a finite number (model.with_values).")
+        if np.ndim(value) and not batch and name not in model.per_experiment:
+            raise ValueError(
+                f"{name} has {np.size(value)} values; give it one, or let each experiment have its own (model.each_experiment)."
+            )
 
 
 def _require_methods(c: type[Effect], effect: Effect, several: tuple[int]) -> None:

@@ -15,6 +15,7 @@ from estimators.closed_form.unknown_scale import SCALING, scale_stage, unknown_s
 from estimators.core.sensor_noise import noise_levels
 from rtac_jax import RTAC
 from rtac_jax.arguments import checked_arguments
+from rtac_jax.effect_contract import require_working_model
 from rtac_jax.measurement import Experiment, Recording
 
 _TURNS = 4
@@ -66,10 +67,12 @@ def least_squares(
         bias. A stage without suitable experiments leaves the model's values.
 
     Raises:
-        ValueError: an option is unknown or does not go with another.
+        ValueError: an option is unknown or does not go with another, a value of the model is no number, or a user's own effect
+            does not work.
 
     Source: paper, equations (5) and (6), section 4.2; weak form: Preisig and Rippin, Comput. Chem. Eng. 17 (1993).
     """
+    require_working_model(model, batch=False)
     if weighting not in ("residual", "inertia", "none"):
         raise ValueError(f"weighting is {weighting!r}; use 'residual', 'inertia' or 'none'.")
     if weak and cutoff is not None:

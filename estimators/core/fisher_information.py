@@ -12,7 +12,6 @@ from estimators.core.results import NotIdentifiableError
 from estimators.core.undetermined import UNDETERMINED
 
 _SCALES = ("total_mass", "arm_inertia")
-_FIX_THE_SCALE = "Give a known constant in /rig (total_mass or arm_inertia fixes the scale). "
 
 # The least that a parameter is taken to show, and the least slope of its stand-in as a fraction of its size: far below whatever
 # rounding leaves, and of squares that are still numbers. What shows nothing at all gets a deviation of 1e100 times its size.
@@ -105,7 +104,9 @@ class Information:
             NotIdentifiableError: names what is free.
         """
         if said := self.undetermined():
-            known = _FIX_THE_SCALE if any(name in text for name in _SCALES for text in said) else ""
+            # One that stands in /rig already is not free, and so in none of these.
+            scales = " or ".join(name for name in _SCALES if any(name in text for text in said))
+            known = f"Give {scales} in /rig: a known constant fixes the scale. " if scales else ""
             raise NotIdentifiableError(
                 f"The data leave {len(said)} combination(s) of parameters free: {'; '.join(said)}. {known}Fix a parameter "
                 "(model.fix, or --fix of rtac), or add an experiment that excites it."

@@ -8,9 +8,10 @@ import numpy as np
 from jaxtyping import Float
 
 from estimators.closed_form.table1 import CONSISTENT
+from estimators.core.data import CHANNELS
 from estimators.core.drawing import draw
 from estimators.core.fit import FAR
-from estimators.inference.assumptions import ASSUMES
+from estimators.inference.assumptions import assumed
 from estimators.inference.simulation_residual import SimulationResidual
 from rtac_jax.effects import CATALOGUE
 
@@ -66,6 +67,7 @@ class Agreement:
         disturbed: whether the replicates hold random forces and torques.
         misfit: residual of each output error over the noise, of its worst channel, by label.
         simulation: what the residual of the first output error means where its noise is known; None without an output error.
+        channels: that were recorded.
     """
 
     names: tuple[str, ...]
@@ -80,6 +82,7 @@ class Agreement:
     disturbed: bool
     misfit: Mapping[str, float]
     simulation: SimulationResidual | None = None
+    channels: tuple[str, ...] = CHANNELS
 
     @property
     def rejected(self) -> bool:
@@ -112,7 +115,7 @@ class Agreement:
 
         Where to look first, and no list to choose from: a fit of the whole motion hands an error on to other quantities too.
         """
-        named = [effect for name in self.differing for effect in ASSUMES.get(name, ("", ()))[1]]
+        named = [effect for _, effects in self._assumptions() for effect in effects]
         return tuple(effect for effect in dict.fromkeys(named) if effect in CATALOGUE)
 
     @property
@@ -130,8 +133,7 @@ class Agreement:
             holds = words or "What the estimates rest on holds as far as these data can tell."
             return f"They agree: {chance} {holds}{self._untold()}{hides}"
         failing = [
-            f"that {words} (broken by {', '.join(effects[:_BROKEN_BY])})"
-            for words, effects in dict.fromkeys(ASSUMES[n] for n in self.differing if n in ASSUMES)
+            f"that {words} (broken by {', '.join(effects[:_BROKEN_BY])})" for words, effects in self._assumptions()
         ]
         fails = f" Doubt first {', then '.join(failing[:3])}." if failing else ""
         first, second = (self.asks[self.labels.index(label)] for label in self.worst.labels)
@@ -143,6 +145,11 @@ class Agreement:
             + " Ask est.diagnose, which holds these and all others against the data; est.compare shows where the model fails."
             + self._but()
         )
+
+    def _assumptions(self) -> list[tuple[str, tuple[str, ...]]]:
+        """Return what the model assumes about the quantities that differ, each once, with the effects that break it."""
+        known = [assumed(name, self.channels) for name in self.differing]
+        return list(dict.fromkeys(assumption for assumption in known if assumption is not None))
 
     def _nearly(self) -> str:
         """Say what differs by more than is usual, though by less than the level of the test asks."""

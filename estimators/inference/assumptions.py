@@ -1,5 +1,11 @@
 """Assumptions of the paper's model about each estimated quantity, and the effects that break them."""
 
+from collections.abc import Collection
+
+from rtac_jax.effects import CATALOGUE
+
+_INTEGRATED = "the arm's angle is the integral of what the tachometer shows, and the plane is level"
+_LEVEL = "the plane is level, and all channels are read at the same instants"
 _LINEAR_SPRING = (
     "the spring is linear and all of the mass moves with the cart",
     ("cubic_spring", "quadratic_spring", "hysteretic_spring", "flexible_mode", "lvdt_nonlinearity", "end_stop"),
@@ -39,7 +45,7 @@ ASSUMES: dict[str, tuple[str, tuple[str, ...]]] = {
         ),
     ),
     "eccentric_moment": (
-        "the arm's angle is the integral of what the tachometer shows, and the plane is level",
+        _INTEGRATED,
         ("tacho_bias", "tacho_lag", "gravity_tilt", "channel_delay"),
     ),
     "torque_constant": (
@@ -60,3 +66,20 @@ ASSUMES: dict[str, tuple[str, tuple[str, ...]]] = {
     "arm_viscous.negative": _ARM_FRICTION,
 }
 """By name: the assumption in words, and ids of effects, the likeliest first."""
+
+
+def assumed(name: str, channels: Collection[str]) -> tuple[str, tuple[str, ...]] | None:
+    """Return what the model assumes about a quantity, and the ids of effects that break it; None where nothing is known.
+
+    Args:
+        name: of the quantity.
+        channels: that were recorded; effects of a sensor that the rig does not have are left out.
+    """
+    if name not in ASSUMES:
+        return None
+    words, effects = ASSUMES[name]
+    if words == _INTEGRATED and ("arm_angle" in channels or "arm_velocity" not in channels):
+        words = _LEVEL
+    # Effects that are in no catalogue here (a user's may have been taken out) are named as they are.
+    needs = {effect: getattr(CATALOGUE.get(effect), "needs_channel", None) for effect in effects}
+    return words, tuple(effect for effect, channel in needs.items() if channel is None or channel in channels)

@@ -29,6 +29,7 @@ from rtac_jax.arguments import checked_arguments
 from rtac_jax.measurement import Recording
 
 _DRAWS, _FEW = 80, 32  # replicates, of experiments that are short or long
+_SHARED = 1e-3  # fraction of an estimate's own deviation within which two are the same, whatever the model
 
 
 @checked_arguments
@@ -141,7 +142,7 @@ def agreement(
     values = np.array([_in_order(estimator, estimator.values, names) for estimator in estimators])
     pairs = tuple(
         _pair(
-            (said[a], said[b]), observed[a] - observed[b], found[:, a] - found[:, b],
+            (said[a], said[b]), observed[a] - observed[b], found[:, [a, b]],
             np.array([n in common for n in names]),
         )
         for (a, b), common in shared.items()
@@ -156,8 +157,9 @@ def agreement(
     }
     simulation = _simulation(fits[0], recording, predictors) if fits else None
     return Agreement(
-        names, units, said, asks, values, spread, pairs, level, draws, bool(predictors), misfit, simulation
-    )
+        names, units, said, asks, values, spread, pairs, level, draws, bool(predictors), misfit, simulation,
+        tuple(c for c in CHANNELS if any(c in e.outputs for e in recording)),
+    )  # fmt: skip
 
 
 def _with_constants_of(model: RTAC, result: Result) -> Result:
@@ -208,11 +210,27 @@ def _in_order(estimator: Estimator, values: np.ndarray, names: Sequence[str]) ->
 def _pair(
     labels: tuple[str, str],
     observed: Vector,
-    drawn: Float[np.ndarray, "draw quantity"],
+    drawn: Float[np.ndarray, "draw 2 quantity"],
     common: Bool[np.ndarray, " quantity"],
 ) -> Disagreement:
-    kept = drawn[:, common]
-    kept = kept[np.all(np.isfinite(kept), axis=1)]
+    """Compare two estimators.
+
+    Args:
+        labels: of the two.
+        observed: difference of their estimates.
+        drawn: what each estimates from every replicate.
+        common: what both estimate.
+    """
+    places = np.flatnonzero(common)
+    first, second = drawn[np.all(np.isfinite(drawn[:, :, places]), axis=(1, 2))][:, :, places].transpose(1, 0, 2)
+    # What both take from the same measured constant differs by rounding alone, and a test of rounding says nothing.
+    kept = first - second
+    if len(kept) > 1:
+        differs = np.std(kept, axis=0) > _SHARED * np.maximum(np.std(first, axis=0), np.std(second, axis=0))
+        places, kept = places[differs], kept[:, differs]
+    if not len(places):
+        untold = np.full(len(common), np.nan)
+        return Disagreement(labels, untold, untold, untold, untold, 1.0)
     draws, width = kept.shape
     if draws <= 2 * width:
         raise ValueError(
@@ -222,7 +240,7 @@ def _pair(
     bias = np.mean(kept, axis=0)
     covariance = np.cov(kept, rowvar=False).reshape(width, width) * (1 + 1 / draws)
     std = np.sqrt(np.diagonal(covariance))
-    difference = observed[common] - bias
+    difference = observed[places] - bias
     p_values = 2 * student.sf(np.abs(difference) / std, draws - 1)
     scaled = difference / std
     squared = float(scaled @ np.linalg.solve(covariance / np.outer(std, std), scaled))
@@ -230,7 +248,7 @@ def _pair(
 
     def whole(values: np.ndarray) -> np.ndarray:
         placed = np.full(len(common), np.nan)
-        placed[common] = values
+        placed[places] = values
         return placed
 
     return Disagreement(labels, whole(difference), whole(bias), whole(std), whole(p_values), joint)

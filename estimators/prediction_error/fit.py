@@ -177,7 +177,7 @@ def prediction_error_nonlinear(
     require_configured()
     began = time.perf_counter()
     experiments = pieces(moving(recording))
-    require_working_model(model)
+    require_working_model(model, batch=False)
     if not model.free:
         raise ValueError("The model has no free parameter; release one with model.release(name).")
     levels = noise_levels(recording.experiments)

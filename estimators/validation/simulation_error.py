@@ -27,6 +27,7 @@ from estimators.validation.prediction_ahead import ahead_of, known_from
 from estimators.validation.trace import Trace
 from rtac_jax import RTAC, require_configured
 from rtac_jax.arguments import checked_arguments
+from rtac_jax.effect_contract import require_working_model
 from rtac_jax.measurement import Experiment, Recording
 from rtac_jax.overview import Overview
 
@@ -181,8 +182,8 @@ def compare(
         ahead: predict so many samples ahead instead; the first so many of an experiment do not count.
 
     Raises:
-        ValueError: nothing moves in the recording, the labels do not fit, `ahead` is not positive, or it or `start_samples` leaves
-            no sample of an experiment.
+        ValueError: nothing moves in the recording, a model's value is no number, the labels do not fit, `ahead` is not positive,
+            or it or `start_samples` leaves no sample of an experiment.
         DivergedError: a model leaves all bounds in an experiment; the message names both.
     """
     require_configured()
@@ -196,6 +197,8 @@ def compare(
         raise ValueError(f"{len(several)} models need as many labels, not {len(names)}.")
     if len(set(names)) < len(names):
         raise ValueError(f"labels are {', '.join(names)}: give each model one of its own.")
+    for fit in several:
+        require_working_model(fit if isinstance(fit, RTAC) else fit.model, batch=False)
     experiments = moving(recording)
     _require_samples(experiments, start_samples, ahead)
     levels = noise_levels(recording.experiments)

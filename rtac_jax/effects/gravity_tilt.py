@@ -9,9 +9,10 @@ STANDARD_GRAVITY = 9.80665  # m/s^2, CGPM 1901
 
 
 class GravityTilt(Force):
-    """A small tilt along the cart's travel and across it; the eccentric mass lies at q + e sin theta along, e cos theta across.
+    """A tilt along the cart's travel and across it; the eccentric mass lies at q + e sin theta along, e cos theta across.
 
-    Where the position sensor was zeroed with the cart at rest, the cart's sag is in its zero: only the arm shows the tilt along.
+    Tilts are given by their sines: an arm in a vertical plane has 1 across. Where the position sensor was zeroed with the cart at
+    rest, the cart's sag is in its zero: only the arm shows the tilt along.
     """
 
     id: ClassVar[str] = "gravity_tilt"
@@ -20,8 +21,12 @@ class GravityTilt(Force):
     port: ClassVar[str] = "arm and cart"
     nature: ClassVar[str] = "conservative"
 
-    along: Scalar = parameter(symbol="a", unit="rad", meaning="tilt along the travel", null=0.0, plausible=0.01)
-    across: Scalar = parameter(symbol="b", unit="rad", meaning="tilt across the travel", null=0.0, plausible=0.01)
+    along: Scalar = parameter(
+        symbol="a", unit="1", meaning="sine of the tilt along the travel", null=0.0, plausible=0.01
+    )
+    across: Scalar = parameter(
+        symbol="b", unit="1", meaning="sine of the tilt across the travel", null=0.0, plausible=0.01
+    )
     zeroed: Scalar = parameter(
         symbol="z", unit="1", bounds=(0.0, 1.0), meaning="fraction of the cart's sag in the sensor's zero", fixed=True,
         plausible=(0.0, 1.0), default=0.0,

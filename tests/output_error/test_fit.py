@@ -154,7 +154,9 @@ def test_with_noise_weak_closed_form_output_error_and_truth_agree(noisy: rtac.Re
 
 def test_a_rig_without_known_constants_is_refused_with_the_free_combination(noisy: rtac.Recording) -> None:
     unknown = rtac.Recording(noisy.experiments)
-    with pytest.raises(est.NotIdentifiableError, match=r"free: .*total_mass.*scaled together.*Give a known constant"):
+    with pytest.raises(
+        est.NotIdentifiableError, match=r"free: .*total_mass.*scaled together.*Give total_mass or arm_inertia in /rig"
+    ):
         est.output_error(rtac.RTAC.from_rig(unknown), unknown, progress=False, starts=1)
 
 

@@ -1,6 +1,7 @@
 """A user's own effect with a fault: which effect, which method, which line, what is wrong, and the usual mend."""
 
 import importlib.util
+import re
 import sys
 
 import jax
@@ -174,6 +175,31 @@ def test_an_effect_without_an_id_is_refused_where_it_is_added(tmp_path, monkeypa
     effect = made(tmp_path, monkeypatch, OWN.replace(old, new))(1e3)
     with pytest.raises(ValueError, match="Magnet has no id, by which its parameters are named"):
         RTAC.paper() + effect
+
+
+MODEL = RTAC.paper()
+WITHOUT_NUMBER = {  # what is said of it, and the model
+    "spring_stiffness is nan; give it a finite number": MODEL.with_values({"spring_stiffness": float("nan")}),
+    "arm_coulomb.level is inf; give it a finite number": MODEL + CATALOGUE["arm_coulomb"](float("inf")),
+}
+SEVERAL = MODEL + CATALOGUE["arm_coulomb"]([1e-4, 2e-4])
+
+
+@pytest.mark.parametrize(
+    "call_it", [rtac_jax.simulate, est.output_error, est.prediction_error_nonlinear, est.least_squares, est.compare]
+)
+@pytest.mark.parametrize("said", WITHOUT_NUMBER)
+def test_a_value_that_is_no_number_is_named(call_it, said):
+    with pytest.raises(ValueError, match=re.escape(said)):
+        call_it(WITHOUT_NUMBER[said], Recording((free(), forced())))
+
+
+@pytest.mark.parametrize("call_it", [est.output_error, est.prediction_error_nonlinear, est.least_squares, est.compare])
+def test_several_values_are_of_a_parameter_that_each_experiment_has(call_it):
+    with pytest.raises(
+        ValueError, match=r"arm_coulomb\.level has 2 values; give it one, or let each experiment have its own"
+    ):
+        call_it(SEVERAL, Recording((free(), forced())))
 
 
 def made(tmp_path, monkeypatch, text):

@@ -29,6 +29,7 @@ class Information:
         deviations: standard deviation along each of them, relative.
         parts: Gauss-Newton matrix of each experiment, in physical parameters.
         scores: gradient of each experiment's half sum of squares at the optimum.
+        from_held: what the covariance holds of the uncertainty of parameters that are held at estimates of something else.
     """
 
     names: tuple[str, ...]
@@ -37,6 +38,12 @@ class Information:
     deviations: Float[np.ndarray, " direction"]
     parts: Float[np.ndarray, "experiment parameter parameter"] | None = None
     scores: Float[np.ndarray, "experiment parameter"] | None = None
+    from_held: Float[np.ndarray, "parameter parameter"] | None = None
+
+    @property
+    def own_covariance(self) -> Float[np.ndarray, "parameter parameter"]:
+        """Return the covariance were all that is held exact: the inverse of the Gauss-Newton matrix."""
+        return self.covariance if self.from_held is None else self.covariance - self.from_held
 
     def undetermined(self, beside: Collection[str] = ()) -> list[str]:
         """Describe every combination of parameters that the data leave free.
@@ -155,6 +162,13 @@ def information_of(matrix: np.ndarray, names: Sequence[str], size: np.ndarray) -
     half = directions.T * deviations
     covariance = (half @ half.T) * np.outer(size, size)
     return Information(tuple(names), covariance, directions[::-1], deviations[::-1])
+
+
+def information_of_covariance(covariance: np.ndarray, names: Sequence[str], size: np.ndarray) -> Information:
+    """Compute identifiability from a covariance of physical parameters, and their sizes."""
+    variances, directions = np.linalg.eigh(covariance / np.outer(size, size))
+    deviations = np.sqrt(np.maximum(variances[::-1], 0.0))
+    return Information(tuple(names), covariance, directions.T[::-1], deviations)
 
 
 def slope_of(space: Space, unknowns: Unknowns) -> np.ndarray:

@@ -36,6 +36,11 @@ class Parameter:
     std: float
     unit: str
 
+    @property
+    def is_fixed(self) -> bool:
+        """Return whether it was not estimated."""
+        return self.std == 0
+
 
 class ModelFit(Result):
     """The estimates of a model's parameters, with the standard deviations that the data's information gives."""
@@ -45,9 +50,15 @@ class ModelFit(Result):
     information: Information
 
     @property
+    def held_deviations(self) -> Mapping[str, float]:
+        """Return the standard deviations of parameters that are held at estimates of something else, by name."""
+        return {}
+
+    @property
     def parameters(self) -> dict[str, Parameter]:
         """Return every shared parameter with its standard deviation."""
-        deviations = dict(zip(self.information.names, np.sqrt(np.diagonal(self.information.covariance)), strict=True))
+        estimated = np.sqrt(np.diagonal(self.information.covariance))
+        deviations = {**self.held_deviations, **dict(zip(self.information.names, estimated, strict=True))}
         return {
             name: Parameter(float(np.asarray(self.model[name])), float(deviations.get(name, 0.0)), declared.unit)
             for name, declared in self.model.parameters.items()
@@ -68,7 +79,7 @@ class ModelFit(Result):
     def rows(self) -> list[tuple[str, str, str, str]]:
         """Return every shared parameter as text: name, value, standard deviation and unit."""
         return [
-            (name, f"{p.value:.6g}", f"{p.std:.2g}" if name in self.information.names else "fixed", p.unit)
+            (name, f"{p.value:.6g}", "fixed" if p.is_fixed else f"{p.std:.2g}", p.unit)
             for name, p in self.parameters.items()
         ]
 
@@ -120,6 +131,7 @@ class Fit(ModelFit):
         marks: of each experiment's measurements, which tell it from another of the same name.
         discounted: samples that hardly count, where the fit is robust.
         weights: of the squares in a robust fit, [sample output], by experiment; empty where all count alike.
+        held: standard deviations of parameters that are fixed at estimates of something else, which those of the others count.
     """
 
     model: RTAC
@@ -133,6 +145,12 @@ class Fit(ModelFit):
     marks: Mapping[str, str] = dataclasses.field(default_factory=dict)
     discounted: tuple[Discounted, ...] = ()
     weights: Mapping[str, Float[np.ndarray, "sample output"]] = dataclasses.field(default_factory=dict)
+    held: Mapping[str, float] = dataclasses.field(default_factory=dict)
+
+    @property
+    def held_deviations(self) -> Mapping[str, float]:
+        """Return the standard deviations of parameters that are held at estimates of something else, by name."""
+        return self.held
 
     def overview(self) -> Overview:
         """Return outcome, and parameters with standard deviations."""

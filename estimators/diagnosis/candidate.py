@@ -44,6 +44,11 @@ class Candidate:
     correlation: Mapping[str, float] = dataclasses.field(default_factory=dict)
 
     @property
+    def deviations(self) -> dict[str, float]:
+        """Return the standard deviations of the parameters that were estimated."""
+        return {name: one.std for name, one in self.parameters.items() if not one.is_fixed}
+
+    @property
     def limit(self) -> str:
         """Return the detection limit with its unit, a fraction in percent; empty where the data could not show the effect."""
         if not (self.testable and math.isfinite(self.detection_limit)):

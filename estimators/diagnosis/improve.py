@@ -40,7 +40,7 @@ class Improvement(Result):
             named, else what the last diagnosis says.
         train, validation: every model against the experiments that it was fitted to, and against those held out.
         held: ids of added effects that are held at the estimate of the diagnosis, because a fit by simulation fails, or serves
-            held-out experiments worse; deviations of the other parameters are for that value of theirs.
+            held-out experiments worse; deviations of the other parameters count how well the diagnosis knew it.
         predicted: the last model has all its parameters from predictions one sample ahead, because random forces or an arm that
             tumbles carry a simulation away from the data that it was fitted to.
         predicted_gains: added effects that do not clearly lower the held-out error of simulation, but make the held-out experiments
@@ -91,7 +91,7 @@ class Improvement(Result):
             said.insert(
                 0,
                 f"Held at the estimate of the diagnosis, because a fit by simulation fails or serves held-out experiments worse: "
-                f"{', '.join(self.held)}.",
+                f"{', '.join(self.held)}. Standard deviations of the others count how well the diagnosis knew it.",
             )
         if self.final.result in _UNFINISHED:
             said.append(f"The last model: {self.final.outcome}")

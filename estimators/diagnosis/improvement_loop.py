@@ -85,8 +85,8 @@ class Loop:
                 return
             label = "+ " + ", ".join([*(c.id for c in self.added), effect.id])
             step = add_effect(
-                self.last.fit, self.last.tested, effect, label, self.train, self.held_out, policy=self.policy,
-                progress=self.progress,
+                self.last.fit, self.last.tested, effect, label, self.train, self.held_out,
+                deviations=known[effect.id].deviations, policy=self.policy, progress=self.progress,
             )  # fmt: skip
             if isinstance(step, str):
                 self.stopped = step

@@ -133,7 +133,9 @@ def learn_force(
     # Near the noise any fall is enough for an effect, which physics speaks for; for a curve nothing does.
     strict = dataclasses.replace(policy, near_noise=0.0)
     for curve in tried:
-        step = add_effect(before, tested, curve.effect(), label, train, held_out, policy=strict, progress=progress)
+        step = add_effect(
+            before, tested, curve.effect(), label, train, held_out, deviations={}, policy=strict, progress=progress
+        )
         if isinstance(step, str):
             continue
         if step.predicted_gain is not None or misfit(step.tested) <= (1 - policy.fall) * misfit(tested):

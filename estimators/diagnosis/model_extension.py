@@ -10,6 +10,7 @@ from estimators.core.data import mark_of
 from estimators.core.fit import Fit
 from estimators.core.results import RESULTS, DivergedError, NotIdentifiableError
 from estimators.diagnosis.gross_effects import begun_by_equations
+from estimators.diagnosis.held_estimates import counting_held
 from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
 from estimators.output_error.fit import output_error
 from estimators.prediction_error.fit import prediction_error_nonlinear
@@ -75,6 +76,7 @@ def add_effect(
     train: Recording,
     held_out: Recording,
     *,
+    deviations: Mapping[str, float],
     policy: DiagnosisPolicy = STANDARD,
     progress: bool,
 ) -> Added | str:
@@ -87,9 +89,12 @@ def add_effect(
         label: for the comparison.
         train: the recording that is fitted.
         held_out: the recording that validates.
+        deviations: standard deviations of the effect's parameters as the diagnosis estimated them, by field; those of what is
+            held count them.
         policy: the thresholds by which it is kept.
         progress: show bars.
     """
+    known = {**before.held, **{f"{effect.id}.{field}": std for field, std in deviations.items()}}
     extended = begun_by_equations(before, before.model + effect, train, policy)
     bases = [Added(before, tested, "simulated")]
     steps: list[Added] = []
@@ -106,6 +111,7 @@ def add_effect(
                 fit = output_error(tried, train, from_model=True, progress=progress)
                 if fit.lost:
                     raise NotIdentifiableError(fit.outcome)
+                fit = counting_held(fit, train, known)
             test = compare(fit, held_out, labels=[label]).models[0]
         except (NotIdentifiableError, DivergedError, FloatingPointError) as error:
             reasons.append(f"Stopped: with {effect.id} the model could not be fitted: {error}")

@@ -50,7 +50,17 @@ def add_nearest(
         return None
     effect = cls(**{name: nearest.parameters[name].value for name in declarations(cls)})
     label = f"+ {nearest.id}" if last.tested.label == "base" else f"{last.tested.label}, {nearest.id}"
-    step = add_effect(last.fit, last.tested, effect, label, train, held_out, policy=policy, progress=progress)
+    step = add_effect(
+        last.fit,
+        last.tested,
+        effect,
+        label,
+        train,
+        held_out,
+        deviations=nearest.deviations,
+        policy=policy,
+        progress=progress,
+    )
     if isinstance(step, str) or misfit(step.tested) > (1 - policy.fall) * misfit(last.tested):
         return None
     return step, nearest

@@ -106,8 +106,10 @@ def covariances(fit: Fit, recording: Recording) -> Covariances:
     clusters = [origin[name] for name in fit.experiments]
     by_cluster, degrees = clustered(_of_experiments(fit.information, rows), clusters)
     # What was measured of constants beforehand is another observation, whose variance is known.
-    by_cluster = by_cluster + fit.information.covariance @ rows.known.T @ rows.known @ fit.information.covariance
+    own = fit.information.own_covariance
+    by_cluster = by_cluster + own @ rows.known.T @ rows.known @ own
     names = fit.information.names
+    from_held = fit.information.covariance - own
     # Of a robust fit the derivative of a score is less than its weight.
     meat = meat * fit.statistics.get("score_ratio", 1.0) ** 2
     many = np.full(len(names), np.inf)
@@ -116,8 +118,8 @@ def covariances(fit: Fit, recording: Recording) -> Covariances:
         np.array([fit.parameters[n].value for n in names]),
         tuple(fit.parameters[n].unit for n in names),
         fit.information.covariance,
-        bread @ meat @ bread,
-        by_cluster,
+        bread @ meat @ bread + from_held,
+        by_cluster + from_held,
         {"plain": many, "sandwich": np.full(len(names), max(1.5 * independent, 3.0)), "clustered": degrees},
     )
 
@@ -184,7 +186,7 @@ def clustered(information: Information, clusters: list[str]) -> tuple[Matrix, Fl
     place = np.array([groups.index(c) for c in clusters])
     parts = np.stack([information.parts[place == g].sum(axis=0) for g in range(len(groups))])
     scores = np.stack([information.scores[place == g].sum(axis=0) for g in range(len(groups))])
-    bread = information.covariance
+    bread = information.own_covariance
     moved = scores @ bread  # what each cluster moves each parameter by, but for the sign
     raw = moved.T @ moved
     # Were the residual white, cluster g's fraction of parameter p would be c' B (s_g - H_g B sum s) with Cov(s_g) = H_g.

@@ -71,7 +71,7 @@ def estimates_table(known: AllEstimates) -> Table:
 def recommended_table(advice: Recommendation, fit: Fit) -> Table:
     """Return the estimates to use: one value and one standard deviation for each parameter."""
     rows = tuple(
-        (name, f"{p.value:.6g}", _short(p.std) if name in fit.information.names else "fixed", p.unit)
+        (name, f"{p.value:.6g}", "fixed" if p.is_fixed else _short(p.std), p.unit)
         for name, p in advice.parameters.items()
     )
     return Table(("parameter", "recommended", "std", "unit"), rows, advice.sentence)
@@ -98,12 +98,12 @@ def _rows(known: AllEstimates) -> list[list[str]]:
     for name, p in fit.parameters.items():
         e = known.closed.estimates.get(name)
         row = [name, p.unit, *(("", "") if e is None else (f"{e.value:.6g}", _short(e.std))), f"{p.value:.6g}"]
-        row.append(_short(p.std) if name in fit.information.names else "fixed")
+        row.append("fixed" if p.is_fixed else _short(p.std))
         if spread is not None:
             row += [_short(coloured.get(name, np.nan)), _short(by_cluster.get(name, np.nan))]
         if predicted is not None:
             other = predicted.parameters[name]
-            row += [f"{other.value:.6g}", _short(other.std) if name in predicted.information.names else "fixed"]
+            row += [f"{other.value:.6g}", "fixed" if other.is_fixed else _short(other.std)]
         if agreed is not None:
             row.append(f"{apart[name]:.1f}" if name in apart else "")
         rows.append(row)

@@ -285,7 +285,7 @@ def parameter_table(fit: Fit, *, base: Fit | None = None) -> Table:
     for name, p in _every(fit).items():
         if name in idle:
             continue
-        std = "" if math.isnan(p.std) else f"{p.std:.2g}" if name in fit.information.names else "fixed"
+        std = "" if math.isnan(p.std) else "fixed" if p.is_fixed else f"{p.std:.2g}"
         std += ", on its bound" if name in bounds else ""
         row = [name, f"{p.value:.6g}", std, p.unit]
         if base is not None:

@@ -88,6 +88,7 @@ def _refitted(work: Job, base: Any, found: Any) -> tuple[list[Any], list[str]]:
     What a simulation cannot fit is held at the diagnosis's estimate.
     """
     import estimators as est
+    from estimators.diagnosis.held_estimates import counting_held
     from estimators.diagnosis.model_extension import holding
     from rtac_jax import RTAC
 
@@ -95,12 +96,13 @@ def _refitted(work: Job, base: Any, found: Any) -> tuple[list[Any], list[str]]:
     if found.additions:
         names = ", ".join(effect.id for effect in found.additions)
         free = reduce(RTAC.__add__, found.additions, base.model)
+        known = {f"{c.id}.{name}": std for c in found.effects for name, std in c.deviations.items()}
         for extended, held in (
             (free, ""),
             (holding(free, [effect.id for effect in found.additions]), ", held at the estimate of the diagnosis"),
         ):
             try:
-                fits.append(est.output_error(extended, work.train, from_model=True))
+                fits.append(counting_held(est.output_error(extended, work.train, from_model=True), work.train, known))
             except (est.NotIdentifiableError, est.DivergedError, FloatingPointError) as error:
                 work.note(f"The model with {names}{held} could not be fitted by simulation: {error}")
             else:

@@ -43,6 +43,7 @@ def improved(
     import estimators as est
     from estimators.reporting import report as _report
     from estimators.reporting import summary
+    from estimators.reporting.fit_table import recommended_table
 
     if work.held_out is None:
         stop(NOT_POSSIBLE, work.not_split)
@@ -56,7 +57,15 @@ def improved(
         )  # fmt: skip
     extended = len(found.validation.models) > 1
     errors = _report.error_table(found.train, found.validation)
-    parameters = _report.parameter_table(found.final, base=found.base if extended else None)
+    advice = _advice(found, work)
+    own = advice.parameters if advice is not None and advice.estimator == "output error" else None
+    base = found.base if extended else None
+    parameters: list[Any] = [_report.parameter_table(found.final, base=base, estimates=own)]
+    if extended and found.base.lost:
+        parameters.append(f"Before: {found.base.outcome}")
+    if advice is not None:
+        parameters += [] if own else [recommended_table(advice, found.final)]
+        parameters.append(advice.sentence)
     said = [diagnosis.explanation for diagnosis in found.diagnoses]
     told = [without_limits(text) for text in said]
     open_question = next((d for d in found.diagnoses if d.verdict == "ambiguous"), None)
@@ -64,13 +73,10 @@ def improved(
     if open_question is not None:
         base = found.fits[found.fitted_before(found.diagnoses.index(open_question))]
         planned = plan_next(work, base, open_question, candidates)
-    advice = _advice(found, work)
     table, judged = _report.candidate_table(found.diagnoses[0]), found.diagnoses[0].policy.words
-    work.say(
-        found.headline, *said, found.ending, work.remark, table, errors, parameters, *advice, planned or "", judged
-    )
+    work.say(found.headline, *said, found.ending, work.remark, table, errors, *parameters, planned or "", judged)
     work.save(found, save)
-    work.write_json(_report.report_dict(found, planned=planned, seconds=work.seconds))
+    work.write_json(_report.report_dict(found, planned=planned, seconds=work.seconds, advice=advice))
     if work.folder is None:
         return
     from estimators.plots import (
@@ -114,7 +120,7 @@ def improved(
         ("Verdict", [found.headline, f"{finding(found)}.", *told, found.ending, work.remark]),
         ("Error before and after", [errors]),
         ("Figures", shown(figures, **captions)),
-        ("Parameters", [parameters, *advice]),
+        ("Parameters", parameters),
         ("Candidates", tables),
         ("Thresholds", [_report.policy_table(found.diagnoses[0].policy)]),
     ]
@@ -123,18 +129,21 @@ def improved(
     work.write_report(title, figures, sections, summary=bullets, traces=found.validation)
 
 
-def _advice(found: Any, work: Job) -> list[Any]:
-    """Return a table of the estimates to use, and which they are, where random forces lead the last simulation astray."""
+def _advice(found: Any, work: Job) -> Any:
+    """Return which estimates of the last model to use, with which deviations; None where it was fitted by predictions already.
+
+    Predictions are asked where random forces lead its simulation astray.
+    """
     import estimators as est
     from estimators.core.fit import FAR
-    from estimators.reporting.fit_table import recommended_table
 
-    if found.predicted or found.diagnoses[-1].verdict != "adequate" or found.final.farthest <= FAR:
-        return []
-    try:
-        predicted = est.prediction_error_nonlinear(found.final.model, work.train, from_model=True)
-    except (ValueError, est.DivergedError) as error:
-        return [f"No prediction error: {error}"]
+    if found.predicted:
+        return None
+    predicted = None
+    if found.diagnoses[-1].verdict == "adequate" and found.final.farthest > FAR:
+        try:
+            predicted = est.prediction_error_nonlinear(found.final.model, work.train, from_model=True)
+        except (ValueError, est.DivergedError) as error:
+            work.note(f"No prediction error: {error}")
     spread = est.covariances(found.final, work.train)
-    advice = est.recommended(found.final, found.train.models[-1], predicted=predicted, spread=spread)
-    return [recommended_table(advice, found.final), advice.sentence]
+    return est.recommended(found.final, found.train.models[-1], predicted=predicted, spread=spread)

@@ -8,7 +8,8 @@ class RESULTS(eqx.Enumeration):
 
     successful = "The fit converged."
     steps_exhausted = (
-        "The fit did not converge in the steps allowed; raise `steps`, or look at the parameters that still move."
+        "The fit did not converge in the steps allowed; raise `steps` (of est.output_error), or look at the parameters that still "
+        "move."
     )
     pulled_off_bound = (
         "The fit did not converge: an estimate lies on its bound, and the data pull it inwards; begin with a plausible value "

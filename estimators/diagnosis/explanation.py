@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 
-from estimators.core.fit import Parameter
+from estimators.core.fit import FAR, Parameter
 from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
 from estimators.diagnosis.removed_error import Verdict, fraction_removed, without_named_rivals
@@ -223,8 +223,7 @@ def strayed(
 ) -> str:
     """Say what it means that a simulation leaves the recording although no prediction shows why; nothing where it stays.
 
-    Of sensors whose noise is stated or recorded at rest: that of others is taken from fast changes, and is more where it is
-    slow. Where no noise is known, of a simulation that is poor.
+    Where the noise is neither stated nor recorded at rest it is taken from fast changes, and a sensor that is slow to err has more.
 
     Args:
         residual_std: rms that the simulation leaves, by channel.
@@ -236,13 +235,16 @@ def strayed(
     channels, noise_known = judged_channels(residual_std, recording)
     farthest = max(channels, key=lambda c: residual_std[c] / noise[c])
     times = residual_std[farthest] / noise[farthest]
-    if not (times >= _STRAYED if noise_known else unfollowed > poor):
+    slow = "" if noise_known else "the sensor's errors are slow, "
+    if not noise_known and unfollowed > poor:
+        away, slow = f"{100 * unfollowed:.0f} % of the motion away from the recording", ""
+    elif times >= (_STRAYED if noise_known else FAR):
+        shown = "" if noise_known else " that its fast changes show"
+        away = f"{times:.0f} times the noise{shown} away from the recording ({farthest})"
+    else:
         return ""
-    away = f"{100 * unfollowed:.0f} % of the motion away from the recording"
-    if noise_known:
-        away = f"{times:.0f} times the noise away from the recording ({farthest})"
     return (
-        f" Even so, the simulation of the fit is {away}: the fit ended at"
+        f" Even so, the simulation of the fit is {away}: {slow}the fit ended at"
         " values that are not the best, or no simulation can follow this motion, as where an arm tumbles. Its parameters and"
         " their standard deviations are not to be trusted then; est.prediction_error_nonlinear estimates them by predictions."
     )

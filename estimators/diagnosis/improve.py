@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 from estimators.core.drawing import draw
-from estimators.core.fit import Fit
+from estimators.core.fit import FAR, Fit
 from estimators.core.result_base import Result
 from estimators.core.results import RESULTS
 from estimators.core.threads import one_blas_thread
@@ -95,6 +95,8 @@ class Improvement(Result):
             )
         if self.final.result in _UNFINISHED:
             said.append(f"The last model: {self.final.outcome}")
+        if self.diagnoses[-1].verdict == "adequate" and (astray := self._astray):
+            said.append(astray)
         return " ".join([*said, self.stopped, *([str(self.learned)] if self.learned is not None else [])])
 
     @property
@@ -127,6 +129,19 @@ class Improvement(Result):
         return (
             f"{self._named} A learned force on the {self.learned.port} against {self.learned.variable}, which is no physical "
             f"effect, changes the held-out error {self._change}."
+        )
+
+    @property
+    def _astray(self) -> str:
+        """Return where the last model's simulation leaves held-out experiments although nothing is missing; empty if nowhere."""
+        errors = self.validation.models[-1].errors
+        farthest = max(errors, key=lambda c: errors[c].rms_over_noise, default=None)
+        if farthest is None or errors[farthest].rms_over_noise <= FAR:
+            return ""
+        return (
+            f"Even so, its simulation leaves {farthest} of the held-out experiments at "
+            f"{errors[farthest].rms_over_noise:,.0f} times the noise, as where an arm tumbles or friction holds what a little less "
+            "would not, or where they reach beyond what was fitted; est.compare(..., ahead=10) shows how far ahead it can be followed."
         )
 
     @property

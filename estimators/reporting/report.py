@@ -36,6 +36,7 @@ def report_dict(
     validation: Comparison | None = None,
     planned: NextExperiment | None = None,
     seconds: float | None = None,
+    advice: Recommendation | None = None,
 ) -> dict[str, Any]:
     """Return what a diagnosis or an improvement found, ready for `write_json`.
 
@@ -46,13 +47,14 @@ def report_dict(
         validation: the same on the held-out data.
         planned: the experiment that would tell the rest apart.
         seconds: duration of everything; by default what the result says of itself.
+        advice: which estimates of the last model to use.
     """
     if isinstance(found, Improvement):
         fit = fit or found.final
         train, validation = train or found.train, validation or found.validation
         first = found.diagnoses[0]
         named = found.added
-        known = _with_held(found.final, named)
+        known = _every(found.final)
     else:
         first, named, known = found, found.effects, {}
     learned, nearest = (found.learned, found.nearest) if isinstance(found, Improvement) else (None, None)
@@ -66,7 +68,7 @@ def report_dict(
             "mended": found.mended if isinstance(found, Improvement) else None,
             "effects": effects,
             "candidates": [_candidate(c, c.id in accepted) for c in first.candidates],
-            "parameters": _parameters(_with_held(fit, named)) if fit is not None else {},
+            "parameters": _parameters(_every(fit)) if fit is not None else {},
             "error": {"train": _before_after(train), "validation": _before_after(validation)},
             "next_experiment": planned.as_dict() if planned is not None else None,
             "seconds": found.seconds if seconds is None else seconds,
@@ -74,6 +76,7 @@ def report_dict(
             "consequence": _consequence(first),
             "learned_force": learned.as_dict() if learned is not None else None,
             "likely_effect": _effect(nearest, known) if nearest is not None else None,
+            "recommended": _recommended(advice) if advice is not None else None,
         }
     )
 
@@ -98,12 +101,7 @@ def fit_dict(
         "correlations": {"names": list(fit.information.names), "matrix": fit.correlations().matrix.tolist()},
     }
     if advice is not None:
-        found["recommended"] = {
-            "estimator": advice.estimator,
-            "std_for": advice.deviation,
-            "sound": advice.sound,
-            "parameters": _parameters(advice.parameters),
-        }
+        found["recommended"] = _recommended(advice)
     if beside is None:
         return cleaned(found)
     predicted, agreed, spread = beside.predicted, beside.agreed, beside.spread
@@ -213,11 +211,14 @@ def _parameters(parameters: Mapping[str, Parameter]) -> dict[str, Any]:
     return {name: {"value": p.value, "std": p.std, "unit": p.unit} for name, p in parameters.items()}
 
 
-def _with_held(fit: Fit, candidates: Sequence[Candidate]) -> dict[str, Parameter]:
-    """Return all parameters of a fit; of effects that are held in it as the diagnosis estimated them."""
-    found = _every(fit)
-    told = {f"{c.id}.{name}": p for c in candidates for name, p in c.parameters.items()}
-    return found | {name: p for name, p in told.items() if name in found and name not in fit.information.names}
+def _recommended(advice: Recommendation) -> dict[str, Any]:
+    """Return which estimates to use, and what their deviations take for granted."""
+    return {
+        "estimator": advice.estimator,
+        "std_for": advice.deviation,
+        "sound": advice.sound,
+        "parameters": _parameters(advice.parameters),
+    }
 
 
 def _every(fit: Fit) -> dict[str, Parameter]:
@@ -277,12 +278,18 @@ def error_table(train: Comparison, validation: Comparison | None) -> Table:
     return Table(tuple(header), tuple(rows), f"Error of {what}; the noise is that of the sensor.")
 
 
-def parameter_table(fit: Fit, *, base: Fit | None = None) -> Table:
-    """Return a table of parameters with standard deviations; with a base fit its values before them."""
+def parameter_table(fit: Fit, *, base: Fit | None = None, estimates: Mapping[str, Parameter] | None = None) -> Table:
+    """Return a table of parameters with standard deviations; with a base fit its values before them.
+
+    Args:
+        fit: of the last model.
+        base: of the first one.
+        estimates: parameters with other standard deviations than those for a white residual.
+    """
     rows = []
     known, bounds = _every(base) if base is not None else {}, fit.on_bounds()
     idle = {f"{effect.id}.{name}" for effect in fit.model.effects for name in effect.idle}
-    for name, p in _every(fit).items():
+    for name, p in (_every(fit) | dict(estimates or {})).items():
         if name in idle:
             continue
         std = "" if math.isnan(p.std) else "fixed" if p.is_fixed else f"{p.std:.2g}"

@@ -12,12 +12,11 @@ import pytest
 import estimators as est
 import rtac_jax as rtac
 from estimators.core.fisher_information import information_of
-from estimators.core.fit import Parameter
 from estimators.core.results import RESULTS
 from estimators.diagnosis import improve, improvement_loop
 from estimators.diagnosis import model_extension as _add_effect
 from estimators.diagnosis.model_extension import holding
-from estimators.reporting.report import _with_held
+from estimators.reporting.report import parameter_table
 from estimators.validation.predictive_likelihood import OneStepAhead
 from estimators.validation.simulation_error import Compared
 from rtac_jax import virtual_rig
@@ -78,7 +77,7 @@ def test_nothing_of_an_effect_that_is_held_is_fitted() -> None:
     [
         ({FREE: 1.0, HELD: 2.0}, True, False, "nothing more"),
         ({FREE: 5.0, HELD: 2.0}, True, True, "Held at the estimate of the diagnosis"),
-        ({FREE: None, HELD: 2.0}, True, True, "cubic_spring. Stopped"),
+        ({FREE: None, HELD: 2.0}, True, True, "cubic_spring. Standard deviations of the others count"),
         ({FREE: 5.0, HELD: 6.0}, False, False, "would not fall"),
         ({FREE: 5.0, HELD: 3.9}, False, False, "would not help clearly either"),
         ({FREE: 5.0, HELD: 3.9, PREDICTED: 2.0}, True, False, "est.prediction_error_nonlinear"),
@@ -203,12 +202,13 @@ def looped(
 
 
 def test_a_report_gives_the_deviation_of_the_diagnosis_for_what_is_held() -> None:
-    told = {"stiffness": Parameter(5e4, 300.0, "N/m^3")}
-    candidate = dataclasses.replace(CANDIDATE, parameters=told)
+    name = "cubic_spring.stiffness"
     model = rtac.RTAC.paper() + CubicSpring(stiffness=6e4)
-    free, held = fit_of(model, ("total_mass", "cubic_spring.stiffness")), fit_of(model, ("total_mass",))
-    found = [_with_held(fit, [candidate])["cubic_spring.stiffness"] for fit in (free, held)]
-    assert [(p.value, p.std) for p in found] == [(6e4, 1.0), (5e4, 300.0)]
+    free, fixed = fit_of(model, ("total_mass", name)), fit_of(model, ("total_mass",))
+    several = (free, fixed, dataclasses.replace(fixed, held={name: 300.0}))
+    told = [next(row for row in parameter_table(fit).rows if row[0] == name) for fit in several]
+    assert [row[2] for row in told] == ["1", "fixed", "3e+02"]
+    assert [fit.parameters[name].std for fit in several] == [1.0, 0.0, 300.0]
 
 
 def improved(name: str, hidden: dict[str, Any]) -> est.Improvement:

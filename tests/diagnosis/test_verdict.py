@@ -41,7 +41,10 @@ def test_an_adequate_model_whose_simulation_strays_says_so() -> None:
     assert "32 times the noise away from the recording (cart_position)" in strayed(
         far, noise, Recording((moving, still))
     )
-    assert strayed(far, noise, Recording((moving,))) == ""  # nobody knows that noise
+    assert "32 times the noise that its fast changes show away" in strayed(far, noise, Recording((moving,)))
+    near = {"cart_position": 9e-5, "arm_velocity": 0.1}
+    assert "9 times the noise away" in strayed(near, noise, Recording((moving, still)))
+    assert strayed(near, noise, Recording((moving,))) == ""  # nobody knows that noise
     assert "43 % of the motion away from the recording" in strayed(far, noise, Recording((moving,)), unfollowed=0.43)
 
 

@@ -16,6 +16,8 @@ from estimators.diagnosis.improvement_loop import Loop
 from estimators.diagnosis.learned_force import LearnedForce
 from estimators.diagnosis.model_extension import Added, PredictedGain
 from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
+from estimators.inference.constancy import constancy
+from estimators.linear.homogeneity_test import Equality
 from estimators.output_error.fit import output_error
 from estimators.validation.simulation_error import Comparison, compare
 from rtac_jax import RTAC
@@ -25,6 +27,7 @@ from rtac_jax.measurement import Recording
 from rtac_jax.overview import Overview
 from rtac_jax.renamed import renamed
 
+_STRAYED = 3.0  # residual over noise, as known as it is, from which it is asked whether experiments differ
 _UNFINISHED = (RESULTS.steps_exhausted, RESULTS.pulled_off_bound, RESULTS.undetermined)
 
 
@@ -50,6 +53,8 @@ class Improvement(Result):
         nearest: the effect of the last model that explains most, not all, of what the last diagnosis cannot name: a last resort,
             which serves held-out experiments better than a learned force; None elsewhere.
         learned: the learned force of the last model, the other last resort; None elsewhere.
+        constancy: what differs between experiments, where the last model follows each by itself and not all together; None
+            elsewhere.
     """
 
     fits: tuple[Fit, ...]
@@ -65,6 +70,7 @@ class Improvement(Result):
     seconds: float
     learned: LearnedForce | None = None
     nearest: Candidate | None = None
+    constancy: Equality | None = None
 
     foreseen = renamed("foreseen", "predicted_gains")
 
@@ -117,7 +123,13 @@ class Improvement(Result):
 
     @property
     def headline(self) -> str:
-        """Return what was found, in a sentence or two: what the first model lacked, what the last one lacks, what was learned."""
+        """Return what was found, in a few sentences: what differs, what was missing or still is, and what was learned."""
+        differences = "" if self.constancy is None else f"{self.constancy.differences} "
+        return f"{differences}{self._found}"
+
+    @property
+    def _found(self) -> str:
+        """Return what the first model lacked, what the last one lacks, what was learned."""
         if self.nearest is not None:
             explained = 100 * self.nearest.error_reduction
             return (
@@ -141,7 +153,7 @@ class Improvement(Result):
         return (
             f"Even so, its simulation leaves {farthest} of the held-out experiments at "
             f"{errors[farthest].rms_over_noise:,.0f} times the noise, as where an arm tumbles or friction holds what a little less "
-            "would not, or where they reach beyond what was fitted; est.compare(..., ahead=10) shows how far ahead it can be followed."
+            "would not, or where they reach beyond what was fitted; est.compare(..., ahead=10) shows how far it can be followed."
         )
 
     @property
@@ -285,4 +297,16 @@ def improve(
         seconds=time.perf_counter() - began,
         learned=learned,
         nearest=nearest,
+        constancy=_differing(fits[-1], train),
     )
+
+
+def _differing(fit: Fit, train: Recording) -> Equality | None:
+    """Return what differs between experiments, where a model follows each by itself and not all together."""
+    if fit.lost or fit.farthest <= _STRAYED:
+        return None
+    try:
+        found = constancy(fit, train)
+    except (ValueError, ArithmeticError):  # too few experiments, or one that shows nothing by itself
+        return None
+    return found if found.decisive else None

@@ -9,14 +9,16 @@ from jaxtyping import Float
 from estimators.core.correlation import require_level
 from estimators.core.data import moving
 from estimators.core.fit import Fit
-from estimators.core.linearisation import at_fit, rows_at
+from estimators.core.linearisation import at_fit
+from estimators.inference.separate_fits import about_common, about_own
+from estimators.inference.varying_parameters import SHOWN, explained, selected
 from estimators.linear.homogeneity_test import Covariates, Equality, given_covariates, trend_of, varying
 from rtac_jax import require_configured
 from rtac_jax.arguments import checked_arguments
 from rtac_jax.measurement import Experiment, Recording
 
-# Information on a parameter in one experiment over that of the richest; with less, one linear step says nothing of it there.
-_SHOWN = 1e-4
+# Fraction of the squared residual that differences explain, from which on they are too large for one step.
+_FAR = 0.1
 _LEAST = 3  # experiments that a trend and what scatters beside it need
 
 
@@ -25,11 +27,13 @@ def constancy(fit: Fit, recording: Recording, *, covariates: Covariates | None =
     """Test whether every experiment has the parameters of a fit; if not, name what drifts, and with which covariate.
 
     One parameter after the other is set free in every experiment, while the others, common to all, follow, by one
-    Gauss-Newton step from the fit: the estimates of experiments that fit alone would leave undetermined are told so, too. A
-    drift is looked for with the rms of input and output, the mean arm angle where it was measured, the place of the
-    experiment in the recording and whatever is given. The residual is taken as white
-    with the rms that the fit left, as the fit's own standard deviations take it. Constants that were measured with a standard
-    deviation are held: one experiment alone says nothing of them.
+    Gauss-Newton step from the fit: the estimates of experiments that fit alone would leave undetermined are told so, too. Where
+    the residual is to a good part such differences, which may lead simulations too far for one step, every experiment is fitted by
+    itself. The fewest parameters are named that explain the differences if they are free in each experiment. A drift is looked
+    for with the rms of input and output, the mean arm angle where it was measured, the place of the experiment in the recording
+    and whatever is given. The residual is taken as white with the rms that the fit left, as the fit's own standard deviations take
+    it, or all fits of single experiments together. Constants that were measured with a standard deviation are held: one experiment
+    alone says nothing of them.
 
     Args:
         fit: of output error.
@@ -52,12 +56,13 @@ def constancy(fit: Fit, recording: Recording, *, covariates: Covariates | None =
     experiments = problem.experiments
     if len(experiments) < _LEAST:
         raise ValueError(f"constancy: {len(experiments)} experiment(s) show no drift; give at least {_LEAST}.")
-    rows = rows_at(problem)
-    tested = [i for i, name in enumerate(problem.names) if name not in fit.model.priors]
-    jacobian = rows.jacobian[..., tested]
-    information = np.einsum("soep,soeq->epq", jacobian, jacobian)
-    slope = np.einsum("soep,soe->ep", jacobian, rows.residual)
-    names = tuple(problem.names[i] for i in tested)
+    names = tuple(name for name in problem.names if name not in fit.model.priors)
+    around = about_common(fit, recording, names)
+    chi_square, freedom = explained(around.information, around.slope, range(len(names)))
+    p_value = float(scipy.stats.chi2.sf(chi_square, freedom))
+    if p_value < level and chi_square > _FAR * float(np.sum(np.asarray(problem.arguments.data.present))):
+        around = about_own(fit, recording, names) or around
+    information, slope = around.information, around.slope
     estimates = np.array([float(np.asarray(fit.model[name])) for name in names])
     every = _covariates(experiments, recording, covariates)
     shape = (len(experiments), len(names))
@@ -65,13 +70,13 @@ def constancy(fit: Fit, recording: Recording, *, covariates: Covariates | None =
     common, common_std, p_values = estimates.copy(), np.zeros(len(names)), np.ones(len(names))
     trends = []
     for i in range(len(names)):
-        shown = information[:, i, i] > _SHOWN * np.max(information[:, i, i])
+        shown = information[:, i, i] > SHOWN * np.max(information[:, i, i])
         if np.sum(shown) < _LEAST:
             trends.append(())
             common_std[i] = fit.parameters[names[i]].std
             continue
         away, precision = _by_experiment(information, slope, i, shown)
-        each = estimates[i] + away
+        each = estimates[i] * np.exp(away / estimates[i]) if around.logarithmic[i] else estimates[i] + away
         values[shown, i], std[shown, i] = each, np.sqrt(np.diagonal(np.linalg.inv(precision)))
         weight = np.sum(precision, axis=0)
         common[i], common_std[i] = float(weight @ each / np.sum(weight)), float(1 / np.sqrt(np.sum(weight)))
@@ -79,13 +84,14 @@ def constancy(fit: Fit, recording: Recording, *, covariates: Covariates | None =
         p_values[i] = scipy.stats.chi2.sf(beside @ precision @ beside, int(np.sum(shown)) - 1)
         told = varying({name: x[shown] for name, x in every.items()})
         trends.append(tuple(trend_of(name, x, each, precision) for name, x in told.items()))
-    chi_square, freedom = _jointly(information, slope)
+    chosen, fractions = selected(information, slope, level)
     return Equality(
         names=names, units=tuple(fit.model.parameters[name].unit for name in names),
         conditions=tuple(e.name for e in experiments), values=values, std=std, common=common, common_std=common_std,
-        chi_square=chi_square, freedom=freedom, p_value=float(scipy.stats.chi2.sf(chi_square, freedom)), p_values=p_values,
+        chi_square=chi_square, freedom=freedom, p_value=p_value, p_values=p_values,
         trends=tuple(trends), covariates=every,
         left_out=tuple(e.name for e, row in zip(experiments, values, strict=True) if np.all(np.isnan(row))), level=level,
+        varying=tuple(names[i] for i in chosen), explained=tuple(fractions), over_noise=around.over_noise,
     )  # fmt: skip
 
 
@@ -94,8 +100,8 @@ def _by_experiment(
     slope: Float[np.ndarray, "experiment parameter"],
     place: int,
     shown: np.ndarray,
-) -> tuple[Float[np.ndarray, " experiment"], Float[np.ndarray, "experiment experiment"]]:
-    """Return steps of one parameter in each experiment and their precision, with the other parameters eliminated."""
+) -> tuple[Float[np.ndarray, " there"], Float[np.ndarray, "there there"]]:
+    """Return steps of one parameter in each experiment that shows it and their precision, with the other parameters eliminated."""
     others = np.arange(information.shape[1]) != place
     total = np.sum(information, axis=0)
     size = 1 / np.sqrt(np.diagonal(total))
@@ -104,23 +110,6 @@ def _by_experiment(
     precision = np.diag(information[shown, place, place]) - between @ inverse @ between.T
     wanted = slope[shown, place] - between @ inverse @ (np.sum(slope, axis=0)[others] * size[others])
     return -np.linalg.solve(precision, wanted), precision
-
-
-def _jointly(
-    information: Float[np.ndarray, "experiment parameter parameter"], slope: Float[np.ndarray, "experiment parameter"]
-) -> tuple[float, int]:
-    """Return chi-square of all parameters being free in all experiments against common ones, and its freedom."""
-    size = 1 / np.sqrt(np.diagonal(np.sum(information, axis=0)))
-    scaled, scores = information * np.outer(size, size), slope * size
-
-    def explained(matrix: np.ndarray, score: np.ndarray) -> tuple[float, int]:
-        values, vectors = np.linalg.eigh(matrix)
-        kept = values > _SHOWN * np.max(values)
-        return float(np.sum((vectors[:, kept].T @ score) ** 2 / values[kept])), int(np.sum(kept))
-
-    each = [explained(a, g) for a, g in zip(scaled, scores, strict=True)]
-    together = explained(np.sum(scaled, axis=0), np.sum(scores, axis=0))
-    return sum(e[0] for e in each) - together[0], max(1, sum(e[1] for e in each) - together[1])
 
 
 def _covariates(

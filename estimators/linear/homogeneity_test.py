@@ -1,7 +1,8 @@
 """Test of homogeneity: whether the parameters of a linear model are the same in all conditions, and what drifts."""
 
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,8 @@ from rtac_jax.renamed import renamed
 
 _DETERMINED = 0.5  # standard deviation over value
 _SINGULAR = 1e-9  # of correlations
+# Residual over noise up to which a fit follows: noise read off a spectrum is right to a factor of two at the worst.
+_FOLLOWED = 2.0
 Covariates = Mapping[str, Mapping[str, float]]
 """Further covariates: by name, and then by condition or experiment."""
 
@@ -64,6 +67,9 @@ class Equality:
         left_out: conditions that determine a natural frequency or damping ratio worse than to half its size, where standard
             deviations mean little.
         level: at which equality is called broken.
+        varying: of a nonlinear fit the fewest quantities that explain that conditions differ, the one that explains most first.
+        explained: fraction of the chi-square that these explain, each with those before it [1].
+        over_noise: of a nonlinear fit what is left over the noise by channel, where each condition was fitted by itself.
     """
 
     names: tuple[str, ...]
@@ -81,6 +87,9 @@ class Equality:
     covariates: dict[str, Float[np.ndarray, " condition"]]
     left_out: tuple[str, ...]
     level: float
+    varying: tuple[str, ...] = ()
+    explained: tuple[float, ...] = ()
+    over_noise: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def equal(self) -> bool:
@@ -92,9 +101,29 @@ class Equality:
         """Quantities that differ between conditions, the one with the largest chi-square first."""
         if self.equal:
             return ()
+        if self.varying:
+            return self.varying
         bound = self.level / len(self.names)
         order = np.argsort(-np.nansum((self.values - self.common) ** 2 / self.std**2, axis=0))
         return tuple(self.names[i] for i in order if self.p_values[i] < bound) or (self.names[order[0]],)
+
+    @property
+    def decisive(self) -> bool:
+        """Return whether the model follows each condition by itself, and one set of parameters for all does not."""
+        left = max(self.over_noise.values(), default=math.inf)
+        return not self.equal and bool(self.varying) and left <= _FOLLOWED
+
+    @property
+    def differences(self) -> str:
+        """Return, where it is decisive, that the physics is right, what differs, and how to fit it; else nothing."""
+        if not self.decisive:
+            return ""
+        names = ", ".join(f'"{name}"' for name in self.varying)
+        return (
+            f"Experiments differ: with parameters of its own each is followed to {max(self.over_noise.values()):.2f} times the "
+            f"noise, and with one set for all they are not. {' '.join(self._differing())} Fit a value for each experiment "
+            f"(model.each_experiment({names}))."
+        )
 
     def best_trend(self, name: str) -> Trend | None:
         """Return the covariate that explains most of this quantity's scatter, where one does beyond chance."""
@@ -112,7 +141,17 @@ class Equality:
                 f"The {len(self.conditions)} conditions have one set of parameters, as far as these data tell "
                 f"(p = {self.p_value:.2g})."
             )
-        said = [f"The conditions differ (chi-square {self.chi_square:.0f} on {self.freedom}, p = {self.p_value:.2g})."]
+        return " ".join(
+            [
+                f"The conditions differ (chi-square {self.chi_square:.0f} on {self.freedom}, p = {self.p_value:.2g}).",
+                *self._differing(),
+                *self._left(),
+            ]
+        )
+
+    def _differing(self) -> list[str]:
+        """Say of each quantity that differs with what it does."""
+        said = []
         for name in self.drifting[:3]:
             place = self.names.index(name)
             trend = self.best_trend(name)
@@ -124,7 +163,20 @@ class Equality:
                     f"{name[0].upper()}{name[1:]} drifts with {covariate_words(trend.covariate)}: {trend.slope:+.3g} ± "
                     f"{trend.slope_std:.1g}{unit} over its range, {100 * trend.fraction:.0f} % of the scatter."
                 )
-        return " ".join(said)
+        if self.explained:
+            alone = "That alone explains" if len(self.explained) == 1 else "Together they explain"
+            said.append(f"{alone} {100 * self.explained[-1]:.0f} % of the difference.")
+        return said
+
+    def _left(self) -> list[str]:
+        """Say where even fits of single conditions leave too much, so that what differs is not told."""
+        worst = max(self.over_noise, key=lambda c: self.over_noise[c], default="")
+        if not worst or self.over_noise[worst] <= _FOLLOWED:
+            return []
+        return [
+            f"But fitted by itself, too, a condition is left at {self.over_noise[worst]:.3g} times the noise ({worst}): what the "
+            "model lacks, or what changes within a condition, shows as a difference between them, and these names are no finding."
+        ]
 
     def __str__(self) -> str:
         rows = [

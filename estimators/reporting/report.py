@@ -16,6 +16,7 @@ from estimators.diagnosis.improve import Improvement
 from estimators.diagnosis.policy import DiagnosisPolicy
 from estimators.diagnosis.ranking import ranked
 from estimators.experiment_design.next_experiment import NextExperiment
+from estimators.linear.homogeneity_test import Equality
 from estimators.reporting.fit_table import AllEstimates
 from estimators.reporting.html import Table, cleaned
 from estimators.validation.recommendation import Recommendation
@@ -77,6 +78,7 @@ def report_dict(
             "learned_force": learned.as_dict() if learned is not None else None,
             "likely_effect": _effect(nearest, known) if nearest is not None else None,
             "recommended": _recommended(advice) if advice is not None else None,
+            "varying": _varying(found.constancy) if isinstance(found, Improvement) and found.constancy else None,
         }
     )
 
@@ -209,6 +211,18 @@ def _candidate(c: Candidate, accepted: bool) -> dict[str, Any]:
 
 def _parameters(parameters: Mapping[str, Parameter]) -> dict[str, Any]:
     return {name: {"value": p.value, "std": p.std, "unit": p.unit} for name, p in parameters.items()}
+
+
+def _varying(found: Equality) -> dict[str, Any]:
+    """Return which parameters differ between experiments, and their values in each."""
+    places = [found.names.index(name) for name in found.varying]
+    return {
+        "explained": found.explained[-1],
+        "experiments": list(found.conditions),
+        "parameters": {
+            found.names[i]: {"values": found.values[:, i].tolist(), "std": found.std[:, i].tolist()} for i in places
+        },
+    }
 
 
 def _recommended(advice: Recommendation) -> dict[str, Any]:

@@ -12,7 +12,6 @@ from rtac_jax._rigid_body import RigidBody
 from rtac_jax.effects._interface import Force, Impact, Motion, Outputs, States
 from rtac_jax.parameters import Scalar, parameter
 
-
 # Twists as fast as can be sampled, each 1.6 times as fast as the last, as a resonance shows within a third of its frequency.
 _FASTER = (6.0, 10.0, 16.0, 25.0, 40.0, 64.0, 100.0, 160.0, 250.0)
 

@@ -7,6 +7,9 @@ import pytest
 
 import estimators as est
 import rtac_jax as rtac
+from estimators.inference.separate_fits import _tolerating
+from estimators.inference.varying_parameters import explained, selected
+from rtac_jax import virtual_rig
 
 MASS, STIFFNESS, VISCOUS = 1.23, 132.6, 0.5543  # paper, section 4.2
 RUNS = 10
@@ -72,3 +75,69 @@ def test_constant_parameters_are_called_constant_as_often_as_said():
     p_values = np.array([est.constancy(*fitted(0.0, seed)[:2]).p_value for seed in range(8)])
     assert np.min(p_values) > 1e-3
     assert 0.2 < np.mean(p_values) < 0.85
+
+
+def drifting_drive(gains):
+    """Forced runs of a rig whose drive gains so much from one to the next; its simulator is not the package's."""
+    rig = virtual_rig.Rig()
+    plans = virtual_rig.standard_plans(seed=4, duration=3.0, free=1, forced=len(gains), rest=1)
+    forced = [plan for plan in plans if plan.kind == "forced"]
+    recorded = [
+        virtual_rig.record(dataclasses.replace(rig, torque_constant=gain * rig.torque_constant), plans, seed=20)[
+            plan.name
+        ]
+        for gain, plan in zip(gains, forced, strict=True)
+    ]
+    others = [e for e in virtual_rig.record(rig, plans, seed=20) if e.kind != "forced"]
+    return rtac.Recording((*others, *recorded), {"total_mass": rig.total_mass, "arm_inertia": rig.arm_inertia})
+
+
+@pytest.fixture(scope="module")
+def drifted():
+    recording = drifting_drive((1.0, 1.02, 1.04, 1.06))
+    fit = est.output_error(rtac.RTAC.from_rig(recording), recording, progress=False)
+    return fit, est.constancy(fit, recording)
+
+
+def test_a_gain_that_drifts_is_named_alone_though_one_linear_step_does_not_reach_it(drifted):
+    fit, found = drifted
+    assert fit.farthest > 3.5, "the common fit is far off"
+    assert max(found.over_noise.values()) < 1.2, "and each by itself is not"
+    assert found.varying == ("torque_constant",)
+    assert found.explained[-1] > 0.9
+    own = found.values[:, found.names.index("torque_constant")]
+    shown = own[np.isfinite(own)]
+    assert shown == pytest.approx(virtual_rig.Rig().torque_constant * np.array([1.0, 1.02, 1.04, 1.06]), rel=3e-3)
+    assert found.best_trend("torque_constant").covariate in ("time", "input")  # which grow together here
+    assert found.decisive
+    assert 'model.each_experiment("torque_constant")' in found.differences
+
+
+def test_where_no_experiment_is_followed_by_itself_nothing_is_found(drifted):
+    _, found = drifted
+    lost = dataclasses.replace(found, over_noise={"arm_velocity": 38.0})
+    assert not lost.decisive
+    assert lost.differences == ""
+    assert "left at 38 times the noise (arm_velocity)" in lost.verdict
+
+
+def test_what_differs_less_than_a_thousandth_is_no_difference():
+    """However sure a combination is: information of 1e12 on a parameter of size one counts as 1e6."""
+    known, slope = _tolerating(np.diag([1e12, 4.0]), np.array([1e9, 4.0]), np.array([1e-3, 1e-3]))
+    assert known == pytest.approx(np.diag([1e6, 4.0]), rel=1e-5)
+    assert slope == pytest.approx([1e3, 4.0], rel=1e-5)
+
+
+def test_the_fewest_that_explain_are_those_that_differ():
+    """Five experiments, three parameters, of which the second differs; in closed form."""
+    random = np.random.default_rng(1)
+    roots = random.normal(size=(5, 12, 3))
+    information = np.einsum("ekp,ekq->epq", roots, roots) * 1e4
+    own = np.zeros((5, 3))
+    own[:, 1] = (0.0, 0.1, 0.2, 0.3, 0.4)
+    slope = -np.einsum("epq,eq->ep", information, own)
+    assert selected(information, slope, 0.01)[0] == [1]
+    whole, freedom = explained(information, slope, [0, 1, 2])
+    assert freedom == 12
+    assert explained(information, slope, [1]) == (pytest.approx(whole), 4)
+    assert selected(information, np.zeros((5, 3)), 0.01) == ([], [])

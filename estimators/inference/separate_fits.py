@@ -1,0 +1,125 @@
+"""The likelihood of each experiment about a fit of its own: what one linear step from the common fit does not reach."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from estimators.core.data import CHANNELS
+from estimators.core.fit import Fit
+from estimators.core.linearisation import at_fit, problem_of, rows_at
+from estimators.core.results import DivergedError, NotIdentifiableError
+from estimators.output_error.fit import output_error
+from rtac_jax import RTAC
+from rtac_jax.measurement import Experiment, Recording
+from rtac_jax.prior import Prior
+
+# Standard deviation, as a fraction of a parameter's size, of what the common fit tells an experiment by itself: wide enough for
+# any drift that a rig of one build has, narrow enough to hold what the experiment does not show at all.
+_WIDE = 0.3
+# Fraction of a parameter's size by which experiments may differ without consequence. Estimates of combinations are far surer than
+# that, and what a model lacks, however little, moves them by many of their deviations.
+_TOLERATED = 1e-3
+
+
+class Curvatures(NamedTuple):
+    """The log-likelihood of every experiment to second order, in the parameters' distance from the common fit.
+
+    Attributes:
+        information: of each experiment.
+        slope: gradient at the common fit, as the second order about the experiment's own fit has it.
+        over_noise: what all these fits leave, over the noise, by channel.
+        logarithmic: parameters whose distance is the logarithm of a ratio, times their size in the common fit. Data tell the
+            ratio of some better than either, and lines of ratios that differ a little meet nowhere but at zero.
+    """
+
+    information: Float[np.ndarray, "experiment parameter parameter"]
+    slope: Float[np.ndarray, "experiment parameter"]
+    over_noise: dict[str, float]
+    logarithmic: Bool[np.ndarray, " parameter"]
+
+
+def about_common(fit: Fit, recording: Recording, names: Sequence[str]) -> Curvatures:
+    """Return the likelihood to second order about the common fit itself, with the residual that it left as the noise."""
+    problem = at_fit(fit, recording)
+    rows = rows_at(problem)
+    jacobian = rows.jacobian[..., [problem.names.index(name) for name in names]]
+    return Curvatures(
+        np.einsum("soep,soeq->epq", jacobian, jacobian),
+        np.einsum("soep,soe->ep", jacobian, rows.residual),
+        fit.residual_over_noise,
+        np.zeros(len(names), dtype=bool),
+    )
+
+
+def about_own(fit: Fit, recording: Recording, names: Sequence[str]) -> Curvatures | None:
+    """Return the likelihood to second order about a fit of each experiment by itself; None where one cannot be fitted.
+
+    What all of these leave is the noise. Parameters that an experiment does not show stay near the common fit.
+    """
+    common = np.array([float(np.asarray(fit.model[name])) for name in names])
+    beginning = _wide(fit.model, names, common)
+    experiments = at_fit(fit, recording).experiments
+    rest = [e for e in recording if e.kind == "rest"]
+    own = []
+    for place, experiment in enumerate(experiments):
+        model = beginning.with_values(
+            {n: np.asarray(fit.model[n])[place : place + 1] for n in fit.model.per_experiment}
+        )
+        alone = Recording((experiment, *rest), recording.rig)
+        try:
+            own.append(output_error(model, alone, from_model=True, progress=False))
+        except (NotIdentifiableError, DivergedError, FloatingPointError):
+            return None
+    return _pooled(fit, own, experiments, names, common)
+
+
+def _wide(model: RTAC, names: Sequence[str], common: Float[np.ndarray, " parameter"]) -> RTAC:
+    """Return the model in which these parameters are free, and known to some extent from the common fit."""
+    size = np.maximum(np.abs(common), 1e-300)
+    priors = {n: Prior(value, _WIDE * s) for n, value, s in zip(names, common, size, strict=True)}
+    held = model.fix(*model.priors)
+    return RTAC(held.body, held.effects, held.fixed, held.per_experiment, priors)
+
+
+def _pooled(
+    fit: Fit, own: Sequence[Fit], experiments: Sequence[Experiment], names: Sequence[str], common: np.ndarray
+) -> Curvatures:
+    """Return the curvatures about these fits, in units of the residual that all of them leave together."""
+    squares = {c: [f.residual_std[c] ** 2 for f in own if c in f.residual_std] for c in fit.residual_std}
+    deviation = {c: float(np.sqrt(np.mean(s))) for c, s in squares.items()}
+    levels = np.array([deviation.get(c, 1.0) for c in CHANNELS])
+    values = np.array([[float(np.asarray(found.model[name])) for name in names] for found in own])
+    logarithmic = np.all(values * common > 0, axis=0)
+    ratio = np.where(logarithmic, values / np.where(common == 0, 1.0, common), 1.0)
+    away = np.where(logarithmic, -common * np.log(ratio), common - values)
+    information, slope = [], []
+    for place, (experiment, found) in enumerate(zip(experiments, own, strict=True)):
+        ended = found.model
+        plain = RTAC(ended.body, ended.effects, ended.fixed, ended.per_experiment)
+        problem = problem_of(plain, [experiment], levels, substeps=int(found.statistics["substeps"]), start=found.start)
+        rows = rows_at(problem)
+        jacobian = rows.jacobian[..., [problem.names.index(name) for name in names]] * ratio[place]
+        whole = np.einsum("soep,soeq->pq", jacobian, jacobian)
+        gradient = np.einsum("soep,soe->p", jacobian, rows.residual) + whole @ away[place]
+        known, told = _tolerating(whole, gradient, _TOLERATED * np.abs(common))
+        information.append(known)
+        slope.append(told)
+    over = {c: deviation[c] / fit.noise[c] for c in deviation if fit.noise.get(c, 0.0) > 0}
+    return Curvatures(np.stack(information), np.stack(slope), over, logarithmic)
+
+
+def _tolerating(
+    information: Float[np.ndarray, "parameter parameter"],
+    slope: Float[np.ndarray, " parameter"],
+    tolerated: Float[np.ndarray, " parameter"],
+) -> tuple[Float[np.ndarray, "parameter parameter"], Float[np.ndarray, " parameter"]]:
+    """Return both as they are where each parameter of this experiment may also be off by so much by itself."""
+    size = np.maximum(tolerated, 1e-300)
+    values, vectors = np.linalg.eigh(information * np.outer(size, size))
+    kept = values > 1e-14 * np.max(values, initial=0.0)
+    root = vectors[:, kept] * np.sqrt(values[kept])
+    inner = np.linalg.inv(np.eye(int(np.sum(kept))) + root.T @ root)
+    score = root @ (inner @ ((vectors[:, kept].T @ (slope * size)) / np.sqrt(values[kept])))
+    return (root @ inner @ root.T) / np.outer(size, size), score / size

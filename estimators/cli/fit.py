@@ -43,6 +43,7 @@ def fit(
     with job(file, validation, out, json, save) as work:
         import estimators as est
         from estimators.core.piecewise_triangle import LONG
+        from estimators.inference.constancy import differing
         from estimators.reporting import report as _report
         from estimators.reporting import summary
         from estimators.reporting.fit_table import AllEstimates, estimates_table, fit_table, recommended_table
@@ -62,6 +63,8 @@ def fit(
         if longest < _TOO_LONG:
             predicted, agreed = _side_by_side(work, closed, found)
         spread = est.covariances(found, work.train)
+        if (differences := differing(found, work.train)) is not None:
+            work.note(differences.differences)
         trained, tested = work.compared(found)
         errors = _report.error_table(trained, tested)
         known = AllEstimates(closed, found, predicted, agreed, spread)

@@ -16,7 +16,7 @@ from estimators.diagnosis.improvement_loop import Loop
 from estimators.diagnosis.learned_force import LearnedForce
 from estimators.diagnosis.model_extension import Added, PredictedGain
 from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
-from estimators.inference.constancy import constancy
+from estimators.inference.constancy import differing
 from estimators.linear.homogeneity_test import Equality
 from estimators.output_error.fit import output_error
 from estimators.validation.simulation_error import Comparison, compare
@@ -27,7 +27,6 @@ from rtac_jax.measurement import Recording
 from rtac_jax.overview import Overview
 from rtac_jax.renamed import renamed
 
-_STRAYED = 3.0  # residual over noise, as known as it is, from which it is asked whether experiments differ
 _UNFINISHED = (RESULTS.steps_exhausted, RESULTS.pulled_off_bound, RESULTS.undetermined)
 
 
@@ -101,7 +100,7 @@ class Improvement(Result):
             )
         if self.final.result in _UNFINISHED:
             said.append(f"The last model: {self.final.outcome}")
-        if self.diagnoses[-1].verdict == "adequate" and (astray := self._astray):
+        if self.diagnoses[-1].verdict == "adequate" and self.constancy is None and (astray := self._astray):
             said.append(astray)
         return " ".join([*said, self.stopped, *([str(self.learned)] if self.learned is not None else [])])
 
@@ -297,16 +296,5 @@ def improve(
         seconds=time.perf_counter() - began,
         learned=learned,
         nearest=nearest,
-        constancy=_differing(fits[-1], train),
+        constancy=differing(fits[-1], train),
     )
-
-
-def _differing(fit: Fit, train: Recording) -> Equality | None:
-    """Return what differs between experiments, where a model follows each by itself and not all together."""
-    if fit.lost or fit.farthest <= _STRAYED:
-        return None
-    try:
-        found = constancy(fit, train)
-    except (ValueError, ArithmeticError):  # too few experiments, or one that shows nothing by itself
-        return None
-    return found if found.decisive else None

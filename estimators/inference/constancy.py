@@ -19,6 +19,7 @@ from rtac_jax.measurement import Experiment, Recording
 
 # Fraction of the squared residual that differences explain, from which on they are too large for one step.
 _FAR = 0.1
+_STRAYED = 3.0  # residual over noise, as far as that is known, from which it is asked whether experiments differ
 _LEAST = 3  # experiments that a trend and what scatters beside it need
 
 
@@ -93,6 +94,24 @@ def constancy(fit: Fit, recording: Recording, *, covariates: Covariates | None =
         left_out=tuple(e.name for e, row in zip(experiments, values, strict=True) if np.all(np.isnan(row))), level=level,
         varying=tuple(names[i] for i in chosen), explained=tuple(fractions), over_noise=around.over_noise,
     )  # fmt: skip
+
+
+def differing(fit: Fit, recording: Recording) -> Equality | None:
+    """Return what differs between experiments, where a model follows each by itself and not all together; None elsewhere.
+
+    Asked only of a fit that leaves several times the noise.
+
+    Args:
+        fit: of output error.
+        recording: that was fitted.
+    """
+    if fit.lost or fit.farthest <= _STRAYED:
+        return None
+    try:
+        found = constancy(fit, recording)
+    except (ValueError, ArithmeticError):  # too few experiments, or one that shows nothing by itself
+        return None
+    return found if found.decisive else None
 
 
 def _by_experiment(

@@ -99,6 +99,7 @@ _ROUNDING = 1e-2  # what the filter's own pass and a simulation with its gains d
 _SIZES = (0.1, 0.2, 0.35, 0.5, 0.7, 1.0, 1.5)  # of the plausible amplitude, that are tried
 _THRESHOLD = 0.1  # of what proportion would ask of the smallest size, below which there is a threshold
 _COLUMNS = 2 * AT_ONCE - 1  # that are simulated for a part, beside what the model says without any
+_UNSTABLE = 1e6  # times all innovations: no effect that leaves a rig standing changes so much
 _TRIED = 3  # candidates whose size is looked for so
 
 
@@ -181,7 +182,11 @@ def _one_by_one(
     critical: CriticalValues,
 ) -> list[Screened]:
     """Score each instance of a group by itself."""
-    sound = np.isfinite(columns).all(axis=0)  # a candidate at its plausible size may make the model diverge
+    # A candidate at its plausible size may make the model diverge, or a filter whose gains do not know its states: what then
+    # follows sensors fast makes a twist grow without bound, and says nothing of the effect.
+    sound = np.isfinite(columns).all(axis=0)
+    columns[:, ~sound] = 0.0
+    sound &= np.linalg.norm(columns * _plausible(group), axis=0) < _UNSTABLE * np.linalg.norm(group.base)
     columns[:, ~sound] = 0.0
     columns -= basis @ (basis.T @ columns)
     columns[:, ~sound] = np.nan
@@ -195,6 +200,12 @@ def _one_by_one(
         return _screened(instance, names, templates, error, basis, blocks, critical.of_few(stretches, tried))
 
     return at_once(one, range(len(group.instances)))
+
+
+def _plausible(group: Group) -> Float[np.ndarray, " column"]:
+    """Return the plausible size of each amplitude of each instance."""
+    owners = [(i, amplitude) for i in group.instances for amplitude in type(i).amplitudes()]
+    return np.array([i.looked_at * abs(float(np.asarray(getattr(i, amplitude)))) for i, amplitude in owners])
 
 
 def _sized(group: Group, error: np.ndarray, basis: Rows, s: Screened) -> Screened:

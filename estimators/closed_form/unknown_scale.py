@@ -64,17 +64,20 @@ def scale_stage(
         alone: there was no free oscillation.
         instruments: for the arm's friction the arm's velocity of before; see `forced_stage`.
     """
-    ready = [s for s in ready if tells_of_cart(s)]
+    told = [s for s in ready if tells_of_cart(s)]
+    # Where K_m is known the arm's equation has its scale, whether or not anything is seen of the cart; me shows by its motion.
+    scaling = (_SWING, "torque_constant") if told else ("torque_constant",)
+    known = next((n for n in scaling if n in model.fixed), None) if unknown == "arm_inertia" else None
+    ready = told if told or known is None else ready
     names = [n for n in (*FORCED, *OF_CART, unknown) if n in model.free]
     if not ready or not names:
         return model, {}
     value = {name: float(np.mean(np.asarray(model[name]))) for name in model.parameters}
     arm, cart = (_arm_alone, _cart_alone) if unknown == "arm_inertia" else (_arm, _cart_per_stiffness)
     of_arm = _solved([arm(s, model, value, s.lag if instruments else 0) for s in ready])
-    of_cart = _solved([cart(s, model, value, alone) for s in ready])
+    of_cart = _solved([cart(s, model, value, alone) for s in told])
     if unknown == "arm_inertia":
-        known = next((name for name in (_SWING, "torque_constant") if name in model.fixed), None)
-        scale = np.full(len(of_arm[_SWING]), value[known]) if known else of_cart[_SWING]
+        scale = np.full(len(of_arm[known]), value[known]) if known else of_cart[_SWING]
         found = _with_inertia(of_arm, of_cart, known or _SWING, scale)
     else:
         found = _with_stiffness(of_arm, of_cart, value)
@@ -100,7 +103,7 @@ Solved = dict[str, np.ndarray]
 
 
 def _solved(systems: Sequence[tuple[System, Sequence[str]]]) -> Solved:
-    if not systems[0][1]:
+    if not systems or not systems[0][1]:
         return {}
     each, pooled = solve_each([system for system, _ in systems])
     return dict(zip(systems[0][1], np.vstack([each, pooled]).T, strict=True))

@@ -6,6 +6,7 @@ import pytest
 from scipy.stats import t as student
 
 import estimators as est
+import rtac_jax as rtac
 from rtac_jax import RTAC, virtual_rig
 
 RIG = dataclasses.replace(
@@ -110,6 +111,19 @@ def test_free_decays_alone_do_not_tell_the_arms_inertia(recording) -> None:
     assert found.assumed == ("arm_inertia",)
     assert "I+me^2 is not estimated" in str(found)
     assert found.estimates["spring_stiffness"].value == pytest.approx(RIG.spring_stiffness, rel=0.01)
+
+
+def test_a_known_torque_constant_tells_the_inertia_of_an_arm_whose_cart_is_clamped() -> None:
+    """Nothing is seen of a cart, so nothing of me either: the current's torque is the scale."""
+    plans = [
+        dataclasses.replace(plan, cart="clamped") for plan in virtual_rig.standard_plans(seed=3, free=0, forced=3)
+    ]
+    recorded = virtual_rig.record(RIG, plans, seed=5)
+    arm = [dataclasses.replace(e, outputs={"arm_velocity": e.outputs["arm_velocity"]}) for e in recorded]
+    found = estimated(rtac.Recording(arm), {"torque_constant": RIG.torque_constant}, weak=True)
+    assert found.assumed == ()
+    for name in ("arm_inertia", "arm_viscous.positive", "arm_viscous.negative"):
+        assert found.estimates[name].value == pytest.approx(TRUTH[name], rel=0.05)
 
 
 def test_the_first_start_of_a_fit_knows_the_scale(recording) -> None:

@@ -55,7 +55,12 @@ def solve_bounded(
         turn += 1
         space, at = _holding(whole, unknowns, held)
         within = dataclasses.replace(arguments, space=space)
-        solved = solve(at, within, tolerance=tolerance, gain=gain, most=most, progress=progress, noise=noise)
+        try:
+            solved = solve(at, within, tolerance=tolerance, gain=gain, most=most, progress=progress, noise=noise)
+        except FloatingPointError:
+            if best is None:
+                raise
+            return best  # where a parameter taken off its bound makes the model diverge, as beside another that has run away
         unknowns = solved.unknowns
         full = solved.factor
         if held:

@@ -226,6 +226,13 @@ def space_in_numpy(
     }  # fmt: skip
     units = model.states
     size = np.array([by_unit.get(units[row], 1.0) for row in rows])
+    # A bristle is bent no farther than where it yields, however far the cart moves.
+    reach = {
+        f"{effect.id}.{state}": float(np.max(np.asarray(most)))
+        for effect in model.effects
+        for state, most in zip(effect.states, effect.reach(), strict=False)
+    }
+    size = np.array([min(s, reach.get(row, np.inf)) for row, s in zip(rows, size, strict=True)])
     state = np.concatenate([state, np.zeros((extra, count))])
     # A recording seldom begins far from equilibrium in a state that nothing shows, and where an effect is nearly
     # absent nothing else holds that state in place.

@@ -313,7 +313,8 @@ def _together(several: Sequence[Float[np.ndarray, "every every"]], damping: floa
 def _simulated_cost(unknowns: Unknowns, arguments: Arguments, weights: Float[np.ndarray, " output"]) -> float:
     """Return half the sum of squares by a simulation without derivatives; infinite where it diverges."""
     error, known = (np.asarray(part) for part in plain_residual(unknowns, arguments))
-    squares = np.sum(error**2, axis=(0, 2))
+    with np.errstate(over="ignore"):  # of a step that makes the model diverge
+        squares = np.sum(error**2, axis=(0, 2))
     shared = arguments.space.physical(unknowns)[0]
     cost = 0.5 * float(weights**2 @ squares + np.sum(known**2)) + arguments.space.penalty(shared)
     return cost if np.isfinite(cost) else np.inf

@@ -3,6 +3,7 @@
 import dataclasses
 from collections.abc import Sequence
 
+from estimators.core.results import DivergedError
 from estimators.diagnosis.diagnose import Candidate, Diagnosis, diagnose
 from estimators.diagnosis.learned_force import LearnedForce, learn_force
 from estimators.diagnosis.model_extension import Added, add_effect, misfit, parameters_of
@@ -57,14 +58,16 @@ class Loop:
             # What is held was estimated too: a diagnosis may move it.
             released = self.last.fit.model.release(*parameters_of(self.last.fit.model, self.held))
             base = dataclasses.replace(self.last.fit, model=released)
-            found = diagnose(
-                base,
-                self.train,
-                candidates=self.candidates,
-                thorough=self.thorough,
-                policy=self.policy,
-                progress=self.progress,
-            )
+            try:
+                found = diagnose(
+                    base, self.train, candidates=self.candidates, thorough=self.thorough, policy=self.policy,
+                    progress=self.progress,
+                )  # fmt: skip
+            except DivergedError as error:
+                if not self.diagnoses:
+                    raise
+                self.stopped = f"Stopped: the last model could not be diagnosed again. {error}"
+                return
             self.diagnoses.append(found)
             if not found.additions:
                 enough = found.verdict == "adequate"

@@ -15,7 +15,7 @@ from estimators.core.jacobian_factor import Arguments, factor
 from estimators.core.parameter_space import Space
 from estimators.core.progress import Progress
 from estimators.core.residual import start_rows
-from estimators.core.results import NotIdentifiableError
+from estimators.core.results import DivergedError, NotIdentifiableError
 from estimators.diagnosis.contact_trials import (
     acting_on_arm,
     begins_of,
@@ -61,13 +61,23 @@ def fit_base(setting: Setting) -> Refit:
     """Fit the base model.
 
     It begins where the fit that is diagnosed ended; where that has run away, and predictions diverge there, in closed form.
+
+    Raises:
+        DivergedError: they diverge there, too.
     """
     free = tuple(shared(setting.model))
     try:
         return fitted(setting, (), model_with(setting, []), free, None, {})
     except FloatingPointError:
         model = with_colours(starting_values(setting.model, setting.recording), setting.colours)
+    try:
         return fitted(setting, (), model, free, None, {})
+    except FloatingPointError as error:
+        own = [effect.id for effect in setting.model.effects if effect.states]
+        without = f" Diagnose it without what has states of its own: {', '.join(own)} (model.without)." if own else ""
+        raise DivergedError(
+            f"Predictions one sample ahead diverge with this model, from the fit's values and from the closed form's.{without}"
+        ) from error
 
 
 def trusting(setting: Setting, base: Refit) -> tuple[Setting, Refit]:

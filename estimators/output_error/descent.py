@@ -135,7 +135,11 @@ class Descent:
         guided = self._guided(model, space, unknowns, parts, substeps, noise, scales)
         if guided is None:
             return end
-        other = self._ended(model, space, guided, substeps, noise, best)
+        try:
+            other = self._ended(model, space, guided, substeps, noise, best)
+        except FloatingPointError:
+            # Where a filter predicts, no simulation need stay.
+            other = self._ended(model, space, unknowns, substeps, noise, best)
         return other if end is None else min(end, other, key=lambda one: one.cost)
 
     def _guided(
@@ -148,7 +152,11 @@ class Descent:
             gain, corrected = self._gain(parts[0], model, space, unknowns, noise, scales, fraction, substeps)
             arguments = Arguments(model, parts[0], space, corrected, gain, substeps)
             self._require_determined(model, space, unknowns, substeps, noise)
-            near = self._solve(unknowns, arguments, tolerance=1e-3, gain=_GUIDANCE, most=15)
+            try:
+                near = self._solve(unknowns, arguments, tolerance=1e-3, gain=_GUIDANCE, most=15)
+            except FloatingPointError:
+                # Gains that do not know an effect's own states may make these grow where no simulation does.
+                continue
             unknowns = near.unknowns
             if fraction == _CORRECTION[0]:
                 # Half a unit of each sample is noise: whoever predicts that well is not hopeless.

@@ -126,6 +126,10 @@ class Effect(eqx.Module):
         del motion
         return ()
 
+    def reach(self) -> States:
+        """Return how far from nothing each own state of a `free_start` may be at the start; none, by default, for any distance."""
+        return ()
+
     def rate(self, motion: Motion, own: States) -> States:
         """Return the time derivatives of the effect's own states; none by default."""
         del motion, own

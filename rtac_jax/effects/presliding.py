@@ -38,6 +38,9 @@ class _Presliding(Force):
     def start(self, motion: Motion) -> States:
         return (0.0 * getattr(motion, self.place),)
 
+    def reach(self) -> States:
+        return (self.yields_at(),)
+
     def rate(self, motion: Motion, own: States) -> States:
         return (_bend(own[0], getattr(motion, self.speed), self.yields_at()),)
 

@@ -115,9 +115,7 @@ def test_free_decays_alone_do_not_tell_the_arms_inertia(recording) -> None:
 
 def test_a_known_torque_constant_tells_the_inertia_of_an_arm_whose_cart_is_clamped() -> None:
     """Nothing is seen of a cart, so nothing of me either: the current's torque is the scale."""
-    plans = [
-        dataclasses.replace(plan, cart="clamped") for plan in virtual_rig.standard_plans(seed=3, free=0, forced=3)
-    ]
+    plans = [dataclasses.replace(plan, cart="clamped") for plan in virtual_rig.standard_plans(seed=3, free=0, forced=3)]
     recorded = virtual_rig.record(RIG, plans, seed=5)
     arm = [dataclasses.replace(e, outputs={"arm_velocity": e.outputs["arm_velocity"]}) for e in recorded]
     found = estimated(rtac.Recording(arm), {"torque_constant": RIG.torque_constant}, weak=True)

@@ -21,6 +21,7 @@ from estimators.core.residual import diagonal_whitener
 from estimators.output_error.descent import Descent
 from estimators.prediction_error.ekf import filtered
 from rtac_jax import virtual_rig
+from rtac_jax.effects import CATALOGUE
 
 
 @pytest.fixture(scope="module")
@@ -364,3 +365,23 @@ def test_covariance_integrates_the_starts_out(noisy: rtac.Recording) -> None:
     z = np.asarray(unknowns.shared)
     slope = np.asarray(space.scale)[np.asarray(space.active)] * 0.5 * (1 + z / np.sqrt(z * z + 4))
     np.testing.assert_allclose(found.covariance, covariance * np.outer(slope, slope), rtol=1e-6)
+
+
+@pytest.mark.parametrize("yields_at", [5e-6, 1e-5])
+def test_what_only_a_correcting_filter_makes_diverge_is_fitted_by_simulation(yields_at: float) -> None:
+    """Stiff bristles beside a filter that follows a sensor of 4 um, sample by sample: the filter swings up, the rig does not."""
+    rig = virtual_rig.Rig(
+        cart_coulomb=0.25, spring_stiffness=900.0, total_mass=2.4, position_noise=4e-6, position_range=0.03, quantisation_bits=16,
+    )  # fmt: skip
+    plans = virtual_rig.standard_plans(seed=1, sample_time=1e-3, duration=1.5, free=2, forced=0)
+    recorded = virtual_rig.record(rig, [dataclasses.replace(plan, arm="locked") for plan in plans], seed=3)
+    cart = [dataclasses.replace(e, outputs={"cart_position": e.outputs["cart_position"]}) for e in recorded]
+    recording = rtac.Recording(cart, {"total_mass": rig.total_mass})
+    model = rtac.RTAC.from_rig(recording).with_values(
+        {"spring_stiffness": 900.0, "cart_viscous.coefficient": 0.55, "cart_coulomb.level": 0.2}
+    )
+    fit = est.output_error(
+        model + CATALOGUE["cart_presliding"](0.1, yields_at), recording, from_model=True, progress=False
+    )
+    assert fit.farthest < 1.1
+    assert fit.parameters["spring_stiffness"].value == pytest.approx(900.0, rel=1e-3)

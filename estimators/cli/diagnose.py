@@ -28,6 +28,7 @@ def diagnose(
         from estimators.reporting import summary
 
         candidates = offered(effects)
+        work.warn_of_waiting()
         base = base_fit(work, model, effects)
         found = est.diagnose(base, work.train, candidates=candidates, thorough=not quick)
         fits, labels = _refitted(work, base, found)

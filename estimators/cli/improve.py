@@ -50,6 +50,7 @@ def improved(
     candidates = offered(effects)
     start = start_model(work, model, effects, fix)
     work.note_doubts()
+    work.warn_of_waiting()
     with work.explaining():
         found = est.improve(
             start, work.recording, validation=work.held_out.names, candidates=candidates, thorough=not quick,

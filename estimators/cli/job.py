@@ -16,6 +16,9 @@ from estimators.cli.environment import note_cache, say_once_that_the_cache_is_fu
 from estimators.cli.output_files import saving_to, writable_file, writable_folder
 from estimators.cli.refusals import WRONG_USE, answering, stop
 
+# Minutes of a diagnosis for 10^5 samples of the longest experiment: 5 for the 24,800 of a drive that dry friction held.
+_DIAGNOSIS = 20.0
+
 
 class Job:
     """The run of a command on one recording.
@@ -68,6 +71,19 @@ class Job:
     def say(self, *blocks: Any) -> None:
         """Print paragraphs and tables, once every file is written."""
         self.said += blocks
+
+    def warn_of_waiting(self) -> None:
+        """Say on the screen how long a diagnosis of long experiments takes, and what is answered sooner."""
+        from estimators.core.piecewise_triangle import LONG
+
+        longest = max(e.samples for e in self.train)
+        if longest >= LONG:
+            minutes = _DIAGNOSIS * longest / 1e5
+            typer.echo(
+                f"rtac: an experiment of {longest:,} samples: a diagnosis of it takes some {minutes:.0f} minutes, and more where "
+                "effects are added; a part of it is answered sooner (Experiment.cut, or --end of rtac import).",
+                err=True,
+            )
 
     def note(self, sentence: str) -> None:
         """Add a sentence to the remark, on a line of its own."""

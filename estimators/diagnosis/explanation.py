@@ -17,6 +17,7 @@ from estimators.misspecification.static_force import ForceCurve
 from estimators.prediction_error.latent_force import LatentForce
 from rtac_jax.measurement import Recording
 
+_NEARLY_ALL = 0.9  # fraction of the misfit whose removal asks why the verdict is unknown even so
 _LEFT_OUT = 0.02  # fraction of the samples from which it is worth a word that they do not count
 SHAKEN = 1e-2  # fraction of the rms forces from which random forces in one sample are worth a word
 _STRAYED = 3.0  # rms of what a simulation leaves over the noise, from which it is worth a word
@@ -262,7 +263,10 @@ def _unknown(
     reasons = "; ".join(f"{test.test}: {test.words}" for test in tests if test.rejects)
     refitted = [c for c in candidates if c.refitted]
     near = max(refitted, key=lambda c: c.error_reduction) if refitted else None
-    nearest = f" The nearest, {near.id}, removes {100 * near.error_reduction:.0f} % of the misfit." if near else ""
+    even_so = ", and what it leaves is rejected all the same" if near and near.error_reduction > _NEARLY_ALL else ""
+    nearest = (
+        f" The nearest, {near.id}, removes {100 * near.error_reduction:.0f} % of the misfit{even_so}." if near else ""
+    )
     if removed and near and removed > near.error_reduction + 0.01:
         nearest += f" Several effects of the catalogue together remove {100 * removed:.0f} %."
     force = f" The missing force is {latent[0]}." if latent else ""

@@ -1,0 +1,30 @@
+"""Whoever gives a long experiment to a diagnosis is told beforehand how long that takes, and what is answered sooner."""
+
+import numpy as np
+import pytest
+
+from estimators.cli.job import Job
+from rtac_jax.measurement import Experiment, Recording
+
+
+def job(samples: int) -> Job:
+    """Return a job on two decays of so many samples."""
+    decays = [
+        Experiment.of(f"free_{n}", kind="free", sample_time=1e-3, cart_position=np.cos(0.01 * np.arange(samples)))
+        for n in (1, 2)
+    ]
+    return Job("rig.h5", Recording(decays), None, None, None, 0.0)
+
+
+def test_a_long_one_is_announced(capsys: pytest.CaptureFixture[str]) -> None:
+    job(25_000).warn_of_waiting()
+    said = capsys.readouterr().err
+    assert "25,000 samples" in said
+    assert "some 5 minutes" in said
+    assert "--end of rtac import" in said
+    assert said.count("\n") == 1
+
+
+def test_a_short_one_is_not(capsys: pytest.CaptureFixture[str]) -> None:
+    job(2_000).warn_of_waiting()
+    assert capsys.readouterr().err == ""

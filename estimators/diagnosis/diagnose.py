@@ -291,6 +291,7 @@ def _explanation(told: Diagnosis, found: Judgement, setting: Setting, *, thoroug
     alarms = alarming(found.selection.findings.scores, told.policy.critical)
     if steps and steps[0].id not in {s.id for s in alarms}:
         text += f" {steps[0].id} raised no alarm by itself: it was tried because what did explains less, or nothing."
+    text += "".join(f" {remark}" for effect in told.additions if (remark := effect.remark(setting.model.body)))
     if struck := [effect.id for effect in told.additions if effect.acts_by_contact]:
         text += (
             f" The intervals of {', '.join(struck)} may be far too narrow: they leave out when parts hit each other."

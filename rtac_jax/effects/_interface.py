@@ -126,6 +126,11 @@ class Effect(eqx.Module):
         del motion
         return ()
 
+    def remark(self, body: RigidBody) -> str:
+        """Return a sentence on estimates of this size that mean something else than their names say; none by default."""
+        del body
+        return ""
+
     def reach(self) -> States:
         """Return how far from nothing each own state of a `free_start` may be at the start; none, by default, for any distance."""
         return ()

@@ -2,6 +2,9 @@
 
 from typing import Any, ClassVar
 
+import numpy as np
+
+from rtac_jax._rigid_body import RigidBody
 from rtac_jax.effects._interface import Force, Motion, States
 from rtac_jax.parameters import Scalar, parameter
 
@@ -38,4 +41,14 @@ class GravityTilt(Force):
         return (
             (1.0 - self.zeroed) * body.total_mass * STANDARD_GRAVITY * self.along,
             body.eccentric_moment * STANDARD_GRAVITY * pull,
+        )
+
+    def remark(self, body: RigidBody) -> str:
+        steepest = float(np.hypot(np.max(np.abs(self.along)), np.max(np.abs(self.across))))
+        if steepest <= 1.0:
+            return ""
+        swing = float(np.max(np.abs(body.eccentric_moment)))
+        return (
+            f"gravity_tilt of {steepest:.3g} is no sine: what is known is its product with eccentric_moment, which the model has "
+            f"at {swing:.3g} kg m, a torque of {swing * STANDARD_GRAVITY * steepest:.3g} N m. Give eccentric_moment in /rig."
         )

@@ -50,3 +50,13 @@ def test_gravity_is_named_beside_the_offset_that_is_left(
     assert {c.id for c in found.effects} == names, found
     assert found.removed > 0.95, found
     assert {test.test for test in found.left if test.rejects} == left, found
+
+
+def test_a_tilt_steeper_than_a_wall_says_what_is_known_instead() -> None:
+    """Of an arm alone only its torque of gravity shows, and the paper's eccentric moment may be far from its own."""
+    body = rtac.RTAC.paper().body
+    steep = CATALOGUE["gravity_tilt"](along=0.0, across=43.3).remark(body)
+    assert "a torque of 0.45 N m. Give eccentric_moment" in steep
+    assert steep.startswith("gravity_tilt of 43.3 is no sine")
+    assert CATALOGUE["gravity_tilt"](along=0.0, across=1.0).remark(body) == ""
+    assert CATALOGUE["cubic_spring"](1e9).remark(body) == ""

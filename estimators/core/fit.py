@@ -127,7 +127,7 @@ class Fit(ModelFit):
         experiments: names of the experiments.
         statistics: cost, or log_likelihood where predictions one sample ahead were fitted; promised, the gain in log-likelihood
             that the slopes promise at the end; steps, seconds, starts and how many agreed, substeps; samples of each channel, and
-            the number of unknowns.
+            the number of unknowns; whether long experiments were fitted in pieces.
         marks: of each experiment's measurements, which tell it from another of the same name.
         discounted: samples that hardly count, where the fit is robust.
         weights: of the squares in a robust fit, [sample output], by experiment; empty where all count alike.
@@ -175,6 +175,11 @@ class Fit(ModelFit):
         return max(self.residual_over_noise.values(), default=0.0)
 
     @property
+    def in_pieces(self) -> bool:
+        """Return whether long experiments were fitted in pieces, each with a start of its own."""
+        return bool(self.statistics.get("in_pieces", False))
+
+    @property
     def outcome(self) -> str:
         """Return how the optimisation ended, and how far its starts can vouch for that, in a sentence or two."""
         said = f"{RESULTS[self.result]} {self.statistics['agreed']} of {self.statistics['starts']} starts agree."
@@ -193,9 +198,10 @@ class Fit(ModelFit):
             said += " Begin elsewhere (starts), or hold it against est.prediction_error_nonlinear." if rest else ""
         worst = max(ratios, key=lambda c: ratios[c], default="")
         if worst and ratios[worst] > FAR:
+            anew = " in pieces of long experiments that begin anew, more in a whole one" if self.in_pieces else ""
             said += (
-                f" The model does not follow the rig, {worst} being left at {ratios[worst]:,.0f} times its noise: there the sum of "
-                "squares has many minima, and further starts may end in a lower one."
+                f" The model does not follow the rig, {worst} being left at {ratios[worst]:,.0f} times its noise{anew}: there the "
+                "sum of squares has many minima, and further starts may end in a lower one."
             )
         return said
 

@@ -99,13 +99,14 @@ def constancy(fit: Fit, recording: Recording, *, covariates: Covariates | None =
 def differing(fit: Fit, recording: Recording) -> Equality | None:
     """Return what differs between experiments, where a model follows each by itself and not all together; None elsewhere.
 
-    Asked only of a fit that leaves several times the noise.
+    Asked only of a fit that leaves several times the noise, and none to pieces of long experiments, which have no values of
+    their own.
 
     Args:
         fit: of output error.
         recording: that was fitted.
     """
-    if fit.lost or fit.farthest <= _STRAYED:
+    if fit.lost or fit.farthest <= _STRAYED or fit.in_pieces:
         return None
     try:
         found = constancy(fit, recording)

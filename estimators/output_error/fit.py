@@ -162,6 +162,7 @@ def output_error(
                 if c in levels
             },
             "unknowns": number_of_unknowns(stage.space, stage.solved.unknowns),
+            "in_pieces": len(experiments) > len(moving(recording)),
             "seconds": time.perf_counter() - began,
             **({} if weighted is None else {"score_ratio": weighted.score_ratio}),
         },

@@ -7,6 +7,8 @@ import pytest
 
 import estimators as est
 import rtac_jax as rtac
+from estimators.core.results import RESULTS
+from estimators.inference.constancy import differing
 from estimators.inference.separate_fits import _tolerating
 from estimators.inference.varying_parameters import explained, selected
 from rtac_jax import virtual_rig
@@ -111,6 +113,16 @@ def test_a_gain_that_drifts_is_named_alone_though_one_linear_step_does_not_reach
     assert found.best_trend("torque_constant").covariate in ("time", "input")  # which grow together here
     assert found.decisive
     assert 'model.each_experiment("torque_constant")' in found.differences
+
+
+def test_differences_are_looked_for_only_where_experiments_could_tell_them(drifted):
+    """Not of a fit that is at the noise, that is lost, or that cut its long experiments into pieces."""
+    fit, _ = drifted
+    _, recording, _ = fitted(0.0)
+    near = dataclasses.replace(fit, residual_std=dict(fit.noise))
+    lost = dataclasses.replace(fit, result=RESULTS.undetermined)
+    cut = dataclasses.replace(fit, statistics={**fit.statistics, "in_pieces": True})
+    assert [differing(one, recording) for one in (near, lost, cut)] == [None] * 3
 
 
 def test_where_no_experiment_is_followed_by_itself_nothing_is_found(drifted):

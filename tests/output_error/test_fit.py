@@ -123,6 +123,9 @@ def test_starts_do_not_vouch_for_a_model_that_does_not_follow_the_rig(noisy_fit:
         "The model does not follow the rig, arm_velocity being left at 1,023 times its noise: there the sum of squares"
     )
     assert doubt in str(far)
+    cut = dataclasses.replace(far, statistics={**far.statistics, "in_pieces": True})
+    assert (far.in_pieces, cut.in_pieces) == (False, True)
+    assert "1,023 times its noise in pieces of long experiments that begin anew, more in a whole one:" in str(cut)
 
 
 def test_starts_that_simulate_something_else_are_followed_to_their_ends(noisy: rtac.Recording) -> None:

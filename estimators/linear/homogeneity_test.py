@@ -29,6 +29,14 @@ _WORDS = {
 }
 
 
+_MOTION = (
+    "amplitude",
+    "input",
+    "angle",
+    "mean_angle",
+)  # covariates that are of the motion, and not of the time or the weather
+
+
 @dataclass(frozen=True)
 class Trend:
     """The weighted regression of one quantity on one covariate.
@@ -115,14 +123,21 @@ class Equality:
 
     @property
     def differences(self) -> str:
-        """Return, where it is decisive, that the physics is right, what differs, and how to fit it; else nothing."""
+        """Return, where it is decisive, what differs, and what to do about it; else nothing."""
         if not self.decisive:
             return ""
-        names = ", ".join(f'"{name}"' for name in self.varying)
+        trend = self.best_trend(self.varying[0])
+        if trend is not None and trend.covariate in _MOTION:
+            advice = (
+                f"What goes with {covariate_words(trend.covariate)} is an effect that the model lacks, as a spring that hardens, "
+                "sooner than a drift: ask est.diagnose."
+            )
+        else:
+            names = ", ".join(f'"{name}"' for name in self.varying)
+            advice = f"Fit a value for each experiment (model.each_experiment({names}))."
         return (
             f"Experiments differ: with parameters of its own each is followed to {max(self.over_noise.values()):.2f} times the "
-            f"noise, and with one set for all they are not. {' '.join(self._differing())} Fit a value for each experiment "
-            f"(model.each_experiment({names}))."
+            f"noise, and with one set for all they are not. {' '.join(self._differing())} {advice}"
         )
 
     def best_trend(self, name: str) -> Trend | None:

@@ -11,6 +11,7 @@ from estimators.core.results import RESULTS
 from estimators.inference.constancy import differing
 from estimators.inference.separate_fits import _tolerating
 from estimators.inference.varying_parameters import explained, selected
+from estimators.linear.homogeneity_test import Trend
 from rtac_jax import virtual_rig
 
 MASS, STIFFNESS, VISCOUS = 1.23, 132.6, 0.5543  # paper, section 4.2
@@ -79,6 +80,9 @@ def test_constant_parameters_are_called_constant_as_often_as_said():
     assert 0.2 < np.mean(p_values) < 0.85
 
 
+GAINS = (1.02, 1.06, 1.0, 1.05)
+
+
 def drifting_drive(gains):
     """Forced runs of a rig whose drive gains so much from one to the next; its simulator is not the package's."""
     rig = virtual_rig.Rig()
@@ -96,7 +100,7 @@ def drifting_drive(gains):
 
 @pytest.fixture(scope="module")
 def drifted():
-    recording = drifting_drive((1.0, 1.02, 1.04, 1.06))
+    recording = drifting_drive(GAINS)
     fit = est.output_error(rtac.RTAC.from_rig(recording), recording, progress=False)
     return fit, est.constancy(fit, recording)
 
@@ -109,10 +113,22 @@ def test_a_gain_that_drifts_is_named_alone_though_one_linear_step_does_not_reach
     assert found.explained[-1] > 0.9
     own = found.values[:, found.names.index("torque_constant")]
     shown = own[np.isfinite(own)]
-    assert shown == pytest.approx(virtual_rig.Rig().torque_constant * np.array([1.0, 1.02, 1.04, 1.06]), rel=3e-3)
-    assert found.best_trend("torque_constant").covariate in ("time", "input")  # which grow together here
+    assert shown == pytest.approx(virtual_rig.Rig().torque_constant * np.array(GAINS), rel=3e-3)
+    assert found.best_trend("torque_constant") is None, "these gains go with nothing"
     assert found.decisive
     assert 'model.each_experiment("torque_constant")' in found.differences
+
+
+def test_what_goes_with_the_motion_is_an_effect_sooner_than_a_drift(drifted):
+    """A stiffness that goes with the amplitude is that of a spring that hardens."""
+    _, found = drifted
+    place = found.names.index("torque_constant")
+    clear = Trend("amplitude", 0.01, 1e-4, 0.99, 1e-6)
+    trends = tuple((clear,) if i == place else each for i, each in enumerate(found.trends))
+    told = dataclasses.replace(found, trends=trends).differences
+    assert "goes with the amplitude (output rms) is an effect that the model lacks" in told
+    assert "ask est.diagnose" in told
+    assert "each_experiment" not in told
 
 
 def test_differences_are_looked_for_only_where_experiments_could_tell_them(drifted):

@@ -89,6 +89,7 @@ class Diagnosis(Result):
         consequence: what the effects, or those that are detectable, take off the error; None where there are none.
         detectable: candidates that the data show, but without which the model is adequate: they take next to nothing off the error.
         evidence: everything that was computed, to be saved, or judged by another policy; None where the result was made by hand.
+        simulated: residual of the diagnosed fit's simulation over the noise, of the worst channel.
     """
 
     verdict: Verdict
@@ -111,6 +112,7 @@ class Diagnosis(Result):
     evidence: Evidence | None = None
     consequence: Consequence | None = None
     detectable: tuple[Candidate, ...] = ()
+    simulated: float = 0.0
 
     @property
     def best(self) -> Effect | None:
@@ -120,7 +122,7 @@ class Diagnosis(Result):
     @property
     def floor(self) -> str:
         """Return down to where nothing is missing, of an adequate model: the noise, or predictions that count random forces."""
-        return floor_of(max(self.random_force, self.random_torque))
+        return floor_of(max(self.random_force, self.random_torque), self.simulated)
 
     def overview(self) -> Overview:
         """Return the verdict with the parameters of what was accepted, and the beginning of the explanation."""
@@ -204,7 +206,7 @@ def diagnose(
             evidence = laboratory.evidence(thorough=thorough)
         shown.at("diagnose: verdict")
         unshown = [c for c in classes if c.id not in setting.absent and not stood_for(c, setting.experiments)]
-        told = _told(laboratory, evidence, judge(evidence, policy), unshown)
+        told = _told(laboratory, evidence, judge(evidence, policy), unshown, fit.farthest)
     facts = evidence.facts
     unexplained = told.simulation is not None and told.simulation.cause == "unexplained"
     unasked = told.verdict == "adequate" and not facts.noise_known
@@ -235,7 +237,11 @@ def _begun(setting: Setting, fit: Fit, workers: Workers, *, whole: bool) -> Live
 
 
 def _told(
-    laboratory: LiveLaboratory, evidence: Evidence, found: Judgement, unshown: Sequence[type[Effect]]
+    laboratory: LiveLaboratory,
+    evidence: Evidence,
+    found: Judgement,
+    unshown: Sequence[type[Effect]],
+    simulated: float,
 ) -> Diagnosis:
     """Return the verdict and its reasons, also of candidates that nothing in the recording could show."""
     setting, base = laboratory.computed(found.selection.base)
@@ -272,6 +278,7 @@ def _told(
         evidence=evidence,
         consequence=found.consequence,
         detectable=tuple(by_id[step.id] for step in found.detectable),
+        simulated=simulated,
     )
     return dataclasses.replace(told, explanation=_explanation(told, found, setting, thorough=evidence.thorough))
 
@@ -282,7 +289,7 @@ def _explanation(told: Diagnosis, found: Judgement, setting: Setting, *, thoroug
     text = words(
         told.verdict, told.effects, told.candidates, steps, told.tests, told.left, told.removed, told.curves, told.latent,
         told.places, told.lines, told.simulation, told.policy, told.consequence, found.detectable,
-        max(told.random_force, told.random_torque),
+        told.floor,
     )  # fmt: skip
     if told.simulation is not None and further and not steps:
         text += without_the_physics(further, told.simulation)

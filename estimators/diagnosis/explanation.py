@@ -17,6 +17,9 @@ from estimators.misspecification.static_force import ForceCurve
 from estimators.prediction_error.latent_force import LatentForce
 from rtac_jax.measurement import Recording
 
+AT_NOISE = "at the noise floor"
+# Residual over noise from which a simulation is not at the noise: noise read off a spectrum is 0.8 to 1.1 times the truth.
+_ABOVE_NOISE = 1.3
 _NEARLY_ALL = 0.9  # fraction of the misfit whose removal asks why the verdict is unknown even so
 _LEFT_OUT = 0.02  # fraction of the samples from which it is worth a word that they do not count
 SHAKEN = 1e-2  # fraction of the rms forces from which random forces in one sample are worth a word
@@ -39,7 +42,7 @@ def words(
     policy: DiagnosisPolicy = STANDARD,
     consequence: Consequence | None = None,
     detectable: Sequence[Step] = (),
-    random: float = 0.0,
+    floor: str = AT_NOISE,
 ) -> str:
     """Describe in a paragraph what is missing, how big, where it shows, how sure, and what would make it surer."""
     if verdict == "adequate":
@@ -47,14 +50,10 @@ def words(
         text = ", ".join(f"{c.id} {c.limit}" for c in limits)
         blind = [c.id for c in candidates if not c.testable]
         unseen = f" These data could not show {', '.join(blind)} at any plausible size." if blind else ""
-        floor = (
-            simulation.words
-            if simulation is not None and simulation.words
-            else f"Nothing is missing {floor_of(random)}."
-        )
+        found = simulation.words if simulation is not None and simulation.words else f"Nothing is missing {floor}."
         if detectable and consequence is not None:
-            floor = _of_no_consequence(detectable, candidates, consequence)
-        return f"Adequate: {floor[0].lower()}{floor[1:]} An effect would have been found from: {text}.{unseen}"
+            found = _of_no_consequence(detectable, candidates, consequence)
+        return f"Adequate: {found[0].lower()}{found[1:]} An effect would have been found from: {text}.{unseen}"
     worst = next((p for p in places if p.by == "experiment"), None)
     part = next((p for p in places if p.by != "experiment" and p.excess > 1), None)
     shown = ""
@@ -175,13 +174,18 @@ def surer(verdict: Verdict, recording: Recording) -> str:
     return f" {surer} with {', and '.join(lacking)}."
 
 
-def floor_of(random: float) -> str:
-    """Return down to where nothing is missing from an adequate model: without random forces its simulation is at the noise, too.
+def floor_of(random: float, simulated: float) -> str:
+    """Return down to where nothing is missing from an adequate model: a simulation need not be at the noise.
 
     Args:
         random: force or torque in one sample that its predictor asks for, whichever is more, as a fraction of the rms forces.
+        simulated: residual of its simulation over the noise, of the worst channel.
     """
-    return "predicted one sample ahead, which counts random forces" if random >= SHAKEN else "at the noise floor"
+    if random >= SHAKEN:
+        return "predicted one sample ahead, which counts random forces"
+    if simulated > _ABOVE_NOISE:
+        return f"predicted one sample ahead; its simulation is left at {simulated:.3g} times the noise"
+    return AT_NOISE
 
 
 def shaken(random_force: float, random_torque: float, left_out: float, *, large: bool = False) -> str:

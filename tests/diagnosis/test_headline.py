@@ -54,6 +54,11 @@ def test_a_group_is_named_as_a_group():
 def test_nothing_added_is_said_as_what_it_is():
     quiet = dataclasses.replace(diagnosis("adequate"), random_force=1e-3, random_torque=2e-3)
     assert looped(quiet, steps=1).headline == "The model is adequate: nothing is missing at the noise floor."
+    off = dataclasses.replace(quiet, simulated=1.61)
+    assert looped(off, steps=1).headline.endswith(
+        "nothing is missing predicted one sample ahead; its simulation is left at 1.61 times the noise."
+    )
+    assert dataclasses.replace(quiet, simulated=1.1).floor == "at the noise floor"
     assert looped(diagnosis("unknown"), steps=1).headline.startswith("The model fails, and no effect of the catalogue")
     assert looped(diagnosis("adequate"), steps=1).mended is None
 

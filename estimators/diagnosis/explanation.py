@@ -19,7 +19,7 @@ from rtac_jax.measurement import Recording
 
 AT_NOISE = "at the noise floor"
 # Residual over noise from which a simulation is not at the noise: noise read off a spectrum is 0.8 to 1.1 times the truth.
-_ABOVE_NOISE = 1.3
+_OFF_NOISE = 1.3
 _NEARLY_ALL = 0.9  # fraction of the misfit whose removal asks why the verdict is unknown even so
 _LEFT_OUT = 0.02  # fraction of the samples from which it is worth a word that they do not count
 SHAKEN = 1e-2  # fraction of the rms forces from which random forces in one sample are worth a word
@@ -183,7 +183,7 @@ def floor_of(random: float, simulated: float) -> str:
     """
     if random >= SHAKEN:
         return "predicted one sample ahead, which counts random forces"
-    if simulated > _ABOVE_NOISE:
+    if simulated > _OFF_NOISE:
         return f"predicted one sample ahead; its simulation is left at {simulated:.3g} times the noise"
     return AT_NOISE
 

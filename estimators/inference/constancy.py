@@ -18,8 +18,8 @@ from rtac_jax.arguments import checked_arguments
 from rtac_jax.measurement import Experiment, Recording
 
 # Fraction of the squared residual that differences explain, from which on they are too large for one step.
-_FAR = 0.1
-_STRAYED = 3.0  # residual over noise, as far as that is known, from which it is asked whether experiments differ
+_BEYOND_ONE_STEP = 0.1
+_WORTH_ASKING = 3.0  # residual over noise, as far as that is known, from which it is asked whether experiments differ
 _LEAST = 3  # experiments that a trend and what scatters beside it need
 
 
@@ -61,7 +61,7 @@ def constancy(fit: Fit, recording: Recording, *, covariates: Covariates | None =
     around = about_common(fit, recording, names)
     chi_square, freedom = explained(around.information, around.slope, range(len(names)))
     p_value = float(scipy.stats.chi2.sf(chi_square, freedom))
-    if p_value < level and chi_square > _FAR * float(np.sum(np.asarray(problem.arguments.data.present))):
+    if p_value < level and chi_square > _BEYOND_ONE_STEP * float(np.sum(np.asarray(problem.arguments.data.present))):
         around = about_own(fit, recording, names) or around
     information, slope = around.information, around.slope
     estimates = np.array([float(np.asarray(fit.model[name])) for name in names])
@@ -106,7 +106,7 @@ def differing(fit: Fit, recording: Recording) -> Equality | None:
         fit: of output error.
         recording: that was fitted.
     """
-    if fit.lost or fit.farthest <= _STRAYED or fit.in_pieces:
+    if fit.lost or fit.farthest <= _WORTH_ASKING or fit.in_pieces:
         return None
     try:
         found = constancy(fit, recording)

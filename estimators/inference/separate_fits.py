@@ -17,7 +17,7 @@ from rtac_jax.prior import Prior
 
 # Standard deviation, as a fraction of a parameter's size, of what the common fit tells an experiment by itself: wide enough for
 # any drift that a rig of one build has, narrow enough to hold what the experiment does not show at all.
-_WIDE = 0.3
+_ANY_DRIFT = 0.3
 # Fraction of a parameter's size by which experiments may differ without consequence. Estimates of combinations are far surer than
 # that, and what a model lacks, however little, moves them by many of their deviations.
 _TOLERATED = 1e-3
@@ -78,7 +78,7 @@ def about_own(fit: Fit, recording: Recording, names: Sequence[str]) -> Curvature
 def _wide(model: RTAC, names: Sequence[str], common: Float[np.ndarray, " parameter"]) -> RTAC:
     """Return the model in which these parameters are free, and known to some extent from the common fit."""
     size = np.maximum(np.abs(common), 1e-300)
-    priors = {n: Prior(value, _WIDE * s) for n, value, s in zip(names, common, size, strict=True)}
+    priors = {n: Prior(value, _ANY_DRIFT * s) for n, value, s in zip(names, common, size, strict=True)}
     held = model.fix(*model.priors)
     return RTAC(held.body, held.effects, held.fixed, held.per_experiment, priors)
 

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 # Of an eigenvalue to the largest; less than this is nothing that an experiment shows.
 SHOWN = 1e-4
-_MOST = 3  # parameters that are named
+_NAMED = 3  # parameters that are named
 
 Information = Float[np.ndarray, "experiment parameter parameter"]
 Slope = Float[np.ndarray, "experiment parameter"]
@@ -57,7 +57,9 @@ def selected(information: Information, slope: Slope, level: float) -> tuple[list
     chosen: list[int] = []
     fractions: list[float] = []
     so_far, spent = 0.0, 0
-    while len(chosen) < min(_MOST, parameters) and scipy.stats.chi2.sf(whole - so_far, max(1, freedom - spent)) < level:
+    while (
+        len(chosen) < min(_NAMED, parameters) and scipy.stats.chi2.sf(whole - so_far, max(1, freedom - spent)) < level
+    ):
         further = {p: explained(information, slope, [*chosen, p]) for p in range(parameters) if p not in chosen}
         best = max(further, key=lambda p: further[p][0])
         gained, used = further[best][0] - so_far, max(1, further[best][1] - spent)

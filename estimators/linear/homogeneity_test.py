@@ -16,7 +16,7 @@ from rtac_jax.renamed import renamed
 _DETERMINED = 0.5  # standard deviation over value
 _SINGULAR = 1e-9  # of correlations
 # Residual over noise up to which a fit follows: noise read off a spectrum is right to a factor of two at the worst.
-_FOLLOWED = 2.0
+_FOLLOWED_ALONE = 2.0
 Covariates = Mapping[str, Mapping[str, float]]
 """Further covariates: by name, and then by condition or experiment."""
 
@@ -119,7 +119,7 @@ class Equality:
     def decisive(self) -> bool:
         """Return whether the model follows each condition by itself, and one set of parameters for all does not."""
         left = max(self.over_noise.values(), default=math.inf)
-        return not self.equal and bool(self.varying) and left <= _FOLLOWED
+        return not self.equal and bool(self.varying) and left <= _FOLLOWED_ALONE
 
     @property
     def differences(self) -> str:
@@ -186,7 +186,7 @@ class Equality:
     def _left(self) -> list[str]:
         """Say where even fits of single conditions leave too much, so that what differs is not told."""
         worst = max(self.over_noise, key=lambda c: self.over_noise[c], default="")
-        if not worst or self.over_noise[worst] <= _FOLLOWED:
+        if not worst or self.over_noise[worst] <= _FOLLOWED_ALONE:
             return []
         return [
             f"But fitted by itself, too, a condition is left at {self.over_noise[worst]:.3g} times the noise ({worst}): what the "

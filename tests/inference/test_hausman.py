@@ -284,41 +284,6 @@ def test_verdict_names_the_assumption_that_fails() -> None:
     assert one.suspects[0] == "cubic_spring"
 
 
-@pytest.mark.parametrize(
-    ("channels", "words", "broken_by"),
-    [
-        (("cart_position", "arm_angle"), "the plane is level, and all channels", ("gravity_tilt", "channel_delay")),
-        (("arm_angle", "arm_velocity"), "the plane is level, and all channels", ("tacho_bias", "tacho_lag")),
-        (("arm_velocity",), "the integral of what the tachometer shows", ("tacho_bias", "tacho_lag")),
-    ],
-)
-def test_no_sensor_is_doubted_that_the_rig_does_not_have(
-    channels: tuple[str, ...], words: str, broken_by: tuple[str, ...]
-) -> None:
-    pair = Disagreement(("a", "b"), np.array([9.0]), np.zeros(1), np.ones(1), np.array([1e-12]), 1e-11)
-    one, ask = np.ones((2, 1)), ("each moment", "the whole")
-    found = Agreement(
-        ("eccentric_moment",), ("kg m",), ("a", "b"), ask, one, one, (pair,), 0.01, 80, False, {}, None, channels
-    )
-    assert words in found.verdict
-    assert found.suspects[:2] == broken_by
-    assert ("tacho" in found.verdict) == ("arm_velocity" in channels)
-
-
-def test_what_both_took_from_one_measured_constant_is_no_disagreement() -> None:
-    """Of the first quantity the two estimates differ by rounding: 2.3 deviations of it, and a joint p-value of 1e-9 before."""
-    random = np.random.default_rng(0)
-    own = random.normal(size=(80, 2, 2))
-    own[:, 1, 0] = own[:, 0, 0] + 1e-13 * random.normal(size=80)
-    both = np.ones(2, dtype=bool)
-    found = hausman._pair(("a", "b"), np.array([1e-12, 0.5]), own, both)
-    assert np.isnan(found.difference[0])
-    assert np.isfinite(found.difference[1])
-    assert found.p_value > 0.5
-    shared = hausman._pair(("a", "b"), np.array([1e-12, 0.5]), own, np.array([True, False]))
-    assert shared.p_value == 1.0
-
-
 def agreed(p_values: tuple[float, ...], *, std: float = 0.01) -> Agreement:
     """Build an agreement of three estimates of the inertia 1, with these p-values of the pairs."""
     one = np.ones(1)

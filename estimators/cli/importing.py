@@ -80,6 +80,12 @@ def import_files(
     remove_mean: Annotated[
         Pairs, option("NAME", "A channel that loses its mean, as that of a sensor with an offset.")
     ] = None,
+    unwrap: Annotated[
+        bool,
+        typer.Option(
+            "--unwrap", help="Take jumps of whole turns out of arm_angle, as of an encoder that begins again."
+        ),
+    ] = False,
     intersample: Annotated[
         Pairs, option("NAME=zoh|foh|bl", "What an input does between samples; held (zoh) by default.")
     ] = None,
@@ -114,7 +120,7 @@ def import_files(
             "scale": {n: _number("--scale", n, v) for n, v in _pairs("--scale", scale).items()},
             "noise_std": {n: _number("--noise", n, v) for n, v in _pairs("--noise", noise).items()},
             "intersample": _pairs("--intersample", intersample),
-            "remove_mean": remove_mean or (), "arm": arm, "cart": cart, "start": start, "stop": end,
+            "remove_mean": remove_mean or (), "unwrap": unwrap, "arm": arm, "cart": cart, "start": start, "stop": end,
             "rig": {n: _number("--rig", n, v) for n, v in _pairs("--rig", rig).items()},
         }  # fmt: skip
         asked = _pairs("--channel", channel)

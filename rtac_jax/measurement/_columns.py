@@ -36,6 +36,7 @@ class ImportOptions(TypedDict, total=False):
         scale: factor of your own by channel, the layout's unit per unit of the column.
         start, stop: samples that are taken, from `start` up to but without `stop`.
         remove_mean: channels that lose their mean over these.
+        unwrap: take jumps of whole turns out of arm_angle, as of an encoder that begins again after a turn.
         rig: constants, each with an optional `NAME_std`, as in `Recording`.
         intersample, noise_std, initial_arm_angle, initial_arm_angle_std, arm, cart: as in `Experiment.of`.
     """
@@ -48,6 +49,7 @@ class ImportOptions(TypedDict, total=False):
     start: int
     stop: int | None
     remove_mean: Collection[str]
+    unwrap: bool
     rig: Mapping[str, float] | None
     intersample: str | Mapping[str, str]
     noise_std: Mapping[str, float] | None
@@ -117,6 +119,7 @@ def assemble(
     units: Mapping[str, str] | None = None,
     scale: Mapping[str, float] | None = None,
     remove_mean: Collection[str] = (),
+    unwrap: bool = False,
     start: int = 0,
     stop: int | None = None,
     **conditions: Any,
@@ -136,6 +139,8 @@ def assemble(
     signals = {}
     for channel, column in channels.items():
         values = columns[column][start:stop] * _factor(channel, units or {}, scale or {})
+        if unwrap and channel == "arm_angle":
+            values = _unwrapped(values, conditions.get("initial_arm_angle"))
         # Missing samples do not take part in a mean; a column without any is refused further on.
         present = values[~np.isnan(values)]
         if channel in remove_mean and len(present):
@@ -145,6 +150,17 @@ def assemble(
         seconds = columns[time][start:stop] * _factor("time", units or {}, {})
         sample_time = uniform_step(seconds, time, start)
     return Experiment.of(name, sample_time=sample_time, **signals, **conditions)  # pyright: ignore[reportArgumentType] - `of` checks them
+
+
+def _unwrapped(values: Float64[np.ndarray, " sample"], beginning: float | None) -> Float64[np.ndarray, " sample"]:
+    """Return an angle without jumps of whole turns, on the turn on which the arm is said to begin."""
+    present = ~np.isnan(values)
+    if not present.any():
+        return values
+    whole = values.copy()
+    whole[present] = np.unwrap(values[present])
+    turns = 0.0 if beginning is None else np.round((whole[present][0] - beginning) / (2 * np.pi))
+    return whole - 2 * np.pi * turns
 
 
 def uniform_step(times: Float64[np.ndarray, " sample"], column: str, offset: int) -> float:

@@ -64,7 +64,10 @@ def momentary_faults(name: str, signal: Signal) -> Iterator[str]:
         more = f" ({len(jumps)} such places)" if len(jumps) > 1 else ""
         turn = {"arm_angle": 2 * np.pi}.get(name, np.inf)
         if abs(size - turn) < 0.05 * turn:
-            yield f"jumps by a whole turn at sample {present[place] + 1}{more}, as if wrapped; unwrap it (numpy.unwrap)."
+            yield (
+                f"jumps by a whole turn at sample {present[place] + 1}{more}, as if wrapped; unwrap it (rtac import --unwrap, or "
+                "numpy.unwrap)."
+            )
         else:
             yield (
                 f"jumps by {size:.3g} {signal.unit} at sample {present[place] + 1}{more}, which nothing that has mass can, so "

@@ -198,3 +198,18 @@ def test_a_repeat_and_the_doubt_of_an_angle_can_be_said(tmp_path, free, forced):
     assert [e.initial_arm_angle_std for e in joined] == [0.02, 0.02, 0.05], "what was known of others stays"
     result = call("import", free, again, *arguments, "--repeat-of", "again=nothing", tmp_path / "other.h5")
     refused(result, 2, "--repeat-of: there is no experiment nothing", "free_1")
+
+
+def test_an_encoder_that_begins_again_is_unwrapped_where_it_is_asked(tmp_path):
+    time = 0.01 * np.arange(200)
+    angle = 6.0 * np.sin(2.0 * time)
+    file = tmp_path / "arm.csv"
+    np.savetxt(
+        file, np.column_stack([time, np.mod(angle, 2 * np.pi)]), delimiter=",", header="t,th", comments="", fmt="%.9g"
+    )
+    told = ["--kind", "free", "--time", "t [s]", "--channel", "arm_angle=th [rad]", "--angle", "0"]
+    result, recording = imported(tmp_path / "whole.h5", file, *told, "--unwrap")
+    np.testing.assert_allclose(recording["arm"].outputs["arm_angle"].values, angle, atol=1e-7)
+    assert "whole turn" not in result.stdout
+    result, _ = imported(tmp_path / "wrapped.h5", file, *told)
+    assert "unwrap it (rtac import --unwrap" in " ".join(result.stdout.split())

@@ -30,6 +30,28 @@ def write_mat73(path, **variables):
 CHANNELS = {"current": "i", "cart_position": "x"}
 
 
+@pytest.mark.parametrize(("beginning", "turns"), [(None, 1), (-0.5, 0), (-0.5 + 4 * np.pi, 2)])
+def test_an_encoder_that_begins_again_after_a_turn(tmp_path, beginning, turns):
+    """In degrees from 0 to 360, with samples missing at the jumps; on the turn on which the arm is said to begin."""
+    angle = -0.5 + 9.0 * np.sin(0.7 * T)
+    wrapped = np.mod(np.degrees(angle), 360.0)
+    wrapped[np.flatnonzero(np.abs(np.diff(wrapped)) > 300)] = np.nan
+    path = tmp_path / "run.csv"
+    np.savetxt(path, np.column_stack([np.sin(T), wrapped]), delimiter=",", header="i,th", comments="")
+    options = dict(
+        channels={"current": "i", "arm_angle": "th"}, kind="forced", sample_time=DT, units={"arm_angle": "deg"}
+    )
+    whole = (
+        Recording.from_csv(path, **options, unwrap=True, initial_arm_angle=beginning)["run"].outputs["arm_angle"].values
+    )
+    kept = np.isfinite(wrapped)
+    assert np.sum(~kept) > 2
+    np.testing.assert_allclose(whole[kept], (angle + 2 * np.pi * turns)[kept], atol=1e-9)
+    assert np.array_equal(np.isnan(whole), ~kept)
+    as_it_is = Recording.from_csv(path, **options)["run"].outputs["arm_angle"].values
+    np.testing.assert_allclose(as_it_is[kept], np.radians(wrapped[kept]))
+
+
 @pytest.mark.parametrize("version", ["5", "7.3"])
 @pytest.mark.parametrize("shape", [(1, -1), (-1, 1)])
 def test_mat(tmp_path, version, shape):

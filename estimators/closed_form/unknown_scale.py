@@ -110,8 +110,11 @@ def _solved(systems: Sequence[tuple[System, Sequence[str]]]) -> Solved:
 
 
 def _arm_alone(s: Terms, model: RTAC, value: Mapping[str, float], lag: int) -> tuple[System, Sequence[str]]:
-    """Return the arm's equation divided by its inertia, all else unknown."""
-    names = [n for n in _PER_INERTIA if n in model.parameters]
+    """Return the arm's equation divided by its inertia, all else unknown.
+
+    It shows me by the cart's acceleration, which is noise where the cart tells nothing.
+    """
+    names = [n for n in _PER_INERTIA if n in model.parameters and (n != _SWING or tells_of_cart(s))]
     matrix, target = rows_of(s.arm, ARM, names, {"arm_inertia": 1.0}, np.zeros(len(s.arm["inertia"])))
     return with_earlier(matrix, target, names, lag), names
 

@@ -224,14 +224,14 @@ def _off(model: RTAC, seed: int = 0) -> RTAC:
 
 def _doubt(fit: Fit) -> float:
     values = np.array([float(fit.model[name]) for name in fit.information.names])
-    return float(np.max(np.sqrt(np.diagonal(fit.information.covariance)) / np.maximum(np.abs(values), 1e-300)))
+    return float(np.max(np.sqrt(np.diagonal(fit.information.own_covariance)) / np.maximum(np.abs(values), 1e-300)))
 
 
 def _drawn(fit: Fit, seed: int = 0) -> RTAC:
     """Return plants drawn from the covariance of the estimates."""
     names, random = fit.information.names, np.random.default_rng(seed)
     middle = np.array([float(fit.model[name]) for name in names])
-    covariance = fit.information.covariance
+    covariance = fit.information.own_covariance
     std = np.sqrt(np.diagonal(covariance))  # the correlations are drawn, as the sizes differ by many decades
     unit = random.multivariate_normal(np.zeros(len(names)), covariance / np.outer(std, std), PLANTS, method="eigh")
     rows: Float[np.ndarray, "plant parameter"] = middle + std * unit

@@ -60,7 +60,8 @@ def solve_bounded(
         except FloatingPointError:
             if best is None:
                 raise
-            return best  # where a parameter taken off its bound makes the model diverge, as beside another that has run away
+            # A parameter taken off its bound makes the model diverge, as beside another that has run away.
+            return best._replace(pulled=True)
         unknowns = solved.unknowns
         full = solved.factor
         if held:

@@ -29,7 +29,7 @@ class Information:
         deviations: standard deviation along each of them, relative.
         parts: Gauss-Newton matrix of each experiment, in physical parameters.
         scores: gradient of each experiment's half sum of squares at the optimum.
-        from_held: what the covariance holds of the uncertainty of parameters that are held at estimates of something else.
+        own: the covariance were all exact that is held at estimates of something else; None where nothing is.
     """
 
     names: tuple[str, ...]
@@ -38,12 +38,12 @@ class Information:
     deviations: Float[np.ndarray, " direction"]
     parts: Float[np.ndarray, "experiment parameter parameter"] | None = None
     scores: Float[np.ndarray, "experiment parameter"] | None = None
-    from_held: Float[np.ndarray, "parameter parameter"] | None = None
+    own: Float[np.ndarray, "parameter parameter"] | None = None
 
     @property
     def own_covariance(self) -> Float[np.ndarray, "parameter parameter"]:
         """Return the covariance were all that is held exact: the inverse of the Gauss-Newton matrix."""
-        return self.covariance if self.from_held is None else self.covariance - self.from_held
+        return self.covariance if self.own is None else self.own
 
     def undetermined(self, beside: Collection[str] = ()) -> list[str]:
         """Describe every combination of parameters that the data leave free.

@@ -148,6 +148,9 @@ def _mean_square(values: Float[np.ndarray, " sample"], *, about_mean: bool) -> f
     return float(values @ values) / len(values)
 
 
+_SCALED = ("spring_stiffness", "torque_constant", "arm_inertia", "total_mass")
+
+
 def scales_of(model: RTAC, experiments: Sequence[Experiment]) -> Scales:
     """Return typical sizes, for what is plausible and for scaling."""
     moving = [e for e in experiments if e.kind != "rest"]
@@ -170,16 +173,17 @@ def scales_of(model: RTAC, experiments: Sequence[Experiment]) -> Scales:
         plausible = frequency if any(e.arm == "free" for e in moving) else 0.0
         arm_velocity = max(float(np.sqrt(np.mean([np.mean(r**2) for r in rates]))) if rates else plausible, 1e-9)
     current = rms("inputs", "current", 1e-9)
-    body = model.body
+    # Of a parameter that each experiment has for itself the mean.
+    body = {name: float(np.mean(np.asarray(model[name]))) for name in _SCALED}
     return Scales(
         position=position,
         velocity=position * frequency,
         arm_velocity=arm_velocity,
         current=current,
-        force=float(body.spring_stiffness) * position,
-        torque=max(float(body.torque_constant) * current, float(body.arm_inertia) * arm_velocity * frequency),
+        force=body["spring_stiffness"] * position,
+        torque=max(body["torque_constant"] * current, body["arm_inertia"] * arm_velocity * frequency),
         frequency=frequency,
-        mass=float(body.total_mass),
+        mass=body["total_mass"],
         sample_time=min(e.sample_time for e in moving),
     )
 
@@ -232,7 +236,7 @@ def space_in_numpy(
         for effect in model.effects
         for state, most in zip(effect.states, effect.reach(), strict=False)
     }
-    size = np.array([min(s, reach.get(row, np.inf)) for row, s in zip(rows, size, strict=True)])
+    size = np.array([min(s, max(reach.get(row, np.inf), 1e-9 * s)) for row, s in zip(rows, size, strict=True)])
     state = np.concatenate([state, np.zeros((extra, count))])
     # A recording seldom begins far from equilibrium in a state that nothing shows, and where an effect is nearly
     # absent nothing else holds that state in place.

@@ -45,7 +45,7 @@ def counting_held(fit: Fit, recording: Recording, deviations: Mapping[str, float
     return dataclasses.replace(
         fit,
         information=dataclasses.replace(
-            counted, parts=fit.information.parts, scores=fit.information.scores, from_held=from_held
+            counted, parts=fit.information.parts, scores=fit.information.scores, own=fit.information.own_covariance
         ),
         held=held,
     )

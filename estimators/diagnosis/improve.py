@@ -93,10 +93,13 @@ class Improvement(Result):
                 "est.prediction_error_nonlinear: with a fit by simulation the held-out experiments do not tell."
             )
         if self.held:
+            counted = (
+                " Standard deviations of the others count how well the diagnosis knew it." if self.final.held else ""
+            )
             said.insert(
                 0,
                 f"Held at the estimate of the diagnosis, because a fit by simulation fails or serves held-out experiments worse: "
-                f"{', '.join(self.held)}. Standard deviations of the others count how well the diagnosis knew it.",
+                f"{', '.join(self.held)}.{counted}",
             )
         if self.final.result in _UNFINISHED:
             said.append(f"The last model: {self.final.outcome}")

@@ -192,6 +192,7 @@ def _predicted(model: RTAC, before: Fit, train: Recording, *, progress: bool) ->
             "seconds": found.statistics["seconds"],
         },
         marks={e.name: mark_of(e) for e in experiments},
+        held={},  # the deviations are those of the predictions, for what is held as it is
     )
 
 

@@ -18,7 +18,7 @@ from rtac_jax.arguments import checked_arguments
 from rtac_jax.measurement import Experiment, Recording
 
 # Fraction of the squared residual that differences explain, from which on they are too large for one step.
-_BEYOND_ONE_STEP = 0.1
+_BEYOND_ONE_STEP = 0.5
 _WORTH_ASKING = 3.0  # residual over noise, as far as that is known, from which it is asked whether experiments differ
 _LEAST = 3  # experiments that a trend and what scatters beside it need
 
@@ -85,14 +85,15 @@ def constancy(fit: Fit, recording: Recording, *, covariates: Covariates | None =
         p_values[i] = scipy.stats.chi2.sf(beside @ precision @ beside, int(np.sum(shown)) - 1)
         told = varying({name: x[shown] for name, x in every.items()})
         trends.append(tuple(trend_of(name, x, each, precision) for name, x in told.items()))
-    chosen, fractions = selected(information, slope, level)
+    chosen = selected(information, slope, level)
     return Equality(
         names=names, units=tuple(fit.model.parameters[name].unit for name in names),
         conditions=tuple(e.name for e in experiments), values=values, std=std, common=common, common_std=common_std,
         chi_square=chi_square, freedom=freedom, p_value=p_value, p_values=p_values,
         trends=tuple(trends), covariates=every,
         left_out=tuple(e.name for e, row in zip(experiments, values, strict=True) if np.all(np.isnan(row))), level=level,
-        varying=tuple(names[i] for i in chosen), explained=tuple(fractions), over_noise=around.over_noise,
+        varying=tuple(names[i] for i in chosen.places), explained=chosen.fraction, rival=chosen.rival,
+        suffices=chosen.suffices, over_noise=around.over_noise,
     )  # fmt: skip
 
 

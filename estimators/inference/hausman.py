@@ -140,7 +140,7 @@ def agreement(
     measured = source.measured
     observed = np.array([_in_order(estimator, estimator.again(measured), names) for estimator in estimators])
     values = np.array([_in_order(estimator, estimator.values, names) for estimator in estimators])
-    pairs = tuple(
+    several_pairs = (
         _pair(
             (said[a], said[b]), observed[a] - observed[b], found[:, [a, b]],
             np.array([n in common for n in names]),
@@ -148,6 +148,9 @@ def agreement(
         for (a, b), common in shared.items()
         if common
     )  # fmt: skip
+    pairs = tuple(pair for pair in several_pairs if pair is not None)
+    if not pairs:
+        raise ValueError("the results have nothing in common but measured constants, in which they cannot differ.")
     spread = np.std(found, axis=0, ddof=1)
     asks = tuple(estimator.asks for estimator in estimators)
     misfit = {
@@ -212,8 +215,8 @@ def _pair(
     observed: Vector,
     drawn: Float[np.ndarray, "draw 2 quantity"],
     common: Bool[np.ndarray, " quantity"],
-) -> Disagreement:
-    """Compare two estimators.
+) -> Disagreement | None:
+    """Compare two estimators; None where they share all that both estimate.
 
     Args:
         labels: of the two.
@@ -223,14 +226,15 @@ def _pair(
     """
     places = np.flatnonzero(common)
     first, second = drawn[np.all(np.isfinite(drawn[:, :, places]), axis=(1, 2))][:, :, places].transpose(1, 0, 2)
-    # What both take from the same measured constant differs by rounding alone, and a test of rounding says nothing.
+    # What both take from the same measured constant differs by rounding alone, here as in every replicate, and a test of
+    # rounding says nothing.
     kept = first - second
     if len(kept) > 1:
-        differs = np.std(kept, axis=0) > _SHARED * np.maximum(np.std(first, axis=0), np.std(second, axis=0))
+        same = _SHARED * np.maximum(np.std(first, axis=0), np.std(second, axis=0))
+        differs = (np.std(kept, axis=0) > same) | (np.abs(observed[places] - np.mean(kept, axis=0)) > same)
         places, kept = places[differs], kept[:, differs]
     if not len(places):
-        untold = np.full(len(common), np.nan)
-        return Disagreement(labels, untold, untold, untold, untold, 1.0)
+        return None
     draws, width = kept.shape
     if draws <= 2 * width:
         raise ValueError(

@@ -48,7 +48,7 @@ def model_response(
         return np.concatenate([response.real, response.imag])
 
     value, slope = _moved(fit, of)
-    spread = np.sqrt(np.einsum("fp,pq,fq->f", slope, fit.information.covariance, slope)).reshape(2, -1)
+    spread = np.sqrt(np.einsum("fp,pq,fq->f", slope, fit.information.own_covariance, slope)).reshape(2, -1)
     response = value[: len(omega)] + 1j * value[len(omega) :]
     std = np.hypot(spread[0], spread[1])
     return FrequencyResponse(
@@ -97,7 +97,7 @@ def model_roots(fit: Fit | PredictorFit, *, arm_angle: float = 0.0) -> tuple[Roo
 
         value, slope = _moved(fit, of)
         parts = slope.reshape(2, len(kept), -1)
-        covariance = np.einsum("irp,pq,jrq->rij", parts, fit.information.covariance, parts)
+        covariance = np.einsum("irp,pq,jrq->rij", parts, fit.information.own_covariance, parts)
         result.append(Roots(value[: len(kept)] + 1j * value[len(kept) :], covariance))
     return result[0], result[1]
 
@@ -124,7 +124,7 @@ def _moved(
     """Return a function of the model, and its derivatives by the free parameters, as central differences."""
     model = fit.model.with_values({name: np.mean(fit.model[name]) for name in fit.model.per_experiment})
     columns = []
-    for name, variance in zip(fit.information.names, np.diagonal(fit.information.covariance), strict=True):
+    for name, variance in zip(fit.information.names, np.diagonal(fit.information.own_covariance), strict=True):
         step, value = _STEP * float(np.sqrt(variance)), float(np.asarray(model[name]))
         ahead, behind = (of(model.with_values({name: value + sign * step})) for sign in (1, -1))
         columns.append((ahead - behind) / (2 * step))

@@ -94,14 +94,16 @@ def profile(
     needed = float(np.sqrt(chi2.ppf(level, 1)))
     if reach < needed:
         raise ValueError(f"reach is {reach:g}; an interval at {100 * level:g} % needs {needed:.2f} or more.")
-    value, std = fit.parameters[name].value, fit.parameters[name].std
+    # What is held is held in the profile, too, as exact.
+    place, own = fit.information.names.index(name), fit.information.own_covariance
+    value, std = fit.parameters[name].value, float(np.sqrt(own[place, place]))
     lower, upper = fit.model.parameters[name].bounds
     whole = at_fit(fit, recording, off_bounds=OFF_BOUNDS)
     deviation = np.array([fit.residual_std.get(channel, 1.0) for channel in CHANNELS])
     best = solve_bounded(whole.unknowns, whole.arguments, tolerance=1e-8, most=steps)
     offsets = np.linspace(-reach, reach, points + (points + 1) % 2) * std
     offsets = offsets[(value + offsets > lower) & (value + offsets < upper)]
-    correlated = fit.information.covariance[:, fit.information.names.index(name)] / std**2
+    correlated = own[:, place] / std**2
     # Off its bound a friction level finds back over a kink, or not: from one that lies near it both are tried.
     kept = {n: float(fit.parameters[n].value) for n in fit.information.names if n != name and _near_bound(fit, n)}
 

@@ -21,6 +21,7 @@ _ANY_DRIFT = 0.3
 # Fraction of a parameter's size by which experiments may differ without consequence. Estimates of combinations are far surer than
 # that, and what a model lacks, however little, moves them by many of their deviations.
 _TOLERATED = 1e-3
+_SURE = 3.0  # deviations of its own from zero, from which the ratio of two values of a parameter means something
 
 
 class Curvatures(NamedTuple):
@@ -29,7 +30,7 @@ class Curvatures(NamedTuple):
     Attributes:
         information: of each experiment.
         slope: gradient at the common fit, as the second order about the experiment's own fit has it.
-        over_noise: what all these fits leave, over the noise, by channel.
+        over_noise: what the fit of an experiment by itself leaves at most, over the noise, by channel; empty where none was made.
         logarithmic: parameters whose distance is the logarithm of a ratio, times their size in the common fit. Data tell the
             ratio of some better than either, and lines of ratios that differ a little meet nowhere but at zero.
     """
@@ -48,7 +49,7 @@ def about_common(fit: Fit, recording: Recording, names: Sequence[str]) -> Curvat
     return Curvatures(
         np.einsum("soep,soeq->epq", jacobian, jacobian),
         np.einsum("soep,soe->ep", jacobian, rows.residual),
-        fit.residual_over_noise,
+        {},
         np.zeros(len(names), dtype=bool),
     )
 
@@ -56,10 +57,14 @@ def about_common(fit: Fit, recording: Recording, names: Sequence[str]) -> Curvat
 def about_own(fit: Fit, recording: Recording, names: Sequence[str]) -> Curvatures | None:
     """Return the likelihood to second order about a fit of each experiment by itself; None where one cannot be fitted.
 
-    What all of these leave is the noise. Parameters that an experiment does not show stay near the common fit.
+    What all of these leave is the noise. Parameters that an experiment does not show stay near the common fit. A robust fit is
+    not taken apart so: its weights are of all experiments together.
     """
+    if fit.weights:
+        return None
     common = np.array([float(np.asarray(fit.model[name])) for name in names])
-    beginning = _wide(fit.model, names, common)
+    size = np.maximum(np.abs(common), _plausible(fit, recording, names))
+    beginning = _wide(fit.model, names, common, size)
     experiments = at_fit(fit, recording).experiments
     rest = [e for e in recording if e.kind == "rest"]
     own = []
@@ -72,26 +77,41 @@ def about_own(fit: Fit, recording: Recording, names: Sequence[str]) -> Curvature
             own.append(output_error(model, alone, from_model=True, progress=False))
         except (NotIdentifiableError, DivergedError, FloatingPointError):
             return None
-    return _pooled(fit, own, experiments, names, common)
+    return _pooled(fit, own, experiments, names, common, size)
 
 
-def _wide(model: RTAC, names: Sequence[str], common: Float[np.ndarray, " parameter"]) -> RTAC:
+def _plausible(fit: Fit, recording: Recording, names: Sequence[str]) -> Float[np.ndarray, " parameter"]:
+    """Return sizes that parameters plausibly have, beside which one that is nearly nothing may still drift."""
+    space = at_fit(fit, recording).arguments.space
+    scale = np.asarray(space.scale)
+    return np.array([float(scale[space.names.index(name)]) for name in names])
+
+
+def _wide(
+    model: RTAC, names: Sequence[str], common: Float[np.ndarray, " parameter"], size: Float[np.ndarray, " parameter"]
+) -> RTAC:
     """Return the model in which these parameters are free, and known to some extent from the common fit."""
-    size = np.maximum(np.abs(common), 1e-300)
     priors = {n: Prior(value, _ANY_DRIFT * s) for n, value, s in zip(names, common, size, strict=True)}
     held = model.fix(*model.priors)
     return RTAC(held.body, held.effects, held.fixed, held.per_experiment, priors)
 
 
 def _pooled(
-    fit: Fit, own: Sequence[Fit], experiments: Sequence[Experiment], names: Sequence[str], common: np.ndarray
+    fit: Fit,
+    own: Sequence[Fit],
+    experiments: Sequence[Experiment],
+    names: Sequence[str],
+    common: Float[np.ndarray, " parameter"],
+    size: Float[np.ndarray, " parameter"],
 ) -> Curvatures:
     """Return the curvatures about these fits, in units of the residual that all of them leave together."""
     squares = {c: [f.residual_std[c] ** 2 for f in own if c in f.residual_std] for c in fit.residual_std}
     deviation = {c: float(np.sqrt(np.mean(s))) for c, s in squares.items()}
     levels = np.array([deviation.get(c, 1.0) for c in CHANNELS])
     values = np.array([[float(np.asarray(found.model[name])) for name in names] for found in own])
-    logarithmic = np.all(values * common > 0, axis=0)
+    # Of what is known by itself in no experiment the logarithm would be of noise.
+    known = np.array([[found.parameters[name].std for name in names] for found in own])
+    logarithmic = np.all((values * common > 0) & (np.abs(values) > _SURE * known), axis=0)
     ratio = np.where(logarithmic, values / np.where(common == 0, 1.0, common), 1.0)
     away = np.where(logarithmic, -common * np.log(ratio), common - values)
     information, slope = [], []
@@ -103,10 +123,10 @@ def _pooled(
         jacobian = rows.jacobian[..., [problem.names.index(name) for name in names]] * ratio[place]
         whole = np.einsum("soep,soeq->pq", jacobian, jacobian)
         gradient = np.einsum("soep,soe->p", jacobian, rows.residual) + whole @ away[place]
-        known, told = _tolerating(whole, gradient, _TOLERATED * np.abs(common))
-        information.append(known)
+        tolerant, told = _tolerating(whole, gradient, _TOLERATED * size)
+        information.append(tolerant)
         slope.append(told)
-    over = {c: deviation[c] / fit.noise[c] for c in deviation if fit.noise.get(c, 0.0) > 0}
+    over = {c: max(f.residual_over_noise.get(c, 0.0) for f in own) for c in deviation if fit.noise.get(c, 0.0) > 0}
     return Curvatures(np.stack(information), np.stack(slope), over, logarithmic)
 
 

@@ -1,6 +1,8 @@
 """Which parameters differ between experiments: the fewest that, free in each, explain that one set for all does not fit."""
 
+import itertools
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 import scipy.stats
@@ -9,6 +11,7 @@ from jaxtyping import Float
 # Of an eigenvalue to the largest; less than this is nothing that an experiment shows.
 SHOWN = 1e-4
 _NAMED = 3  # parameters that are named
+_NEXT_TO_ALL = 0.95  # fraction of the differences, beyond which what is left is of no consequence
 
 Information = Float[np.ndarray, "experiment parameter parameter"]
 Slope = Float[np.ndarray, "experiment parameter"]
@@ -46,26 +49,41 @@ def _drop(matrix: np.ndarray, gradient: np.ndarray) -> tuple[float, int]:
     return float(np.sum((vectors[:, kept].T @ (gradient / diagonal)) ** 2 / values[kept])), int(np.sum(kept))
 
 
-def selected(information: Information, slope: Slope, level: float) -> tuple[list[int], list[float]]:
-    """Return the fewest parameters that explain that experiments differ, and which fraction of it each set explains.
+class Chosen(NamedTuple):
+    """The fewest parameters that explain that experiments differ.
 
-    One after the other that which explains most beside those before it, until what is left is what chance leaves, or the next
-    explains no more than chance.
+    Attributes:
+        places: of them, the one that explains most by itself first.
+        fraction: of the chi-square that they explain together.
+        rival: the same of the best other set of as many.
+        suffices: whether what is left is what chance leaves, or next to nothing.
+    """
+
+    places: tuple[int, ...]
+    fraction: float
+    rival: float
+    suffices: bool
+
+
+def selected(information: Information, slope: Slope, level: float) -> Chosen:
+    """Return the fewest parameters that explain that experiments differ, of all sets of one, two and three.
+
+    Taken one after the other, a parameter that goes along with two others would come first though it does not differ itself.
     """
     parameters = slope.shape[1]
     whole, freedom = explained(information, slope, range(parameters))
-    chosen: list[int] = []
-    fractions: list[float] = []
-    so_far, spent = 0.0, 0
-    while (
-        len(chosen) < min(_NAMED, parameters) and scipy.stats.chi2.sf(whole - so_far, max(1, freedom - spent)) < level
-    ):
-        further = {p: explained(information, slope, [*chosen, p]) for p in range(parameters) if p not in chosen}
-        best = max(further, key=lambda p: further[p][0])
-        gained, used = further[best][0] - so_far, max(1, further[best][1] - spent)
-        if scipy.stats.chi2.sf(gained, used) > level / len(further):
+    found = Chosen((), 0.0, 0.0, True)
+    if not scipy.stats.chi2.sf(whole, freedom) < level:
+        return found
+    for size in range(1, min(_NAMED, parameters) + 1):
+        sets = {free: explained(information, slope, free) for free in itertools.combinations(range(parameters), size)}
+        best, *others = sorted(sets, key=lambda free: -sets[free][0])
+        gained, spent = sets[best]
+        left = scipy.stats.chi2.sf(max(whole - gained, 0.0), max(1, freedom - spent))
+        rival = max((sets[free][0] for free in others), default=0.0)
+        suffices = bool(left >= level) or gained > _NEXT_TO_ALL * whole
+        alone = sorted(best, key=lambda p: -explained(information, slope, [p])[0])
+        found = Chosen(tuple(alone), min(gained / whole, 1.0), rival / whole, suffices)
+        if suffices:
             break
-        chosen.append(best)
-        so_far, spent = further[best]
-        fractions.append(min(so_far / whole, 1.0) if whole > 0 else 0.0)
-    return chosen, fractions
+    return found

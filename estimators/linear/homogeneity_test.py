@@ -15,8 +15,9 @@ from rtac_jax.renamed import renamed
 
 _DETERMINED = 0.5  # standard deviation over value
 _SINGULAR = 1e-9  # of correlations
-# Residual over noise up to which a fit follows: noise read off a spectrum is right to a factor of two at the worst.
-_FOLLOWED_ALONE = 2.0
+# Residual over noise up to which a fit follows: noise read off a spectrum is 0.8 to 1.1 times the truth.
+_FOLLOWED_ALONE = 1.3
+_NO_RIVAL = 0.9  # of what one quantity explains, below which another does not explain as much
 Covariates = Mapping[str, Mapping[str, float]]
 """Further covariates: by name, and then by condition or experiment."""
 
@@ -75,9 +76,13 @@ class Equality:
         left_out: conditions that determine a natural frequency or damping ratio worse than to half its size, where standard
             deviations mean little.
         level: at which equality is called broken.
-        varying: of a nonlinear fit the fewest quantities that explain that conditions differ, the one that explains most first.
-        explained: fraction of the chi-square that these explain, each with those before it [1].
-        over_noise: of a nonlinear fit what is left over the noise by channel, where each condition was fitted by itself.
+        varying: of a nonlinear fit the fewest quantities, three at most, that explain that conditions differ, the one that
+            explains most by itself first.
+        explained: fraction of the differences that these explain together [1].
+        rival: fraction that the best other set of as many explains [1].
+        suffices: whether what these leave is chance, or of no consequence.
+        over_noise: of a nonlinear fit what is left over the noise at most, by channel, where each condition was fitted by itself;
+            empty where none was. Values, their deviations and `varying` then allow each quantity a thousandth of its size.
     """
 
     names: tuple[str, ...]
@@ -96,7 +101,9 @@ class Equality:
     left_out: tuple[str, ...]
     level: float
     varying: tuple[str, ...] = ()
-    explained: tuple[float, ...] = ()
+    explained: float = 0.0
+    rival: float = 0.0
+    suffices: bool = True
     over_noise: Mapping[str, float] = field(default_factory=dict)
 
     @property
@@ -117,9 +124,13 @@ class Equality:
 
     @property
     def decisive(self) -> bool:
-        """Return whether the model follows each condition by itself, and one set of parameters for all does not."""
+        """Return whether the model follows each condition by itself, one set for all does not, and one quantity explains that.
+
+        Several that differ at once are what a missing effect looks like, and so is one beside which another explains as much.
+        """
         left = max(self.over_noise.values(), default=math.inf)
-        return not self.equal and bool(self.varying) and left <= _FOLLOWED_ALONE
+        alone = len(self.varying) == 1 and self.suffices and self.rival < _NO_RIVAL * self.explained
+        return not self.equal and alone and left <= _FOLLOWED_ALONE
 
     @property
     def differences(self) -> str:
@@ -133,11 +144,13 @@ class Equality:
                 "sooner than a drift: ask est.diagnose."
             )
         else:
-            names = ", ".join(f'"{name}"' for name in self.varying)
-            advice = f"Fit a value for each experiment (model.each_experiment({names}))."
+            advice = (
+                "Where est.diagnose names no effect that explains it better, fit a value for each experiment "
+                f'(model.each_experiment("{self.varying[0]}")).'
+            )
         return (
             f"Experiments differ: with parameters of its own each is followed to {max(self.over_noise.values()):.2f} times the "
-            f"noise, and with one set for all they are not. {' '.join(self._differing())} {advice}"
+            f"noise or less, and with one set for all they are not. {' '.join(self._differing())} {advice}"
         )
 
     def best_trend(self, name: str) -> Trend | None:
@@ -178,9 +191,10 @@ class Equality:
                     f"{name[0].upper()}{name[1:]} drifts with {covariate_words(trend.covariate)}: {trend.slope:+.3g} ± "
                     f"{trend.slope_std:.1g}{unit} over its range, {100 * trend.fraction:.0f} % of the scatter."
                 )
-        if self.explained:
-            alone = "That alone explains" if len(self.explained) == 1 else "Together they explain"
-            said.append(f"{alone} {100 * self.explained[-1]:.0f} % of the difference.")
+        if self.varying:
+            alone = "That alone explains" if len(self.varying) == 1 else "Together they explain"
+            rest = "" if self.suffices else ", and the rest is no chance"
+            said.append(f"{alone} {100 * self.explained:.0f} % of the difference{rest}.")
         return said
 
     def _left(self) -> list[str]:

@@ -139,6 +139,8 @@ class Descent:
             other = self._ended(model, space, guided, substeps, noise, best)
         except FloatingPointError:
             # Where a filter predicts, no simulation need stay.
+            if end is not None:
+                return end
             other = self._ended(model, space, unknowns, substeps, noise, best)
         return other if end is None else min(end, other, key=lambda one: one.cost)
 

@@ -217,7 +217,7 @@ def _varying(found: Equality) -> dict[str, Any]:
     """Return which parameters differ between experiments, and their values in each."""
     places = [found.names.index(name) for name in found.varying]
     return {
-        "explained": found.explained[-1],
+        "explained": found.explained,
         "experiments": list(found.conditions),
         "parameters": {
             found.names[i]: {"values": found.values[:, i].tolist(), "std": found.std[:, i].tolist()} for i in places

@@ -59,8 +59,14 @@ def test_all_sets_of_assumptions_count_it(recording: rtac.Recording, free: est.F
     for kind in ("plain", "sandwich"):
         assert counted.std(kind)["torque_constant"] > 3 * alone.std(kind)["torque_constant"]
         assert counted.std(kind)["torque_constant"] == pytest.approx(wanted.std(kind)["torque_constant"], rel=0.1)
-    gained = counted.clustered - alone.clustered
-    assert np.allclose(gained, counted.plain - alone.plain, rtol=1e-6, atol=0.0)
+
+
+def test_what_depends_on_the_whole_model_is_not_said_to_be_less_sure_than_the_data_have_it(
+    recording: rtac.Recording, free: est.Fit, held: est.Fit
+) -> None:
+    """All torques scale together: the arm's response by the current does not change, however unsure the scale is."""
+    counted = counting_held(held, recording, {HELD: free.parameters[HELD].std})
+    assert np.array_equal(counted.information.own_covariance, held.information.covariance)
 
 
 def test_what_is_exact_or_free_adds_nothing(recording: rtac.Recording, free: est.Fit, held: est.Fit) -> None:

@@ -35,8 +35,18 @@ def test_what_both_took_from_one_measured_constant_is_no_disagreement() -> None:
     own[:, 1, 0] = own[:, 0, 0] + 1e-13 * random.normal(size=80)
     both = np.ones(2, dtype=bool)
     found = hausman._pair(("a", "b"), np.array([1e-12, 0.5]), own, both)
+    assert found is not None
     assert np.isnan(found.difference[0])
     assert np.isfinite(found.difference[1])
     assert found.p_value > 0.5
-    shared = hausman._pair(("a", "b"), np.array([1e-12, 0.5]), own, np.array([True, False]))
-    assert shared.p_value == 1.0
+    assert hausman._pair(("a", "b"), np.array([1e-12, 0.5]), own, np.array([True, False])) is None
+
+
+def test_what_replicates_share_and_the_data_do_not_is_a_disagreement() -> None:
+    """Where the model is right the two are one to a ten thousandth of their deviation; here they are fifty deviations apart."""
+    random = np.random.default_rng(0)
+    drawn = random.normal(size=(80, 2, 1))
+    drawn[:, 1] = drawn[:, 0] + 1e-4 * random.normal(size=(80, 1))
+    found = hausman._pair(("a", "b"), np.array([50.0]), drawn, np.array([True]))
+    assert found is not None
+    assert found.p_value < 1e-6

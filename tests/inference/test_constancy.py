@@ -13,6 +13,7 @@ from estimators.inference.separate_fits import _tolerating
 from estimators.inference.varying_parameters import explained, selected
 from estimators.linear.homogeneity_test import Trend
 from rtac_jax import virtual_rig
+from rtac_jax.effects import CATALOGUE
 
 MASS, STIFFNESS, VISCOUS = 1.23, 132.6, 0.5543  # paper, section 4.2
 RUNS = 10
@@ -99,10 +100,14 @@ def drifting_drive(gains):
 
 
 @pytest.fixture(scope="module")
-def drifted():
-    recording = drifting_drive(GAINS)
-    fit = est.output_error(rtac.RTAC.from_rig(recording), recording, progress=False)
-    return fit, est.constancy(fit, recording)
+def driven():
+    return drifting_drive(GAINS)
+
+
+@pytest.fixture(scope="module")
+def drifted(driven):
+    fit = est.output_error(rtac.RTAC.from_rig(driven), driven, progress=False)
+    return fit, est.constancy(fit, driven)
 
 
 def test_a_gain_that_drifts_is_named_alone_though_one_linear_step_does_not_reach_it(drifted):
@@ -110,12 +115,14 @@ def test_a_gain_that_drifts_is_named_alone_though_one_linear_step_does_not_reach
     assert fit.farthest > 3.5, "the common fit is far off"
     assert max(found.over_noise.values()) < 1.2, "and each by itself is not"
     assert found.varying == ("torque_constant",)
-    assert found.explained[-1] > 0.9
+    assert found.explained > 0.9
+    assert found.rival < 0.9 * found.explained
     own = found.values[:, found.names.index("torque_constant")]
     shown = own[np.isfinite(own)]
     assert shown == pytest.approx(virtual_rig.Rig().torque_constant * np.array(GAINS), rel=3e-3)
     assert found.best_trend("torque_constant") is None, "these gains go with nothing"
     assert found.decisive
+    assert "Where est.diagnose names no effect that explains it better, fit a value for each" in found.differences
     assert 'model.each_experiment("torque_constant")' in found.differences
 
 
@@ -131,18 +138,66 @@ def test_what_goes_with_the_motion_is_an_effect_sooner_than_a_drift(drifted):
     assert "each_experiment" not in told
 
 
-def test_differences_are_looked_for_only_where_experiments_could_tell_them(drifted):
+def test_differences_are_looked_for_only_where_experiments_could_tell_them(drifted, driven):
     """Not of a fit that is at the noise, that is lost, or that cut its long experiments into pieces."""
     fit, _ = drifted
-    _, recording, _ = fitted(0.0)
+    found = differing(fit, driven)
+    assert found is not None
+    assert found.varying == ("torque_constant",)
     near = dataclasses.replace(fit, residual_std=dict(fit.noise))
     lost = dataclasses.replace(fit, result=RESULTS.undetermined)
     cut = dataclasses.replace(fit, statistics={**fit.statistics, "in_pieces": True})
-    assert [differing(one, recording) for one in (near, lost, cut)] == [None] * 3
+    assert [differing(one, driven) for one in (near, lost, cut)] == [None] * 3
+
+
+def test_the_advice_can_be_followed(drifted, driven):
+    """With a value for each experiment the fit is at the noise, and everything can be asked of it."""
+    fit, _ = drifted
+    each = est.output_error(fit.model.each_experiment("torque_constant"), driven, from_model=True, progress=False)
+    assert each.farthest < 1.1
+    again = est.constancy(each, driven)
+    assert not again.decisive
+    assert est.covariances(each, driven).names == each.information.names
+    assert differing(each, driven) is None
+
+
+@pytest.mark.parametrize("hidden", [{"cubic_spring": 1e5}, {"tilt_across": 0.05}])
+def test_a_missing_effect_is_no_drift(hidden):
+    """Forced runs alone, whose amplitudes differ: each by itself may be followed, with several parameters moved at once."""
+    rig = virtual_rig.Rig(**hidden)
+    plans = virtual_rig.standard_plans(seed=3, duration=3.0, free=0, forced=4, rest=1)
+    recording = virtual_rig.record(rig, plans, seed=5)
+    fit = est.output_error(rtac.RTAC.from_rig(recording), recording, progress=False)
+    assert fit.farthest > 3
+    assert differing(fit, recording) is None
+    assert est.constancy(fit, recording).differences == ""
+
+
+def test_a_parameter_that_is_nearly_nothing_in_common_may_drift():
+    """A bias of the tachometer of +-0.5 rad/s, whose common estimate is next to zero."""
+    rig = virtual_rig.Rig()
+    plans = virtual_rig.standard_plans(seed=4, duration=3.0, free=1, forced=4, rest=1)
+    by_sign = {sign: virtual_rig.record(virtual_rig.Rig(tacho_bias=0.5 * sign), plans, seed=20) for sign in (1, -1)}
+    names = [e.name for e in by_sign[1] if e.kind == "forced"]
+    mixed = [
+        by_sign[(-1) ** names.index(e.name)][e.name] if e.name in names else e
+        for e in virtual_rig.record(rig, plans, seed=20)
+    ]
+    recording = rtac.Recording(
+        [e for e in mixed if e.kind != "free"], {"total_mass": rig.total_mass, "arm_inertia": rig.arm_inertia}
+    )
+    model = rtac.RTAC.from_rig(recording) + CATALOGUE["tacho_bias"](0.0)
+    fit = est.output_error(model, recording, progress=False)
+    found = est.constancy(fit, recording)
+    assert max(found.over_noise.values()) < 1.3
+    assert found.varying == ("tacho_bias.bias",)
+    values = found.values[:, found.names.index("tacho_bias.bias")]
+    assert values == pytest.approx([0.5, -0.5, 0.5, -0.5], abs=0.02)
 
 
 def test_where_no_experiment_is_followed_by_itself_nothing_is_found(drifted):
     _, found = drifted
+    assert found.decisive
     lost = dataclasses.replace(found, over_noise={"arm_velocity": 38.0})
     assert not lost.decisive
     assert lost.differences == ""
@@ -164,8 +219,22 @@ def test_the_fewest_that_explain_are_those_that_differ():
     own = np.zeros((5, 3))
     own[:, 1] = (0.0, 0.1, 0.2, 0.3, 0.4)
     slope = -np.einsum("epq,eq->ep", information, own)
-    assert selected(information, slope, 0.01)[0] == [1]
+    assert selected(information, slope, 0.01).places == (1,)
     whole, freedom = explained(information, slope, [0, 1, 2])
     assert freedom == 12
     assert explained(information, slope, [1]) == (pytest.approx(whole), 4)
-    assert selected(information, np.zeros((5, 3)), 0.01) == ([], [])
+    assert selected(information, np.zeros((5, 3)), 0.01).places == ()
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_what_goes_along_with_two_that_differ_is_not_named(seed):
+    """The third of three is nearly the sum of the others in what it does, and is the same in all experiments."""
+    random = np.random.default_rng(seed)
+    roots = random.normal(size=(6, 200, 3))
+    roots[..., 2] = (roots[..., 0] + roots[..., 1]) / np.sqrt(2) + 0.3 * random.normal(size=(6, 200))
+    information = np.einsum("ekp,ekq->epq", roots, roots) * 1e4
+    own = np.zeros((6, 3))
+    own[:, 0] = own[:, 1] = 0.01 * np.arange(6)
+    found = selected(information, -np.einsum("epq,eq->ep", information, own), 0.01)
+    assert set(found.places) == {0, 1}
+    assert found.suffices

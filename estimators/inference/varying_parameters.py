@@ -1,4 +1,4 @@
-"""Which parameters differ between experiments: the fewest that, free in each, explain that one set for all does not fit."""
+"""Selection of the parameters that differ between experiments: the fewest that, free in each, explain that one set does not fit."""
 
 import itertools
 from collections.abc import Sequence

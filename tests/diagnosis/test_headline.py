@@ -91,3 +91,11 @@ def test_what_was_learned_is_called_no_physical_effect():
     mended = looped(NAMED, diagnosis("unknown"), steps=3, added=NAMED.effects, learned=LEARNED)
     assert mended.headline.startswith("flexible_mode was missing; the mended model still fails")
     assert mended.mended == "unknown"
+
+
+def test_deviations_are_said_to_count_what_is_held_only_where_they_do():
+    found = looped(NAMED, diagnosis("adequate"), held=("flexible_mode",))
+    counted = "Standard deviations of the others count how well the diagnosis knew it."
+    assert counted not in found.ending
+    last = dataclasses.replace(found.final, held={"flexible_mode.mass": 0.01})
+    assert counted in dataclasses.replace(found, fits=(*found.fits[:-1], last)).ending

@@ -77,7 +77,7 @@ def test_nothing_of_an_effect_that_is_held_is_fitted() -> None:
     [
         ({FREE: 1.0, HELD: 2.0}, True, False, "nothing more"),
         ({FREE: 5.0, HELD: 2.0}, True, True, "Held at the estimate of the diagnosis"),
-        ({FREE: None, HELD: 2.0}, True, True, "cubic_spring. Standard deviations of the others count"),
+        ({FREE: None, HELD: 2.0}, True, True, "cubic_spring. Stopped"),
         ({FREE: 5.0, HELD: 6.0}, False, False, "would not fall"),
         ({FREE: 5.0, HELD: 3.9}, False, False, "would not help clearly either"),
         ({FREE: 5.0, HELD: 3.9, PREDICTED: 2.0}, True, False, "est.prediction_error_nonlinear"),

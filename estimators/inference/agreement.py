@@ -13,7 +13,6 @@ from estimators.core.drawing import draw
 from estimators.core.fit import FAR
 from estimators.inference.assumptions import assumed
 from estimators.inference.simulation_residual import SimulationResidual
-from rtac_jax.effects import CATALOGUE
 
 Vector = Float[np.ndarray, " quantity"]
 _BROKEN_BY = 4  # effects that are named with an assumption, the likeliest ones
@@ -115,8 +114,7 @@ class Agreement:
 
         Where to look first, and no list to choose from: a fit of the whole motion hands an error on to other quantities too.
         """
-        named = [effect for _, effects in self._assumptions() for effect in effects]
-        return tuple(effect for effect in dict.fromkeys(named) if effect in CATALOGUE)
+        return tuple(dict.fromkeys(effect for _, effects in self._assumptions() for effect in effects))
 
     @property
     def verdict(self) -> str:

@@ -28,7 +28,7 @@ _ARM_FRICTION = (
     ),
 )
 
-ASSUMES: dict[str, tuple[str, tuple[str, ...]]] = {
+_ASSUMES: dict[str, tuple[str, tuple[str, ...]]] = {
     "spring_stiffness": _LINEAR_SPRING,
     "natural frequency": _LINEAR_SPRING,
     "cart_viscous.coefficient": _CART_FRICTION,
@@ -75,11 +75,10 @@ def assumed(name: str, channels: Collection[str]) -> tuple[str, tuple[str, ...]]
         name: of the quantity.
         channels: that were recorded; effects of a sensor that the rig does not have are left out.
     """
-    if name not in ASSUMES:
+    if name not in _ASSUMES:
         return None
-    words, effects = ASSUMES[name]
+    words, effects = _ASSUMES[name]
     if words == _INTEGRATED and ("arm_angle" in channels or "arm_velocity" not in channels):
         words = _LEVEL
-    # Effects that are in no catalogue here (a user's may have been taken out) are named as they are.
-    needs = {effect: getattr(CATALOGUE.get(effect), "needs_channel", None) for effect in effects}
+    needs = {effect: CATALOGUE[effect].needs_channel for effect in effects}
     return words, tuple(effect for effect, channel in needs.items() if channel is None or channel in channels)

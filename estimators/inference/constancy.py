@@ -58,11 +58,11 @@ def constancy(fit: Fit, recording: Recording, *, covariates: Covariates | None =
     if len(experiments) < _LEAST:
         raise ValueError(f"constancy: {len(experiments)} experiment(s) show no drift; give at least {_LEAST}.")
     names = tuple(name for name in problem.names if name not in fit.model.priors)
-    around = about_common(fit, recording, names)
+    around = about_common(problem, names)
     chi_square, freedom = explained(around.information, around.slope, range(len(names)))
     p_value = float(scipy.stats.chi2.sf(chi_square, freedom))
     if p_value < level and chi_square > _BEYOND_ONE_STEP * float(np.sum(np.asarray(problem.arguments.data.present))):
-        around = about_own(fit, recording, names) or around
+        around = about_own(fit, problem, recording, names) or around
     information, slope = around.information, around.slope
     estimates = np.array([float(np.asarray(fit.model[name])) for name in names])
     every = _covariates(experiments, recording, covariates)

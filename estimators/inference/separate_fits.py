@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 
 from estimators.core.data import CHANNELS
 from estimators.core.fit import Fit
-from estimators.core.linearisation import at_fit, problem_of, rows_at
+from estimators.core.linearisation import Problem, problem_of, rows_at
 from estimators.core.results import DivergedError, NotIdentifiableError
 from estimators.output_error.fit import output_error
 from rtac_jax import RTAC
@@ -41,9 +41,8 @@ class Curvatures(NamedTuple):
     logarithmic: Bool[np.ndarray, " parameter"]
 
 
-def about_common(fit: Fit, recording: Recording, names: Sequence[str]) -> Curvatures:
+def about_common(problem: Problem, names: Sequence[str]) -> Curvatures:
     """Return the likelihood to second order about the common fit itself, with the residual that it left as the noise."""
-    problem = at_fit(fit, recording)
     rows = rows_at(problem)
     jacobian = rows.jacobian[..., [problem.names.index(name) for name in names]]
     return Curvatures(
@@ -54,7 +53,7 @@ def about_common(fit: Fit, recording: Recording, names: Sequence[str]) -> Curvat
     )
 
 
-def about_own(fit: Fit, recording: Recording, names: Sequence[str]) -> Curvatures | None:
+def about_own(fit: Fit, problem: Problem, recording: Recording, names: Sequence[str]) -> Curvatures | None:
     """Return the likelihood to second order about a fit of each experiment by itself; None where one cannot be fitted.
 
     What all of these leave is the noise. Parameters that an experiment does not show stay near the common fit. A robust fit is
@@ -63,12 +62,14 @@ def about_own(fit: Fit, recording: Recording, names: Sequence[str]) -> Curvature
     if fit.weights:
         return None
     common = np.array([float(np.asarray(fit.model[name])) for name in names])
-    size = np.maximum(np.abs(common), _plausible(fit, recording, names))
+    space = problem.arguments.space
+    # One that is nearly nothing in the common fit may drift all the same, by what is plausible.
+    scale = np.array([float(np.asarray(space.scale)[space.names.index(name)]) for name in names])
+    size = np.maximum(np.abs(common), scale)
     beginning = _wide(fit.model, names, common, size)
-    experiments = at_fit(fit, recording).experiments
     rest = [e for e in recording if e.kind == "rest"]
     own = []
-    for place, experiment in enumerate(experiments):
+    for place, experiment in enumerate(problem.experiments):
         model = beginning.with_values(
             {n: np.asarray(fit.model[n])[place : place + 1] for n in fit.model.per_experiment}
         )
@@ -77,14 +78,7 @@ def about_own(fit: Fit, recording: Recording, names: Sequence[str]) -> Curvature
             own.append(output_error(model, alone, from_model=True, progress=False))
         except (NotIdentifiableError, DivergedError, FloatingPointError):
             return None
-    return _pooled(fit, own, experiments, names, common, size)
-
-
-def _plausible(fit: Fit, recording: Recording, names: Sequence[str]) -> Float[np.ndarray, " parameter"]:
-    """Return sizes that parameters plausibly have, beside which one that is nearly nothing may still drift."""
-    space = at_fit(fit, recording).arguments.space
-    scale = np.asarray(space.scale)
-    return np.array([float(scale[space.names.index(name)]) for name in names])
+    return _pooled(fit, own, problem.experiments, names, common, size)
 
 
 def _wide(
@@ -110,8 +104,8 @@ def _pooled(
     levels = np.array([deviation.get(c, 1.0) for c in CHANNELS])
     values = np.array([[float(np.asarray(found.model[name])) for name in names] for found in own])
     # Of what is known by itself in no experiment the logarithm would be of noise.
-    known = np.array([[found.parameters[name].std for name in names] for found in own])
-    logarithmic = np.all((values * common > 0) & (np.abs(values) > _SURE * known), axis=0)
+    std = np.array([[found.parameters[name].std for name in names] for found in own])
+    logarithmic = np.all((values * common > 0) & (np.abs(values) > _SURE * std), axis=0)
     ratio = np.where(logarithmic, values / np.where(common == 0, 1.0, common), 1.0)
     away = np.where(logarithmic, -common * np.log(ratio), common - values)
     information, slope = [], []

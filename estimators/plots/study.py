@@ -15,7 +15,7 @@ _NOMINAL = 0.95
 
 
 def plot_estimates(found: StudyResults) -> Picture:
-    """Histogram of every estimate's error, and the normal density with the mean error and the stated standard deviation.
+    """Draw the histogram of every estimate's error, and the normal density with the mean error and the stated standard deviation.
 
     Raises:
         ValueError: nothing was estimated.
@@ -133,7 +133,7 @@ def plot_pairs(found: StudyResults, estimator: str | None = None) -> Picture:
 
 
 def plot_confusions(found: StudyResults) -> Picture:
-    """Fraction of repetitions in which an effect was named, by what was hidden, as a heat map.
+    """Draw the fraction of repetitions in which an effect was named, by what was hidden, as a heat map.
 
     Raises:
         ValueError: the study made no diagnosis.

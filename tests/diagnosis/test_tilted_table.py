@@ -59,4 +59,3 @@ def test_a_tilt_steeper_than_a_wall_says_what_is_known_instead() -> None:
     assert "a torque of 0.45 N m. Give eccentric_moment" in steep
     assert steep.startswith("gravity_tilt of 43.3 is no sine")
     assert CATALOGUE["gravity_tilt"](along=0.0, across=1.0).remark(body) == ""
-    assert CATALOGUE["cubic_spring"](1e9).remark(body) == ""

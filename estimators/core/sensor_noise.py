@@ -24,22 +24,25 @@ def noise_levels(experiments: Sequence[Experiment]) -> dict[str, float]:
     """Return the standard deviation of the noise of every recorded channel, SI units.
 
     In this order: the standard deviation at rest; `noise_std` of the file; the quietest fifth of the spectrum, which is
-    right where the motion leaves some band empty. Never below a twelfth of a quantisation step squared.
+    right where the motion leaves some band empty. Never below a twelfth of a quantisation step squared. A record that reads the
+    same throughout tells neither noise nor step.
     """
     levels = {}
     for channel in OUTPUTS:
         holders = [e for e in experiments if channel in e.outputs]
         if not holders:
             continue
-        step = _least_step(e.outputs[channel].values for e in holders)
+        step = _least_step(signal.values for e in holders if (signal := e.outputs[channel]).varies)
         stated = [s for e in holders if (s := e.outputs[channel].noise_std) is not None]
-        resting = [e.outputs[channel].values for e in holders if e.kind == "rest"]
+        resting = [signal.values for e in holders if e.kind == "rest" and (signal := e.outputs[channel]).varies]
         moving = [e for e in holders if e.kind != "rest"]
         if resting:
             deviations = np.concatenate([values - np.nanmean(values) for values in resting])
             level = float(np.sqrt(np.nanmean(deviations**2)))
         elif stated:
             level = float(np.sqrt(np.mean(np.square(stated))))
+        elif not moving:
+            level = 0.0
         else:
             level = float(np.median([spectral_floor(e.outputs[channel].values) for e in moving]))
         levels[channel] = max(level, step / np.sqrt(12.0), 1e-300)
@@ -51,7 +54,9 @@ def stated_levels(experiments: Sequence[Experiment]) -> dict[tuple[str, str], fl
 
     Never below a twelfth of a quantisation step squared.
     """
-    resting = {channel for e in experiments if e.kind == "rest" for channel in e.outputs}
+    resting = {
+        channel for e in experiments if e.kind == "rest" for channel, signal in e.outputs.items() if signal.varies
+    }
     return {
         (e.name, channel): max(signal.noise_std, quantisation_step(signal.values) / np.sqrt(12.0))
         for e in experiments
@@ -67,7 +72,7 @@ def _least_step(several: Iterable[Values]) -> float:
         least = min(least, quantisation_step(values))
         if least == 0.0:
             break
-    return float(least)
+    return float(least) if np.isfinite(least) else 0.0
 
 
 def quantisation_step(values: Values) -> float:

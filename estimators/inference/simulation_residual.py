@@ -94,7 +94,7 @@ def known_noise(recording: "Recording") -> frozenset[str]:
         channel
         for e in recording
         for channel, signal in e.outputs.items()
-        if e.kind == "rest" or signal.noise_std is not None
+        if (e.kind == "rest" and signal.varies) or signal.noise_std is not None
     )
 
 

@@ -39,7 +39,10 @@ class NoiseModel:
         cls, levels: Mapping[str, float], experiments: Sequence[Experiment], scales: Scales, space: Space
     ) -> "NoiseModel":
         """Build the prior from noise levels; a rest record or a stated level is trusted as far as its length allows."""
-        resting = {c: sum(e.samples for e in experiments if e.kind == "rest" and c in e.outputs) for c in CHANNELS}
+        resting = {
+            c: sum(e.samples for e in experiments if e.kind == "rest" and c in e.outputs and e.outputs[c].varies)
+            for c in CHANNELS
+        }
         doubt = [np.sqrt(2.0 / n) + 0.03 if (n := resting[c]) > 0 else 0.5 for c in CHANNELS]
         return cls(
             np.array([levels.get(c, 1.0) for c in CHANNELS]),

@@ -99,6 +99,12 @@ class Signal:
             )
         object.__setattr__(self, "values", values)
 
+    @property
+    def varies(self) -> bool:
+        """Return whether its values differ: one that reads the same throughout, as an encoder at rest does, tells no noise."""
+        present = self.values[~np.isnan(self.values)]
+        return len(present) > 0 and bool(np.ptp(present) > 0)
+
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Signal):
             return NotImplemented

@@ -5,6 +5,7 @@ import pytest
 
 import rtac_jax as rtac
 from estimators.core.sensor_noise import noise_levels, quantisation_step, spectral_floor
+from estimators.inference.simulation_residual import known_noise
 
 MISSING = {
     "none": lambda index, random: index < 0,
@@ -63,3 +64,27 @@ def test_noise_levels_from_rest_statement_and_spectrum() -> None:
     coarse = np.round(motion / 1e-3) * 1e-3
     assert quantisation_step(coarse) == pytest.approx(1e-3, rel=1e-6)
     assert quantisation_step(motion) == 0.0
+
+
+@pytest.mark.parametrize("reading", [0.0, 3.33])
+def test_a_rest_record_that_reads_one_value_tells_no_noise(reading) -> None:
+    """As that of an encoder, or of a coarse converter: its steps show where the arm moves."""
+    time = 0.005 * np.arange(4000)
+    angle = 0.5 * np.sin(10 * time) * np.exp(-0.2 * time)
+    resting = rtac.Experiment.of("r", kind="rest", sample_time=0.005, arm_angle=np.full(400, reading))
+
+    def levels(values):
+        moving = rtac.Experiment.of("a", kind="free", sample_time=0.005, arm_angle=values)
+        return noise_levels([moving])["arm_angle"], noise_levels([moving, resting])["arm_angle"]
+
+    alone, beside = levels(np.round(angle / 1e-3) * 1e-3)
+    assert beside == pytest.approx(alone) == pytest.approx(1e-3 / np.sqrt(12), rel=0.3)
+    alone, beside = levels(angle + 2e-5 * np.random.default_rng(0).normal(size=4000))
+    assert beside == pytest.approx(alone) == pytest.approx(2e-5, rel=0.2)
+    recording = rtac.Recording([resting, rtac.Experiment.of("a", kind="free", sample_time=0.005, arm_angle=angle)])
+    assert known_noise(recording) == frozenset()
+
+
+def test_a_channel_that_reads_one_value_wherever_it_was_recorded_has_no_noise() -> None:
+    rest = rtac.Experiment.of("r", kind="rest", sample_time=0.005, arm_angle=np.zeros(400))
+    assert noise_levels([rest])["arm_angle"] == 1e-300

@@ -77,6 +77,9 @@ class Known:
     def simulation(self, model: FittedModel) -> SimulationError | None:
         return None
 
+    def simulation_errors(self, before: FittedModel, several: Sequence[Score]) -> dict[str, Mapping[str, float]]:
+        return {}
+
 
 def screened(effect: str) -> Score:
     return Score(effect, 0, ("size",), 100.0, 1e-9)

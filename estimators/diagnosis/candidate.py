@@ -6,6 +6,8 @@ from collections.abc import Mapping
 
 from estimators.core.fit import Parameter
 
+_MOST = 0.5  # fraction of the misfit: what removes more explains most of it
+
 
 @dataclasses.dataclass(frozen=True)
 class Candidate:
@@ -44,6 +46,16 @@ class Candidate:
     correlation: Mapping[str, float] = dataclasses.field(default_factory=dict)
 
     @property
+    def explains_most(self) -> bool:
+        """Return whether a refit with the effect was worth its parameters and removed most of the misfit."""
+        return self.refitted and self.bic_gain > 0 and self.error_reduction > _MOST
+
+    @property
+    def can_show(self) -> bool:
+        """Return whether the data can show the effect, before or after it is fitted."""
+        return self.testable or self.explains_most
+
+    @property
     def deviations(self) -> dict[str, float]:
         """Return the standard deviations of the parameters that were estimated."""
         return {name: one.std for name, one in self.parameters.items() if not one.is_fixed}
@@ -58,5 +70,5 @@ class Candidate:
 
     @property
     def limit_or_why(self) -> str:
-        """Return the detection limit, or why there is none."""
-        return self.limit or ("shows once fitted" if self.testable else "not testable")
+        """Return the detection limit, or why there is none: random forces may stand for what shows only once it is fitted."""
+        return self.limit or ("shows once fitted" if self.can_show else "not testable with these data")

@@ -22,6 +22,7 @@ from estimators.diagnosis.evidence import Evidence
 from estimators.diagnosis.explanation import (
     SHAKEN,
     floor_of,
+    found_by_simulation,
     not_named,
     shaken,
     strayed,
@@ -42,8 +43,8 @@ from estimators.diagnosis.noise_colour import recoloured
 from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
 from estimators.diagnosis.refitting import compile_base, compile_for, fit_base, parameters_of, trusting
 from estimators.diagnosis.removed_error import Verdict, floor
+from estimators.diagnosis.selection import Selection, by_size
 from estimators.diagnosis.setting import Setting, effect_of, setting_of
-from estimators.diagnosis.stepwise_selection import Selection, by_size
 from estimators.diagnosis.testability import stood_for
 from estimators.diagnosis.verdict import Consequence, Judgement, decide, judge
 from estimators.diagnosis.workers import Workers
@@ -293,10 +294,13 @@ def _explanation(told: Diagnosis, found: Judgement, setting: Setting, *, thoroug
     )  # fmt: skip
     if told.simulation is not None and further and not steps:
         text += without_the_physics(further, told.simulation)
+    if steps and found.selection.simulated and told.evidence is not None:
+        known = told.evidence.simulations
+        text += found_by_simulation(known[found.selection.base.number], known[found.final.number])
     if steps and further:
         text += not_named(further, told.left, setting.samples)
     alarms = alarming(found.selection.findings.scores, told.policy.critical)
-    if steps and steps[0].id not in {s.id for s in alarms}:
+    if steps and not found.selection.simulated and steps[0].id not in {s.id for s in alarms}:
         text += f" {steps[0].id} raised no alarm by itself: it was tried because what did explains less, or nothing."
     text += "".join(f" {remark}" for effect in told.additions if (remark := effect.remark(setting.model.body)))
     if struck := [effect.id for effect in told.additions if effect.acts_by_contact]:

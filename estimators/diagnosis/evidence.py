@@ -98,7 +98,7 @@ class Refitting:
 
     Attributes:
         before: number of the model.
-        way: "filter", "thorough" or "equations".
+        way: "filter", "thorough", "equations" or "simulation".
         effect: id.
         shape: of the candidate from which the refit began.
         after: number of the model that came of it; None where it diverged.
@@ -161,6 +161,8 @@ class Evidence:
         simulations: error of a free simulation by number of the model; of the base model that of the diagnosed fit.
         policy: the thresholds by which was chosen what to compute.
         equations: scores by what takes off the equation error, by number of the model; where a fit follows nothing.
+        simulated: rms error over the noise, by channel, of a simulation fitted with a candidate more, by number of the model and id
+            of the candidate; empty where it cannot be fitted.
     """
 
     facts: Facts
@@ -175,6 +177,7 @@ class Evidence:
     simulations: Mapping[int, SimulationError]
     policy: Mapping[str, float | int]
     equations: Mapping[int, tuple[Score, ...]] = dataclasses.field(default_factory=dict)
+    simulated: Mapping[tuple[int, str], Mapping[str, float]] = dataclasses.field(default_factory=dict)
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write the evidence to a file (JSON, with NaN and Infinity as numbers), aside first, and renamed once it is whole.

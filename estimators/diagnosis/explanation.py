@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 
 from estimators.core.fit import FAR, Parameter
 from estimators.diagnosis.candidate import Candidate
+from estimators.diagnosis.evidence import SimulationError
 from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
 from estimators.diagnosis.removed_error import Verdict, fraction_removed, without_named_rivals
 from estimators.diagnosis.step import Step
@@ -148,6 +149,23 @@ def not_named(further: Sequence[Step], left: Sequence[AdequacyTest], samples: in
     fraction = fraction_removed([first], samples)
     choice = " or ".join([first.id, *first.rivals])
     return f" Of what is then left {choice} would remove {100 * fraction:.0f} %, too little to be named."
+
+
+def found_by_simulation(before: SimulationError, after: SimulationError) -> str:
+    """Say why effects were selected by simulation, and how far its error falls with them.
+
+    Args:
+        before: the simulation of the fit that is diagnosed, beside its predictor.
+        after: that with the effects.
+    """
+    farthest = max(before.error, key=lambda channel: before.error[channel])
+    force, torque = before.random
+    return (
+        " This is what simulations select, as predictions one sample ahead do not tell: random forces stand in for the physics"
+        f" there ({100 * force:.2g} % of the rms spring force and {100 * torque:.2g} % of the rms torque in one sample). The"
+        f" error of the simulation falls from {before.error[farthest]:,.3g} to {after.error[farthest]:,.3g} times the noise"
+        f" ({farthest})."
+    )
 
 
 def without_the_physics(steps: Sequence[Step], simulation: SimulationResidual) -> str:

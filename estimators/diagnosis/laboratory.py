@@ -1,14 +1,14 @@
 """The laboratory of a diagnosis: what a selection may ask to be computed, answered from saved evidence here."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Literal, Protocol, runtime_checkable
 
 from estimators.diagnosis.evidence import Evidence, Facts, FittedModel, HeldOut, SimulationError
 from estimators.misspecification.findings import Findings, Score
 
-Way = Literal["filter", "thorough", "equations"]
-"""To refit a model with a candidate: from the shape that was screened, from wherever a refit may begin, or from where the equations
-of motion put it."""
+Way = Literal["filter", "thorough", "equations", "simulation"]
+"""To refit a model with a candidate: from the shape that was screened, from wherever a refit may begin, from where the equations of
+motion put it, or from where a fitted simulation ends."""
 
 
 @runtime_checkable
@@ -61,6 +61,10 @@ class Laboratory(Protocol):
 
     def simulation(self, model: FittedModel) -> SimulationError | None:
         """Return the error of a free simulation of a model."""
+        ...
+
+    def simulation_errors(self, before: FittedModel, several: Sequence[Score]) -> dict[str, Mapping[str, float]]:
+        """Return the rms error over the noise, by channel, that a simulation fitted with each of several candidates leaves."""
         ...
 
 
@@ -129,6 +133,15 @@ class Archive:
         if self.facts.noise_known and model.number not in self._evidence.simulations:
             self._note(f"simulation of the model with {_named(model)}")
         return self._evidence.simulations.get(model.number)
+
+    def simulation_errors(self, before: FittedModel, several: Sequence[Score]) -> dict[str, Mapping[str, float]]:
+        """Return the rms error over the noise, by channel, that a simulation fitted with each of several candidates leaves."""
+        known = {s.id: (before.number, s.id) for s in several}
+        for effect, key in known.items():
+            if key not in self._evidence.simulated:
+                self._note(f"simulation with {effect} beside the model with {_named(before)}")
+        found = {effect: self._evidence.simulated.get(key) for effect, key in known.items()}
+        return {effect: errors for effect, errors in found.items() if errors}
 
     def _refit(self, before: FittedModel, way: str, effect: str) -> FittedModel | None:
         key = before.number, way, effect

@@ -38,6 +38,7 @@ from estimators.diagnosis.refitting import (
     refit_first,
 )
 from estimators.diagnosis.setting import Setting
+from estimators.diagnosis.simulated_fits import SimulatedFits
 from estimators.diagnosis.workers import Workers
 from estimators.inference.shaken_simulation import unfollowed
 from estimators.inference.simulation_residual import judged_channels
@@ -91,6 +92,7 @@ class LiveLaboratory:
         self._refits: dict[tuple[int, str, str], Refitting] = {}
         self._held_out: dict[tuple[int, int], HeldOut] = {}
         self._simulations: dict[int, SimulationError] = {}
+        self._simulated = SimulatedFits(fit, workers)
         self._coloured: list[FittedModel | None] = []  # empty until asked
         self._stretches = setting.stretches()
         self.facts, self.policy = facts_of(setting, fit), setting.policy
@@ -111,14 +113,16 @@ class LiveLaboratory:
     ) -> dict[str, FittedModel]:
         """Refit a model with the first candidate and those near it, and test the first meanwhile."""
         setting, refit = self.computed(before)
-        held = self._held([first, *near], way)
+        held = self._held([first, *near])
         found, tested = refit_first(setting, refit, held[0], held[1:], way, self._workers)
         return self._added(before, [first, *near], way, found, {first.id: tested})
 
     def refits(self, before: FittedModel, several: Sequence[Score], way: Way) -> dict[str, FittedModel]:
         """Refit a model with each of several candidates."""
+        if way == "simulation":
+            return self._refits_from_simulation(before, several)
         setting, refit = self.computed(before)
-        found = refit_each(setting, refit, self._held(several, way), way, self._workers)
+        found = refit_each(setting, refit, self._held(several), way, self._workers)
         return self._added(before, several, way, found, {})
 
     def findings(self, model: FittedModel) -> Findings:
@@ -174,6 +178,12 @@ class LiveLaboratory:
             self._simulations[model.number] = make(setting, self._fit, refit)
         return self._simulations[model.number]
 
+    def simulation_errors(self, before: FittedModel, several: Sequence[Score]) -> dict[str, Mapping[str, float]]:
+        """Return the rms error over the noise, by channel, that a simulation fitted with each of several candidates leaves."""
+        self._simulated.extend(before.number, *self.computed(before), self._held(several))
+        found = {s.id: self._simulated.errors[before.number, s.id] for s in several}
+        return {effect: errors for effect, errors in found.items() if errors}
+
     def computed(self, model: FittedModel) -> tuple[Setting, Refit]:
         """Return what a record stands for, and what made it."""
         return self._computed[model.number]
@@ -216,11 +226,29 @@ class LiveLaboratory:
             simulations=dict(self._simulations),
             policy=self.policy.as_dict(),
             equations=dict(self._equations),
+            simulated=dict(self._simulated.errors),
         )
 
-    def _held(self, several: Sequence[Score], way: Way) -> list[Screened | Explained]:
-        """Return what scores were computed from."""
-        return [self._explained[s] if way == "equations" else self._screened[s] for s in several]
+    def _held(self, several: Sequence[Score]) -> list[Screened | Explained]:
+        """Return what scores were computed from: equations of motion, or innovations."""
+        return [self._explained[s] if s in self._explained else self._screened[s] for s in several]
+
+    def _refits_from_simulation(self, before: FittedModel, several: Sequence[Score]) -> dict[str, FittedModel]:
+        """Refit a model with each of several candidates from where a simulation with it ended, and keep that as the model's."""
+        setting, refit = self.computed(before)
+        fits = {s.id: self._simulated.fit_with(before.number, s.id) for s in several}
+        found = {
+            s.id: after
+            for s, held in zip(several, self._held(several), strict=True)
+            if (fit := fits[s.id]) is not None
+            and (after := self._simulated.predictor_from(fit, setting, refit, held)) is not None
+        }
+        models = self._added(before, several, "simulation", found, {})
+        for effect, model in models.items():
+            if (fit := fits[effect]) is not None:
+                self._simulated.name(model.number, fit)
+                self._simulations[model.number] = simulation_error(setting, fit, found[effect])
+        return models
 
     def _added(
         self,

@@ -10,15 +10,10 @@ from rtac_jax.effects import Effect
 from rtac_jax.measurement import Recording
 from rtac_jax.parameters import declarations
 
-# Fraction of the misfit that the nearest effect removes, from which on it is worth a fit: most of what is missing.
-_MOST_OF_IT = 0.5
-
 
 def nearest_of(found: Diagnosis) -> Candidate | None:
-    """Return the candidate that removes most of the misfit, of those that were fitted; None where it is less than half."""
-    fitted = [c for c in found.candidates if c.refitted and c.testable and c.bic_gain > 0]
-    nearest = max(fitted, key=lambda c: c.error_reduction, default=None)
-    return nearest if nearest is not None and nearest.error_reduction > _MOST_OF_IT else None
+    """Return the candidate that removes most of the misfit, of those that explain most of it; None where none does."""
+    return max((c for c in found.candidates if c.explains_most), key=lambda c: c.error_reduction, default=None)
 
 
 def add_nearest(

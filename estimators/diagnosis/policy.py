@@ -7,7 +7,7 @@ from estimators.inference.simulation_residual import SimulationLimits
 from estimators.misspecification.findings import CriticalValues
 from estimators.prediction_error.colour_limits import ColourLimits
 
-VERSION = 10
+VERSION = 11
 """Of the standard policy: counts up when a threshold comes, goes or changes."""
 
 _PROTOTYPE = "prototype study of 42 cases a setting"
@@ -130,6 +130,11 @@ class DiagnosisPolicy:
         "random forces, averaged over a radian of the cart's swing, over the rms forces, that are no small disturbance",
         "set between shaken rigs (0.005 to 0.01) and recordings with signs or units wrong (0.1 to 0.4)",
     )
+    simulation_far: float = _threshold(
+        10.0,
+        "rms simulation error over the noise from which, beside random forces, effects are selected by simulation too",
+        "a positioning axis that was named wrongly was left at 33,154; never studied by itself",
+    )
     unfollowed: float = _threshold(
         SimulationLimits.unfollowed,
         "rms simulation error of the fit over the rms of the motion from which it follows nothing, so that effects are screened by"
@@ -139,7 +144,7 @@ class DiagnosisPolicy:
     gross_random: float = _threshold(
         0.01,
         "random force or torque in one sample, over the rms, from which what is named beside a fit that follows nothing must be"
-        " followed by a simulation too",
+        " followed by a simulation too, and effects are selected by simulation where it is far from the data",
         "right names left 1e-5, what stood in for others 0.1 to 0.8; never studied by itself",
     )
 

@@ -95,7 +95,7 @@ def trusting(setting: Setting, base: Refit) -> tuple[Setting, Refit]:
 
 def refit_with(setting: Setting, before: Refit, s: Screened) -> Refit:
     """Fit a model with one candidate more, all parameters together."""
-    model, free, added = _beginning(setting, before, s)
+    model, free, added = beginning(setting, before, s)
     return fitted(setting, added, model, free, before.predictor.noise, before.start)
 
 
@@ -151,7 +151,7 @@ def refit_by_simulation(setting: Setting, before: Refit, s: Screened, filtered: 
     Raises:
         ArithmeticError: the model diverges, or leaves parameters free, from every simulation.
     """
-    model, free, added = _beginning(setting, before, s)
+    model, free, added = beginning(setting, before, s)
     begins = [reduce(RTAC.__add__, [effect for effect in model.effects if effect.id in added], setting.model)]
     if filtered is not None:
         known = {name: value for name, value in filtered.values.items() if name in begins[0].parameters}
@@ -162,7 +162,7 @@ def refit_by_simulation(setting: Setting, before: Refit, s: Screened, filtered: 
             simulated.append(output_error(begin, setting.recording, from_model=True, progress=False))
     for found in sorted(simulated, key=lambda found: found.statistics["cost"]):
         with contextlib.suppress(ArithmeticError):
-            return _from_simulation(setting, before, added, model, free, found)
+            return from_simulation(setting, before, added, model, free, found)
     raise FloatingPointError(f"with {s.id} the model diverges in a simulation.")
 
 
@@ -203,9 +203,22 @@ def refit_by_trial(setting: Setting, before: Refit, s: Screened) -> Refit:
     return in_turn(space, before, climbed, climbed_and_fitted)
 
 
-def _from_simulation(
+def from_simulation(
     setting: Setting, before: Refit, added: tuple[str, ...], model: RTAC, free: tuple[str, ...], found: Fit
 ) -> Refit:
+    """Fit a model by its predictions from where a fitted simulation ended, with little random force.
+
+    Args:
+        setting: of the diagnosis.
+        before: the model without the last of the effects.
+        added: ids of the effects beyond the base model.
+        model: with them.
+        free: names of its free parameters.
+        found: the fit by simulation.
+
+    Raises:
+        ArithmeticError: the model diverges, or leaves parameters free.
+    """
     values = {name: parameter.value for name, parameter in found.parameters.items()}
     noise = low_process_noise(before.predictor.noise)
     start = np.stack([found.start[e.name] for e in setting.experiments], axis=1)
@@ -304,7 +317,9 @@ def _compile_fit(setting: Setting, model: RTAC, free: Sequence[str], *, noise: b
     compile_predictor(model, setting.data, space, setting.prior.starting(space), setting.substeps, noise=noise)
 
 
-def _beginning(setting: Setting, before: Refit, s: Screened) -> tuple[RTAC, tuple[str, ...], tuple[str, ...]]:
+def beginning(
+    setting: Setting, before: Refit, s: Screened | Explained
+) -> tuple[RTAC, tuple[str, ...], tuple[str, ...]]:
     """Return a model with one candidate more where its refit begins.
 
     Returned beside it are its free parameters, and the ids of what was added to the base model.

@@ -30,6 +30,23 @@ def named(
     return "unknown", 0, fraction_removed(steps, samples)
 
 
+def named_for_simulation(
+    steps: Sequence[Step], left: Sequence[float], policy: DiagnosisPolicy
+) -> tuple[Verdict, int, float]:
+    """Return the same of steps that were selected by simulation.
+
+    Args:
+        steps: in their order.
+        left: of the base model's squared error, before and after each.
+        policy: the thresholds.
+    """
+    for count in range(len(steps), 0, -1):
+        if all(left[count] <= policy.left * before for before in left[:count]):
+            open_question = any(step.rivals for step in without_named_rivals(steps[:count]))
+            return ("ambiguous" if open_question else "missing"), count, 1 - left[count]
+    return "unknown", 0, 1 - left[-1]
+
+
 def without_named_rivals(steps: Sequence[Step]) -> list[Step]:
     """Return the steps without those rivals that were named as well.
 

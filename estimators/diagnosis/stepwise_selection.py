@@ -9,39 +9,17 @@ from estimators.diagnosis.evidence import FittedModel
 from estimators.diagnosis.laboratory import Laboratory, Way
 from estimators.diagnosis.policy import DiagnosisPolicy
 from estimators.diagnosis.removed_error import named
+from estimators.diagnosis.selection import Selection, Tried, by_size, nameable
+from estimators.diagnosis.simulation_selection import selected_by_simulation
 from estimators.diagnosis.step import Step
 from estimators.inference.simulation_residual import follows_nothing
 from estimators.misspecification.adequacy import (
-    AdequacyTest,
-    Candidate,
     adequacy_tests,
     alarming,
     overshadowing,
     suspects,
 )
 from estimators.misspecification.findings import Findings, Score
-
-Tried = dict[str, tuple[FittedModel, FittedModel]]
-"""Of every candidate that was tried the model before and after."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Selection:
-    """The outcome of a stepwise selection.
-
-    Attributes:
-        base: the base model, with the noise that was chosen.
-        findings: of its innovations.
-        tests: of its adequacy.
-        steps: the effects that improved it, in order.
-        tried: every candidate that was refitted.
-    """
-
-    base: FittedModel
-    findings: Findings
-    tests: tuple[AdequacyTest, ...]
-    steps: list[Step]
-    tried: Tried
 
 
 @dataclasses.dataclass(frozen=True)
@@ -71,10 +49,13 @@ def select(laboratory: Laboratory, policy: DiagnosisPolicy, *, thorough: bool) -
         by_equations = explaining_equations(laboratory, policy)
         if named(by_equations.steps, by_equations.tests, laboratory.facts.samples, policy)[1]:
             # What innovations show of something else, as of an input that is declared wrongly, may be more than all that.
-            large = by_size(_nameable(laboratory, alarming(by_equations.findings.scores, policy.critical)), 0.0)
+            large = by_size(nameable(laboratory.facts, alarming(by_equations.findings.scores, policy.critical)), 0.0)
             if not large or by_equations.steps[0].gain > large[0].statistic:
                 return by_equations
     found = _selected(laboratory, laboratory.base, policy)
+    simulated = selected_by_simulation(laboratory, found, policy)
+    if simulated is not None:
+        return simulated
     if any(test.rejects for test in found.tests) and not laboratory.facts.rest:
         # Noise that wanders makes almost every effect look useful; without rest records the likelihood must say.
         laboratory.say("colour of the noise")
@@ -121,14 +102,9 @@ def _near(ranked: Sequence[Score], close: float) -> list[Score]:
     return [s for s in ranked[1:] if s.statistic > (1 - close) * ranked[0].statistic]
 
 
-def _nameable(laboratory: Laboratory, several: Sequence[Score]) -> list[Score]:
-    """Return the candidates that the data could show at a plausible size: no other is ever named."""
-    return [s for s in several if s.id not in laboratory.facts.untestable]
-
-
 def unalarmed(laboratory: Laboratory, found: Selection, policy: DiagnosisPolicy) -> _Look:
     """Return candidates that are large, but act at a few instants only."""
-    large = _nameable(laboratory, suspects(found.findings.scores, found.tests, policy.critical))
+    large = nameable(laboratory.facts, suspects(found.findings.scores, found.tests, policy.critical))
     ranked = by_size(large, math.log(laboratory.facts.samples))[: policy.refits]
     return _Look(ranked, _near(ranked, policy.close), "filter")
 
@@ -219,9 +195,9 @@ def _next_step(
         way, ranked, near, above = look.way, look.ranked, look.near, []
         most = len(ranked)
     else:
-        way, ranked = "filter", by_size(_nameable(laboratory, alarming(seen.scores, policy.critical)), price)
+        way, ranked = "filter", by_size(nameable(laboratory.facts, alarming(seen.scores, policy.critical)), price)
         near = _near(ranked, policy.close) if ranked else []
-        above = by_size(_nameable(laboratory, overshadowing(seen.scores, policy.critical)), price)[: policy.refits]
+        above = by_size(nameable(laboratory.facts, overshadowing(seen.scores, policy.critical)), price)[: policy.refits]
         ranked = ranked or _beside(laboratory, now, seen, policy)
         near = [*near, *_presupposed(laboratory, now, seen, ranked[: policy.refits])]
         near = [*near, *_resembling(laboratory, now, seen, [*ranked[:1], *near])]
@@ -257,27 +233,22 @@ def _beside(laboratory: Laboratory, now: FittedModel, seen: Findings, policy: Di
     """Return candidates that presuppose an effect in the model and are large, though they scatter over stretches of time."""
     effects = laboratory.facts.effects
     large = [s for s in seen.scores if s.statistic >= policy.alarm and set(effects[s.id].presupposes) & set(now.added)]
-    return by_size(_nameable(laboratory, large), math.log(laboratory.facts.samples))
+    return by_size(nameable(laboratory.facts, large), math.log(laboratory.facts.samples))
 
 
 def _presupposed(laboratory: Laboratory, now: FittedModel, seen: Findings, ranked: Sequence[Score]) -> list[Score]:
     """Return what candidates presuppose and neither the model nor they themselves have."""
     effects, there = laboratory.facts.effects, {*now.added, *(s.id for s in ranked)}
     asked = {i for s in ranked for i in effects[s.id].presupposes} - there
-    return by_size(_nameable(laboratory, [s for s in seen.scores if s.id in asked]), math.log(laboratory.facts.samples))
+    return by_size(
+        nameable(laboratory.facts, [s for s in seen.scores if s.id in asked]), math.log(laboratory.facts.samples)
+    )
 
 
 def _resembling(laboratory: Laboratory, now: FittedModel, seen: Findings, ranked: Sequence[Score]) -> list[Score]:
     """Return what changes the motion as the first candidate does, though its score at small sizes may hide that."""
     effects, there = laboratory.facts.effects, {*now.added, *(s.id for s in ranked)}
     alike = {i for s in ranked[:1] for i in effects[s.id].resembles} - there
-    return by_size(_nameable(laboratory, [s for s in seen.scores if s.id in alike]), math.log(laboratory.facts.samples))
-
-
-def by_size(screened: Sequence[Candidate], price: float) -> list[Candidate]:
-    """Return the best shape of every effect, by what it explains less the price of its amplitudes."""
-    best: dict[str, Candidate] = {}
-    for s in screened:
-        if s.id not in best or s.statistic > best[s.id].statistic:
-            best[s.id] = s
-    return sorted(best.values(), key=lambda s: -(s.statistic - len(s.amplitudes) * price))
+    return by_size(
+        nameable(laboratory.facts, [s for s in seen.scores if s.id in alike]), math.log(laboratory.facts.samples)
+    )

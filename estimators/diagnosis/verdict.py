@@ -7,9 +7,10 @@ from collections.abc import Sequence
 from estimators.diagnosis.evidence import Evidence, FittedModel
 from estimators.diagnosis.laboratory import Archive, Laboratory
 from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
-from estimators.diagnosis.removed_error import Verdict, named, without_named_rivals
+from estimators.diagnosis.removed_error import Verdict, without_named_rivals
+from estimators.diagnosis.selection import Selection
 from estimators.diagnosis.step import Step
-from estimators.diagnosis.stepwise_selection import Selection, gross, select
+from estimators.diagnosis.stepwise_selection import gross, select
 from estimators.inference.simulation_residual import (
     SimulationResidual,
     random_forces_are_large,
@@ -114,7 +115,7 @@ def decide(laboratory: Laboratory, policy: DiagnosisPolicy, *, thorough: bool) -
         thorough: look again at what raised no alarm, where the misfit would stay unknown.
     """
     found = select(laboratory, policy, thorough=thorough)
-    verdict, count, removed = named(found.steps, found.tests, laboratory.facts.samples, policy)
+    verdict, count, removed = found.named(laboratory.facts.samples, policy)
     simulation = None
     if verdict == "adequate":
         simulation = _of_base(laboratory, found, policy)

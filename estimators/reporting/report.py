@@ -387,7 +387,7 @@ def candidate_table(diagnosis: Diagnosis) -> Table:
                 f"{c.p_value:.2g}",
                 f"{c.bic_gain:.1f}" if c.refitted else "",
                 f"{100 * c.error_reduction:.0f}" if c.refitted else "",
-                c.limit_or_why if c.testable else "not testable with these data",
+                c.limit_or_why,
                 "accepted" if c.id in accepted else "",
             )
         )

@@ -47,9 +47,7 @@ def test_one_that_does_not_help_is_not_added(error: float | None, kept: bool, mo
     assert (found is not None) is kept
 
 
-@pytest.mark.parametrize(
-    "changes", [{"error_reduction": 0.4}, {"testable": False}, {"refitted": False}, {"bic_gain": -1.0}]
-)
+@pytest.mark.parametrize("changes", [{"error_reduction": 0.4}, {"refitted": False}, {"bic_gain": -1.0}])
 def test_what_explains_less_than_half_or_could_not_be_fitted_is_none(changes: dict[str, object]) -> None:
     assert nearest_of(unknown(candidate(**changes))) is None
     chosen = nearest_of(unknown(candidate(**changes), candidate(id="other", error_reduction=0.6)))

@@ -1,0 +1,61 @@
+"""The record of a selection of effects, and the order in which candidates are asked."""
+
+import dataclasses
+from collections.abc import Sequence
+
+from estimators.diagnosis.evidence import Facts, FittedModel
+from estimators.diagnosis.policy import DiagnosisPolicy
+from estimators.diagnosis.removed_error import Verdict, named, named_for_simulation
+from estimators.diagnosis.step import Step
+from estimators.misspecification.adequacy import AdequacyTest, Candidate
+from estimators.misspecification.findings import Findings, Score
+
+Tried = dict[str, tuple[FittedModel, FittedModel]]
+"""Of every candidate that was tried the model before and after."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Selection:
+    """The outcome of a selection.
+
+    Attributes:
+        base: the base model, with the noise that was chosen.
+        findings: of its innovations.
+        tests: of its adequacy.
+        steps: the effects that improved it, in order.
+        tried: every candidate that was refitted.
+        simulated: of a selection by simulation what is left of the base model's squared error before and after each step; else
+            empty.
+    """
+
+    base: FittedModel
+    findings: Findings
+    tests: tuple[AdequacyTest, ...]
+    steps: list[Step]
+    tried: Tried
+    simulated: tuple[float, ...] = ()
+
+    def named(self, samples: int, policy: DiagnosisPolicy) -> tuple[Verdict, int, float]:
+        """Return the verdict, the number of steps that it names, and the fraction of the error that they remove."""
+        if self.simulated:
+            return named_for_simulation(self.steps, self.simulated, policy)
+        return named(self.steps, self.tests, samples, policy)
+
+    def named_model(self, samples: int, policy: DiagnosisPolicy) -> FittedModel:
+        """Return the model with the effects that are named; the base model if there is none."""
+        count = self.named(samples, policy)[1]
+        return self.steps[count - 1].model if count else self.base
+
+
+def by_size(screened: Sequence[Candidate], price: float) -> list[Candidate]:
+    """Return the best shape of every effect, by what it explains less the price of its amplitudes."""
+    best: dict[str, Candidate] = {}
+    for s in screened:
+        if s.id not in best or s.statistic > best[s.id].statistic:
+            best[s.id] = s
+    return sorted(best.values(), key=lambda s: -(s.statistic - len(s.amplitudes) * price))
+
+
+def nameable(facts: Facts, several: Sequence[Score]) -> list[Score]:
+    """Return the candidates that the data could show at a plausible size: no other is ever named."""
+    return [s for s in several if s.id not in facts.untestable]

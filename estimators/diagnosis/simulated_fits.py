@@ -1,0 +1,90 @@
+"""Free simulations fitted with candidates added one after the other, from the fit that is diagnosed on."""
+
+import contextlib
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from estimators.core.fit import Fit
+from estimators.core.results import NotIdentifiableError
+from estimators.diagnosis.gross_effects import placed_inside
+from estimators.diagnosis.policy import DiagnosisPolicy
+from estimators.diagnosis.refit import Refit
+from estimators.diagnosis.refitting import beginning, from_simulation
+from estimators.diagnosis.setting import Setting
+from estimators.diagnosis.workers import Workers
+from estimators.inference.simulation_residual import judged_channels
+from estimators.misspecification.candidate_screening import Screened
+from estimators.misspecification.equation_screening import Explained
+from estimators.output_error.fit import output_error
+
+
+class SimulatedFits:
+    """The fits by simulation of a diagnosis: of the base model, and of models with candidates added.
+
+    Attributes:
+        errors: rms over the noise by channel, by number of the model before and id of the candidate; empty where none is fitted.
+    """
+
+    def __init__(self, fit: Fit, workers: Workers) -> None:
+        """Begin with the fit that is diagnosed; `workers` compute side by side."""
+        self.errors: dict[tuple[int, str], Mapping[str, float]] = {}
+        self._base, self._workers = fit, workers
+        self._with: dict[tuple[int, str], Fit | None] = {}
+        self._of: dict[int, Fit] = {}
+
+    def extend(self, number: int, setting: Setting, refit: Refit, several: Sequence[Screened | Explained]) -> None:
+        """Fit a simulation with each of several candidates beside a model, by its number and its predictor."""
+        fit = self._of.get(number, self._base)
+        asked = [s for s in several if (number, s.id) not in self._with]
+        for s, found in zip(
+            asked, self._workers.each(lambda s: _simulated_with(setting, fit, refit, s), asked), strict=True
+        ):
+            self._with[number, s.id] = found
+            self.errors[number, s.id] = {} if found is None else _errors(setting, found)
+
+    def fit_with(self, number: int, effect: str) -> Fit | None:
+        """Return the fit with a candidate beside a model, by number and id; None where none could be fitted, or was asked."""
+        return self._with.get((number, effect))
+
+    def predictor_from(self, fit: Fit, setting: Setting, before: Refit, s: Screened | Explained) -> Refit | None:
+        """Return the predictor that is fitted from where a simulation with a candidate ended; None where it diverges there."""
+        setting.progress.at(f"diagnose: refit with {s.id}")
+        model, free, added = beginning(setting, before, s)
+        with contextlib.suppress(ArithmeticError):
+            return from_simulation(setting, before, added, model, free, fit)
+        return None
+
+    def name(self, number: int, fit: Fit) -> None:
+        """Keep a fit as that of a model, by its number."""
+        self._of[number] = fit
+
+
+def _simulated_with(setting: Setting, fit: Fit, before: Refit, s: Screened | Explained) -> Fit | None:
+    """Fit a simulation with a candidate beside what a fit has.
+
+    Returns:
+        None where it diverges, leaves parameters free, or ends at a size of the effect that is not plausible.
+    """
+    setting.progress.at(f"diagnose: simulation with {s.id}")
+    model, _, _ = beginning(setting, before, s)
+    effect = next(effect for effect in model.effects if effect.id == s.id)
+    begin = fit.model + effect
+    if isinstance(s, Explained):
+        begin = placed_inside(begin, {name: value for name, value in s.values.items() if name in begin.free})
+    with contextlib.suppress(ArithmeticError, NotIdentifiableError):
+        found = output_error(begin, setting.recording, from_model=True, progress=False)
+        sound = not found.lost and np.all(np.isfinite(list(found.residual_std.values())))
+        return found if sound and _plausible(found, s, setting.policy) else None
+    return None
+
+
+def _plausible(fit: Fit, s: Screened | Explained, policy: DiagnosisPolicy) -> bool:
+    """Return whether an effect is no larger than those that data are asked to show."""
+    sizes = ((fit.model[f"{s.id}.{name}"], getattr(s.instance, name)) for name in s.amplitudes)
+    return all(abs(float(np.asarray(found))) <= policy.testable * abs(float(np.asarray(size))) for found, size in sizes)
+
+
+def _errors(setting: Setting, fit: Fit) -> dict[str, float]:
+    channels, _ = judged_channels(fit.residual_std, setting.recording)
+    return {channel: float(fit.residual_std[channel] / fit.noise[channel]) for channel in channels}

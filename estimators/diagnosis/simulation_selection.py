@@ -1,0 +1,128 @@
+"""Selection of effects by free simulation: where random forces stand in for the physics, predictions one sample ahead mislead.
+
+A sensor with little noise tells the next sample from the last ones alone. A filter with random forces as large as the model's own
+then predicts well whatever the model is, and what it finds missing may be anything that smooths. A simulation has no such forces:
+what takes nearly all of its error off is a finding.
+"""
+
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+
+from estimators.diagnosis.choice import bic_gain, gain, held_out_gain
+from estimators.diagnosis.evidence import FittedModel, SimulationError
+from estimators.diagnosis.laboratory import Laboratory
+from estimators.diagnosis.policy import DiagnosisPolicy
+from estimators.diagnosis.selection import Selection, Tried, by_size
+from estimators.diagnosis.step import Step
+from estimators.misspecification.adequacy import adequacy_tests
+from estimators.misspecification.findings import Findings, Score
+
+
+def selected_by_simulation(laboratory: Laboratory, found: Selection, policy: DiagnosisPolicy) -> Selection | None:
+    """Select effects by what they take off the simulation's error; None where they do not take off nearly all that is left.
+
+    Asked only where the simulation is far from the data, and the predictor needs random forces with what is named as without.
+
+    Args:
+        laboratory: that computes, or knows, what is asked.
+        found: what predictions one sample ahead select.
+        policy: the thresholds.
+
+    Source: Miller, Subset Selection in Regression (2002), chapter 3, for forward selection.
+    """
+    base = laboratory.simulation(found.base)
+    if max(_random(found.base)) < policy.gross_random or not _is_far(base, policy):
+        return None
+    named = found.named_model(laboratory.facts.samples, policy)
+    if named.added and sum(x**2 for x in _random(named)) <= policy.left * sum(x**2 for x in _random(found.base)):
+        return None  # what is named takes the place of the random forces
+    reached = laboratory.simulation(named)
+    if base is None or reached is None or not _is_far(reached, policy):
+        return None
+    laboratory.say("simulations")
+    enough = policy.left * _excess(reached.error, base.error)
+    steps, left, tried = _steps(laboratory, found, base.error, enough, policy)
+    simulated = dataclasses.replace(found, steps=steps, simulated=left, tried=found.tried | tried)
+    count = simulated.named(laboratory.facts.samples, policy)[1]
+    return simulated if count and left[count] <= enough else None
+
+
+def _random(model: FittedModel) -> tuple[float, float]:
+    return model.random_force, model.random_torque
+
+
+def _is_far(error: SimulationError | None, policy: DiagnosisPolicy) -> bool:
+    return error is not None and max(error.error.values(), default=0.0) > policy.simulation_far
+
+
+def _steps(
+    laboratory: Laboratory, found: Selection, base: Mapping[str, float], enough: float, policy: DiagnosisPolicy
+) -> tuple[list[Step], tuple[float, ...], Tried]:
+    """Return the steps, what is left of the base model's squared error before and after each, and what was fitted.
+
+    They end where enough is explained.
+    """
+    steps: list[Step] = []
+    left, tried = [1.0], {}
+    now, seen = found.base, found.findings
+    while len(steps) < policy.effects:
+        asked = _asked(laboratory, now, seen, policy)
+        errors = laboratory.simulation_errors(now, list(asked.values()))
+        remaining = {i: _excess(error, base) for i, error in errors.items()}
+        good = [i for i, one in remaining.items() if one <= left[-1] * (1 - policy.fall) ** 2]
+        if not good:
+            break
+        best, rivals = _best(laboratory, remaining, good, policy)
+        model = laboratory.refits(now, [asked[best]], "simulation").get(best)
+        after = None if model is None else laboratory.findings(model)
+        if model is None or after is None:
+            break
+        tried[best] = (now, model)
+        tests = adequacy_tests(after, policy.critical)
+        steps.append(
+            Step(
+                best, tuple(rivals), 2 * gain(now, model), bic_gain(laboratory.facts.samples, now, model),
+                held_out_gain(laboratory, now, model, policy), model, tests, asked[best].amplitudes,
+            )
+        )  # fmt: skip
+        left.append(remaining[best])
+        now, seen = model, after
+        if left[-1] <= enough:
+            break
+    return steps, tuple(left), tried
+
+
+def _asked(laboratory: Laboratory, now: FittedModel, seen: Findings, policy: DiagnosisPolicy) -> dict[str, Score]:
+    """Return the candidates that equations of motion and innovations speak for most, those of the equations where they begin.
+
+    What works by contact is left to trials: when it begins and ends moves by whole samples, which no descent follows. What the
+    random forces would hide is asked: a simulation has none.
+    """
+    by_equations = [s for s in laboratory.equation_scores(now) if s.statistic > policy.bic_gain]
+    by_filter = by_size([s for s in seen.scores if s.statistic >= policy.alarm], math.log(laboratory.facts.samples))
+    several = [*by_equations[: 2 * policy.refits], *by_filter[: policy.refits]]
+    contacts = {i for i, traits in laboratory.facts.effects.items() if traits.contact}
+    return {s.id: s for s in reversed(several) if s.id not in contacts}
+
+
+def _best(
+    laboratory: Laboratory, remaining: Mapping[str, float], good: Sequence[str], policy: DiagnosisPolicy
+) -> tuple[str, list[str]]:
+    """Return the candidate that leaves least, or the simpler law that it contains or presupposes, and those that leave as much."""
+    best = min(good, key=lambda i: remaining[i])
+    traits = laboratory.facts.effects[best]
+    alike = [i for i in good if remaining[i] <= remaining[best] / (1 - policy.fall) ** 2]
+    simpler = [i for i in good if i in traits.presupposes or (i in traits.contains and i in alike)]
+    best = min(simpler, key=lambda i: remaining[i], default=best)
+    effects = laboratory.facts.effects
+    larger = [i for i in good if best in (*effects[i].contains, *effects[i].presupposes)]
+    return best, [i for i in alike if i != best and i not in larger]
+
+
+def _excess(error: Mapping[str, float], base: Mapping[str, float]) -> float:
+    """Return the mean over channels of what is left of the base model's squared error beyond the noise."""
+    beyond = {c: e**2 - 1 for c, e in base.items() if e**2 > 2}
+    if not beyond:
+        return 1.0
+    return sum(max(error[c] ** 2 - 1, 0.0) / one for c, one in beyond.items()) / len(beyond)

@@ -1,0 +1,36 @@
+"""A drive whose fine encoder leaves predictions one sample ahead nothing to tell: the simulation says what is missing."""
+
+import pytest
+from positioning_axis import COULOMB, OFFSET, TORQUE_CONSTANT, recording
+
+import estimators as est
+import rtac_jax as rtac
+from rtac_jax.effects import ArmCoulomb, ArmPresliding, CurrentOffset, EncoderLag
+
+
+def test_dry_friction_is_named_and_no_lag_of_the_encoder() -> None:
+    train = recording().select(["forth and back"])
+    fit = est.output_error(rtac.RTAC.from_rig(train), train, progress=False)
+    found = est.diagnose(fit, train, candidates=[ArmCoulomb, CurrentOffset, EncoderLag], thorough=False, progress=False)
+    assert found.verdict == "missing"
+    assert found.effects[0].id == "arm_coulomb"
+    assert "encoder_lag" not in [c.id for c in found.effects]
+    assert "This is what simulations select" in found.explanation
+    assert found.evidence is not None
+    again = est.judge(found.evidence)
+    assert (again.verdict, again.effects, again.incomplete) == ("missing", tuple(c.id for c in found.effects), ())
+    by_predictions = est.judge(found.evidence, est.DiagnosisPolicy(simulation_far=1e9))
+    assert by_predictions.effects[0] == "encoder_lag"
+
+
+@pytest.mark.slow
+def test_the_loop_finds_friction_and_offset_and_the_axis() -> None:
+    both = recording()
+    found = est.improve(
+        rtac.RTAC.from_rig(both), both, validation=["other moves"], progress=False,
+        candidates=[ArmCoulomb, ArmPresliding, CurrentOffset, EncoderLag],
+    )  # fmt: skip
+    assert [c.id for c in found.added] == ["arm_coulomb", "current_offset"]
+    assert found.diagnoses[-1].verdict == "adequate"
+    assert found.final.parameters["arm_coulomb.level"].value == pytest.approx(COULOMB, rel=0.01)
+    assert found.final.parameters["current_offset.offset"].value == pytest.approx(-OFFSET / TORQUE_CONSTANT, rel=0.02)

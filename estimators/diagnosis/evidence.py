@@ -77,19 +77,21 @@ class HeldOut:
 
 @dataclasses.dataclass(frozen=True)
 class SimulationError:
-    """The error of a free simulation in the channels of known noise, beside what random forces would leave of it.
+    """The error of a free simulation, beside what random forces would leave of it.
 
     Attributes:
         error: rms over the noise, by channel.
         shaken: what the random forces of the predictor and the sensors would leave of it.
         signal: rms of the motion over the noise.
         random: force and torque of the predictor in one sample, as fractions of the rms forces.
+        unknown: channels whose noise nobody knows, where that of others is known.
     """
 
     error: Mapping[str, float]
     shaken: Mapping[str, float]
     signal: Mapping[str, float]
     random: tuple[float, float]
+    unknown: tuple[str, ...] = ()
 
 
 @dataclasses.dataclass(frozen=True)

@@ -18,7 +18,7 @@ from estimators.diagnosis.evidence import SimulationError
 from estimators.diagnosis.refit import Refit, Tested
 from estimators.diagnosis.setting import Setting, begun, by_name, model_with, padded_space, shared, space_for
 from estimators.inference.shaken_simulation import signal_rms, simulation_deviation
-from estimators.inference.simulation_residual import judged_channels
+from estimators.inference.simulation_residual import of_unknown_noise
 from estimators.misspecification.candidate_screening import Group, NotNothingError, Screened, same, screen
 from estimators.misspecification.detection_limit import detection_limits
 from estimators.misspecification.findings import Findings, LaggedForce, Score, StaticForce
@@ -145,7 +145,6 @@ def simulation_error(setting: Setting, fit: Fit, base: Refit) -> SimulationError
         fit: whose simulation it is.
         base: the predictor of the same model.
     """
-    channels, _ = judged_channels(fit.residual_std, setting.recording)
     start = np.stack([fit.start[e.name] for e in setting.experiments], axis=1)
     space = begun(
         space_for(setting, base.model, base.free), base.model, dict(zip(start_rows(fit.model), start, strict=True))
@@ -158,12 +157,13 @@ def simulation_error(setting: Setting, fit: Fit, base: Refit) -> SimulationError
         base.model, setting.data, space, physical, setting.prior.starting(space), base.predictor.noise, setting.substeps
     )
     signal = signal_rms(setting.data)
-    rows = {c: CHANNELS.index(c) for c in channels}
+    rows = {c: CHANNELS.index(c) for c in fit.residual_std}
     return SimulationError(
-        {c: float(fit.residual_std[c] / fit.noise[c]) for c in channels},
+        {c: float(fit.residual_std[c] / fit.noise[c]) for c in rows},
         {c: float(deviation[row]) / fit.noise[c] for c, row in rows.items() if np.isfinite(deviation[row])},
         {c: float(signal[row]) / fit.noise[c] for c, row in rows.items()},
         (float(base.predictor.random_force), float(base.predictor.random_torque)),
+        of_unknown_noise(fit.residual_std, setting.recording),
     )
 
 

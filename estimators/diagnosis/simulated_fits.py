@@ -13,7 +13,6 @@ from estimators.diagnosis.refit import Refit
 from estimators.diagnosis.refitting import beginning, from_simulation
 from estimators.diagnosis.setting import Setting
 from estimators.diagnosis.workers import Workers
-from estimators.inference.simulation_residual import judged_channels
 from estimators.misspecification.candidate_screening import Screened
 from estimators.misspecification.equation_screening import Explained
 from estimators.output_error.fit import output_error
@@ -41,7 +40,7 @@ class SimulatedFits:
             asked, self._workers.each(lambda s: _simulated_with(setting, fit, refit, s), asked), strict=True
         ):
             self._with[number, s.id] = found
-            self.errors[number, s.id] = {} if found is None else _errors(setting, found)
+            self.errors[number, s.id] = {} if found is None else found.residual_over_noise
 
     def fit_with(self, number: int, effect: str) -> Fit | None:
         """Return the fit with a candidate beside a model, by number and id; None where none could be fitted, or was asked."""
@@ -83,8 +82,3 @@ def _plausible(fit: Fit, s: Screened | Explained, policy: DiagnosisPolicy) -> bo
     """Return whether an effect is no larger than those that data are asked to show."""
     sizes = ((fit.model[f"{s.id}.{name}"], getattr(s.instance, name)) for name in s.amplitudes)
     return all(abs(float(np.asarray(found))) <= policy.testable * abs(float(np.asarray(size))) for found, size in sizes)
-
-
-def _errors(setting: Setting, fit: Fit) -> dict[str, float]:
-    channels, _ = judged_channels(fit.residual_std, setting.recording)
-    return {channel: float(fit.residual_std[channel] / fit.noise[channel]) for channel in channels}

@@ -21,7 +21,12 @@ from estimators.inference.agreement import Agreement, Disagreement, Vector
 from estimators.inference.bootstrap import Shaken, Shuffled, Source
 from estimators.inference.estimates import MODAL, Estimator, Result, estimator_of, label_of
 from estimators.inference.shaken_simulation import shaken_by, signal_rms
-from estimators.inference.simulation_residual import SimulationResidual, judged_channels, simulation_residual
+from estimators.inference.simulation_residual import (
+    SimulationResidual,
+    judged_channels,
+    of_unknown_noise,
+    simulation_residual,
+)
 from estimators.linear.fit import LinearModels
 from estimators.prediction_error.fit import PredictorFit
 from rtac_jax import RTAC, require_configured
@@ -180,8 +185,7 @@ def _simulation(fit: Fit, recording: Recording, predictors: Sequence[PredictorFi
     """Return what the residual of an output error means, beside the random forces of a predictor if there is one."""
     problem = at_fit(fit, recording)
     data = problem.arguments.data
-    channels, noise_known = judged_channels(fit.residual_std, recording)
-    rows = {c: CHANNELS.index(c) for c in channels}
+    rows = {c: CHANNELS.index(c) for c in fit.residual_std}
     random, deviation = (float("nan"), float("nan")), {}
     if predictors:
         left, random = shaken_by(predictors[0], np.asarray(problem.arguments.space.physical(problem.unknowns)[2]))
@@ -195,7 +199,8 @@ def _simulation(fit: Fit, recording: Recording, predictors: Sequence[PredictorFi
         random=random,
         samples_per_radian=1.0 / (scales.frequency * scales.sample_time),
         experiments=len(problem.experiments),
-        noise_known=noise_known,
+        noise_known=judged_channels(fit.residual_std, recording)[1],
+        unknown=of_unknown_noise(fit.residual_std, recording),
     )
 
 

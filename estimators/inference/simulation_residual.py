@@ -1,7 +1,7 @@
 """The meaning of a simulation error beyond the noise: random forces, too few data, or what nobody explained."""
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import TYPE_CHECKING, Literal
 
 from scipy.stats import chi2
@@ -109,6 +109,12 @@ def judged_channels(residual_std: Mapping[str, float], recording: "Recording") -
     return known or list(residual_std), bool(known)
 
 
+def of_unknown_noise(residual_std: Mapping[str, float], recording: "Recording") -> tuple[str, ...]:
+    """Return the channels whose noise nobody knows, where that of others is known."""
+    judged, _ = judged_channels(residual_std, recording)
+    return tuple(channel for channel in residual_std if channel not in judged)
+
+
 def random_forces_are_large(
     random: tuple[float, float], samples_per_radian: float, limits: SimulationLimits = STANDARD
 ) -> bool:
@@ -147,6 +153,7 @@ def simulation_residual(
     suspect: str = "",
     seconds: int = 0,
     noise_known: bool = True,
+    unknown: Collection[str] = (),
     limits: SimulationLimits = STANDARD,
 ) -> SimulationResidual:
     """Judge the simulation error of a fit.
@@ -156,10 +163,11 @@ def simulation_residual(
     data cannot confirm; random forces.
 
     Where no noise is known apart from a fit, that of the fastest changes stands for it, which is less than there is where sensors
-    wander slowly. Only a poor simulation is judged then, which no usual sensor makes.
+    wander slowly. Only a poor simulation is judged then, which no usual sensor makes. So it is of a channel whose noise nobody
+    knows beside others that are known: it tells only of random forces in place of the model's own.
 
     Args:
-        error: rms over the noise, by channel of known noise; by every channel where none is known.
+        error: rms over the noise, by channel.
         shaken: what the random forces of the predictor and the sensors would leave of it; empty if no predictor tells.
         signal: rms of the motion over the noise.
         random: force and torque in one sample as fractions of the rms forces; NaN if not known.
@@ -167,34 +175,41 @@ def simulation_residual(
         experiments: number of them.
         suspect: the effect that speaks loudest of those that the data are too few to confirm, with what it reaches.
         seconds: of data.
-        noise_known: whether the noise is known apart from any fit.
+        noise_known: whether the noise of any channel is known apart from a fit.
+        unknown: channels of which it is not, where it is of others.
         limits: the thresholds.
     """
     nothing = float("nan")
-    beyond = {
+    away = {
         c: ratio
         for c, ratio in error.items()
-        if ratio**2 > limits.beyond and (noise_known or ratio > limits.poor * signal[c])
+        if ratio**2 > limits.beyond and ((noise_known and c not in unknown) or ratio > limits.poor * signal[c])
     }
-    if not error or not (beyond or noise_known):
+    beyond = {c: ratio for c, ratio in away.items() if c not in unknown}
+    if not error or not (away or noise_known):
         return SimulationResidual("noise", "", nothing, nothing, nothing, *random, "", noise_known)
 
     def said(cause: Cause, channel: str) -> SimulationResidual:
         fraction = error[channel] / signal[channel]
         misses = f"the simulation is {100 * fraction:.0f} % of the motion away from the recording ({channel})"
-        if noise_known:
+        if noise_known and channel not in unknown:
             misses += f", {error[channel]:.2g} times the known noise"
         words = _words(cause, misses, shaken.get(channel, nothing), random, suspect, seconds)
         return SimulationResidual(
             cause, channel, error[channel], shaken.get(channel, nothing), fraction, *random, words, noise_known
         )
 
-    if not beyond:
-        return said("noise", max(error, key=lambda c: error[c]))
-    farthest = max(beyond, key=lambda c: beyond[c])
-    poorest = max(beyond, key=lambda c: beyond[c] / signal[c])
-    if random_forces_are_large(random, samples_per_radian, limits) and beyond[poorest] > limits.poor * signal[poorest]:
+    poorest = max(away, key=lambda c: away[c] / signal[c], default="")
+    if (
+        poorest
+        and random_forces_are_large(random, samples_per_radian, limits)
+        and away[poorest] > limits.poor * signal[poorest]
+    ):
         return said("stand-in", poorest)
+    if not beyond:
+        judged = [c for c in error if c not in unknown]
+        return said("noise", max(judged, key=lambda c: error[c]))
+    farthest = max(beyond, key=lambda c: beyond[c])
     scatter = float(chi2.isf(limits.level, 2 * experiments)) / (2 * experiments)
     least = max(beyond, key=lambda c: beyond[c] / shaken.get(c, nothing) if c in shaken else float("inf"))
     if least not in shaken or not beyond[least] ** 2 <= scatter * shaken[least] ** 2:

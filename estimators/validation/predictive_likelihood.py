@@ -23,7 +23,9 @@ from estimators.validation.model_comparison import by_sample, vuong
 from rtac_jax import RTAC
 from rtac_jax.measurement import Experiment, Recording
 
-_FEWEST = 5  # seconds of data, below which their scatter says nothing
+_FEWEST = 5  # stretches of data, below which their scatter says nothing
+_SEVERAL = 8  # stretches that short data are cut into, so that they scatter; of a second where there are more
+_SHORTEST = 25  # samples of a stretch
 _BARE = 1.0  # gain in log-likelihood, of natural logarithms, that is "not worth more than a bare mention" (Kass and Raftery)
 
 
@@ -33,7 +35,7 @@ class OneStepAhead:
 
     Attributes:
         by_sample: log-likelihood of each sample that counts, less a constant.
-        stretches: number of the second that each sample belongs to.
+        stretches: number of the stretch that each sample belongs to: of a second, or shorter where the data are.
         errors: rms of the prediction errors over the sensor's noise, by channel.
         shaken: 1 at stick-slip ambiguous samples, of the recording that was fitted and of this one.
     """
@@ -56,14 +58,14 @@ class OneStepAhead:
             of: number of models of which this is the likeliest.
             level: probability of calling a model better that is not.
 
-        Source: Vuong, Econometrica 57 (1989), on sums over seconds, with Student's t for few of them; Kass and Raftery, J. Am.
-        Stat. Assoc. 90 (1995).
+        Source: Vuong, Econometrica 57 (1989), on sums over stretches of time, with Student's t for few of them; Kass and Raftery,
+        J. Am. Stat. Assoc. 90 (1995).
         """
-        seconds = len(np.unique(self.stretches))
-        if seconds < _FEWEST or self.log_likelihood - other.log_likelihood < _BARE:
+        count = len(np.unique(self.stretches))
+        if count < _FEWEST or self.log_likelihood - other.log_likelihood < _BARE:
             return False
         statistic = vuong(self.by_sample, other.by_sample, self.stretches, 0.0)
-        return bool(statistic > scipy.stats.t.isf(level / of, seconds - 1))
+        return bool(statistic > scipy.stats.t.isf(level / of, count - 1))
 
 
 def one_step_ahead(
@@ -108,7 +110,17 @@ def one_step_ahead(
     passed = run_filter(model, data, space, _values(space), prior.starting(space), noise.exponents, substeps)
     there = slice(data.samples)
     shaken = (np.asarray(noise.filtered.shaken)[:fitted_length], np.asarray(passed.shaken)[there])
-    return OneStepAhead(by_sample(passed)[there], stretches(data)[there], _errors(passed, levels), shaken)
+    return OneStepAhead(
+        by_sample(passed)[there], stretches(data, _length(data))[there], _errors(passed, levels), shaken
+    )
+
+
+def _length(data: Data) -> float:
+    """Return how long a stretch is [s]: a second, or less of data so short that they would have too few."""
+    sample_time = np.asarray(data.excitation.sample_time, dtype=float)
+    counted = np.any(np.asarray(data.counted) > 0, axis=1).sum(axis=0)
+    total = float(np.sum(counted * sample_time))
+    return min(1.0, max(total / _SEVERAL, _SHORTEST * float(np.max(sample_time))))
 
 
 def _counting(data: Data, shaken: np.ndarray) -> Data:

@@ -71,6 +71,25 @@ def test_large_random_forces_beside_a_poor_simulation_stand_in_for_the_physics()
     assert "or the rig is shaken as hard as that, which these data cannot tell from it" in words
 
 
+@pytest.mark.parametrize(
+    ("random", "error", "cause"),
+    [((0.0, 0.6), 30.0, "stand-in"), ((0.0, 0.6), 15.0, "noise"), ((0.0, 0.02), 30.0, "noise")],
+)
+def test_a_channel_of_unknown_noise_tells_of_random_forces_in_place_of_the_physics(
+    random: tuple[float, float], error: float, cause: str
+) -> None:
+    """As an encoder's beside a cart's sensor that was recorded at rest."""
+    found = simulation_residual(
+        {"cart_position": 1.2, "arm_angle": error}, {"cart_position": 9.0, "arm_angle": 9.0},
+        {"cart_position": 300.0, "arm_angle": 200.0}, random=random, samples_per_radian=20.0, experiments=3,
+        unknown=["arm_angle"],
+    )  # fmt: skip
+    assert found.cause == cause
+    assert found.channel == ("arm_angle" if cause == "stand-in" else "cart_position")
+    assert ("15 % of the motion away from the recording (arm_angle)" in found.words) == (cause == "stand-in")
+    assert "known noise" not in found.words
+
+
 def test_an_effect_that_the_data_are_too_few_to_confirm_vetoes() -> None:
     found = judged(2.5, 2.8, suspect="arm_coulomb (127, the alarm is at 20)")
     assert found.cause == "too few data"

@@ -7,7 +7,10 @@ import pytest
 
 import estimators as est
 import rtac_jax as rtac
+from estimators.core.data import Data
 from estimators.diagnosis.model_extension import holding
+from estimators.prediction_error.innovations import stretches
+from estimators.validation import predictive_likelihood
 from estimators.validation.predictive_likelihood import OneStepAhead, one_step_ahead
 from rtac_jax import virtual_rig
 from rtac_jax.effects import CubicSpring, EncoderGain
@@ -85,7 +88,18 @@ def test_surpassing_takes_more_than_chance(seconds: int) -> None:
     assert share(0.0, 3) < 0.07
     assert share(1.0, 1) > 0.99
     few = of_sample[:400]
-    assert not ahead(np.ones(few.shape), few).surpasses(ahead(np.zeros(few.shape), few))  # four seconds tell nothing
+    assert not ahead(np.ones(few.shape), few).surpasses(ahead(np.zeros(few.shape), few))  # four stretches tell nothing
+
+
+@pytest.mark.parametrize(("seconds", "length"), [((1.0, 1.0), 0.25), ((0.1,), 0.1), ((12.0, 3.0), 1.0)])
+def test_short_data_are_cut_into_shorter_stretches(seconds: tuple[float, ...], length: float) -> None:
+    experiments = [
+        rtac.Experiment.of(str(n), kind="free", sample_time=0.004, cart_position=np.sin(np.arange(round(s / 0.004))))
+        for n, s in enumerate(seconds)
+    ]
+    data = Data.of(experiments)
+    assert predictive_likelihood._length(data) == pytest.approx(length, rel=0.01)
+    assert len(np.unique(stretches(data, length)[: data.samples])) == round(sum(seconds) / length)
 
 
 @pytest.mark.slow

@@ -176,14 +176,16 @@ class Improvement(Result):
                 self.diagnoses[-1].verdict,
                 "The model fails, and what the diagnosis names does not serve held-out experiments.",
             )
-        names = [candidate.id for candidate in self.added]
-        rivals = sorted({rival for candidate in self.added for rival in candidate.confusable_with})
-        start = f"{', '.join(names)} {'was' if len(names) == 1 else 'were'} missing"
-        if rivals:
-            group = ", ".join(dict.fromkeys([*names, *rivals]))
-            start = f"One of a group was missing ({group}), and the data cannot tell which"
+        sure = [candidate.id for candidate in self.added if not candidate.confusable_with]
+        start = f"{', '.join(sure)} {'was' if len(sure) == 1 else 'were'} missing" if sure else ""
+        for c in self.added:
+            if c.confusable_with:
+                group = ", ".join([c.id, *sorted(c.confusable_with)])
+                start = f"{start}, and one of a group ({group})" if start else f"One of a group was missing ({group})"
+        if len(sure) < len(self.added):
+            start += ", and the data cannot tell which"
         end = {
-            "adequate": "the mended model is adequate",
+            "adequate": f"the mended model is adequate{' one sample ahead' if self._astray else ''}",
             "unknown": f"the mended model still fails, and no effect of the catalogue explains {whole}",
             None: "the mended model was not diagnosed again",
         }.get(self.mended, "what a diagnosis of the mended model names does not serve held-out experiments")

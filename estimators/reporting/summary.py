@@ -115,13 +115,14 @@ def of_diagnosis(
         "unknown": "Look where and at which frequency the force acts (below); use its learned curve, or give an effect of your "
         "own with --effects.",
     }
+    if isinstance(found, Improvement):
+        steps["missing"] = "Use the model with it, in the range of motion that was recorded."
     if _largest(after) > FAR:
-        steps["adequate"] = (
+        mended = isinstance(found, Improvement) and found.mended == "adequate"
+        steps["missing" if mended else "adequate"] = (
             "Take the parameters from predictions (est.prediction_error_nonlinear): no simulation follows the rig. A record at "
             "rest and a repeat tell random forces from what is missing."
         )
-    if isinstance(found, Improvement):
-        steps["missing"] = "Use the model with it, in the range of motion that was recorded."
     if nearest is not None:
         steps[found.verdict] = (
             "Use the model as far as its held-out error is good enough; what else is missing shows where the force below acts."

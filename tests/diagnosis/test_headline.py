@@ -51,6 +51,20 @@ def test_a_group_is_named_as_a_group():
     )
 
 
+def test_what_is_sure_is_not_lumped_with_a_group():
+    sure, rivals = OTHERS[1], dataclasses.replace(OTHERS[0], id="force_offset", confusable_with=("lvdt_offset",))
+    found = looped(NAMED, diagnosis("adequate"), added=(sure, rivals), steps=3)
+    assert found.headline.startswith(
+        f"{sure.id} was missing, and one of a group (force_offset, lvdt_offset), and the data cannot tell which"
+    )
+
+
+def test_an_adequate_model_whose_simulation_is_far_off_is_adequate_one_sample_ahead():
+    found = dataclasses.replace(improvement(2, errors=(90.0, 30.0)), diagnoses=(NAMED, diagnosis("adequate")))
+    assert found.headline.endswith("the mended model is adequate one sample ahead.")
+    assert "Even so, its simulation leaves" in found.ending
+
+
 def test_nothing_added_is_said_as_what_it_is():
     quiet = dataclasses.replace(diagnosis("adequate"), random_force=1e-3, random_torque=2e-3)
     assert looped(quiet, steps=1).headline == "The model is adequate: nothing is missing at the noise floor."

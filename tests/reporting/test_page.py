@@ -8,13 +8,14 @@ import subprocess
 
 import numpy as np
 import pytest
-from made_up_results import LEARNED, compared, improvement
+from made_up_results import LEARNED, compared, diagnosis, improvement
 
 from estimators.plots.improvement import finding
 from estimators.reporting import summary
 from estimators.reporting.html import Bullets, Table, write_report
 from estimators.reporting.trace_viewer import trace_viewer
 from estimators.validation.simulation_error import Comparison
+from rtac_jax.effects import CubicSpring
 
 HOSTILE = '</script><img src=x onerror="alert(1)">'
 
@@ -74,6 +75,10 @@ def test_a_model_whose_simulation_is_far_off_is_not_to_be_used_as_it_is():
     assert bullets.next.startswith("Take the parameters from predictions")
     assert finding(found).startswith("No effect stands out, and yet the held-out error of")
     assert finding(improvement(1, "adequate", (1.0,))).startswith("Nothing is missing: the held-out error")
+    missing = dataclasses.replace(diagnosis("missing"), additions=(CubicSpring(1.0),))
+    mended = dataclasses.replace(improvement(2, "missing", (90.0, 30.0)), diagnoses=(missing, diagnosis("adequate")))
+    bullets = summary.of_diagnosis(mended, mended.train, mended.validation, file="rig.h5")
+    assert bullets.next.startswith("Take the parameters from predictions")
 
 
 @pytest.mark.parametrize(("verdict", "next_step"), [

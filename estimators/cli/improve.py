@@ -125,7 +125,8 @@ def improved(
         ("Candidates", tables),
         ("Thresholds", [_report.policy_table(found.diagnoses[0].policy)]),
     ]
-    bullets = summary.of_diagnosis(found, found.train, found.validation, file=work.file)
+    estimates = None if advice is None else advice.parameters
+    bullets = summary.of_diagnosis(found, found.train, found.validation, file=work.file, estimates=estimates)
     title = f"Improvement of the model with {work.file}"
     work.write_report(title, figures, sections, summary=bullets, traces=found.validation)
 

@@ -16,6 +16,10 @@ _SOME = 0.02  # fraction of samples that are missing, up to which bridging them 
 _FEWEST = 16  # samples of which a spectrum is taken
 _BRIDGED = 16  # samples that a gap may span and be bridged: a spline swings out over longer ones
 _ENOUGH = 64  # samples of a part whose spectrum has a quiet band to be found
+_WHOLE, _NEARLY_ALL = (
+    0.02,
+    0.95,
+)  # of a step, by which a multiple may be off, and the fraction of differences that are some
 # Draws of white noise; the median of their ratios scatters by a twentieth where half of 300 samples are missing.
 _WHITE_DRAWS = 9
 
@@ -66,13 +70,18 @@ def stated_levels(experiments: Sequence[Experiment]) -> dict[tuple[str, str], fl
 
 
 def _least_step(several: Iterable[Values]) -> float:
-    """Return the smallest quantisation step of several records; where one has none, the others need not be sorted."""
-    least = np.inf
-    for values in several:
-        least = min(least, quantisation_step(values))
-        if least == 0.0:
-            break
-    return float(least) if np.isfinite(least) else 0.0
+    """Return the smallest quantisation step that any of several records shows; zero where another has values between."""
+    records = list(several)
+    least = min((step for values in records if (step := quantisation_step(values)) > 0.0), default=0.0)
+    return (
+        least if least and all(_is_multiple(np.diff(values[np.isfinite(values)]), least) for values in records) else 0.0
+    )
+
+
+def _is_multiple(differences: Values, step: float) -> bool:
+    """Return whether nearly all differences are whole multiples of a step."""
+    ratio = differences / step
+    return bool(np.mean(np.abs(ratio - np.round(ratio)) < _WHOLE) > _NEARLY_ALL) if len(ratio) else True
 
 
 def quantisation_step(values: Values) -> float:
@@ -86,8 +95,7 @@ def quantisation_step(values: Values) -> float:
     if len(steps) == 0 or len(present) > 0.5 * len(values):
         return 0.0
     step = float(np.min(steps))
-    ratio = steps / step
-    return step if np.mean(np.abs(ratio - np.round(ratio)) < 0.02) > 0.95 else 0.0
+    return step if _is_multiple(steps, step) else 0.0
 
 
 def spectral_floor(values: Values) -> float:

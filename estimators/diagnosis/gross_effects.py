@@ -90,17 +90,17 @@ def begun_by_equations(fit: Fit, model: RTAC, recording: Recording, policy: Diag
 
 
 def placed_inside(model: RTAC, values: Mapping[str, float]) -> RTAC:
-    """Return a model with these of its values, those beyond a bound a hundredth of the model's own inside it.
+    """Return a model with these of its values, those of free parameters beyond a bound a hundredth of the model's own inside it.
 
     An eccentric moment that no rigid body has is left as it was.
     """
-    declared = model.parameters
+    declared, free = model.parameters, set(model.free)
     scale = float(np.mean(np.asarray(model["total_mass"] * model["arm_inertia"])))
     inside = {}
     for name in [name for name in values if name in declared]:
         if name == "eccentric_moment" and not values[name] ** 2 < scale:
             continue
         low, high = declared[name].bounds
-        room = 0.01 * abs(float(np.mean(np.asarray(model[name]))))
+        room = 0.01 * abs(float(np.mean(np.asarray(model[name])))) if name in free else 0.0
         inside[name] = float(np.clip(values[name], low + room, high - room))
     return model.with_values(inside)

@@ -17,6 +17,8 @@ from estimators.misspecification.candidate_screening import Screened
 from estimators.misspecification.equation_screening import Explained
 from estimators.output_error.fit import output_error
 
+_STEPS = 10  # of the optimiser in each stage: candidates are ranked, and the step after goes on from where one ended
+
 
 class SimulatedFits:
     """The fits by simulation of a diagnosis: of the base model, and of models with candidates added.
@@ -72,7 +74,7 @@ def _simulated_with(setting: Setting, fit: Fit, before: Refit, s: Screened | Exp
     if isinstance(s, Explained):
         begin = placed_inside(begin, {name: value for name, value in s.values.items() if name in begin.free})
     with contextlib.suppress(ArithmeticError, NotIdentifiableError):
-        found = output_error(begin, setting.recording, from_model=True, progress=False)
+        found = output_error(begin, setting.recording, from_model=True, steps=_STEPS, progress=False)
         sound = not found.lost and np.all(np.isfinite(list(found.residual_std.values())))
         return found if sound and _plausible(found, s, setting.policy) else None
     return None

@@ -16,7 +16,7 @@ from estimators.diagnosis.policy import DiagnosisPolicy
 from estimators.diagnosis.selection import Selection, Tried, by_size
 from estimators.diagnosis.step import Step
 from estimators.misspecification.adequacy import adequacy_tests
-from estimators.misspecification.findings import Findings, Score
+from estimators.misspecification.findings import Score
 
 
 def selected_by_simulation(laboratory: Laboratory, found: Selection, policy: DiagnosisPolicy) -> Selection | None:
@@ -31,8 +31,10 @@ def selected_by_simulation(laboratory: Laboratory, found: Selection, policy: Dia
 
     Source: Miller, Subset Selection in Regression (2002), chapter 3, for forward selection.
     """
+    if max(_random(found.base)) < policy.gross_random:
+        return None
     base = laboratory.simulation(found.base)
-    if max(_random(found.base)) < policy.gross_random or not _is_far(base, policy):
+    if not _is_far(base, policy):
         return None
     named = found.named_model(laboratory.facts.samples, policy)
     if named.added and sum(x**2 for x in _random(named)) <= policy.left * sum(x**2 for x in _random(found.base)):
@@ -41,7 +43,7 @@ def selected_by_simulation(laboratory: Laboratory, found: Selection, policy: Dia
     if base is None or reached is None or not _is_far(reached, policy):
         return None
     laboratory.say("simulations")
-    enough = policy.left * _excess(reached.error, base.error)
+    enough = policy.left * _excess(reached.error, base.error, policy)
     steps, left, tried = _steps(laboratory, found, base.error, enough, policy)
     simulated = dataclasses.replace(found, steps=steps, simulated=left, tried=found.tried | tried)
     count = simulated.named(laboratory.facts.samples, policy)[1]
@@ -65,11 +67,11 @@ def _steps(
     """
     steps: list[Step] = []
     left, tried = [1.0], {}
-    now, seen = found.base, found.findings
+    now = found.base
     while len(steps) < policy.effects:
-        asked = _asked(laboratory, now, seen, policy)
+        asked = _asked(laboratory, now, policy)
         errors = laboratory.simulation_errors(now, list(asked.values()))
-        remaining = {i: _excess(error, base) for i, error in errors.items()}
+        remaining = {i: _excess(error, base, policy) for i, error in errors.items()}
         good = [i for i, one in remaining.items() if one <= left[-1] * (1 - policy.fall) ** 2]
         if not good:
             break
@@ -87,23 +89,27 @@ def _steps(
             )
         )  # fmt: skip
         left.append(remaining[best])
-        now, seen = model, after
+        now = model
         if left[-1] <= enough:
             break
     return steps, tuple(left), tried
 
 
-def _asked(laboratory: Laboratory, now: FittedModel, seen: Findings, policy: DiagnosisPolicy) -> dict[str, Score]:
-    """Return the candidates that equations of motion and innovations speak for most, those of the equations where they begin.
+def _asked(laboratory: Laboratory, now: FittedModel, policy: DiagnosisPolicy) -> dict[str, Score]:
+    """Return the candidates that equations of motion and the simulation's residual speak for most.
 
     What works by contact is left to trials: when it begins and ends moves by whole samples, which no descent follows. What the
     random forces would hide is asked: a simulation has none.
     """
     by_equations = [s for s in laboratory.equation_scores(now) if s.statistic > policy.bic_gain]
-    by_filter = by_size([s for s in seen.scores if s.statistic >= policy.alarm], math.log(laboratory.facts.samples))
-    several = [*by_equations[: 2 * policy.refits], *by_filter[: policy.refits]]
+    alarms = [s for s in laboratory.quiet_scores(now) if s.statistic >= policy.alarm]
     contacts = {i for i, traits in laboratory.facts.effects.items() if traits.contact}
-    return {s.id: s for s in reversed(several) if s.id not in contacts}
+    by_size_first = by_size(alarms, math.log(laboratory.facts.samples))
+    several = [
+        *[s for s in by_equations if s.id not in contacts][: policy.refits],
+        *[s for s in by_size_first if s.id not in contacts][: policy.refits],
+    ]
+    return {s.id: s for s in reversed(several)}
 
 
 def _best(
@@ -120,9 +126,9 @@ def _best(
     return best, [i for i in alike if i != best and i not in larger]
 
 
-def _excess(error: Mapping[str, float], base: Mapping[str, float]) -> float:
+def _excess(error: Mapping[str, float], base: Mapping[str, float], policy: DiagnosisPolicy) -> float:
     """Return the mean over channels of what is left of the base model's squared error beyond the noise."""
-    beyond = {c: e**2 - 1 for c, e in base.items() if e**2 > 2}
+    beyond = {c: e**2 - 1 for c, e in base.items() if e**2 > policy.simulation_noise}
     if not beyond:
         return 1.0
     return sum(max(error[c] ** 2 - 1, 0.0) / one for c, one in beyond.items()) / len(beyond)

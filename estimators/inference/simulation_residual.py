@@ -84,7 +84,7 @@ class SimulationResidual:
             "unexplained": "Nothing explains the error of the simulation",
         }[self.cause]
         if not self.noise_known:
-            return f"{said}: the simulation misses {100 * self.signal_fraction:.0f} % of the motion ({self.channel})"
+            return f"{said}: the simulation misses {100 * self.signal_fraction:.2g} % of the motion ({self.channel})"
         return f"{said}: {self.ratio:.2g} times the noise ({self.channel})"
 
 
@@ -191,7 +191,7 @@ def simulation_residual(
 
     def said(cause: Cause, channel: str) -> SimulationResidual:
         fraction = error[channel] / signal[channel]
-        misses = f"the simulation is {100 * fraction:.0f} % of the motion away from the recording ({channel})"
+        misses = f"the simulation is {100 * fraction:.2g} % of the motion away from the recording ({channel})"
         if noise_known and channel not in unknown:
             misses += f", {error[channel]:.2g} times the known noise"
         words = _words(cause, misses, shaken.get(channel, nothing), random, suspect, seconds)

@@ -62,12 +62,17 @@ def of_comparison(trained: Comparison, tested: Comparison | None, *, file: str) 
 
 
 def of_diagnosis(
-    found: Diagnosis | Improvement, trained: Comparison, tested: Comparison | None, *, file: str
+    found: Diagnosis | Improvement,
+    trained: Comparison,
+    tested: Comparison | None,
+    *,
+    file: str,
+    estimates: Mapping[str, Parameter] | None = None,
 ) -> Bullets:
-    """Return the bullets of a diagnosis or of a loop of them; arguments as of `of_fit`."""
+    """Return the bullets of a diagnosis or of a loop of them; arguments as of `of_fit`, and the estimates that are recommended."""
     effects = found.added if isinstance(found, Improvement) and found.added else _named(found)
     # What a model holds after all else was fitted beside it; a diagnosis estimates before that.
-    final = found.final.parameters if isinstance(found, Improvement) else {}
+    final = estimates or (found.final.parameters if isinstance(found, Improvement) else {})
     named = "; ".join(_effect(c, final) for c in effects)
     last = found.diagnoses[-1] if isinstance(found, Improvement) else found
     on_the_way = f"; added on the way: {named}" if named else ""

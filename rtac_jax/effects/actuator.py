@@ -5,6 +5,7 @@ from typing import Any, ClassVar
 import jax.numpy as jnp
 import numpy as np
 
+from rtac_jax._rigid_body import RigidBody
 from rtac_jax.effects._interface import Actuator, Motion, States
 from rtac_jax.effects._lag import averaged, behind
 from rtac_jax.parameters import Scalar, parameter
@@ -79,6 +80,13 @@ class CurrentOffset(Actuator):
 
     def current(self, current: Any, own: States) -> Any:
         return current + self.offset
+
+    def remark(self, body: RigidBody) -> str:
+        torque = float(np.max(np.abs(self.offset * body.torque_constant)))
+        return (
+            f"While the arm moves, dry friction that is {torque:.3g} N m more one way and as much less the other is the same as "
+            "current_offset."
+        )
 
 
 class DeadZone(Actuator):

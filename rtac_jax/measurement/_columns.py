@@ -23,6 +23,8 @@ FACTORS: Mapping[str, Mapping[str, float]] = {
 }
 UNITS = {**INPUTS, **OUTPUTS}
 UNIFORM = 1e-6
+# Of a step, by which times that a logger rounds may be off the clock that they tell: microseconds of steps from a millisecond on.
+ROUNDED = 2e-3
 
 
 class ImportOptions(TypedDict, total=False):
@@ -176,8 +178,11 @@ def uniform_step(times: Float64[np.ndarray, " sample"], column: str, offset: int
         raise RecordingError(f"{column}, index {index}: the time does not increase; sort, mend or cut the rows there.")
     # The median is not moved by a gap, so the index found is that of the gap.
     typical = float(np.median(steps))
-    uneven = np.abs(steps - typical) > UNIFORM * typical
-    if uneven.any():
+    off = np.abs(steps - typical)
+    uneven = off > max(UNIFORM * typical, 0.5 * float(np.max(off)))
+    mean = (times[-1] - times[0]) / len(steps)
+    rounded = np.max(np.abs(times - times[0] - mean * np.arange(len(times)))) < ROUNDED * mean
+    if uneven.any() and not rounded:
         index = int(np.argmax(uneven))
         raise RecordingError(
             f"{column}, index {index + 1 + offset}: the step is {steps[index]:.9g} s and elsewhere "

@@ -175,7 +175,9 @@ def _scatter_of_steps(values: Values, steps: np.ndarray) -> np.ndarray:
         if np.mean(np.abs(steps) <= 1e-9 * np.ptp(values)) > 0.02
         else 0.0
     )
-    return np.maximum(scale * np.maximum(nearby, np.median(third)), max(level, 1e-9 * np.ptp(values)))
+    # One that moves by nearly a whole number of levels a sample shows no noise, and now and then a level more.
+    least = max(level, _QUIET_LEVELS / _SIGMAS * resolution(values), 1e-9 * np.ptp(values))
+    return np.maximum(scale * np.maximum(nearby, np.median(third)), least)
 
 
 def _spikes(excess: np.ndarray, limit: np.ndarray, *, narrowest: int) -> list[tuple[int, int]]:

@@ -88,3 +88,12 @@ def test_a_rest_record_that_reads_one_value_tells_no_noise(reading) -> None:
 def test_a_channel_that_reads_one_value_wherever_it_was_recorded_has_no_noise() -> None:
     rest = rtac.Experiment.of("r", kind="rest", sample_time=0.005, arm_angle=np.zeros(400))
     assert noise_levels([rest])["arm_angle"] == 1e-300
+
+
+def test_a_rest_record_that_flickers_by_a_step_shows_the_step() -> None:
+    """Where the arm moves fast, most of its readings differ."""
+    resting = np.where(np.arange(400) % 90 == 0, 1e-3, 0.0)
+    rest = rtac.Experiment.of("r", kind="rest", sample_time=0.005, arm_angle=resting)
+    angle = np.round(2.0 * np.sin(3.0 * 0.005 * np.arange(400) + 0.3) / 1e-3) * 1e-3
+    moving = rtac.Experiment.of("a", kind="free", sample_time=0.005, arm_angle=angle)
+    assert noise_levels([rest, moving])["arm_angle"] == pytest.approx(1e-3 / np.sqrt(12))

@@ -9,6 +9,7 @@ import pytest
 import estimators as est
 import rtac_jax as rtac
 from estimators.core.data import Data, moving, pieces
+from estimators.diagnosis.gross_effects import placed_inside
 from estimators.diagnosis.policy import STANDARD
 from estimators.inference.shaken_simulation import unfollowed
 from rtac_jax import virtual_rig
@@ -68,3 +69,16 @@ def test_the_loop_mends_a_model_that_followed_nothing() -> None:
     assert [c.id for c in found.added] == ["cable_spring"]
     errors = found.validation.models[-1].errors
     assert all(error.rms_over_noise < 1.3 for error in errors.values()), found
+
+
+def test_what_is_fixed_on_a_bound_stays_there() -> None:
+    """A hundredth of a tilt's zeroing that was moved off its bound was named as an offset of the sensor."""
+    body = rtac.RTAC.from_rig(
+        virtual_rig.record(virtual_rig.Rig(), virtual_rig.standard_plans(seed=1, duration=1.0), seed=1)
+    )
+    model = (body + CATALOGUE["gravity_tilt"](along=0.01, across=0.0, zeroed=0.0)).fix("gravity_tilt.zeroed")
+    values = {"gravity_tilt.zeroed": 0.0, "gravity_tilt.along": 0.02, "cart_coulomb.level": 0.0}
+    placed = placed_inside(model, values)
+    assert float(placed["gravity_tilt.zeroed"]) == 0.0
+    assert float(placed["gravity_tilt.along"]) == 0.02
+    assert float(placed["cart_coulomb.level"]) > 0.0

@@ -42,6 +42,9 @@ class Axis(Known):
         left = Findings() if "encoder_lag" in model.added else Findings(scores, curves=(force(2000.0),))
         return dataclasses.replace(left, scores=tuple(s for s in left.scores if s.id not in model.added))
 
+    def quiet_scores(self, model: FittedModel) -> tuple[Score, ...]:
+        return self.findings(model).scores
+
     def equation_scores(self, model: FittedModel) -> tuple[Score, ...]:
         scores = (sized("arm_coulomb", 450.0, 1e-9), sized("current_offset", 80.0, 1e-9), sized("dead_zone", 9.0, 0.1))
         return tuple(s for s in scores if s.id not in model.added)

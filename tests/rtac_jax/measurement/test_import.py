@@ -8,9 +8,11 @@ import pytest
 import scipy.io
 from small_experiments import DECAY, DT, T, spoilt
 
+import rtac_jax as rtac
 from rtac_jax.measurement import (
     Recording,
     RecordingError,
+    _columns,
     concerns,
     describe,
 )
@@ -214,3 +216,19 @@ def test_csv_refuses_a_file_that_is_none(tmp_path):
     path.write_bytes(b"\xff\xfe\x00\x01" * 50)
     with pytest.raises(RecordingError, match=r"run.csv: this is not a readable text file"):
         load_csv(path)
+
+
+@pytest.mark.parametrize(("rate", "digits", "read"), [(255.0, 6, True), (750.0, 6, True), (255.0, 4, False)])
+def test_times_that_a_logger_rounds_are_those_of_its_clock(rate, digits, read):
+    times = np.round(np.arange(3000) / rate, digits)
+    if read:
+        assert _columns.uniform_step(times, "t", 0) == pytest.approx(1 / rate, rel=1e-6)
+    else:
+        with pytest.raises(rtac.RecordingError, match="or give sample_time if the times are only rounded"):
+            _columns.uniform_step(times, "t", 0)
+
+
+def test_a_lost_sample_is_no_rounding():
+    times = np.delete(np.arange(3000) / 255.0, 1500)
+    with pytest.raises(rtac.RecordingError, match="t, index 1500: the step is"):
+        _columns.uniform_step(np.round(times, 6), "t", 0)

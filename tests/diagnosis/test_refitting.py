@@ -58,9 +58,9 @@ def simulated(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
     def ends(setting: Setting, before: Refit, added: Any, model: RTAC, free: Any, found: Any) -> Refit:
         return refit_of("cubic_spring", likelihood=20.0, size=10.0 * found.size)
 
-    monkeypatch.setattr(refitting, "_beginning", begins)
+    monkeypatch.setattr(refitting, "beginning", begins)
     monkeypatch.setattr(refitting, "refit_with", lambda *_: refit_of("cubic_spring", likelihood=10.0, size=2.0))
-    monkeypatch.setattr(refitting, "_from_simulation", ends)
+    monkeypatch.setattr(refitting, "from_simulation", ends)
     return monkeypatch
 
 

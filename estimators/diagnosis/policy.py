@@ -43,7 +43,8 @@ class DiagnosisPolicy:
     )
     static: float = _threshold(
         0.5,
-        "fraction of the misfit that a static force must explain to be called the missing force",
+        "fraction of the misfit that a static force must explain to be called the missing force, and of the squared error of a"
+        " simulation an effect to be selected by it",
         _UNSTUDIED,
     )
     bic_gain: float = _threshold(

@@ -63,7 +63,7 @@ def _steps(
 ) -> tuple[list[Step], tuple[float, ...], Tried]:
     """Return the steps, what is left of the base model's squared error before and after each, and what was fitted.
 
-    They end where enough is explained.
+    They end where enough is explained, or where no candidate explains most of what is left.
     """
     steps: list[Step] = []
     left, tried = [1.0], {}
@@ -72,7 +72,7 @@ def _steps(
         asked = _asked(laboratory, now, policy)
         errors = laboratory.simulation_errors(now, list(asked.values()))
         remaining = {i: _excess(error, base, policy) for i, error in errors.items()}
-        good = [i for i, one in remaining.items() if one <= left[-1] * (1 - policy.fall) ** 2]
+        good = [i for i, one in remaining.items() if one <= left[-1] * (1 - policy.static)]
         if not good:
             break
         best, rivals = _best(laboratory, remaining, good, policy)

@@ -37,8 +37,8 @@ def selected_by_simulation(laboratory: Laboratory, found: Selection, policy: Dia
     if not _is_far(base, policy):
         return None
     named = found.named_model(laboratory.facts.samples, policy)
-    if named.added and sum(x**2 for x in _random(named)) <= policy.left * sum(x**2 for x in _random(found.base)):
-        return None  # what is named takes the place of the random forces
+    if not _is_doubtful(laboratory, found, named, policy):
+        return None
     reached = laboratory.simulation(named)
     if base is None or reached is None or not _is_far(reached, policy):
         return None
@@ -56,6 +56,22 @@ def _random(model: FittedModel) -> tuple[float, float]:
 
 def _is_far(error: SimulationError | None, policy: DiagnosisPolicy) -> bool:
     return error is not None and max(error.error.values(), default=0.0) > policy.simulation_far
+
+
+def _is_doubtful(laboratory: Laboratory, found: Selection, named: FittedModel, policy: DiagnosisPolicy) -> bool:
+    """Return whether a simulation may want other effects than those that are named, by what is known without fitting any.
+
+    They are not doubted where they take the place of the random forces, or each explains most of what any candidate explains of the
+    residual that a predictor with next to no random force leaves. Where none is named, it asks for one if a test rejects.
+    """
+    if not named.added:
+        return any(test.rejects for test in found.tests)
+    if sum(x**2 for x in _random(named)) <= policy.left * sum(x**2 for x in _random(found.base)):
+        return False
+    shown: dict[str, float] = {}
+    for s in laboratory.quiet_scores(found.base):
+        shown[s.id] = max(s.statistic, shown.get(s.id, 0.0))
+    return min(shown.get(i, 0.0) for i in named.added) < policy.static * max(shown.values(), default=0.0)
 
 
 def _steps(

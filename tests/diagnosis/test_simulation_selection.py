@@ -26,6 +26,7 @@ class Axis(Known):
     ways: list[Way]
     torque = 0.5
     named = 8_387.0  # error with what predictions name
+    lag = 60.0  # what that explains of the residual without random forces
 
     def __init__(self, errors: Mapping[frozenset[str], float] = ERRORS) -> None:
         super().__init__(known(base=0.0, encoder_lag=5000.0, arm_coulomb=2000.0, arm_coulomb__current_offset=4000.0))
@@ -43,7 +44,12 @@ class Axis(Known):
         return dataclasses.replace(left, scores=tuple(s for s in left.scores if s.id not in model.added))
 
     def quiet_scores(self, model: FittedModel) -> tuple[Score, ...]:
-        return self.findings(model).scores
+        scores = (
+            sized("arm_coulomb", 400.0, 1e-9),
+            sized("arm_stribeck", 340.0, 1e-9),
+            sized("encoder_lag", self.lag, 1e-9),
+        )
+        return tuple(s for s in scores if s.id not in model.added)
 
     def equation_scores(self, model: FittedModel) -> tuple[Score, ...]:
         scores = (sized("arm_coulomb", 450.0, 1e-9), sized("current_offset", 80.0, 1e-9), sized("dead_zone", 9.0, 0.1))
@@ -107,6 +113,28 @@ def test_names_that_take_the_place_of_the_random_forces_are_not_doubted(left: fl
     laboratory = Replaced()
     decide(laboratory, STANDARD, thorough=True)
     assert bool(laboratory.asked) == asked
+
+
+@pytest.mark.parametrize(("lag", "asked"), [(199.0, True), (201.0, False)])
+def test_a_name_that_explains_most_of_the_residual_without_random_forces_is_not_doubted(
+    lag: float, asked: bool
+) -> None:
+    laboratory = Axis()
+    laboratory.lag = lag
+    decide(laboratory, STANDARD, thorough=True)
+    assert bool(laboratory.asked) == asked
+
+
+@pytest.mark.parametrize("rejects", [True, False])
+def test_where_nothing_is_named_a_rejection_asks(rejects: bool) -> None:
+    class Unnamed(Axis):
+        def findings(self, model: FittedModel) -> Findings:
+            return Findings(curves=(force(2000.0),) if rejects else (), scores=())
+
+    laboratory = Unnamed()
+    found = decide(laboratory, STANDARD, thorough=False)
+    assert bool(laboratory.asked) == rejects
+    assert found.effects == (("arm_coulomb",) if rejects else ())
 
 
 def test_what_works_by_contact_is_left_to_trials() -> None:

@@ -15,6 +15,7 @@ from estimators.diagnosis.laboratory import Laboratory
 from estimators.diagnosis.policy import DiagnosisPolicy
 from estimators.diagnosis.selection import Selection, Tried, by_size
 from estimators.diagnosis.step import Step
+from estimators.inference.simulation_residual import random_forces_are_large
 from estimators.misspecification.adequacy import adequacy_tests
 from estimators.misspecification.findings import Score
 
@@ -62,10 +63,12 @@ def _is_doubtful(laboratory: Laboratory, found: Selection, named: FittedModel, p
     """Return whether a simulation may want other effects than those that are named, by what is known without fitting any.
 
     They are not doubted where they take the place of the random forces, or each explains most of what any candidate explains of the
-    residual that a predictor with next to no random force leaves. Where none is named, it asks for one if a test rejects.
+    residual that a predictor with next to no random force leaves. Where none is named, it asks for one if a test rejects, or if the
+    random forces are no small disturbance.
     """
     if not named.added:
-        return any(test.rejects for test in found.tests)
+        large = random_forces_are_large(_random(named), laboratory.facts.samples_per_radian, policy.simulation)
+        return large or any(test.rejects for test in found.tests)
     if sum(x**2 for x in _random(named)) <= policy.left * sum(x**2 for x in _random(found.base)):
         return False
     shown: dict[str, float] = {}

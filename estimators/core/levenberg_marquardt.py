@@ -29,7 +29,7 @@ _WORTH = 0.01
 # Damping of a full step, far below what any data say of an unknown that they show; by how much less it is after a step that
 # gained what it promised; its factors along the arc, and from what was best last to where the next arc begins.
 _FULL, _LESS, _ALONG, _BOLDER = 1.0, 3.5, 8.0, 64.0
-# Damping below which nothing creeps any more; and of rounding, as a fraction of a matrix's trace.
+# Damping below which nothing creeps any more; and of rounding, as a fraction of a matrix's trace, or of the cost.
 _LEAST, _ROUNDING = 1e-12, 1e-12
 # A step that gains less than this fraction of what a full one promises was stopped by a kink; of how many points beyond it the
 # slopes are counted, too.
@@ -269,7 +269,9 @@ class _Walk:
         found = _Found(None, 0.0, damping, None)
         while True:
             there, promised = arc.at(damping)
-            if not promised >= _NOTHING:
+            if not promised >= max(
+                _NOTHING, _ROUNDING * cost
+            ):  # of a huge cost what is promised is never less than rounding
                 return found
             gained = cost - _simulated_cost(there, self._arguments, weights)
             if found.there is not None and gained <= found.gained:

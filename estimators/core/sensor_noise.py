@@ -16,10 +16,8 @@ _SOME = 0.02  # fraction of samples that are missing, up to which bridging them 
 _FEWEST = 16  # samples of which a spectrum is taken
 _BRIDGED = 16  # samples that a gap may span and be bridged: a spline swings out over longer ones
 _ENOUGH = 64  # samples of a part whose spectrum has a quiet band to be found
-_WHOLE, _NEARLY_ALL = (
-    0.02,
-    0.95,
-)  # of a step, by which a multiple may be off, and the fraction of differences that are some
+# Of a step, by which a multiple may be off; the fraction of differences that are multiples; the differences that are looked at.
+_WHOLE, _NEARLY_ALL, _FEW_STEPS = 0.02, 0.95, 10.5
 # Draws of white noise; the median of their ratios scatters by a twentieth where half of 300 samples are missing.
 _WHITE_DRAWS = 9
 
@@ -39,7 +37,7 @@ def noise_levels(experiments: Sequence[Experiment]) -> dict[str, float]:
         step = _least_step(signal.values for e in holders if (signal := e.outputs[channel]).varies)
         stated = [s for e in holders if (s := e.outputs[channel].noise_std) is not None]
         resting = [signal.values for e in holders if e.kind == "rest" and (signal := e.outputs[channel]).varies]
-        moving = [e for e in holders if e.kind != "rest"]
+        moving = [e for e in holders if e.kind != "rest" and e.outputs[channel].varies]
         if resting:
             deviations = np.concatenate([values - np.nanmean(values) for values in resting])
             level = float(np.sqrt(np.nanmean(deviations**2)))
@@ -79,8 +77,9 @@ def _least_step(several: Iterable[Values]) -> float:
 
 
 def _is_multiple(differences: Values, step: float) -> bool:
-    """Return whether nearly all differences are whole multiples of a step."""
+    """Return whether nearly all differences of a few steps are whole multiples of it: a file rounds larger ones apart."""
     ratio = differences / step
+    ratio = ratio[np.abs(ratio) < _FEW_STEPS]
     return bool(np.mean(np.abs(ratio - np.round(ratio)) < _WHOLE) > _NEARLY_ALL) if len(ratio) else True
 
 

@@ -49,7 +49,7 @@ def words(
     if verdict == "adequate":
         limits = sorted((c for c in candidates if c.testable), key=lambda c: c.id)
         text = ", ".join(f"{c.id} {c.limit}" for c in limits)
-        blind = [c.id for c in candidates if not c.testable]
+        blind = [c.id for c in candidates if not c.can_show]
         unseen = f" These data could not show {', '.join(blind)} at any plausible size." if blind else ""
         found = simulation.words if simulation is not None and simulation.words else f"Nothing is missing {floor}."
         if detectable and consequence is not None:

@@ -178,11 +178,11 @@ class Improvement(Result):
             )
         sure = [candidate.id for candidate in self.added if not candidate.confusable_with]
         start = f"{', '.join(sure)} {'was' if len(sure) == 1 else 'were'} missing" if sure else ""
-        for c in self.added:
-            if c.confusable_with:
-                group = ", ".join([c.id, *sorted(c.confusable_with)])
-                start = f"{start}, and one of a group ({group})" if start else f"One of a group was missing ({group})"
-        if len(sure) < len(self.added):
+        groups = {tuple(sorted({c.id, *c.confusable_with} - set(sure))): c.id for c in self.added if c.confusable_with}
+        for several, first in groups.items():
+            group = ", ".join([first, *(name for name in several if name != first)])
+            start = f"{start}, and one of a group ({group})" if start else f"One of a group was missing ({group})"
+        if groups:
             start += ", and the data cannot tell which"
         end = {
             "adequate": f"the mended model is adequate{' one sample ahead' if self._astray else ''}",

@@ -130,7 +130,7 @@ class Archive:
 
     def simulation(self, model: FittedModel) -> SimulationError | None:
         """Return the error of a free simulation of a model."""
-        if self.facts.noise_known and model.number not in self._evidence.simulations:
+        if model.number not in self._evidence.simulations:
             self._note(f"simulation of the model with {_named(model)}")
         return self._evidence.simulations.get(model.number)
 

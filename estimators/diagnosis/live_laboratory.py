@@ -236,7 +236,7 @@ class LiveLaboratory:
     def _refits_from_simulation(self, before: FittedModel, several: Sequence[Score]) -> dict[str, FittedModel]:
         """Refit a model with each of several candidates from where a simulation with it ended, and keep that as the model's."""
         setting, refit = self.computed(before)
-        fits = {s.id: self._simulated.fit_with(before.number, s.id) for s in several}
+        fits = {s.id: self._simulated.finish(before.number, s.id, setting) for s in several}
         found = {
             s.id: after
             for s, held in zip(several, self._held(several), strict=True)

@@ -43,8 +43,6 @@ from rtac_jax.effects import Effect
 from rtac_jax.measurement import Recording
 from rtac_jax.parameters import declarations
 
-_STEPS = 15  # of the optimiser in each stage of a simulation that is fitted from where a predictor is
-
 
 def compile_for(model: RTAC, recording: Recording, classes: Sequence[type[Effect]]) -> None:
     """Compile what the diagnosis of a model will run first, so that this can be done while the model is fitted."""
@@ -245,7 +243,7 @@ def extended_simulation(setting: Setting, fit: Fit, final: Refit) -> SimulationE
     # What the data leave free, as the torque constant of an arm that its drive never turns, is held where the predictor has it.
     for model in (extended, extended.fix(*base)):
         with contextlib.suppress(ArithmeticError, NotIdentifiableError):
-            simulated = output_error(model, setting.recording, from_model=True, steps=_STEPS, progress=False)
+            simulated = output_error(model, setting.recording, from_model=True, progress=False)
             return simulation_error(setting, simulated, final)
     return simulation_error(setting, fit, final)
 

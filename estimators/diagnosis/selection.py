@@ -57,5 +57,5 @@ def by_size(screened: Sequence[Candidate], price: float) -> list[Candidate]:
 
 
 def nameable(facts: Facts, several: Sequence[Score]) -> list[Score]:
-    """Return the candidates that the data could show at a plausible size: no other is ever named."""
+    """Return the candidates that the data could show at a plausible size: of others, only what a simulation selects is named."""
     return [s for s in several if s.id not in facts.untestable]

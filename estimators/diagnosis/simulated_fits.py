@@ -44,9 +44,14 @@ class SimulatedFits:
             self._with[number, s.id] = found
             self.errors[number, s.id] = {} if found is None else found.residual_over_noise
 
-    def fit_with(self, number: int, effect: str) -> Fit | None:
-        """Return the fit with a candidate beside a model, by number and id; None where none could be fitted, or was asked."""
-        return self._with.get((number, effect))
+    def finish(self, number: int, effect: str, setting: Setting) -> Fit | None:
+        """Fit the simulation with a candidate to its end, by number of the model before and id; None where none could be begun."""
+        begun = self._with.get((number, effect))
+        if begun is not None:
+            with contextlib.suppress(ArithmeticError, NotIdentifiableError):
+                done = output_error(begun.model, setting.recording, from_model=True, progress=False)
+                begun = begun if done.lost else done
+        return begun
 
     def predictor_from(self, fit: Fit, setting: Setting, before: Refit, s: Screened | Explained) -> Refit | None:
         """Return the predictor that is fitted from where a simulation with a candidate ended; None where it diverges there."""
@@ -70,7 +75,8 @@ def _simulated_with(setting: Setting, fit: Fit, before: Refit, s: Screened | Exp
     setting.progress.at(f"diagnose: simulation with {s.id}")
     model, _, _ = beginning(setting, before, s)
     effect = next(effect for effect in model.effects if effect.id == s.id)
-    begin = fit.model + effect
+    # A lost fit is no place to begin: the setting has the model in closed form.
+    begin = (setting.model if fit.lost else fit.model) + effect
     if isinstance(s, Explained):
         begin = placed_inside(begin, {name: value for name, value in s.values.items() if name in begin.free})
     with contextlib.suppress(ArithmeticError, NotIdentifiableError):

@@ -17,13 +17,13 @@ from estimators.diagnosis.selection import Selection, Tried, by_size
 from estimators.diagnosis.step import Step
 from estimators.inference.simulation_residual import random_forces_are_large
 from estimators.misspecification.adequacy import adequacy_tests
-from estimators.misspecification.findings import Score
+from estimators.misspecification.findings import Findings, Score
 
 
 def selected_by_simulation(laboratory: Laboratory, found: Selection, policy: DiagnosisPolicy) -> Selection | None:
     """Select effects by what they take off the simulation's error; None where they do not take off nearly all that is left.
 
-    Asked only where the simulation is far from the data, and the predictor needs random forces with what is named as without.
+    Asked only where the simulation is far from the data beside random forces, and what is named, or that nothing is, is doubtful.
 
     Args:
         laboratory: that computes, or knows, what is asked.
@@ -44,7 +44,7 @@ def selected_by_simulation(laboratory: Laboratory, found: Selection, policy: Dia
     if base is None or reached is None or not _is_far(reached, policy):
         return None
     laboratory.say("simulations")
-    enough = policy.left * _excess(reached.error, base.error, policy)
+    enough = policy.left * min(_excess(reached.error, base.error, policy), 1.0)
     steps, left, tried = _steps(laboratory, found, base.error, enough, policy)
     simulated = dataclasses.replace(found, steps=steps, simulated=left, tried=found.tried | tried)
     count = simulated.named(laboratory.facts.samples, policy)[1]
@@ -92,18 +92,15 @@ def _steps(
         errors = laboratory.simulation_errors(now, list(asked.values()))
         remaining = {i: _excess(error, base, policy) for i, error in errors.items()}
         good = [i for i, one in remaining.items() if one <= left[-1] * (1 - policy.static)]
-        if not good:
+        found_next = _next(laboratory, now, asked, remaining, good, policy)
+        if found_next is None:
             break
-        best, rivals = _best(laboratory, remaining, good, policy)
-        model = laboratory.refits(now, [asked[best]], "simulation").get(best)
-        after = None if model is None else laboratory.findings(model)
-        if model is None or after is None:
-            break
+        best, rivals, model, after = found_next
         tried[best] = (now, model)
         tests = adequacy_tests(after, policy.critical)
         steps.append(
             Step(
-                best, tuple(rivals), 2 * gain(now, model), bic_gain(laboratory.facts.samples, now, model),
+                best, rivals, 2 * gain(now, model), bic_gain(laboratory.facts.samples, now, model),
                 held_out_gain(laboratory, now, model, policy), model, tests, asked[best].amplitudes,
             )
         )  # fmt: skip
@@ -131,23 +128,45 @@ def _asked(laboratory: Laboratory, now: FittedModel, policy: DiagnosisPolicy) ->
     return {s.id: s for s in reversed(several)}
 
 
+def _next(
+    laboratory: Laboratory,
+    now: FittedModel,
+    asked: Mapping[str, Score],
+    remaining: Mapping[str, float],
+    good: Sequence[str],
+    policy: DiagnosisPolicy,
+) -> tuple[str, tuple[str, ...], FittedModel, Findings] | None:
+    """Return the best candidate, its rivals, and the predictor with it that improves on the model; None where there is none."""
+    left = list(good)
+    while left:
+        best, rivals = _best(laboratory, remaining, left, policy)
+        model = laboratory.refits(now, [asked[best]], "simulation").get(best)
+        after = None if model is None else laboratory.findings(model)
+        if model is not None and after is not None and bic_gain(laboratory.facts.samples, now, model) > 0:
+            return best, tuple(rivals), model, after
+        left.remove(best)
+    return None
+
+
 def _best(
     laboratory: Laboratory, remaining: Mapping[str, float], good: Sequence[str], policy: DiagnosisPolicy
 ) -> tuple[str, list[str]]:
-    """Return the candidate that leaves least, or the simpler law that it contains or presupposes, and those that leave as much."""
+    """Return the candidate that leaves least, or what it contains and leaves as much, or presupposes; and what leaves as much."""
+
+    def alike(one: str) -> list[str]:
+        return [i for i in good if remaining[i] <= remaining[one] / (1 - policy.fall) ** 2]
+
     best = min(good, key=lambda i: remaining[i])
-    traits = laboratory.facts.effects[best]
-    alike = [i for i in good if remaining[i] <= remaining[best] / (1 - policy.fall) ** 2]
-    simpler = [i for i in good if i in traits.presupposes or (i in traits.contains and i in alike)]
+    traits, effects = laboratory.facts.effects[best], laboratory.facts.effects
+    simpler = [i for i in good if i in traits.presupposes or (i in traits.contains and i in alike(best))]
     best = min(simpler, key=lambda i: remaining[i], default=best)
-    effects = laboratory.facts.effects
     larger = [i for i in good if best in (*effects[i].contains, *effects[i].presupposes)]
-    return best, [i for i in alike if i != best and i not in larger]
+    return best, [i for i in alike(best) if i != best and i not in larger]
 
 
 def _excess(error: Mapping[str, float], base: Mapping[str, float], policy: DiagnosisPolicy) -> float:
-    """Return the mean over channels of what is left of the base model's squared error beyond the noise."""
-    beyond = {c: e**2 - 1 for c, e in base.items() if e**2 > policy.simulation_noise}
-    if not beyond:
-        return 1.0
-    return sum(max(error[c] ** 2 - 1, 0.0) / one for c, one in beyond.items()) / len(beyond)
+    """Return what is left of the base model's squared error beyond the noise, of all channels; infinite where one is lost."""
+    if any(error[c] > max(policy.simulation_far, 2 * before) for c, before in base.items()):
+        return math.inf
+    before = sum(max(e**2 - 1, 0.0) for e in base.values())
+    return sum(max(error[c] ** 2 - 1, 0.0) for c in base) / before if before > 0 else 1.0

@@ -55,7 +55,7 @@ class SimulationResidual:
         signal_fraction: rms error over the rms of the signal [1].
         random_force, random_torque: in one sample, as fractions of the rms forces; NaN if not known.
         words: what is known, as one or two sentences; empty for "noise".
-        noise_known: whether the noise is known apart from any fit; else it is that of the fastest changes.
+        noise_known: whether the channel's noise is known apart from any fit; else it is that of the fastest changes.
     """
 
     cause: Cause
@@ -84,7 +84,7 @@ class SimulationResidual:
             "unexplained": "Nothing explains the error of the simulation",
         }[self.cause]
         if not self.noise_known:
-            return f"{said}: the simulation misses {100 * self.signal_fraction:.2g} % of the motion ({self.channel})"
+            return f"{said}: the simulation misses {_percent(self.signal_fraction)} of the motion ({self.channel})"
         return f"{said}: {self.ratio:.2g} times the noise ({self.channel})"
 
 
@@ -191,13 +191,14 @@ def simulation_residual(
 
     def said(cause: Cause, channel: str) -> SimulationResidual:
         fraction = error[channel] / signal[channel]
-        misses = f"the simulation is {100 * fraction:.2g} % of the motion away from the recording ({channel})"
+        misses = f"the simulation is {_percent(fraction)} of the motion away from the recording ({channel})"
         if noise_known and channel not in unknown:
             misses += f", {error[channel]:.2g} times the known noise"
         words = _words(cause, misses, shaken.get(channel, nothing), random, suspect, seconds)
         return SimulationResidual(
-            cause, channel, error[channel], shaken.get(channel, nothing), fraction, *random, words, noise_known
-        )
+            cause, channel, error[channel], shaken.get(channel, nothing), fraction, *random, words,
+            noise_known and channel not in unknown,
+        )  # fmt: skip
 
     poorest = max(away, key=lambda c: away[c] / signal[c], default="")
     if (
@@ -215,6 +216,10 @@ def simulation_residual(
     if least not in shaken or not beyond[least] ** 2 <= scatter * shaken[least] ** 2:
         return said("unexplained", least)
     return said("too few data" if suspect else "shaken", farthest)
+
+
+def _percent(fraction: float) -> str:
+    return f"{100 * fraction:.0f} %" if fraction >= 0.1 else f"{100 * fraction:.2g} %"
 
 
 def _words(

@@ -169,7 +169,7 @@ def uniform_step(times: Float64[np.ndarray, " sample"], column: str, offset: int
     """Return the common distance of `times` [s].
 
     Raises:
-        RecordingError: the times are not uniform; names the first index (plus `offset`) off it.
+        RecordingError: the times are not uniform; names the index (plus `offset`) that is farthest off.
     """
     steps = np.diff(times)
     bad = ~(steps > 0)

@@ -1,6 +1,7 @@
 """The optimiser: where it comes to rest, at kinks too, and what it weighs channels by."""
 
 import dataclasses
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -142,3 +143,22 @@ def test_halves_make_the_whole(count: int, monkeypatch: pytest.MonkeyPatch) -> N
         lengths = np.maximum(np.linalg.norm(others, axis=-2, keepdims=True), 1e-300)
         products, expected = (np.swapaxes(rows / lengths, -1, -2) @ (rows / lengths) for rows in (mine, others))
         np.testing.assert_allclose(products, expected, atol=1e-8)
+
+
+def test_an_arc_ends_where_what_it_promises_is_rounding(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a cost of 2.5e15 rounding never promises less than 0.3, however short the step."""
+
+    class Rounded(levenberg_marquardt._Arc):
+        def __init__(self) -> None:
+            self.asked = 0
+
+        def at(self, damping: float) -> tuple[Any, float]:
+            self.asked += 1
+            assert self.asked < 100
+            return None, max(1e15 / damping, 0.5)
+
+    monkeypatch.setattr(levenberg_marquardt, "_simulated_cost", lambda *_: 2.5e15)
+    walk = object.__new__(levenberg_marquardt._Walk)
+    walk._arguments = None
+    found = walk._along(Rounded(), 1.0, 2.5e15, np.ones(3))
+    assert found.there is None

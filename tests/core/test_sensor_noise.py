@@ -97,3 +97,28 @@ def test_a_rest_record_that_flickers_by_a_step_shows_the_step() -> None:
     angle = np.round(2.0 * np.sin(3.0 * 0.005 * np.arange(400) + 0.3) / 1e-3) * 1e-3
     moving = rtac.Experiment.of("a", kind="free", sample_time=0.005, arm_angle=angle)
     assert noise_levels([rest, moving])["arm_angle"] == pytest.approx(1e-3 / np.sqrt(12))
+
+
+def test_counts_that_a_file_rounds_are_steps_all_the_same() -> None:
+    """Of an encoder of 4,096 lines in degrees with four digits, which rounds hundreds of counts apart."""
+    count, time = 360 / 4096, 0.005 * np.arange(800)
+    angle = np.radians(np.round(np.round(114.6 * np.sin(5 * time) / count) * count, 4))
+    resting = np.radians(np.round(np.where(np.arange(400) % 90 == 0, count, 0.0), 4))
+    rest = rtac.Experiment.of("r", kind="rest", sample_time=0.005, arm_angle=resting)
+    moving = rtac.Experiment.of("a", kind="free", sample_time=0.005, arm_angle=angle)
+    assert noise_levels([rest, moving])["arm_angle"] == pytest.approx(np.radians(count) / np.sqrt(12), rel=0.02)
+
+
+def test_a_moving_record_that_reads_one_value_tells_no_noise() -> None:
+    """As the cart's sensor while the cart is clamped."""
+    random, time = np.random.default_rng(2), 0.005 * np.arange(2000)
+    clamped = [
+        rtac.Experiment.of(
+            name, kind="forced", sample_time=0.005, cart="clamped", current=np.sin(time), cart_position=0 * time
+        )
+        for name in ("b", "c")
+    ]
+    free = rtac.Experiment.of(
+        "a", kind="free", sample_time=0.005, cart_position=0.01 * np.sin(10 * time) + 2e-5 * random.normal(size=2000)
+    )
+    assert noise_levels([*clamped, free])["cart_position"] == pytest.approx(2e-5, rel=0.2)

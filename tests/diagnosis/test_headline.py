@@ -59,6 +59,15 @@ def test_what_is_sure_is_not_lumped_with_a_group():
     )
 
 
+def test_a_group_is_named_once_and_without_what_is_sure():
+    sure = OTHERS[1]
+    first = dataclasses.replace(OTHERS[0], id="force_offset", confusable_with=("lvdt_offset", sure.id))
+    second = dataclasses.replace(OTHERS[0], id="lvdt_offset", confusable_with=("force_offset",))
+    found = looped(NAMED, diagnosis("adequate"), added=(first, second, sure), steps=3)
+    assert found.headline.count("one of a group") == 1
+    assert f"{sure.id} was missing" in found.headline
+
+
 def test_an_adequate_model_whose_simulation_is_far_off_is_adequate_one_sample_ahead():
     found = dataclasses.replace(improvement(2, errors=(90.0, 30.0)), diagnoses=(NAMED, diagnosis("adequate")))
     assert found.headline.endswith("the mended model is adequate one sample ahead.")

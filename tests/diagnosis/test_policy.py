@@ -84,7 +84,7 @@ def test_no_statistic_keeps_a_threshold_of_the_judgement(module: str) -> None:
 def test_no_module_of_the_diagnosis_keeps_a_threshold_of_its_judgement_to_itself(module: str) -> None:
     held = vars(importlib.import_module(f"estimators.diagnosis.{module}"))
     thresholds = {name for name, value in held.items() if name.isupper() and isinstance(value, int | float)}
-    assert thresholds <= {"_QUIETER", "QUIET", "_STEPS"}  # where fits of the noise begin, how far simulations go
+    assert thresholds <= {"_QUIETER", "QUIET"}  # from where fits of the noise begin
 
 
 def test_a_policy_says_in_what_it_differs() -> None:

@@ -173,6 +173,43 @@ def test_a_shaken_rig_keeps_its_name() -> None:
     assert laboratory.asked
 
 
+def test_a_name_with_which_the_simulation_is_worse_is_overruled_too() -> None:
+    laboratory = Axis(ERRORS | known(arm_coulomb=12_000.0))  # leaves 13 %
+    laboratory.named = 60_000.0
+    assert decide(laboratory, STANDARD, thorough=True).effects == ("arm_coulomb", "current_offset")
+
+
+def test_where_the_best_has_no_predictor_the_next_is_taken() -> None:
+    class Diverging(Axis):
+        def refits(self, before: FittedModel, several: Sequence[Score], way: Way) -> dict[str, FittedModel]:
+            found = super().refits(before, several, way)
+            return {i: model for i, model in found.items() if way != "simulation" or i != "arm_coulomb"}
+
+    laboratory = Diverging(known(base=33_154.0, encoder_lag=33_154.0, arm_coulomb=80.0, arm_stribeck=81.0))
+    laboratory.likelihood |= known(arm_stribeck=1900.0)
+    assert decide(laboratory, STANDARD, thorough=True).effects == ("arm_stribeck",)
+
+
+@pytest.mark.parametrize(
+    ("cart", "effects"),
+    [((1.2, 5.0), ("arm_coulomb",)), ((1.45, 5.0), ("arm_coulomb",)), ((1.2, 50.0), ("encoder_lag",))],
+)
+def test_no_channel_is_lost_for_another(cart: tuple[float, float], effects: tuple[str, ...]) -> None:
+    class Both(Axis):
+        def simulation(self, model: FittedModel) -> SimulationError:
+            found = super().simulation(model)
+            signal = {**found.signal, "cart_position": 100.0}
+            return dataclasses.replace(found, error={**found.error, "cart_position": cart[0]}, signal=signal)
+
+        def simulation_errors(self, before: FittedModel, several: Sequence[Score]) -> dict[str, Mapping[str, float]]:
+            found = super().simulation_errors(before, several)
+            return {i: {**error, "cart_position": cart[1]} for i, error in found.items()}
+
+    laboratory = Both(known(base=33_154.0, encoder_lag=33_154.0, arm_coulomb=5.0))
+    laboratory.named = 33_154.0
+    assert decide(laboratory, STANDARD, thorough=True).effects == effects
+
+
 def test_effects_that_leave_as_much_are_rivals() -> None:
     laboratory = Axis(known(base=33_154.0, encoder_lag=33_154.0, arm_coulomb=80.0, current_offset=81.0))
     found = decide(laboratory, STANDARD, thorough=True)

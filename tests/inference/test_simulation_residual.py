@@ -88,6 +88,7 @@ def test_a_channel_of_unknown_noise_tells_of_random_forces_in_place_of_the_physi
     assert found.channel == ("arm_angle" if cause == "stand-in" else "cart_position")
     assert ("15 % of the motion away from the recording (arm_angle)" in found.words) == (cause == "stand-in")
     assert "known noise" not in found.words
+    assert ("15 % of the motion" in found.headline) == (cause == "stand-in")
 
 
 def test_an_effect_that_the_data_are_too_few_to_confirm_vetoes() -> None:

@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+import scipy.signal
 
 import estimators as est
 import rtac_jax as rtac
@@ -91,15 +92,34 @@ def test_surpassing_takes_more_than_chance(seconds: int) -> None:
     assert not ahead(np.ones(few.shape), few).surpasses(ahead(np.zeros(few.shape), few))  # four stretches tell nothing
 
 
-@pytest.mark.parametrize(("seconds", "length"), [((1.0, 1.0), 0.25), ((0.1,), 0.1), ((12.0, 3.0), 1.0)])
-def test_short_data_are_cut_into_shorter_stretches(seconds: tuple[float, ...], length: float) -> None:
-    experiments = [
-        rtac.Experiment.of(str(n), kind="free", sample_time=0.004, cart_position=np.sin(np.arange(round(s / 0.004))))
-        for n, s in enumerate(seconds)
-    ]
+@pytest.mark.parametrize(
+    ("seconds", "every", "length"), [((1.0, 1.5), 1, 0.3125), ((0.5,), 1, 0.25), ((12.0, 3.0), 8, 1.0)]
+)
+def test_short_data_are_cut_into_shorter_stretches(seconds: tuple[float, ...], every: int, length: float) -> None:
+    """A sensor that is read every eighth sample does not make them shorter."""
+    experiments = []
+    for n, lasts in enumerate(seconds):
+        values = np.sin(np.arange(round(lasts / 0.0025)))
+        values[np.arange(len(values)) % every > 0] = np.nan
+        experiments.append(rtac.Experiment.of(str(n), kind="free", sample_time=0.0025, cart_position=values))
     data = Data.of(experiments)
-    assert predictive_likelihood._length(data) == pytest.approx(length, rel=0.01)
+    assert predictive_likelihood._length(data) == pytest.approx(length, rel=0.02)
     assert len(np.unique(stretches(data, length)[: data.samples])) == round(sum(seconds) / length)
+
+
+@pytest.mark.parametrize("correlated", [0.05, 0.3])
+def test_short_stretches_do_not_reject_by_chance_although_they_are_correlated(correlated: float) -> None:
+    """Of two seconds; over as many seconds as differences are correlated."""
+    random, kept, found = np.random.default_rng(3), np.exp(-0.002 / correlated), 0
+    cut = np.repeat(np.arange(8), 125)[:, None]
+    for _ in range(1000):
+        white = random.normal(size=(1, 1000))
+        gain = scipy.signal.lfilter([np.sqrt(1 - kept**2)], [1.0, -kept], white, zi=kept * random.normal(size=(1, 1)))[
+            0
+        ].T
+        better, zero = (OneStepAhead(part, cut, {}, (part, part), short=True) for part in (gain, np.zeros_like(gain)))
+        found += better.surpasses(zero)
+    assert 0.003 < found / 1000 < 0.06
 
 
 @pytest.mark.slow

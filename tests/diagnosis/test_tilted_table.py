@@ -59,3 +59,9 @@ def test_a_tilt_steeper_than_a_wall_says_what_is_known_instead() -> None:
     assert "a torque of 0.45 N m. Give eccentric_moment" in steep
     assert steep.startswith("gravity_tilt of 43.3 is no sine")
     assert CATALOGUE["gravity_tilt"](along=0.0, across=1.0).remark(body) == ""
+
+
+def test_an_offset_of_the_drive_says_what_is_the_same_while_the_arm_moves() -> None:
+    body = rtac.RTAC.paper().body
+    torque = 0.01 * float(body.torque_constant)
+    assert f"dry friction that is {torque:.3g} N m more one way" in CATALOGUE["current_offset"](-0.01).remark(body)

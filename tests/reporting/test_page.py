@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from made_up_results import LEARNED, compared, diagnosis, improvement
 
+from estimators.core.fit import Parameter
 from estimators.plots.improvement import finding
 from estimators.reporting import summary
 from estimators.reporting.html import Bullets, Table, write_report
@@ -99,6 +100,10 @@ def test_bullets_say_what_was_found_how_sure_and_what_next(verdict, next_step):
             in bullets.found.replace("But these", "these")
         )
         assert "confusable with cubic_spring" in bullets.sure
+    known = {"flexible_mode.mass": Parameter(0.0912, 0.05, "kg")}
+    advised = summary.of_diagnosis(found, found.train, found.validation, file="rig.h5", estimates=known)
+    if verdict == "missing":  # the deviation that the table below recommends
+        assert "flexible_mode (mass 0.0912 +- 0.05 kg)" in advised.found
     alone = summary.of_diagnosis(found.diagnoses[0], found.train, None, file="rig.h5")
     if verdict == "missing":
         assert alone.next.startswith("rtac improve rig.h5")

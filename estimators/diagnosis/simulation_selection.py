@@ -168,5 +168,6 @@ def _excess(error: Mapping[str, float], base: Mapping[str, float], policy: Diagn
     """Return what is left of the base model's squared error beyond the noise, of all channels; infinite where one is lost."""
     if any(error[c] > max(policy.simulation_far, 2 * before) for c, before in base.items()):
         return math.inf
-    before = sum(max(e**2 - 1, 0.0) for e in base.values())
-    return sum(max(error[c] ** 2 - 1, 0.0) for c in base) / before if before > 0 else 1.0
+    before = sum(max(e * e - 1, 0.0) for e in base.values())
+    left = sum(max(error[c] * error[c] - 1, 0.0) for c in base)
+    return left / before if 0 < before < math.inf else 1.0

@@ -6,9 +6,11 @@ from collections.abc import Mapping, Sequence
 import pytest
 from known_search import Known, force, known, sized
 
+from estimators.diagnosis import simulation_selection
 from estimators.diagnosis.evidence import FittedModel, SimulationError
 from estimators.diagnosis.laboratory import Way
 from estimators.diagnosis.policy import STANDARD
+from estimators.diagnosis.selection import Selection
 from estimators.diagnosis.verdict import decide
 from estimators.misspecification.findings import Findings, Score
 
@@ -208,6 +210,17 @@ def test_no_channel_is_lost_for_another(cart: tuple[float, float], effects: tupl
     laboratory = Both(known(base=33_154.0, encoder_lag=33_154.0, arm_coulomb=5.0))
     laboratory.named = 33_154.0
     assert decide(laboratory, STANDARD, thorough=True).effects == effects
+
+
+def test_a_channel_whose_noise_nobody_can_tell_from_none_decides_nothing() -> None:
+    """One that reads the same throughout, which the model does not."""
+    laboratory = Axis(known(base=1e290, encoder_lag=1e290, arm_coulomb=5.0))
+    laboratory.named = 1e290
+    laboratory.facts = dataclasses.replace(laboratory.facts, noise_known=False)
+    found = simulation_selection.selected_by_simulation(
+        laboratory, Selection(laboratory.base, laboratory.findings(laboratory.base), (), [], {}), STANDARD
+    )
+    assert found is None
 
 
 def test_effects_that_leave_as_much_are_rivals() -> None:

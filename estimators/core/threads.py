@@ -55,7 +55,7 @@ def one_thread() -> Generator[None, None, None]:
 
 
 class _OneBlasThread:
-    """How many ask for one thread of linear algebra, which is a setting of the process.
+    """The count of those who ask for one thread of linear algebra, which is a setting of the process.
 
     The last to let go gives back what the first has taken, whichever threads these are.
     """

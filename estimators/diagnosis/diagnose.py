@@ -313,7 +313,7 @@ def _explanation(told: Diagnosis, found: Judgement, setting: Setting, *, thoroug
     if not vetoed and not any(
         test.rejects for test in told.left
     ):  # or else random forces may stand for what is still missing
-        random = (found.final.random_force, found.final.random_torque)
+        random = found.final.random
         large = random_forces_are_large(random, float(setting.samples_per_radian), told.policy.simulation)
         text += shaken(*random, setting.left_out, large=large)
     if setting.assumed:

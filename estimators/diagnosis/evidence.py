@@ -57,6 +57,11 @@ class FittedModel:
     random_torque: float = 0.0
     values: Mapping[str, tuple[float, float]] = dataclasses.field(default_factory=dict)
 
+    @property
+    def random(self) -> tuple[float, float]:
+        """Return random force and torque in one sample, as fractions of the rms forces."""
+        return self.random_force, self.random_torque
+
     def leaves_free(self, effect: str) -> bool:
         """Return whether the data leave a parameter of an added effect free."""
         return not self.looseness.get(effect, 0.0) < UNDETERMINED

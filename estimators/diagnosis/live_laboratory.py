@@ -51,7 +51,7 @@ from rtac_jax.effects import Effect
 
 
 class Detectability(NamedTuple):
-    """What the data could show of candidates beside a model.
+    """The limits of what the data could show of candidates beside a model.
 
     Attributes:
         limits: size from which on each would be found.
@@ -236,18 +236,17 @@ class LiveLaboratory:
     def _refits_from_simulation(self, before: FittedModel, several: Sequence[Score]) -> dict[str, FittedModel]:
         """Refit a model with each of several candidates from where a simulation with it ended, and keep that as the model's."""
         setting, refit = self.computed(before)
-        fits = {s.id: self._simulated.finish(before.number, s.id, setting) for s in several}
-        found = {
-            s.id: after
-            for s, held in zip(several, self._held(several), strict=True)
-            if (fit := fits[s.id]) is not None
-            and (after := self._simulated.predictor_from(fit, setting, refit, held)) is not None
-        }
+        fits: dict[str, Fit] = {}
+        found: dict[str, Refit] = {}
+        for s in self._held(several):
+            fit = self._simulated.finish(before.number, s.id, setting)
+            after = None if fit is None else self._simulated.predictor_from(fit, setting, refit, s)
+            if fit is not None and after is not None:
+                fits[s.id], found[s.id] = fit, after
         models = self._added(before, several, "simulation", found, {})
         for effect, model in models.items():
-            if (fit := fits[effect]) is not None:
-                self._simulated.name(model.number, fit)
-                self._simulations[model.number] = simulation_error(setting, fit, found[effect])
+            self._simulated.keep(model.number, fits[effect])
+            self._simulations[model.number] = simulation_error(setting, fits[effect], found[effect])
         return models
 
     def _added(

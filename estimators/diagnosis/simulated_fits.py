@@ -61,8 +61,8 @@ class SimulatedFits:
             return from_simulation(setting, before, added, model, free, fit)
         return None
 
-    def name(self, number: int, fit: Fit) -> None:
-        """Keep a fit as that of a model, by its number."""
+    def keep(self, number: int, fit: Fit) -> None:
+        """Keep a fit as that of a model, by its number: where simulations with further candidates begin."""
         self._of[number] = fit
 
 

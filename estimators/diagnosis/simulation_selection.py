@@ -32,16 +32,11 @@ def selected_by_simulation(laboratory: Laboratory, found: Selection, policy: Dia
 
     Source: Miller, Subset Selection in Regression (2002), chapter 3, for forward selection.
     """
-    if max(_random(found.base)) < policy.gross_random:
-        return None
-    base = laboratory.simulation(found.base)
-    if not _is_far(base, policy):
+    if max(found.base.random) < policy.gross_random or (base := _far(laboratory, found.base, policy)) is None:
         return None
     named = found.named_model(laboratory.facts.samples, policy)
-    if not _is_doubtful(laboratory, found, named, policy):
-        return None
-    reached = laboratory.simulation(named)
-    if base is None or reached is None or not _is_far(reached, policy):
+    # The simulation with what is named costs a fit, and is asked last.
+    if not _is_doubtful(laboratory, found, named, policy) or (reached := _far(laboratory, named, policy)) is None:
         return None
     laboratory.say("simulations")
     enough = policy.left * min(_excess(reached.error, base.error, policy), 1.0)
@@ -51,12 +46,10 @@ def selected_by_simulation(laboratory: Laboratory, found: Selection, policy: Dia
     return simulated if count and left[count] <= enough else None
 
 
-def _random(model: FittedModel) -> tuple[float, float]:
-    return model.random_force, model.random_torque
-
-
-def _is_far(error: SimulationError | None, policy: DiagnosisPolicy) -> bool:
-    return error is not None and max(error.error.values(), default=0.0) > policy.simulation_far
+def _far(laboratory: Laboratory, model: FittedModel, policy: DiagnosisPolicy) -> SimulationError | None:
+    """Return the error of a model's simulation where that is far from the data; None elsewhere."""
+    found = laboratory.simulation(model)
+    return found if found is not None and max(found.error.values(), default=0.0) > policy.simulation_far else None
 
 
 def _is_doubtful(laboratory: Laboratory, found: Selection, named: FittedModel, policy: DiagnosisPolicy) -> bool:
@@ -67,13 +60,11 @@ def _is_doubtful(laboratory: Laboratory, found: Selection, named: FittedModel, p
     random forces are no small disturbance.
     """
     if not named.added:
-        large = random_forces_are_large(_random(named), laboratory.facts.samples_per_radian, policy.simulation)
+        large = random_forces_are_large(named.random, laboratory.facts.samples_per_radian, policy.simulation)
         return large or any(test.rejects for test in found.tests)
-    if sum(x**2 for x in _random(named)) <= policy.left * sum(x**2 for x in _random(found.base)):
+    if sum(x**2 for x in named.random) <= policy.left * sum(x**2 for x in found.base.random):
         return False
-    shown: dict[str, float] = {}
-    for s in laboratory.quiet_scores(found.base):
-        shown[s.id] = max(s.statistic, shown.get(s.id, 0.0))
+    shown = {s.id: s.statistic for s in by_size(laboratory.quiet_scores(found.base), 0.0)}
     return min(shown.get(i, 0.0) for i in named.added) < policy.static * max(shown.values(), default=0.0)
 
 
@@ -92,10 +83,10 @@ def _steps(
         errors = laboratory.simulation_errors(now, list(asked.values()))
         remaining = {i: _excess(error, base, policy) for i, error in errors.items()}
         good = [i for i, one in remaining.items() if one <= left[-1] * (1 - policy.static)]
-        found_next = _next(laboratory, now, asked, remaining, good, policy)
-        if found_next is None:
+        taken = _taken(laboratory, now, asked, remaining, good, policy)
+        if taken is None:
             break
-        best, rivals, model, after = found_next
+        best, rivals, model, after = taken
         tried[best] = (now, model)
         tests = adequacy_tests(after, policy.critical)
         steps.append(
@@ -128,7 +119,7 @@ def _asked(laboratory: Laboratory, now: FittedModel, policy: DiagnosisPolicy) ->
     return {s.id: s for s in reversed(several)}
 
 
-def _next(
+def _taken(
     laboratory: Laboratory,
     now: FittedModel,
     asked: Mapping[str, Score],

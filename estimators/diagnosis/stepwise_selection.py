@@ -47,7 +47,7 @@ def select(laboratory: Laboratory, policy: DiagnosisPolicy, *, thorough: bool) -
     """
     if gross(laboratory, policy):
         by_equations = explaining_equations(laboratory, policy)
-        if named(by_equations.steps, by_equations.tests, laboratory.facts.samples, policy)[1]:
+        if by_equations.named(laboratory.facts.samples, policy)[1]:
             # What innovations show of something else, as of an input that is declared wrongly, may be more than all that.
             large = by_size(nameable(laboratory.facts, alarming(by_equations.findings.scores, policy.critical)), 0.0)
             if not large or by_equations.steps[0].gain > large[0].statistic:
@@ -69,8 +69,7 @@ def select(laboratory: Laboratory, policy: DiagnosisPolicy, *, thorough: bool) -
 def gross(laboratory: Laboratory, policy: DiagnosisPolicy) -> bool:
     """Return whether the fit that is diagnosed follows nothing."""
     base, facts = laboratory.base, laboratory.facts
-    random = (base.random_force, base.random_torque)
-    return follows_nothing(facts.unfollowed, random, facts.samples_per_radian, policy.simulation)
+    return follows_nothing(facts.unfollowed, base.random, facts.samples_per_radian, policy.simulation)
 
 
 def explaining_equations(laboratory: Laboratory, policy: DiagnosisPolicy) -> Selection:
@@ -127,7 +126,7 @@ def hidden(laboratory: Laboratory, found: Selection, policy: DiagnosisPolicy) ->
 
 def second_looks(laboratory: Laboratory, found: Selection, policy: DiagnosisPolicy) -> Selection:
     """Return the selection or, where it leaves the misfit unknown, another that explains it, with all that was tried."""
-    if named(found.steps, found.tests, laboratory.facts.samples, policy)[0] != "unknown":
+    if found.named(laboratory.facts.samples, policy)[0] != "unknown":
         return found
     for look in (unalarmed, hidden):
         laboratory.say("what raised no alarm")

@@ -173,8 +173,7 @@ def _stand_in(laboratory: Laboratory, final: FittedModel, policy: DiagnosisPolic
     Returns:
         None where the random forces are modest, or the simulation follows.
     """
-    random = (final.random_force, final.random_torque)
-    if not random_forces_are_large(random, laboratory.facts.samples_per_radian, policy.simulation):
+    if not random_forces_are_large(final.random, laboratory.facts.samples_per_radian, policy.simulation):
         return None
     found = _residual(laboratory, final, policy, "")
     return found if found is not None and found.cause == "stand-in" else None
@@ -189,7 +188,7 @@ def _unfollowing(laboratory: Laboratory, final: FittedModel, policy: DiagnosisPo
     Returns:
         None where there are next to no random forces, or the simulation follows as far as they let it.
     """
-    if max(final.random_force, final.random_torque) < policy.gross_random:
+    if max(final.random) < policy.gross_random:
         return None
     found = _residual(laboratory, final, policy, "")
     return found if found is not None and found.vetoes else None

@@ -28,7 +28,7 @@ _SEVERAL = 8  # stretches that short data are cut into, so that they scatter; of
 _SHORTEST = 0.25  # seconds of a stretch
 # Sums over stretches that are shorter than a second are correlated: of differences that are so over 0.3 s, a test at 5 % rejects
 # in 17 % of simulations. So it is held to this fraction of the level.
-_CAUTION = 0.1
+_CAUTION = 0.05
 _BARE = 1.0  # gain in log-likelihood, of natural logarithms, that is "not worth more than a bare mention" (Kass and Raftery)
 
 

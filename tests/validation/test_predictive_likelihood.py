@@ -107,19 +107,25 @@ def test_short_data_are_cut_into_shorter_stretches(seconds: tuple[float, ...], e
     assert len(np.unique(stretches(data, length)[: data.samples])) == round(sum(seconds) / length)
 
 
+@pytest.mark.parametrize("seed", [11, 12, 13])
 @pytest.mark.parametrize("correlated", [0.05, 0.3])
-def test_short_stretches_do_not_reject_by_chance_although_they_are_correlated(correlated: float) -> None:
-    """Of two seconds; over as many seconds as differences are correlated."""
-    random, kept, found = np.random.default_rng(3), np.exp(-0.002 / correlated), 0
+def test_short_stretches_do_not_reject_by_chance_although_they_are_correlated(correlated: float, seed: int) -> None:
+    """Of two seconds; over as many seconds as differences are correlated. What is better by four deviations surpasses."""
+    random, kept, found = np.random.default_rng(seed), np.exp(-0.002 / correlated), np.zeros(2)
     cut = np.repeat(np.arange(8), 125)[:, None]
     for _ in range(1000):
         white = random.normal(size=(1, 1000))
         gain = scipy.signal.lfilter([np.sqrt(1 - kept**2)], [1.0, -kept], white, zi=kept * random.normal(size=(1, 1)))[
             0
         ].T
-        better, zero = (OneStepAhead(part, cut, {}, (part, part), short=True) for part in (gain, np.zeros_like(gain)))
-        found += better.surpasses(zero)
-    assert 0.003 < found / 1000 < 0.06
+        for place, more in enumerate((0.0, 4.0)):
+            better, zero = (
+                OneStepAhead(part, cut, {}, (part, part), short=True) for part in (gain + more, np.zeros_like(gain))
+            )
+            found[place] += better.surpasses(zero)
+    by_chance, rightly = found / 1000
+    assert by_chance < 0.06
+    assert rightly > 0.99
 
 
 @pytest.mark.slow

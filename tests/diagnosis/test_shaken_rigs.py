@@ -1,0 +1,33 @@
+"""A cut of the study of shaken rigs: what predictions name stays, as no effect brings back what random forces carry away."""
+
+import dataclasses
+
+import pytest
+
+import estimators as est
+import rtac_jax as rtac
+from rtac_jax import virtual_rig
+
+HIDDEN = [
+    {}, {"cubic_spring": 6e4}, {"arm_coulomb": 3e-4}, {"current_offset": 0.02}, {"encoder_gain": 1.02}, {"tacho_lag": 0.004},
+]  # fmt: skip
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("times", [1, 4])
+@pytest.mark.parametrize("hidden", HIDDEN, ids=lambda hidden: next(iter(hidden), "nothing"))
+def test_simulations_change_no_verdict_on_a_rig_that_is_shaken(hidden: dict[str, float], times: int) -> None:
+    """By random forces as large as the study's, or four times."""
+    shaken = {"force_noise": 1e-3 * times, "torque_noise": 3e-5 * times}
+    rig = dataclasses.replace(virtual_rig.Rig().drawn(9020 + times), encoder=True, **shaken, **hidden)
+    plans = virtual_rig.standard_plans(seed=9020, free=1, forced=3, rest=1, sample_time=0.004, duration=3.0)
+    recording = virtual_rig.record(rig, plans, seed=9021)
+    fit = est.output_error(rtac.RTAC.from_rig(recording), recording, progress=False)
+    assert fit.farthest > 10.0  # or nothing would be asked
+    found = est.diagnose(fit, recording, thorough=False, progress=False)
+    assert found.evidence is not None
+    by_predictions = est.judge(found.evidence, est.DiagnosisPolicy(simulation_far=1e9))
+    assert (found.verdict, [c.id for c in found.effects[:1]]) == (
+        by_predictions.verdict,
+        list(by_predictions.effects[:1]),
+    )

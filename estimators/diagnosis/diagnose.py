@@ -27,6 +27,8 @@ from estimators.diagnosis.explanation import (
     shaken,
     strayed,
     surer,
+    unconfirmed,
+    without_alarm,
     without_the_physics,
     words,
 )
@@ -301,7 +303,9 @@ def _explanation(told: Diagnosis, found: Judgement, setting: Setting, *, thoroug
         text += not_named(further, told.left, setting.samples)
     alarms = alarming(found.selection.findings.scores, told.policy.critical)
     if steps and not found.selection.simulated and steps[0].id not in {s.id for s in alarms}:
-        text += f" {steps[0].id} raised no alarm by itself: it was tried because what did explains less, or nothing."
+        text += without_alarm(steps[0].id, confirmed=not any(test.rejects for test in told.tests))
+    if told.verdict == "adequate":
+        text += unconfirmed(told.candidates, told.detectable, told.policy)
     text += "".join(f" {remark}" for effect in told.additions if (remark := effect.remark(setting.model.body)))
     if struck := [effect.id for effect in told.additions if effect.acts_by_contact]:
         text += (

@@ -179,6 +179,34 @@ def without_the_physics(steps: Sequence[Step], simulation: SimulationResidual) -
     )
 
 
+def without_alarm(effect: str, *, confirmed: bool) -> str:
+    """Say why an effect is named whose score raised no alarm.
+
+    Args:
+        effect: id of it.
+        confirmed: whether nothing rejects, so that only experiments speak for it that did not help to estimate it.
+    """
+    if confirmed:
+        return (
+            f" {effect} raised no alarm by itself, as it scatters over the seconds of data: estimated from the others, every"
+            " experiment confirms it."
+        )
+    return f" {effect} raised no alarm by itself: it was tried because what did explains less, or nothing."
+
+
+def unconfirmed(candidates: Sequence[Candidate], detectable: Sequence[Candidate], policy: DiagnosisPolicy) -> str:
+    """Say which candidate of an adequate model is as large as an alarm, though nothing confirms it; nothing where none is."""
+    said = {c.id for c in detectable}
+    large = [c for c in candidates if c.testable and c.chi_square >= policy.alarm and c.id not in said]
+    if not large:
+        return ""
+    first = max(large, key=lambda c: c.chi_square)
+    return (
+        f" {first.id} reaches {first.chi_square:.0f}, the alarm is at {policy.alarm:.0f}, but scatters over the seconds of data: it"
+        " is chance, or these data are too few to confirm it."
+    )
+
+
 def surer(verdict: Verdict, recording: Recording) -> str:
     """Say what would make the verdict surer: records that this recording lacks."""
     lacking = []

@@ -7,7 +7,7 @@ from estimators.inference.simulation_residual import SimulationLimits
 from estimators.misspecification.findings import CriticalValues
 from estimators.prediction_error.colour_limits import ColourLimits
 
-VERSION = 11
+VERSION = 12
 """Of the standard policy: counts up when a threshold comes, goes or changes."""
 
 _PROTOTYPE = "prototype study of 42 cases a setting"
@@ -149,6 +149,13 @@ class DiagnosisPolicy:
         "right names left 1e-5, what stood in for others 0.1 to 0.8; never studied by itself",
     )
 
+    confirming: int = _threshold(
+        3,
+        "experiments at least, each of which must be likelier by `bic_gain` with an effect estimated from the others, where nothing"
+        " rejects",
+        "two draws of six of Stribeck friction beside bristles gained 11 to 144 in each of three; never studied by itself",
+    )
+
     def __post_init__(self) -> None:
         for field in dataclasses.fields(self):
             if not getattr(self, field.name) >= 0:
@@ -158,7 +165,7 @@ class DiagnosisPolicy:
         for name in (*_FRACTIONS, "fall", "ahead_level"):
             if getattr(self, name) > 1:
                 raise ValueError(f"DiagnosisPolicy.{name} is {getattr(self, name)}; it is a fraction, at most 1.")
-        for name in ("refits", "effects"):
+        for name in ("refits", "effects", "confirming"):
             if getattr(self, name) < 1:
                 raise ValueError(f"DiagnosisPolicy.{name} is {getattr(self, name)}; give 1 or more.")
 

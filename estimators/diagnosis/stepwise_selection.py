@@ -103,8 +103,11 @@ def _near(ranked: Sequence[Score], close: float) -> list[Score]:
 
 def unalarmed(laboratory: Laboratory, found: Selection, policy: DiagnosisPolicy) -> _Look:
     """Return candidates that are large, but act at a few instants only."""
-    large = nameable(laboratory.facts, suspects(found.findings.scores, found.tests, policy.critical))
-    ranked = by_size(large, math.log(laboratory.facts.samples))[: policy.refits]
+    return _largest(laboratory, suspects(found.findings.scores, found.tests, policy.critical), policy)
+
+
+def _largest(laboratory: Laboratory, several: Sequence[Score], policy: DiagnosisPolicy) -> _Look:
+    ranked = by_size(nameable(laboratory.facts, several), math.log(laboratory.facts.samples))[: policy.refits]
     return _Look(ranked, _near(ranked, policy.close), "filter")
 
 
@@ -125,8 +128,14 @@ def hidden(laboratory: Laboratory, found: Selection, policy: DiagnosisPolicy) ->
 
 
 def second_looks(laboratory: Laboratory, found: Selection, policy: DiagnosisPolicy) -> Selection:
-    """Return the selection or, where it leaves the misfit unknown, another that explains it, with all that was tried."""
-    if found.named(laboratory.facts.samples, policy)[0] != "unknown":
+    """Return the selection or, where it leaves the misfit unknown, another that explains it, with all that was tried.
+
+    And where it names nothing, another of what every experiment confirms.
+    """
+    verdict = found.named(laboratory.facts.samples, policy)[0]
+    if verdict == "adequate":
+        return confirmed(laboratory, found, policy)
+    if verdict != "unknown":
         return found
     for look in (unalarmed, hidden):
         laboratory.say("what raised no alarm")
@@ -135,6 +144,27 @@ def second_looks(laboratory: Laboratory, found: Selection, policy: DiagnosisPoli
         if named(again, found.tests, laboratory.facts.samples, policy)[1]:
             return dataclasses.replace(found, steps=again, tried=found.tried | more)
     return found
+
+
+def confirmed(laboratory: Laboratory, found: Selection, policy: DiagnosisPolicy) -> Selection:
+    """Return the selection or, where nothing rejects, one of an effect that experiment after experiment confirms.
+
+    What acts at a few instants, as friction that rises near rest, scatters over the seconds of data however large it is. Estimated
+    from the others, it must make each experiment that it shows in likelier, by very strong evidence.
+    """
+    look = _largest(laboratory, [s for s in found.findings.scores if s.statistic >= policy.alarm], policy)
+    if not look.ranked:
+        return found
+    laboratory.say("what scatters over the seconds")
+    steps, more = improvements(laboratory, found.base, found.findings, policy, look)
+    found = dataclasses.replace(found, tried=more | found.tried)
+    if not steps:
+        return found
+    held_out = laboratory.held_out(found.base, steps[0].model)
+    gains = [2 * one for one, known in zip(held_out.gain, held_out.known, strict=True) if known >= policy.known]
+    if len(gains) < policy.confirming or min(gains) < policy.bic_gain:
+        return found
+    return dataclasses.replace(found, steps=steps)
 
 
 def improvements(

@@ -11,8 +11,8 @@ from estimators.core.data import moving
 from estimators.core.fit import Fit
 from estimators.core.linearisation import at_fit
 from estimators.inference.separate_fits import about_common, about_own
-from estimators.inference.varying_parameters import SHOWN, explained, selected
-from estimators.linear.homogeneity_test import Covariates, Equality, given_covariates, trend_of, varying
+from estimators.inference.varying_parameters import SHOWN, explained, outlying, selected
+from estimators.linear.homogeneity_test import Covariates, Equality, Outlier, given_covariates, trend_of, varying
 from rtac_jax import require_configured
 from rtac_jax.arguments import checked_arguments
 from rtac_jax.measurement import Experiment, Recording
@@ -30,7 +30,8 @@ def constancy(fit: Fit, recording: Recording, *, covariates: Covariates | None =
     One parameter after the other is set free in every experiment, while the others, common to all, follow, by one
     Gauss-Newton step from the fit: the estimates of experiments that fit alone would leave undetermined are told so, too. Where
     the residual is to a good part such differences, which may lead simulations too far for one step, every experiment is fitted by
-    itself. The fewest parameters are named that explain the differences if they are free in each experiment. A drift is looked
+    itself. The fewest parameters are named that explain the differences if they are free in each experiment, and the one
+    experiment, if there is one, without which all others have one set of parameters. A drift is looked
     for with the rms of input and output, the mean arm angle where it was measured, the place of the experiment in the recording
     and whatever is given. The residual is taken as white with the rms that the fit left, as the fit's own standard deviations take
     it, or all fits of single experiments together. Constants that were measured with a standard deviation are held: one experiment
@@ -86,6 +87,7 @@ def constancy(fit: Fit, recording: Recording, *, covariates: Covariates | None =
         told = varying({name: x[shown] for name, x in every.items()})
         trends.append(tuple(trend_of(name, x, each, precision) for name, x in told.items()))
     chosen = selected(information, slope, level)
+    one = outlying(information, slope, level)
     return Equality(
         names=names, units=tuple(fit.model.parameters[name].unit for name in names),
         conditions=tuple(e.name for e in experiments), values=values, std=std, common=common, common_std=common_std,
@@ -94,11 +96,12 @@ def constancy(fit: Fit, recording: Recording, *, covariates: Covariates | None =
         left_out=tuple(e.name for e, row in zip(experiments, values, strict=True) if np.all(np.isnan(row))), level=level,
         varying=tuple(names[i] for i in chosen.places), explained=chosen.fraction, rival=chosen.rival,
         suffices=chosen.suffices, over_noise=around.over_noise,
+        outlying=None if one is None else Outlier(experiments[one.place].name, one.chi_square, one.freedom),
     )  # fmt: skip
 
 
 def differing(fit: Fit, recording: Recording) -> Equality | None:
-    """Return what differs between experiments, where a model follows each by itself and not all together; None elsewhere.
+    """Return what differs between experiments, where one parameter or one experiment alone explains it; None elsewhere.
 
     Asked only of a fit that leaves several times the noise, and none to pieces of long experiments, which have no values of
     their own.
@@ -113,7 +116,7 @@ def differing(fit: Fit, recording: Recording) -> Equality | None:
         found = constancy(fit, recording)
     except (ValueError, ArithmeticError):  # too few experiments, or one that shows nothing by itself
         return None
-    return found if found.decisive else None
+    return found if found.decisive or found.outlying is not None else None
 
 
 def _by_experiment(

@@ -1,4 +1,4 @@
-"""Selection of the parameters that differ between experiments: the fewest that, free in each, explain that one set does not fit."""
+"""Selection of what differs between experiments: the fewest parameters that, free in each, explain it, or one experiment alone."""
 
 import itertools
 from collections.abc import Sequence
@@ -12,6 +12,7 @@ from jaxtyping import Float
 SHOWN = 1e-4
 _NAMED = 3  # parameters that are named
 _NEXT_TO_ALL = 0.95  # fraction of the differences, beyond which what is left is of no consequence
+_ENOUGH = 4  # experiments, of which three may be alike without the fourth: two would always be more alike than three
 
 Information = Float[np.ndarray, "experiment parameter parameter"]
 Slope = Float[np.ndarray, "experiment parameter"]
@@ -38,7 +39,7 @@ def explained(information: Information, slope: Slope, free: Sequence[int]) -> tu
         gradient[own] = scores[e][list(free)]
     whole, rank = _drop(matrix, gradient)
     together, least = _drop(np.sum(scaled, axis=0), np.sum(scores, axis=0))
-    return whole - together, max(1, rank - least)
+    return max(whole - together, 0.0), max(1, rank - least)
 
 
 def _drop(matrix: np.ndarray, gradient: np.ndarray) -> tuple[float, int]:
@@ -87,3 +88,37 @@ def selected(information: Information, slope: Slope, level: float) -> Chosen:
         if suffices:
             break
     return found
+
+
+class Outlying(NamedTuple):
+    """The one experiment that differs from all others, which have one set of parameters.
+
+    Attributes:
+        place: of it.
+        chi_square: of the differences between the others.
+        freedom: of it.
+    """
+
+    place: int
+    chi_square: float
+    freedom: int
+
+
+def outlying(information: Information, slope: Slope, level: float) -> Outlying | None:
+    """Return the one experiment without which the others differ by no more than chance, all parameters free in each.
+
+    Args:
+        information: of each experiment.
+        slope: gradient of each experiment's log-likelihood.
+        level: at which all together differ, and without any other still do.
+
+    Returns:
+        None where experiments are fewer than four or do not differ, or there is no such one, or more than one.
+    """
+    count, parameters = slope.shape
+    every = range(parameters)
+    if count < _ENOUGH or scipy.stats.chi2.sf(*explained(information, slope, every)) >= level:
+        return None
+    left = [explained(np.delete(information, e, 0), np.delete(slope, e, 0), every) for e in range(count)]
+    alike = [e for e in range(count) if scipy.stats.chi2.sf(*left[e]) >= level]
+    return Outlying(alike[0], *left[alike[0]]) if len(alike) == 1 else None

@@ -60,6 +60,20 @@ class Trend:
     share = renamed("share", "fraction")
 
 
+@dataclass(frozen=True)
+class Outlier:
+    """The one condition that differs from all others, which have one set of parameters.
+
+    Attributes:
+        name: of it.
+        chi_square, freedom: of the differences between the others.
+    """
+
+    name: str
+    chi_square: float
+    freedom: int
+
+
 @dataclass(frozen=True, eq=False)
 class Equality:
     """The result of `LinearModels.equality`.
@@ -83,6 +97,8 @@ class Equality:
         suffices: whether what these leave is chance, or of no consequence.
         over_noise: of a nonlinear fit what is left over the noise at most, by channel, where each condition was fitted by itself;
             empty where none was. Values, their deviations and `varying` then allow each quantity a thousandth of its size.
+        outlying: of a nonlinear fit the one experiment of four or more without which the others differ by no more than chance; None
+            where there is none, or more than one.
     """
 
     names: tuple[str, ...]
@@ -105,6 +121,7 @@ class Equality:
     rival: float = 0.0
     suffices: bool = True
     over_noise: Mapping[str, float] = field(default_factory=dict)
+    outlying: Outlier | None = None
 
     @property
     def equal(self) -> bool:
@@ -134,9 +151,9 @@ class Equality:
 
     @property
     def differences(self) -> str:
-        """Return, where it is decisive, what differs, and what to do about it; else nothing."""
+        """Return, where one quantity or one experiment alone explains it, what differs, and what to do about it; else nothing."""
         if not self.decisive:
-            return ""
+            return self._outlier
         trend = self.best_trend(self.varying[0])
         if trend is not None and trend.covariate in _MOTION:
             advice = (
@@ -150,7 +167,30 @@ class Equality:
             )
         return (
             f"Experiments differ: with parameters of its own each is followed to {max(self.over_noise.values()):.2f} times the "
-            f"noise or less, and with one set for all they are not. {' '.join(self._differing())} {advice}"
+            f"noise or less, and with one set for all they are not. {' '.join(self._differing())} {advice} {self._outlier}"
+        ).rstrip()
+
+    @property
+    def _outlier(self) -> str:
+        """Say which condition alone differs, and what to look at; nothing where there is none."""
+        one = self.outlying
+        if one is None:
+            return ""
+        place = self.conditions.index(one.name)
+        largest = [
+            word
+            for name, word in (("amplitude", "output"), ("input", "input"))
+            if name in self.covariates and self.covariates[name][place] == np.max(self.covariates[name])
+        ]
+        most = (
+            f" It is also the one of largest {' and '.join(largest)}: there a missing effect shows most."
+            if largest
+            else ""
+        )
+        return (
+            f"All experiments but {one.name} have one set of parameters (without it chi-square falls from {self.chi_square:.0f} on "
+            f"{self.freedom} to {one.chi_square:.0f} on {one.freedom}): look at that one first, at its sample time, at samples or "
+            f"counts that were lost, at a sensor that was set anew, at what touched the rig, and at the fit without it.{most}"
         )
 
     def best_trend(self, name: str) -> Trend | None:
@@ -174,6 +214,7 @@ class Equality:
                 f"The conditions differ (chi-square {self.chi_square:.0f} on {self.freedom}, p = {self.p_value:.2g}).",
                 *self._differing(),
                 *self._left(),
+                *([self._outlier] if self.outlying is not None else []),
             ]
         )
 

@@ -214,10 +214,11 @@ def _parameters(parameters: Mapping[str, Parameter]) -> dict[str, Any]:
 
 
 def _varying(found: Equality) -> dict[str, Any]:
-    """Return which parameters differ between experiments, and their values in each."""
+    """Return which parameters differ between experiments, and their values in each, and which experiment alone differs."""
     places = [found.names.index(name) for name in found.varying]
     return {
         "explained": found.explained,
+        "outlying": None if found.outlying is None else found.outlying.name,
         "experiments": list(found.conditions),
         "parameters": {
             found.names[i]: {"values": found.values[:, i].tolist(), "std": found.std[:, i].tolist()} for i in places

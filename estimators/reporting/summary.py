@@ -138,6 +138,15 @@ def of_diagnosis(
             f"Use the model between {low:.3g} and {high:.3g} {learned.variable_unit} of {learned.variable.replace('_', ' ')} only, "
             "where the force was learned; try one of the laws below, or an effect of your own with --effects."
         )
+    differing = found.constancy if isinstance(found, Improvement) else None
+    if differing is not None and differing.outlying is not None:
+        what += f"; {differing.outlying.name} alone differs from all other experiments"
+        steps[found.verdict] = (
+            f"Look at {differing.outlying.name}: its sample time, lost samples or counts, a sensor that was set anew, what touched "
+            "the rig; then again without it."
+        )
+    elif differing is not None:
+        what += f"; {' and '.join(differing.varying)} differs between experiments"
     return Bullets(f"{what}.", f"{sure[0].upper()}{sure[1:]}.", steps[found.verdict])
 
 

@@ -19,15 +19,16 @@ MASS, STIFFNESS, VISCOUS = 1.23, 132.6, 0.5543  # paper, section 4.2
 RUNS = 10
 
 
-def fitted(softening, seed=0):
-    """Ten decays; the spring softens with a temperature that follows neither amplitude nor order."""
+def fitted(softening, seed=0, slow_clock=()):
+    """Ten decays; the spring softens with a temperature that follows neither amplitude nor order; some clocks are 1 % slow."""
     random = np.random.default_rng(seed)
-    time = 0.02 * np.arange(150)
+    told = 0.02 * np.arange(150)
     rate = VISCOUS / (2 * MASS)
     warm = np.random.default_rng(5).permutation(np.linspace(18.0, 27.0, RUNS))
     experiments = []
     for i, (start, degrees) in enumerate(zip(np.linspace(0.006, 0.015, RUNS), warm, strict=True)):
         damped = np.sqrt(STIFFNESS * (1 - softening * (degrees - 18.0)) / MASS - rate**2)
+        time = told * (1.01 if i in slow_clock else 1.0)
         position = start * np.exp(-rate * time) * (np.cos(damped * time) + rate / damped * np.sin(damped * time))
         experiments.append(
             rtac.Experiment.of(
@@ -60,6 +61,32 @@ def test_a_spring_that_softens_is_named_with_the_temperature():
     assert "drifts" in found.plot().get_suptitle()
     with pytest.raises(ValueError, match="temperature has no value for free_0"):
         est.constancy(fit, recording, covariates={"temperature": {}})
+
+
+def test_the_one_experiment_whose_clock_is_off_is_named():
+    fit, recording, _ = fitted(0.0, slow_clock=(3,))
+    found = est.constancy(fit, recording)
+    assert found.outlying is not None
+    assert found.outlying.name == "free_3"
+    assert "All experiments but free_3 have one set of parameters" in found.verdict
+    assert "largest" not in found.differences, "others moved more"
+    assert found.chi_square > 1000 > 40 > found.outlying.chi_square
+    automatic = differing(
+        dataclasses.replace(fit, noise={"cart_position": fit.residual_std["cart_position"] / 4}), recording
+    )
+    assert automatic is not None
+    assert automatic.outlying == found.outlying
+    last = est.constancy(*fitted(0.0, slow_clock=(9,))[:2])
+    assert "free_9" in last.differences
+    assert "It is also the one of largest output" in last.differences
+
+
+@pytest.mark.parametrize("given", [{"softening": 0.0}, {"softening": 5e-4}, {"softening": 0.0, "slow_clock": (2, 7)}])
+def test_no_experiment_alone_is_named_where_none_or_several_differ(given):
+    fit, recording, _ = fitted(**given)
+    found = est.constancy(fit, recording)
+    assert found.equal == (given == {"softening": 0.0})
+    assert found.outlying is None
 
 
 def test_weighed_constants_are_held():

@@ -23,6 +23,7 @@ from estimators.diagnosis.explanation import (
     SHAKEN,
     floor_of,
     found_by_simulation,
+    misfit_words,
     not_named,
     shaken,
     strayed,
@@ -93,6 +94,7 @@ class Diagnosis(Result):
         detectable: candidates that the data show, but without which the model is adequate: they take next to nothing off the error.
         evidence: everything that was computed, to be saved, or judged by another policy; None where the result was made by hand.
         simulated: residual of the diagnosed fit's simulation over the noise, of the worst channel.
+        by_simulation: whether the effects were selected by what they take off the simulation's error, which `removed` then counts.
     """
 
     verdict: Verdict
@@ -116,6 +118,12 @@ class Diagnosis(Result):
     consequence: Consequence | None = None
     detectable: tuple[Candidate, ...] = ()
     simulated: float = 0.0
+    by_simulation: bool = False
+
+    @property
+    def misfit(self) -> str:
+        """Return what `removed` is a fraction of, in words."""
+        return misfit_words(by_simulation=self.by_simulation)
 
     @property
     def best(self) -> Effect | None:
@@ -282,6 +290,7 @@ def _told(
         consequence=found.consequence,
         detectable=tuple(by_id[step.id] for step in found.detectable),
         simulated=simulated,
+        by_simulation=bool(found.steps and found.selection.simulated),
     )
     return dataclasses.replace(told, explanation=_explanation(told, found, setting, thorough=evidence.thorough))
 
@@ -292,11 +301,11 @@ def _explanation(told: Diagnosis, found: Judgement, setting: Setting, *, thoroug
     text = words(
         told.verdict, told.effects, told.candidates, steps, told.tests, told.left, told.removed, told.curves, told.latent,
         told.places, told.lines, told.simulation, told.policy, told.consequence, found.detectable,
-        told.floor,
+        told.floor, told.misfit,
     )  # fmt: skip
     if told.simulation is not None and further and not steps:
         text += without_the_physics(further, told.simulation)
-    if steps and found.selection.simulated and told.evidence is not None:
+    if told.by_simulation and told.evidence is not None:
         known = told.evidence.simulations
         text += found_by_simulation(known[found.selection.base.number], known[found.final.number])
     if steps and further:
@@ -349,6 +358,7 @@ def _candidates(laboratory: LiveLaboratory, found: Judgement) -> list[Candidate]
     detectable = laboratory.detectability(selection.base)
     most = _most(selection, samples)
     within = set(found.effects)
+    shown = within.union(*found.rivals.values())
     several: list[Candidate] = []
     for s in best.values():
         first, limit = main_amplitude(s), detectable.limits[s.id]
@@ -360,7 +370,7 @@ def _candidates(laboratory: LiveLaboratory, found: Judgement) -> list[Candidate]
             detection_limit=limit,
             unit=declarations(s.instance)[first].unit,
             # What acts by contact, or random forces stand for, shows once the filter follows it.
-            testable=is_testable(s, limit, policy.testable) or s.id in within,
+            testable=is_testable(s, limit, policy.testable) or s.id in shown,
             correlation=detectable.correlations[s.id],
         )
         if s.id in selection.tried:

@@ -44,6 +44,7 @@ def words(
     consequence: Consequence | None = None,
     detectable: Sequence[Step] = (),
     floor: str = AT_NOISE,
+    misfit: str = "the misfit",
 ) -> str:
     """Describe in a paragraph what is missing, how big, where it shows, how sure, and what would make it surer."""
     if verdict == "adequate":
@@ -93,7 +94,7 @@ def words(
         else ", and nothing rejects any more"
     )
     fraction = (
-        f" {'It removes' if len(steps) == 1 else 'Together they remove'} {100 * removed:.0f} % of the misfit{after}."
+        f" {'It removes' if len(steps) == 1 else 'Together they remove'} {100 * removed:.0f} % of {misfit}{after}."
     )
     if consequence is not None:
         fraction += f" The error falls by {_fall(consequence)}."
@@ -177,6 +178,11 @@ def without_the_physics(steps: Sequence[Step], simulation: SimulationResidual) -
         f" {names} would improve the predictions, but random forces stand in for the physics beside it too: it may make up for"
         " a part of another mistake, so it is not named."
     )
+
+
+def misfit_words(*, by_simulation: bool) -> str:
+    """Return what named effects remove a fraction of: the squared error of predictions that is avoidable, or of a simulation."""
+    return "the simulation's squared error" if by_simulation else "the misfit"
 
 
 def without_alarm(effect: str, *, confirmed: bool) -> str:
@@ -326,7 +332,7 @@ def _unknown(
     elif rejected:
         static = " No static function of position, velocity, angle or current explains most of it."
     else:
-        static = " It is no static function of position, velocity, angle or current."
+        static = " What is missing is no static function of position, velocity, angle or current."
     telling = min(lines, key=lambda line: line.p_value, default=None)
     if telling is not None and telling.p_value < policy.level / len(lines):
         static += (

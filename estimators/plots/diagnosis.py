@@ -85,7 +85,9 @@ def finding(diagnosis: Diagnosis) -> str:
             return f"{failed}; what is missing on the {_deficient(diagnosis)} {what} of position, velocity or angle"
         return f"{failed}; what is missing on the {best.port} depends most on {NAMES[best.variable]}"
     best = accepted[0]
-    fraction = f"{100 * best.error_reduction:.0f} % of the misfit"
+    fraction = (
+        f"{100 * (diagnosis.removed if diagnosis.by_simulation else best.error_reduction):.0f} % of {diagnosis.misfit}"
+    )
     groups: list[list[str]] = []
     for c in accepted:
         if (group := sorted({c.id, *c.confusable_with})) not in groups:
@@ -93,10 +95,12 @@ def finding(diagnosis: Diagnosis) -> str:
     if len(groups) > 1:
         named = " and ".join(f"({' or '.join(group)})" if len(group) > 1 else group[0] for group in groups)
         unclear = ", but the data leave open which of a group" if diagnosis.verdict == "ambiguous" else ""
-        return f"{named} together explain {100 * diagnosis.removed:.0f} % of the misfit{unclear}"
+        return f"{named} together explain {100 * diagnosis.removed:.0f} % of {diagnosis.misfit}{unclear}"
     if diagnosis.verdict == "ambiguous":
         others = ", ".join(c.id for c in accepted[1:])
         return f"{best.id} explains {fraction}, but the data cannot tell it from {others}"
+    if diagnosis.by_simulation:
+        return f"{best.id} explains {fraction}"
     rest = [
         c
         for c in diagnosis.candidates

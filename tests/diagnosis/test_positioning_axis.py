@@ -5,6 +5,7 @@ from positioning_axis import COULOMB, OFFSET, TORQUE_CONSTANT, recording
 
 import estimators as est
 import rtac_jax as rtac
+from estimators.plots.diagnosis import finding
 from rtac_jax.effects import ArmCoulomb, ArmPresliding, CurrentOffset, EncoderLag
 
 
@@ -16,6 +17,9 @@ def test_dry_friction_is_named_and_no_lag_of_the_encoder() -> None:
     assert found.effects[0].id == "arm_coulomb"
     assert "encoder_lag" not in [c.id for c in found.effects]
     assert "This is what simulations select" in found.explanation
+    assert f"{100 * found.removed:.0f} % of the simulation's squared error" in found.explanation
+    assert f"explain {100 * found.removed:.0f} % of the simulation's squared error" in finding(found).replace("explains", "explain")
+    assert all(c.can_show for c in found.candidates if c.id in {c.id for c in found.effects})
     assert found.evidence is not None
     again = est.judge(found.evidence)
     assert (again.verdict, again.effects, again.incomplete) == ("missing", tuple(c.id for c in found.effects), ())

@@ -130,7 +130,9 @@ def test_a_static_force_is_judged_by_its_test(excess: float, said: str) -> None:
     tests = (found(600.0), AdequacyTest("delayed force", 0.0, 600.0, 0.002, ""))
     assert said in words("unknown", [], [], [], tests, (), 0.0, [other, curve], [], [], [])
     passing = (dataclasses.replace(tests[0], p_value=0.5), tests[1])
-    assert "It is no static function" in words("unknown", [], [], [], passing, (), 0.0, [curve], [], [], [])
+    assert "What is missing is no static function" in words(
+        "unknown", [], [], [], passing, (), 0.0, [curve], [], [], []
+    )
 
 
 def unknown(latent: list[LatentForce], lines: list[LineClass]) -> str:

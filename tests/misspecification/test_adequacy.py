@@ -9,7 +9,7 @@ from scipy.signal import lfilter
 from estimators.core.data import Data
 from estimators.diagnosis.policy import DiagnosisPolicy
 from estimators.misspecification.adequacy import AdequacyTest, adequacy_tests, overshadowing, suspects
-from estimators.misspecification.findings import CriticalValues, Findings, Score, StaticForce
+from estimators.misspecification.findings import CriticalValues, Findings, Score, SpectralLine, StaticForce
 from estimators.misspecification.line_classes import line_classes, period
 from estimators.misspecification.replication_test import repeat_test
 from estimators.misspecification.residual_maps import where
@@ -251,6 +251,14 @@ def test_a_vibration_is_found_at_its_frequency() -> None:
     assert found.p_value < 1e-6
     assert found.frequency == pytest.approx(44.0, abs=2 * np.pi / 10.0)
     assert found.channel == "cart_position"
+
+
+@pytest.mark.parametrize(("hertz", "said"), [(50.1, "50.1 Hz, that of the mains"), (44.0, "44 Hz")])
+def test_a_line_is_told_in_hertz_with_a_word_where_it_is_that_of_the_mains(hertz: float, said: str) -> None:
+    line = SpectralLine("cart_position", 2 * np.pi * hertz, 40.0, 80.0, 1e-9)
+    (test,) = adequacy_tests(Findings(line=line), CRITICAL)
+    assert test.rejects
+    assert f"rad/s ({said}), has 40.0 times the power around it" in test.words
 
 
 def periodic(odd_only: bool = True) -> np.ndarray:

@@ -150,7 +150,8 @@ def confirmed(laboratory: Laboratory, found: Selection, policy: DiagnosisPolicy)
     """Return the selection or, where nothing rejects, one of an effect that experiment after experiment confirms.
 
     What acts at a few instants, as friction that rises near rest, scatters over the seconds of data however large it is. Estimated
-    from the others, it must make each experiment that it shows in likelier, by very strong evidence.
+    from the others, it must make each experiment of which these know something likelier, by very strong evidence; pieces of a
+    long experiment count as several.
     """
     look = _largest(laboratory, [s for s in found.findings.scores if s.statistic >= policy.alarm], policy)
     if not look.ranked:
@@ -162,7 +163,7 @@ def confirmed(laboratory: Laboratory, found: Selection, policy: DiagnosisPolicy)
         return found
     held_out = laboratory.held_out(found.base, steps[0].model)
     gains = [2 * one for one, known in zip(held_out.gain, held_out.known, strict=True) if known >= policy.known]
-    if len(gains) < policy.confirming or min(gains) < policy.bic_gain:
+    if len(gains) < policy.confirming or not all(one >= policy.bic_gain for one in gains):
         return found
     return dataclasses.replace(found, steps=steps)
 

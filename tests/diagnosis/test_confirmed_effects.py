@@ -93,10 +93,11 @@ ENOUGH = STANDARD.bic_gain / 2  # of the log-likelihood: very strong evidence
     [
         (Runs(2 * ENOUGH, 2 * ENOUGH, 1.1 * ENOUGH), ["arm_stribeck"]),
         (Runs(20 * ENOUGH, 20 * ENOUGH, 0.9 * ENOUGH), []),
+        (Runs(20 * ENOUGH, 20 * ENOUGH, math.nan), []),
         (Runs(20 * ENOUGH, 20 * ENOUGH), []),
         (Runs(*3 * (2 * ENOUGH,), shown=0.5 * STANDARD.known), []),
     ],
-    ids=["each confirms it", "one does not", "two are too few", "others know nothing of it"],
+    ids=["each confirms it", "one does not", "one cannot be told", "two are too few", "others know nothing of it"],
 )
 def test_every_one_of_three_experiments_must_confirm_it(runs: Runs, named: list[str]) -> None:
     found = select(runs, STANDARD, thorough=True)

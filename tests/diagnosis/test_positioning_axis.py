@@ -18,7 +18,9 @@ def test_dry_friction_is_named_and_no_lag_of_the_encoder() -> None:
     assert "encoder_lag" not in [c.id for c in found.effects]
     assert "This is what simulations select" in found.explanation
     assert f"{100 * found.removed:.0f} % of the simulation's squared error" in found.explanation
-    assert f"explain {100 * found.removed:.0f} % of the simulation's squared error" in finding(found).replace("explains", "explain")
+    assert f"explain {100 * found.removed:.0f} % of the simulation's squared error" in finding(found).replace(
+        "explains", "explain"
+    )
     assert all(c.can_show for c in found.candidates if c.id in {c.id for c in found.effects})
     assert found.evidence is not None
     again = est.judge(found.evidence)

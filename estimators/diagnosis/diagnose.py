@@ -312,9 +312,9 @@ def _explanation(told: Diagnosis, found: Judgement, setting: Setting, *, thoroug
         text += not_named(further, told.left, setting.samples)
     alarms = alarming(found.selection.findings.scores, told.policy.critical)
     if steps and not found.selection.simulated and steps[0].id not in {s.id for s in alarms}:
-        text += without_alarm(steps[0].id, confirmed=not any(test.rejects for test in told.tests))
+        text += without_alarm(steps[0].id, found.selection.confirmed)
     if told.verdict == "adequate":
-        text += unconfirmed(told.candidates, told.detectable, told.policy)
+        text += unconfirmed(told.candidates, told.detectable, told.policy, thorough=thorough)
     text += "".join(f" {remark}" for effect in told.additions if (remark := effect.remark(setting.model.body)))
     if struck := [effect.id for effect in told.additions if effect.acts_by_contact]:
         text += (

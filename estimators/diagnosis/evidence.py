@@ -134,6 +134,8 @@ class Facts:
         effects: traits of every candidate by id.
         untestable: ids of candidates that the data could not show at any plausible size.
         unfollowed: rms error of the diagnosed fit's simulation over the rms of the motion, of the channel where it is most.
+        origins: names of the experiments that what was filtered is, or is a piece of, in its order; empty in evidence of an earlier
+            version.
     """
 
     samples: int
@@ -147,6 +149,11 @@ class Facts:
     effects: Mapping[str, EffectTraits] = dataclasses.field(default_factory=dict)
     untestable: tuple[str, ...] = ()
     unfollowed: float = 0.0
+    origins: tuple[str, ...] = ()
+
+    def origin(self, place: int) -> str:
+        """Return the name of the experiment that the one at this place is, or is a piece of."""
+        return self.origins[place] if self.origins else str(place)
 
 
 @dataclasses.dataclass(frozen=True)

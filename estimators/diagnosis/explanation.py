@@ -182,35 +182,40 @@ def without_the_physics(steps: Sequence[Step], simulation: SimulationResidual) -
 
 def misfit_words(*, by_simulation: bool) -> str:
     """Return what named effects remove a fraction of: the squared error of predictions that is avoidable, or of a simulation."""
-    return "the simulation's squared error" if by_simulation else "the misfit"
+    return "the simulation's squared error beyond the noise" if by_simulation else "the misfit"
 
 
-def without_alarm(effect: str, *, confirmed: bool) -> str:
+def without_alarm(effect: str, confirmed: tuple[int, ...]) -> str:
     """Say why an effect is named whose score raised no alarm.
 
     Args:
         effect: id of it.
-        confirmed: whether nothing rejects, so that only experiments speak for it that did not help to estimate it.
+        confirmed: how many experiments confirm it, and of how many; empty where that was not asked.
     """
     if confirmed:
+        count, of = confirmed
         return (
-            f" {effect} raised no alarm by itself, as it scatters over the seconds of data: estimated from the others, every"
-            " experiment confirms it."
+            f" {effect} raised no alarm by itself, as it scatters over the seconds of data: estimated from the others, {count} of"
+            f" {of} experiments confirm it, and none speaks against it."
         )
     return f" {effect} raised no alarm by itself: it was tried because what did explains less, or nothing."
 
 
-def unconfirmed(candidates: Sequence[Candidate], detectable: Sequence[Candidate], policy: DiagnosisPolicy) -> str:
-    """Say which candidate of an adequate model is as large as an alarm, though nothing confirms it; nothing where none is."""
-    said = {c.id for c in detectable}
-    large = [c for c in candidates if c.testable and c.chi_square >= policy.alarm and c.id not in said]
-    if not large:
+def unconfirmed(
+    candidates: Sequence[Candidate], detectable: Sequence[Candidate], policy: DiagnosisPolicy, *, thorough: bool
+) -> str:
+    """Say which candidate of an adequate model is as large as an alarm and scatters, so that nothing confirms it; or nothing.
+
+    Nothing is said beside effects of no consequence, which other candidates may resemble.
+    """
+    large = [c for c in candidates if c.testable and c.chi_square >= policy.alarm and c.p_value >= policy.chance]
+    if not large or detectable:
         return ""
     first = max(large, key=lambda c: c.chi_square)
-    return (
-        f" {first.id} reaches {first.chi_square:.0f}, the alarm is at {policy.alarm:.0f}, but scatters over the seconds of data: it"
-        " is chance, or these data are too few to confirm it."
-    )
+    said = f" {first.id} reaches {first.chi_square:.0f}, the alarm is at {policy.alarm:.0f}, but scatters over the seconds of data"
+    if not thorough:
+        return f"{said}: a thorough diagnosis asks whether experiments confirm it."
+    return f"{said}, and the experiments do not confirm it: it is chance, or these data are too few."
 
 
 def surer(verdict: Verdict, recording: Recording) -> str:

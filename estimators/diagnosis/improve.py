@@ -52,8 +52,8 @@ class Improvement(Result):
         nearest: the effect of the last model that explains most, not all, of what the last diagnosis cannot name: a last resort,
             which serves held-out experiments better than a learned force; None elsewhere.
         learned: the learned force of the last model, the other last resort; None elsewhere.
-        constancy: what differs between experiments, where the last model follows each by itself and not all together; None
-            elsewhere.
+        constancy: what differs between experiments, where the last model follows each by itself and not all together, or all
+            but one together; None elsewhere.
     """
 
     fits: tuple[Fit, ...]
@@ -103,9 +103,13 @@ class Improvement(Result):
             )
         if self.final.result in _UNFINISHED:
             said.append(f"The last model: {self.final.outcome}")
-        if self.diagnoses[-1].verdict == "adequate" and self.constancy is None and (astray := self._astray):
+        if self.diagnoses[-1].verdict == "adequate" and not self._drifts and (astray := self._astray):
             said.append(astray)
         return " ".join([*said, self.stopped, *([str(self.learned)] if self.learned is not None else [])])
+
+    @property
+    def _drifts(self) -> bool:
+        return self.constancy is not None and self.constancy.decisive
 
     @property
     def mended(self) -> Verdict | None:

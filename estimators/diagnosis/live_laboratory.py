@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from estimators.core.data import moving, origins
 from estimators.core.fit import Fit
 from estimators.diagnosis.evidence import (
     EffectTraits,
@@ -301,6 +302,7 @@ def facts_of(setting: Setting, fit: Fit) -> Facts:
         setting: of the diagnosis.
         fit: that is diagnosed.
     """
+    whole = origins(moving(setting.recording))
     return Facts(
         samples=setting.samples,
         seconds=int(np.max(setting.stretches())) + 1,
@@ -312,6 +314,7 @@ def facts_of(setting: Setting, fit: Fit) -> Facts:
         noise={channel: float(level) for channel, level in fit.noise.items()},
         effects={i: traits(effect) for i, effect in setting.classes.items()},
         unfollowed=unfollowed(fit, setting.data, setting.policy.simulation),
+        origins=tuple(whole[e.name] for e in setting.experiments),
     )
 
 

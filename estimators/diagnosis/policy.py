@@ -151,9 +151,9 @@ class DiagnosisPolicy:
 
     confirming: int = _threshold(
         3,
-        "experiments at least, each of which must be likelier by `bic_gain` with an effect estimated from the others, where nothing"
-        " rejects",
-        "two draws of six of Stribeck friction beside bristles gained 11 to 144 in each of three; never studied by itself",
+        "experiments at least that an effect, estimated from the others, makes likelier by `bic_gain` in twice the log-likelihood,"
+        " and none less likely by as much, to be named where nothing rejects",
+        "two draws of six of Stribeck friction beside bristles gained 22 to 290 so in each; never studied by itself",
     )
 
     def __post_init__(self) -> None:

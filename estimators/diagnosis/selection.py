@@ -26,6 +26,7 @@ class Selection:
         tried: every candidate that was refitted.
         simulated: of a selection by simulation what is left of the base model's squared error before and after each step; else
             empty.
+        confirmed: of an effect that raised no alarm, how many experiments confirm it, and of how many; else empty.
     """
 
     base: FittedModel
@@ -34,6 +35,7 @@ class Selection:
     steps: list[Step]
     tried: Tried
     simulated: tuple[float, ...] = ()
+    confirmed: tuple[int, ...] = ()
 
     def named(self, samples: int, policy: DiagnosisPolicy) -> tuple[Verdict, int, float]:
         """Return the verdict, the number of steps that it names, and the fraction of the error that they remove."""

@@ -150,8 +150,7 @@ def confirmed(laboratory: Laboratory, found: Selection, policy: DiagnosisPolicy)
     """Return the selection or, where nothing rejects, one of an effect that experiment after experiment confirms.
 
     What acts at a few instants, as friction that rises near rest, scatters over the seconds of data however large it is. Estimated
-    from the others, it must make each experiment of which these know something likelier, by very strong evidence; pieces of a
-    long experiment count as several.
+    from the others, it must make several experiments likelier by very strong evidence, and none less likely by as much.
     """
     look = _largest(laboratory, [s for s in found.findings.scores if s.statistic >= policy.alarm], policy)
     if not look.ranked:
@@ -161,11 +160,26 @@ def confirmed(laboratory: Laboratory, found: Selection, policy: DiagnosisPolicy)
     found = dataclasses.replace(found, tried=more | found.tried)
     if not steps:
         return found
-    held_out = laboratory.held_out(found.base, steps[0].model)
-    gains = [2 * one for one, known in zip(held_out.gain, held_out.known, strict=True) if known >= policy.known]
-    if len(gains) < policy.confirming or not all(one >= policy.bic_gain for one in gains):
+    first = steps[:1]  # another beside it is left to the next diagnosis
+    gains = _held_out_gains(laboratory, found.base, first[0].model)
+    confirming = sum(gain >= policy.bic_gain for gain, known in gains if known >= policy.known)
+    if confirming < policy.confirming or not all(gain > -policy.bic_gain for gain, _ in gains):
         return found
-    return dataclasses.replace(found, steps=steps)
+    if not named(first, found.tests, laboratory.facts.samples, policy)[1]:
+        return found
+    return dataclasses.replace(found, steps=first, confirmed=(confirming, len(gains)))
+
+
+def _held_out_gains(laboratory: Laboratory, before: FittedModel, after: FittedModel) -> list[tuple[float, float]]:
+    """Return twice the gain in log-likelihood of each experiment, its pieces together, and how much the others know of it."""
+    held_out = laboratory.held_out(before, after)
+    each: dict[str, tuple[float, float]] = {}
+    for place, (gain, known) in enumerate(zip(held_out.gain, held_out.known, strict=True)):
+        if not math.isnan(gain):
+            origin = laboratory.facts.origin(place)
+            before_it, least = each.get(origin, (0.0, 1.0))
+            each[origin] = before_it + 2 * gain, min(least, known)
+    return list(each.values())
 
 
 def improvements(

@@ -91,21 +91,26 @@ def selected(information: Information, slope: Slope, level: float) -> Chosen:
 
 
 class Outlying(NamedTuple):
-    """The one experiment that differs from all others, which have one set of parameters.
+    """The one experiment without which the others differ by no more than chance.
 
     Attributes:
         place: of it.
-        chi_square: of the differences between the others.
-        freedom: of it.
+        chi_square, freedom: of the differences between all.
+        left, left_freedom: of those between the others.
     """
 
     place: int
     chi_square: float
     freedom: int
+    left: float
+    left_freedom: int
 
 
 def outlying(information: Information, slope: Slope, level: float) -> Outlying | None:
-    """Return the one experiment without which the others differ by no more than chance, all parameters free in each.
+    """Return the one experiment without which next to nothing of the differences is left, and no more than chance makes.
+
+    All parameters are free in each. Where all scatter, a few of their deviations, the others of the farthest may pass by chance;
+    but more than next to nothing is left then.
 
     Args:
         information: of each experiment.
@@ -117,8 +122,11 @@ def outlying(information: Information, slope: Slope, level: float) -> Outlying |
     """
     count, parameters = slope.shape
     every = range(parameters)
-    if count < _ENOUGH or scipy.stats.chi2.sf(*explained(information, slope, every)) >= level:
+    whole, freedom = explained(information, slope, every)
+    if count < _ENOUGH or scipy.stats.chi2.sf(whole, freedom) >= level:
         return None
     left = [explained(np.delete(information, e, 0), np.delete(slope, e, 0), every) for e in range(count)]
     alike = [e for e in range(count) if scipy.stats.chi2.sf(*left[e]) >= level]
-    return Outlying(alike[0], *left[alike[0]]) if len(alike) == 1 else None
+    if len(alike) != 1 or left[alike[0]][0] > (1 - _NEXT_TO_ALL) * whole:
+        return None
+    return Outlying(alike[0], whole, freedom, *left[alike[0]])

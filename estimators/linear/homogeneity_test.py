@@ -62,16 +62,43 @@ class Trend:
 
 @dataclass(frozen=True)
 class Outlier:
-    """The one condition that differs from all others, which have one set of parameters.
+    """The one condition without which the others differ by no more than chance.
 
     Attributes:
         name: of it.
-        chi_square, freedom: of the differences between the others.
+        chi_square, freedom: of the differences between all.
+        left, left_freedom: of those between the others.
+        over_noise: what a fit of the others leaves at most, over the noise; NaN where none was made.
     """
 
     name: str
     chi_square: float
     freedom: int
+    left: float
+    left_freedom: int
+    over_noise: float = math.nan
+
+    @property
+    def decisive(self) -> bool:
+        """Return whether one set of parameters was seen to follow all others."""
+        return self.over_noise <= _FOLLOWED_ALONE
+
+    @property
+    def words(self) -> str:
+        """Say which condition alone differs, and what to look at."""
+        alike = (
+            f"The other experiments differ from each other by no more than chance: without {self.name} chi-square falls from"
+            f" {self.chi_square:.0f} on {self.freedom} to {self.left:.0f} on {self.left_freedom}"
+        )
+        if self.decisive:
+            alike = (
+                f"All experiments but {self.name} are followed to {self.over_noise:.2f} times the noise by one set of"
+                " parameters"
+            )
+        return (
+            f"{alike}. Look at {self.name} first: at its sample time, at samples or counts that were lost, at a sensor that was set"
+            " anew, at what touched the rig. Or it alone shows an effect that the model lacks: ask est.diagnose."
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,8 +124,8 @@ class Equality:
         suffices: whether what these leave is chance, or of no consequence.
         over_noise: of a nonlinear fit what is left over the noise at most, by channel, where each condition was fitted by itself;
             empty where none was. Values, their deviations and `varying` then allow each quantity a thousandth of its size.
-        outlying: of a nonlinear fit the one experiment of four or more without which the others differ by no more than chance; None
-            where there is none, or more than one.
+        outlying: of a nonlinear fit the one experiment of four or more without which next to nothing of the differences is left,
+            and no more than chance makes; None where there is none, or more than one.
     """
 
     names: tuple[str, ...]
@@ -152,14 +179,17 @@ class Equality:
     @property
     def differences(self) -> str:
         """Return, where one quantity or one experiment alone explains it, what differs, and what to do about it; else nothing."""
+        alone = self.outlying.words if self.outlying is not None and self.outlying.decisive else ""
         if not self.decisive:
-            return self._outlier
+            return alone
         trend = self.best_trend(self.varying[0])
         if trend is not None and trend.covariate in _MOTION:
             advice = (
                 f"What goes with {covariate_words(trend.covariate)} is an effect that the model lacks, as a spring that hardens, "
                 "sooner than a drift: ask est.diagnose."
             )
+        elif alone:
+            advice = alone
         else:
             advice = (
                 "Where est.diagnose names no effect that explains it better, fit a value for each experiment "
@@ -167,30 +197,7 @@ class Equality:
             )
         return (
             f"Experiments differ: with parameters of its own each is followed to {max(self.over_noise.values()):.2f} times the "
-            f"noise or less, and with one set for all they are not. {' '.join(self._differing())} {advice} {self._outlier}"
-        ).rstrip()
-
-    @property
-    def _outlier(self) -> str:
-        """Say which condition alone differs, and what to look at; nothing where there is none."""
-        one = self.outlying
-        if one is None:
-            return ""
-        place = self.conditions.index(one.name)
-        largest = [
-            word
-            for name, word in (("amplitude", "output"), ("input", "input"))
-            if name in self.covariates and self.covariates[name][place] == np.max(self.covariates[name])
-        ]
-        most = (
-            f" It is also the one of largest {' and '.join(largest)}: there a missing effect shows most."
-            if largest
-            else ""
-        )
-        return (
-            f"All experiments but {one.name} have one set of parameters (without it chi-square falls from {self.chi_square:.0f} on "
-            f"{self.freedom} to {one.chi_square:.0f} on {one.freedom}): look at that one first, at its sample time, at samples or "
-            f"counts that were lost, at a sensor that was set anew, at what touched the rig, and at the fit without it.{most}"
+            f"noise or less, and with one set for all they are not. {' '.join(self._differing())} {advice}"
         )
 
     def best_trend(self, name: str) -> Trend | None:
@@ -214,7 +221,7 @@ class Equality:
                 f"The conditions differ (chi-square {self.chi_square:.0f} on {self.freedom}, p = {self.p_value:.2g}).",
                 *self._differing(),
                 *self._left(),
-                *([self._outlier] if self.outlying is not None else []),
+                *([self.outlying.words] if self.outlying is not None else []),
             ]
         )
 

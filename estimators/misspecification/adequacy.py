@@ -8,8 +8,6 @@ import numpy as np
 
 from estimators.misspecification.findings import CriticalValues, Findings, Scored
 
-_MAINS, _MAINS_WITHIN = (50.0, 60.0, 100.0, 120.0), 0.3  # Hz
-
 
 @runtime_checkable
 class _Force(Protocol):
@@ -112,17 +110,10 @@ def adequacy_tests(found: Findings, critical: CriticalValues) -> tuple[AdequacyT
         words = f"a force on the {one.port} that follows {one.follows} with a lag would explain {one.excess:.0f}"
         tests.append(AdequacyTest("delayed force", p_value, one.excess, level, words))
     if line is not None:
-        where = f"{line.channel} at {line.frequency:.3g} rad/s ({_in_hertz(line.frequency)})"
+        where = f"{line.channel} at {line.frequency:.3g} rad/s ({line.in_hertz})"
         words = f"the strongest line, of {where}, has {line.ratio:.1f} times the power around it"
         tests.append(AdequacyTest("spectral line", line.p_value, line.excess, level, words))
     return tuple(tests)
-
-
-def _in_hertz(frequency: float) -> str:
-    """Return a frequency [rad/s] in Hz, with a word where it is that of the mains or twice that."""
-    hertz = frequency / (2 * np.pi)
-    mains = any(abs(hertz - one) < _MAINS_WITHIN for one in _MAINS)
-    return f"{hertz:.3g} Hz{', that of the mains' if mains else ''}"
 
 
 def _scattered(best: Scored, alarms: Sequence[Scored], critical: CriticalValues) -> str:

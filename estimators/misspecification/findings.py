@@ -4,9 +4,13 @@ Nothing here or in what reads these records needs a model, so that what was comp
 """
 
 import dataclasses
+import math
 from typing import Protocol, runtime_checkable
 
 from scipy.stats import f as fisher
+
+_ONCE, _TWICE = ", that of the mains", ", twice that of the mains"
+_MAINS, _MAINS_WITHIN = {50.0: _ONCE, 60.0: _ONCE, 100.0: _TWICE, 120.0: _TWICE}, 0.3  # Hz
 
 
 @runtime_checkable
@@ -106,6 +110,13 @@ class SpectralLine:
     ratio: float
     excess: float
     p_value: float
+
+    @property
+    def in_hertz(self) -> str:
+        """Return its frequency in Hz, and whether that is near that of the mains, or twice that."""
+        hertz = self.frequency / (2 * math.pi)
+        said = next((words for one, words in _MAINS.items() if abs(hertz - one) < _MAINS_WITHIN), "")
+        return f"{hertz:.3g} Hz{said}"
 
 
 @dataclasses.dataclass(frozen=True)

@@ -215,10 +215,10 @@ def _parameters(parameters: Mapping[str, Parameter]) -> dict[str, Any]:
 
 def _varying(found: Equality) -> dict[str, Any]:
     """Return which parameters differ between experiments, and their values in each, and which experiment alone differs."""
-    places = [found.names.index(name) for name in found.varying]
+    places = [found.names.index(name) for name in found.varying] if found.decisive else []
     return {
-        "explained": found.explained,
-        "outlying": None if found.outlying is None else found.outlying.name,
+        "explained": found.explained if found.decisive else 0.0,
+        "outlying": found.outlying.name if found.outlying is not None and found.outlying.decisive else None,
         "experiments": list(found.conditions),
         "parameters": {
             found.names[i]: {"values": found.values[:, i].tolist(), "std": found.std[:, i].tolist()} for i in places

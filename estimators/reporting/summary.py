@@ -139,14 +139,14 @@ def of_diagnosis(
             "where the force was learned; try one of the laws below, or an effect of your own with --effects."
         )
     differing = found.constancy if isinstance(found, Improvement) else None
-    if differing is not None and differing.outlying is not None:
+    if differing is not None and differing.decisive:
+        what += f"; {differing.varying[0]} differs between experiments"
+    if differing is not None and differing.outlying is not None and differing.outlying.decisive:
         what += f"; {differing.outlying.name} alone differs from all other experiments"
         steps[found.verdict] = (
             f"Look at {differing.outlying.name}: its sample time, lost samples or counts, a sensor that was set anew, what touched "
-            "the rig; then again without it."
+            f"the rig, or what it alone shows; then again without it. {steps[found.verdict]}"
         )
-    elif differing is not None:
-        what += f"; {' and '.join(differing.varying)} differs between experiments"
     return Bullets(f"{what}.", f"{sure[0].upper()}{sure[1:]}.", steps[found.verdict])
 
 

@@ -4,15 +4,19 @@ A drive whose friction is that of bristles and rises near rest, simulated by cod
 form.
 """
 
+import dataclasses
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
-from known_search import Known, known, sized
+from known_search import Known, force, known, sized
 
 import estimators as est
 import rtac_jax as rtac
+from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.evidence import FittedModel, HeldOut
+from estimators.diagnosis.explanation import unconfirmed
 from estimators.diagnosis.policy import STANDARD
 from estimators.diagnosis.stepwise_selection import select
 from estimators.misspecification.findings import Findings
@@ -65,7 +69,7 @@ def test_friction_that_rises_near_rest_is_named_though_it_scatters() -> None:
     assert not by_name.rejects
     assert "arm_stribeck reaches" in by_name.words
     assert (found.verdict, [c.id for c in found.effects]) == ("missing", [ArmStribeck.id])
-    assert "every experiment confirms it" in found.explanation
+    assert "3 of 3 experiments confirm it, and none speaks against it" in found.explanation
     assert found.evidence is not None
     again = est.judge(found.evidence)
     assert (again.effects, again.incomplete) == ((ArmStribeck.id,), ())
@@ -74,15 +78,15 @@ def test_friction_that_rises_near_rest_is_named_though_it_scatters() -> None:
 class Runs(Known):
     """Experiments each of which gains so much by an effect that is estimated from the others."""
 
-    def __init__(self, *gains: float, shown: float = 1.0) -> None:
+    def __init__(self, *gains: float, shown: float | Sequence[float] = 1.0) -> None:
         super().__init__(known(base=0.0, arm_stribeck=200.0))
         self.by_run = gains
-        self.shown = shown
+        self.shown = [shown] * len(gains) if isinstance(shown, float) else shown
         scores = (sized("arm_stribeck", 300.0, 1e-3), sized("lvdt_lag", STANDARD.alarm - 1, 1e-3))
         self.rejects = lambda model: Findings() if model.added else Findings(scores=scores)
 
     def held_out(self, before: FittedModel, after: FittedModel) -> HeldOut:
-        return HeldOut(self.by_run, tuple(self.shown for _ in self.by_run))
+        return HeldOut(self.by_run, tuple(self.shown))
 
 
 ENOUGH = STANDARD.bic_gain / 2  # of the log-likelihood: very strong evidence
@@ -94,14 +98,60 @@ ENOUGH = STANDARD.bic_gain / 2  # of the log-likelihood: very strong evidence
         (Runs(2 * ENOUGH, 2 * ENOUGH, 1.1 * ENOUGH), ["arm_stribeck"]),
         (Runs(20 * ENOUGH, 20 * ENOUGH, 0.9 * ENOUGH), []),
         (Runs(20 * ENOUGH, 20 * ENOUGH, math.nan), []),
+        (Runs(*3 * (2 * ENOUGH,), -0.9 * ENOUGH), ["arm_stribeck"]),
+        (Runs(*3 * (2 * ENOUGH,), -1.1 * ENOUGH, shown=(1.0, 1.0, 1.0, 0.0)), []),
         (Runs(20 * ENOUGH, 20 * ENOUGH), []),
         (Runs(*3 * (2 * ENOUGH,), shown=0.5 * STANDARD.known), []),
     ],
-    ids=["each confirms it", "one does not", "one cannot be told", "two are too few", "others know nothing of it"],
+    ids=[
+        "each confirms it",
+        "one does not",
+        "one cannot be told",
+        "one shows nothing of it",
+        "one speaks against it",
+        "two are too few",
+        "others know nothing of it",
+    ],
 )
-def test_every_one_of_three_experiments_must_confirm_it(runs: Runs, named: list[str]) -> None:
+def test_three_experiments_must_confirm_it_and_none_speak_against_it(runs: Runs, named: list[str]) -> None:
     found = select(runs, STANDARD, thorough=True)
     assert [step.id for step in found.steps] == named
     assert "arm_stribeck" in found.tried
     assert "lvdt_lag" not in found.tried, "it is not as large as the alarm"
     assert select(runs, STANDARD, thorough=False).steps == []
+
+
+def test_pieces_of_one_experiment_are_one() -> None:
+    runs = Runs(*4 * (2 * ENOUGH,))
+    runs.facts = dataclasses.replace(runs.facts, origins=("long", "long", "long", "short"))
+    assert select(runs, STANDARD, thorough=True).steps == []
+    runs.facts = dataclasses.replace(runs.facts, origins=("long", "long", "short", "other"))
+    assert select(runs, STANDARD, thorough=True).confirmed == (3, 3)
+
+
+def test_what_a_test_rejects_all_the_same_is_not_confirmed() -> None:
+    """Nothing rejected before, and with the effect something does: the model stays adequate, and is not unknown for it."""
+    runs = Runs(*3 * (2 * ENOUGH,))
+    before = runs.rejects
+    runs.rejects = lambda model: Findings(curves=(force(2000.0),)) if model.added else before(model)
+    found = select(runs, STANDARD, thorough=True)
+    assert found.steps == []
+    assert found.named(runs.facts.samples, STANDARD)[0] == "adequate"
+
+
+def candidate(name: str, chi_square: float, p_value: float) -> Candidate:
+    return Candidate(name, chi_square - 9, chi_square, p_value, 1.0, "N m", testable=True)
+
+
+def test_an_adequate_verdict_names_what_is_large_and_was_not_confirmed() -> None:
+    several = [
+        candidate("arm_stribeck", 300.0, 0.02),
+        candidate("cubic_spring", 500.0, 1e-9),
+        candidate("backlash", 8.0, 1.0),
+    ]
+    said = unconfirmed(several, (), STANDARD, thorough=True)
+    assert "arm_stribeck reaches 300, the alarm is at 20" in said
+    assert "the experiments do not confirm it" in said
+    assert "a thorough diagnosis asks" in unconfirmed(several, (), STANDARD, thorough=False)
+    assert unconfirmed(several[1:], (), STANDARD, thorough=True) == ""
+    assert unconfirmed(several, several[1:2], STANDARD, thorough=True) == ""

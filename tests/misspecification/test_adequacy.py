@@ -253,7 +253,10 @@ def test_a_vibration_is_found_at_its_frequency() -> None:
     assert found.channel == "cart_position"
 
 
-@pytest.mark.parametrize(("hertz", "said"), [(50.1, "50.1 Hz, that of the mains"), (44.0, "44 Hz")])
+@pytest.mark.parametrize(
+    ("hertz", "said"),
+    [(50.1, "50.1 Hz, that of the mains"), (100.0, "100 Hz, twice that of the mains"), (44.0, "44 Hz")],
+)
 def test_a_line_is_told_in_hertz_with_a_word_where_it_is_that_of_the_mains(hertz: float, said: str) -> None:
     line = SpectralLine("cart_position", 2 * np.pi * hertz, 40.0, 80.0, 1e-9)
     (test,) = adequacy_tests(Findings(line=line), CRITICAL)

@@ -16,8 +16,10 @@ from made_up_results import (
 from estimators.core.fisher_information import information_of
 from estimators.core.fit import Fit
 from estimators.core.results import RESULTS
+from estimators.linear.homogeneity_test import Equality, Outlier
 from estimators.reporting.html import write_json
 from estimators.reporting.report import report_dict
+from estimators.reporting.summary import of_diagnosis
 from rtac_jax import RTAC
 
 ACCEPTED = {"adequate": [], "missing": ["flexible_mode"], "ambiguous": ["flexible_mode", "cubic_spring"], "unknown": []}
@@ -79,3 +81,25 @@ def test_the_json_gives_what_each_experiment_has_for_itself():
     assert found["cart_coulomb.level[free_1]"] == {"value": 0.1, "std": None, "unit": "N"}
     assert found["cart_coulomb.level[forced_1[0:1024]]"]["value"] == 0.2
     assert found["spring_stiffness"]["unit"] == "N/m"
+
+
+def differing(over_noise: float) -> Equality:
+    """Four experiments; the third differs from the others, which a fit leaves at so many times the noise."""
+    return Equality(
+        names=("torque_constant",), units=("N m/A",), conditions=("a", "b", "c", "d"),
+        values=np.array([[1.0], [1.0], [2.0], [1.0]]), std=np.full((4, 1), 0.1), common=np.ones(1), common_std=np.full(1, 0.1),
+        chi_square=100.0, freedom=3, p_value=1e-9, p_values=np.array([1e-9]), trends=((),), covariates={}, left_out=(), level=0.01,
+        varying=("torque_constant",), explained=1.0, suffices=True, outlying=Outlier("c", 100.0, 3, 1.0, 2, over_noise),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(("over_noise", "name"), [(1.02, "c"), (1.6, None)])
+def test_the_experiment_that_differs_is_told_if_all_others_are_followed(over_noise, name):
+    loop = dataclasses.replace(improvement(1, "adequate"), constancy=differing(over_noise))
+    told = report_dict(loop, fit=fitted(), train=loop.train, validation=loop.validation)["varying"]
+    assert told["outlying"] == name
+    assert told["parameters"] == {}, "no experiment was followed by itself"
+    bullets = of_diagnosis(loop, loop.train, loop.validation, file="rig.h5")
+    assert ("c alone differs from all other experiments" in str(bullets)) == (name is not None)
+    assert ("Look at c: its sample time" in str(bullets)) == (name is not None)
+    assert ("All experiments but c are followed to" in loop.headline) == (name is not None)

@@ -20,7 +20,9 @@ from estimators.diagnosis.candidate_set import offered
 from estimators.diagnosis.choice import bic_gain, gain, held_out_gain
 from estimators.diagnosis.evidence import Evidence
 from estimators.diagnosis.explanation import (
+    OF_A_LINE,
     SHAKEN,
+    at_noise,
     floor_of,
     found_by_simulation,
     misfit_words,
@@ -124,6 +126,13 @@ class Diagnosis(Result):
     def misfit(self) -> str:
         """Return what `removed` is a fraction of, in words."""
         return misfit_words(by_simulation=self.by_simulation)
+
+    @property
+    def line_alone(self) -> str:
+        """Return the words of the test that rejects, where that is of a spectral line, and the simulation is at the noise."""
+        rejecting = [test for test in self.tests if test.rejects]
+        alone = [test.test for test in rejecting] == ["spectral line"] and at_noise(self.simulated)
+        return rejecting[0].words if self.verdict == "unknown" and alone else ""
 
     @property
     def best(self) -> Effect | None:
@@ -315,6 +324,8 @@ def _explanation(told: Diagnosis, found: Judgement, setting: Setting, *, thoroug
         text += without_alarm(steps[0].id, found.selection.confirmed)
     if told.verdict == "adequate":
         text += unconfirmed(told.candidates, told.detectable, told.policy, thorough=thorough)
+    if told.line_alone:
+        text += OF_A_LINE.format(told.simulated)
     text += "".join(f" {remark}" for effect in told.additions if (remark := effect.remark(setting.model.body)))
     if struck := [effect.id for effect in told.additions if effect.acts_by_contact]:
         text += (

@@ -21,6 +21,10 @@ from rtac_jax.measurement import Recording
 AT_NOISE = "at the noise floor"
 # Residual over noise from which a simulation is not at the noise: noise read off a spectrum is 0.8 to 1.1 times the truth.
 _OFF_NOISE = 1.3
+OF_A_LINE = (
+    " Nothing but that line speaks against the model, and its simulation is left at {:.2f} times the noise: where a record at rest"
+    " shows the line too it is the sensor's own, as hum, and the parameters hold."
+)
 _NEARLY_ALL = 0.9  # fraction of the misfit whose removal asks why the verdict is unknown even so
 _LEFT_OUT = 0.02  # fraction of the samples from which it is worth a word that they do not count
 SHAKEN = 1e-2  # fraction of the rms forces from which random forces in one sample are worth a word
@@ -231,6 +235,11 @@ def surer(verdict: Verdict, recording: Recording) -> str:
     return f" {surer} with {', and '.join(lacking)}."
 
 
+def at_noise(simulated: float) -> bool:
+    """Return whether a simulation that leaves so many times the noise is at it."""
+    return simulated <= _OFF_NOISE
+
+
 def floor_of(random: float, simulated: float) -> str:
     """Return down to where nothing is missing from an adequate model: a simulation need not be at the noise.
 
@@ -240,7 +249,7 @@ def floor_of(random: float, simulated: float) -> str:
     """
     if random >= SHAKEN:
         return "predicted one sample ahead, which counts random forces"
-    if simulated > _OFF_NOISE:
+    if not at_noise(simulated):
         return f"predicted one sample ahead; its simulation is left at {simulated:.3g} times the noise"
     return AT_NOISE
 

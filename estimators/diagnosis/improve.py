@@ -173,6 +173,11 @@ class Improvement(Result):
     def _named(self) -> str:
         whole = "it" if self.nearest is None else "all of it"
         if not self.added:
+            if line := self.diagnoses[-1].line_alone:
+                return (
+                    f"The model follows the recording to {self.diagnoses[-1].simulated:.2f} times the noise, and only a line speaks against it, "
+                    f"which no effect of the catalogue explains: {line}."
+                )
             return {
                 "adequate": f"The model is adequate: nothing is missing {self.diagnoses[-1].floor}.",
                 "unknown": f"The model fails, and no effect of the catalogue explains {whole}.",

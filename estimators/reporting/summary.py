@@ -82,6 +82,8 @@ def of_diagnosis(
         "ambiguous": f"One of a group is missing, and these data cannot tell which: {named}",
         "unknown": f"The model fails, and no effect of the catalogue explains it{on_the_way}",
     }
+    if last.line_alone:
+        whats["unknown"] = f"Only a line speaks against the model{on_the_way}: {last.line_alone}"
     what = whats[found.verdict]
     learned = found.learned if isinstance(found, Improvement) else None
     if isinstance(found, Improvement) and named and found.verdict in ("adequate", "missing"):

@@ -9,6 +9,8 @@ from made_up_results import LEARNED, OTHERS, diagnosis, improvement
 from estimators.core.fisher_information import information_of
 from estimators.core.fit import Fit
 from estimators.core.results import RESULTS
+from estimators.misspecification.adequacy import AdequacyTest
+from estimators.reporting.summary import of_diagnosis
 from rtac_jax import RTAC
 from rtac_jax.effects import CubicSpring
 
@@ -122,3 +124,20 @@ def test_deviations_are_said_to_count_what_is_held_only_where_they_do():
     assert counted not in found.ending
     last = dataclasses.replace(found.final, held={"flexible_mode.mass": 0.01})
     assert counted in dataclasses.replace(found, fits=(*found.fits[:-1], last)).ending
+
+
+@pytest.mark.parametrize(
+    ("simulated", "others", "told"), [(1.02, (), True), (1.6, (), False), (1.02, ("static force",), False)]
+)
+def test_a_line_alone_beside_a_simulation_at_the_noise_is_no_failure_of_the_model(simulated, others, told):
+    line = AdequacyTest(
+        "spectral line", 1e-9, 100.0, 2e-3, "the strongest line, at 314 rad/s (50 Hz, that of the mains)"
+    )
+    tests = (line, *(AdequacyTest(name, 1e-9, 100.0, 2e-3, "of another") for name in others))
+    found = looped(dataclasses.replace(diagnosis("unknown"), tests=tests, simulated=simulated), steps=1, added=())
+    beginning = f"The model follows the recording to {simulated:.2f} times the noise, and only a line speaks against it"
+    assert found.headline.startswith(beginning if told else "The model fails")
+    assert ("50 Hz, that of the mains" in found.headline) == told
+    assert (
+        "Only a line speaks against the model" in str(of_diagnosis(found, found.train, found.validation, file="x"))
+    ) == told

@@ -173,9 +173,10 @@ class Improvement(Result):
     def _named(self) -> str:
         whole = "it" if self.nearest is None else "all of it"
         if not self.added:
-            if line := self.diagnoses[-1].line_alone:
+            last = self.diagnoses[-1]
+            if line := last.line_alone:
                 return (
-                    f"The model follows the recording to {self.diagnoses[-1].simulated:.2f} times the noise, and only a line speaks against it, "
+                    f"The model follows the recording to {last.simulated:.2f} times the noise, and only a line speaks against it, "
                     f"which no effect of the catalogue explains: {line}."
                 )
             return {

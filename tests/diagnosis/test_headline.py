@@ -134,7 +134,12 @@ def test_a_line_alone_beside_a_simulation_at_the_noise_is_no_failure_of_the_mode
         "spectral line", 1e-9, 100.0, 2e-3, "the strongest line, at 314 rad/s (50 Hz, that of the mains)"
     )
     tests = (line, *(AdequacyTest(name, 1e-9, 100.0, 2e-3, "of another") for name in others))
-    found = looped(dataclasses.replace(diagnosis("unknown"), tests=tests, simulated=simulated), steps=1, added=())
+    found = looped(
+        dataclasses.replace(diagnosis("unknown"), tests=tests, simulated=simulated),
+        steps=1,
+        added=(),
+        verdict="unknown",
+    )
     beginning = f"The model follows the recording to {simulated:.2f} times the noise, and only a line speaks against it"
     assert found.headline.startswith(beginning if told else "The model fails")
     assert ("50 Hz, that of the mains" in found.headline) == told

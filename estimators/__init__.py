@@ -10,7 +10,8 @@ from estimators.core.parameter_correlation import ParameterCorrelations
 from estimators.core.result_base import load, save
 from estimators.core.results import RESULTS, DivergedError, NotIdentifiableError
 from estimators.diagnosis.candidate import Candidate
-from estimators.diagnosis.diagnose import Diagnosis, diagnose
+from estimators.diagnosis.diagnose import diagnose
+from estimators.diagnosis.diagnosis import Diagnosis
 from estimators.diagnosis.evidence import Evidence
 from estimators.diagnosis.improve import Improvement, improve
 from estimators.diagnosis.policy import DiagnosisPolicy

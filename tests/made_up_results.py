@@ -8,7 +8,7 @@ from estimators.core.fisher_information import information_of
 from estimators.core.fit import Fit, Parameter
 from estimators.core.results import RESULTS
 from estimators.diagnosis.candidate import Candidate
-from estimators.diagnosis.diagnose import Diagnosis
+from estimators.diagnosis.diagnosis import Diagnosis
 from estimators.diagnosis.improve import Improvement
 from estimators.diagnosis.learned_force import LearnedForce
 from estimators.diagnosis.model_extension import PredictedGain

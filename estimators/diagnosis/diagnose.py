@@ -4,28 +4,23 @@ import dataclasses
 import time
 import warnings
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
 from estimators.core.compilation import make_room
 from estimators.core.data import fitted_part
-from estimators.core.drawing import draw
 from estimators.core.fit import Fit
 from estimators.core.progress import Progress
-from estimators.core.result_base import Result
 from estimators.core.threads import one_blas_thread
 from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.candidate_set import offered
 from estimators.diagnosis.choice import bic_gain, gain, held_out_gain
+from estimators.diagnosis.diagnosis import Diagnosis
 from estimators.diagnosis.evidence import Evidence
 from estimators.diagnosis.explanation import (
     OF_A_LINE,
     SHAKEN,
-    at_noise,
-    floor_of,
     found_by_simulation,
-    misfit_words,
     not_named,
     shaken,
     strayed,
@@ -47,133 +42,21 @@ from estimators.diagnosis.live_laboratory import LiveLaboratory
 from estimators.diagnosis.noise_colour import recoloured
 from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
 from estimators.diagnosis.refitting import compile_base, compile_for, fit_base, parameters_of, trusting
-from estimators.diagnosis.removed_error import Verdict, floor
+from estimators.diagnosis.removed_error import floor
 from estimators.diagnosis.selection import Selection, by_size
 from estimators.diagnosis.setting import Setting, effect_of, setting_of
 from estimators.diagnosis.testability import stood_for
-from estimators.diagnosis.verdict import Consequence, Judgement, decide, judge
+from estimators.diagnosis.verdict import Judgement, decide, judge
 from estimators.diagnosis.workers import Workers
 from estimators.diagnosis.wrong_constant import doubt
-from estimators.inference.simulation_residual import SimulationResidual, random_forces_are_large
-from estimators.misspecification.adequacy import AdequacyTest, alarming, excess_of, p_by_chance
+from estimators.inference.simulation_residual import random_forces_are_large
+from estimators.misspecification.adequacy import alarming, excess_of, p_by_chance
 from estimators.misspecification.detection_limit import is_testable, main_amplitude
-from estimators.misspecification.line_classes import LineClass
-from estimators.misspecification.residual_maps import Place
-from estimators.misspecification.static_force import ForceCurve
-from estimators.prediction_error.latent_force import LatentForce
 from rtac_jax import RTAC, require_configured
 from rtac_jax.arguments import checked_arguments
 from rtac_jax.effects import Effect
 from rtac_jax.measurement import Recording
-from rtac_jax.overview import Overview, shortened
 from rtac_jax.parameters import declarations
-
-
-@dataclasses.dataclass(frozen=True, repr=False)
-class Diagnosis(Result):
-    """The result of `diagnose`.
-
-    Attributes:
-        verdict: "adequate", "missing", "ambiguous" or "unknown".
-        effects: the accepted candidates, first found first; for "ambiguous" also the rivals that the data cannot tell
-            apart from them.
-        additions: the effects to be added to the model, at their estimated parameters.
-        candidates: all, best first.
-        tests: of whether anything is missing in the base model.
-        left: the same tests after the additions.
-        removed: fraction of the misfit that the additions remove.
-        curves: missing force at each port against each variable, best first.
-        latent: missing force at each port in time, where the verdict is unknown.
-        places: where the innovations are too large, worst first.
-        lines: innovations by class of spectral line, where an input is periodic.
-        random_force, random_torque: what the predictor of the base model needs, as fractions of the rms forces.
-        explanation: in plain words.
-        seconds: how long it took.
-        simulation: what the error of the fitted simulation means, where no test rejects and no effect is named, or where beside
-            the effects that would be named random forces still stand in for the physics, so that none is; None elsewhere.
-        policy: the thresholds that it was judged by.
-        consequence: what the effects, or those that are detectable, take off the error; None where there are none.
-        detectable: candidates that the data show, but without which the model is adequate: they take next to nothing off the error.
-        evidence: everything that was computed, to be saved, or judged by another policy; None where the result was made by hand.
-        simulated: residual of the diagnosed fit's simulation over the noise, of the worst channel.
-        by_simulation: whether the effects were selected by what they take off the simulation's error, which `removed` then counts.
-    """
-
-    verdict: Verdict
-    effects: tuple[Candidate, ...]
-    additions: tuple[Effect, ...]
-    candidates: tuple[Candidate, ...]
-    tests: tuple[AdequacyTest, ...]
-    left: tuple[AdequacyTest, ...]
-    removed: float
-    curves: tuple[ForceCurve, ...]
-    latent: tuple[LatentForce, ...]
-    places: tuple[Place, ...]
-    lines: tuple[LineClass, ...]
-    random_force: float
-    random_torque: float
-    explanation: str
-    seconds: float
-    simulation: SimulationResidual | None = None
-    policy: DiagnosisPolicy = STANDARD
-    evidence: Evidence | None = None
-    consequence: Consequence | None = None
-    detectable: tuple[Candidate, ...] = ()
-    simulated: float = 0.0
-    by_simulation: bool = False
-
-    @property
-    def misfit(self) -> str:
-        """Return what `removed` is a fraction of, in words."""
-        return misfit_words(by_simulation=self.by_simulation)
-
-    @property
-    def line_alone(self) -> str:
-        """Return the words of the test that rejects, where that is of a spectral line, and the simulation is at the noise."""
-        rejecting = [test for test in self.tests if test.rejects]
-        alone = [test.test for test in rejecting] == ["spectral line"] and at_noise(self.simulated)
-        return rejecting[0].words if self.verdict == "unknown" and alone else ""
-
-    @property
-    def best(self) -> Effect | None:
-        """Return the first effect to be added; None if there is none."""
-        return self.additions[0] if self.additions else None
-
-    @property
-    def floor(self) -> str:
-        """Return down to where nothing is missing, of an adequate model: the noise, or predictions that count random forces."""
-        return floor_of(max(self.random_force, self.random_torque), self.simulated)
-
-    def overview(self) -> Overview:
-        """Return the verdict with the parameters of what was accepted, and the beginning of the explanation."""
-        rows = [
-            (c.id, name, f"{p.value:.4g}", f"{p.std:.2g}", p.unit)
-            for c in self.effects
-            for name, p in c.parameters.items()
-        ]
-        named = f" ({', '.join(c.id for c in self.effects)})" if self.effects else ""
-        header = ("effect", "parameter", "value", "std", "unit") if rows else ()
-        return Overview(f"{self.verdict}{named}", header, rows, (shortened(self.explanation),))
-
-    def __str__(self) -> str:
-        lines = [self.explanation, ""]
-        lines.append(f"{'candidate':22s} {'score':>10s} {'p':>9s} {'BIC gain':>10s} {'removes':>8s}  detection limit")
-        for c in self.candidates:
-            gain = f"{c.bic_gain:10.1f}" if c.refitted else " " * 10
-            removes = f"{100 * c.error_reduction:7.0f}%" if c.refitted else " " * 8
-            lines.append(f"{c.id:22s} {c.score:10.1f} {c.p_value:9.2g} {gain} {removes}  {c.limit_or_why}")
-        lines.append("score: chi-square of predictions one sample ahead, less the price of the parameters")
-        lines.append("")
-        for title, tests in (("base model", self.tests), ("with what was added", self.left if self.additions else ())):
-            for test in tests:
-                said = "rejects" if test.rejects else "passes"
-                lines.append(f"{title}: {test.test} {said} (p = {test.p_value:.2g}): {test.words}")
-        lines += ["", self.policy.words]
-        return "\n".join(lines)
-
-    def plot(self) -> Any:
-        """Draw a bar chart of the candidates and the missing-force curve, as a matplotlib figure."""
-        return draw(self)
 
 
 @checked_arguments

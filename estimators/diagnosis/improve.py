@@ -11,11 +11,14 @@ from estimators.core.fit import FAR, Fit
 from estimators.core.result_base import Result
 from estimators.core.results import RESULTS
 from estimators.core.threads import one_blas_thread
-from estimators.diagnosis.diagnose import Candidate, Diagnosis, Verdict, compile_diagnosis
+from estimators.diagnosis.candidate import Candidate
+from estimators.diagnosis.diagnose import compile_diagnosis
+from estimators.diagnosis.diagnosis import Diagnosis
 from estimators.diagnosis.improvement_loop import Loop
 from estimators.diagnosis.learned_force import LearnedForce
 from estimators.diagnosis.model_extension import Added, PredictedGain
 from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
+from estimators.diagnosis.removed_error import Verdict
 from estimators.inference.constancy import differing
 from estimators.linear.homogeneity_test import Equality
 from estimators.output_error.fit import output_error

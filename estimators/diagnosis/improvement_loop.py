@@ -4,7 +4,9 @@ import dataclasses
 from collections.abc import Sequence
 
 from estimators.core.results import DivergedError
-from estimators.diagnosis.diagnose import Candidate, Diagnosis, diagnose
+from estimators.diagnosis.candidate import Candidate
+from estimators.diagnosis.diagnose import diagnose
+from estimators.diagnosis.diagnosis import Diagnosis
 from estimators.diagnosis.learned_force import LearnedForce, learn_force
 from estimators.diagnosis.model_extension import Added, add_effect, misfit, parameters_of
 from estimators.diagnosis.nearest_effect import add_nearest

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from estimators.core.fit import Fit
-from estimators.diagnosis.diagnose import Diagnosis
+from estimators.diagnosis.diagnosis import Diagnosis
 from estimators.diagnosis.model_extension import Added, add_effect, misfit
 from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
 from estimators.misspecification.adequacy import significant

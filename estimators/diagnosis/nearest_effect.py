@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 
 from estimators.diagnosis.candidate import Candidate
-from estimators.diagnosis.diagnose import Diagnosis
+from estimators.diagnosis.diagnosis import Diagnosis
 from estimators.diagnosis.model_extension import Added, add_effect, misfit
 from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
 from rtac_jax.effects import Effect

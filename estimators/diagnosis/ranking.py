@@ -1,7 +1,7 @@
 """The order in which tables and pictures show candidates."""
 
 from estimators.diagnosis.candidate import Candidate
-from estimators.diagnosis.diagnose import Diagnosis
+from estimators.diagnosis.diagnosis import Diagnosis
 
 
 def ranked(diagnosis: Diagnosis) -> list[Candidate]:

@@ -13,7 +13,7 @@ from estimators.core.initial_state import scales_of, space_of, without_angle
 from estimators.core.progress import Progress
 from estimators.core.sensor_noise import noise_levels
 from estimators.diagnosis.candidate import Candidate
-from estimators.diagnosis.diagnose import Diagnosis
+from estimators.diagnosis.diagnosis import Diagnosis
 from estimators.prediction_error.noise_estimation import fit_trusted
 from estimators.prediction_error.noise_model import NoiseModel
 from rtac_jax import RTAC

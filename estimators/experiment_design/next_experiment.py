@@ -12,7 +12,7 @@ from jaxtyping import Float
 from estimators.core.data import moving
 from estimators.core.drawing import draw
 from estimators.core.fit import Fit
-from estimators.diagnosis.diagnose import Diagnosis
+from estimators.diagnosis.diagnosis import Diagnosis
 from estimators.experiment_design.candidate_experiments import Limits, default_plans, feasible, predicted
 from estimators.experiment_design.hypotheses import contest_of
 from estimators.experiment_design.t_optimality import separations

@@ -255,6 +255,19 @@ class Equality:
             "model lacks, or what changes within a condition, shows as a difference between them, and these names are no finding."
         ]
 
+    def as_dict(self) -> dict[str, Any]:
+        """Return which quantities differ, if that is decisive, with their values, and which condition alone differs."""
+        alone, one = self.decisive, self.outlying
+        places = [self.names.index(name) for name in self.varying if alone]
+        return {
+            "explained": self.explained if alone else 0.0,
+            "outlying": one.name if one is not None and one.decisive else None,
+            "experiments": list(self.conditions),
+            "parameters": {
+                self.names[i]: {"values": self.values[:, i].tolist(), "std": self.std[:, i].tolist()} for i in places
+            },
+        }
+
     def __str__(self) -> str:
         rows = [
             f"{'quantity':24s} {'mean':>12s} {'its std':>9s} {'scatter/std':>11s} {'p':>9s}  drifts with",

@@ -6,7 +6,7 @@ from typing import Any
 from estimators.closed_form.table1 import ClosedForm
 from estimators.controller.outcome import ControlDesign
 from estimators.core.parameter_correlation import ParameterCorrelations
-from estimators.diagnosis.diagnose import Diagnosis
+from estimators.diagnosis.diagnosis import Diagnosis
 from estimators.diagnosis.improve import Improvement
 from estimators.experiment_design.next_experiment import NextExperiment
 from estimators.frequency_response.response import FrequencyResponses

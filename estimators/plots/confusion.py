@@ -3,7 +3,7 @@
 import numpy as np
 
 from estimators.diagnosis.candidate import Candidate
-from estimators.diagnosis.diagnose import Diagnosis
+from estimators.diagnosis.diagnosis import Diagnosis
 from estimators.diagnosis.ranking import ranked
 from estimators.plots.style import SMALL, Picture, picture, title
 

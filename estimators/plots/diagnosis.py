@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from estimators.diagnosis.candidate import Candidate
-from estimators.diagnosis.diagnose import Diagnosis
+from estimators.diagnosis.diagnosis import Diagnosis
 from estimators.diagnosis.explanation import static_force
 from estimators.diagnosis.policy import DiagnosisPolicy
 from estimators.diagnosis.ranking import ranked

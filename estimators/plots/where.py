@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from matplotlib.colors import LogNorm
 
-from estimators.diagnosis.diagnose import Diagnosis
+from estimators.diagnosis.diagnosis import Diagnosis
 from estimators.misspecification.residual_maps import Place
 from estimators.plots.style import NAMES, SMALL, UNITS, Picture, picture, prefixed, quantity, times, title
 

@@ -11,12 +11,11 @@ from estimators.core.correlation import LAGS
 from estimators.core.fit import Fit, Parameter
 from estimators.core.information_criteria import InformationCriteria
 from estimators.diagnosis.candidate import Candidate
-from estimators.diagnosis.diagnose import Diagnosis
+from estimators.diagnosis.diagnosis import Diagnosis
 from estimators.diagnosis.improve import Improvement
 from estimators.diagnosis.policy import DiagnosisPolicy
 from estimators.diagnosis.ranking import ranked
 from estimators.experiment_design.next_experiment import NextExperiment
-from estimators.linear.homogeneity_test import Equality
 from estimators.reporting.fit_table import AllEstimates
 from estimators.reporting.html import Table, cleaned
 from estimators.validation.recommendation import Recommendation
@@ -78,7 +77,7 @@ def report_dict(
             "learned_force": learned.as_dict() if learned is not None else None,
             "likely_effect": _effect(nearest, known) if nearest is not None else None,
             "recommended": _recommended(advice) if advice is not None else None,
-            "varying": _varying(found.constancy) if isinstance(found, Improvement) and found.constancy else None,
+            "varying": found.constancy.as_dict() if isinstance(found, Improvement) and found.constancy else None,
         }
     )
 
@@ -211,19 +210,6 @@ def _candidate(c: Candidate, accepted: bool) -> dict[str, Any]:
 
 def _parameters(parameters: Mapping[str, Parameter]) -> dict[str, Any]:
     return {name: {"value": p.value, "std": p.std, "unit": p.unit} for name, p in parameters.items()}
-
-
-def _varying(found: Equality) -> dict[str, Any]:
-    """Return which parameters differ between experiments, and their values in each, and which experiment alone differs."""
-    places = [found.names.index(name) for name in found.varying] if found.decisive else []
-    return {
-        "explained": found.explained if found.decisive else 0.0,
-        "outlying": found.outlying.name if found.outlying is not None and found.outlying.decisive else None,
-        "experiments": list(found.conditions),
-        "parameters": {
-            found.names[i]: {"values": found.values[:, i].tolist(), "std": found.std[:, i].tolist()} for i in places
-        },
-    }
 
 
 def _recommended(advice: Recommendation) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from estimators.controller.outcome import ControlDesign, outcome
 from estimators.core.fit import FAR, Fit, Parameter
 from estimators.diagnosis.candidate import Candidate
-from estimators.diagnosis.diagnose import Diagnosis
+from estimators.diagnosis.diagnosis import Diagnosis
 from estimators.diagnosis.improve import Improvement
 from estimators.experiment_design.next_experiment import NextExperiment
 from estimators.plots.envelope import finding

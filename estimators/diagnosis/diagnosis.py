@@ -7,7 +7,7 @@ from estimators.core.drawing import draw
 from estimators.core.result_base import Result
 from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.evidence import Evidence
-from estimators.diagnosis.explanation import at_noise, floor_of, misfit_words
+from estimators.diagnosis.explanation import at_noise, floor_of
 from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
 from estimators.diagnosis.removed_error import Verdict
 from estimators.diagnosis.verdict import Consequence
@@ -77,7 +77,7 @@ class Diagnosis(Result):
     @property
     def misfit(self) -> str:
         """Return what `removed` is a fraction of, in words."""
-        return misfit_words(by_simulation=self.by_simulation)
+        return "the simulation's squared error beyond the noise" if self.by_simulation else "the misfit"
 
     @property
     def line_alone(self) -> str:

@@ -184,11 +184,6 @@ def without_the_physics(steps: Sequence[Step], simulation: SimulationResidual) -
     )
 
 
-def misfit_words(*, by_simulation: bool) -> str:
-    """Return what named effects remove a fraction of: the squared error of predictions that is avoidable, or of a simulation."""
-    return "the simulation's squared error beyond the noise" if by_simulation else "the misfit"
-
-
 def without_alarm(effect: str, confirmed: tuple[int, ...]) -> str:
     """Say why an effect is named whose score raised no alarm.
 

@@ -108,7 +108,7 @@ def learn_force(
     """Return the model with a learned force that clearly serves the held-out experiments better, or why there is none.
 
     The curves that explain more than chance are tried, of each port the one that explains most. What names no physics is
-    kept only for a clear fall of the held-out error, or of the errors one sample ahead.
+    kept only for a clear fall of the held-out error, or for one of the errors one sample ahead beside which it does not rise.
 
     Args:
         before: the model without it.
@@ -138,7 +138,8 @@ def learn_force(
         )
         if isinstance(step, str):
             continue
-        if step.predicted_gain is not None or misfit(step.tested) <= (1 - policy.fall) * misfit(tested):
+        fallen = misfit(step.tested) / misfit(tested)
+        if fallen <= 1 - policy.fall or (step.predicted_gain is not None and fallen <= 1):
             return step, _described(step, curve)
     where = " and ".join(f"on the {curve.port} against {curve.variable}" for curve in tried)
     return f"No learned force was added: with one {where} the held-out error does not clearly fall."

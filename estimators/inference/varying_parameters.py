@@ -95,15 +95,12 @@ class Outlying(NamedTuple):
 
     Attributes:
         place: of it.
-        chi_square, freedom: of the differences between all.
-        left, left_freedom: of those between the others.
+        chi_square, freedom: of the differences between the others.
     """
 
     place: int
     chi_square: float
     freedom: int
-    left: float
-    left_freedom: int
 
 
 def outlying(information: Information, slope: Slope, level: float) -> Outlying | None:
@@ -129,4 +126,4 @@ def outlying(information: Information, slope: Slope, level: float) -> Outlying |
     alike = [e for e in range(count) if scipy.stats.chi2.sf(*left[e]) >= level]
     if len(alike) != 1 or left[alike[0]][0] > (1 - _NEXT_TO_ALL) * whole:
         return None
-    return Outlying(alike[0], whole, freedom, *left[alike[0]])
+    return Outlying(alike[0], *left[alike[0]])

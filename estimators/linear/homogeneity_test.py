@@ -66,16 +66,13 @@ class Outlier:
 
     Attributes:
         name: of it.
-        chi_square, freedom: of the differences between all.
-        left, left_freedom: of those between the others.
+        chi_square, freedom: of the differences between the others.
         over_noise: what a fit of the others leaves at most, over the noise; NaN where none was made.
     """
 
     name: str
     chi_square: float
     freedom: int
-    left: float
-    left_freedom: int
     over_noise: float = math.nan
 
     @property
@@ -87,8 +84,8 @@ class Outlier:
     def words(self) -> str:
         """Say which condition alone differs, and what to look at."""
         alike = (
-            f"The other experiments differ from each other by no more than chance: without {self.name} chi-square falls from"
-            f" {self.chi_square:.0f} on {self.freedom} to {self.left:.0f} on {self.left_freedom}"
+            f"Without {self.name} next to nothing of the differences is left, and no more than chance makes (chi-square"
+            f" {self.chi_square:.0f} on {self.freedom})"
         )
         if self.decisive:
             alike = (

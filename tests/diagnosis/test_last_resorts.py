@@ -17,7 +17,7 @@ import rtac_jax as rtac
 from estimators.core.fit import Parameter
 from estimators.diagnosis import improvement_loop as loop
 from estimators.diagnosis.learned_force import learn_force
-from estimators.diagnosis.model_extension import Added
+from estimators.diagnosis.model_extension import Added, PredictedGain
 from rtac_jax import virtual_rig
 from rtac_jax.effects import CubicSpring
 
@@ -186,6 +186,23 @@ def test_a_small_fall_near_the_noise_is_not_enough(
     assert isinstance(said, str)
     assert "the held-out error does not clearly fall" in said
     assert {policy.near_noise for policy in policies} == {0.0}
+
+
+@pytest.mark.parametrize(("times", "kept"), [(1.1, False), (0.99, True)])
+def test_what_predictions_gain_is_no_reason_for_a_curve_with_which_the_held_out_error_rises(
+    learned: est.Improvement, recording: rtac.Recording, monkeypatch: pytest.MonkeyPatch, times: float, kept: bool
+) -> None:
+    tested = learned.validation.models[-1]
+    scaled = [dataclasses.replace(t, simulated=t.measured - times * t.residual) for t in tested.traces]
+    after = dataclasses.replace(tested, traces=tuple(scaled))
+    gain = PredictedGain("spline_force", 50.0, {"cart_position": 2.0}, {"cart_position": 1.0})
+    monkeypatch.setattr(
+        "estimators.diagnosis.learned_force.add_effect",
+        lambda *_, **__: Added(learned.final, after, "predicted", gain),
+    )
+    train, held_out = recording.split()
+    said = learn_force(learned.base, tested, learned.diagnoses[-1], train, held_out, progress=False)
+    assert isinstance(said, str) != kept
 
 
 def test_the_nearest_effect_is_added_and_called_likely(

@@ -34,3 +34,20 @@ def test_simulations_change_no_verdict_on_a_rig_that_is_shaken(
     by_predictions = est.judge(found.evidence, est.DiagnosisPolicy(simulation_far=1e9))
     assert (now.verdict, now.effects) == (by_predictions.verdict, by_predictions.effects)
     assert found.verdict == now.verdict
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("draw", range(6))
+def test_nothing_is_confirmed_on_a_rig_that_is_shaken_and_hides_nothing(draw: int) -> None:
+    """With three or four experiments that might confirm what is as large as an alarm, if a thorough diagnosis finds it."""
+    times = (0.1, 0.4, 1.6)[draw % 3]
+    rig = dataclasses.replace(
+        virtual_rig.Rig().drawn(9040 + draw),
+        encoder=bool(draw % 2),
+        force_noise=1e-3 * times,
+        torque_noise=3e-5 * times,
+    )
+    plans = virtual_rig.standard_plans(seed=9040 + draw, free=1, forced=3, rest=1, sample_time=0.004, duration=3.0)
+    recording = virtual_rig.record(rig, plans, seed=9041 + draw)
+    fit = est.output_error(rtac.RTAC.from_rig(recording), recording, progress=False)
+    assert est.diagnose(fit, recording, progress=False).verdict == "adequate"

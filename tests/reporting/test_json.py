@@ -89,7 +89,7 @@ def differing(over_noise: float) -> Equality:
         names=("torque_constant",), units=("N m/A",), conditions=("a", "b", "c", "d"),
         values=np.array([[1.0], [1.0], [2.0], [1.0]]), std=np.full((4, 1), 0.1), common=np.ones(1), common_std=np.full(1, 0.1),
         chi_square=100.0, freedom=3, p_value=1e-9, p_values=np.array([1e-9]), trends=((),), covariates={}, left_out=(), level=0.01,
-        varying=("torque_constant",), explained=1.0, suffices=True, outlying=Outlier("c", 100.0, 3, 1.0, 2, over_noise),
+        varying=("torque_constant",), explained=1.0, suffices=True, outlying=Outlier("c", 1.0, 2, over_noise),
     )  # fmt: skip
 
 

@@ -130,7 +130,7 @@ def _bars(axes: Any, diagnosis: Diagnosis, *, wide: bool) -> None:
             hatch="///" if _alarms(c, policy) and c.id not in accepted else "",
         )  # fmt: skip
         axes.annotate(
-            _remark(c, c.id in accepted, policy), (1.0, row), xycoords=("axes fraction", "data"), xytext=(-2, 0),
+            _remark(c, c.id in accepted, diagnosis), (1.0, row), xycoords=("axes fraction", "data"), xytext=(-2, 0),
             textcoords="offset points", ha="right", va="center", fontsize=7.5,
             fontweight="bold" if c.id in accepted else "normal",
         )  # fmt: skip
@@ -163,7 +163,12 @@ def _ticks(top: float, alarm: float) -> tuple[list[float], list[str]]:
     return found, [f"{value:g}" if value < 1e4 else f"$10^{{{np.log10(value):.0f}}}$" for value in found]
 
 
-def _remark(c: Candidate, accepted: bool, policy: DiagnosisPolicy) -> str:
+def _remark(c: Candidate, accepted: bool, diagnosis: Diagnosis) -> str:
+    policy = diagnosis.policy
+    if diagnosis.by_simulation and accepted:
+        return "accepted by simulation"
+    if diagnosis.by_simulation and c.refitted:
+        return f"predictions alone gain {100 * c.error_reduction:.0f} %"
     if c.refitted and not accepted:
         return f"when fitted, removes {100 * c.error_reduction:.0f} %"
     if accepted:

@@ -200,14 +200,14 @@ def worst_stretch(residual: Values, most: int = 1200, longest: int = _MOST_POINT
 
 
 def title(figure: Figure, text: str) -> None:
-    """State the finding above the figure, broken into lines that fit."""
-    text = _narrow(text)
+    """State the finding above the figure, broken into lines that fit, and not between a number and its percent sign."""
+    text = _narrow(text).replace(" %", "\u00a0%")
     width = min(int(_WIDEST_TITLE * figure.get_figwidth()), _LONGEST_LINE)  # a longer line would lose its middle
     lines = textwrap.wrap(text, width)
     if len(lines) > 1:  # no line of a single word: as narrow as the same number of lines allows
         narrow = next(w for w in range(len(text) // len(lines), width + 1) if len(textwrap.wrap(text, w)) <= len(lines))
         lines = textwrap.wrap(text, narrow)
-    figure.suptitle("\n".join(lines), fontsize=11, fontweight="bold")
+    figure.suptitle("\n".join(lines).replace("\u00a0%", " %"), fontsize=11, fontweight="bold")
 
 
 def tidy(axes: Any) -> None:

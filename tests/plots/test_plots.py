@@ -39,6 +39,7 @@ from estimators.plots import (
 from estimators.plots.bands import band_errors
 from estimators.plots.confusion import confusable
 from estimators.plots.diagnosis import finding
+from estimators.plots.style import title
 from estimators.validation.simulation_error import Compared, Comparison, Trace
 from rtac_jax import RTAC
 from rtac_jax.effects import (
@@ -336,3 +337,19 @@ def test_a_bar_beyond_the_line_that_is_no_alarm_says_so():
     bars = {b.get_width(): b.get_hatch() for b in figure.axes[0].patches}
     assert not bars[scattered.chi_square]
     assert bars[candidate("tacho_gain", 90.0).chi_square] == "///"
+
+
+def test_what_simulations_select_is_drawn_as_accepted_by_them():
+    refitted = candidate("encoder_lag", 900.0, refitted=True, bic_gain=800.0, error_reduction=0.99)
+    selected = dataclasses.replace(diagnosis(others=(refitted, *OTHERS)), by_simulation=True, removed=0.97)
+    assert finding(selected) == "flexible_mode explains 97 % of the simulation's squared error beyond the noise"
+    texts = [t.get_text() for axes in plot_diagnosis(selected).axes for t in axes.texts]
+    assert "accepted by simulation" in texts
+    assert "predictions alone gain 99 %" in texts
+
+
+def test_no_title_is_broken_before_a_percent_sign():
+    for width in range(3, 12):
+        figure = Figure(figsize=(width, 3))
+        title(figure, "A finding of which this much is known: it explains 100 % of the error, and 99 % of another")
+        assert not any(line.startswith("%") for line in figure.get_suptitle().splitlines())

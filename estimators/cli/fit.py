@@ -43,10 +43,10 @@ def fit(
     with job(file, validation, out, json, save) as work:
         import estimators as est
         from estimators.core.piecewise_triangle import LONG
-        from estimators.inference.constancy import differing
         from estimators.reporting import report as _report
         from estimators.reporting import summary
         from estimators.reporting.fit_table import AllEstimates, estimates_table, fit_table, recommended_table
+        from estimators.validation.differing_experiments import differing
 
         start = start_model(work, model, effects, fix)
         closed = est.least_squares(start, work.train, weak=True)

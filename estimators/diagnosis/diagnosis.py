@@ -80,6 +80,11 @@ class Diagnosis(Result):
         return "the simulation's squared error beyond the noise" if self.by_simulation else "the misfit"
 
     @property
+    def stands_in(self) -> bool:
+        """Return whether random forces stand in for the physics, of the model or of the one with what would be named."""
+        return self.simulation is not None and self.simulation.cause == "stand-in"
+
+    @property
     def line_alone(self) -> str:
         """Return the words of the test that rejects, where that is of a spectral line, and the simulation is at the noise."""
         rejecting = [test for test in self.tests if test.rejects]

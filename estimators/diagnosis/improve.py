@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
+from estimators.core.data import fitted_part
 from estimators.core.drawing import draw
 from estimators.core.fit import FAR, Fit
 from estimators.core.result_base import Result
@@ -19,9 +20,9 @@ from estimators.diagnosis.learned_force import LearnedForce
 from estimators.diagnosis.model_extension import Added, PredictedGain
 from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
 from estimators.diagnosis.removed_error import Verdict
-from estimators.inference.constancy import differing
 from estimators.linear.homogeneity_test import Equality
 from estimators.output_error.fit import output_error
+from estimators.validation.differing_experiments import WORTH_ASKING
 from estimators.validation.simulation_error import Comparison, compare
 from rtac_jax import RTAC
 from rtac_jax.arguments import checked_arguments
@@ -57,6 +58,8 @@ class Improvement(Result):
         learned: the learned force of the last model, the other last resort; None elsewhere.
         constancy: what differs between experiments, where the last model follows each by itself and not all together, or all
             but one together; None elsewhere.
+        left_out: the experiment without which the last model was fitted, as one set of parameters follows all others and not it;
+            None elsewhere. No error of `train` counts it.
     """
 
     fits: tuple[Fit, ...]
@@ -73,6 +76,7 @@ class Improvement(Result):
     learned: LearnedForce | None = None
     nearest: Candidate | None = None
     constancy: Equality | None = None
+    left_out: str | None = None
 
     foreseen = renamed("foreseen", "predicted_gains")
 
@@ -104,6 +108,10 @@ class Improvement(Result):
                 f"Held at the estimate of the diagnosis, because a fit by simulation fails or serves held-out experiments worse: "
                 f"{', '.join(self.held)}.{counted}",
             )
+        if self.left_out is not None:
+            said.append(
+                f"The last model is fitted without {self.left_out}, which no error of the fitted experiments counts."
+            )
         if self.final.result in _UNFINISHED:
             said.append(f"The last model: {self.final.outcome}")
         if self.diagnoses[-1].verdict == "adequate" and not self._drifts and (astray := self._astray):
@@ -133,8 +141,18 @@ class Improvement(Result):
     @property
     def headline(self) -> str:
         """Return what was found, in a few sentences: what differs, what was missing or still is, and what was learned."""
-        differences = "" if self.constancy is None else f"{self.constancy.differences} "
-        return f"{differences}{self._found}"
+        if self.constancy is None:
+            return self._found
+        if self.left_out is None:
+            return f"{self.constancy.differences} {self._found}"
+        verdict = {
+            "adequate": "predicted one sample ahead, which counts random forces, nothing is missing",
+            "unknown": "the model fails, and no effect of the catalogue explains that",
+        }.get(
+            self.diagnoses[-1].verdict,
+            "the model fails, and what the diagnosis names does not serve held-out experiments",
+        )
+        return f"{self.constancy.differences} With {self.left_out} {verdict}."
 
     @property
     def _found(self) -> str:
@@ -168,7 +186,8 @@ class Improvement(Result):
     @property
     def _change(self) -> str:
         """Return what the last resort does to the held-out error over the noise, by channel."""
-        before, after = (model.errors for model in self.validation.models[-2:])
+        models = self.validation.models[: None if self.left_out is None else -1]
+        before, after = (model.errors for model in models[-2:])
         falls = [f"of {c} from {e.rms_over_noise:.3g} to {after[c].rms_over_noise:.3g}" for c, e in before.items()]
         return f"{' and '.join(falls)} times the noise"
 
@@ -285,13 +304,18 @@ def improve(
     loop.run()
     learned: LearnedForce | None = None
     nearest: Candidate | None = None
-    if learned_force and loop.diagnoses[-1].verdict == "unknown":
+    unknown, asked = loop.diagnoses[-1].verdict == "unknown", loop.last.fit
+    differs = loop.without_outlier(least=0.0 if unknown else WORTH_ASKING)
+    # What one experiment alone does is no effect: nothing is learned from it.
+    if learned_force and unknown and loop.left_out is None:
         near = loop.nearest()
         further = None if near is None else loop.with_nearest(*near)
         if further is not None:
             loop = further
         else:
             nearest, learned = loop.last_resort(near)
+        if loop.last.fit is not asked:
+            differs = loop.without_outlier()
     steps, diagnoses, added = loop.steps, loop.diagnoses, loop.added
     fits = [step.fit for _, step in steps]
     tested = [step.tested for _, step in steps]
@@ -305,7 +329,7 @@ def improve(
         diagnoses=tuple(diagnoses),
         added=tuple(added),
         verdict=verdict,
-        train=compare(fits, train, labels=labels),
+        train=compare(fits, fitted_part(train, fits[-1].experiments), labels=labels),
         validation=Comparison(tuple(tested)),
         held=loop.held,
         predicted=steps[-1][1].way == "predicted",
@@ -314,5 +338,6 @@ def improve(
         seconds=time.perf_counter() - began,
         learned=learned,
         nearest=nearest,
-        constancy=differing(fits[-1], train),
+        constancy=differs,
+        left_out=loop.left_out,
     )

@@ -11,6 +11,9 @@ from estimators.diagnosis.learned_force import LearnedForce, learn_force
 from estimators.diagnosis.model_extension import Added, add_effect, misfit, parameters_of
 from estimators.diagnosis.nearest_effect import add_nearest
 from estimators.diagnosis.policy import DiagnosisPolicy
+from estimators.linear.homogeneity_test import Equality
+from estimators.validation.differing_experiments import WORTH_ASKING, differing
+from estimators.validation.simulation_error import compare
 from rtac_jax.effects import CATALOGUE, Effect, SplineForce
 from rtac_jax.measurement import Recording
 
@@ -30,6 +33,7 @@ class Loop:
         diagnoses: so far.
         added: the effects that were added.
         stopped: why it ended.
+        left_out: the experiment without which the last model was fitted; None where all were.
     """
 
     train: Recording
@@ -43,6 +47,7 @@ class Loop:
     diagnoses: list[Diagnosis] = dataclasses.field(default_factory=list)
     added: list[Candidate] = dataclasses.field(default_factory=list)
     stopped: str = ""
+    left_out: str | None = None
 
     @property
     def last(self) -> Added:
@@ -99,6 +104,30 @@ class Loop:
             self.steps.append((effect.id, step))
             self.added.append(known[effect.id])
 
+    def without_outlier(self, *, least: float = WORTH_ASKING) -> Equality | None:
+        """Return what differs between experiments; fit without the one that does alone, if that serves.
+
+        It does where nothing is named, and the held-out experiments do not lose by it.
+
+        Args:
+            least: residual over noise of the last fit, from which it is asked; by default several times the noise.
+        """
+        found = differing(self.last.fit, self.train, least=least)
+        one = None if found is None else found.outlying
+        if one is None or not one.decisive or one.fit is None:
+            return found
+        label = (
+            f"without {one.name}"
+            if self.last.tested.label == "base"
+            else f"{self.last.tested.label}, without {one.name}"
+        )
+        tested = compare(one.fit, self.held_out, labels=[label]).models[0]
+        # What was added may rest on that experiment.
+        if not self.added and misfit(tested) <= misfit(self.last.tested):
+            self.steps.append(("", Added(one.fit, tested, "held" if self.last.way == "held" else "simulated")))
+            self.left_out = one.name
+        return found
+
     def nearest(self) -> tuple[Added, Candidate] | None:
         """Return the model with the effect that explains most of what the last diagnosis cannot name, if it serves."""
         return add_nearest(
@@ -132,11 +161,17 @@ class Loop:
         return further
 
     def last_resort(self, near: tuple[Added, Candidate] | None) -> tuple[Candidate | None, LearnedForce | None]:
-        """Add the nearest effect or a learned force, what serves held-out experiments better, and return which; None for none."""
+        """Add the nearest effect or a learned force, what serves held-out experiments better, and return which; None for none.
+
+        No effect is added where random forces stand in for the physics: it may make up for a part of another mistake, and the
+        simulations that it would serve are led by these forces.
+        """
         resort = learn_force(
             self.last.fit, self.last.tested, self.diagnoses[-1], self.train, self.held_out, policy=self.policy,
             progress=self.progress,
         )  # fmt: skip
+        if self.diagnoses[-1].stands_in:
+            near = None
         if near is not None and (isinstance(resort, str) or misfit(near[0].tested) < misfit(resort[0].tested)):
             self.steps.append((near[1].id, near[0]))
             return near[1], None

@@ -1,7 +1,5 @@
 """Test of constancy: whether the parameters of a nonlinear fit are the same in every experiment, and what they drift with."""
 
-import dataclasses
-import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -12,18 +10,15 @@ from estimators.core.correlation import require_level
 from estimators.core.data import moving
 from estimators.core.fit import Fit
 from estimators.core.linearisation import at_fit
-from estimators.core.results import DivergedError, NotIdentifiableError
 from estimators.inference.separate_fits import about_common, about_own
-from estimators.inference.varying_parameters import SHOWN, explained, outlying, selected
+from estimators.inference.varying_parameters import SHOWN, explained, left_without, outlying, selected
 from estimators.linear.homogeneity_test import Covariates, Equality, Outlier, given_covariates, trend_of, varying
-from estimators.output_error.fit import output_error
 from rtac_jax import require_configured
 from rtac_jax.arguments import checked_arguments
 from rtac_jax.measurement import Experiment, Recording
 
 # Fraction of the squared residual that differences explain, from which on they are too large for one step.
 _BEYOND_ONE_STEP = 0.5
-_WORTH_ASKING = 3.0  # residual over noise, as far as that is known, from which it is asked whether experiments differ
 _LEAST = 3  # experiments that a trend and what scatters beside it need
 
 
@@ -101,43 +96,8 @@ def constancy(fit: Fit, recording: Recording, *, covariates: Covariates | None =
         varying=tuple(names[i] for i in chosen.places), explained=chosen.fraction, rival=chosen.rival,
         suffices=chosen.suffices, over_noise=around.over_noise,
         outlying=None if one is None else Outlier(experiments[one.place].name, *one[1:]),
+        without=left_without(information, slope),
     )  # fmt: skip
-
-
-def differing(fit: Fit, recording: Recording) -> Equality | None:
-    """Return what differs between experiments, where one parameter or one experiment alone explains it; None elsewhere.
-
-    The others of such an experiment are fitted anew, and must be followed to the noise: what differs where they are not is no
-    finding. Asked only of a fit that leaves several times the noise, and none to pieces of long experiments, which have no values
-    of their own.
-
-    Args:
-        fit: of output error.
-        recording: that was fitted.
-    """
-    if fit.lost or fit.farthest <= _WORTH_ASKING or fit.in_pieces:
-        return None
-    try:
-        found = constancy(fit, recording)
-    except (ValueError, ArithmeticError):  # too few experiments, or one that shows nothing by itself
-        return None
-    one = found.outlying
-    if one is not None:
-        found = dataclasses.replace(
-            found, outlying=dataclasses.replace(one, over_noise=_left_by_others(fit, recording, one.name))
-        )
-    return found if found.differences else None
-
-
-def _left_by_others(fit: Fit, recording: Recording, name: str) -> float:
-    """Return what a fit of all experiments but one leaves at most, over the noise; NaN where none can be made."""
-    if fit.model.per_experiment:
-        return math.nan
-    others = recording.select([e.name for e in recording if e.name != name])
-    try:
-        return output_error(fit.model, others, from_model=True, progress=False).farthest
-    except (NotIdentifiableError, DivergedError, FloatingPointError):
-        return math.nan
 
 
 def _by_experiment(

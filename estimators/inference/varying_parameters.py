@@ -11,8 +11,8 @@ from jaxtyping import Float
 # Of an eigenvalue to the largest; less than this is nothing that an experiment shows.
 SHOWN = 1e-4
 _NAMED = 3  # parameters that are named
-_NEXT_TO_ALL = 0.95  # fraction of the differences, beyond which what is left is of no consequence
-_ENOUGH = 4  # experiments, of which three may be alike without the fourth: two would always be more alike than three
+NEXT_TO_ALL = 0.95  # fraction of the differences, beyond which what is left is of no consequence
+ENOUGH = 4  # experiments, of which three may be alike without the fourth: two would always be more alike than three
 
 Information = Float[np.ndarray, "experiment parameter parameter"]
 Slope = Float[np.ndarray, "experiment parameter"]
@@ -82,12 +82,23 @@ def selected(information: Information, slope: Slope, level: float) -> Chosen:
         gained, spent = sets[best]
         left = scipy.stats.chi2.sf(max(whole - gained, 0.0), max(1, freedom - spent))
         rival = max((sets[free][0] for free in others), default=0.0)
-        suffices = bool(left >= level) or gained > _NEXT_TO_ALL * whole
+        suffices = bool(left >= level) or gained > NEXT_TO_ALL * whole
         alone = sorted(best, key=lambda p: -explained(information, slope, [p])[0])
         found = Chosen(tuple(alone), min(gained / whole, 1.0), rival / whole, suffices)
         if suffices:
             break
     return found
+
+
+def left_without(information: Information, slope: Slope) -> tuple[tuple[float, int], ...]:
+    """Return chi-square and freedom of the differences between the others, all parameters free in each, without each experiment.
+
+    Args:
+        information: of each experiment.
+        slope: gradient of each experiment's log-likelihood.
+    """
+    every = range(slope.shape[1])
+    return tuple(explained(np.delete(information, e, 0), np.delete(slope, e, 0), every) for e in range(slope.shape[0]))
 
 
 class Outlying(NamedTuple):
@@ -118,12 +129,11 @@ def outlying(information: Information, slope: Slope, level: float) -> Outlying |
         None where experiments are fewer than four or do not differ, or there is no such one, or more than one.
     """
     count, parameters = slope.shape
-    every = range(parameters)
-    whole, freedom = explained(information, slope, every)
-    if count < _ENOUGH or scipy.stats.chi2.sf(whole, freedom) >= level:
+    whole, freedom = explained(information, slope, range(parameters))
+    if count < ENOUGH or scipy.stats.chi2.sf(whole, freedom) >= level:
         return None
-    left = [explained(np.delete(information, e, 0), np.delete(slope, e, 0), every) for e in range(count)]
+    left = left_without(information, slope)
     alike = [e for e in range(count) if scipy.stats.chi2.sf(*left[e]) >= level]
-    if len(alike) != 1 or left[alike[0]][0] > (1 - _NEXT_TO_ALL) * whole:
+    if len(alike) != 1 or left[alike[0]][0] > (1 - NEXT_TO_ALL) * whole:
         return None
     return Outlying(alike[0], *left[alike[0]])

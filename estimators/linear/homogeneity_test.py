@@ -10,6 +10,7 @@ import scipy.stats
 from jaxtyping import Float
 
 from estimators.core.drawing import draw
+from estimators.core.fit import Fit
 from estimators.linear.model import LinearModel
 from rtac_jax.renamed import renamed
 
@@ -17,6 +18,8 @@ _DETERMINED = 0.5  # standard deviation over value
 _SINGULAR = 1e-9  # of correlations
 # Residual over noise up to which a fit follows: noise read off a spectrum is 0.8 to 1.1 times the truth.
 _FOLLOWED_ALONE = 1.3
+# Residual over noise of one experiment, beyond which the model that follows all others does not follow it: as much as noise.
+_APART = math.sqrt(2)
 _NO_RIVAL = 0.9  # of what one quantity explains, below which another does not explain as much
 Covariates = Mapping[str, Mapping[str, float]]
 """Further covariates: by name, and then by condition or experiment."""
@@ -62,23 +65,29 @@ class Trend:
 
 @dataclass(frozen=True)
 class Outlier:
-    """The one condition without which the others differ by no more than chance.
+    """The one condition that differs from all others.
 
     Attributes:
         name: of it.
         chi_square, freedom: of the differences between the others.
-        over_noise: what a fit of the others leaves at most, over the noise; NaN where none was made.
+        fit: of the others; None where none was made.
+        over_noise: what that leaves of the others at most, over the noise; NaN where none was made.
+        left: what it leaves of this one at most, over the noise; NaN where none was made.
+        channel: in which that is.
     """
 
     name: str
     chi_square: float
     freedom: int
+    fit: Fit | None = None
     over_noise: float = math.nan
+    left: float = math.nan
+    channel: str = ""
 
     @property
     def decisive(self) -> bool:
-        """Return whether one set of parameters was seen to follow all others."""
-        return self.over_noise <= _FOLLOWED_ALONE
+        """Return whether one set of parameters was seen to follow all others, and not this one."""
+        return self.over_noise <= _FOLLOWED_ALONE and self.left > _APART
 
     @property
     def words(self) -> str:
@@ -90,7 +99,7 @@ class Outlier:
         if self.decisive:
             alike = (
                 f"All experiments but {self.name} are followed to {self.over_noise:.2f} times the noise by one set of"
-                " parameters"
+                f" parameters, which leaves {self.channel} of {self.name} at {self.left:,.3g} times the noise"
             )
         return (
             f"{alike}. Look at {self.name} first: at its sample time, at samples or counts that were lost, at a sensor that was set"
@@ -121,8 +130,10 @@ class Equality:
         suffices: whether what these leave is chance, or of no consequence.
         over_noise: of a nonlinear fit what is left over the noise at most, by channel, where each condition was fitted by itself;
             empty where none was. Values, their deviations and `varying` then allow each quantity a thousandth of its size.
+        without: of a nonlinear fit chi-square and freedom of the differences that are left without each condition.
         outlying: of a nonlinear fit the one experiment of four or more without which next to nothing of the differences is left,
-            and no more than chance makes; None where there is none, or more than one.
+            and no more than chance makes, or which a fit of all others that follows them does not follow; None where there is none,
+            or more than one.
     """
 
     names: tuple[str, ...]
@@ -145,6 +156,7 @@ class Equality:
     rival: float = 0.0
     suffices: bool = True
     over_noise: Mapping[str, float] = field(default_factory=dict)
+    without: tuple[tuple[float, int], ...] = ()
     outlying: Outlier | None = None
 
     @property

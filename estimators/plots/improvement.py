@@ -52,7 +52,11 @@ def finding(improvement: Improvement) -> str:
         fall = f"from {times(last.before[last.channel])} to {times(last.after[last.channel])} times the noise"
         return f"With {names} the held-out {NAMES[last.channel]} is predicted one sample ahead better, {fall}"
     fall = f"from {times(before)} to {times(after)} times the noise"
-    return f"Adding {names} lowers the held-out error of {NAMES[channel]} {fall}"
+    means = []
+    means += [f"adding {names}"] if names else []
+    means += [f"leaving {improvement.left_out} out of the fit"] if improvement.left_out is not None else []
+    how = " and ".join(means)
+    return f"{how[0].upper()}{how[1:]} lowers the held-out error of {NAMES[channel]} {fall}"
 
 
 def _ladder(axes: Any, improvement: Improvement) -> None:
@@ -84,6 +88,7 @@ def _ladder(axes: Any, improvement: Improvement) -> None:
     names = ["base", *(f"+ {c.id}" for c in improvement.added)]
     names += [f"+ {improvement.nearest.id}, likely"] if improvement.nearest is not None else []
     names += ["+ learned force"] if improvement.learned is not None else []
+    names += [f"without {improvement.left_out}"] if improvement.left_out is not None else []
     axes.set_xticks(list(steps), names, rotation=0 if len(names) < 4 else 20)
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     if high / low > 10:

@@ -78,6 +78,7 @@ def report_dict(
             "likely_effect": _effect(nearest, known) if nearest is not None else None,
             "recommended": _recommended(advice) if advice is not None else None,
             "varying": found.constancy.as_dict() if isinstance(found, Improvement) and found.constancy else None,
+            "left_out": found.left_out if isinstance(found, Improvement) else None,
         }
     )
 

@@ -144,10 +144,15 @@ def of_diagnosis(
     if differing is not None and differing.decisive:
         what += f"; {differing.varying[0]} differs between experiments"
     if differing is not None and differing.outlying is not None and differing.outlying.decisive:
-        what += f"; {differing.outlying.name} alone differs from all other experiments"
+        name = differing.outlying.name
+        what += f"; {name} alone differs from all other experiments"
+        after_that = steps[found.verdict]
+        if isinstance(found, Improvement) and found.left_out is not None:
+            what += ", and the last model is fitted without it"
+            after_that = "The last model follows the others."
         steps[found.verdict] = (
-            f"Look at {differing.outlying.name}: its sample time, lost samples or counts, a sensor that was set anew, what touched "
-            f"the rig, or what it alone shows; then again without it. {steps[found.verdict]}"
+            f"Look at {name}: its sample time, lost samples or counts, a sensor that was set anew, what touched "
+            f"the rig, or what it alone shows; then again without it. {after_that}"
         )
     return Bullets(f"{what}.", f"{sure[0].upper()}{sure[1:]}.", steps[found.verdict])
 

@@ -171,7 +171,7 @@ def test_the_json_has_the_form_that_was_agreed(ran, command):
     content = ran[command][2]
     assert set(content) == {
         "format", "version", "verdict", "mended", "effects", "candidates", "parameters", "error", "next_experiment",
-        "seconds", "policy", "consequence", "learned_force", "likely_effect", "recommended", "varying",
+        "seconds", "policy", "consequence", "learned_force", "likely_effect", "recommended", "varying", "left_out",
     }  # fmt: skip
     assert content["verdict"] == "missing"
     assert content["next_experiment"] is None

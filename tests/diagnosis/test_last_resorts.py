@@ -18,6 +18,7 @@ from estimators.core.fit import Parameter
 from estimators.diagnosis import improvement_loop as loop
 from estimators.diagnosis.learned_force import learn_force
 from estimators.diagnosis.model_extension import Added, PredictedGain
+from estimators.inference.simulation_residual import Cause, SimulationResidual
 from rtac_jax import virtual_rig
 from rtac_jax.effects import CubicSpring
 
@@ -225,3 +226,18 @@ def test_the_nearest_effect_is_added_and_called_likely(
     assert found.final.parameters["cubic_spring.stiffness"].value == pytest.approx(5e4, rel=0.03)
     assert "no effect of the catalogue explains all of it. The nearest, cubic_spring, explains 80 %" in found.headline
     assert "it is likely, and not certain" in found.headline
+
+
+@pytest.mark.parametrize(("cause", "kept"), [("stand-in", False), ("unexplained", True)])
+def test_no_effect_is_added_where_random_forces_stand_in_for_the_physics(
+    learned: est.Improvement, recording: rtac.Recording, cause: Cause, kept: bool
+) -> None:
+    """However far the held-out error falls with it: what leads that simulation is chance."""
+    train, held_out = recording.split()
+    error = SimulationResidual(cause, "cart_position", 200.0, 9.0, 0.7, 0.9, 0.0, "")
+    passing = tuple(dataclasses.replace(test, p_value=1.0) for test in learned.diagnoses[-1].tests)
+    said = dataclasses.replace(learned.diagnoses[-1], tests=passing, simulation=error)
+    before, after = (Added(learned.fits[n], learned.validation.models[n], "simulated") for n in (0, -1))
+    end = loop.Loop(train, held_out, None, 4, True, est.DiagnosisPolicy(), False, [("", before)], diagnoses=[said])
+    assert (end.last_resort((after, said.candidates[0]))[0] is not None) == kept
+    assert (len(end.steps) == 2) == kept

@@ -9,10 +9,10 @@ import scipy.stats
 import estimators as est
 import rtac_jax as rtac
 from estimators.core.results import RESULTS
-from estimators.inference.constancy import differing
 from estimators.inference.separate_fits import _tolerating
 from estimators.inference.varying_parameters import explained, outlying, selected
 from estimators.linear.homogeneity_test import Trend
+from estimators.validation.differing_experiments import differing
 from rtac_jax import virtual_rig
 from rtac_jax.effects import CATALOGUE
 

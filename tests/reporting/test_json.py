@@ -43,7 +43,7 @@ def test_the_json_has_one_form_whatever_the_verdict(verdict, command, tmp_path):
     content = json.loads((tmp_path / "x.json").read_text(), parse_constant=pytest.fail)
     assert list(content) == [
         "format", "version", "verdict", "mended", "effects", "candidates", "parameters", "error", "next_experiment", "seconds",
-        "policy", "consequence", "learned_force", "likely_effect", "recommended", "varying",
+        "policy", "consequence", "learned_force", "likely_effect", "recommended", "varying", "left_out",
     ]  # fmt: skip
     assert content["verdict"] == verdict
     # The loop adds one of a group; a diagnosis names them all. Either says what it may be instead.
@@ -83,19 +83,20 @@ def test_the_json_gives_what_each_experiment_has_for_itself():
     assert found["spring_stiffness"]["unit"] == "N/m"
 
 
-def differing(over_noise: float) -> Equality:
-    """Four experiments; the third differs from the others, which a fit leaves at so many times the noise."""
+def differing(over_noise: float, left: float) -> Equality:
+    """Four experiments; the third differs from the others, which a fit leaves at so many times the noise, and it."""
     return Equality(
         names=("torque_constant",), units=("N m/A",), conditions=("a", "b", "c", "d"),
         values=np.array([[1.0], [1.0], [2.0], [1.0]]), std=np.full((4, 1), 0.1), common=np.ones(1), common_std=np.full(1, 0.1),
         chi_square=100.0, freedom=3, p_value=1e-9, p_values=np.array([1e-9]), trends=((),), covariates={}, left_out=(), level=0.01,
-        varying=("torque_constant",), explained=1.0, suffices=True, outlying=Outlier("c", 1.0, 2, over_noise),
+        varying=("torque_constant",), explained=1.0, suffices=True,
+        outlying=Outlier("c", 1.0, 2, None, over_noise, left, "arm_angle"),
     )  # fmt: skip
 
 
-@pytest.mark.parametrize(("over_noise", "name"), [(1.02, "c"), (1.6, None)])
-def test_the_experiment_that_differs_is_told_if_all_others_are_followed(over_noise, name):
-    loop = dataclasses.replace(improvement(1, "adequate"), constancy=differing(over_noise))
+@pytest.mark.parametrize(("over_noise", "left", "name"), [(1.02, 20.0, "c"), (1.6, 20.0, None), (1.02, 1.2, None)])
+def test_the_experiment_that_differs_is_told_if_all_others_are_followed(over_noise, left, name):
+    loop = dataclasses.replace(improvement(1, "adequate"), constancy=differing(over_noise, left))
     told = report_dict(loop, fit=fitted(), train=loop.train, validation=loop.validation)["varying"]
     assert told["outlying"] == name
     assert told["parameters"] == {}, "no experiment was followed by itself"

@@ -1,0 +1,91 @@
+"""What differs between the experiments that a fit does not follow together: one parameter, or one experiment alone."""
+
+import dataclasses
+
+from estimators.core.fit import Fit
+from estimators.core.results import DivergedError, NotIdentifiableError
+from estimators.inference.constancy import constancy
+from estimators.inference.varying_parameters import ENOUGH, NEXT_TO_ALL
+from estimators.linear.homogeneity_test import Equality, Outlier
+from estimators.output_error.fit import output_error
+from estimators.validation.simulation_error import compare
+from rtac_jax.measurement import Recording
+
+WORTH_ASKING = 3.0  # residual over noise, as far as that is known, from which it is asked whether experiments differ
+_HALF = 0.5  # of the differences, which an experiment must take with it to be asked alone
+_ASKED = 2  # experiments that are asked alone at most
+
+
+def differing(fit: Fit, recording: Recording, *, least: float = WORTH_ASKING) -> Equality | None:
+    """Return what differs between experiments, where one parameter or one experiment alone explains it; None elsewhere.
+
+    An experiment alone does where a fit of all others follows these to the noise, leaves next to no difference between them, and
+    does not follow this one. Asked are those that take half of the differences with them: where one is far off, the common fit is
+    too far from the others for its linearisation to tell more. Nothing is asked of pieces of long experiments, which have no values
+    of their own.
+
+    Args:
+        fit: of output error.
+        recording: that was fitted.
+        least: residual over noise of the fit, from which it is asked.
+    """
+    if fit.lost or fit.farthest <= least or fit.in_pieces:
+        return None
+    try:
+        found = constancy(fit, recording)
+    except (ValueError, ArithmeticError):  # too few experiments, or one that shows nothing by itself
+        return None
+    apart = [one for one in _asked_alone(fit, recording, found) if one.decisive]
+    if len(apart) == 1:
+        found = dataclasses.replace(found, outlying=apart[0])
+    return found if found.differences else None
+
+
+def _asked_alone(fit: Fit, recording: Recording, found: Equality) -> list[Outlier]:
+    """Return the experiments that take half of the differences with them, each with a fit of all others."""
+    if fit.model.per_experiment or found.equal or len(found.conditions) < ENOUGH:
+        return []
+    several = [
+        Outlier(name, *left)
+        for name, left in zip(found.conditions, found.without, strict=True)
+        if left[0] <= _HALF * found.chi_square
+    ]
+    several = sorted(several, key=lambda one: one.chi_square)[:_ASKED]
+    little = (1 - NEXT_TO_ALL) * found.chi_square
+    return [_beside_others(fit, recording, one, little) for one in several]
+
+
+def _beside_others(fit: Fit, recording: Recording, one: Outlier, little: float) -> Outlier:
+    """Return an experiment with a fit of all others, and with what that leaves; as it is where the others differ by more.
+
+    Args:
+        fit: of all.
+        recording: that was fitted.
+        one: the experiment.
+        little: chi-square of differences between the others that are of no consequence.
+    """
+    others, alone = (
+        recording.select([e.name for e in recording if e.kind == "rest" or (e.name == one.name) == its])
+        for its in (False, True)
+    )
+    for from_model in (True, False):  # what one experiment led astray may be no place to begin
+        try:
+            without = output_error(fit.model, others, from_model=from_model, progress=False)
+            between = constancy(without, others)
+            worst = compare(without, alone).models[0].worst(1)[0]
+        except (ValueError, ArithmeticError, NotIdentifiableError, DivergedError):
+            continue
+        if not between.equal and between.chi_square > little:
+            continue
+        one = dataclasses.replace(
+            one,
+            chi_square=between.chi_square,
+            freedom=between.freedom,
+            fit=without,
+            over_noise=without.farthest,
+            left=worst.rms / worst.noise,
+            channel=worst.channel,
+        )
+        if one.decisive:
+            break
+    return one

@@ -1,0 +1,111 @@
+"""One experiment at fault, in recordings of the independent virtual rig and of oscillators in closed form."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from command_line import call
+
+import estimators as est
+import rtac_jax as rtac
+from estimators.plots.improvement import finding, plot_improvement
+from estimators.validation.differing_experiments import differing
+from rtac_jax import virtual_rig
+from rtac_jax.effects import CubicSpring
+from rtac_jax.measurement import Signal
+
+RIG = virtual_rig.Rig()
+LATE, BUMPED = "forced_2", "forced_1"
+
+
+def recorded(rig=RIG):
+    plans = virtual_rig.standard_plans(seed=61, sample_time=0.01, duration=4.0, free=2, forced=4, rest=1)
+    return virtual_rig.record(rig, plans, seed=71)
+
+
+def changed(recording, name, change):
+    """Return the recording with one of its experiments changed."""
+    return dataclasses.replace(recording, experiments=tuple(change(e) if e.name == name else e for e in recording))
+
+
+def late(experiment, samples=6):
+    """Return an experiment whose current comes so many samples late."""
+    current = experiment.inputs["current"].values
+    moved = np.concatenate([np.zeros(samples), current[:-samples]])
+    return dataclasses.replace(
+        experiment, inputs={"current": dataclasses.replace(experiment.inputs["current"], values=moved)}
+    )
+
+
+def scaled(experiment, factor=1.03):
+    """Return an experiment whose cart sensor reads too much."""
+    signal = experiment.outputs["cart_position"]
+    wrong = Signal(factor * signal.values, signal.unit, signal.noise_std)
+    return dataclasses.replace(experiment, outputs=experiment.outputs | {"cart_position": wrong})
+
+
+@pytest.fixture(scope="module")
+def recording():
+    return changed(recorded(), LATE, late)
+
+
+@pytest.fixture(scope="module")
+def improved(recording):
+    return est.improve(
+        rtac.RTAC.from_rig(recording), recording, candidates=[CubicSpring], thorough=False, progress=False
+    )
+
+
+def test_the_last_model_is_fitted_without_it_and_nothing_is_learned_from_it(improved):
+    assert improved.left_out == LATE
+    assert improved.base.farthest > 20.0
+    assert improved.final.farthest < 1.2
+    assert improved.learned is None
+    assert improved.nearest is None
+    assert LATE not in improved.final.experiments
+    for name, truth in (("torque_constant", RIG.torque_constant), ("spring_stiffness", RIG.spring_stiffness)):
+        found = improved.final.parameters[name]
+        assert abs(found.value - truth) < 4 * found.std, name
+        assert abs(found.value - truth) < 0.01 * truth, name
+
+
+def test_it_is_said_with_what_all_others_leave_of_it(improved):
+    one = improved.constancy.outlying
+    assert one.left > 20.0
+    assert f"All experiments but {LATE} are followed to {one.over_noise:.2f} times the noise" in improved.headline
+    assert f"which leaves {one.channel} of {LATE} at {one.left:,.3g} times the noise" in improved.headline
+    assert f"With {LATE} the model fails" in improved.headline
+    assert "learned force" not in improved.headline
+    assert f"The last model is fitted without {LATE}" in improved.ending
+    assert not [t for model in improved.train.models for t in model.traces if t.experiment == LATE]
+
+
+def test_pictures_and_report_say_so(improved, recording, tmp_path, monkeypatch):
+    assert finding(improved).startswith(f"Leaving {LATE} out of the fit lowers the held-out error of")
+    figure = plot_improvement(improved)
+    assert [label.get_text() for label in figure.axes[0].get_xticklabels()] == ["base", f"without {LATE}"]
+    monkeypatch.setattr(est, "improve", lambda *_, **__: improved)
+    recording.save(tmp_path / "rig.h5")
+    result = call("improve", tmp_path / "rig.h5", "--out", tmp_path / "out")
+    assert result.exit_code == 0
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert f"{LATE} alone differs from all other experiments, and the last model is fitted without it" in page
+
+
+def test_one_whose_sensor_reads_three_percent_too_much_is_found_beside_the_noise():
+    """Two experiments take most of the differences with them; only without the right one are the others alike."""
+    recording = changed(recorded(), LATE, scaled)
+    fit = est.output_error(rtac.RTAC.from_rig(recording), recording, progress=False)
+    found = differing(fit, recording, least=0.0)
+    assert found is not None
+    assert found.outlying is not None
+    assert found.outlying.decisive
+    assert found.outlying.name == LATE
+    assert found.outlying.channel == "cart_position"
+
+
+def test_a_missing_effect_is_no_fault_of_one_experiment():
+    recording = recorded(dataclasses.replace(RIG, cubic_spring=5e4))
+    fit = est.output_error(rtac.RTAC.from_rig(recording), recording, progress=False)
+    found = differing(fit, recording, least=0.0)
+    assert found is None or found.outlying is None or not found.outlying.decisive

@@ -45,6 +45,7 @@ from estimators.diagnosis.refitting import compile_base, compile_for, fit_base, 
 from estimators.diagnosis.removed_error import floor
 from estimators.diagnosis.selection import Selection, by_size
 from estimators.diagnosis.setting import Setting, effect_of, setting_of
+from estimators.diagnosis.simulation_selection import replaces_random_forces
 from estimators.diagnosis.testability import stood_for
 from estimators.diagnosis.verdict import Judgement, decide, judge
 from estimators.diagnosis.workers import Workers
@@ -204,7 +205,9 @@ def _explanation(told: Diagnosis, found: Judgement, setting: Setting, *, thoroug
         text += not_named(further, told.left, setting.samples)
     alarms = alarming(found.selection.findings.scores, told.policy.critical)
     if steps and not found.selection.simulated and steps[0].id not in {s.id for s in alarms}:
-        text += without_alarm(steps[0].id, found.selection.confirmed)
+        first = found.selection.base
+        hid = max(first.random) >= told.policy.random_large and replaces_random_forces(found.final, first, told.policy)
+        text += without_alarm(steps[0].id, found.selection.confirmed, hid=hid)
     if told.verdict == "adequate":
         text += unconfirmed(told.candidates, told.detectable, told.policy, thorough=thorough)
     if told.line_alone:

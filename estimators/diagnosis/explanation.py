@@ -184,13 +184,16 @@ def without_the_physics(steps: Sequence[Step], simulation: SimulationResidual) -
     )
 
 
-def without_alarm(effect: str, confirmed: tuple[int, ...]) -> str:
+def without_alarm(effect: str, confirmed: tuple[int, ...], *, hid: bool = False) -> str:
     """Say why an effect is named whose score raised no alarm.
 
     Args:
         effect: id of it.
         confirmed: how many experiments confirm it, and of how many; empty where that was not asked.
+        hid: whether it takes the place of large random forces.
     """
+    if hid:
+        return f" {effect} raised no alarm by itself: the random forces hid it whose place it takes, and what they hide was tried."
     if confirmed:
         count, of = confirmed
         return (

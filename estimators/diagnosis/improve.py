@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
-from estimators.core.data import fitted_part
 from estimators.core.drawing import draw
 from estimators.core.fit import FAR, Fit
 from estimators.core.result_base import Result
@@ -15,12 +14,13 @@ from estimators.core.threads import one_blas_thread
 from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.diagnose import compile_diagnosis
 from estimators.diagnosis.diagnosis import Diagnosis
+from estimators.diagnosis.explanation import at_noise
 from estimators.diagnosis.improvement_loop import Loop
 from estimators.diagnosis.learned_force import LearnedForce
 from estimators.diagnosis.model_extension import Added, PredictedGain
 from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
 from estimators.diagnosis.removed_error import Verdict
-from estimators.linear.homogeneity_test import Equality
+from estimators.linear.homogeneity_test import Equality, rounded
 from estimators.output_error.fit import output_error
 from estimators.validation.differing_experiments import WORTH_ASKING
 from estimators.validation.simulation_error import Comparison, compare
@@ -177,11 +177,26 @@ class Improvement(Result):
         farthest = max(errors, key=lambda c: errors[c].rms_over_noise, default=None)
         if farthest is None or errors[farthest].rms_over_noise <= FAR:
             return ""
-        return (
-            f"Even so, its simulation leaves {farthest} of the held-out experiments at "
-            f"{errors[farthest].rms_over_noise:,.0f} times the noise, as where an arm tumbles or friction holds what a little less "
-            "would not, or where they reach beyond what was fitted; est.compare(..., ahead=10) shows how far it can be followed."
+        error, fitted = errors[farthest], self.train.models[-1].errors[farthest].rms_over_noise
+        why = (
+            "random forces, an arm that tumbles, friction that holds what a little less would not, or parameters that change within"
+            " an experiment lead it away, which predictions one sample ahead do not tell apart"
         )
+        if at_noise(fitted):
+            why = "the held-out ones reach beyond what was fitted, or differ from the others in how they were recorded"
+        return (
+            f"Even so, its simulation leaves {farthest} of the held-out experiments at {error.rms_over_noise:,.0f} times the noise"
+            f" ({100 - error.fit_percent:.2g} % of the motion), and of the fitted ones at {rounded(fitted)}: {why}."
+            " est.compare(..., ahead=10) shows how far it can be followed."
+        )
+
+    @property
+    def _but(self) -> str:
+        """Return what an adequate model's simulation leaves, where that is far from the held-out experiments; else nothing."""
+        if not self._astray:
+            return ""
+        worst = max(e.rms_over_noise for e in self.validation.models[-1].errors.values())
+        return f"; of the held-out experiments its simulation leaves {worst:,.0f} times the noise"
 
     @property
     def _change(self) -> str:
@@ -202,7 +217,7 @@ class Improvement(Result):
                     f"which no effect of the catalogue explains: {line}."
                 )
             return {
-                "adequate": f"The model is adequate: nothing is missing {self.diagnoses[-1].floor}.",
+                "adequate": f"The model is adequate: nothing is missing {self.diagnoses[-1].floor}{self._but}.",
                 "unknown": f"The model fails, and no effect of the catalogue explains {whole}.",
             }.get(
                 self.diagnoses[-1].verdict,
@@ -329,7 +344,7 @@ def improve(
         diagnoses=tuple(diagnoses),
         added=tuple(added),
         verdict=verdict,
-        train=compare(fits, fitted_part(train, fits[-1].experiments), labels=labels),
+        train=compare(fits, loop.followed, labels=labels),
         validation=Comparison(tuple(tested)),
         held=loop.held,
         predicted=steps[-1][1].way == "predicted",

@@ -59,6 +59,13 @@ class Loop:
         """Return the ids of what was added and is held at the estimate of a diagnosis."""
         return tuple(name for name, step in self.steps if step.way == "held")
 
+    @property
+    def followed(self) -> Recording:
+        """Return the recording that is fitted, without the experiment that is left out."""
+        if self.left_out is None:
+            return self.train
+        return self.train.select([e.name for e in self.train if e.name != self.left_out])
+
     def run(self) -> None:
         """Go on until nothing is found, or what is found does not serve held-out experiments."""
         while not self.stopped:

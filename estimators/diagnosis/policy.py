@@ -7,7 +7,7 @@ from estimators.inference.simulation_residual import SimulationLimits
 from estimators.misspecification.findings import CriticalValues
 from estimators.prediction_error.colour_limits import ColourLimits
 
-VERSION = 12
+VERSION = 13
 """Of the standard policy: counts up when a threshold comes, goes or changes."""
 
 _PROTOTYPE = "prototype study of 42 cases a setting"
@@ -128,7 +128,8 @@ class DiagnosisPolicy:
     )
     random_large: float = _threshold(
         SimulationLimits.large,
-        "random forces, averaged over a radian of the cart's swing, over the rms forces, that are no small disturbance",
+        "random forces, averaged over a radian of the cart's swing, over the rms forces, that are no small disturbance; in one"
+        " sample, from which it is asked what they hide, as parts that hit each other",
         "set between shaken rigs (0.005 to 0.01) and recordings with signs or units wrong (0.1 to 0.4)",
     )
     simulation_far: float = _threshold(

@@ -62,10 +62,15 @@ def _is_doubtful(laboratory: Laboratory, found: Selection, named: FittedModel, p
     if not named.added:
         large = random_forces_are_large(named.random, laboratory.facts.samples_per_radian, policy.simulation)
         return large or any(test.rejects for test in found.tests)
-    if sum(x**2 for x in named.random) <= policy.left * sum(x**2 for x in found.base.random):
+    if replaces_random_forces(named, found.base, policy):
         return False
     shown = {s.id: s.statistic for s in by_size(laboratory.quiet_scores(found.base), 0.0)}
     return min(shown.get(i, 0.0) for i in named.added) < policy.static * max(shown.values(), default=0.0)
+
+
+def replaces_random_forces(model: FittedModel, base: FittedModel, policy: DiagnosisPolicy) -> bool:
+    """Return whether what a model has more takes the place of nearly all random forces that another asks for, in power."""
+    return sum(x**2 for x in model.random) <= policy.left * sum(x**2 for x in base.random)
 
 
 def _steps(

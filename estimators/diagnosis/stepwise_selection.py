@@ -10,7 +10,7 @@ from estimators.diagnosis.laboratory import Laboratory, Way
 from estimators.diagnosis.policy import DiagnosisPolicy
 from estimators.diagnosis.removed_error import named
 from estimators.diagnosis.selection import Selection, Tried, by_size, nameable
-from estimators.diagnosis.simulation_selection import selected_by_simulation
+from estimators.diagnosis.simulation_selection import replaces_random_forces, selected_by_simulation
 from estimators.diagnosis.step import Step
 from estimators.inference.simulation_residual import follows_nothing
 from estimators.misspecification.adequacy import (
@@ -117,24 +117,29 @@ def hidden(laboratory: Laboratory, found: Selection, policy: DiagnosisPolicy) ->
     Where the innovations are far from white, what is alike in every second tells more than what is large. What the predictor
     could not show at all beside its random forces is among them, and the largest of it is tried: it may be what they stand for.
     """
-    effects, masked = laboratory.facts.effects, set(laboratory.facts.untestable)
     large = by_size(laboratory.quiet_scores(found.base), math.log(laboratory.facts.samples))
     alike = sorted(large, key=_consistency, reverse=True)
+    ranked = list({s.id: s for s in (*alike[:1], *large[:1], *_masked(laboratory, large))}.values())
+    return _Look(ranked, [], "thorough")
+
+
+def _masked(laboratory: Laboratory, large: Sequence[Score]) -> list[Score]:
+    """Return those of several candidates that no filter shows beside its random forces, of what is no contact the first."""
+    effects, untestable = laboratory.facts.effects, set(laboratory.facts.untestable)
     # What works by contact shows nowhere until the filter follows it.
     contacts = [s for s in large if effects[s.id].contact]
-    stood_for = [s for s in large if s.id in masked]
-    ranked = list({s.id: s for s in (*alike[:1], *large[:1], *contacts, *stood_for[:1])}.values())
-    return _Look(ranked, [], "thorough")
+    return [*contacts, *[s for s in large if s.id in untestable and s not in contacts][:1]]
 
 
 def second_looks(laboratory: Laboratory, found: Selection, policy: DiagnosisPolicy) -> Selection:
     """Return the selection or, where it leaves the misfit unknown, another that explains it, with all that was tried.
 
-    And where it names nothing, another of what every experiment confirms.
+    And where it names nothing, another of what every experiment confirms, or of what random forces stood for.
     """
     verdict = found.named(laboratory.facts.samples, policy)[0]
     if verdict == "adequate":
-        return confirmed(laboratory, found, policy)
+        found = confirmed(laboratory, found, policy)
+        return found if found.steps else behind_random_forces(laboratory, found, policy)
     if verdict != "unknown":
         return found
     for look in (unalarmed, hidden):
@@ -168,6 +173,28 @@ def confirmed(laboratory: Laboratory, found: Selection, policy: DiagnosisPolicy)
     if not named(first, found.tests, laboratory.facts.samples, policy)[1]:
         return found
     return dataclasses.replace(found, steps=first, confirmed=(confirming, len(gains)))
+
+
+def behind_random_forces(laboratory: Laboratory, found: Selection, policy: DiagnosisPolicy) -> Selection:
+    """Return the selection or, where nothing rejects beside large random forces, one of effects that take their place.
+
+    With forces as large as the model's own a filter predicts well whatever the model lacks: parts that hit each other show nowhere
+    until it follows them.
+    """
+    base, facts = found.base, laboratory.facts
+    # What strikes does so within a sample or two: over a radian it would not look large.
+    if max(base.random) < policy.random_large:
+        return found
+    asked = _masked(laboratory, by_size(laboratory.quiet_scores(base), math.log(facts.samples)))
+    if not asked:
+        return found
+    laboratory.say("what random forces hide")
+    steps, more = improvements(laboratory, base, found.findings, policy, _Look(asked, [], "thorough"))
+    found = dataclasses.replace(found, tried=more | found.tried)
+    count = named(steps, found.tests, facts.samples, policy)[1]
+    if not count or not replaces_random_forces(steps[count - 1].model, base, policy):
+        return found
+    return dataclasses.replace(found, steps=steps)
 
 
 def _held_out_gains(laboratory: Laboratory, before: FittedModel, after: FittedModel) -> list[tuple[float, float]]:

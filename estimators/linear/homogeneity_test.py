@@ -99,7 +99,7 @@ class Outlier:
         if self.decisive:
             alike = (
                 f"All experiments but {self.name} are followed to {self.over_noise:.2f} times the noise by one set of"
-                f" parameters, which leaves {self.channel} of {self.name} at {self.left:,.3g} times the noise"
+                f" parameters, which leaves {self.channel} of {self.name} at {rounded(self.left)} times the noise"
             )
         return (
             f"{alike}. Look at {self.name} first: at its sample time, at samples or counts that were lost, at a sensor that was set"
@@ -295,6 +295,11 @@ class Equality:
     def plot(self) -> Any:
         """Draw each quantity over the conditions, or over the covariate with which it drifts."""
         return draw(self)
+
+
+def rounded(ratio: float) -> str:
+    """Return a ratio in three figures, without an exponent."""
+    return f"{ratio:,.0f}" if ratio >= 100 else f"{ratio:.3g}"
 
 
 def covariate_words(name: str) -> str:

@@ -53,7 +53,7 @@ def momentary_faults(name: str, signal: Signal) -> Iterator[str]:
     if spikes:
         yield (
             f"has {len(spikes)} spikes of two or three samples, the first at sample {present[spikes[0][0]]}; replace them by NaN, "
-            "or fit with robust=True."
+            "or fit with robust=True; keep them where parts of the rig hit each other then."
         )
     if name == "arm_velocity":
         return

@@ -4,13 +4,14 @@ import dataclasses
 
 import numpy as np
 import pytest
-from made_up_results import LEARNED, OTHERS, diagnosis, improvement
+from made_up_results import LEARNED, OTHERS, compared, diagnosis, improvement
 
 from estimators.core.fisher_information import information_of
 from estimators.core.fit import Fit
 from estimators.core.results import RESULTS
 from estimators.misspecification.adequacy import AdequacyTest
 from estimators.reporting.summary import of_diagnosis
+from estimators.validation.simulation_error import Comparison
 from rtac_jax import RTAC
 from rtac_jax.effects import CubicSpring
 
@@ -76,11 +77,26 @@ def test_an_adequate_model_whose_simulation_is_far_off_is_adequate_one_sample_ah
     assert "Even so, its simulation leaves" in found.ending
 
 
+def near_noise(found):
+    """Return a loop that adds nothing, whose held-out experiments are followed to the noise."""
+    return dataclasses.replace(looped(found, steps=1), validation=Comparison((compared("base", 1.2),)))
+
+
+def test_an_adequate_model_that_is_far_from_the_held_out_experiments_says_so():
+    found = looped(diagnosis("adequate"), steps=1)
+    far = max(e.rms_over_noise for e in found.validation.models[-1].errors.values())
+    assert far > 10
+    assert found.headline.endswith(f"; of the held-out experiments its simulation leaves {far:.0f} times the noise.")
+    assert "lead it away, which predictions one sample ahead do not tell apart" in found.ending
+    followed = dataclasses.replace(found, train=near_noise(diagnosis("adequate")).validation)
+    assert "the held-out ones reach beyond what was fitted, or differ from the others" in followed.ending
+
+
 def test_nothing_added_is_said_as_what_it_is():
     quiet = dataclasses.replace(diagnosis("adequate"), random_force=1e-3, random_torque=2e-3)
-    assert looped(quiet, steps=1).headline == "The model is adequate: nothing is missing at the noise floor."
+    assert near_noise(quiet).headline == "The model is adequate: nothing is missing at the noise floor."
     off = dataclasses.replace(quiet, simulated=1.61)
-    assert looped(off, steps=1).headline.endswith(
+    assert near_noise(off).headline.endswith(
         "nothing is missing predicted one sample ahead; its simulation is left at 1.61 times the noise."
     )
     assert dataclasses.replace(quiet, simulated=1.1).floor == "at the noise floor"
@@ -91,7 +107,7 @@ def test_nothing_added_is_said_as_what_it_is():
 def test_a_model_whose_predictor_asks_for_random_forces_is_held_against_predictions_alone():
     """Its simulation may be far from the noise."""
     forced = dataclasses.replace(diagnosis("adequate"), random_torque=0.16)
-    assert looped(forced, steps=1).headline == (
+    assert near_noise(forced).headline == (
         "The model is adequate: nothing is missing predicted one sample ahead, which counts random forces."
     )
 

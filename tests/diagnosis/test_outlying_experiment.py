@@ -8,6 +8,7 @@ from command_line import call
 
 import estimators as est
 import rtac_jax as rtac
+from estimators.linear.homogeneity_test import rounded
 from estimators.plots.improvement import finding, plot_improvement
 from estimators.validation.differing_experiments import differing
 from rtac_jax import virtual_rig
@@ -73,7 +74,7 @@ def test_it_is_said_with_what_all_others_leave_of_it(improved):
     one = improved.constancy.outlying
     assert one.left > 20.0
     assert f"All experiments but {LATE} are followed to {one.over_noise:.2f} times the noise" in improved.headline
-    assert f"which leaves {one.channel} of {LATE} at {one.left:,.3g} times the noise" in improved.headline
+    assert f"which leaves {one.channel} of {LATE} at {rounded(one.left)} times the noise" in improved.headline
     assert f"With {LATE} the model fails" in improved.headline
     assert "learned force" not in improved.headline
     assert f"The last model is fitted without {LATE}" in improved.ending

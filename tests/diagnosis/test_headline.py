@@ -79,7 +79,7 @@ def test_an_adequate_model_whose_simulation_is_far_off_is_adequate_one_sample_ah
 
 def near_noise(found):
     """Return a loop that adds nothing, whose held-out experiments are followed to the noise."""
-    return dataclasses.replace(looped(found, steps=1), validation=Comparison((compared("base", 1.2),)))
+    return dataclasses.replace(looped(found, steps=1), validation=Comparison((compared("base", 0.3),)))
 
 
 def test_an_adequate_model_that_is_far_from_the_held_out_experiments_says_so():

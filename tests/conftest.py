@@ -2,6 +2,7 @@
 
 import gc
 import os
+import typing
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -25,7 +26,17 @@ def _checked_where_it_stays(fn: Any = None, *, typechecker: Any = None) -> Any:
         return lambda fn: _checked_where_it_stays(fn, typechecker=typechecker)
     if "<locals>" in getattr(fn, "__qualname__", ""):
         return fn
+    if not isinstance(fn, type) and not any(map(_has_shape, getattr(fn, "__annotations__", {}).values())):
+        return typechecker(fn)  # checks the same, and a call costs a tenth of what looking for shapes does
     return _checked(fn, typechecker=typechecker)
+
+
+def _has_shape(hint: Any) -> bool:
+    """Return whether an annotation says something of shapes; one that is given as text may."""
+    if isinstance(hint, str):
+        return True
+    made_here = type(hint).__module__.partition(".")[0] == "jaxtyping"
+    return made_here or any(map(_has_shape, typing.get_args(hint)))
 
 
 jaxtyping.jaxtyped = _checked_where_it_stays

@@ -51,13 +51,13 @@ def test_a_drift_is_found_and_named():
 def test_a_drift_with_what_only_the_user_knows_is_found_and_named():
     """The spring softens with a temperature that has nothing to do with amplitude or order."""
     random = np.random.default_rng(9)
-    warm = random.permutation(np.linspace(18.0, 30.0, 9))
+    warm = random.permutation(np.linspace(18.0, 30.0, 12))
     experiments = []
     for i, degrees in enumerate(warm):
-        current = random.standard_normal(1200)
+        current = random.standard_normal(1500)
         system = scipy.signal.tf2ss([2.0, 30.0], [1.0, 1.6, 110.0 * (1 - 0.002 * (degrees - 18.0)) ** 2])
         a, b, c, d, _ = scipy.signal.cont2discrete(system, DT)
-        out = scipy.signal.dlsim((a, b, c, d, DT), current[:, None])[1][:, 0] + 0.05 * random.standard_normal(1200)
+        out = scipy.signal.dlsim((a, b, c, d, DT), current[:, None])[1][:, 0] + 0.05 * random.standard_normal(1500)
         experiments.append(
             Experiment.of(f"run_{i + 1}", kind="forced", sample_time=DT, current=current, cart_position=out)
         )

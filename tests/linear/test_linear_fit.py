@@ -15,6 +15,8 @@ NUMERATOR, DENOMINATOR = [2.0, 30.0], [1.0, 1.6, 110.0]
 POLE, ZERO = -0.8 + 1j * np.sqrt(110.0 - 0.64), -15.0
 A, B, C, _, _ = scipy.signal.cont2discrete(scipy.signal.tf2ss(NUMERATOR, DENOMINATOR), DT)
 RUNS = 200
+# For each shape of the data a structure compiles anew, for some seconds: many tests, those of conditions being equal too, have this.
+FEW, LENGTH = 12, 1500
 
 
 def respond(current, start=(0.0, 0.0)):
@@ -100,7 +102,7 @@ def test_missing_samples_are_no_response_to_the_input():
 
 
 def test_bands_of_the_response_hold_at_every_frequency():
-    current, out = simulated(*NOISES["box_jenkins"], samples=500, seed=1)
+    current, out = simulated(*NOISES["box_jenkins"], seed=1)
     found = est.prediction_error(recording(current, out), structure="output_error", compensate=False)
     omega = np.geomspace(1.0, 60.0, 12)
     truth = np.polyval(NUMERATOR, 1j * omega) / np.polyval(DENOMINATOR, 1j * omega)
@@ -117,12 +119,12 @@ def test_bands_of_the_response_hold_at_every_frequency():
 
 @pytest.fixture(scope="module")
 def different():
-    """Twenty conditions of different lengths, some with gaps, and noise of their own."""
+    """Conditions of different lengths, some with gaps, and noise of their own."""
     random = np.random.default_rng(2)
-    current, out = simulated(([1.0, 0.5], [1.0, -0.9]), 0.03, samples=500, runs=20, seed=2)
+    current, out = simulated(([1.0, 0.5], [1.0, -0.9]), 0.03, samples=LENGTH, runs=FEW, seed=2)
     experiments = []
     for i, (u, y) in enumerate(zip(current, out, strict=True)):
-        samples = int(random.integers(300, 500))
+        samples = int(random.integers(300, 500)) if i else LENGTH
         y = y[:samples].copy()
         if i % 4 == 0:
             y[random.integers(0, samples, 20)] = np.nan
@@ -156,7 +158,7 @@ def test_criteria_count_samples_and_what_was_estimated(different):
 
 
 def test_predictions_over_any_horizon_are_those_of_the_difference_equation():
-    current, out = simulated(([1.0, 0.5, 0.3], [1.0, -1.4, 0.6]), 0.03, samples=400, runs=1)
+    current, out = simulated(([1.0, 0.5, 0.3], [1.0, -1.4, 0.6]), 0.03, samples=LENGTH, runs=FEW)
     one = est.prediction_error(recording(current, out), structure="box_jenkins", compensate=False)[0]
     c, d = one.noise_numerator, one.noise_denominator
     error = out[0] - one.predict(1)
@@ -179,7 +181,7 @@ def test_predictions_over_any_horizon_are_those_of_the_difference_equation():
 @pytest.mark.parametrize("hold", ["zoh", pytest.param("foh", marks=pytest.mark.slow), "bl"])
 def test_the_input_between_samples_is_counted(hold):
     random = np.random.default_rng(3)
-    fine, samples = 20, 1500
+    fine, samples = 20, LENGTH
     if hold == "zoh":
         slow = random.standard_normal(samples)
         fast = np.repeat(slow, fine)
@@ -194,9 +196,9 @@ def test_the_input_between_samples_is_counted(hold):
     kind = "zoh" if hold == "zoh" else "foh"
     a, b, c, d, _ = scipy.signal.cont2discrete(scipy.signal.tf2ss(NUMERATOR, DENOMINATOR), DT / fine, method=kind)
     out = scipy.signal.dlsim((a, b, c, d, DT / fine), fast[:, None])[1][::fine, 0]
-    noisy = out + 1e-3 * random.standard_normal(samples)
+    noisy = out + 1e-3 * random.standard_normal((FEW, samples))
     found = est.prediction_error(
-        recording(slow[None], noisy[None], intersample=hold), structure="output_error", compensate=False
+        recording(np.tile(slow, (FEW, 1)), noisy, intersample=hold), structure="output_error", compensate=False
     )[0]
     upper = int(np.argmax(found.poles.imag))
     assert abs((found.poles[upper] - POLE).real) < 3.5 * found.poles_std[upper, 0]
@@ -243,7 +245,7 @@ def test_a_start_finds_what_a_search_over_spectra_loses_in_noise():
     truth = np.roots(denominator)[np.argmax(np.roots(denominator).imag)]
     gain = 1e-4 * np.array([2.0, 30.0])
     a, b, c, d, _ = scipy.signal.cont2discrete(scipy.signal.tf2ss(gain, denominator), DT)
-    current = random.standard_normal((6, 3000))
+    current = random.standard_normal((FEW, LENGTH))
     out = np.stack([scipy.signal.dlsim((a, b, c, d, DT), u[:, None])[1][:, 0] for u in current])
     data = recording(current, out + 2 * np.std(out) * random.standard_normal(out.shape))
     model = rtac.RTAC(rtac.RigidBody(mass, inertia, moment, spring, 0.08), (rtac.effects.CartViscous(viscous),))
@@ -257,7 +259,7 @@ def test_a_start_finds_what_a_search_over_spectra_loses_in_noise():
 
 
 def test_means_are_taken_off_only_where_asked():
-    current, out = simulated(([1.0], [1.0]), 0.02, samples=500, runs=2, seed=3)
+    current, out = simulated(([1.0], [1.0]), 0.02, samples=LENGTH, runs=FEW, seed=3)
     options = {"structure": "output_error", "compensate": False, "progress": False}
     moved = recording(current + 1.0, out + 5.0)
     flat = recording(current - current.mean(axis=1)[:, None], out - out.mean(axis=1)[:, None])
@@ -274,7 +276,7 @@ def test_models_are_stable_even_of_a_system_that_is_not(structure):
     """The truth's poles lie at +0.05 +- 10.5j."""
     random = np.random.default_rng(10)
     a, b, c, d, _ = scipy.signal.cont2discrete(scipy.signal.tf2ss(NUMERATOR, [1.0, -0.1, 110.0]), DT)
-    current = random.standard_normal((2, 500))
+    current = random.standard_normal((FEW, LENGTH))
     out = np.stack([scipy.signal.dlsim((a, b, c, d, DT), u[:, None])[1][:, 0] for u in current])
     noisy = out + 0.02 * random.standard_normal(out.shape)
     found = est.prediction_error(recording(current, noisy), structure=structure, compensate=False, progress=False)
@@ -331,8 +333,8 @@ def test_what_cannot_be_fitted_is_refused_in_one_sentence():
     turned = recording(current, out, initial_arm_angle=np.pi / 2)
     with pytest.raises(ValueError, match="excitation vanishes"):
         est.prediction_error(turned, angles={"run_1": np.full(100, np.pi / 2)})
-    missing = out.copy()
-    missing[0, random.integers(0, 100, 5)] = np.nan
+    current, missing = simulated(([1.0], [1.0]), 0.1, samples=LENGTH, runs=FEW)
+    missing[:, random.integers(0, LENGTH, 75)] = np.nan
     assert est.prediction_error(recording(current, missing), structure="output_error", compensate=False)[0].converged
 
 

@@ -15,7 +15,7 @@ from rtac_jax.virtual_rig import Plan, record
 BAND = (1.0, 4.0)  # [Hz]
 GRID = 2 * np.pi * np.linspace(1.2, 3.8, 9)
 # Samples and sample time [s] of small motions, without dry friction.
-CONDITIONS = {"long": (1000, 0.02), "brief": (600, 0.02), "quick": (1200, 0.01)}
+CONDITIONS = {"long": (1000, 0.02), "brief": (600, 0.02), "quick": (600, 0.01)}
 
 
 @functools.cache

@@ -31,9 +31,12 @@ HIDDEN = {
     "current_offset": (dict(current_offset=0.005), {"offset": 0.005}),
     "tacho_bias": (dict(tacho_bias=0.2), {"bias": 0.2}),
 }
-# One is named in every run of the tests, one more by `rtac demo` and one by the README; the others take half a minute each.
-QUICK = ("cubic_spring",)
-CASES = [pytest.param(name, marks=() if name in QUICK else pytest.mark.slow) for name in HIDDEN]
+# One is named in every run of the tests, among a few; of the whole catalogue one by `rtac demo` and one by the README. The others
+# take half a minute each.
+CASES = [
+    pytest.param("cubic_spring", SHORT, id="cubic_spring among a few"),
+    *(pytest.param(name, None, id=name, marks=pytest.mark.slow) for name in HIDDEN),
+]
 # What the paper's model has, where a model lacks it.
 PAPERS_OWN = ("cart_viscous", "cart_coulomb", "arm_viscous")
 
@@ -56,9 +59,11 @@ def fit_of_nothing(recordings: dict[str, rtac.Recording]) -> est.Fit:
     return est.output_error(rtac.RTAC.from_rig(recording), recording, progress=False)
 
 
-@pytest.mark.parametrize("name", CASES)
-def test_hidden_effect_is_named(recordings: dict[str, rtac.Recording], name: str) -> None:
-    found = diagnosed(recordings[name])
+@pytest.mark.parametrize(("name", "candidates"), CASES)
+def test_hidden_effect_is_named(
+    recordings: dict[str, rtac.Recording], name: str, candidates: tuple[type[Effect], ...] | None
+) -> None:
+    found = diagnosed(recordings[name], candidates)
     assert found.verdict == "missing", found
     assert [c.id for c in found.effects] == [name], found
     assert found.effects[0].error_reduction > 0.9
@@ -119,8 +124,11 @@ def test_random_forces_do_not_make_stribeck_friction_of_drag() -> None:
     assert "of the samples do not count" in found.explanation
 
 
-def test_nothing_hidden_is_adequate(recordings: dict[str, rtac.Recording]) -> None:
-    found = diagnosed(recordings["nothing"])
+@pytest.mark.parametrize("candidates", [SHORT, pytest.param(None, marks=pytest.mark.slow)], ids=["short", "whole"])
+def test_nothing_hidden_is_adequate(
+    fit_of_nothing: est.Fit, recordings: dict[str, rtac.Recording], candidates: tuple[type[Effect], ...] | None
+) -> None:
+    found = est.diagnose(fit_of_nothing, recordings["nothing"], candidates=candidates, progress=False)
     assert found.verdict == "adequate", found
     assert found.best is None
     assert found.effects == found.latent == ()
@@ -159,11 +167,9 @@ def test_what_was_not_fitted_is_not_diagnosed(
         est.diagnose(fit_of_nothing, dataclasses.replace(recording, experiments=(other,)), progress=False)
 
 
-def test_no_candidate_left_is_refused(recordings: dict[str, rtac.Recording]) -> None:
-    recording = recordings["nothing"]
-    fit = est.output_error(rtac.RTAC.from_rig(recording), recording, progress=False, starts=1)
+def test_no_candidate_left_is_refused(recordings: dict[str, rtac.Recording], fit_of_nothing: est.Fit) -> None:
     with pytest.raises(ValueError, match="no candidate is left"):
-        est.diagnose(fit, recording, candidates=[rtac.effects.CartViscous], progress=False)
+        est.diagnose(fit_of_nothing, recordings["nothing"], candidates=[rtac.effects.CartViscous], progress=False)
 
 
 @pytest.mark.slow

@@ -22,15 +22,15 @@ def _compiled() -> list[int]:
 def test_other_sizes_find_what_was_compiled() -> None:
     for program in PROGRAMS:
         program.forget()  # what other tests compiled
-    first = call("warm-up", "--experiments", "4", "--samples", "250", "--hidden", "")
+    first = call("warm-up", "--experiments", "4", "--samples", "800", "--hidden", "")
     assert first.exit_code == 0, first.output
     assert f"{jax.config.jax_compilation_cache_dir} holds" in first.stdout  # pyright: ignore[reportAttributeAccessIssue] - made when JAX starts
     row = next(line for line in first.stdout.splitlines() if "nothing" in line)
-    assert row.split()[:3] == ["4", "250", "nothing"]
+    assert row.split()[:3] == ["4", "800", "nothing"]
     assert "adequate" in row
     before = _compiled()
     assert min(before) > 0
-    again = call("warm-up", "--experiments", "3", "--samples", "300", "--hidden", "")
+    again = call("warm-up", "--experiments", "3", "--samples", "700", "--hidden", "")
     assert again.exit_code == 0, again.output
     assert _compiled() == before
 

@@ -17,11 +17,12 @@ from rtac_jax import virtual_rig
 from rtac_jax.effects import CATALOGUE
 
 MASS, STIFFNESS, VISCOUS = 1.23, 132.6, 0.5543  # paper, section 4.2
-RUNS = 10
+# Six to eight experiments run the same compiled code, and seven of them do where one is left out.
+RUNS = 8
 
 
-def fitted(softening, seed=0, slow_clock=(), slow=1.01):
-    """Ten decays; the spring softens with a temperature that follows neither amplitude nor order; some clocks are slow."""
+def fitted(softening, seed=0, slow_clock=(), slow=1.009):
+    """Eight decays; the spring softens with a temperature that follows neither amplitude nor order; some clocks are slow."""
     random = np.random.default_rng(seed)
     told = 0.02 * np.arange(150)
     rate = VISCOUS / (2 * MASS)
@@ -101,7 +102,7 @@ def test_what_a_model_lacks_in_every_experiment_is_no_fault_of_one(others):
         dataclasses.replace(
             free, name=f"free_{n}", initial_position=others if n else 0.02, initial_angle=0.0, arm="locked"
         )
-        for n in range(5)
+        for n in range(6)
     ]
     recording = virtual_rig.record(rig, [*plans, rest], seed=4)
     fit = est.output_error(rtac.RTAC.from_rig(recording), recording, progress=False)
@@ -140,7 +141,7 @@ def test_constant_parameters_are_called_constant_as_often_as_said():
     assert 0.2 < np.mean(p_values) < 0.85
 
 
-GAINS = (1.02, 1.06, 1.0, 1.05)
+GAINS = (1.02, 1.06, 1.0, 1.05, 1.03)
 
 
 def drifting_drive(gains):
@@ -224,7 +225,7 @@ def test_the_advice_can_be_followed(drifted, driven):
 def test_a_missing_effect_is_no_drift(hidden):
     """Forced runs alone, whose amplitudes differ: each by itself may be followed, with several parameters moved at once."""
     rig = virtual_rig.Rig(**hidden)
-    plans = virtual_rig.standard_plans(seed=3, duration=3.0, free=0, forced=4, rest=1)
+    plans = virtual_rig.standard_plans(seed=3, duration=3.0, free=0, forced=6, rest=1)
     recording = virtual_rig.record(rig, plans, seed=5)
     fit = est.output_error(rtac.RTAC.from_rig(recording), recording, progress=False)
     assert fit.farthest > 3
@@ -235,7 +236,7 @@ def test_a_missing_effect_is_no_drift(hidden):
 def test_a_parameter_that_is_nearly_nothing_in_common_may_drift():
     """A bias of the tachometer of +-0.5 rad/s, whose common estimate is next to zero."""
     rig = virtual_rig.Rig()
-    plans = virtual_rig.standard_plans(seed=4, duration=3.0, free=1, forced=4, rest=1)
+    plans = virtual_rig.standard_plans(seed=4, duration=3.0, free=1, forced=6, rest=1)
     by_sign = {sign: virtual_rig.record(virtual_rig.Rig(tacho_bias=0.5 * sign), plans, seed=20) for sign in (1, -1)}
     names = [e.name for e in by_sign[1] if e.kind == "forced"]
     mixed = [
@@ -251,7 +252,7 @@ def test_a_parameter_that_is_nearly_nothing_in_common_may_drift():
     assert max(found.over_noise.values()) < 1.3
     assert found.varying == ("tacho_bias.bias",)
     values = found.values[:, found.names.index("tacho_bias.bias")]
-    assert values == pytest.approx([0.5, -0.5, 0.5, -0.5], abs=0.02)
+    assert values == pytest.approx([0.5, -0.5] * 3, abs=0.02)
 
 
 def test_where_no_experiment_is_followed_by_itself_nothing_is_found(drifted):

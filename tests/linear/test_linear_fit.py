@@ -15,7 +15,7 @@ NUMERATOR, DENOMINATOR = [2.0, 30.0], [1.0, 1.6, 110.0]
 POLE, ZERO = -0.8 + 1j * np.sqrt(110.0 - 0.64), -15.0
 A, B, C, _, _ = scipy.signal.cont2discrete(scipy.signal.tf2ss(NUMERATOR, DENOMINATOR), DT)
 RUNS = 200
-# For each shape of the data a structure compiles anew, for some seconds: many tests, those of conditions being equal too, have this.
+# For each shape of the data a structure compiles anew, for some seconds: many tests, here and of equal conditions, have this one.
 FEW, LENGTH = 12, 1500
 
 

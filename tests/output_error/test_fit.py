@@ -128,9 +128,9 @@ def test_starts_do_not_vouch_for_a_model_that_does_not_follow_the_rig(noisy_fit:
     assert "1,023 times its noise in pieces of long experiments that begin anew, more in a whole one:" in str(cut)
 
 
-def test_starts_that_simulate_something_else_are_followed_to_their_ends(noisy: rtac.Recording) -> None:
+def test_starts_that_simulate_something_else_are_followed_to_their_ends() -> None:
     """As on a rig that random forces shake: what a simulation leaves has many valleys."""
-    plans = virtual_rig.standard_plans(seed=11, sample_time=0.005, duration=6.0, free=2, forced=4, rest=1)
+    plans = virtual_rig.standard_plans(seed=11, sample_time=0.005, duration=4.0, free=2, forced=2, rest=1)
     shaken = virtual_rig.record(virtual_rig.Rig(force_noise=0.1), plans, seed=12)
     one, two = (
         est.output_error(rtac.RTAC.from_rig(shaken), shaken, starts=starts, progress=False).statistics
@@ -370,7 +370,7 @@ def test_covariance_integrates_the_starts_out(noisy: rtac.Recording) -> None:
     np.testing.assert_allclose(found.covariance, covariance * np.outer(slope, slope), rtol=1e-6)
 
 
-@pytest.mark.parametrize("yields_at", [5e-6, 1e-5])
+@pytest.mark.parametrize("yields_at", [5e-6, pytest.param(1e-5, marks=pytest.mark.slow)])
 def test_what_only_a_correcting_filter_makes_diverge_is_fitted_by_simulation(yields_at: float) -> None:
     """Stiff bristles beside a filter that follows a sensor of 4 um, sample by sample: the filter swings up, the rig does not."""
     rig = virtual_rig.Rig(

@@ -9,7 +9,10 @@ BENCH_STAMP := $(VENV)/.installed-bench
 # Two workers share the cores: threads of linear algebra beside them only wait for each other.
 PYTEST := OMP_NUM_THREADS=1 MPLBACKEND=agg $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 
-.PHONY: demo test test-slow lint docs bench notebooks clean
+# Each check of types takes half a minute of one core.
+BOTH := $(MAKE) --no-print-directory -j 2 types types-strict
+
+.PHONY: demo test test-slow lint types types-strict docs bench notebooks clean
 
 $(STAMP): pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
@@ -31,8 +34,7 @@ test: $(STAMP)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/lint-imports --no-logo
-	$(BIN)/pyright
-	$(BIN)/pyright --project pyright-strict.json
+	$(BOTH)
 	$(PYTEST)
 
 test-slow: $(STAMP)
@@ -42,7 +44,12 @@ lint: $(STAMP)
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 	$(BIN)/lint-imports --no-logo
+	$(BOTH)
+
+types: $(STAMP)
 	$(BIN)/pyright
+
+types-strict: $(STAMP)
 	$(BIN)/pyright --project pyright-strict.json
 
 docs: $(DOCS_STAMP)

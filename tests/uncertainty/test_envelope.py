@@ -97,7 +97,9 @@ def test_weight_covers_measured_responses_and_what_is_interpolated_between_them(
 
 
 @pytest.mark.filterwarnings("default")  # of the peer's own imports
-@pytest.mark.parametrize("order", [1, 2, 3, 4])
+@pytest.mark.parametrize(
+    "order", [pytest.param(order, marks=[pytest.mark.slow] * (order % 2)) for order in (1, 2, 3, 4)]
+)
 def test_weight_lies_nearer_to_the_profile_than_that_of_dkpy(order):
     """dkpy makes the largest excess small: as small is asked of that, and less of the mean where that is wanted."""
     import dkpy

@@ -208,7 +208,7 @@ def test_an_experiment_is_not_accused_where_the_others_are_no_better(rig):
     assert found.residual > 3
 
 
-@pytest.mark.parametrize("seed", [14, 21])
+@pytest.mark.parametrize("seed", [14, pytest.param(21, marks=pytest.mark.slow)])
 def test_a_gain_of_the_tachometer_is_no_mistake_of_one_experiment(seed):
     """Of 40 rigs these two had an experiment whose initial angle seemed to be in degrees, or of the other sign."""
     rig = dataclasses.replace(virtual_rig.Rig().drawn(900 + seed), tacho_gain=1.05)
@@ -228,7 +228,7 @@ def test_a_gain_of_the_tachometer_is_no_mistake_of_one_experiment(seed):
     assert (named.experiment, named.mistake) == ("forced_2", "sign of current")
 
 
-@pytest.mark.parametrize("seed", [41, 44, 47])
+@pytest.mark.parametrize("seed", [41, 44, pytest.param(47, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", ["free_2", "forced_2"])
 def test_an_offset_is_named_where_the_cart_never_slides(seed, name):
     """Of such a cart the equations say nothing, but a spring does not hold it far from where it is at rest."""

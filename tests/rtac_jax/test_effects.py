@@ -289,16 +289,14 @@ def test_dry_friction_has_a_level(effect_id):
 @pytest.mark.parametrize("effect_id", [name for name in FORCES if CATALOGUE[name].nature == "conservative"])
 def test_conservative_force_has_a_potential(effect_id):
     """It depends on position alone, and the work round a small circle vanishes."""
+    motions = jnp.asarray([[float(x) for x in (*motion[:4], motion.current)] for motion in random_motions(20)])
     for effect in plausible(effect_id)[:5]:
-        slopes = []
-        for motion in random_motions(20):
 
-            def force(values, effect=effect):
-                on_cart, on_arm = effect.force(motion_at(values[:4], values[4]), ())
-                return jnp.stack([jnp.asarray(on_cart, dtype=float), jnp.asarray(on_arm, dtype=float)])
+        def force(values, effect=effect):
+            on_cart, on_arm = effect.force(motion_at(values[:4], values[4]), ())
+            return jnp.stack([jnp.asarray(on_cart, dtype=float), jnp.asarray(on_arm, dtype=float)])
 
-            slopes.append(np.asarray(jax.jacfwd(force)(jnp.stack([*motion[:4], jnp.asarray(motion.current)]))))
-        jacobians = np.array(slopes)
+        jacobians = np.asarray(jax.vmap(jax.jacfwd(force))(motions))
         assert not jacobians[:, :, [1, 3, 4]].any()
         np.testing.assert_allclose(jacobians[:, 0, 2], jacobians[:, 1, 0], rtol=1e-12, atol=0)
 

@@ -275,8 +275,8 @@ def test_of_a_recording_that_is_too_long_the_fit_is_shown_without_what_would_tak
 
 def test_compare_says_where_the_model_fails(ran):
     result, _, content = ran["compare"]
-    assert "fails most in cart_position of forced_2" in result.stdout
-    assert {row["experiment"] for row in content["experiments"]} == {"forced_2"}
+    assert "fails most in cart_position of forced_3" in result.stdout
+    assert {row["experiment"] for row in content["experiments"]} == {"forced_3"}
 
 
 @pytest.mark.parametrize("command", ["diagnose", "improve"])
@@ -302,7 +302,7 @@ def test_several_saved_models_are_judged_side_by_side(ran):
     result, folder, content = ran[SEVERAL]
     assert result.exit_code == 0, result.output
     said = " ".join(result.stdout.split())
-    assert "base fails most in cart_position of forced_2" in said
+    assert "base fails most in cart_position of forced_3" in said
     assert "mended fails most in" in said
     base, mended = content["models"]
     assert [base["label"], mended["label"]] == ["base", "mended"]

@@ -23,7 +23,7 @@ OWN = {
     name: [n for n, p in inspect.signature(function).parameters.items() if _kinds(p.annotation)]
     for name, function in PUBLIC.items()
 }
-EXPERIMENT = Experiment.of("free", kind="free", sample_time=0.01, cart_position=np.cos(np.arange(99)))
+EXPERIMENT = Experiment.of("free", kind="free", sample_time=0.01, cart_position=0.01 * np.cos(0.1 * np.arange(99)))
 RECORDING = rtac.Recording([EXPERIMENT])
 MODEL = rtac.RTAC.paper()
 

@@ -25,6 +25,7 @@ from rtac_jax import virtual_rig
 
 NOISE = np.array([2e-5, 0.05, 2e-3])
 STEPS = jnp.asarray(2)
+FREE = ["eccentric_moment", "torque_constant", "cart_viscous.coefficient"]
 
 
 def plans(*, long=4.0, quick=0.001, few=2.0):
@@ -95,7 +96,7 @@ def products_of(*factors):
 
 
 def test_each_experiment_counts_as_if_it_stood_alone(mixed, model):
-    space = space_of(model, mixed, free=["eccentric_moment", "torque_constant", "cart_viscous.coefficient"])
+    space = space_of(model, mixed, free=FREE)
     together, both = seen(model, Data.of(mixed), space)
     for column, e in enumerate(mixed):
         single, each = seen(model, Data.of([e]), alone(space, column))
@@ -114,7 +115,7 @@ def test_each_experiment_counts_as_if_it_stood_alone(mixed, model):
 def test_what_would_leave_all_bounds_beyond_the_end_of_an_experiment_does_no_harm(mixed, model):
     model = model.with_values({"spring_stiffness": -2000.0})
     both = [mixed[0], mixed[0].cut(0, 24, "brief")]
-    space = space_of(model, both, free=["eccentric_moment", "torque_constant", "cart_viscous.coefficient"])
+    space = space_of(model, both, free=FREE)
     together, (simulated, _) = seen(model, Data.of(both), space)
     assert not np.all(np.isfinite(simulated[0][..., 0]))
     single, (own, _) = seen(model, Data.of(both[1:]), alone(space, 1))
@@ -124,7 +125,7 @@ def test_what_would_leave_all_bounds_beyond_the_end_of_an_experiment_does_no_har
 
 
 def test_a_typical_whitener_is_that_of_the_samples_there_are(mixed, model):
-    space = space_of(model, mixed, free=["eccentric_moment"])
+    space = space_of(model, mixed, free=FREE)
     data = Data.of(mixed)
     typical = _settled(np.asarray(seen(model, data, space)[0].whitener), data)
     for column, e in enumerate(mixed):

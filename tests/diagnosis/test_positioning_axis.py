@@ -1,7 +1,7 @@
 """A drive whose fine encoder leaves predictions one sample ahead nothing to tell: the simulation says what is missing."""
 
 import pytest
-from positioning_axis import COULOMB, OFFSET, TORQUE_CONSTANT, axis, recording
+from positioning_axis import COULOMB, OFFSET, TORQUE_CONSTANT, recording
 
 import estimators as est
 import rtac_jax as rtac
@@ -9,9 +9,9 @@ from estimators.plots.diagnosis import finding
 from rtac_jax.effects import ArmCoulomb, ArmPresliding, CurrentOffset, EncoderLag
 
 
+@pytest.mark.slow  # test_simulation_selection.py asserts in every run how simulations select
 def test_dry_friction_is_named_and_no_lag_of_the_encoder() -> None:
-    run = axis("forth and back", 6.0, sizes=(0.24, 0.14, 0.07), period=4.0, sample_time=2e-3)
-    train = rtac.Recording([run], rig={"torque_constant": TORQUE_CONSTANT})
+    train = recording().select(["forth and back"])
     fit = est.output_error(rtac.RTAC.from_rig(train), train, progress=False)
     found = est.diagnose(fit, train, candidates=[ArmCoulomb, CurrentOffset, EncoderLag], thorough=False, progress=False)
     assert found.verdict == "missing"

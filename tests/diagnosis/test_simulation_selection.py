@@ -8,6 +8,7 @@ from known_search import Known, force, known, sized
 
 from estimators.diagnosis import simulation_selection
 from estimators.diagnosis.evidence import FittedModel, SimulationError
+from estimators.diagnosis.explanation import found_by_simulation
 from estimators.diagnosis.laboratory import Way
 from estimators.diagnosis.policy import STANDARD
 from estimators.diagnosis.selection import Selection
@@ -75,6 +76,14 @@ def test_what_a_simulation_shows_overrules_what_predictions_name() -> None:
     # Stribeck friction leaves a little less at first, and presupposes dry friction.
     assert set(laboratory.asked[0]) == {"arm_coulomb", "current_offset", "encoder_lag", "arm_stribeck"}
     assert laboratory.ways.count("simulation") == 2  # enough is explained then
+
+
+def test_it_is_said_why_simulations_select_and_how_far_the_error_falls() -> None:
+    before = SimulationError({"arm_angle": 33_154.0}, {"arm_angle": 1.0}, {"arm_angle": 4e5}, (0.02, 0.5))
+    said = found_by_simulation(before, dataclasses.replace(before, error={"arm_angle": 65.0}))
+    assert "This is what simulations select" in said
+    assert "(2 % of the rms spring force and 50 % of the rms torque in one sample)" in said
+    assert "falls from 3.32e+04 to 65 times the noise (arm_angle)" in said
 
 
 @pytest.mark.parametrize("named", [100.0, 9.0])

@@ -168,6 +168,6 @@ def improvement(steps=2, verdict=None, errors=(30.0, 3.0, 0.3), predicted_gains=
     models = tuple(compared(label, error) for label, error in zip(labels, errors, strict=True))
     found = diagnosis(verdict or ("missing" if steps > 1 else "adequate"))
     return Improvement(
-        (FIT,) * steps, (found,), found.effects[: min(steps - 1, 1)] + OTHERS[1 : steps - 1], found.verdict,
+        (FIT,) * steps, (found,), (0,), found.effects[: min(steps - 1, 1)] + OTHERS[1 : steps - 1], found.verdict,
         Comparison(models), Comparison(models), (), False, predicted_gains, "Stopped.", 1.0,
     )  # fmt: skip

@@ -162,7 +162,11 @@ def solve(
             break
         cost = 0.5 * float(np.sum(best[..., -1] ** 2))
         if progress is not None:
-            progress(f"step {walk.steps}, cost {cost - taken.gained:.6g}")
+            # Of channels that are weighted anew the cost is always half their number: what is left of them tells.
+            left = (
+                f"cost {cost - taken.gained:.6g}" if noise is None else f"{_farthest(noise, taken):.6g} times the noise"
+            )
+            progress(f"step {walk.steps}, {left}")
         quiet = quiet + 1 if taken.gained < max(0.1 * tolerance * cost, _NOTHING) else 0
         converged = walk.full and _near(taken.unknowns, unknowns, tolerance)
         unknowns, here = taken.unknowns, taken.factors
@@ -324,6 +328,11 @@ def _simulated_cost(unknowns: Unknowns, arguments: Arguments, weights: Float[np.
 
 def _cost(factors: Factors, weights: Float[np.ndarray, " output"]) -> float:
     return 0.5 * float(weights**2 @ factors.squares + np.sum(factors.prior[..., -1] ** 2))
+
+
+def _farthest(noise: ConcentratedNoise, taken: _Taken) -> float:
+    """Return what is left of the channel that is farthest off, over its noise."""
+    return float(np.max(noise.deviations(taken.factors.squares)[noise.counts > 0], initial=0.0))
 
 
 def _near(one: Unknowns, other: Unknowns, tolerance: float) -> bool:

@@ -39,8 +39,9 @@ class Improvement(Result):
     """The result of `improve`.
 
     Attributes:
-        fits: of the base model and of every model after it, in order.
+        fits: of the base model and of every model after it, in order; what one diagnosis names is added together.
         diagnoses: one for every fit that was diagnosed.
+        diagnosed: the place of that fit in `fits`.
         added: the effects that were added, in order, as the diagnosis saw them.
         verdict: "adequate" if nothing was missing, "missing" if what was added makes the model adequate or all that can be
             named, else what the last diagnosis says.
@@ -64,6 +65,7 @@ class Improvement(Result):
 
     fits: tuple[Fit, ...]
     diagnoses: tuple[Diagnosis, ...]
+    diagnosed: tuple[int, ...]
     added: tuple[Candidate, ...]
     verdict: Verdict
     train: Comparison
@@ -128,15 +130,13 @@ class Improvement(Result):
 
         None elsewhere.
         """
-        before_last = self.fitted_before(len(self.diagnoses) - 1)
-        return self.diagnoses[-1].verdict if 0 < len(self.added) <= before_last else None
+        after = sum(last is not None for last in (self.nearest, self.learned, self.left_out))
+        with_all = len(self.fits) - 1 - after
+        return self.diagnoses[-1].verdict if self.added and self.diagnosed[-1] >= with_all else None
 
     def fitted_before(self, diagnosis: int) -> int:
-        """Return the place in `fits` of the model that a diagnosis, by its place, was made of.
-
-        One that names nothing is followed by another only where the effect that explains most of what is left was added.
-        """
-        return sum(max(len(d.additions), 1) for d in self.diagnoses[:diagnosis])
+        """Return the place in `fits` of the model that a diagnosis, by its place, was made of."""
+        return self.diagnosed[diagnosis]
 
     @property
     def headline(self) -> str:
@@ -314,8 +314,8 @@ def improve(
     with ThreadPoolExecutor(1) as other:
         other.submit(compile_diagnosis, model, train, candidates)
         base = output_error(model, train, progress=progress)
-        steps = [("", Added(base, compare(base, held_out, labels=["base"]).models[0], "simulated"))]
-    loop = Loop(train, held_out, candidates, most, thorough, policy, progress, steps)
+        first = Added(base, compare(base, held_out, labels=["base"]).models[0], "simulated")
+    loop = Loop(train, held_out, candidates, most, thorough, policy, progress, [((), first)])
     loop.run()
     learned: LearnedForce | None = None
     nearest: Candidate | None = None
@@ -342,6 +342,7 @@ def improve(
     return Improvement(
         fits=tuple(fits),
         diagnoses=tuple(diagnoses),
+        diagnosed=tuple(loop.diagnosed),
         added=tuple(added),
         verdict=verdict,
         train=compare(fits, loop.followed, labels=labels),

@@ -8,7 +8,7 @@ from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.diagnose import diagnose
 from estimators.diagnosis.diagnosis import Diagnosis
 from estimators.diagnosis.learned_force import LearnedForce, learn_force
-from estimators.diagnosis.model_extension import Added, add_effect, misfit, parameters_of
+from estimators.diagnosis.model_extension import Added, add_effects, misfit, parameters_of
 from estimators.diagnosis.nearest_effect import add_nearest
 from estimators.diagnosis.policy import DiagnosisPolicy
 from estimators.linear.homogeneity_test import Equality
@@ -29,8 +29,9 @@ class Loop:
         thorough: look again at what raised no alarm.
         policy: the thresholds.
         progress: show bars.
-        steps: ids of what was added, each with the model that has it; the first is the base model.
+        steps: ids of what was added, with the model that has it; the first is the base model.
         diagnoses: so far.
+        diagnosed: the place in `steps` of the model that each of them was made of.
         added: the effects that were added.
         stopped: why it ended.
         left_out: the experiment without which the last model was fitted; None where all were.
@@ -43,8 +44,9 @@ class Loop:
     thorough: bool
     policy: DiagnosisPolicy
     progress: bool
-    steps: list[tuple[str, Added]]
+    steps: list[tuple[tuple[str, ...], Added]]
     diagnoses: list[Diagnosis] = dataclasses.field(default_factory=list)
+    diagnosed: list[int] = dataclasses.field(default_factory=list)
     added: list[Candidate] = dataclasses.field(default_factory=list)
     stopped: str = ""
     left_out: str | None = None
@@ -57,7 +59,7 @@ class Loop:
     @property
     def held(self) -> tuple[str, ...]:
         """Return the ids of what was added and is held at the estimate of a diagnosis."""
-        return tuple(name for name, step in self.steps if step.way == "held")
+        return tuple(name for names, step in self.steps if step.way == "held" for name in names)
 
     @property
     def followed(self) -> Recording:
@@ -83,6 +85,7 @@ class Loop:
                 self.stopped = f"Stopped: the last model could not be diagnosed again. {error}"
                 return
             self.diagnoses.append(found)
+            self.diagnosed.append(len(self.steps) - 1)
             if not found.additions:
                 enough = found.verdict == "adequate"
                 why = "nothing more is missing" if enough else "no effect of the catalogue explains what is missing"
@@ -94,22 +97,31 @@ class Loop:
                 self.stopped = "Stopped: every candidate was added."
 
     def _add(self, found: Diagnosis) -> None:
-        """Add what a diagnosis names, one effect after the other."""
+        """Add what a diagnosis names: together, as it was estimated, or, where that does not serve, one after the other."""
+        several = found.additions[: self.most - len(self.added)]
+        together = self._add_together(several, found) if len(several) > 1 else ""
+        if together is not None:
+            for effect in several:
+                if (reason := self._add_together([effect], found)) is not None:
+                    self.stopped = reason
+                    return
+        if len(several) < len(found.additions):
+            self.stopped = f"Stopped: {self.most} effects were added; more seem to be missing."
+
+    def _add_together(self, several: Sequence[Effect], found: Diagnosis) -> str | None:
+        """Add effects that a diagnosis names; return why they do not serve, or None where they do."""
         known = {c.id: c for c in found.effects}
-        for effect in found.additions:
-            if len(self.added) == self.most:
-                self.stopped = f"Stopped: {self.most} effects were added; more seem to be missing."
-                return
-            label = "+ " + ", ".join([*(c.id for c in self.added), effect.id])
-            step = add_effect(
-                self.last.fit, self.last.tested, effect, label, self.train, self.held_out,
-                deviations=known[effect.id].deviations, policy=self.policy, progress=self.progress,
-            )  # fmt: skip
-            if isinstance(step, str):
-                self.stopped = step
-                return
-            self.steps.append((effect.id, step))
-            self.added.append(known[effect.id])
+        ids = tuple(effect.id for effect in several)
+        step = add_effects(
+            self.last.fit, self.last.tested, several, "+ " + ", ".join([*(c.id for c in self.added), *ids]), self.train,
+            self.held_out, policy=self.policy, progress=self.progress,
+            deviations={f"{i}.{field}": std for i in ids for field, std in known[i].deviations.items()},
+        )  # fmt: skip
+        if isinstance(step, str):
+            return step
+        self.steps.append((ids, step))
+        self.added += [known[i] for i in ids]
+        return None
 
     def without_outlier(self, *, least: float = WORTH_ASKING) -> Equality | None:
         """Return what differs between experiments; fit without the one that does alone, if that serves.
@@ -131,7 +143,7 @@ class Loop:
         tested = compare(one.fit, self.held_out, labels=[label]).models[0]
         # What was added may rest on that experiment.
         if not self.added and misfit(tested) <= misfit(self.last.tested):
-            self.steps.append(("", Added(one.fit, tested, "held" if self.last.way == "held" else "simulated")))
+            self.steps.append(((), Added(one.fit, tested, "held" if self.last.way == "held" else "simulated")))
             self.left_out = one.name
         return found
 
@@ -153,7 +165,8 @@ class Loop:
         Two effects may hide each other: with neither in the model neither explains enough.
         """
         further = dataclasses.replace(
-            self, steps=[*self.steps, (nearest.id, step)], diagnoses=list(self.diagnoses), added=[*self.added, nearest],
+            self, steps=[*self.steps, ((nearest.id,), step)], diagnoses=list(self.diagnoses),
+            diagnosed=list(self.diagnosed), added=[*self.added, nearest],
             stopped="",
         )  # fmt: skip
         further.run()
@@ -180,12 +193,12 @@ class Loop:
         if self.diagnoses[-1].stands_in:
             near = None
         if near is not None and (isinstance(resort, str) or misfit(near[0].tested) < misfit(resort[0].tested)):
-            self.steps.append((near[1].id, near[0]))
+            self.steps.append(((near[1].id,), near[0]))
             return near[1], None
         if isinstance(resort, str):
             self.stopped = f"{self.stopped} {resort}"
             return None, None
-        self.steps.append((SplineForce.id, resort[0]))
+        self.steps.append(((SplineForce.id,), resort[0]))
         return None, resort[1]
 
     @property

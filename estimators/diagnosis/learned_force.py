@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from estimators.core.fit import Fit
 from estimators.diagnosis.diagnosis import Diagnosis
-from estimators.diagnosis.model_extension import Added, add_effect, misfit
+from estimators.diagnosis.model_extension import Added, add_effects, misfit
 from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
 from estimators.misspecification.adequacy import significant
 from estimators.misspecification.static_force import ForceCurve
@@ -133,8 +133,8 @@ def learn_force(
     # Near the noise any fall is enough for an effect, which physics speaks for; for a curve nothing does.
     strict = dataclasses.replace(policy, near_noise=0.0)
     for curve in tried:
-        step = add_effect(
-            before, tested, curve.effect(), label, train, held_out, deviations={}, policy=strict, progress=progress
+        step = add_effects(
+            before, tested, [curve.effect()], label, train, held_out, deviations={}, policy=strict, progress=progress
         )
         if isinstance(step, str):
             continue

@@ -1,7 +1,8 @@
-"""Extension of a model by one effect: fitted by three estimators, of which held-out experiments choose one, or none."""
+"""Extension of a model by effects: fitted by three estimators, of which held-out experiments choose one, or none."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
+from functools import reduce
 from typing import Any, Literal
 
 import numpy as np
@@ -23,10 +24,10 @@ from rtac_jax.measurement import Recording
 
 @dataclasses.dataclass(frozen=True)
 class PredictedGain:
-    """An effect that no simulation of the held-out experiments shows, and that predictions one sample ahead do.
+    """What no simulation of the held-out experiments shows, and predictions one sample ahead do.
 
     Attributes:
-        id: of the effect.
+        id: of the effect; of several that were added together, one after the other.
         gain: in the log-likelihood of the held-out experiments.
         before, after: rms of the predictions' errors over the sensor's noise, by channel.
     """
@@ -52,12 +53,12 @@ class PredictedGain:
 
 @dataclasses.dataclass(frozen=True)
 class Added:
-    """A model with one effect more.
+    """A model with one effect more, or several.
 
     Attributes:
         fit: of it.
         tested: against the held-out experiments.
-        way: all parameters fitted by simulation; those of the effect held at the estimate of the diagnosis; or all fitted by
+        way: all parameters fitted by simulation; those of what was added held at the estimate of the diagnosis; or all fitted by
             predictions one sample ahead.
         predicted_gain: what predictions gain, where a simulation does not tell.
     """
@@ -68,10 +69,10 @@ class Added:
     predicted_gain: PredictedGain | None = None
 
 
-def add_effect(
+def add_effects(
     before: Fit,
     tested: Compared,
-    effect: Effect,
+    several: Sequence[Effect],
     label: str,
     train: Recording,
     held_out: Recording,
@@ -80,22 +81,23 @@ def add_effect(
     policy: DiagnosisPolicy = STANDARD,
     progress: bool,
 ) -> Added | str:
-    """Return the model with an effect more that serves the held-out experiments better, or why there is none.
+    """Return the model with effects more that serves the held-out experiments better, or why there is none.
 
     Args:
         before: the model without it.
         tested: that against the held-out experiments.
-        effect: at the estimate of the diagnosis.
+        several: effects at the estimate of the diagnosis, that are added together.
         label: for the comparison.
         train: the recording that is fitted.
         held_out: the recording that validates.
-        deviations: standard deviations of the effect's parameters as the diagnosis estimated them, by field; those of what is
+        deviations: standard deviations of the effects' parameters as the diagnosis estimated them, by name; those of what is
             held count them.
         policy: the thresholds by which it is kept.
         progress: show bars.
     """
-    known = {**before.held, **{f"{effect.id}.{field}": std for field, std in deviations.items()}}
-    extended = begun_by_equations(before, before.model + effect, train, policy)
+    ids, names = [effect.id for effect in several], ", ".join(effect.id for effect in several)
+    known = {**before.held, **deviations}
+    extended = begun_by_equations(before, reduce(RTAC.__add__, several, before.model), train, policy)
     bases = [Added(before, tested, "simulated")]
     steps: list[Added] = []
     reasons = []
@@ -107,29 +109,29 @@ def add_effect(
                 bases.append(Added(base, compare(base, held_out).models[0], way))
                 fit = _predicted(extended, before, train, progress=progress)
             else:
-                tried = extended if way == "simulated" else holding(extended, [effect.id])
+                tried = extended if way == "simulated" else holding(extended, ids)
                 fit = output_error(tried, train, from_model=True, progress=progress)
                 if fit.lost:
                     raise NotIdentifiableError(fit.outcome)
                 fit = counting_held(fit, train, known)
             test = compare(fit, held_out, labels=[label]).models[0]
         except (NotIdentifiableError, DivergedError, FloatingPointError) as error:
-            reasons.append(f"Stopped: with {effect.id} the model could not be fitted: {error}")
+            reasons.append(f"Stopped: with {names} the model could not be fitted: {error}")
             continue
         steps.append(Added(fit, test, way))
         if _falls_clearly(min((one.tested for one in bases), key=misfit), test, way, policy):
             return steps[-1]
-        reasons.append(f"Stopped: with {effect.id} the held-out error would not fall.")
+        reasons.append(f"Stopped: with {names} the held-out error would not fall.")
     if not steps:
         return reasons[0]
-    return _by_predictions(effect, bases, steps, train, held_out, policy) or (
+    return _by_predictions(names, bases, steps, train, held_out, policy) or (
         f"{reasons[0]} Held at the estimate of the diagnosis, or fitted by predictions one sample ahead, it would not help "
         "clearly either, and predictions are no better with it."
     )
 
 
 def _by_predictions(
-    effect: Effect,
+    names: str,
     bases: Sequence[Added],
     steps: Sequence[Added],
     train: Recording,
@@ -151,7 +153,7 @@ def _by_predictions(
     step, best = max(several, key=lambda pair: _likelihood(pair[1]))
     if best.surpasses(known, of=len(several), level=policy.ahead_level):
         gain = best.log_likelihood - known.log_likelihood
-        return dataclasses.replace(step, predicted_gain=PredictedGain(effect.id, gain, known.errors, best.errors))
+        return dataclasses.replace(step, predicted_gain=PredictedGain(names, gain, known.errors, best.errors))
     freely, its = several[0]
     if (
         freely.way == "simulated"

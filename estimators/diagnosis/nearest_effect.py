@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.diagnosis import Diagnosis
-from estimators.diagnosis.model_extension import Added, add_effect, misfit
+from estimators.diagnosis.model_extension import Added, add_effects, misfit
 from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
 from rtac_jax.effects import Effect
 from rtac_jax.measurement import Recording
@@ -45,14 +45,14 @@ def add_nearest(
         return None
     effect = cls(**{name: nearest.parameters[name].value for name in declarations(cls)})
     label = f"+ {nearest.id}" if last.tested.label == "base" else f"{last.tested.label}, {nearest.id}"
-    step = add_effect(
+    step = add_effects(
         last.fit,
         last.tested,
-        effect,
+        [effect],
         label,
         train,
         held_out,
-        deviations=nearest.deviations,
+        deviations={f"{nearest.id}.{field}": std for field, std in nearest.deviations.items()},
         policy=policy,
         progress=progress,
     )

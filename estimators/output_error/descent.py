@@ -13,6 +13,7 @@ from estimators.core.compilation import compile_beside
 from estimators.core.concentrated_noise import ConcentratedNoise
 from estimators.core.data import CHANNELS, Data
 from estimators.core.fisher_information import information
+from estimators.core.fit import FAR
 from estimators.core.initial_angle import angle_unknown
 from estimators.core.initial_rest import at_rest, best_starts, may_swing, squares
 from estimators.core.initial_state import scales_of, space_of
@@ -42,6 +43,8 @@ _NEAR_NOISE, _NEAR_MOTION = 5.0, 0.25
 _AT_REST = 0.5
 # An arm whose angle nobody tells is begun elsewhere where that leaves less than this fraction of an experiment's squares.
 _TURNED = 0.95
+# Steps by the simulation from values that were given, after which one that is still far from the data is led by predictions.
+_TRIED = 20
 # A start whose short predictions stay this many times worse than another's is given up.
 _HOPELESS = 5.0
 # Sensitivities of a start that all but diverges, whose squares would be no numbers.
@@ -73,6 +76,10 @@ class DescentEnd:
     deviation: np.ndarray
     cost: float
     substeps: int
+
+    def is_far(self, noise: Float[np.ndarray, " output"]) -> bool:
+        """Return whether it leaves a channel so far from its noise that the model does not follow the rig."""
+        return bool(np.any(self.deviation > FAR * noise))
 
 
 @dataclasses.dataclass
@@ -129,7 +136,9 @@ class Descent:
             return self._ended(model, space, unknowns, substeps, noise, best)
         end = None
         if given and np.all(deviation < np.maximum(_NEAR_NOISE * noise, _NEAR_MOTION * self._motion())):
-            end = self._ended(model, space, unknowns, substeps, noise, best)
+            end = self._ended(model, space, unknowns, substeps, noise, best, most=_TRIED)
+            if not end.solved.converged and not end.is_far(noise):
+                end = self._weighted(model, space, end.solved.unknowns, substeps, noise, end.deviation, best)
             if end.solved.converged:
                 return end
         guided = self._guided(model, space, unknowns, parts, substeps, noise, scales)
@@ -171,13 +180,14 @@ class Descent:
         return unknowns
 
     def _ended(
-        self, model: RTAC, space: Space, unknowns: Unknowns, substeps: int, noise: np.ndarray, best: float
-    ) -> DescentEnd:
-        """Descend by the free simulation, with the arm begun elsewhere where that leaves less."""
+        self, model: RTAC, space: Space, unknowns: Unknowns, substeps: int, noise: np.ndarray, best: float, *,
+        most: int | None = None,
+    ) -> DescentEnd:  # fmt: skip
+        """Descend by the free simulation, in so many steps at most, with the arm begun elsewhere where that leaves less."""
         begun = self._simulated(model, space, unknowns, substeps)
         if (same := self._followed(begun, noise)) is not None:
             return same
-        end = self._weighted(model, space, unknowns, substeps, noise, self._rms(begun, noise), best)
+        end = self._weighted(model, space, unknowns, substeps, noise, self._rms(begun, noise), best, most=most)
         if (elsewhere := self._turned(end, noise)) is not None:
             end = min(
                 end,
@@ -189,7 +199,7 @@ class Descent:
 
     def _weighted(
         self, model: RTAC, space: Space, unknowns: Unknowns, substeps: int, levels: np.ndarray, deviation: np.ndarray,
-        best: float,
+        best: float, *, most: int | None = None,
     ) -> DescentEnd:  # fmt: skip
         """Descend with channels weighted by what is left of them: first at the beginning, then at every point.
 
@@ -206,7 +216,8 @@ class Descent:
         constant = float(noise.counts @ np.log(levels))
         cost = noise.cost(solved.squares) + float(noise.counts @ np.log(deviation))
         # One that is hopeless beside another start is not worth the last digits.
-        most = self.steps if cost <= best + float(np.sum(noise.counts)) else 1
+        enough = self.steps if most is None else min(most, self.steps)
+        most = enough if cost <= best + float(np.sum(noise.counts)) else 1
         solved = self._solve(solved.unknowns, arguments, tolerance=self.tolerance, most=most, noise=noise)
         cost = constant + noise.cost(solved.squares) + space.penalty(space.physical(solved.unknowns)[0])
         return DescentEnd(model, space, solved, noise.deviations(solved.squares) * levels, cost, substeps)

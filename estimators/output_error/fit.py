@@ -108,7 +108,9 @@ def output_error(
         if not ends:
             raise DivergedError(" ".join(failures))
         winner, stage = min(ends, key=lambda end: end[1].cost)
-        if not stage.solved.converged and stage.solved.promised > _FAR_FROM_ENDED:
+        noise = np.array([levels.get(channel, 1.0) for channel in CHANNELS])
+        # Far from the data the model lacks something, and what further steps would gain says nothing of its parameters.
+        if not stage.solved.converged and stage.solved.promised > _FAR_FROM_ENDED and not stage.is_far(noise):
             shown.at(f"output error again, from where that from {winner} ended")
             with contextlib.suppress(FloatingPointError):
                 again = run.descend(_with_end(stage), best=stage.cost, given=True)

@@ -1,5 +1,6 @@
 """The error before and after, for the data that were fitted and for those held out."""
 
+import itertools
 from typing import Any
 
 from matplotlib.ticker import FuncFormatter, NullFormatter
@@ -85,10 +86,7 @@ def _ladder(axes: Any, improvement: Improvement) -> None:
     if last:
         _numbers(axes, last, [final for _, final in ends], left=False)
     axes.text(0.01, 1 / 1.03, "noise floor", transform=axes.get_yaxis_transform(), va="top", fontsize=SMALL)
-    names = ["base", *(f"+ {c.id}" for c in improvement.added)]
-    names += [f"+ {improvement.nearest.id}, likely"] if improvement.nearest is not None else []
-    names += ["+ learned force"] if improvement.learned is not None else []
-    names += [f"without {improvement.left_out}"] if improvement.left_out is not None else []
+    names = _rungs(improvement)
     axes.set_xticks(list(steps), names, rotation=0 if len(names) < 4 else 20)
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     if high / low > 10:
@@ -99,6 +97,17 @@ def _ladder(axes: Any, improvement: Improvement) -> None:
     axes.set_title("simulation error", fontsize=9, loc="left")
     axes.legend(fontsize=7.5, loc="upper right")
     tidy(axes)
+
+
+def _rungs(improvement: Improvement) -> list[str]:
+    """Return what each model has more than the one before, or was fitted without."""
+    labels = [model.label for model in improvement.validation.models]
+    new = [now.removeprefix(before).removeprefix(", ") for before, now in itertools.pairwise(labels)]
+    bare = [name.removeprefix("+ ").replace(", ", ",\n") for name in new]
+    names = ["base", *(name if name.startswith("without ") else f"+ {name}" for name in bare)]
+    if improvement.nearest is not None:
+        names[-1 if improvement.left_out is None else -2] = f"+ {improvement.nearest.id}, likely"
+    return names
 
 
 def _numbers(axes: Any, step: int, ratios: list[float], *, left: bool) -> None:

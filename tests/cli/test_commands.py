@@ -58,7 +58,9 @@ def ran(file, tmp_path_factory):
         fits = tuple(fit for (name, _), fit in kept.items() if name == "output_error")
         (diagnosis,) = (record for (name, _), record in kept.items() if name == "diagnose")
         sides = [estimators.compare(fits, side, labels=["base", "+ flexible_mode"]) for side in (train, held_out)]
-        return Improvement(fits, (diagnosis,), diagnosis.effects, "missing", *sides, (), False, (), "Stopped.", 1.0)
+        return Improvement(
+            fits, (diagnosis,), (0,), diagnosis.effects, "missing", *sides, (), False, (), "Stopped.", 1.0
+        )
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(estimators.diagnosis.candidate_set, "CATALOGUE", {name: CATALOGUE[name] for name in TRIED})

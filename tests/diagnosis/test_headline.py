@@ -19,7 +19,8 @@ NAMED = dataclasses.replace(diagnosis("missing"), additions=(CubicSpring(1.0),))
 
 
 def looped(*diagnoses, steps=2, **changes):
-    return dataclasses.replace(improvement(steps), diagnoses=diagnoses, **changes)
+    places = tuple(range(len(diagnoses)))
+    return dataclasses.replace(improvement(steps), diagnoses=diagnoses, diagnosed=places, **changes)
 
 
 @pytest.mark.parametrize(
@@ -72,7 +73,8 @@ def test_a_group_is_named_once_and_without_what_is_sure():
 
 
 def test_an_adequate_model_whose_simulation_is_far_off_is_adequate_one_sample_ahead():
-    found = dataclasses.replace(improvement(2, errors=(90.0, 30.0)), diagnoses=(NAMED, diagnosis("adequate")))
+    far = improvement(2, errors=(90.0, 30.0))
+    found = dataclasses.replace(far, diagnoses=(NAMED, diagnosis("adequate")), diagnosed=(0, 1))
     assert found.headline.endswith("the mended model is adequate one sample ahead.")
     assert "Even so, its simulation leaves" in found.ending
 

@@ -1,6 +1,8 @@
 """The loop goes on with the effect that explains most of what a diagnosis cannot name: two may hide each other."""
 
 import dataclasses
+from collections.abc import Sequence
+from functools import reduce
 from typing import Any
 
 import made_up_results
@@ -16,7 +18,7 @@ from estimators.diagnosis.improvement_loop import Loop
 from estimators.diagnosis.model_extension import Added
 from estimators.diagnosis.policy import STANDARD
 from rtac_jax import virtual_rig
-from rtac_jax.effects import ArmCoulomb, InputDelay
+from rtac_jax.effects import ArmCoulomb, Effect, InputDelay
 
 NEAREST = made_up_results.candidate("input_delay", 564.0, error_reduction=0.68)
 BESIDE = made_up_results.candidate("arm_coulomb", 900.0)
@@ -48,16 +50,20 @@ def loop(monkeypatch: pytest.MonkeyPatch) -> Loop:
             additions=(ArmCoulomb(3e-3),) if named else (), simulation=None,
         )  # fmt: skip
 
-    def extended(before: est.Fit, tested: Any, effect: Any, *_: Any, **__: Any) -> Added | str:
-        return added(before.model + effect)
-
     monkeypatch.setattr(improvement_loop, "diagnose", diagnosed)
-    monkeypatch.setattr(improvement_loop, "add_effect", extended)
-    begun = Loop(
-        made(rtac.Recording), made(rtac.Recording), None, 4, True, STANDARD, False, [("", added(rtac.RTAC.paper()))]
-    )
+    monkeypatch.setattr(improvement_loop, "add_effects", extended)
+    begun = new_loop()
     begun.run()
     return begun
+
+
+def extended(before: est.Fit, tested: Any, several: Sequence[Effect], *_: Any, **__: Any) -> Added:
+    return added(reduce(rtac.RTAC.__add__, several, before.model))
+
+
+def new_loop(most: int = 4) -> Loop:
+    nothing = made(rtac.Recording)
+    return Loop(nothing, nothing, None, most, True, STANDARD, False, [((), added(rtac.RTAC.paper()))])
 
 
 def test_what_hides_behind_the_nearest_effect_is_found(loop: Loop) -> None:
@@ -65,15 +71,16 @@ def test_what_hides_behind_the_nearest_effect_is_found(loop: Loop) -> None:
     further = loop.with_nearest(added(loop.last.fit.model + InputDelay(4e-3)), NEAREST)
     assert further is not None
     assert [c.id for c in further.added] == ["input_delay", "arm_coulomb"]
-    assert [name for name, _ in further.steps] == ["", "input_delay", "arm_coulomb"]
+    assert [ids for ids, _ in further.steps] == [(), ("input_delay",), ("arm_coulomb",)]
     assert [d.verdict for d in further.diagnoses] == ["unknown", "missing", "adequate"]
     assert further.stopped == (
         "input_delay alone explained 68 % of what was left; with arm_coulomb it explains all. Stopped: nothing more is missing."
     )
     assert (len(loop.steps), len(loop.diagnoses), loop.added) == (1, 1, [])
     whole = dataclasses.replace(
-        made_up_results.improvement(), diagnoses=tuple(further.diagnoses), added=tuple(further.added)
-    )
+        made_up_results.improvement(), diagnoses=tuple(further.diagnoses), added=tuple(further.added),
+        diagnosed=tuple(further.diagnosed),
+    )  # fmt: skip
     assert [whole.fitted_before(n) for n in range(3)] == [0, 1, 2]
     assert whole.mended == "adequate"
 
@@ -84,8 +91,42 @@ def test_where_it_leads_no_further_it_is_a_last_resort(loop: Loop, monkeypatch: 
     near = added(loop.last.fit.model + rtac.effects.CurrentLag(1e-3)), dataclasses.replace(NEAREST, id="current_lag")
     assert loop.with_nearest(*near) is None
     assert loop.last_resort((near[0], near[1])) == (near[1], None)
-    assert [name for name, _ in loop.steps] == ["", "current_lag"]
+    assert [ids for ids, _ in loop.steps] == [(), ("current_lag",)]
     assert loop.added == []
+
+
+@pytest.mark.parametrize(
+    ("serve", "most", "steps", "stopped"),
+    [
+        ("together", 4, [(), ("arm_coulomb", "input_delay")], "Stopped: nothing more is missing."),
+        ("alone", 4, [(), ("arm_coulomb",), ("input_delay",)], "Stopped: nothing more is missing."),
+        ("none", 4, [()], "Stopped: it would not fall."),
+        ("together", 1, [(), ("arm_coulomb",)], "Stopped: 1 effects were added; more seem to be missing."),
+    ],
+)
+def test_what_a_diagnosis_names_is_added_together_or_one_after_the_other(
+    monkeypatch: pytest.MonkeyPatch, serve: str, most: int, steps: list[tuple[str, ...]], stopped: str
+) -> None:
+    several = (ArmCoulomb(3e-3), InputDelay(4e-3))
+    effects = (BESIDE, NEAREST)
+
+    def diagnosed(fit: est.Fit, *_: Any, **__: Any) -> est.Diagnosis:
+        if len(fit.model.effects) > len(rtac.RTAC.paper().effects):
+            return made(est.Diagnosis, verdict="adequate", effects=(), additions=(), simulation=None)
+        return made(est.Diagnosis, verdict="missing", effects=effects, additions=several, simulation=None)
+
+    def tried(before: est.Fit, tested: Any, given: Sequence[Effect], *_: Any, **__: Any) -> Added | str:
+        served = serve == "together" or (serve == "alone" and len(given) == 1)
+        return extended(before, tested, given) if served else "Stopped: it would not fall."
+
+    monkeypatch.setattr(improvement_loop, "diagnose", diagnosed)
+    monkeypatch.setattr(improvement_loop, "add_effects", tried)
+    loop = new_loop(most)
+    loop.run()
+    assert [ids for ids, _ in loop.steps] == steps
+    assert [c.id for c in loop.added] == [i for ids in steps for i in ids]
+    assert loop.stopped == stopped
+    assert loop.diagnosed == ([0] if len(steps) == 1 or most == 1 else [0, len(steps) - 1])
 
 
 @pytest.mark.slow

@@ -181,7 +181,7 @@ def test_a_small_fall_near_the_noise_is_not_enough(
         policies.append(policy)
         return Added(learned.final, slightly, "simulated")
 
-    monkeypatch.setattr("estimators.diagnosis.learned_force.add_effect", added)
+    monkeypatch.setattr("estimators.diagnosis.learned_force.add_effects", added)
     train, held_out = recording.split()
     said = learn_force(learned.base, tested, learned.diagnoses[-1], train, held_out, progress=False)
     assert isinstance(said, str)
@@ -198,7 +198,7 @@ def test_what_predictions_gain_is_no_reason_for_a_curve_with_which_the_held_out_
     after = dataclasses.replace(tested, traces=tuple(scaled))
     gain = PredictedGain("spline_force", 50.0, {"cart_position": 2.0}, {"cart_position": 1.0})
     monkeypatch.setattr(
-        "estimators.diagnosis.learned_force.add_effect",
+        "estimators.diagnosis.learned_force.add_effects",
         lambda *_, **__: Added(learned.final, after, "predicted", gain),
     )
     train, held_out = recording.split()
@@ -238,6 +238,6 @@ def test_no_effect_is_added_where_random_forces_stand_in_for_the_physics(
     passing = tuple(dataclasses.replace(test, p_value=1.0) for test in learned.diagnoses[-1].tests)
     said = dataclasses.replace(learned.diagnoses[-1], tests=passing, simulation=error)
     before, after = (Added(learned.fits[n], learned.validation.models[n], "simulated") for n in (0, -1))
-    end = loop.Loop(train, held_out, None, 4, True, est.DiagnosisPolicy(), False, [("", before)], diagnoses=[said])
+    end = loop.Loop(train, held_out, None, 4, True, est.DiagnosisPolicy(), False, [((), before)], diagnoses=[said])
     assert (end.last_resort((after, said.candidates[0]))[0] is not None) == kept
     assert (len(end.steps) == 2) == kept

@@ -40,7 +40,7 @@ def test_one_that_does_not_help_is_not_added(error: float | None, kept: bool, mo
     """What a fit with it leaves of held-out experiments, 20 times the noise without it; or why there is no fit."""
     before = Added(FIT, compared("base", 20.0), "simulated")
     after = "Stopped." if error is None else Added(before.fit, compared("+ cubic_spring", error), "simulated")
-    monkeypatch.setattr(nearest_effect, "add_effect", lambda *_, **__: after)
+    monkeypatch.setattr(nearest_effect, "add_effects", lambda *_, **__: after)
     found = nearest_effect.add_nearest(
         before, unknown(candidate()), {"cubic_spring": CubicSpring}, RECORDING, RECORDING, progress=False
     )

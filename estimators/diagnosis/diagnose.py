@@ -45,7 +45,6 @@ from estimators.diagnosis.refitting import compile_base, compile_for, fit_base, 
 from estimators.diagnosis.removed_error import floor
 from estimators.diagnosis.selection import Selection, by_size
 from estimators.diagnosis.setting import Setting, effect_of, setting_of
-from estimators.diagnosis.simulation_selection import replaces_random_forces
 from estimators.diagnosis.testability import stood_for
 from estimators.diagnosis.verdict import Judgement, decide, judge
 from estimators.diagnosis.workers import Workers
@@ -205,9 +204,7 @@ def _explanation(told: Diagnosis, found: Judgement, setting: Setting, *, thoroug
         text += not_named(further, told.left, setting.samples)
     alarms = alarming(found.selection.findings.scores, told.policy.critical)
     if steps and not found.selection.simulated and steps[0].id not in {s.id for s in alarms}:
-        first = found.selection.base
-        hid = max(first.random) >= told.policy.random_large and replaces_random_forces(found.final, first, told.policy)
-        text += without_alarm(steps[0].id, found.selection.confirmed, hid=hid)
+        text += without_alarm(steps[0].id, found.selection.confirmed, hid=found.selection.hid)
     if told.verdict == "adequate":
         text += unconfirmed(told.candidates, told.detectable, told.policy, thorough=thorough)
     if told.line_alone:

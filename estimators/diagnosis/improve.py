@@ -1,6 +1,7 @@
 """The loop: compare, diagnose, add the effect, fit again, until nothing rejects or the held-out error stops falling."""
 
 import dataclasses
+import math
 import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -89,7 +90,7 @@ class Improvement(Result):
 
     @property
     def final(self) -> Fit:
-        """Return the fit with all effects added."""
+        """Return the last fit: with all effects added, or without the experiment that is left out."""
         return self.fits[-1]
 
     @property
@@ -177,16 +178,20 @@ class Improvement(Result):
         farthest = max(errors, key=lambda c: errors[c].rms_over_noise, default=None)
         if farthest is None or errors[farthest].rms_over_noise <= FAR:
             return ""
-        error, fitted = errors[farthest], self.train.models[-1].errors[farthest].rms_over_noise
+        error, trained = errors[farthest], self.train.models[-1].errors
+        fitted = max((e.rms_over_noise for e in trained.values()), default=math.nan)
         why = (
             "random forces, an arm that tumbles, friction that holds what a little less would not, or parameters that change within"
             " an experiment lead it away, which predictions one sample ahead do not tell apart"
         )
         if at_noise(fitted):
-            why = "the held-out ones reach beyond what was fitted, or differ from the others in how they were recorded"
+            why = (
+                "the held-out ones may reach beyond what was fitted, differ from it in how they were recorded, or hold what no"
+                " simulation follows, as an arm that tumbles"
+            )
         return (
             f"Even so, its simulation leaves {farthest} of the held-out experiments at {error.rms_over_noise:,.0f} times the noise"
-            f" ({100 - error.fit_percent:.2g} % of the motion), and of the fitted ones at {rounded(fitted)}: {why}."
+            f" ({rounded(100 - error.fit_percent)} % of the motion), and of the fitted ones at {rounded(fitted)}: {why}."
             " est.compare(..., ahead=10) shows how far it can be followed."
         )
 
@@ -321,7 +326,7 @@ def improve(
     nearest: Candidate | None = None
     unknown, asked = loop.diagnoses[-1].verdict == "unknown", loop.last.fit
     differs = loop.without_outlier(least=0.0 if unknown else WORTH_ASKING)
-    # What one experiment alone does is no effect: nothing is learned from it.
+    # What the one experiment does that is left out is no effect: nothing is learned from it.
     if learned_force and unknown and loop.left_out is None:
         near = loop.nearest()
         further = None if near is None else loop.with_nearest(*near)
@@ -330,7 +335,7 @@ def improve(
         else:
             nearest, learned = loop.last_resort(near)
         if loop.last.fit is not asked:
-            differs = loop.without_outlier()
+            differs = loop.without_outlier(leave=False) or differs
     steps, diagnoses, added = loop.steps, loop.diagnoses, loop.added
     fits = [step.fit for _, step in steps]
     tested = [step.tested for _, step in steps]

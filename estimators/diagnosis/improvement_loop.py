@@ -8,11 +8,11 @@ from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.diagnose import diagnose
 from estimators.diagnosis.diagnosis import Diagnosis
 from estimators.diagnosis.learned_force import LearnedForce, learn_force
-from estimators.diagnosis.model_extension import Added, add_effects, misfit, parameters_of
+from estimators.diagnosis.model_extension import WAYS, Added, add_effects, misfit, parameters_of
 from estimators.diagnosis.nearest_effect import add_nearest
 from estimators.diagnosis.policy import DiagnosisPolicy
 from estimators.linear.homogeneity_test import Equality
-from estimators.validation.differing_experiments import WORTH_ASKING, differing
+from estimators.validation.differing_experiments import WORTH_ASKING, differing, goes_beyond
 from estimators.validation.simulation_error import compare
 from rtac_jax.effects import CATALOGUE, Effect, SplineForce
 from rtac_jax.measurement import Recording
@@ -97,8 +97,8 @@ class Loop:
                 self.stopped = "Stopped: every candidate was added."
 
     def _add(self, found: Diagnosis) -> None:
-        """Add what a diagnosis names: together, as it was estimated, or, where that does not serve, one after the other."""
-        several = found.additions[: self.most - len(self.added)]
+        """Add what a diagnosis names: together, as it was estimated, or, where no fit of that serves, one after the other."""
+        several = found.additions[: max(self.most - len(self.added), 0)]
         together = self._add_together(several, found) if len(several) > 1 else ""
         if together is not None:
             for effect in several:
@@ -116,6 +116,7 @@ class Loop:
             self.last.fit, self.last.tested, several, "+ " + ", ".join([*(c.id for c in self.added), *ids]), self.train,
             self.held_out, policy=self.policy, progress=self.progress,
             deviations={f"{i}.{field}": std for i in ids for field, std in known[i].deviations.items()},
+            ways=WAYS if len(several) == 1 else WAYS[:1],
         )  # fmt: skip
         if isinstance(step, str):
             return step
@@ -123,13 +124,15 @@ class Loop:
         self.added += [known[i] for i in ids]
         return None
 
-    def without_outlier(self, *, least: float = WORTH_ASKING) -> Equality | None:
+    def without_outlier(self, *, least: float = WORTH_ASKING, leave: bool = True) -> Equality | None:
         """Return what differs between experiments; fit without the one that does alone, if that serves.
 
-        It does where nothing is named, and the held-out experiments do not lose by it.
+        It does where nothing is named, that experiment does not move farther than the others, so that it may alone show what the
+        model lacks, and the held-out experiments do not lose by it.
 
         Args:
             least: residual over noise of the last fit, from which it is asked; by default several times the noise.
+            leave: fit without the one; else it is only told.
         """
         found = differing(self.last.fit, self.train, least=least)
         one = None if found is None else found.outlying
@@ -141,8 +144,9 @@ class Loop:
             else f"{self.last.tested.label}, without {one.name}"
         )
         tested = compare(one.fit, self.held_out, labels=[label]).models[0]
-        # What was added may rest on that experiment.
-        if not self.added and misfit(tested) <= misfit(self.last.tested):
+        # What was named may rest on that experiment.
+        named = self.added or self.diagnoses[-1].additions
+        if leave and not named and not goes_beyond(self.train, one.name) and misfit(tested) <= misfit(self.last.tested):
             self.steps.append(((), Added(one.fit, tested, "held" if self.last.way == "held" else "simulated")))
             self.left_out = one.name
         return found

@@ -21,6 +21,10 @@ from rtac_jax import RTAC
 from rtac_jax.effects import Effect
 from rtac_jax.measurement import Recording
 
+Way = Literal["simulated", "held", "predicted"]
+WAYS: tuple[Way, ...] = ("simulated", "held", "predicted")
+"""Of fitting a model with effects more, in the order in which they are tried."""
+
 
 @dataclasses.dataclass(frozen=True)
 class PredictedGain:
@@ -65,7 +69,7 @@ class Added:
 
     fit: Fit
     tested: Compared
-    way: Literal["simulated", "held", "predicted"]
+    way: Way
     predicted_gain: PredictedGain | None = None
 
 
@@ -78,6 +82,7 @@ def add_effects(
     held_out: Recording,
     *,
     deviations: Mapping[str, float],
+    ways: Sequence[Way] = WAYS,
     policy: DiagnosisPolicy = STANDARD,
     progress: bool,
 ) -> Added | str:
@@ -92,6 +97,7 @@ def add_effects(
         held_out: the recording that validates.
         deviations: standard deviations of the effects' parameters as the diagnosis estimated them, by name; those of what is
             held count them.
+        ways: of fitting it that are tried; by predictions it is kept only if all are.
         policy: the thresholds by which it is kept.
         progress: show bars.
     """
@@ -101,7 +107,7 @@ def add_effects(
     bases = [Added(before, tested, "simulated")]
     steps: list[Added] = []
     reasons = []
-    for way in ("simulated", "held", "predicted"):
+    for way in ways:
         try:
             if way == "predicted":
                 # The model without the effect is fitted so too, or the effect would be credited with what the estimator does.
@@ -122,7 +128,7 @@ def add_effects(
         if _falls_clearly(min((one.tested for one in bases), key=misfit), test, way, policy):
             return steps[-1]
         reasons.append(f"Stopped: with {names} the held-out error would not fall.")
-    if not steps:
+    if not steps or len(ways) < len(WAYS):
         return reasons[0]
     return _by_predictions(names, bases, steps, train, held_out, policy) or (
         f"{reasons[0]} Held at the estimate of the diagnosis, or fitted by predictions one sample ahead, it would not help "

@@ -27,6 +27,7 @@ class Selection:
         simulated: of a selection by simulation what is left of the base model's squared error before and after each step; else
             empty.
         confirmed: of an effect that raised no alarm, how many experiments confirm it, and of how many; else empty.
+        hid: whether the steps were looked for behind large random forces, whose place they take.
     """
 
     base: FittedModel
@@ -36,6 +37,7 @@ class Selection:
     tried: Tried
     simulated: tuple[float, ...] = ()
     confirmed: tuple[int, ...] = ()
+    hid: bool = False
 
     def named(self, samples: int, policy: DiagnosisPolicy) -> tuple[Verdict, int, float]:
         """Return the verdict, the number of steps that it names, and the fraction of the error that they remove."""

@@ -194,7 +194,7 @@ def behind_random_forces(laboratory: Laboratory, found: Selection, policy: Diagn
     count = named(steps, found.tests, facts.samples, policy)[1]
     if not count or not replaces_random_forces(steps[count - 1].model, base, policy):
         return found
-    return dataclasses.replace(found, steps=steps)
+    return dataclasses.replace(found, steps=steps, hid=True)
 
 
 def _held_out_gains(laboratory: Laboratory, before: FittedModel, after: FittedModel) -> list[tuple[float, float]]:

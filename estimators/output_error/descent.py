@@ -136,9 +136,11 @@ class Descent:
             return self._ended(model, space, unknowns, substeps, noise, best)
         end = None
         if given and np.all(deviation < np.maximum(_NEAR_NOISE * noise, _NEAR_MOTION * self._motion())):
+            begun = self._simulated(model, space, unknowns, substeps)
             end = self._ended(model, space, unknowns, substeps, noise, best, most=_TRIED)
             if not end.solved.converged and not end.is_far(noise):
                 end = self._weighted(model, space, end.solved.unknowns, substeps, noise, end.deviation, best)
+                self.followed.append((begun, end))
             if end.solved.converged:
                 return end
         guided = self._guided(model, space, unknowns, parts, substeps, noise, scales)
@@ -194,7 +196,8 @@ class Descent:
                 self._weighted(model, space, elsewhere, substeps, noise, end.deviation, best),
                 key=lambda one: one.cost,
             )
-        self.followed.append((begun, end))
+        if most is None or end.solved.converged:  # one that was cut short is no end
+            self.followed.append((begun, end))
         return end
 
     def _weighted(

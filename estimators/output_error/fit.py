@@ -109,7 +109,7 @@ def output_error(
             raise DivergedError(" ".join(failures))
         winner, stage = min(ends, key=lambda end: end[1].cost)
         noise = np.array([levels.get(channel, 1.0) for channel in CHANNELS])
-        # Far from the data the model lacks something, and what further steps would gain says nothing of its parameters.
+        # Far from the data it was led already, and a model that lacks something creeps on for hundreds of steps.
         if not stage.solved.converged and stage.solved.promised > _FAR_FROM_ENDED and not stage.is_far(noise):
             shown.at(f"output error again, from where that from {winner} ended")
             with contextlib.suppress(FloatingPointError):

@@ -57,7 +57,8 @@ def finding(improvement: Improvement) -> str:
     means += [f"adding {names}"] if names else []
     means += [f"leaving {improvement.left_out} out of the fit"] if improvement.left_out is not None else []
     how = " and ".join(means)
-    return f"{how[0].upper()}{how[1:]} lowers the held-out error of {NAMES[channel]} {fall}"
+    verb = "lowers" if after < before else "raises"
+    return f"{how[0].upper()}{how[1:]} {verb} the held-out error of {NAMES[channel]} {fall}"
 
 
 def _ladder(axes: Any, improvement: Improvement) -> None:

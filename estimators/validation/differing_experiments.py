@@ -2,6 +2,9 @@
 
 import dataclasses
 
+import numpy as np
+
+from estimators.core.data import moving
 from estimators.core.fit import Fit
 from estimators.core.results import DivergedError, NotIdentifiableError
 from estimators.inference.constancy import constancy
@@ -13,6 +16,7 @@ from rtac_jax.measurement import Recording
 
 WORTH_ASKING = 3.0  # residual over noise, as far as that is known, from which it is asked whether experiments differ
 _HALF = 0.5  # of the differences, which an experiment must take with it to be asked alone
+_FARTHER = 2.0  # times the motion of any other experiment: twice as far, a cubic force is eight times as large
 _ASKED = 2  # experiments that are asked alone at most
 
 
@@ -39,6 +43,17 @@ def differing(fit: Fit, recording: Recording, *, least: float = WORTH_ASKING) ->
     if len(apart) == 1:
         found = dataclasses.replace(found, outlying=apart[0])
     return found if found.differences else None
+
+
+def goes_beyond(recording: Recording, name: str) -> bool:
+    """Return whether an experiment moves much farther than all others in an output, so that it may alone show an effect."""
+    alone = next(e for e in recording if e.name == name)
+    others = [e for e in moving(recording) if e.name != name]
+    for channel, signal in alone.outputs.items():
+        reached = [float(np.nanstd(e.outputs[channel].values)) for e in others if channel in e.outputs]
+        if reached and float(np.nanstd(signal.values)) > _FARTHER * max(reached):
+            return True
+    return False
 
 
 def _asked_alone(fit: Fit, recording: Recording, found: Equality) -> list[Outlier]:

@@ -77,4 +77,5 @@ def test_what_is_masked_is_named_if_it_takes_the_place_of_the_random_forces(torq
     laboratory = Masked(torque, left, gain)
     found = select(laboratory, STANDARD, thorough=True)
     assert (laboratory.asked, [step.id for step in found.steps]) == (asked, named)
+    assert found.hid == bool(named)
     assert select(Masked(torque, left, gain), STANDARD, thorough=False).steps == []

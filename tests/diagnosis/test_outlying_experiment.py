@@ -5,18 +5,25 @@ import dataclasses
 import numpy as np
 import pytest
 from command_line import call
+from made_up_results import compared, diagnosis
 
 import estimators as est
 import rtac_jax as rtac
-from estimators.linear.homogeneity_test import rounded
+from estimators.core.fisher_information import information_of
+from estimators.core.results import RESULTS
+from estimators.diagnosis import improvement_loop
+from estimators.diagnosis.model_extension import Added
+from estimators.diagnosis.policy import STANDARD
+from estimators.linear.homogeneity_test import Equality, Outlier, rounded
 from estimators.plots.improvement import finding, plot_improvement
-from estimators.validation.differing_experiments import differing
+from estimators.validation.differing_experiments import differing, goes_beyond
+from estimators.validation.simulation_error import Comparison
 from rtac_jax import virtual_rig
-from rtac_jax.effects import CubicSpring
+from rtac_jax.effects import CATALOGUE, CubicSpring
 from rtac_jax.measurement import Signal
 
 RIG = virtual_rig.Rig()
-LATE, BUMPED = "forced_2", "forced_1"
+LATE = "forced_2"
 
 
 def recorded(rig=RIG):
@@ -110,3 +117,73 @@ def test_a_missing_effect_is_no_fault_of_one_experiment():
     fit = est.output_error(rtac.RTAC.from_rig(recording), recording, progress=False)
     found = differing(fit, recording, least=0.0)
     assert found is None or found.outlying is None or not found.outlying.decisive
+
+
+@pytest.fixture
+def loop(monkeypatch):
+    """A loop that names nothing and finds one outlying experiment; held-out errors are made up."""
+    train = rtac.Recording([decay("a", 0.01), decay("b", 0.012), decay("c", 0.011), decay("d", 0.018)])
+    model = rtac.RTAC.paper()
+    known = information_of(np.eye(1), ("total_mass",), np.ones(1))
+    others = est.Fit(model, RESULTS.successful, known, {}, {}, {}, ("a", "b", "c"), {})
+    one = Outlier("d", 1.0, 3, others, 1.02, 30.0, "cart_position")
+    found = dataclasses.replace(
+        Equality(
+            ("total_mass",), ("kg",), ("a", "b", "c", "d"), np.ones((4, 1)), np.ones((4, 1)), np.ones(1), np.ones(1), 90.0, 3,
+            0.0, np.zeros(1), ((),), {}, (), 0.01,
+        ),
+        outlying=one,
+    )  # fmt: skip
+    monkeypatch.setattr(improvement_loop, "differing", lambda *_, **__: found)
+    monkeypatch.setattr(improvement_loop, "compare", lambda *_, **__: Comparison((compared("without d", 1.0),)))
+    nothing = dataclasses.replace(diagnosis("unknown"), effects=(), additions=())
+    first = Added(dataclasses.replace(others, experiments=("a", "b", "c", "d")), compared("base", 9.0), "simulated")
+    return improvement_loop.Loop(
+        train, train, None, 4, True, STANDARD, False, [((), first)], diagnoses=[nothing], diagnosed=[0]
+    )
+
+
+def decay(name, size):
+    return rtac.Experiment.of(
+        name, kind="free", sample_time=0.01, arm="locked", cart_position=size * np.cos(0.2 * np.arange(99))
+    )
+
+
+def test_it_is_left_out_where_nothing_is_named_and_the_held_out_ones_do_not_lose(loop):
+    assert loop.without_outlier().outlying.name == "d"
+    assert loop.left_out == "d"
+    assert loop.last.tested.label == "without d"
+    assert [e.name for e in loop.followed] == ["a", "b", "c"]
+
+
+def test_it_is_told_and_not_left_out_where_it_may_show_an_effect(loop, monkeypatch):
+    """Named by a diagnosis, or in the model, or shown by the one experiment that swings far; or where held-out ones lose."""
+    far = rtac.Recording([*(e for e in loop.train if e.name != "d"), decay("d", 0.03)])
+    assert not goes_beyond(loop.train, "d")
+    assert goes_beyond(far, "d")
+    named = dataclasses.replace(loop.diagnoses[0], additions=(CubicSpring(5e4),))
+    for change in ({"train": far}, {"diagnoses": [named]}, {"added": [diagnosis("missing").effects[0]]}):
+        other = dataclasses.replace(loop, **change)
+        assert other.without_outlier().outlying.name == "d"
+        assert (other.left_out, len(other.steps)) == (None, 1), change
+    assert loop.without_outlier(leave=False) is not None
+    monkeypatch.setattr(improvement_loop, "compare", lambda *_, **__: Comparison((compared("without d", 9.5),)))
+    assert loop.without_outlier().outlying.name == "d"
+    assert (loop.left_out, len(loop.steps)) == (None, 1)
+
+
+@pytest.mark.slow
+def test_the_one_decay_that_swings_far_is_not_left_out():
+    """A spring that hardens, and nobody offers: only that decay shows it."""
+    rig = virtual_rig.Rig(cubic_spring=3e4)
+    free, rest = virtual_rig.standard_plans(seed=1, duration=3.0, free=1, forced=0, rest=1)
+    sizes = (0.003, 0.0032, 0.0034, 0.02, 0.0036, 0.0038)
+    plans = [dataclasses.replace(free, name=f"free_{n}", initial_position=size) for n, size in enumerate(sizes)]
+    recording = virtual_rig.record(rig, [*plans, rest], seed=4)
+    found = est.improve(
+        rtac.RTAC.from_rig(recording), recording, validation=["free_4", "free_5"], candidates=[CATALOGUE["tacho_bias"]],
+        progress=False,
+    )  # fmt: skip
+    assert found.base.farthest > 3
+    assert found.left_out is None
+    assert found.final.farthest > 3

@@ -77,7 +77,8 @@ def test_a_model_whose_simulation_is_far_off_is_not_to_be_used_as_it_is():
     assert finding(found).startswith("No effect stands out, and yet the held-out error of")
     assert finding(improvement(1, "adequate", (1.0,))).startswith("Nothing is missing: the held-out error")
     missing = dataclasses.replace(diagnosis("missing"), additions=(CubicSpring(1.0),))
-    mended = dataclasses.replace(improvement(2, "missing", (90.0, 30.0)), diagnoses=(missing, diagnosis("adequate")))
+    both = (missing, diagnosis("adequate"))
+    mended = dataclasses.replace(improvement(2, "missing", (90.0, 30.0)), diagnoses=both, diagnosed=(0, 1))
     bullets = summary.of_diagnosis(mended, mended.train, mended.validation, file="rig.h5")
     assert bullets.next.startswith("Take the parameters from predictions")
 

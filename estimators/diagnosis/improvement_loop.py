@@ -12,7 +12,7 @@ from estimators.diagnosis.model_extension import WAYS, Added, add_effects, misfi
 from estimators.diagnosis.nearest_effect import add_nearest
 from estimators.diagnosis.policy import DiagnosisPolicy
 from estimators.linear.homogeneity_test import Equality
-from estimators.validation.differing_experiments import WORTH_ASKING, differing, goes_beyond
+from estimators.validation.differing_experiments import WORTH_ASKING, differing, may_show_alone
 from estimators.validation.simulation_error import compare
 from rtac_jax.effects import CATALOGUE, Effect, SplineForce
 from rtac_jax.measurement import Recording
@@ -127,8 +127,7 @@ class Loop:
     def without_outlier(self, *, least: float = WORTH_ASKING, leave: bool = True) -> Equality | None:
         """Return what differs between experiments; fit without the one that does alone, if that serves.
 
-        It does where nothing is named, that experiment does not move farther than the others, so that it may alone show what the
-        model lacks, and the held-out experiments do not lose by it.
+        It does where nothing is named, that experiment cannot be the one that shows what the model lacks (`may_show_alone`), and the held-out experiments do not lose by it.
 
         Args:
             least: residual over noise of the last fit, from which it is asked; by default several times the noise.
@@ -146,7 +145,7 @@ class Loop:
         tested = compare(one.fit, self.held_out, labels=[label]).models[0]
         # What was named may rest on that experiment.
         named = self.added or self.diagnoses[-1].additions
-        if leave and not named and not goes_beyond(self.train, one.name) and misfit(tested) <= misfit(self.last.tested):
+        if leave and not named and not may_show_alone(self.train, one) and misfit(tested) <= misfit(self.last.tested):
             self.steps.append(((), Added(one.fit, tested, "held" if self.last.way == "held" else "simulated")))
             self.left_out = one.name
         return found

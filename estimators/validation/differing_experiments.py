@@ -16,7 +16,6 @@ from rtac_jax.measurement import Recording
 
 WORTH_ASKING = 3.0  # residual over noise, as far as that is known, from which it is asked whether experiments differ
 _HALF = 0.5  # of the differences, which an experiment must take with it to be asked alone
-_FARTHER = 2.0  # times the motion of any other experiment: twice as far, a cubic force is eight times as large
 _ASKED = 2  # experiments that are asked alone at most
 
 
@@ -45,15 +44,26 @@ def differing(fit: Fit, recording: Recording, *, least: float = WORTH_ASKING) ->
     return found if found.differences else None
 
 
-def goes_beyond(recording: Recording, name: str) -> bool:
-    """Return whether an experiment moves much farther than all others in an output, so that it may alone show an effect."""
-    alone = next(e for e in recording if e.name == name)
-    others = [e for e in moving(recording) if e.name != name]
+def may_show_alone(recording: Recording, one: Outlier) -> bool:
+    """Return whether an experiment moves so much farther than the others that it may alone show what the model lacks.
+
+    That is, whether what grows as the cube of the motion, as a spring that hardens, and leaves so much of it, would be within the
+    noise of all others.
+
+    Args:
+        recording: with all of them.
+        one: the experiment, with what a fit of the others leaves of it.
+    """
+    alone = next(e for e in recording if e.name == one.name)
+    others = [e for e in moving(recording) if e.name != one.name]
+    farther = 0.0
     for channel, signal in alone.outputs.items():
-        reached = [float(np.nanstd(e.outputs[channel].values)) for e in others if channel in e.outputs]
-        if reached and float(np.nanstd(signal.values)) > _FARTHER * max(reached):
-            return True
-    return False
+        reached = max(
+            (float(np.nanstd(e.outputs[channel].values)) for e in others if channel in e.outputs), default=0.0
+        )
+        if reached > 0:
+            farther = max(farther, float(np.nanstd(signal.values)) / reached)
+    return farther**3 >= one.left
 
 
 def _asked_alone(fit: Fit, recording: Recording, found: Equality) -> list[Outlier]:

@@ -127,7 +127,8 @@ class Loop:
     def without_outlier(self, *, least: float = WORTH_ASKING, leave: bool = True) -> Equality | None:
         """Return what differs between experiments; fit without the one that does alone, if that serves.
 
-        It does where nothing is named, that experiment cannot be the one that shows what the model lacks (`may_show_alone`), and the held-out experiments do not lose by it.
+        It does where nothing is named, that experiment cannot be the one that alone shows what the model lacks
+        (`may_show_alone`), and the held-out experiments do not lose by it.
 
         Args:
             least: residual over noise of the last fit, from which it is asked; by default several times the noise.

@@ -21,7 +21,8 @@ from estimators.diagnosis.learned_force import LearnedForce
 from estimators.diagnosis.model_extension import Added, PredictedGain
 from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
 from estimators.diagnosis.removed_error import Verdict
-from estimators.linear.homogeneity_test import Equality, rounded
+from estimators.linear.homogeneity_test import Equality
+from estimators.linear.outlier import rounded
 from estimators.output_error.fit import output_error
 from estimators.validation.differing_experiments import WORTH_ASKING
 from estimators.validation.simulation_error import Comparison, compare

@@ -12,7 +12,8 @@ from estimators.core.fit import Fit
 from estimators.core.linearisation import at_fit
 from estimators.inference.separate_fits import about_common, about_own
 from estimators.inference.varying_parameters import SHOWN, explained, left_without, outlying, selected
-from estimators.linear.homogeneity_test import Covariates, Equality, Outlier, given_covariates, trend_of, varying
+from estimators.linear.homogeneity_test import Covariates, Equality, given_covariates, trend_of, varying
+from estimators.linear.outlier import Outlier
 from rtac_jax import require_configured
 from rtac_jax.arguments import checked_arguments
 from rtac_jax.measurement import Experiment, Recording

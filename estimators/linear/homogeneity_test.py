@@ -10,16 +10,12 @@ import scipy.stats
 from jaxtyping import Float
 
 from estimators.core.drawing import draw
-from estimators.core.fit import Fit
 from estimators.linear.model import LinearModel
+from estimators.linear.outlier import FOLLOWED, Outlier
 from rtac_jax.renamed import renamed
 
 _DETERMINED = 0.5  # standard deviation over value
 _SINGULAR = 1e-9  # of correlations
-# Residual over noise up to which a fit follows: noise read off a spectrum is 0.8 to 1.1 times the truth.
-_FOLLOWED_ALONE = 1.3
-# Residual over noise of one experiment, beyond which the model that follows all others does not follow it: as much as noise.
-_APART = math.sqrt(2)
 _NO_RIVAL = 0.9  # of what one quantity explains, below which another does not explain as much
 Covariates = Mapping[str, Mapping[str, float]]
 """Further covariates: by name, and then by condition or experiment."""
@@ -61,50 +57,6 @@ class Trend:
     p_value: float
 
     share = renamed("share", "fraction")
-
-
-@dataclass(frozen=True)
-class Outlier:
-    """The one condition that differs from all others.
-
-    Attributes:
-        name: of it.
-        chi_square, freedom: of the differences between the others.
-        fit: of the others; None where none was made.
-        over_noise: what that leaves of the others at most, over the noise; NaN where none was made.
-        left: what it leaves of this one at most, over the noise; NaN where none was made.
-        channel: in which that is.
-    """
-
-    name: str
-    chi_square: float
-    freedom: int
-    fit: Fit | None = None
-    over_noise: float = math.nan
-    left: float = math.nan
-    channel: str = ""
-
-    @property
-    def decisive(self) -> bool:
-        """Return whether one set of parameters was seen to follow all others, and not this one."""
-        return self.over_noise <= _FOLLOWED_ALONE and self.left > _APART
-
-    @property
-    def words(self) -> str:
-        """Say which condition alone differs, and what to look at."""
-        alike = (
-            f"Without {self.name} next to nothing of the differences is left, and no more than chance makes (chi-square"
-            f" {self.chi_square:.0f} on {self.freedom})"
-        )
-        if self.decisive:
-            alike = (
-                f"All experiments but {self.name} are followed to {self.over_noise:.2f} times the noise by one set of"
-                f" parameters, which leaves {self.channel} of {self.name} at {rounded(self.left)} times the noise"
-            )
-        return (
-            f"{alike}. Look at {self.name} first: at its sample time, at samples or counts that were lost, at a sensor that was set"
-            " anew, at what touched the rig. Or it alone shows an effect that the model lacks: ask est.diagnose."
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,7 +135,7 @@ class Equality:
         """
         left = max(self.over_noise.values(), default=math.inf)
         alone = len(self.varying) == 1 and self.suffices and self.rival < _NO_RIVAL * self.explained
-        return not self.equal and alone and left <= _FOLLOWED_ALONE
+        return not self.equal and alone and left <= FOLLOWED
 
     @property
     def differences(self) -> str:
@@ -257,7 +209,7 @@ class Equality:
     def _left(self) -> list[str]:
         """Say where even fits of single conditions leave too much, so that what differs is not told."""
         worst = max(self.over_noise, key=lambda c: self.over_noise[c], default="")
-        if not worst or self.over_noise[worst] <= _FOLLOWED_ALONE:
+        if not worst or self.over_noise[worst] <= FOLLOWED:
             return []
         return [
             f"But fitted by itself, too, a condition is left at {self.over_noise[worst]:.3g} times the noise ({worst}): what the "
@@ -295,11 +247,6 @@ class Equality:
     def plot(self) -> Any:
         """Draw each quantity over the conditions, or over the covariate with which it drifts."""
         return draw(self)
-
-
-def rounded(ratio: float) -> str:
-    """Return a ratio in three figures, without an exponent."""
-    return f"{ratio:,.0f}" if ratio >= 100 else f"{ratio:.3g}"
 
 
 def covariate_words(name: str) -> str:

@@ -9,7 +9,8 @@ from estimators.core.fit import Fit
 from estimators.core.results import DivergedError, NotIdentifiableError
 from estimators.inference.constancy import constancy
 from estimators.inference.varying_parameters import ENOUGH, NEXT_TO_ALL
-from estimators.linear.homogeneity_test import Equality, Outlier
+from estimators.linear.homogeneity_test import Equality
+from estimators.linear.outlier import Outlier
 from estimators.output_error.fit import output_error
 from estimators.validation.simulation_error import compare
 from rtac_jax.measurement import Recording

@@ -14,7 +14,8 @@ from estimators.core.results import RESULTS
 from estimators.diagnosis import improvement_loop
 from estimators.diagnosis.model_extension import Added
 from estimators.diagnosis.policy import STANDARD
-from estimators.linear.homogeneity_test import Equality, Outlier, rounded
+from estimators.linear.homogeneity_test import Equality
+from estimators.linear.outlier import Outlier, rounded
 from estimators.plots.improvement import finding, plot_improvement
 from estimators.validation.differing_experiments import differing, may_show_alone
 from estimators.validation.simulation_error import Comparison

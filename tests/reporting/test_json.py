@@ -16,7 +16,8 @@ from made_up_results import (
 from estimators.core.fisher_information import information_of
 from estimators.core.fit import Fit
 from estimators.core.results import RESULTS
-from estimators.linear.homogeneity_test import Equality, Outlier
+from estimators.linear.homogeneity_test import Equality
+from estimators.linear.outlier import Outlier
 from estimators.reporting.html import write_json
 from estimators.reporting.report import report_dict
 from estimators.reporting.summary import of_diagnosis

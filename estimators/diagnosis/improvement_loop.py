@@ -99,16 +99,16 @@ class Loop:
     def _add(self, found: Diagnosis) -> None:
         """Add what a diagnosis names: together, as it was estimated, or, where no fit of that serves, one after the other."""
         several = found.additions[: max(self.most - len(self.added), 0)]
-        together = self._add_together(several, found) if len(several) > 1 else ""
+        together = self._extend_by(several, found) if len(several) > 1 else ""
         if together is not None:
             for effect in several:
-                if (reason := self._add_together([effect], found)) is not None:
+                if (reason := self._extend_by([effect], found)) is not None:
                     self.stopped = reason
                     return
         if len(several) < len(found.additions):
             self.stopped = f"Stopped: {self.most} effects were added; more seem to be missing."
 
-    def _add_together(self, several: Sequence[Effect], found: Diagnosis) -> str | None:
+    def _extend_by(self, several: Sequence[Effect], found: Diagnosis) -> str | None:
         """Add effects that a diagnosis names; return why they do not serve, or None where they do."""
         known = {c.id: c for c in found.effects}
         ids = tuple(effect.id for effect in several)

@@ -23,12 +23,12 @@ from rtac_jax.measurement import Recording
 
 Way = Literal["simulated", "held", "predicted"]
 WAYS: tuple[Way, ...] = ("simulated", "held", "predicted")
-"""Of fitting a model with effects more, in the order in which they are tried."""
+"""Ways of fitting a model with effects more, in the order in which they are tried."""
 
 
 @dataclasses.dataclass(frozen=True)
 class PredictedGain:
-    """What no simulation of the held-out experiments shows, and predictions one sample ahead do.
+    """The gain in predictions one sample ahead by effects that no simulation of the held-out experiments shows.
 
     Attributes:
         id: of the effect; of several that were added together, one after the other.

@@ -97,7 +97,7 @@ def constancy(fit: Fit, recording: Recording, *, covariates: Covariates | None =
         varying=tuple(names[i] for i in chosen.places), explained=chosen.fraction, rival=chosen.rival,
         suffices=chosen.suffices, over_noise=around.over_noise,
         outlying=None if one is None else Outlier(experiments[one.place].name, *one[1:]),
-        without=left_without(information, slope),
+        left_without=left_without(information, slope),
     )  # fmt: skip
 
 

@@ -8,7 +8,7 @@ from estimators.core.fit import Fit
 # Residual over noise up to which a fit follows: noise read off a spectrum is 0.8 to 1.1 times the truth.
 FOLLOWED = 1.3
 # Residual over noise of one experiment, beyond which the model that follows all others does not follow it: as much as noise.
-_APART = math.sqrt(2)
+_NOT_FOLLOWED = math.sqrt(2)
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Outlier:
     @property
     def decisive(self) -> bool:
         """Return whether one set of parameters was seen to follow all others, and not this one."""
-        return self.over_noise <= FOLLOWED and self.left > _APART
+        return self.over_noise <= FOLLOWED and self.left > _NOT_FOLLOWED
 
     @property
     def words(self) -> str:

@@ -44,7 +44,7 @@ _AT_REST = 0.5
 # An arm whose angle nobody tells is begun elsewhere where that leaves less than this fraction of an experiment's squares.
 _TURNED = 0.95
 # Steps by the simulation from values that were given, after which one that is still far from the data is led by predictions.
-_TRIED = 20
+_UNLED_STEPS = 20
 # A start whose short predictions stay this many times worse than another's is given up.
 _HOPELESS = 5.0
 # Sensitivities of a start that all but diverges, whose squares would be no numbers.
@@ -137,7 +137,7 @@ class Descent:
         end = None
         if given and np.all(deviation < np.maximum(_NEAR_NOISE * noise, _NEAR_MOTION * self._motion())):
             begun = self._simulated(model, space, unknowns, substeps)
-            end = self._ended(model, space, unknowns, substeps, noise, best, most=_TRIED)
+            end = self._ended(model, space, unknowns, substeps, noise, best, most=_UNLED_STEPS)
             if not end.solved.converged and not end.is_far(noise):
                 end = self._weighted(model, space, end.solved.unknowns, substeps, noise, end.deviation, best)
                 self.followed.append((begun, end))

@@ -16,8 +16,8 @@ from estimators.validation.simulation_error import compare
 from rtac_jax.measurement import Recording
 
 WORTH_ASKING = 3.0  # residual over noise, as far as that is known, from which it is asked whether experiments differ
-_HALF = 0.5  # of the differences, which an experiment must take with it to be asked alone
-_ASKED = 2  # experiments that are asked alone at most
+_MOST = 0.5  # of the differences, which an experiment must take with it to be asked alone
+_FITS_OF_OTHERS = 2  # experiments that are asked alone at most
 
 
 def differing(fit: Fit, recording: Recording, *, least: float = WORTH_ASKING) -> Equality | None:
@@ -39,7 +39,7 @@ def differing(fit: Fit, recording: Recording, *, least: float = WORTH_ASKING) ->
         found = constancy(fit, recording)
     except (ValueError, ArithmeticError):  # too few experiments, or one that shows nothing by itself
         return None
-    apart = [one for one in _asked_alone(fit, recording, found) if one.decisive]
+    apart = [one for one in _suspects(fit, recording, found) if one.decisive]
     if len(apart) == 1:
         found = dataclasses.replace(found, outlying=apart[0])
     return found if found.differences else None
@@ -67,21 +67,21 @@ def may_show_alone(recording: Recording, one: Outlier) -> bool:
     return farther**3 >= one.left
 
 
-def _asked_alone(fit: Fit, recording: Recording, found: Equality) -> list[Outlier]:
+def _suspects(fit: Fit, recording: Recording, found: Equality) -> list[Outlier]:
     """Return the experiments that take half of the differences with them, each with a fit of all others."""
     if fit.model.per_experiment or found.equal or len(found.conditions) < ENOUGH:
         return []
     several = [
         Outlier(name, *left)
-        for name, left in zip(found.conditions, found.without, strict=True)
-        if left[0] <= _HALF * found.chi_square
+        for name, left in zip(found.conditions, found.left_without, strict=True)
+        if left[0] <= _MOST * found.chi_square
     ]
-    several = sorted(several, key=lambda one: one.chi_square)[:_ASKED]
+    several = sorted(several, key=lambda one: one.chi_square)[:_FITS_OF_OTHERS]
     little = (1 - NEXT_TO_ALL) * found.chi_square
-    return [_beside_others(fit, recording, one, little) for one in several]
+    return [_with_fit_of_others(fit, recording, one, little) for one in several]
 
 
-def _beside_others(fit: Fit, recording: Recording, one: Outlier, little: float) -> Outlier:
+def _with_fit_of_others(fit: Fit, recording: Recording, one: Outlier, little: float) -> Outlier:
     """Return an experiment with a fit of all others, and with what that leaves; as it is where the others differ by more.
 
     Args:

@@ -32,7 +32,7 @@ def test_friction_of_the_arm_by_bristles_is_named_with_its_size() -> None:
 
 @pytest.mark.slow
 def test_friction_of_a_cart_by_narrow_bristles_is_named_with_its_size() -> None:
-    """Beside the model's own dry friction, which is nothing at the least, its level is told apart badly: it is fitted without that."""
+    """Its level is told apart badly from the model's own dry friction, which is nothing at the least: it is fitted without that."""
     recording, named = named_in("cart_presliding")
     hidden = HIDDEN["cart_presliding"]["cart_presliding"]
     assert named.parameters["level"].std < 0.1 * hidden

@@ -93,7 +93,7 @@ def _ladder(axes: Any, improvement: Improvement) -> None:
     if high / low > 10:
         axes.yaxis.set_minor_formatter(NullFormatter())
     else:
-        axes.yaxis.set_minor_formatter(FuncFormatter(lambda value, _: f"{value:.1g}"))
+        axes.yaxis.set_minor_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axes.set_ylabel("rms of residual / noise [1]", fontsize=SMALL)
     axes.set_title("simulation error", fontsize=9, loc="left")
     axes.legend(fontsize=7.5, loc="upper right")

@@ -18,7 +18,7 @@ from estimators.diagnosis.improvement_loop import Loop
 from estimators.diagnosis.model_extension import Added
 from estimators.diagnosis.policy import STANDARD
 from rtac_jax import virtual_rig
-from rtac_jax.effects import ArmCoulomb, Effect, InputDelay
+from rtac_jax.effects import CATALOGUE, ArmCoulomb, Effect, InputDelay
 
 NEAREST = made_up_results.candidate("input_delay", 564.0, error_reduction=0.68)
 BESIDE = made_up_results.candidate("arm_coulomb", 900.0)
@@ -127,6 +127,20 @@ def test_what_a_diagnosis_names_is_added_together_or_one_after_the_other(
     assert [c.id for c in loop.added] == [i for ids in steps for i in ids]
     assert loop.stopped == stopped
     assert loop.diagnosed == ([0] if len(steps) == 1 or most == 1 else [0, len(steps) - 1])
+
+
+def test_two_effects_of_one_diagnosis_are_fitted_together() -> None:
+    """A spring that hardens and dry friction of the arm, in the virtual rig."""
+    rig = virtual_rig.Rig(cubic_spring=5e4, arm_coulomb=4e-4)
+    plans = virtual_rig.standard_plans(seed=61, sample_time=0.01, duration=4.0, free=2, forced=4, rest=1)
+    recording = virtual_rig.record(rig, plans, seed=71)
+    several = [CATALOGUE[name] for name in ("cubic_spring", "arm_coulomb", "current_lag", "lvdt_nonlinearity")]
+    found = est.improve(rtac.RTAC.from_rig(recording), recording, candidates=several, progress=False)
+    assert [model.label for model in found.validation.models] == ["base", "+ arm_coulomb, cubic_spring"]
+    assert (found.diagnosed, found.mended) == ((0, 1), "adequate")
+    for name, truth in (("cubic_spring.stiffness", 5e4), ("arm_coulomb.level", 4e-4)):
+        assert abs(found.final.parameters[name].value - truth) < 4 * found.final.parameters[name].std
+        assert found.final.parameters[name].std < 0.02 * truth
 
 
 @pytest.mark.slow

@@ -18,6 +18,7 @@ from estimators.diagnosis.choice import bic_gain, gain, held_out_gain
 from estimators.diagnosis.diagnosis import Diagnosis
 from estimators.diagnosis.evidence import Evidence
 from estimators.diagnosis.explanation import (
+    OF_A_DRIFT,
     OF_A_LINE,
     SHAKEN,
     found_by_simulation,
@@ -209,6 +210,8 @@ def _explanation(told: Diagnosis, found: Judgement, setting: Setting, *, thoroug
         text += unconfirmed(told.candidates, told.detectable, told.policy, thorough=thorough)
     if told.line_alone:
         text += OF_A_LINE.format(told.simulated)
+    if told.drift:
+        text += OF_A_DRIFT
     text += "".join(f" {remark}" for effect in told.additions if (remark := effect.remark(setting.model.body)))
     if struck := [effect.id for effect in told.additions if effect.acts_by_contact]:
         text += (

@@ -12,7 +12,7 @@ from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
 from estimators.diagnosis.removed_error import Verdict
 from estimators.diagnosis.verdict import Consequence
 from estimators.inference.simulation_residual import SimulationResidual
-from estimators.misspecification.adequacy import AdequacyTest
+from estimators.misspecification.adequacy import AdequacyTest, excess_of
 from estimators.misspecification.line_classes import LineClass
 from estimators.misspecification.residual_maps import Place
 from estimators.misspecification.static_force import ForceCurve
@@ -90,6 +90,14 @@ class Diagnosis(Result):
         rejecting = [test for test in self.tests if test.rejects]
         alone = [test.test for test in rejecting] == ["spectral line"] and at_noise(self.simulated)
         return rejecting[0].words if self.verdict == "unknown" and alone else ""
+
+    @property
+    def drift(self) -> str:
+        """Return the words of the test of drift, where that finds most of what the tests of a model find that nothing explains."""
+        found = next((test for test in self.left if test.test == "drift" and test.rejects), None)
+        if self.verdict != "unknown" or found is None or found.excess <= self.policy.static * excess_of(self.left):
+            return ""
+        return found.words
 
     @property
     def best(self) -> Effect | None:

@@ -25,6 +25,10 @@ OF_A_LINE = (
     " Nothing but that line speaks against the model, and its simulation is left at {:.2f} times the noise: where a record at rest"
     " shows the line too it is the sensor's own, as hum, and the parameters hold."
 )
+OF_A_DRIFT = (
+    " It is as where a parameter changes while an experiment lasts, as friction of a drive that warms up: let the rig run"
+    " before it is recorded, or fit shorter experiments and hold them against each other (est.constancy)."
+)
 _NEARLY_ALL = 0.9  # fraction of the misfit whose removal asks why the verdict is unknown even so
 _LEFT_OUT = 0.02  # fraction of the samples from which it is worth a word that they do not count
 SHAKEN = 1e-2  # fraction of the rms forces from which random forces in one sample are worth a word

@@ -188,8 +188,11 @@ class Loop:
         """Add the nearest effect or a learned force, what serves held-out experiments better, and return which; None for none.
 
         No effect is added where random forces stand in for the physics: it may make up for a part of another mistake, and the
-        simulations that it would serve are led by these forces.
+        simulations that it would serve are led by these forces. Neither is added where a parameter drifts: no law that holds at all
+        times makes up for that.
         """
+        if self.diagnoses[-1].drift:
+            return None, None
         resort = learn_force(
             self.last.fit, self.last.tested, self.diagnoses[-1], self.train, self.held_out, policy=self.policy,
             progress=self.progress,

@@ -21,6 +21,7 @@ from estimators.inference.shaken_simulation import signal_rms, simulation_deviat
 from estimators.inference.simulation_residual import of_unknown_noise
 from estimators.misspecification.candidate_screening import Group, NotNothingError, Screened, same, screen
 from estimators.misspecification.detection_limit import detection_limits
+from estimators.misspecification.drift_test import parameter_drifts
 from estimators.misspecification.findings import Findings, LaggedForce, Score, StaticForce
 from estimators.misspecification.lagged_force import delayed_forces
 from estimators.misspecification.line_classes import LineClass, line_classes
@@ -93,7 +94,8 @@ def run_tests(setting: Setting, refit: Refit, ahead: Ahead | None = None) -> Tes
     ready = _nothing if ahead is None else ahead.next
     probed = _innovations(setting, refit, [], refit.free)
     ready()
-    basis = orthonormal(probed.jacobian())
+    jacobian = probed.jacobian()
+    basis = orthonormal(jacobian)
     error = _error(setting, refit, probed, basis)
     screened = _screened(setting, refit, probed, error, basis, ready)
     scales = scales_of(setting.model, setting.experiments)
@@ -112,6 +114,7 @@ def run_tests(setting: Setting, refit: Refit, ahead: Ahead | None = None) -> Tes
         tuple(LaggedForce(one.port, one.follows, float(one.p_value), float(one.excess)) for one in delayed),
         line,
         repeats,
+        tuple(parameter_drifts(probed, jacobian, error, basis)),
     )
     return Tested(tuple(screened), tuple(curves), findings)
 

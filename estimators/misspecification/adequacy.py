@@ -6,7 +6,7 @@ from typing import Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
-from estimators.misspecification.findings import CriticalValues, Findings, Scored
+from estimators.misspecification.findings import CriticalValues, Findings, ParameterDrift, Scored
 
 
 @runtime_checkable
@@ -27,7 +27,7 @@ class AdequacyTest:
     """The result of one test of whether anything is missing.
 
     Attributes:
-        test: "repeats", "named effects", "static force", "delayed force" or "spectral line".
+        test: "repeats", "named effects", "static force", "delayed force", "drift" or "spectral line".
         p_value: by chance, with everything counted that the test tried.
         excess: what the test finds beyond chance, in units of twice the log-likelihood; repeats give a ratio instead.
         level: p-value below which it rejects.
@@ -89,7 +89,8 @@ def few_for(s: Scored, stretches: int, tried: int, critical: CriticalValues) -> 
 def adequacy_tests(found: Findings, critical: CriticalValues) -> tuple[AdequacyTest, ...]:
     """Return all tests, in the order in which a reader asks; those without data are left out."""
     screened, curves, delayed, line, repeats = found.scores, found.curves, found.lagged, found.line, found.repeats
-    level = critical.level / max(sum(bool(known) for known in (screened, curves, delayed, line, repeats)), 1)
+    asked = sum(bool(known) for known in (screened, curves, delayed, found.drifts, line, repeats))
+    level = critical.level / max(asked, 1)
     tests = []
     if repeats is not None:
         words = f"what the {repeats.repeats} repeats share is {repeats.ratio:.2f} times what noise alone would leave"
@@ -109,11 +110,23 @@ def adequacy_tests(found: Findings, critical: CriticalValues) -> tuple[AdequacyT
         p_value, one = _strongest(delayed, level)
         words = f"a force on the {one.port} that follows {one.follows} with a lag would explain {one.excess:.0f}"
         tests.append(AdequacyTest("delayed force", p_value, one.excess, level, words))
+    if found.drifts:
+        p_value, drift = _strongest(found.drifts, level)
+        words = f"{drift.parameter} that changes {_rate(drift)} within experiments would explain {drift.excess:.0f}"
+        tests.append(AdequacyTest("drift", p_value, drift.excess, level, words))
     if line is not None:
         where = f"{line.channel} at {line.frequency:.3g} rad/s ({line.in_hertz})"
         words = f"the strongest line, of {where}, has {line.ratio:.1f} times the power around it"
         tests.append(AdequacyTest("spectral line", line.p_value, line.excess, level, words))
     return tuple(tests)
+
+
+def _rate(drift: ParameterDrift) -> str:
+    """Return how fast a parameter changes: in percent of its value, or where it is small beside that in its unit."""
+    if abs(drift.rate) < abs(drift.value):  # in a second
+        return f"by {100 * drift.rate / abs(drift.value):+.3g} +- {100 * drift.std / abs(drift.value):.2g} % a second"
+    unit = "" if drift.unit == "1" else f" {drift.unit}"
+    return f"by {drift.rate:+.3g} +- {drift.std:.2g}{unit} a second"
 
 
 def _scattered(best: Scored, alarms: Sequence[Scored], critical: CriticalValues) -> str:

@@ -94,6 +94,29 @@ class LaggedForce:
 
 
 @dataclasses.dataclass(frozen=True)
+class ParameterDrift:
+    """The explanation by a parameter that changes steadily within experiments.
+
+    Attributes:
+        parameter: name of it.
+        rate: of its change, in its unit per second.
+        std: of that.
+        value: of the parameter in the fit, for all times.
+        unit: of the parameter.
+        p_value: for this parameter alone.
+        excess: twice the gain in log-likelihood, less what chance explains.
+    """
+
+    parameter: str
+    rate: float
+    std: float
+    value: float
+    unit: str
+    p_value: float
+    excess: float
+
+
+@dataclasses.dataclass(frozen=True)
 class SpectralLine:
     """The strongest line of the innovations' spectrum.
 
@@ -157,6 +180,7 @@ class Findings:
         lagged: of a force that follows one signal with a lag.
         line: the strongest line of the spectrum; None where experiments are too short.
         repeats: None where no experiment repeats another.
+        drifts: of each free parameter within experiments.
     """
 
     scores: tuple[Score, ...] = ()
@@ -164,6 +188,7 @@ class Findings:
     lagged: tuple[LaggedForce, ...] = ()
     line: SpectralLine | None = None
     repeats: RepeatTest | None = None
+    drifts: tuple[ParameterDrift, ...] = ()
 
 
 @dataclasses.dataclass(frozen=True)

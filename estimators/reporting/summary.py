@@ -84,6 +84,8 @@ def of_diagnosis(
     }
     if last.line_alone:
         whats["unknown"] = f"Only a line speaks against the model{on_the_way}: {last.line_alone}"
+    if last.drift:
+        whats["unknown"] = f"The model fails as where a parameter drifts{on_the_way}: {last.drift}"
     what = whats[found.verdict]
     learned = found.learned if isinstance(found, Improvement) else None
     if isinstance(found, Improvement) and named and found.verdict in ("adequate", "missing"):

@@ -19,6 +19,14 @@ from rtac_jax.measurement import Recording
 
 LABEL = "+ learned force"
 _LAWS = 3  # proposed laws that are worth a line
+_SLOPES = {
+    ("cart", "cart_position"): "spring_stiffness",
+    ("cart", "cart_velocity"): "cart_viscous",
+    ("cart", "cart_position, against the motion"): "cart_coulomb",
+    ("arm", "arm_velocity"): "arm_viscous",
+    ("arm", "current"): "torque_constant",
+}
+"""Parameters of the model that act along the same variable as a learned force, so that only both together are known."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -90,6 +98,8 @@ class LearnedForce:
                 f"{name} ({100 * fraction:.0f} % of the samples)" for name, fraction in self.outside.items()
             )
             text += f" Experiments held out that go beyond: {where}."
+        if (shared := _SLOPES.get((self.port, self.variable))) is not None:
+            text += f" It and {shared} share what they do: no deviation counts that, so take neither without the other."
         if self.laws:
             text += f" Laws that would describe it: {'; '.join(self.laws)}."
         return text

@@ -19,6 +19,7 @@ from rtac_jax import RTAC
 from rtac_jax.measurement import Experiment
 from rtac_jax.programs import program
 from rtac_jax.simulation import Steps, advance, trajectories
+from rtac_jax.time_loop import time_loop
 
 _PORTS = ("cart", "arm")
 _UNITS = {"cart": "N", "arm": "N m"}
@@ -31,6 +32,7 @@ _CORRELATION_TIMES = (
 # Standard deviations of the force that are tried, as fractions of the rms spring force or motor torque.
 _SHARES = (1e-4, 1e-3, 3e-3, 1e-2, 3e-2, 1e-1, 3e-1)
 _STILL = 1e-7  # fraction of the force that stands for none
+_ABREAST = 16  # experiments, each with a force of its own size, that are filtered at once: more at once take longer
 _RINGING = (1.0, 3.0, 10.0)  # correlation times that are tried of a force that swings, in its periods
 
 
@@ -115,8 +117,9 @@ def latent_forces(
     Returns:
         The larger gain in likelihood first; ports that nothing shows are left out.
 
-    Source: Rogers and Friis, Mechanical Systems and Signal Processing 166 (2022); smoother of Rauch, Tung and Striebel; the
-    force that swings: Solin and Sarkka, Explicit link between periodic covariance functions and state space models (2014).
+    Source: Rogers and Friis, Mechanical Systems and Signal Processing 166 (2022); smoother of Bierman, Automatica 9 (1973), after
+    Bryson and Frazier; the force that swings: Solin and Sarkka, Explicit link between periodic covariance functions and state
+    space models (2014).
     """
     scale = np.array([force, torque])
     still = _STILL * scale
@@ -135,8 +138,9 @@ def latent_forces(
 
     def likeliest(times: np.ndarray, swing: float) -> _Likeliest:
         coarse = np.broadcast_to(_SHARES, (2, len(_SHARES)))
-        correlation_time = float(max(times, key=lambda m: likelihood(coarse, m, swing)[1].max()))
-        middle = coarse[0, likelihood(coarse, correlation_time, swing)[1].argmax(axis=1)]
+        each = [likelihood(coarse, time, swing)[1] for time in times]
+        best = max(range(len(times)), key=lambda n: each[n].max())
+        correlation_time, middle = float(times[best]), coarse[0, each[best].argmax(axis=1)]
         fine = middle[:, None] * np.geomspace(0.25, 4.0, len(_SHARES))
         none, by_port = likelihood(fine, correlation_time, swing)
         gained = by_port.max(axis=1) - none
@@ -271,8 +275,51 @@ def _linearised(
     return _Linear(transition, push, shown, error, wander, begin, excitation.sample_time)
 
 
-def _filter(linear: _Linear, data: Data, gain: Array, size: Array, correlation_time: Any, swing: Any) -> Any:
-    """Filter the prediction errors with the two forces as further states, and keep what the smoother needs.
+class _Update(NamedTuple):
+    """The update by one output at one sample.
+
+    Attributes:
+        shows: what the output shows of the states.
+        gain: of the filter.
+        weight: reciprocal variance of the prediction; zero where nothing was measured.
+        off: by which the prediction misses the output.
+    """
+
+    shows: Array
+    gain: Array
+    weight: Array
+    off: Array
+
+
+class _Filtered(NamedTuple):
+    """What a filter knows at every sample, and what a smoother needs to go back.
+
+    Attributes:
+        mean, spread: of the states after all outputs of the sample.
+        forward: transition to the next sample.
+        updates: by each output.
+        lasts: whether the experiment has a next sample.
+        likelihood: logarithm of it, of the outputs that count.
+    """
+
+    mean: Array
+    spread: Array
+    forward: Array
+    updates: tuple[_Update, ...]
+    lasts: Array
+    likelihood: Array
+
+
+def _filter(
+    linear: _Linear,
+    data: Data,
+    gain: Array,
+    size: Array,
+    correlation_time: Any,
+    swing: Any,
+    keep_of: Callable[[_Filtered], Any],
+) -> Any:
+    """Filter the prediction errors with the two forces as further states, and return of every sample what is kept.
 
     A force is the real part of a phasor that turns at `swing` [rad/s] and forgets within `correlation_time` [s].
     """
@@ -295,6 +342,7 @@ def _filter(linear: _Linear, data: Data, gain: Array, size: Array, correlation_t
         transition, push, shown, error, present, trusted, correction, lasts = row
         before = (mean, spread)
         likelihood = jnp.zeros(experiments)
+        updates = []
         for j in range(len(variance)):
             h = jnp.concatenate([shown[j], jnp.zeros((4, experiments))])
             ph = jnp.sum(spread * h[None], axis=1)
@@ -303,6 +351,7 @@ def _filter(linear: _Linear, data: Data, gain: Array, size: Array, correlation_t
             k = present[j] * ph / s
             mean, spread = mean + k * off, spread - k[:, None] * ph[None]
             likelihood = likelihood - 0.5 * present[j] * (off**2 / s + jnp.log(s))
+            updates.append(_Update(h, k, present[j] / s, off))
         moved = jnp.sum(correction * error[None], axis=1)
         nothing = jnp.zeros((count, experiments))
         pushes = jnp.stack([push[:, 0], nothing, push[:, 1], nothing], axis=1)
@@ -311,45 +360,52 @@ def _filter(linear: _Linear, data: Data, gain: Array, size: Array, correlation_t
         after = jnp.sum(forward * known[None], axis=1)
         half = jnp.einsum("abe,bce->ace", forward, spread)
         grown = jnp.einsum("abe,cbe->ace", half, forward) + fresh
-        # gain of the smoother: P F' (F P F' + Q)^-1
-        back = jnp.einsum("abe,cbe->ace", spread, forward)
         onward_to = (after, 0.5 * (grown + jnp.swapaxes(grown, 0, 1)))
         carry = jax.tree.map(lambda new, held: jnp.where(lasts, new, held), onward_to, before)
-        return carry, (before, (mean, spread), back, trusted * likelihood)
+        return carry, keep_of(_Filtered(mean, spread, forward, tuple(updates), lasts, trusted * likelihood))
 
     lasts = data.excitation.lasts(data.room)
     rows = (linear.transition, linear.push, linear.shown, linear.error, data.present, data.trusted, gain, lasts)
     start = jnp.zeros((whole, experiments))
-    return jax.lax.scan(one, (start, spread), rows)
+    return time_loop(one, (start, spread), rows, room=data.room, samples=data.length)[1]
 
 
 @program
 def _likelihoods(linear: _Linear, data: Data, gain: Array, sizes: Array, correlation_time: Any, swing: Any) -> Array:
-    return jax.lax.map(lambda size: _filter(linear, data, gain, size, correlation_time, swing)[1][3].sum(), sizes)
+    return jax.lax.map(
+        lambda size: _filter(linear, data, gain, size, correlation_time, swing, lambda row: row.likelihood).sum(),
+        sizes, batch_size=max(1, _ABREAST // linear.error.shape[2]),
+    )  # fmt: skip
 
 
 @program
 def _smoothed(
     linear: _Linear, data: Data, gain: Array, size: Array, correlation_time: Any, swing: Any
 ) -> tuple[Array, Array]:
-    """Return mean and variance of the two forces, [sample port experiment]."""
-    last, (before, filtered, back, _) = _filter(linear, data, gain, size, correlation_time, swing)
+    """Return mean and variance of the two forces, [sample port experiment].
 
-    def one(carry: Any, row: Any) -> Any:
-        ahead, ahead_spread = carry  # smoothed at the next sample
-        (mean, spread), back, (predicted, predicted_spread) = row
-        matrix = jnp.moveaxis(predicted_spread, 2, 0)
-        size = jnp.sqrt(jnp.maximum(jnp.diagonal(matrix, axis1=1, axis2=2), 1e-300))
-        scaled = matrix / (size[:, :, None] * size[:, None, :]) + 1e-9 * jnp.eye(matrix.shape[1])
-        left = jnp.moveaxis(back, 2, 0) / size[:, None, :]
-        j = jnp.moveaxis(
-            jnp.swapaxes(jnp.linalg.solve(scaled, jnp.swapaxes(left, 1, 2)), 1, 2) / size[:, None, :], 0, 2
-        )
-        mean = mean + jnp.sum(j * (ahead - predicted)[None], axis=1)
-        change = jnp.einsum("abe,bce->ace", j, ahead_spread - predicted_spread)
-        spread = spread + jnp.einsum("abe,cbe->ace", change, j)
-        return (mean, spread), (mean, jnp.diagonal(spread).T)
+    By the slope and the curvature of the likelihood of all later outputs (Bryson and Frazier), which inverts no covariance: a force
+    that is all but nothing has one that is singular.
+    """
+    found = _filter(linear, data, gain, size, correlation_time, swing, lambda row: row)
 
-    ahead_predictions = jax.tree.map(lambda x, end: jnp.concatenate([x[1:], end[None]]), before, last)
-    _, (mean, spread) = jax.lax.scan(one, last, (filtered, back, ahead_predictions), reverse=True)
-    return mean[:, -4::2], spread[:, -4::2]
+    def one(later: tuple[Array, Array], row: _Filtered) -> Any:
+        slope, curvature = (jnp.where(row.lasts, x, 0.0) for x in later)
+        slope = jnp.sum(row.forward * slope[:, None], axis=0)
+        curvature = jnp.einsum("bae,bce->ace", row.forward, jnp.einsum("bce,cde->bde", curvature, row.forward))
+        mean = row.mean - jnp.sum(row.spread * slope[None], axis=1)
+        half = jnp.einsum("abe,bce->ace", row.spread, curvature)
+        variance = jnp.einsum("aae->ae", row.spread) - jnp.sum(half * row.spread, axis=1)
+        for update in reversed(row.updates):
+            slope = slope - update.shows * (update.weight * update.off + jnp.sum(update.gain * slope, axis=0))
+            turned = jnp.sum(curvature * update.gain[None], axis=1)
+            both = update.shows[:, None] * turned[None]
+            own = update.weight + jnp.sum(update.gain * turned, axis=0)
+            curvature = curvature - both - jnp.swapaxes(both, 0, 1)
+            curvature = curvature + own * update.shows[:, None] * update.shows[None]
+        return (slope, curvature), (mean[-4::2], variance[-4::2])
+
+    nothing = jnp.zeros_like(found.mean[0]), jnp.zeros_like(found.spread[0])
+    backwards = jax.tree.map(lambda x: x[::-1], found)
+    mean, variance = time_loop(one, nothing, backwards, room=data.room, samples=data.room)[1]
+    return mean[::-1], variance[::-1]

@@ -87,6 +87,7 @@ def test_it_says_what_it_is_and_over_which_range(learned: est.Improvement, recor
     )
     assert "not a physical effect" in str(learned)
     assert "beyond that it is not known and keeps its last value" in str(learned)
+    assert "It and spring_stiffness share what they do" in str(learned)
     assert found.laws, "a law that would describe it is proposed"
 
 

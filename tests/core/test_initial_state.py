@@ -56,6 +56,7 @@ def test_a_constant_has_a_start() -> None:
         assert slope == pytest.approx(0.0, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_an_arm_at_rest_that_only_an_encoder_shows_begins_at_rest() -> None:
     """The innovations of the first samples are noise, too, where dry friction holds the arm at first."""
     plans = virtual_rig.standard_plans(

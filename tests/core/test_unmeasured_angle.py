@@ -111,7 +111,7 @@ def test_output_error_ends_at_the_truth(blind: list[Blind]) -> None:
         assert max(map(abs, apart(one, fit).values())) < 4.0
 
 
-@pytest.mark.parametrize("shaken", [False, True])
+@pytest.mark.parametrize("shaken", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_prediction_error_ends_at_the_truth(blind: list[Blind], shaken: bool) -> None:
     several = recorded(5, 12, force_noise=3e-3, torque_noise=1e-5) if shaken else blind[:3]
     for one in several:
@@ -136,6 +136,7 @@ def test_an_encoder_or_a_stated_angle_tells(blind: list[Blind]) -> None:
     assert angle_unknown(space).tolist() == [True, False, False, False]
 
 
+@pytest.mark.slow
 def test_a_diagnosis_begins_where_no_missing_effect_has_moved_the_arm() -> None:
     """A cable holds the arm; a fit without it moves angles by half a radian and more to make up for that."""
     off, fitted = [], []

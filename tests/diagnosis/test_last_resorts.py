@@ -135,6 +135,7 @@ def test_it_is_saved_with_the_improvement(learned: est.Improvement, tmp_path: Pa
     assert "spline_force" in loaded.final.model
 
 
+@pytest.mark.slow
 def test_it_can_be_left_out(
     learned: est.Improvement, recording: rtac.Recording, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -100,6 +100,7 @@ def test_the_separation_that_is_predicted_is_the_one_that_is_recorded(delayed: C
     assert 0.5 < planned.separation["input_delay", "current_lag"] / shown < 2.0
 
 
+@pytest.mark.slow
 def test_an_experiment_that_was_held_out_and_would_decide_is_named(delayed: Case) -> None:
     """The recommended experiment, recorded and then held out, as `Recording.split` may do; and one that says nothing."""
     plans = [

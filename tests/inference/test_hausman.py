@@ -100,6 +100,7 @@ def test_on_a_clean_rig_they_agree_and_say_so(found: Agreement) -> None:
     assert "agree within chance" in found.plot().get_suptitle()
 
 
+@pytest.mark.slow
 def test_deviations_are_those_of_repeated_recordings() -> None:
     """The same plans recorded again and again: how far closed form and output error then scatter."""
     plans = virtual_rig.standard_plans(seed=1, sample_time=0.01, duration=3.0, free=3, forced=5, rest=1)
@@ -140,13 +141,14 @@ def test_false_alarms_come_at_the_stated_rate() -> None:
     assert 0.2 < np.mean(found < 0.5) < 0.8
 
 
+@pytest.mark.slow
 def test_coloured_sensor_noise_is_no_disagreement() -> None:
     found = p_values(dataclasses.replace(RIG, noise_correlation=0.9), range(40, 42))
     assert np.max(found) > 0.05, found
     assert np.min(found) > 1e-3, found
 
 
-@pytest.mark.parametrize("effect", ["cubic_spring", "arm_coulomb"])
+@pytest.mark.parametrize("effect", ["cubic_spring", pytest.param("arm_coulomb", marks=pytest.mark.slow)])
 def test_a_hidden_effect_makes_them_disagree(effect: str) -> None:
     found = held_together(recorded(dataclasses.replace(RIG, **HIDDEN[effect]), 60))
     assert found.rejected
@@ -205,6 +207,7 @@ def test_starts_are_found_where_friction_holds_the_cart_at_first() -> None:
         assert np.all(np.sqrt(np.nanmean(left**2, axis=0)) < 1.5 * fit.noise["cart_position"])
 
 
+@pytest.mark.slow
 def test_random_forces_make_them_disagree_until_they_are_counted() -> None:
     recording = recorded(SHAKEN, 3)
     without = held_together(recording)

@@ -221,6 +221,7 @@ def test_more_noise_and_less_time_are_expected_to_cost(recording: rtac.Recording
         assert loud[name] == pytest.approx(2 * std, rel=0.1), name
 
 
+@pytest.mark.slow
 def test_inputs_that_run_straight_between_samples_tell_less_than_held_ones() -> None:
     """Of a fast current straight lines pass less than steps do, and the arm moves less against the same noise."""
     turn = 0.8 * np.pi  # of the current's phase in a sample
@@ -303,7 +304,8 @@ def test_profile_ends_at_a_bound(white: tuple[rtac.Recording, est.Fit, Covarianc
     assert found.value < found.interval[1] < 0.01
 
 
-@pytest.mark.parametrize("seed", [5, pytest.param(6, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [5, 6])
 def test_profile_is_even_where_a_friction_level_rests_on_its_bound(seed: int) -> None:
     """To one side the ridge leads the level off its bound, and from there an optimiser may not find back."""
     rig = dataclasses.replace(virtual_rig.Rig(), cart_coulomb=0.0, encoder=True, quantisation_bits=None)

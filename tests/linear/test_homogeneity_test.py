@@ -114,6 +114,7 @@ def equal_plants(seed, noise, missing):
     return Recording(tuple(experiments))
 
 
+@pytest.mark.slow
 def test_missing_samples_under_a_model_of_the_noise_make_equal_conditions_no_different():
     """A prediction across a gap is off by more than others, and those after it with it."""
     away, p_values = [], []

@@ -37,6 +37,7 @@ def test_closed_form_without_noise_gives_the_truth(smooth_decays: rtac.Recording
     assert "total_mass" not in found.estimates  # it was known
 
 
+@pytest.mark.slow
 def test_output_error_without_noise_gives_the_truth_and_the_closed_form(smooth_decays: rtac.Recording) -> None:
     model = rtac.RTAC.from_rig(smooth_decays).without("cart_coulomb")
     fit = est.output_error(model, smooth_decays, progress=False, tolerance=1e-10)

@@ -29,7 +29,7 @@ def recorded(random: np.random.Generator, samples: int) -> Experiment:
     return Experiment.of(f"e{samples}", kind="free", sample_time=0.01, cart_position=values, arm="locked")
 
 
-@pytest.mark.parametrize("colour", [{}, COLOUR])
+@pytest.mark.parametrize("colour", [pytest.param({}, marks=pytest.mark.slow), COLOUR])
 def test_slopes_are_those_of_the_likelihood(colour):
     random = np.random.default_rng(5)
     experiments = [recorded(random, 150), recorded(random, 110)]

@@ -81,6 +81,7 @@ def test_a_filter_of_long_experiments_is_the_same(shaken, monkeypatch):
         np.testing.assert_allclose(value, getattr(whole, name), rtol=0, atol=1e-12 * size, err_msg=name)
 
 
+@pytest.mark.slow
 def test_a_curvature_that_is_kept_changes_steps_and_not_where_they_end(shaken, monkeypatch):
     data, model, _, _ = shaken
     computed: list[int] = []

@@ -252,6 +252,7 @@ def test_input_hold_is_the_other_declaration(declared, other):
         np.testing.assert_allclose(found, values, rtol=0, atol=2e-5 * np.abs(values).max())
 
 
+@pytest.mark.slow
 def test_input_hold_of_a_short_experiment_beside_a_long_one():
     kinds = {"kind": "forced", "sample_time": SAMPLE_TIME, "intersample": "zoh"}
     long = Experiment.of("long", cart_position=TIME, current=CURRENT, disturbance_force=FORCE, **kinds)
@@ -305,7 +306,9 @@ def test_delay_does_not_depend_on_how_many_powers_an_input_is_written_with():
             np.testing.assert_allclose(getattr(other, name), values, rtol=0, atol=1e-13 * np.abs(values).max())
 
 
-@pytest.mark.parametrize("lag", [1e-7, 4e-4, 0.002])
+@pytest.mark.parametrize(
+    "lag", [pytest.param(1e-7, marks=pytest.mark.slow), pytest.param(4e-4, marks=pytest.mark.slow), 0.002]
+)
 def test_lag_shorter_than_a_step(lag):
     """One step for a sample is enough, be the lag as short as it likes."""
     truth = extrapolated([({"current_lag": lag}, PLAN)])[0]

@@ -100,7 +100,9 @@ WAVES = {
 }
 
 
-@pytest.mark.parametrize("name", WAVES)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name in ("chirp", "prbs"))) for name in WAVES]
+)
 def test_design_keeps_its_limits_on_an_independent_rig_and_in_a_file(name, tmp_path):
     angles = (0.2, 1.4, -2.5)
     made = rtac.design_excitation(
@@ -164,6 +166,7 @@ def test_the_travel_holds_also_while_the_cart_swings_out(seconds):
     assert 0.5 * limit < reach < limit + 5e-7  # five deviations of the sensor
 
 
+@pytest.mark.slow
 def test_what_is_foretold_of_a_delayed_current_is_what_an_independent_rig_does():
     made = rtac.design_excitation(
         rtac.RTAC.paper() + InputDelay(0.03), 10 * WAVES["chirp"], sample_time=DT, initial_angles=(0.2,), travel=0.004

@@ -40,6 +40,7 @@ print(sum(line.startswith("Finished tracing") and "factor" in line for line in s
 """
 
 
+@pytest.mark.slow
 def test_another_process_traces_nothing_again_and_finds_the_same_bits(tmp_path: Path) -> None:
     """Among it is code that calls LAPACK, which crashes where JAX has not looked for LAPACK."""
     runs = [

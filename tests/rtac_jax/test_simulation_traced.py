@@ -71,6 +71,7 @@ def test_derivatives_in_both_directions_equal_finite_differences():
         np.testing.assert_allclose(found, other, rtol=1e-10)
 
 
+@pytest.mark.slow
 def test_a_hessian_is_the_difference_of_gradients():
     gradient = jax.jit(jax.grad(misfit, 1))
     found = jax.jit(jax.jacfwd(jax.grad(misfit, 1), 1))(FACTORS, START)
@@ -90,6 +91,7 @@ def test_compiled_simulation_is_the_simulation():
     np.testing.assert_array_equal(alone.time, EXPERIMENT.time)
 
 
+@pytest.mark.slow
 def test_a_batch_of_64_parameter_sets_equals_one_by_one():
     sets = 1.0 + 0.2 * np.random.default_rng(3).uniform(-1, 1, (64, len(NAMES)))
     batch = jax.jit(jax.vmap(simulated, (0, None)))(jnp.asarray(sets), START)
@@ -129,7 +131,9 @@ def test_values_compile_nothing_anew():
     assert before > 0
 
 
-@pytest.mark.parametrize("intersample", ["zoh", "foh", "bl"])
+@pytest.mark.parametrize(
+    "intersample", [*(pytest.param(hold, marks=pytest.mark.slow) for hold in ("zoh", "foh")), "bl"]
+)
 def test_inputs_without_a_recording_move_the_rig_as_in_one(intersample):
     inputs = {"current": CURRENT, "disturbance_force": 0.4 * np.cos(7.0 * SAMPLE_TIME * np.arange(SAMPLES))}
     one = Experiment.of(
@@ -196,6 +200,7 @@ def test_inputs_that_make_no_sense_are_refused(given, message):
         rtac.simulate_inputs(RTAC.paper(), **{"sample_time": 0.01, **given})
 
 
+@pytest.mark.slow
 def test_single_precision_is_said_once():
     code = (
         "import warnings, rtac_jax as r\n"

@@ -85,6 +85,7 @@ def test_what_cannot_be_drawn_is_refused(white):
             est.bootstrap(fit, recording, progress=False, **options)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("level", [0.0, 2e-3])
 def test_the_interval_of_a_level_that_may_be_nothing_keeps_to_its_bound(level):
     """A cart with dry friction or without, of which the fit knows nothing: without, half of all estimates lie on the bound."""

@@ -107,7 +107,7 @@ def test_short_data_are_cut_into_shorter_stretches(seconds: tuple[float, ...], e
     assert len(np.unique(stretches(data, length)[: data.samples])) == round(sum(seconds) / length)
 
 
-@pytest.mark.parametrize("seed", [11, 12, 13])
+@pytest.mark.parametrize("seed", [11, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (12, 13))])
 @pytest.mark.parametrize("correlated", [0.05, 0.3])
 def test_short_stretches_do_not_reject_by_chance_although_they_are_correlated(correlated: float, seed: int) -> None:
     """Of two seconds; over as many seconds as differences are correlated. What is better by four deviations surpasses."""

@@ -188,6 +188,7 @@ def test_fig_8_from_the_printed_problem(relax, settles):
     np.testing.assert_allclose(smooth.arm_angle[:, 0], expected[:, 1], atol=1e-5)
 
 
+@pytest.mark.slow
 def test_the_printed_problem_is_less_robust_than_our_own_design(design):
     """Of plants whose parameters are up to 15 % off, nine in ten settle in time with the optimal controller of the printed problem.
 
@@ -234,7 +235,7 @@ def drawn(kind: str, count: int) -> RTAC:
     return model.with_values({name: float(model[name]) * factor for name, factor in spread.items()})
 
 
-@pytest.mark.parametrize("kind", ["15 %", "Table 1"])
+@pytest.mark.parametrize("kind", ["15 %", pytest.param("Table 1", marks=pytest.mark.slow)])
 def test_own_design_holds_for_2000_plants(design, kind):
     units, acting, plant, _, found = design
     controller = discretise(reduce_controller(found).controller, plant, 0.005)

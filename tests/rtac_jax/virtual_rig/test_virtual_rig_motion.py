@@ -192,6 +192,7 @@ def test_dry_friction_takes_the_same_from_each_half_swing_and_ends_at_rest():
     assert errors[0] / errors[1] == pytest.approx(16, rel=0.3)
 
 
+@pytest.mark.slow
 def test_free_decay_with_a_free_arm_ends_at_rest_inside_the_band():
     rig = Rig(arm_coulomb=1e-4)
     track = move(rig, Plan("decay", "free", 10.0, 0.01, initial_position=0.008, initial_angle=0.4))
@@ -231,6 +232,7 @@ def test_locked_arm_and_clamped_cart():
     assert np.ptp(clamped.angle) > 1.0
 
 
+@pytest.mark.slow
 def test_flexible_mode_has_the_frequencies_of_the_eigenvalue_problem():
     rig = Rig(cart_coulomb=0, cart_viscous=0, flexible_mass=0.3, flexible_frequency=37.4, flexible_damping=0.0)
     track = move(rig, Plan("ring", "free", 20.0, 0.01, initial_position=0.01, arm="locked"))

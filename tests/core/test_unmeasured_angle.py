@@ -111,7 +111,8 @@ def test_output_error_ends_at_the_truth(blind: list[Blind]) -> None:
         assert max(map(abs, apart(one, fit).values())) < 4.0
 
 
-@pytest.mark.parametrize("shaken", [False, pytest.param(True, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("shaken", [False, True])
 def test_prediction_error_ends_at_the_truth(blind: list[Blind], shaken: bool) -> None:
     several = recorded(5, 12, force_noise=3e-3, torque_noise=1e-5) if shaken else blind[:3]
     for one in several:

@@ -179,6 +179,7 @@ def millimetres() -> tuple[est.Fit, Recording]:
     return fitted(recording), recording
 
 
+@pytest.mark.slow
 @OFFERED
 def test_random_forces_in_place_of_the_physics_are_not_called_adequate(
     millimetres: tuple[est.Fit, Recording], offered: tuple[type[Effect], ...] | None

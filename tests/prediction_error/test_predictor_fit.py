@@ -47,6 +47,7 @@ def test_random_forces_do_not_bend_the_physics(shaken):
     assert "white" in found.plot()._suptitle.get_text()
 
 
+@pytest.mark.slow
 def test_the_curvature_of_the_noise_is_that_of_its_likelihood(shaken):
     """At the estimate, beside central differences of the slope; expected and observed curvature differ by chance only."""
     data, model, _, _ = shaken

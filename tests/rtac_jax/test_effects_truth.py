@@ -3,6 +3,7 @@
 The truth is extrapolated from two step sizes, so that where it is smooth its own error is far below the tolerance.
 """
 
+import itertools
 from dataclasses import replace
 from functools import cache
 from typing import Any, ClassVar
@@ -238,8 +239,13 @@ def test_band_limited_input_declared_held():
     np.testing.assert_allclose(half, 0.5 * (held + found), atol=1e-3 * np.abs(held).max())
 
 
-@pytest.mark.parametrize("other", ["zoh", "foh", "bl"])
-@pytest.mark.parametrize("declared", ["zoh", "foh", "bl"])
+@pytest.mark.parametrize(
+    ("declared", "other"),
+    [
+        pytest.param(*holds, marks=[pytest.mark.slow] * (holds not in {("zoh", "bl"), ("foh", "zoh"), ("bl", "foh")}))
+        for holds in itertools.product(("zoh", "foh", "bl"), repeat=2)
+    ],
+)
 def test_input_hold_is_the_other_declaration(declared, other):
     order = {"zoh": 0.0, "foh": 1.0, "bl": 3.0}[other]
     kinds = {"kind": "forced", "sample_time": SAMPLE_TIME, "current": CURRENT, "disturbance_force": FORCE}
@@ -291,6 +297,7 @@ def test_delay_of_a_curved_input_follows_its_curve_and_without_delay_is_nothing(
     assert apart(run(BARE + effects.InputDelay(0.0083), curved), truth) < 5e-6 < apart(plain, truth)
 
 
+@pytest.mark.slow
 def test_delay_does_not_depend_on_how_many_powers_an_input_is_written_with():
     """A held current beside a band-limited one in another experiment, or behind another hold that is absent."""
     kinds = {"kind": "forced", "sample_time": SAMPLE_TIME, "current": CURRENT, "cart_position": TIME}

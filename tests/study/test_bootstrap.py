@@ -51,6 +51,7 @@ def test_what_was_not_fitted_is_left_out(white):
     )
 
 
+@pytest.mark.slow
 def test_constants_are_weighed_again_for_each_replicate():
     std = 2e-3  # of 1.23 kg, far more than the decays say of it
     recording = virtual_rig.record(virtual_rig.Rig(), PLANS, seed=2, constants_std={"total_mass": std})

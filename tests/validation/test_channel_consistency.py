@@ -74,7 +74,16 @@ def test_a_mistake_in_one_experiment_is_named(clean, mistake):
     assert f"{found.found[0].before:.3g} to {found.found[0].after:.3g} times the noise" in sentence
 
 
-@pytest.mark.parametrize("mistake", ["position in mm", "velocity in rpm", "sign of velocity", "sample time doubled"])
+@pytest.mark.parametrize(
+    "mistake",
+    [
+        "position in mm",
+        *(
+            pytest.param(m, marks=pytest.mark.slow)
+            for m in ("velocity in rpm", "sign of velocity", "sample time doubled")
+        ),
+    ],
+)
 def test_a_mistake_in_a_free_decay_is_named(clean, mistake):
     change, words = OF_CHANNELS[mistake]
     found = est.channel_consistency(in_one(clean, FREE, change))
@@ -82,7 +91,9 @@ def test_a_mistake_in_a_free_decay_is_named(clean, mistake):
     assert words in found.concerns[0]
 
 
-@pytest.mark.parametrize("mistake", OF_THE_RIG)
+@pytest.mark.parametrize(
+    "mistake", [pytest.param(name, marks=[pytest.mark.slow] * (name != "mass in grams")) for name in OF_THE_RIG]
+)
 def test_a_wrong_constant_is_named(recordings, mistake):
     factors, words = OF_THE_RIG[mistake]
     for recording in recordings:

@@ -78,6 +78,7 @@ def test_each_experiment_is_held_against_the_noise_that_is_stated_of_it() -> Non
     assert found.errors["cart_position"].rms_over_noise == pytest.approx(1.0, abs=0.1)
 
 
+@pytest.mark.slow
 def test_a_simulation_begins_at_a_speed_of_the_arm_that_no_sample_shows() -> None:
     """The tachometer sits on the rotor, which swings by radians per second about an arm behind a soft shaft."""
     rig = dataclasses.replace(virtual_rig.Rig(), shaft_stiffness=STIFFNESS, shaft_damping=DAMPING, rotor_share=ROTOR)
@@ -142,7 +143,15 @@ def swings() -> rtac.Recording:
 
 
 @pytest.mark.parametrize(
-    "variable", ["cart_position", "cart_velocity", "arm_velocity", "current", "cart_position, against the motion"]
+    "variable",
+    [
+        "cart_position",
+        "arm_velocity",
+        *(
+            pytest.param(v, marks=pytest.mark.slow)
+            for v in ("cart_velocity", "current", "cart_position, against the motion")
+        ),
+    ],
 )
 def test_it_says_where_a_learned_force_leaves_its_range(swings: rtac.Recording, variable: str) -> None:
     """A range of half of what was recorded, and one a fifth wider than nearly all of it; the share is read off the measurements."""

@@ -313,7 +313,7 @@ def test_shaft_rings_at_its_frequency():
     np.testing.assert_allclose(track.seen_angle - track.angle, expected, atol=2e-3 * rest)
 
 
-@pytest.mark.parametrize("played", ["foh", "bl"])
+@pytest.mark.parametrize("played", [pytest.param("foh", marks=pytest.mark.slow), "bl"])
 def test_inputs_that_run_otherwise_than_the_recording_says(played):
     rig = Rig(arm_viscous_positive=0.0, arm_viscous_negative=0.0)
     time = 0.01 * np.arange(200)

@@ -141,6 +141,7 @@ def test_a_closed_pipe_keeps_nothing_from_being_written(tmp_path):
     assert (tmp_path / "x").read_text() == "all of it"
 
 
+@pytest.mark.slow
 def test_a_command_with_a_closed_pipe_ends_quietly(file):
     reading, writing = os.pipe()
     os.close(reading)

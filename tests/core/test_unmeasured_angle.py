@@ -96,6 +96,7 @@ def test_an_angle_that_was_measured_is_not_sought(blind: list[Blind]) -> None:
     assert "free_2" not in est.least_squares(model, blind[0].recording).angles
 
 
+@pytest.mark.slow
 def test_the_true_model_is_followed_from_the_right_beginning(blind: list[Blind]) -> None:
     for one in blind:
         model = rtac.RTAC.from_rig(one.recording).with_values(one.truth)

@@ -118,6 +118,7 @@ def test_one_whose_sensor_reads_three_percent_too_much_is_found_beside_the_noise
     assert found.outlying.channel == "cart_position"
 
 
+@pytest.mark.slow
 def test_a_missing_effect_is_no_fault_of_one_experiment():
     recording = recorded(dataclasses.replace(RIG, cubic_spring=5e4))
     fit = est.output_error(rtac.RTAC.from_rig(recording), recording, progress=False)

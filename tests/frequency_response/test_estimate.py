@@ -377,6 +377,7 @@ def test_what_only_compensation_puts_into_a_band_is_no_excitation():
     assert len(est.frequency_responses(Recording((run,)), band=(0.5, 2.0), angles=turning)) == 1
 
 
+@pytest.mark.slow
 def test_a_resonance_far_below_a_wide_band_is_shown():
     random = np.random.default_rng(8)
     current = random.standard_normal(4000)

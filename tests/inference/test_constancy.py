@@ -123,6 +123,7 @@ def test_no_experiment_alone_is_named_where_none_or_several_differ(given):
     assert found.outlying is None
 
 
+@pytest.mark.slow
 def test_weighed_constants_are_held():
     fit, recording, _ = fitted(0.0)
     weighed = dataclasses.replace(recording, rig_std={"total_mass": 0.005})
@@ -211,6 +212,7 @@ def test_differences_are_looked_for_only_where_experiments_could_tell_them(drift
     assert [differing(one, driven) for one in (near, lost, cut)] == [None] * 3
 
 
+@pytest.mark.slow
 def test_the_advice_can_be_followed(drifted, driven):
     """With a value for each experiment the fit is at the noise, and everything can be asked of it."""
     fit, _ = drifted

@@ -366,6 +366,7 @@ def test_one_table_says_it_all(clean: rtac.Recording) -> None:
     assert f"{closed.estimates['spring_stiffness'].value:.6g}" in row
 
 
+@pytest.mark.slow
 def test_a_closed_form_and_a_linear_fit_are_compared_without_an_output_error() -> None:
     """The closed form's own simulation stands for the truth: they agree on a clean rig, not on one whose spring is cubic."""
     verdicts = {}
@@ -386,6 +387,7 @@ def test_a_closed_form_and_a_linear_fit_are_compared_without_an_output_error() -
     assert pair.p_value < 0.01, str(verdicts["cubic"])
 
 
+@pytest.mark.slow
 def test_long_experiments_have_fewer_replicates(clean: rtac.Recording, monkeypatch: pytest.MonkeyPatch) -> None:
     model = rtac.RTAC.from_rig(clean)
     two = [est.least_squares(model, clean, weak=True), est.output_error(model, clean, from_model=True, progress=False)]

@@ -233,6 +233,7 @@ def test_inputs_that_run_straight_between_samples_tell_less_than_held_ones() -> 
     assert lines == pytest.approx(steps / np.cos(turn / 2), rel=0.05)
 
 
+@pytest.mark.slow
 def test_what_a_plan_cannot_tell_is_said_beforehand() -> None:
     plan = plans()[0]
     found = expected_std(rtac.RTAC.paper(), [plan], noise=NOISE)
@@ -295,6 +296,7 @@ def test_profile_is_that_of_a_search_by_hand(white: tuple[rtac.Recording, est.Fi
         assert rise == pytest.approx(2 * (cost - best.cost), abs=0.05)
 
 
+@pytest.mark.slow
 def test_profile_ends_at_a_bound(white: tuple[rtac.Recording, est.Fit, Covariances]) -> None:
     """These decays have no dry friction, so how little there may be the data cannot say."""
     recording, _, _ = white

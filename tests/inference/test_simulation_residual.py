@@ -143,8 +143,9 @@ def test_noise_is_known_from_rest_or_from_the_file() -> None:
     assert known_noise(moving) == frozenset()
 
 
+@pytest.mark.slow
 @OFFERED
-@pytest.mark.parametrize("level", [4e-4, pytest.param(1.5e-4, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("level", [4e-4, 1.5e-4])
 def test_dry_friction_in_too_few_data_is_not_called_adequate(
     level: float, offered: tuple[type[Effect], ...] | None
 ) -> None:

@@ -60,6 +60,7 @@ def test_predictions_reach_the_truth(predictor):
     assert min(w.p_value for w in predictor.whiteness) > 1e-4
 
 
+@pytest.mark.slow
 def test_closed_form_and_output_error_agree(model, fit):
     assert max(abs(x) for x in deviations(fit).values()) < 4.0
     closed = est.least_squares(model, unequal(), weak=True)

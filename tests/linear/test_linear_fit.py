@@ -95,6 +95,7 @@ def test_coloured_errors_are_not_taken_for_a_response_to_the_input(noise):
     assert not any(one.residuals.white for one in found)
 
 
+@pytest.mark.slow
 def test_missing_samples_are_no_response_to_the_input():
     current, out = simulated(([1.0], [1.0]), 0.1, seed=6)
     out = np.where(np.random.default_rng(7).random(out.shape) < 0.3, np.nan, out)
@@ -181,7 +182,7 @@ def test_predictions_over_any_horizon_are_those_of_the_difference_equation():
         one.predict(0)
 
 
-@pytest.mark.parametrize("hold", ["zoh", pytest.param("foh", marks=pytest.mark.slow), "bl"])
+@pytest.mark.parametrize("hold", ["zoh", *(pytest.param(hold, marks=pytest.mark.slow) for hold in ("foh", "bl"))])
 def test_the_input_between_samples_is_counted(hold):
     random = np.random.default_rng(3)
     fine, samples = 20, LENGTH

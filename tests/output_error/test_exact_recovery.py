@@ -207,6 +207,7 @@ def errors(found: est.ClosedForm) -> dict[str, float]:
     return {name: e.pooled / TRUTH[name] - 1 for name, e in found.estimates.items()}
 
 
+@pytest.mark.slow
 def test_differenced_closed_form_without_noise_errs_by_the_square_of_the_step() -> None:
     """At 1e-6 all seven parameters, dry friction included, at steps of 1/16 ms; above, the differences are what is wrong."""
     found = {every: errors(differenced(every)) for every in (4, 2, 1)}

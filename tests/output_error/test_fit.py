@@ -93,6 +93,7 @@ def test_a_fit_whose_steps_run_out_far_from_its_end_goes_on_from_there() -> None
     assert "did not converge" in one.outcome
 
 
+@pytest.mark.slow
 def test_starts_that_no_sensor_could_tell_apart_are_followed_once(
     noisy: rtac.Recording, noisy_fit: est.Fit, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -158,6 +159,7 @@ def test_with_noise_weak_closed_form_output_error_and_truth_agree(noisy: rtac.Re
         assert abs(here.value - there.value) < 4 * np.hypot(here.std, there.std), name
 
 
+@pytest.mark.slow
 def test_a_rig_without_known_constants_is_refused_with_the_free_combination(noisy: rtac.Recording) -> None:
     unknown = rtac.Recording(noisy.experiments)
     with pytest.raises(

@@ -70,6 +70,7 @@ def test_the_curvature_of_the_noise_is_that_of_its_likelihood(shaken):
     assert slope @ np.linalg.solve(expected, slope) < 0.2
 
 
+@pytest.mark.slow
 def test_a_filter_of_long_experiments_is_the_same(shaken, monkeypatch):
     data, model, _, _ = shaken
     found = est.prediction_error_nonlinear(model, data, progress=False, rounds=2)

@@ -69,7 +69,7 @@ def test_errors_are_those_of_the_predictions(by_model: dict[str, OneStepAhead]) 
     assert all(0.9 < error < 1.5 for error in right.errors.values()), right.errors
 
 
-@pytest.mark.parametrize("seconds", [6, 60])
+@pytest.mark.parametrize("seconds", [6, pytest.param(60, marks=pytest.mark.slow)])
 def test_surpassing_takes_more_than_chance(seconds: int) -> None:
     of_sample = np.repeat(np.arange(seconds), 100)[:, None]
 

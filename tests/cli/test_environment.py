@@ -96,6 +96,10 @@ def test_a_cache_that_cannot_be_written_is_said_and_done_without(tmp_path):
         rtac_jax.configure(cache=before)
     assert f"no compile cache in {tmp_path / 'file' / 'cache'} (Not a directory)" in said
     assert "let JAX_COMPILATION_CACHE_DIR name a folder that can be written to" in said
+
+
+@pytest.mark.slow
+def test_a_command_does_without_a_cache_too(tmp_path):
     done = run("fit", tmp_path / "none.h5", JAX_COMPILATION_CACHE_DIR="/dev/null")
     assert done.stderr.splitlines()[-1].endswith("there is no such file; check the path.")
 

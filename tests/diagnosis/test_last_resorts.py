@@ -207,6 +207,7 @@ def test_what_predictions_gain_is_no_reason_for_a_curve_with_which_the_held_out_
     assert isinstance(said, str) != kept
 
 
+@pytest.mark.slow
 def test_the_nearest_effect_is_added_and_called_likely(
     learned: est.Improvement, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -351,6 +351,7 @@ def test_wrong_use_is_refused(clean: rtac.Recording) -> None:
         agreement([closed, fit], rtac.Recording(other.experiments[:3], rig=other.rig))
 
 
+@pytest.mark.slow
 def test_one_table_says_it_all(clean: rtac.Recording) -> None:
     closed = est.least_squares(rtac.RTAC.from_rig(clean), clean, weak=True)
     fit = est.output_error(closed.model, clean, from_model=True, progress=False)

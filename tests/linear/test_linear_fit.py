@@ -82,9 +82,8 @@ def test_known_systems_are_recovered_with_bands_that_hold(structure):
     assert np.sum([not one.residuals.independent for one in found]) <= 6
 
 
-@pytest.mark.parametrize(
-    "noise", [NOISES["box_jenkins"][0], pytest.param(([1.0], [1.0, -0.9]), marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("noise", [NOISES["box_jenkins"][0], ([1.0], [1.0, -0.9])])
 def test_coloured_errors_are_not_taken_for_a_response_to_the_input(noise):
     """Output error does not weigh its errors, so what the fit took out of them is not small beside their least coloured part."""
     current, out = simulated(noise, 0.03, seed=5)

@@ -45,7 +45,14 @@ def clean(recordings):
     return recordings[0]
 
 
-@pytest.mark.parametrize("mistake", OF_CHANNELS)
+# One of a kind, quick where it is in one experiment; the others are where they are in all. The rest is in slow studies.
+OF_A_KIND = ("position in mm", "sign of current", "swapped channels", "sample time doubled", "angle in degrees", "offset of 5 mm",
+             "velocity late")  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "mistake", [pytest.param(name, marks=[pytest.mark.slow] * (name in OF_A_KIND)) for name in OF_CHANNELS]
+)
 def test_a_mistake_in_all_experiments_is_named(clean, mistake):
     change, words = OF_CHANNELS[mistake]
     found = est.channel_consistency(everywhere(clean, change))
@@ -53,11 +60,6 @@ def test_a_mistake_in_all_experiments_is_named(clean, mistake):
     having = {"sign of current", "swapped current", "current as force", "current late"}
     assert found.concerns[0].startswith("forced_1, forced_2, forced_3: " if mistake in having else "all experiments: ")
     assert words in found.concerns[0]
-
-
-# One of a kind; with the others the same search goes on in slow studies.
-OF_A_KIND = ("position in mm", "sign of current", "swapped channels", "sample time doubled", "angle in degrees", "offset of 5 mm",
-             "velocity late")  # fmt: skip
 
 
 @pytest.mark.parametrize(

@@ -247,6 +247,7 @@ def test_own_design_holds_for_2000_plants(design, kind):
     assert np.mean(free.settling_time() <= 3.0) < 0.01
 
 
+@pytest.mark.slow
 def test_plants_inside_an_envelope_are_inside():
     """Against equations (1) and (2) at small motions, in plain NumPy, and all-pass perturbations of the envelope itself."""
     model, acting = RTAC.paper(), Actuation.proposed(RTAC.paper())

@@ -26,7 +26,7 @@ def test_a_slow_swing_does_not_hide_what_moves_fast_beside_it(fast: float) -> No
     assert slope == pytest.approx(3.0 + 40.0 * fast, abs=1.0 if fast else 0.1)
 
 
-@pytest.mark.parametrize("encoder", [False, True])
+@pytest.mark.parametrize("encoder", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_the_start_is_within_what_the_prior_allows(encoder: bool) -> None:
     """Of sixteen rigs, played differently; the true start is that of the plan."""
     jobs = []

@@ -109,7 +109,8 @@ def test_local_discs_hold_the_truth_as_often_as_they_say(poles, half_width):
     assert 0.45 < inside(found, 0.5) < 0.55
 
 
-@pytest.mark.parametrize("noise", [0.1, pytest.param(1.0, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("noise", [0.1, 1.0])
 def test_coherence_is_the_share_of_power_that_a_known_noise_leaves(noise):
     random = np.random.default_rng(7)
     current = random.standard_normal((40, 3000))

@@ -352,7 +352,9 @@ def as_estimated(random, count, parameters, scatter, odd=None):
     return information, np.einsum("epq,eq->ep", np.linalg.cholesky(information), away)
 
 
-@pytest.mark.parametrize(("count", "parameters"), [(4, 4), (6, 3), pytest.param(10, 4, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    ("count", "parameters"), [(4, 4), *(pytest.param(*case, marks=pytest.mark.slow) for case in ((6, 3), (10, 4)))]
+)
 def test_scatter_of_all_is_seldom_taken_for_one_that_differs(count, parameters):
     """In none of a hundred or next to none, whatever the size of the scatter; and one far off is told in nine of ten."""
     random = np.random.default_rng(0)

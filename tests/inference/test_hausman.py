@@ -318,6 +318,7 @@ def test_estimates_that_know_nothing_confirm_nothing() -> None:
     assert "That tells nothing of arm_inertia: a difference would have to be larger than 30 % to show." in vague
 
 
+@pytest.mark.slow
 def test_two_fits_can_be_held_together(clean: rtac.Recording) -> None:
     model = rtac.RTAC.from_rig(clean)
     fit = est.output_error(model, clean, from_model=True, progress=False)

@@ -121,6 +121,7 @@ def test_scores_of_the_experiments_cancel_at_the_optimum(white: tuple[rtac.Recor
     assert np.all(np.abs(moved).max(axis=0) > 0.05 * deviation)
 
 
+@pytest.mark.slow
 def test_coloured_noise_breaks_the_plain_intervals_and_no_others() -> None:
     found = of_decays(range(20), 0.9)
     assert found["plain"] < 0.85

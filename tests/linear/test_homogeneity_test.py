@@ -74,6 +74,7 @@ def test_a_drift_with_what_only_the_user_knows_is_found_and_named():
         found.equality(covariates={"temperature": {"run_1": 20.0}})
 
 
+@pytest.mark.slow
 def test_equal_conditions_are_called_equal_as_often_as_said():
     p_values = np.array([drifting(0.0, seed).equality().p_value for seed in range(10)])
     # Uniform between 0 and 1.

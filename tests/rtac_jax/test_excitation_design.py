@@ -101,7 +101,7 @@ WAVES = {
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name in ("chirp", "prbs"))) for name in WAVES]
+    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name != "multisine")) for name in WAVES]
 )
 def test_design_keeps_its_limits_on_an_independent_rig_and_in_a_file(name, tmp_path):
     angles = (0.2, 1.4, -2.5)

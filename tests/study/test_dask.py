@@ -74,6 +74,7 @@ def test_fits_side_by_side_have_the_bits_that_they_have_here(executor: Any) -> N
     assert same_bits(there, est.study(batched(), progress=False))
 
 
+@pytest.mark.slow
 def test_the_bits_are_the_same_although_a_worker_is_killed(executor: Any, deaths: Path) -> None:
     (deaths / "1").touch()
     work = Deadly(small())

@@ -114,6 +114,7 @@ def test_of_several_starts_each_experiment_takes_the_one_that_leaves_least() -> 
     assert best_starts([told, lost], arguments) is told
 
 
+@pytest.mark.slow
 def test_fewer_experiments_than_were_fitted_need_no_other_program(monkeypatch: pytest.MonkeyPatch) -> None:
     """They are simulated over and over, and come out as they do alone."""
     plans = virtual_rig.standard_plans(seed=5, sample_time=0.01, duration=3.0, free=2, forced=3, rest=1)

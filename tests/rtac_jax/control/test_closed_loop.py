@@ -235,7 +235,8 @@ def drawn(kind: str, count: int) -> RTAC:
     return model.with_values({name: float(model[name]) * factor for name, factor in spread.items()})
 
 
-@pytest.mark.parametrize("kind", ["15 %", pytest.param("Table 1", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["15 %", "Table 1"])
 def test_own_design_holds_for_2000_plants(design, kind):
     units, acting, plant, _, found = design
     controller = discretise(reduce_controller(found).controller, plant, 0.005)

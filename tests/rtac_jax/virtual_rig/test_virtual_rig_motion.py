@@ -149,6 +149,7 @@ def test_arm_velocity_decays_at_the_rate_of_its_direction():
         np.testing.assert_allclose(track.arm_velocity, expected, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_energy_is_conserved_without_damping():
     tilt = {"tilt_along": 0.02, "tilt_across": -0.03}
     rig = Rig(
@@ -303,6 +304,7 @@ def test_rotor_and_arm_share_what_one_of_them_gets():
             assert 0.95 * 0.025 < np.abs(twist).max() < 1.02 * 0.025
 
 
+@pytest.mark.slow
 def test_shaft_rings_at_its_frequency():
     stiffness, rig = 0.5, Rig(arm_viscous_positive=0.0, arm_viscous_negative=0.0, rotor_share=0.4)
     plan = Plan("push", "forced", 0.5, 1e-3, np.full(500, 0.1), cart="clamped")

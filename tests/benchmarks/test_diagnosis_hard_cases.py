@@ -35,8 +35,8 @@ def test_a_short_recording_is_half_of_four_runs():
     ("name", "group", "channel", "factor"),
     [
         ("current of the other sign", "inputs", "current", -1.0),
-        ("positions in tenths of a metre", "outputs", "cart_position", 10.0),
-        ("speed of the other sign", "outputs", "arm_velocity", -1.0),
+        pytest.param("positions in tenths of a metre", "outputs", "cart_position", 10.0, marks=pytest.mark.slow),
+        pytest.param("speed of the other sign", "outputs", "arm_velocity", -1.0, marks=pytest.mark.slow),
     ],
 )
 def test_a_mistake_changes_one_channel(name, group, channel, factor):

@@ -26,6 +26,7 @@ def made(name: str) -> tuple[rtac.Recording, list[Plan]]:
     return recorded(protocol, Rig(**protocol.sensors), plans, seed=2), plans
 
 
+@pytest.mark.slow
 def test_the_current_in_the_loop_is_what_the_measured_velocity_asks_for() -> None:
     recording, plans = made("closed loop")
     forced = [plan for plan in plans if plan.kind == "forced"]

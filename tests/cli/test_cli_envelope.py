@@ -149,6 +149,7 @@ def test_orders_kind_and_band_are_obeyed(file, tmp_path):
     )
 
 
+@pytest.mark.slow
 def test_the_largest_distance_of_the_weight_is_made_least_if_asked(tmp_path):
     """Of two conditions, of which none is held out: one that is raises the weight everywhere."""
     recorded().select(["condition_1", "condition_3", "rest_1"]).save(tmp_path / "two.h5")

@@ -59,7 +59,9 @@ def run(*arguments, out=subprocess.PIPE, **environment):
     )
 
 
-@pytest.mark.parametrize(("platform", "command"), [("nonsense", "fit"), ("cuda", "info")])
+@pytest.mark.parametrize(
+    ("platform", "command"), [("nonsense", "fit"), pytest.param("cuda", "info", marks=pytest.mark.slow)]
+)
 def test_a_platform_that_is_not_there_is_named(file, platform, command):
     if platform == "cuda" and any(device.platform == "gpu" for device in jax.devices()):
         pytest.skip("this machine has one")
@@ -70,6 +72,7 @@ def test_a_platform_that_is_not_there_is_named(file, platform, command):
     assert "; set JAX_PLATFORMS=cpu" in done.stderr
 
 
+@pytest.mark.slow
 def test_a_platform_that_is_not_there_is_named_in_python_too():
     told = "import rtac_jax; rtac_jax.configure()"
     done = subprocess.run(
@@ -93,6 +96,10 @@ def test_a_cache_that_cannot_be_written_is_said_and_done_without(tmp_path):
         rtac_jax.configure(cache=before)
     assert f"no compile cache in {tmp_path / 'file' / 'cache'} (Not a directory)" in said
     assert "let JAX_COMPILATION_CACHE_DIR name a folder that can be written to" in said
+
+
+@pytest.mark.slow
+def test_a_command_does_without_a_cache_too(tmp_path):
     done = run("fit", tmp_path / "none.h5", JAX_COMPILATION_CACHE_DIR="/dev/null")
     assert done.stderr.splitlines()[-1].endswith("there is no such file; check the path.")
 
@@ -243,6 +250,7 @@ def test_a_recording_is_written_over_only_where_that_is_asked_for(file, tmp_path
     assert call("import", file, tmp_path / "new.h5", "--replace").exit_code == 0
 
 
+@pytest.mark.slow
 def test_where_there_is_no_home_nothing_but_the_cache_is_spoken_of(file):
     environment = {k: v for k, v in os.environ.items() if k not in ("MPLCONFIGDIR", "JAX_COMPILATION_CACHE_DIR")}
     done = subprocess.run(

@@ -35,7 +35,9 @@ def started(*arguments):
     return process
 
 
-@pytest.mark.parametrize(("delay", "number"), [(0.0, 2), (0.6, 2), (0.3, 15), (2.0, 15)])
+@pytest.mark.parametrize(
+    ("delay", "number"), [(0.0, 2), (0.6, 2), (0.3, 15), pytest.param(2.0, 15, marks=pytest.mark.slow)]
+)
 def test_a_signal_ends_it_at_once_with_one_sentence(file, tmp_path, delay, number):
     """Before and during the imports, which take a second or more."""
     process = started("fit", file, "--out", tmp_path / "out")
@@ -139,6 +141,7 @@ def test_a_closed_pipe_keeps_nothing_from_being_written(tmp_path):
     assert (tmp_path / "x").read_text() == "all of it"
 
 
+@pytest.mark.slow
 def test_a_command_with_a_closed_pipe_ends_quietly(file):
     reading, writing = os.pipe()
     os.close(reading)

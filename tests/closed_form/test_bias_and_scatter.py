@@ -113,6 +113,7 @@ def coverage(runs: int) -> dict[str, float]:
     return {name: float(np.mean(h)) for name, h in hits.items()}
 
 
+@pytest.mark.slow
 def test_stated_deviations_of_the_weak_form_cover_the_truth() -> None:
     found = coverage(16)
     assert np.mean(list(found.values())) > 0.85, found

@@ -69,6 +69,7 @@ def test_weak_form_without_noise_gives_the_truth() -> None:
     assert found.ratios["v/k"].pooled == pytest.approx(TRUTH["v/k"], rel=1e-6)
 
 
+@pytest.mark.slow
 def test_with_noise_closed_form_and_output_error_agree_within_their_deviations() -> None:
     recording = decays(6, 2e-6)
     model = rtac.RTAC.from_rig(recording).without("cart_coulomb")

@@ -113,6 +113,7 @@ def test_free_decays_alone_do_not_tell_the_arms_inertia(recording) -> None:
     assert found.estimates["spring_stiffness"].value == pytest.approx(RIG.spring_stiffness, rel=0.01)
 
 
+@pytest.mark.slow
 def test_a_known_torque_constant_tells_the_inertia_of_an_arm_whose_cart_is_clamped() -> None:
     """Nothing is seen of a cart, so nothing of me either: the current's torque is the scale."""
     plans = [dataclasses.replace(plan, cart="clamped") for plan in virtual_rig.standard_plans(seed=3, free=0, forced=3)]
@@ -124,6 +125,7 @@ def test_a_known_torque_constant_tells_the_inertia_of_an_arm_whose_cart_is_clamp
         assert found.estimates[name].value == pytest.approx(TRUTH[name], rel=0.01)
 
 
+@pytest.mark.slow
 def test_a_cart_that_is_stuck_tells_no_eccentric_moment() -> None:
     """Its acceleration is that of the sensor's noise, and what would go with it is no estimate."""
     plans = virtual_rig.standard_plans(seed=3, free=0, forced=3)

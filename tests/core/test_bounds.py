@@ -30,6 +30,7 @@ CASES = {
     "cart_coulomb.level": (None, 0.024, None),
     "arm_viscous.positive": (None, 1.39e-4, None),
 }
+MARKED = {name: pytest.param(name, marks=[pytest.mark.slow] * name.startswith("cart_quadratic")) for name in CASES}
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +43,7 @@ def recordings():
     }
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", MARKED.values())
 def test_a_fit_from_the_null_finds_what_there_is(recordings, name):
     _, truth, cls = CASES[name]
     model = rtac.RTAC.from_rig(recordings[name])
@@ -81,7 +82,7 @@ def test_an_estimate_that_stays_on_its_bound_is_named(recordings):
     assert dataclasses.replace(fit, information=free).on_bounds() == {}
 
 
-@pytest.mark.parametrize("name", [name for name in CASES if name != "arm_viscous.positive"])
+@pytest.mark.parametrize("name", [MARKED[name] for name in CASES if name != "arm_viscous.positive"])
 def test_an_estimate_on_its_bound_that_is_pulled_inwards_is_released_or_said(recordings, name, monkeypatch):
     recording = recordings[name]
     _, truth, cls = CASES[name]
@@ -133,6 +134,7 @@ def test_a_parameter_between_two_bounds_leaves_either_of_them(fitted, side):
     assert not released.pulled
 
 
+@pytest.mark.slow
 def test_a_parameter_of_each_experiment_leaves_its_bound(fitted, monkeypatch):
     recording, fit = fitted
     model = fit.model.each_experiment("cart_coulomb.level")

@@ -26,7 +26,7 @@ def test_a_slow_swing_does_not_hide_what_moves_fast_beside_it(fast: float) -> No
     assert slope == pytest.approx(3.0 + 40.0 * fast, abs=1.0 if fast else 0.1)
 
 
-@pytest.mark.parametrize("encoder", [False, True])
+@pytest.mark.parametrize("encoder", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_the_start_is_within_what_the_prior_allows(encoder: bool) -> None:
     """Of sixteen rigs, played differently; the true start is that of the plan."""
     jobs = []
@@ -56,6 +56,7 @@ def test_a_constant_has_a_start() -> None:
         assert slope == pytest.approx(0.0, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_an_arm_at_rest_that_only_an_encoder_shows_begins_at_rest() -> None:
     """The innovations of the first samples are noise, too, where dry friction holds the arm at first."""
     plans = virtual_rig.standard_plans(

@@ -124,7 +124,7 @@ def test_slopes_beyond_all_bounds_do_not_count(problem: Problem, monkeypatch: py
     assert solved.cost < 0.5 * np.sum(bent(begin)[0] ** 2)
 
 
-@pytest.mark.parametrize("count", [8, 9])
+@pytest.mark.parametrize("count", [8, pytest.param(9, marks=pytest.mark.slow)])
 def test_halves_make_the_whole(count: int, monkeypatch: pytest.MonkeyPatch) -> None:
     plans = virtual_rig.standard_plans(seed=3, duration=0.5, free=count - 4, forced=4)
     recording = virtual_rig.record(virtual_rig.Rig(), plans, seed=3)

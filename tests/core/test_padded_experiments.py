@@ -89,6 +89,7 @@ def test_each_counts_once(recording: rtac.Recording, monkeypatch: pytest.MonkeyP
         np.testing.assert_allclose(found[name], there, atol=1e-9 * scale, rtol=1e-7, err_msg=name)
 
 
+@pytest.mark.slow
 def test_five_and_six_run_the_same_code(recording: rtac.Recording) -> None:
     first = Problem(recording, 5)
     assert np.array_equal(padded_places(first.data), [0, 1, 2, 3, 4, 4, 4, 4])

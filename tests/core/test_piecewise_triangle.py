@@ -94,6 +94,7 @@ def test_the_factor_by_pieces_is_that_of_the_whole(effects, each, corrected, mon
     np.testing.assert_allclose(pieces / size, whole / size, atol=1e-11)
 
 
+@pytest.mark.slow
 def test_what_was_measured_of_constants_counts_in_both(monkeypatch):
     found = dataclasses.replace(recording(), rig_std={"arm_inertia": 1e-7})
     model = RTAC.from_rig(found)

@@ -48,6 +48,7 @@ def test_a_log_gets_whole_lines_with_what_is_done_and_left(capsys):
     assert "draws/s" in lines[-1] or "s/ draws" in lines[-1]
 
 
+@pytest.mark.slow
 def test_work_of_many_short_parts_is_told_of_once_a_minute(capsys, monkeypatch):
     monkeypatch.setattr(progress, "_LINE", 0.5)
     said = ""

@@ -73,7 +73,9 @@ def test_a_result_comes_back_bit_for_bit(results, name, tmp_path):
     assert loaded._repr_html_() == result._repr_html_()
 
 
-@pytest.mark.parametrize("name", ["diagnosis", "comparison", "envelope"])
+@pytest.mark.parametrize(
+    "name", ["diagnosis", *(pytest.param(name, marks=pytest.mark.slow) for name in ("comparison", "envelope"))]
+)
 def test_what_was_loaded_draws_the_same_picture(results, name, tmp_path):
     results[name].save(tmp_path / "result.h5")
     for number, one in enumerate((results[name], est.load(tmp_path / "result.h5"))):

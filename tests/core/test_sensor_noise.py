@@ -24,7 +24,9 @@ def decay(count, step, random, size=30):
 
 
 @pytest.mark.parametrize("size", [30, 3000])
-@pytest.mark.parametrize("which", MISSING)
+@pytest.mark.parametrize(
+    "which", [pytest.param(name, marks=[pytest.mark.slow] * name.endswith("at random")) for name in MISSING]
+)
 def test_missing_samples_take_no_noise_away(which, size) -> None:
     """The lowest of several bands lies below the noise, in a short record farther: as far as in a complete one of that length."""
     random = np.random.default_rng(3)

@@ -95,6 +95,7 @@ def products_of(*factors):
     return [(factor / lengths).T @ (factor / lengths) for factor in factors]
 
 
+@pytest.mark.slow
 def test_each_experiment_counts_as_if_it_stood_alone(mixed, model):
     space = space_of(model, mixed, free=FREE)
     together, both = seen(model, Data.of(mixed), space)

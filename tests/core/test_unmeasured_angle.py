@@ -96,6 +96,7 @@ def test_an_angle_that_was_measured_is_not_sought(blind: list[Blind]) -> None:
     assert "free_2" not in est.least_squares(model, blind[0].recording).angles
 
 
+@pytest.mark.slow
 def test_the_true_model_is_followed_from_the_right_beginning(blind: list[Blind]) -> None:
     for one in blind:
         model = rtac.RTAC.from_rig(one.recording).with_values(one.truth)
@@ -111,6 +112,7 @@ def test_output_error_ends_at_the_truth(blind: list[Blind]) -> None:
         assert max(map(abs, apart(one, fit).values())) < 4.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shaken", [False, True])
 def test_prediction_error_ends_at_the_truth(blind: list[Blind], shaken: bool) -> None:
     several = recorded(5, 12, force_noise=3e-3, torque_noise=1e-5) if shaken else blind[:3]
@@ -136,6 +138,7 @@ def test_an_encoder_or_a_stated_angle_tells(blind: list[Blind]) -> None:
     assert angle_unknown(space).tolist() == [True, False, False, False]
 
 
+@pytest.mark.slow
 def test_a_diagnosis_begins_where_no_missing_effect_has_moved_the_arm() -> None:
     """A cable holds the arm; a fit without it moves angles by half a radian and more to make up for that."""
     off, fitted = [], []

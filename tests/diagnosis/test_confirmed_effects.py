@@ -61,7 +61,8 @@ def drive(name: str, size: float, frequency: float, seconds: float, seed: int) -
 FEW = tuple(CATALOGUE[name] for name in ("arm_stribeck", "cogging", "current_offset"))
 
 
-@pytest.mark.parametrize("offered", [FEW, pytest.param(None, marks=pytest.mark.slow)], ids=["few", "whole"])
+@pytest.mark.slow
+@pytest.mark.parametrize("offered", [FEW, None], ids=["few", "whole"])
 def test_friction_that_rises_near_rest_is_named_though_it_scatters(offered: tuple[type[Effect], ...] | None) -> None:
     runs = [(0.25, 0.8, 2.5), (0.3, 1.1, 2.2), (0.35, 1.4, 2.6)]
     recording = rtac.Recording(

@@ -104,6 +104,7 @@ class Detent(Force):
         return -self.strength * away * jnp.exp(0.5 * (1 - away**2)), 0.0
 
 
+@pytest.mark.slow
 def test_an_effect_of_the_users_own_is_named_fitted_and_reported(
     recordings: dict[str, rtac.Recording], fitted: est.Fit
 ) -> None:

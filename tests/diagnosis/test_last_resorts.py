@@ -136,6 +136,7 @@ def test_it_is_saved_with_the_improvement(learned: est.Improvement, tmp_path: Pa
     assert "spline_force" in loaded.final.model
 
 
+@pytest.mark.slow
 def test_it_can_be_left_out(
     learned: est.Improvement, recording: rtac.Recording, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -207,6 +208,7 @@ def test_what_predictions_gain_is_no_reason_for_a_curve_with_which_the_held_out_
     assert isinstance(said, str) != kept
 
 
+@pytest.mark.slow
 def test_the_nearest_effect_is_added_and_called_likely(
     learned: est.Improvement, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -89,10 +89,14 @@ def test_it_is_said_with_what_all_others_leave_of_it(improved):
     assert not [t for model in improved.train.models for t in model.traces if t.experiment == LATE]
 
 
-def test_pictures_and_report_say_so(improved, recording, tmp_path, monkeypatch):
+def test_pictures_say_so(improved):
     assert finding(improved).startswith(f"Leaving {LATE} out of the fit lowers the held-out error of")
     figure = plot_improvement(improved)
     assert [label.get_text() for label in figure.axes[0].get_xticklabels()] == ["base", f"without {LATE}"]
+
+
+@pytest.mark.slow
+def test_the_report_says_so(improved, recording, tmp_path, monkeypatch):
     monkeypatch.setattr(est, "improve", lambda *_, **__: improved)
     recording.save(tmp_path / "rig.h5")
     result = call("improve", tmp_path / "rig.h5", "--out", tmp_path / "out")
@@ -101,6 +105,7 @@ def test_pictures_and_report_say_so(improved, recording, tmp_path, monkeypatch):
     assert f"{LATE} alone differs from all other experiments, and the last model is fitted without it" in page
 
 
+@pytest.mark.slow
 def test_one_whose_sensor_reads_three_percent_too_much_is_found_beside_the_noise():
     """Two experiments take most of the differences with them; only without the right one are the others alike."""
     recording = changed(recorded(), LATE, scaled)
@@ -113,6 +118,7 @@ def test_one_whose_sensor_reads_three_percent_too_much_is_found_beside_the_noise
     assert found.outlying.channel == "cart_position"
 
 
+@pytest.mark.slow
 def test_a_missing_effect_is_no_fault_of_one_experiment():
     recording = recorded(dataclasses.replace(RIG, cubic_spring=5e4))
     fit = est.output_error(rtac.RTAC.from_rig(recording), recording, progress=False)

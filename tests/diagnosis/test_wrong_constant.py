@@ -64,6 +64,7 @@ def test_each_changes_its_constant_and_nothing_else() -> None:
             np.testing.assert_allclose(getattr(one, channel), getattr(other, channel), rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_wrong_constant_is_not_told_from_a_sensors_gain(recording: rtac.Recording) -> None:
     found = diagnosed(recording, [*FEW, WrongArmInertia])
     assert found.verdict == "ambiguous", found

@@ -100,6 +100,7 @@ def test_the_separation_that_is_predicted_is_the_one_that_is_recorded(delayed: C
     assert 0.5 < planned.separation["input_delay", "current_lag"] / shown < 2.0
 
 
+@pytest.mark.slow
 def test_an_experiment_that_was_held_out_and_would_decide_is_named(delayed: Case) -> None:
     """The recommended experiment, recorded and then held out, as `Recording.split` may do; and one that says nothing."""
     plans = [
@@ -182,6 +183,16 @@ def test_a_menu_of_ones_own_is_not_altered_and_what_breaks_a_limit_is_refused(de
     chosen = est.next_experiment(delayed.fit, delayed.recording, delayed.found, plans=plans, progress=False)
     assert [one.plan for one in chosen.ranked] == plans[:1]
     assert {text.split(":")[0] for text in chosen.refused} == {"too strong", "too far"}
+
+
+@pytest.mark.slow
+def test_a_menu_by_its_old_name_is_taken_and_one_of_which_nothing_is_left_is_refused(delayed: Case) -> None:
+    wave = np.where((1.5 * 0.01 * np.arange(400) + 0.25) % 1 < 0.5, 0.1, -0.1)
+    plans = [
+        virtual_rig.Plan("gentle", "forced", 4.0, 0.01, wave),
+        virtual_rig.Plan("too strong", "forced", 4.0, 0.01, 15 * wave),
+    ]
+    chosen = est.next_experiment(delayed.fit, delayed.recording, delayed.found, plans=plans, progress=False)
     with pytest.warns(DeprecationWarning, match="menu is called plans now"):
         old = est.next_experiment(delayed.fit, delayed.recording, delayed.found, menu=plans, progress=False)
     assert old.as_dict() == chosen.as_dict()

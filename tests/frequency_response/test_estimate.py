@@ -96,7 +96,7 @@ def test_periodic_noise_level_is_right_and_no_distortion_is_seen(periodic):
         assert np.median([getattr(one, level) / one.noise_std for one in found]) < 0.6
 
 
-@pytest.mark.parametrize(("poles", "half_width"), [(0, 6), (2, 12)])
+@pytest.mark.parametrize(("poles", "half_width"), [(0, 6), pytest.param(2, 12, marks=pytest.mark.slow)])
 def test_local_discs_hold_the_truth_as_often_as_they_say(poles, half_width):
     random = np.random.default_rng(1)
     current = random.standard_normal((RUNS, 3000))
@@ -109,6 +109,7 @@ def test_local_discs_hold_the_truth_as_often_as_they_say(poles, half_width):
     assert 0.45 < inside(found, 0.5) < 0.55
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", [0.1, 1.0])
 def test_coherence_is_the_share_of_power_that_a_known_noise_leaves(noise):
     random = np.random.default_rng(7)
@@ -377,6 +378,7 @@ def test_what_only_compensation_puts_into_a_band_is_no_excitation():
     assert len(est.frequency_responses(Recording((run,)), band=(0.5, 2.0), angles=turning)) == 1
 
 
+@pytest.mark.slow
 def test_a_resonance_far_below_a_wide_band_is_shown():
     random = np.random.default_rng(8)
     current = random.standard_normal(4000)

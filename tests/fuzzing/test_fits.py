@@ -95,7 +95,7 @@ def test_closed_forms_and_simulations_of_anything(trials, measured):
     trial()
 
 
-@sizes(12, 120)
+@sizes(5, 120)
 def test_fits_of_anything(trials, measured):
     ended = []
 

@@ -93,7 +93,8 @@ def test_it_is_told_of_itself_where_all_others_are_followed_together():
     assert 0.9 < found.outlying.over_noise < 1.1
 
 
-@pytest.mark.parametrize("others", [0.006, pytest.param(0.012, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("others", [0.006, 0.012])
 def test_what_a_model_lacks_in_every_experiment_is_no_fault_of_one(others):
     """Decays of one size, and one of another, with a spring that hardens: none but that one differs, and none is followed."""
     rig = virtual_rig.Rig(cubic_spring=4e5)
@@ -122,6 +123,7 @@ def test_no_experiment_alone_is_named_where_none_or_several_differ(given):
     assert found.outlying is None
 
 
+@pytest.mark.slow
 def test_weighed_constants_are_held():
     fit, recording, _ = fitted(0.0)
     weighed = dataclasses.replace(recording, rig_std={"total_mass": 0.005})
@@ -210,6 +212,7 @@ def test_differences_are_looked_for_only_where_experiments_could_tell_them(drift
     assert [differing(one, driven) for one in (near, lost, cut)] == [None] * 3
 
 
+@pytest.mark.slow
 def test_the_advice_can_be_followed(drifted, driven):
     """With a value for each experiment the fit is at the noise, and everything can be asked of it."""
     fit, _ = drifted
@@ -233,6 +236,7 @@ def test_a_missing_effect_is_no_drift(hidden):
     assert est.constancy(fit, recording).differences == ""
 
 
+@pytest.mark.slow
 def test_a_parameter_that_is_nearly_nothing_in_common_may_drift():
     """A bias of the tachometer of +-0.5 rad/s, whose common estimate is next to zero."""
     rig = virtual_rig.Rig()
@@ -348,7 +352,9 @@ def as_estimated(random, count, parameters, scatter, odd=None):
     return information, np.einsum("epq,eq->ep", np.linalg.cholesky(information), away)
 
 
-@pytest.mark.parametrize(("count", "parameters"), [(4, 4), (6, 3), (10, 4)])
+@pytest.mark.parametrize(
+    ("count", "parameters"), [(4, 4), *(pytest.param(*case, marks=pytest.mark.slow) for case in ((6, 3), (10, 4)))]
+)
 def test_scatter_of_all_is_seldom_taken_for_one_that_differs(count, parameters):
     """In none of a hundred or next to none, whatever the size of the scatter; and one far off is told in nine of ten."""
     random = np.random.default_rng(0)

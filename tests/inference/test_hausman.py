@@ -100,6 +100,7 @@ def test_on_a_clean_rig_they_agree_and_say_so(found: Agreement) -> None:
     assert "agree within chance" in found.plot().get_suptitle()
 
 
+@pytest.mark.slow
 def test_deviations_are_those_of_repeated_recordings() -> None:
     """The same plans recorded again and again: how far closed form and output error then scatter."""
     plans = virtual_rig.standard_plans(seed=1, sample_time=0.01, duration=3.0, free=3, forced=5, rest=1)
@@ -140,13 +141,14 @@ def test_false_alarms_come_at_the_stated_rate() -> None:
     assert 0.2 < np.mean(found < 0.5) < 0.8
 
 
+@pytest.mark.slow
 def test_coloured_sensor_noise_is_no_disagreement() -> None:
     found = p_values(dataclasses.replace(RIG, noise_correlation=0.9), range(40, 42))
     assert np.max(found) > 0.05, found
     assert np.min(found) > 1e-3, found
 
 
-@pytest.mark.parametrize("effect", ["cubic_spring", "arm_coulomb"])
+@pytest.mark.parametrize("effect", ["cubic_spring", pytest.param("arm_coulomb", marks=pytest.mark.slow)])
 def test_a_hidden_effect_makes_them_disagree(effect: str) -> None:
     found = held_together(recorded(dataclasses.replace(RIG, **HIDDEN[effect]), 60))
     assert found.rejected
@@ -205,6 +207,7 @@ def test_starts_are_found_where_friction_holds_the_cart_at_first() -> None:
         assert np.all(np.sqrt(np.nanmean(left**2, axis=0)) < 1.5 * fit.noise["cart_position"])
 
 
+@pytest.mark.slow
 def test_random_forces_make_them_disagree_until_they_are_counted() -> None:
     recording = recorded(SHAKEN, 3)
     without = held_together(recording)
@@ -315,6 +318,7 @@ def test_estimates_that_know_nothing_confirm_nothing() -> None:
     assert "That tells nothing of arm_inertia: a difference would have to be larger than 30 % to show." in vague
 
 
+@pytest.mark.slow
 def test_two_fits_can_be_held_together(clean: rtac.Recording) -> None:
     model = rtac.RTAC.from_rig(clean)
     fit = est.output_error(model, clean, from_model=True, progress=False)
@@ -348,6 +352,7 @@ def test_wrong_use_is_refused(clean: rtac.Recording) -> None:
         agreement([closed, fit], rtac.Recording(other.experiments[:3], rig=other.rig))
 
 
+@pytest.mark.slow
 def test_one_table_says_it_all(clean: rtac.Recording) -> None:
     closed = est.least_squares(rtac.RTAC.from_rig(clean), clean, weak=True)
     fit = est.output_error(closed.model, clean, from_model=True, progress=False)
@@ -363,6 +368,7 @@ def test_one_table_says_it_all(clean: rtac.Recording) -> None:
     assert f"{closed.estimates['spring_stiffness'].value:.6g}" in row
 
 
+@pytest.mark.slow
 def test_a_closed_form_and_a_linear_fit_are_compared_without_an_output_error() -> None:
     """The closed form's own simulation stands for the truth: they agree on a clean rig, not on one whose spring is cubic."""
     verdicts = {}
@@ -383,6 +389,7 @@ def test_a_closed_form_and_a_linear_fit_are_compared_without_an_output_error() -
     assert pair.p_value < 0.01, str(verdicts["cubic"])
 
 
+@pytest.mark.slow
 def test_long_experiments_have_fewer_replicates(clean: rtac.Recording, monkeypatch: pytest.MonkeyPatch) -> None:
     model = rtac.RTAC.from_rig(clean)
     two = [est.least_squares(model, clean, weak=True), est.output_error(model, clean, from_model=True, progress=False)]

@@ -121,6 +121,7 @@ def test_scores_of_the_experiments_cancel_at_the_optimum(white: tuple[rtac.Recor
     assert np.all(np.abs(moved).max(axis=0) > 0.05 * deviation)
 
 
+@pytest.mark.slow
 def test_coloured_noise_breaks_the_plain_intervals_and_no_others() -> None:
     found = of_decays(range(20), 0.9)
     assert found["plain"] < 0.85
@@ -221,6 +222,7 @@ def test_more_noise_and_less_time_are_expected_to_cost(recording: rtac.Recording
         assert loud[name] == pytest.approx(2 * std, rel=0.1), name
 
 
+@pytest.mark.slow
 def test_inputs_that_run_straight_between_samples_tell_less_than_held_ones() -> None:
     """Of a fast current straight lines pass less than steps do, and the arm moves less against the same noise."""
     turn = 0.8 * np.pi  # of the current's phase in a sample
@@ -232,6 +234,7 @@ def test_inputs_that_run_straight_between_samples_tell_less_than_held_ones() -> 
     assert lines == pytest.approx(steps / np.cos(turn / 2), rel=0.05)
 
 
+@pytest.mark.slow
 def test_what_a_plan_cannot_tell_is_said_beforehand() -> None:
     plan = plans()[0]
     found = expected_std(rtac.RTAC.paper(), [plan], noise=NOISE)
@@ -294,6 +297,7 @@ def test_profile_is_that_of_a_search_by_hand(white: tuple[rtac.Recording, est.Fi
         assert rise == pytest.approx(2 * (cost - best.cost), abs=0.05)
 
 
+@pytest.mark.slow
 def test_profile_ends_at_a_bound(white: tuple[rtac.Recording, est.Fit, Covariances]) -> None:
     """These decays have no dry friction, so how little there may be the data cannot say."""
     recording, _, _ = white
@@ -303,7 +307,8 @@ def test_profile_ends_at_a_bound(white: tuple[rtac.Recording, est.Fit, Covarianc
     assert found.value < found.interval[1] < 0.01
 
 
-@pytest.mark.parametrize("seed", [5, pytest.param(6, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [5, 6])
 def test_profile_is_even_where_a_friction_level_rests_on_its_bound(seed: int) -> None:
     """To one side the ridge leads the level off its bound, and from there an optimiser may not find back."""
     rig = dataclasses.replace(virtual_rig.Rig(), cart_coulomb=0.0, encoder=True, quantisation_bits=None)

@@ -143,6 +143,7 @@ def test_noise_is_known_from_rest_or_from_the_file() -> None:
     assert known_noise(moving) == frozenset()
 
 
+@pytest.mark.slow
 @OFFERED
 @pytest.mark.parametrize("level", [4e-4, 1.5e-4])
 def test_dry_friction_in_too_few_data_is_not_called_adequate(
@@ -179,6 +180,7 @@ def millimetres() -> tuple[est.Fit, Recording]:
     return fitted(recording), recording
 
 
+@pytest.mark.slow
 @OFFERED
 def test_random_forces_in_place_of_the_physics_are_not_called_adequate(
     millimetres: tuple[est.Fit, Recording], offered: tuple[type[Effect], ...] | None
@@ -190,6 +192,7 @@ def test_random_forces_in_place_of_the_physics_are_not_called_adequate(
     assert "stand in for the physics" in found.explanation
 
 
+@pytest.mark.slow
 @OFFERED
 def test_nor_where_nobody_knows_the_noise(
     millimetres: tuple[est.Fit, Recording], offered: tuple[type[Effect], ...] | None
@@ -271,6 +274,7 @@ def test_estimates_of_a_shaken_rig_agree_but_confirm_no_noise_floor(shaken: tupl
     assert f"{found.simulation.ratio:.2g} times the known noise" in found.verdict
 
 
+@pytest.mark.slow
 def test_agreement_far_above_the_noise_confirms_nothing(millimetres: tuple[est.Fit, Recording]) -> None:
     found = held_together(*millimetres, predicted=True)
     assert found.simulation is not None

@@ -53,12 +53,14 @@ def test_covariances_count_each_experiment_as_it_was_sampled(fit):
     assert np.all(np.isfinite(clustered) & (clustered > 0))
 
 
+@pytest.mark.slow
 def test_predictions_reach_the_truth(predictor):
     assert max(abs(x) for x in deviations(predictor).values()) < 4.0
     assert all(0.8 < w.rms < 1.2 for w in predictor.whiteness)
     assert min(w.p_value for w in predictor.whiteness) > 1e-4
 
 
+@pytest.mark.slow
 def test_closed_form_and_output_error_agree(model, fit):
     assert max(abs(x) for x in deviations(fit).values()) < 4.0
     closed = est.least_squares(model, unequal(), weak=True)

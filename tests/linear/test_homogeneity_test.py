@@ -74,6 +74,7 @@ def test_a_drift_with_what_only_the_user_knows_is_found_and_named():
         found.equality(covariates={"temperature": {"run_1": 20.0}})
 
 
+@pytest.mark.slow
 def test_equal_conditions_are_called_equal_as_often_as_said():
     p_values = np.array([drifting(0.0, seed).equality().p_value for seed in range(10)])
     # Uniform between 0 and 1.
@@ -114,6 +115,7 @@ def equal_plants(seed, noise, missing):
     return Recording(tuple(experiments))
 
 
+@pytest.mark.slow
 def test_missing_samples_under_a_model_of_the_noise_make_equal_conditions_no_different():
     """A prediction across a gap is off by more than others, and those after it with it."""
     away, p_values = [], []

@@ -55,7 +55,8 @@ NOISES = {
     "armax": (([1.0, 0.4, 0.1], SHARED), 0.01),
     "state_space": (([1.0, -0.6, 0.2], SHARED), 0.02),
 }
-LONGER = ("armax", "state_space")  # in slow studies: what their predictors are differs, and not how bands are made
+# In slow studies: what their predictors are differs, and not how bands are made.
+LONGER = ("box_jenkins", "armax", "state_space")
 
 
 @pytest.mark.parametrize("structure", [pytest.param(s, marks=[pytest.mark.slow] * (s in LONGER)) for s in NOISES])
@@ -81,6 +82,7 @@ def test_known_systems_are_recovered_with_bands_that_hold(structure):
     assert np.sum([not one.residuals.independent for one in found]) <= 6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", [NOISES["box_jenkins"][0], ([1.0], [1.0, -0.9])])
 def test_coloured_errors_are_not_taken_for_a_response_to_the_input(noise):
     """Output error does not weigh its errors, so what the fit took out of them is not small beside their least coloured part."""
@@ -92,6 +94,7 @@ def test_coloured_errors_are_not_taken_for_a_response_to_the_input(noise):
     assert not any(one.residuals.white for one in found)
 
 
+@pytest.mark.slow
 def test_missing_samples_are_no_response_to_the_input():
     current, out = simulated(([1.0], [1.0]), 0.1, seed=6)
     out = np.where(np.random.default_rng(7).random(out.shape) < 0.3, np.nan, out)
@@ -178,7 +181,7 @@ def test_predictions_over_any_horizon_are_those_of_the_difference_equation():
         one.predict(0)
 
 
-@pytest.mark.parametrize("hold", ["zoh", pytest.param("foh", marks=pytest.mark.slow), "bl"])
+@pytest.mark.parametrize("hold", ["zoh", *(pytest.param(hold, marks=pytest.mark.slow) for hold in ("foh", "bl"))])
 def test_the_input_between_samples_is_counted(hold):
     random = np.random.default_rng(3)
     fine, samples = 20, LENGTH
@@ -320,7 +323,6 @@ def test_what_cannot_be_fitted_is_refused_in_one_sentence():
     message = refused(current[:, :12], out[:, :12])
     assert "12 samples" in message
     assert "at least 13" in message
-    assert est.prediction_error(recording(current[:, :13], out[:, :13]), compensate=False)[0].structure.count == 12
     assert "unstable" in refused(current, out, start=ct.tf([1.0], [1.0, -0.1, 110.0]))
     assert "all samples are 1" in refused(current, np.ones_like(out))
     assert "current is constant" in refused(np.ones_like(current), out)
@@ -336,6 +338,12 @@ def test_what_cannot_be_fitted_is_refused_in_one_sentence():
     current, missing = simulated(([1.0], [1.0]), 0.1, samples=LENGTH, runs=FEW)
     missing[:, random.integers(0, LENGTH, 75)] = np.nan
     assert est.prediction_error(recording(current, missing), structure="output_error", compensate=False)[0].converged
+
+
+@pytest.mark.slow
+def test_one_sample_more_than_is_refused_is_fitted():
+    current, out = simulated(([1.0], [1.0]), 0.1, samples=100, runs=1)
+    assert est.prediction_error(recording(current[:, :13], out[:, :13]), compensate=False)[0].structure.count == 12
 
 
 @pytest.mark.slow

@@ -47,18 +47,25 @@ def test_realisations_of_other_lengths_are_refused_unless_one_grid_is_given():
     near(found[0].frequency, GRID)
 
 
-@pytest.mark.parametrize("structure", ["output_error", pytest.param("box_jenkins", marks=pytest.mark.slow)])
-def test_a_linear_model_does_not_depend_on_the_other_conditions(structure):
+@pytest.mark.parametrize(
+    ("structure", "name"),
+    [
+        ("output_error", "brief"),
+        pytest.param("output_error", "quick", marks=pytest.mark.slow),
+        pytest.param("box_jenkins", "brief", marks=pytest.mark.slow),
+        pytest.param("box_jenkins", "quick", marks=pytest.mark.slow),
+    ],
+)
+def test_a_linear_model_does_not_depend_on_the_other_conditions(structure, name):
     together = est.prediction_error(recorded(), structure=structure, progress=False)
     # Of one rig, whatever the samples: the natural frequency to within 1 % of each other.
     assert np.ptp([one.values[0] for one in together]) < 0.01 * together[0].values[0]
     assert np.all(np.isfinite(np.array([[r.response, r.std] for r in together.responses(GRID)])))
-    for name in ("brief", "quick"):
-        alone = est.prediction_error(recorded().select([name]), structure=structure, progress=False)[0]
-        one = together[name]
-        assert one.converged
-        assert (len(one.simulated), one.sample_time) == CONDITIONS[name]
-        for what in ("values", "poles", "innovation_std", "bic", "noise_numerator", "simulated"):
-            near(getattr(one, what), getattr(alone, what))
-        near(one.std, alone.std, rtol=1e-6)
-        near(one.residuals.autocorrelation, alone.residuals.autocorrelation, rtol=1e-6)
+    alone = est.prediction_error(recorded().select([name]), structure=structure, progress=False)[0]
+    one = together[name]
+    assert one.converged
+    assert (len(one.simulated), one.sample_time) == CONDITIONS[name]
+    for what in ("values", "poles", "innovation_std", "bic", "noise_numerator", "simulated"):
+        near(getattr(one, what), getattr(alone, what))
+    near(one.std, alone.std, rtol=1e-6)
+    near(one.residuals.autocorrelation, alone.residuals.autocorrelation, rtol=1e-6)

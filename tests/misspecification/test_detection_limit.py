@@ -78,6 +78,7 @@ class Root(Force):
         return -self.strength * jnp.sqrt(motion.cart_position + 1e-4), 0.0
 
 
+@pytest.mark.slow
 def test_an_effect_that_is_not_nothing_at_null_does_not_blind_the_others(
     nothing: tuple[est.Fit, rtac.Recording],
 ) -> None:

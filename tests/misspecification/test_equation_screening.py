@@ -53,7 +53,10 @@ def screened(recording: rtac.Recording, candidates: Sequence[type[Effect]]) -> l
     return explained_by(equations(recording), instances, least=10.0, most=3)
 
 
-@pytest.mark.parametrize("name", GROSS)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=[pytest.mark.slow] * (name in ("gravity_tilt", "cable_spring"))) for name in GROSS],
+)
 def test_gross_effects_come_first_with_their_sizes(name: str) -> None:
     hidden, rms, speed, sizes = GROSS[name]
     found = screened(recorded(hidden, rms, speed), [*CATALOGUE.values(), OneSidedSpring])

@@ -67,7 +67,7 @@ def found(linear: Linear, error: np.ndarray, several: list[Experiment]) -> dict[
     return {f.follows: f for f in forces}
 
 
-@pytest.mark.parametrize("colour", [0.0, 0.8])
+@pytest.mark.parametrize("colour", [0.0, pytest.param(0.8, marks=pytest.mark.slow)])
 def test_of_noise_alone_it_keeps_its_level(colour: float) -> None:
     """Also where the noise is coloured, of which the model knows nothing."""
     several, random = experiments(), np.random.default_rng(1)

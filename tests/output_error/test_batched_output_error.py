@@ -73,6 +73,7 @@ def start_deviations(fit: est.Fit, recording: rtac.Recording) -> Values:
     return np.abs(np.asarray(space.physical(moved)[2] - space.physical(unknowns)[2]))
 
 
+@pytest.mark.slow
 def test_each_result_is_that_of_a_single_fit() -> None:
     """Without friction that changes where the motion turns, which makes kinks that each way of descending meets elsewhere."""
     recordings = recorded(cart_coulomb=0.0)

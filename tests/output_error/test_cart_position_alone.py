@@ -24,7 +24,9 @@ def recording() -> rtac.Recording:
     return dataclasses.replace(made, experiments=cart, rig={"total_mass": RIG.total_mass})
 
 
-@pytest.mark.parametrize("estimator", [est.output_error, est.prediction_error_nonlinear])
+@pytest.mark.parametrize(
+    "estimator", [est.output_error, pytest.param(est.prediction_error_nonlinear, marks=pytest.mark.slow)]
+)
 def test_the_arm_is_found_from_how_it_pushes_the_cart(recording: rtac.Recording, estimator) -> None:
     found = estimator(rtac.RTAC.from_rig(recording), recording, progress=False).parameters
     truth = {

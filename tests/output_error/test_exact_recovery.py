@@ -37,6 +37,7 @@ def test_closed_form_without_noise_gives_the_truth(smooth_decays: rtac.Recording
     assert "total_mass" not in found.estimates  # it was known
 
 
+@pytest.mark.slow
 def test_output_error_without_noise_gives_the_truth_and_the_closed_form(smooth_decays: rtac.Recording) -> None:
     model = rtac.RTAC.from_rig(smooth_decays).without("cart_coulomb")
     fit = est.output_error(model, smooth_decays, progress=False, tolerance=1e-10)
@@ -206,6 +207,7 @@ def errors(found: est.ClosedForm) -> dict[str, float]:
     return {name: e.pooled / TRUTH[name] - 1 for name, e in found.estimates.items()}
 
 
+@pytest.mark.slow
 def test_differenced_closed_form_without_noise_errs_by_the_square_of_the_step() -> None:
     """At 1e-6 all seven parameters, dry friction included, at steps of 1/16 ms; above, the differences are what is wrong."""
     found = {every: errors(differenced(every)) for every in (4, 2, 1)}

@@ -80,6 +80,7 @@ def test_a_fit_that_a_kink_stopped_says_so(noisy_fit: est.Fit) -> None:
     assert "kink" not in moving, "it has not come to rest"
 
 
+@pytest.mark.slow
 def test_a_fit_whose_steps_run_out_far_from_its_end_goes_on_from_there() -> None:
     """One step is all that is allowed after the start; the start that is led anew counts as the same one."""
     plans = virtual_rig.standard_plans(seed=7, sample_time=0.005, duration=8.0, free=1, forced=2, rest=1)
@@ -92,6 +93,7 @@ def test_a_fit_whose_steps_run_out_far_from_its_end_goes_on_from_there() -> None
     assert "did not converge" in one.outcome
 
 
+@pytest.mark.slow
 def test_starts_that_no_sensor_could_tell_apart_are_followed_once(
     noisy: rtac.Recording, noisy_fit: est.Fit, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -128,6 +130,7 @@ def test_starts_do_not_vouch_for_a_model_that_does_not_follow_the_rig(noisy_fit:
     assert "1,023 times its noise in pieces of long experiments that begin anew, more in a whole one:" in str(cut)
 
 
+@pytest.mark.slow
 def test_starts_that_simulate_something_else_are_followed_to_their_ends() -> None:
     """As on a rig that random forces shake: what a simulation leaves has many valleys."""
     plans = virtual_rig.standard_plans(seed=11, sample_time=0.005, duration=4.0, free=2, forced=2, rest=1)
@@ -156,6 +159,7 @@ def test_with_noise_weak_closed_form_output_error_and_truth_agree(noisy: rtac.Re
         assert abs(here.value - there.value) < 4 * np.hypot(here.std, there.std), name
 
 
+@pytest.mark.slow
 def test_a_rig_without_known_constants_is_refused_with_the_free_combination(noisy: rtac.Recording) -> None:
     unknown = rtac.Recording(noisy.experiments)
     with pytest.raises(
@@ -370,7 +374,8 @@ def test_covariance_integrates_the_starts_out(noisy: rtac.Recording) -> None:
     np.testing.assert_allclose(found.covariance, covariance * np.outer(slope, slope), rtol=1e-6)
 
 
-@pytest.mark.parametrize("yields_at", [5e-6, pytest.param(1e-5, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("yields_at", [5e-6, 1e-5])
 def test_what_only_a_correcting_filter_makes_diverge_is_fitted_by_simulation(yields_at: float) -> None:
     """Stiff bristles beside a filter that follows a sensor of 4 um, sample by sample: the filter swings up, the rig does not."""
     rig = virtual_rig.Rig(

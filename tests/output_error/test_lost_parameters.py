@@ -56,6 +56,7 @@ def test_another_estimator_is_recommended(recording: rtac.Recording, fit: est.Fi
     assert "ended where the data leave parameters free" in advice.sentence
 
 
+@pytest.mark.slow
 def test_a_diagnosis_begins_in_closed_form(recording: rtac.Recording, fit: est.Fit) -> None:
     setting = setting_of(fit, recording, (ArmQuadraticDrag,), Progress("test", show=False))
     assert float(np.asarray(setting.model["arm_inertia"])) == pytest.approx(INERTIA, rel=0.5)

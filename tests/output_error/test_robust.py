@@ -109,6 +109,7 @@ def test_the_stated_deviations_are_those_over_many_recordings(clean):
 PLACES = (100, 101, 350, 351, 600, 601)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("spiked", [("forced_2",), ("free_1", "free_2", "forced_1", "forced_2", "forced_3")])
 def test_spikes_far_beyond_the_motion_do_not_lead_the_starts_astray(spiked):
     plans = virtual_rig.standard_plans(seed=1, duration=4.0, free=2, forced=3)

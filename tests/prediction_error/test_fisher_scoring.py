@@ -73,9 +73,8 @@ def held_by_friction(current_rms, **disturbances):
     return rtac.RTAC.from_rig(data).release("arm_inertia"), data
 
 
-@pytest.mark.parametrize(
-    "disturbances", [{}, pytest.param({"torque_noise": 1e-5}, marks=pytest.mark.slow)], ids=["at rest", "shaken"]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("disturbances", [{}, {"torque_noise": 1e-5}], ids=["at rest", "shaken"])
 def test_the_inertia_of_an_arm_whose_cart_friction_holds_is_as_unsure_as_it_is(disturbances):
     """Only the cart tells the arm's inertia from the motor's constant, and it moves by a tenth of a millimetre.
 

@@ -29,7 +29,7 @@ def recorded(random: np.random.Generator, samples: int) -> Experiment:
     return Experiment.of(f"e{samples}", kind="free", sample_time=0.01, cart_position=values, arm="locked")
 
 
-@pytest.mark.parametrize("colour", [{}, COLOUR])
+@pytest.mark.parametrize("colour", [pytest.param({}, marks=pytest.mark.slow), COLOUR])
 def test_slopes_are_those_of_the_likelihood(colour):
     random = np.random.default_rng(5)
     experiments = [recorded(random, 150), recorded(random, 110)]
@@ -65,6 +65,7 @@ def test_slopes_are_those_of_the_likelihood(colour):
     assert information[2, 2] > 0
 
 
+@pytest.mark.slow
 def test_where_a_state_is_sure_its_derivatives_are_those_of_the_model():
     """Of a cart that slides and an arm that turns, with dry friction; the velocities' are differences over next to nothing."""
     motion = {"cart_position": np.linspace(0.01, 0.02, 8), "arm_velocity": np.linspace(4.0, 3.9, 8)}

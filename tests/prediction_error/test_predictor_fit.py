@@ -47,6 +47,7 @@ def test_random_forces_do_not_bend_the_physics(shaken):
     assert "white" in found.plot()._suptitle.get_text()
 
 
+@pytest.mark.slow
 def test_the_curvature_of_the_noise_is_that_of_its_likelihood(shaken):
     """At the estimate, beside central differences of the slope; expected and observed curvature differ by chance only."""
     data, model, _, _ = shaken
@@ -69,6 +70,7 @@ def test_the_curvature_of_the_noise_is_that_of_its_likelihood(shaken):
     assert slope @ np.linalg.solve(expected, slope) < 0.2
 
 
+@pytest.mark.slow
 def test_a_filter_of_long_experiments_is_the_same(shaken, monkeypatch):
     data, model, _, _ = shaken
     found = est.prediction_error_nonlinear(model, data, progress=False, rounds=2)
@@ -81,6 +83,7 @@ def test_a_filter_of_long_experiments_is_the_same(shaken, monkeypatch):
         np.testing.assert_allclose(value, getattr(whole, name), rtol=0, atol=1e-12 * size, err_msg=name)
 
 
+@pytest.mark.slow
 def test_a_curvature_that_is_kept_changes_steps_and_not_where_they_end(shaken, monkeypatch):
     data, model, _, _ = shaken
     computed: list[int] = []

@@ -77,7 +77,9 @@ def harmless(path):
 SETS = {"mathematics": NAMES[2:4] + NAMES[:1], "long": NAMES[7:9] + NAMES[4:6]}
 
 
-@pytest.mark.parametrize("names", SETS.values(), ids=SETS)
+@pytest.mark.parametrize(
+    "names", [pytest.param(names, id=name, marks=[pytest.mark.slow] * (name == "long")) for name, names in SETS.items()]
+)
 def test_pictures_show_names_as_they_are_written(names, tmp_path):
     """No mathematics, no legend gone, no warning for a script that the font lacks; and valid XML."""
     made = Comparison((compared(names[0], 3.0, names=names), compared("last", 1.0, names=names)))

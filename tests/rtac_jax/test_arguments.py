@@ -108,6 +108,7 @@ def test_what_has_no_meaning_is_refused(call: Any, said: str) -> None:
         call()
 
 
+@pytest.mark.slow
 def test_models_without_a_difference_are_numbered() -> None:
     found = est.compare([MODEL, MODEL], RECORDING)
     assert [m.label for m in found.models] == ["base (1)", "base (2)"]

@@ -5,6 +5,7 @@ import subprocess
 import sys
 
 import jax
+import pytest
 
 import rtac_jax as rtac
 from rtac_jax import configuration
@@ -46,6 +47,7 @@ print(rtac.configure(cache=None, gpu=True))
     assert "computing on the CPU" in late
 
 
+@pytest.mark.slow
 def test_a_platform_that_the_user_names_is_kept() -> None:
     named = said_by("print(rtac.configure(cache=None, gpu=True), jax.config.jax_platforms)", JAX_PLATFORMS="cpu")
     assert "computing on cpu, which JAX_PLATFORMS names" in named[0]

@@ -122,9 +122,15 @@ def test_derivative_where_it_is_absent_is_finite(effect_id):
 @pytest.mark.parametrize(
     "effect",
     [
-        effects.CurrentLag(1e-6), effects.TachoLag(1e-6), effects.LvdtLag(1e-6), effects.EncoderLag(1e-6),
-        effects.ChannelDelay(1e-6), effects.InputDelay(1e-6), effects.HystereticSpring(1.0, 1e-7),
-        effects.FlexibleShaft(1e-9, 0.5, 0.05, 0.9 / SAMPLE_TIME), effects.Backlash(1e-6, 0.3),
+        effects.CurrentLag(1e-6), effects.ChannelDelay(1e-6), effects.InputDelay(1e-6), effects.HystereticSpring(1.0, 1e-7),
+        effects.Backlash(1e-6, 0.3),
+        *(
+            pytest.param(effect, marks=pytest.mark.slow)
+            for effect in (
+                effects.TachoLag(1e-6), effects.LvdtLag(1e-6), effects.EncoderLag(1e-6),
+                effects.FlexibleShaft(1e-9, 0.5, 0.05, 0.9 / SAMPLE_TIME),
+            )
+        ),
     ],
     ids=lambda effect: effect.id,
 )  # fmt: skip

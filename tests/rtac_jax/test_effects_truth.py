@@ -3,6 +3,7 @@
 The truth is extrapolated from two step sizes, so that where it is smooth its own error is far below the tolerance.
 """
 
+import itertools
 from dataclasses import replace
 from functools import cache
 from typing import Any, ClassVar
@@ -238,8 +239,13 @@ def test_band_limited_input_declared_held():
     np.testing.assert_allclose(half, 0.5 * (held + found), atol=1e-3 * np.abs(held).max())
 
 
-@pytest.mark.parametrize("other", ["zoh", "foh", "bl"])
-@pytest.mark.parametrize("declared", ["zoh", "foh", "bl"])
+@pytest.mark.parametrize(
+    ("declared", "other"),
+    [
+        pytest.param(*holds, marks=[pytest.mark.slow] * (holds not in {("zoh", "bl"), ("foh", "zoh"), ("bl", "foh")}))
+        for holds in itertools.product(("zoh", "foh", "bl"), repeat=2)
+    ],
+)
 def test_input_hold_is_the_other_declaration(declared, other):
     order = {"zoh": 0.0, "foh": 1.0, "bl": 3.0}[other]
     kinds = {"kind": "forced", "sample_time": SAMPLE_TIME, "current": CURRENT, "disturbance_force": FORCE}
@@ -252,6 +258,7 @@ def test_input_hold_is_the_other_declaration(declared, other):
         np.testing.assert_allclose(found, values, rtol=0, atol=2e-5 * np.abs(values).max())
 
 
+@pytest.mark.slow
 def test_input_hold_of_a_short_experiment_beside_a_long_one():
     kinds = {"kind": "forced", "sample_time": SAMPLE_TIME, "intersample": "zoh"}
     long = Experiment.of("long", cart_position=TIME, current=CURRENT, disturbance_force=FORCE, **kinds)
@@ -290,6 +297,7 @@ def test_delay_of_a_curved_input_follows_its_curve_and_without_delay_is_nothing(
     assert apart(run(BARE + effects.InputDelay(0.0083), curved), truth) < 5e-6 < apart(plain, truth)
 
 
+@pytest.mark.slow
 def test_delay_does_not_depend_on_how_many_powers_an_input_is_written_with():
     """A held current beside a band-limited one in another experiment, or behind another hold that is absent."""
     kinds = {"kind": "forced", "sample_time": SAMPLE_TIME, "current": CURRENT, "cart_position": TIME}
@@ -305,7 +313,9 @@ def test_delay_does_not_depend_on_how_many_powers_an_input_is_written_with():
             np.testing.assert_allclose(getattr(other, name), values, rtol=0, atol=1e-13 * np.abs(values).max())
 
 
-@pytest.mark.parametrize("lag", [1e-7, 4e-4, 0.002])
+@pytest.mark.parametrize(
+    "lag", [pytest.param(1e-7, marks=pytest.mark.slow), pytest.param(4e-4, marks=pytest.mark.slow), 0.002]
+)
 def test_lag_shorter_than_a_step(lag):
     """One step for a sample is enough, be the lag as short as it likes."""
     truth = extrapolated([({"current_lag": lag}, PLAN)])[0]

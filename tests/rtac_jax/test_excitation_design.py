@@ -100,7 +100,9 @@ WAVES = {
 }
 
 
-@pytest.mark.parametrize("name", WAVES)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name != "multisine")) for name in WAVES]
+)
 def test_design_keeps_its_limits_on_an_independent_rig_and_in_a_file(name, tmp_path):
     angles = (0.2, 1.4, -2.5)
     made = rtac.design_excitation(
@@ -130,7 +132,9 @@ def test_design_keeps_its_limits_on_an_independent_rig_and_in_a_file(name, tmp_p
         assert np.max(np.abs(shown.outputs["cart_position"].values)) <= 1.25 * 0.004
 
 
-@pytest.mark.parametrize("effect", [InputDelay(0.03), InputDelay(0.007), LvdtGain(-0.3)], ids=str)
+@pytest.mark.parametrize(
+    "effect", [InputDelay(0.03), pytest.param(InputDelay(0.007), marks=pytest.mark.slow), LvdtGain(-0.3)], ids=str
+)
 def test_the_cart_itself_keeps_its_travel_whatever_delays_the_current_or_scales_the_sensor(effect):
     model, limit = rtac.RTAC.paper() + effect, 0.0025
     angles = (0.0, 1.4)
@@ -149,7 +153,7 @@ def test_the_cart_itself_keeps_its_travel_whatever_delays_the_current_or_scales_
     assert max(np.max(np.abs(again[e.name].states["cart_position"])) for e in made) > 0.6 * limit
 
 
-@pytest.mark.parametrize("seconds", [0.6, 1.75])
+@pytest.mark.parametrize("seconds", [0.6, pytest.param(1.75, marks=pytest.mark.slow)])
 def test_the_travel_holds_also_while_the_cart_swings_out(seconds):
     """A current that ends while the motion still grows; played on a virtual rig, whose integrator is its own."""
     limit, step = 0.001, 0.01
@@ -164,6 +168,7 @@ def test_the_travel_holds_also_while_the_cart_swings_out(seconds):
     assert 0.5 * limit < reach < limit + 5e-7  # five deviations of the sensor
 
 
+@pytest.mark.slow
 def test_what_is_foretold_of_a_delayed_current_is_what_an_independent_rig_does():
     made = rtac.design_excitation(
         rtac.RTAC.paper() + InputDelay(0.03), 10 * WAVES["chirp"], sample_time=DT, initial_angles=(0.2,), travel=0.004

@@ -40,6 +40,7 @@ print(sum(line.startswith("Finished tracing") and "factor" in line for line in s
 """
 
 
+@pytest.mark.slow
 def test_another_process_traces_nothing_again_and_finds_the_same_bits(tmp_path: Path) -> None:
     """Among it is code that calls LAPACK, which crashes where JAX has not looked for LAPACK."""
     runs = [
@@ -306,6 +307,7 @@ print(environment.patched(), kept_files.folder() is None)
 """
 
 
+@pytest.mark.slow
 def test_where_a_method_of_the_package_was_replaced_nothing_is_loaded_or_kept(tmp_path: Path) -> None:
     """A notebook may do so, and code of the method as it was would give its numbers without a word."""
     told = [sys.executable, "-c", PATCHED, str(tmp_path)]

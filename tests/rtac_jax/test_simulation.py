@@ -157,6 +157,7 @@ def test_nondimensional_form():
     assert_close(run(RTAC(BODY), one, START, 32), np.array(rows) / scale, 1e-8)
 
 
+@pytest.mark.slow
 def test_virtual_rig():
     """Another simulator with another treatment of friction: apart by less than a fiftieth of the sensors' noise."""
     plans: list[Plan] = standard_plans(seed=4, duration=5.0, free=1, forced=1, rest=0)

@@ -71,6 +71,7 @@ def test_gradients_where_it_sticks():
     np.testing.assert_array_equal(by_start, [[1, 0, 0, 0], [0, 0, 0, 0], [0, 0, 1, 0]])
 
 
+@pytest.mark.slow
 def test_gradients_where_it_comes_to_rest():
     model = RTAC.paper().with_values({"cart_coulomb.level": 0.3})
     one = experiment(samples=300, arm="locked")

@@ -46,6 +46,10 @@ def misfit(factors: Any, start: Any) -> Any:
     return sum(squares) / SAMPLES
 
 
+# Compiled once, for two tests.
+BACKWARDS, FORWARDS = jax.grad(misfit, (0, 1)), jax.jit(jax.jacfwd(misfit, (0, 1)))
+
+
 def central_differences(function: Any, at: np.ndarray, sizes: Any) -> np.ndarray:
     """Of fourth order."""
     columns = []
@@ -60,17 +64,18 @@ def central_differences(function: Any, at: np.ndarray, sizes: Any) -> np.ndarray
 
 def test_derivatives_in_both_directions_equal_finite_differences():
     call = jax.jit(misfit)
-    gradients = jax.grad(misfit, (0, 1))(FACTORS, START)
+    gradients = BACKWARDS(FACTORS, START)
     by_factor = central_differences(lambda x: call(x, START), np.asarray(FACTORS), 1e-4)
     by_start = central_differences(lambda x: call(FACTORS, x), START, 1e-3 * np.abs(START))
     for found, expected in zip(gradients, (by_factor, by_start), strict=True):
         np.testing.assert_allclose(found, expected, rtol=1e-6)
         assert np.all(expected != 0)
-    forward = jax.jit(jax.jacfwd(misfit, (0, 1)))(FACTORS, START)
+    forward = FORWARDS(FACTORS, START)
     for found, other in zip(gradients, forward, strict=True):
         np.testing.assert_allclose(found, other, rtol=1e-10)
 
 
+@pytest.mark.slow
 def test_a_hessian_is_the_difference_of_gradients():
     gradient = jax.jit(jax.grad(misfit, 1))
     found = jax.jit(jax.jacfwd(jax.grad(misfit, 1), 1))(FACTORS, START)
@@ -90,6 +95,7 @@ def test_compiled_simulation_is_the_simulation():
     np.testing.assert_array_equal(alone.time, EXPERIMENT.time)
 
 
+@pytest.mark.slow
 def test_a_batch_of_64_parameter_sets_equals_one_by_one():
     sets = 1.0 + 0.2 * np.random.default_rng(3).uniform(-1, 1, (64, len(NAMES)))
     batch = jax.jit(jax.vmap(simulated, (0, None)))(jnp.asarray(sets), START)
@@ -119,17 +125,28 @@ def test_a_stiff_member_of_a_batch_sets_the_steps_of_all():
     np.testing.assert_array_equal(jax.vmap(steps)(stiffness), [alone[1]] * 2)
 
 
-def test_values_compile_nothing_anew():
-    for function in (jax.grad(misfit), jax.jit(jax.jacfwd(misfit)), jax.grad(misfit, 1)):
-        function(FACTORS, START)
-        before = len(Counted.calls)
-        first = function(FACTORS, START)
-        assert np.any(function(1.1 * FACTORS, 0.9 * START) != first)
-        assert len(Counted.calls) == before
+@pytest.mark.parametrize(
+    "function",
+    [
+        pytest.param(BACKWARDS, id="backwards"),
+        pytest.param(FORWARDS, id="forwards"),
+        pytest.param(jax.grad(misfit), id="by factors", marks=pytest.mark.slow),
+        pytest.param(jax.jit(jax.jacfwd(misfit)), id="by factors, forwards", marks=pytest.mark.slow),
+        pytest.param(jax.grad(misfit, 1), id="by the start", marks=pytest.mark.slow),
+    ],
+)
+def test_values_compile_nothing_anew(function):
+    function(FACTORS, START)
+    before = len(Counted.calls)
+    first, other = (jax.tree.leaves(function(*at)) for at in ((FACTORS, START), (1.1 * FACTORS, 0.9 * START)))
+    assert all(np.any(one != two) for one, two in zip(first, other, strict=True))
+    assert len(Counted.calls) == before
     assert before > 0
 
 
-@pytest.mark.parametrize("intersample", ["zoh", "foh", "bl"])
+@pytest.mark.parametrize(
+    "intersample", [*(pytest.param(hold, marks=pytest.mark.slow) for hold in ("zoh", "foh")), "bl"]
+)
 def test_inputs_without_a_recording_move_the_rig_as_in_one(intersample):
     inputs = {"current": CURRENT, "disturbance_force": 0.4 * np.cos(7.0 * SAMPLE_TIME * np.arange(SAMPLES))}
     one = Experiment.of(
@@ -145,6 +162,7 @@ def test_inputs_without_a_recording_move_the_rig_as_in_one(intersample):
         np.testing.assert_allclose(ours, theirs, rtol=1e-12, atol=1e-14)
 
 
+@pytest.mark.slow
 def test_gradient_by_every_sample_of_an_input_and_by_the_sample_time():
     def last_position(current: Any, sample_time: Any) -> Any:
         found = rtac.simulate_inputs(
@@ -196,6 +214,7 @@ def test_inputs_that_make_no_sense_are_refused(given, message):
         rtac.simulate_inputs(RTAC.paper(), **{"sample_time": 0.01, **given})
 
 
+@pytest.mark.slow
 def test_single_precision_is_said_once():
     code = (
         "import warnings, rtac_jax as r\n"

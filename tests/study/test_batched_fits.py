@@ -39,6 +39,7 @@ def test_the_bits_do_not_depend_on_the_chunk(whole, chunk):
     assert same_bits(est.study(SPEC, chunk=chunk, **QUIET), whole)
 
 
+@pytest.mark.slow
 def test_the_bits_do_not_depend_on_the_process(whole):
     """A spawned process beside this one; on two, dask's test has it."""
     with run._Pool(1) as pool:  # starting it is what takes the time

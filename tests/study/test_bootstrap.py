@@ -51,6 +51,7 @@ def test_what_was_not_fitted_is_left_out(white):
     )
 
 
+@pytest.mark.slow
 def test_constants_are_weighed_again_for_each_replicate():
     std = 2e-3  # of 1.23 kg, far more than the decays say of it
     recording = virtual_rig.record(virtual_rig.Rig(), PLANS, seed=2, constants_std={"total_mass": std})
@@ -85,6 +86,7 @@ def test_what_cannot_be_drawn_is_refused(white):
             est.bootstrap(fit, recording, progress=False, **options)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("level", [0.0, 2e-3])
 def test_the_interval_of_a_level_that_may_be_nothing_keeps_to_its_bound(level):
     """A cart with dry friction or without, of which the fit knows nothing: without, half of all estimates lie on the bound."""

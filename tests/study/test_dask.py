@@ -47,6 +47,7 @@ def executor(deaths: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator
             yield client.get_executor()
 
 
+@pytest.mark.slow
 def test_the_example_of_the_readme_runs_on_two_workers(
     executor: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -66,12 +67,14 @@ def test_the_example_of_the_readme_runs_on_two_workers(
     assert np.all(np.isfinite(found["estimate"].sel(parameter="v/k").values))
 
 
+@pytest.mark.slow
 def test_fits_side_by_side_have_the_bits_that_they_have_here(executor: Any) -> None:
     there = est.study(batched(), executor=executor, chunk=3, progress=False)
     assert set(there["verdict"].values[:, 0]) == {"successful"}
     assert same_bits(there, est.study(batched(), progress=False))
 
 
+@pytest.mark.slow
 def test_the_bits_are_the_same_although_a_worker_is_killed(executor: Any, deaths: Path) -> None:
     (deaths / "1").touch()
     work = Deadly(small())

@@ -185,6 +185,7 @@ def test_a_diagnosis_is_made_on_what_is_hidden():
     assert found.confusion()[2].tolist() == [[1.0]]
 
 
+@pytest.mark.slow
 def test_new_conditions_are_held_against_an_envelope():
     spec = small(
         repetitions=2,

@@ -62,14 +62,15 @@ def test_a_changed_study_is_refused_and_changes_nothing(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "spec",
+    ("spec", "kills"),
     [
-        pytest.param(small(repetitions=150), id="closed form"),
-        pytest.param(batched(repetitions=150), id="fits side by side", marks=pytest.mark.slow),
+        pytest.param(small(repetitions=150), 1, id="closed form"),
+        pytest.param(small(repetitions=150), 3, id="closed form, three times", marks=pytest.mark.slow),
+        pytest.param(batched(repetitions=150), 3, id="fits side by side", marks=pytest.mark.slow),
     ],
 )
-def test_three_kills_lose_nothing_and_leave_no_trace(tmp_path, spec):
-    """The process dies by SIGKILL three times, at moments drawn by chance, while it computes."""
+def test_kills_lose_nothing_and_leave_no_trace(tmp_path, spec, kills):
+    """The process dies by SIGKILL, once or three times, at moments drawn by chance, while it computes."""
     whole = est.study(spec, **QUIET)
     out, file = tmp_path / "study", tmp_path / "study.toml"
     spec.save(file)
@@ -81,7 +82,7 @@ est.study({str(file)!r}, out={str(out)!r}, chunk=2, progress=False)
 """
     random = np.random.default_rng(1)
     kept: dict[str, bytes] = {}
-    for _ in range(3):
+    for _ in range(kills):
         process = subprocess.Popen([sys.executable, "-c", code], cwd=ROOT, stdout=subprocess.PIPE, env=_environment())
         assert process.stdout is not None
         process.stdout.readline()
@@ -96,13 +97,14 @@ est.study({str(file)!r}, out={str(out)!r}, chunk=2, progress=False)
         now = {path.name: path.read_bytes() for path in chunks.glob("*.h5")}
         assert kept.items() <= now.items(), "what was finished stays as it was"
         kept = now
-    assert 3 <= len(kept) < 75
+    assert kills <= len(kept) < 75
     again = est.study(spec, out=out, chunk=7, **QUIET)
     assert same_bits(again, whole)
     assert {name: (out / "chunks" / name).read_bytes() for name in kept} == kept
     assert not list(out.rglob("*.part"))
 
 
+@pytest.mark.slow
 def test_workers_end_with_the_process_that_asked_them(tmp_path):
     """Killed by SIGKILL it cannot tell them; they would wait for work for ever."""
     file, out = tmp_path / "study.toml", tmp_path / "study"

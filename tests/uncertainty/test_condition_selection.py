@@ -14,6 +14,7 @@ from rtac_jax.measurement import Experiment, Recording, multisine, positive_nega
 from rtac_jax.virtual_rig import Plan, record
 
 
+@pytest.mark.slow
 def test_models_whose_response_is_known_nowhere_are_left_out_and_named(monkeypatch):
     def shown(one):
         if one.name in hidden:

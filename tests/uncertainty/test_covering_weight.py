@@ -7,7 +7,7 @@ import pytest
 import estimators as est
 
 
-@pytest.mark.parametrize("damping", [0.02, 0.001])
+@pytest.mark.parametrize("damping", [pytest.param(0.02, marks=pytest.mark.slow), 0.001])
 def test_a_weight_covers_peaks_that_are_narrower_than_the_grid(damping):
     """Between points of a grid of 40 over four decades a mode of this damping is not seen."""
     places = (9.7, 10.0, 10.3)

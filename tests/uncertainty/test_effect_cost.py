@@ -85,6 +85,7 @@ def test_knowing_the_mode_narrows_the_envelope_and_lowers_gamma(models, response
     assert title.startswith("Knowing flexible_mode brings the largest model error from 1")
 
 
+@pytest.mark.slow
 def test_swapped_it_costs_instead(models, responses):
     rigid, flexible = models
     found = est.effect_cost(flexible, rigid, responses)

@@ -69,7 +69,10 @@ def test_known_family_is_recovered(kind):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize(("order", "order_weight"), [(2, 1), (4, 2), (5, 3)])
+@pytest.mark.parametrize(
+    ("order", "order_weight"),
+    [pytest.param(2, 1, marks=pytest.mark.slow), (4, 2), pytest.param(5, 3, marks=pytest.mark.slow)],
+)
 def test_weight_covers_between_the_points_too_and_everything_is_stable(kind, order, order_weight):
     systems = draw(40, seed=1)
     found = est.envelope(
@@ -98,7 +101,7 @@ def test_weight_covers_measured_responses_and_what_is_interpolated_between_them(
 
 @pytest.mark.filterwarnings("default")  # of the peer's own imports
 @pytest.mark.parametrize(
-    "order", [pytest.param(order, marks=[pytest.mark.slow] * (order % 2)) for order in (1, 2, 3, 4)]
+    "order", [pytest.param(order, marks=[pytest.mark.slow] * (order != 2)) for order in (1, 2, 3, 4)]
 )
 def test_weight_lies_nearer_to_the_profile_than_that_of_dkpy(order):
     """dkpy makes the largest excess small: as small is asked of that, and less of the mean where that is wanted."""
@@ -123,7 +126,13 @@ def test_weight_lies_nearer_to_the_profile_than_that_of_dkpy(order):
     assert at_most.max() < on_mean.max()
 
 
-@pytest.mark.parametrize("kind", ["multiplicative_output", "additive", "inverse_multiplicative"])
+@pytest.mark.parametrize(
+    "kind",
+    [
+        "multiplicative_output",
+        *(pytest.param(k, marks=pytest.mark.slow) for k in ("additive", "inverse_multiplicative")),
+    ],
+)
 def test_nominal_is_better_than_plain_averages_and_near_what_no_model_can_beat(kind):
     plants = responses(draw(40, seed=3))
     found = est.envelope(plants, omega=OMEGA, kind=kind)
@@ -374,6 +383,7 @@ def test_refusals(call, message):
 # -- the rig ----------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_compensation_keeps_the_profile_of_the_rig_low_and_without_it_nothing_is_left():
     """Fig. 5 in small: eight starting angles, no dry friction, a current that swings the arm by a fraction of a radian."""
     rig = Rig(cart_coulomb=0.0, position_noise=1e-6, quantisation_bits=None, encoder=True)

@@ -79,6 +79,7 @@ def test_where_the_peaks_are_near_no_other_excitation_is_advised():
     assert "another excitation would change little" in found.sentences()[1]
 
 
+@pytest.mark.slow
 def test_a_closed_form_of_a_cart_that_friction_holds_is_not_held_against_the_envelope():
     rig = virtual_rig.Rig(encoder=True, cart_coulomb=0.03)
     waves = [from_rest(multisine(samples=2000, sample_time=0.01, rms=0.02, band=(1.0, 5.0), seed=n)) for n in range(4)]

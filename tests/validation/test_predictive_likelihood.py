@@ -69,7 +69,7 @@ def test_errors_are_those_of_the_predictions(by_model: dict[str, OneStepAhead]) 
     assert all(0.9 < error < 1.5 for error in right.errors.values()), right.errors
 
 
-@pytest.mark.parametrize("seconds", [6, 60])
+@pytest.mark.parametrize("seconds", [6, pytest.param(60, marks=pytest.mark.slow)])
 def test_surpassing_takes_more_than_chance(seconds: int) -> None:
     of_sample = np.repeat(np.arange(seconds), 100)[:, None]
 
@@ -107,7 +107,7 @@ def test_short_data_are_cut_into_shorter_stretches(seconds: tuple[float, ...], e
     assert len(np.unique(stretches(data, length)[: data.samples])) == round(sum(seconds) / length)
 
 
-@pytest.mark.parametrize("seed", [11, 12, 13])
+@pytest.mark.parametrize("seed", [11, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (12, 13))])
 @pytest.mark.parametrize("correlated", [0.05, 0.3])
 def test_short_stretches_do_not_reject_by_chance_although_they_are_correlated(correlated: float, seed: int) -> None:
     """Of two seconds; over as many seconds as differences are correlated. What is better by four deviations surpasses."""

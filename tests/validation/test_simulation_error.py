@@ -78,6 +78,7 @@ def test_each_experiment_is_held_against_the_noise_that_is_stated_of_it() -> Non
     assert found.errors["cart_position"].rms_over_noise == pytest.approx(1.0, abs=0.1)
 
 
+@pytest.mark.slow
 def test_a_simulation_begins_at_a_speed_of_the_arm_that_no_sample_shows() -> None:
     """The tachometer sits on the rotor, which swings by radians per second about an arm behind a soft shaft."""
     rig = dataclasses.replace(virtual_rig.Rig(), shaft_stiffness=STIFFNESS, shaft_damping=DAMPING, rotor_share=ROTOR)
@@ -113,6 +114,7 @@ def test_of_several_starts_each_experiment_takes_the_one_that_leaves_least() -> 
     assert best_starts([told, lost], arguments) is told
 
 
+@pytest.mark.slow
 def test_fewer_experiments_than_were_fitted_need_no_other_program(monkeypatch: pytest.MonkeyPatch) -> None:
     """They are simulated over and over, and come out as they do alone."""
     plans = virtual_rig.standard_plans(seed=5, sample_time=0.01, duration=3.0, free=2, forced=3, rest=1)
@@ -142,7 +144,15 @@ def swings() -> rtac.Recording:
 
 
 @pytest.mark.parametrize(
-    "variable", ["cart_position", "cart_velocity", "arm_velocity", "current", "cart_position, against the motion"]
+    "variable",
+    [
+        "cart_position",
+        "arm_velocity",
+        *(
+            pytest.param(v, marks=pytest.mark.slow)
+            for v in ("cart_velocity", "current", "cart_position, against the motion")
+        ),
+    ],
 )
 def test_it_says_where_a_learned_force_leaves_its_range(swings: rtac.Recording, variable: str) -> None:
     """A range of half of what was recorded, and one a fifth wider than nearly all of it; the share is read off the measurements."""

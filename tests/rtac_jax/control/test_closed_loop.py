@@ -188,6 +188,7 @@ def test_fig_8_from_the_printed_problem(relax, settles):
     np.testing.assert_allclose(smooth.arm_angle[:, 0], expected[:, 1], atol=1e-5)
 
 
+@pytest.mark.slow
 def test_the_printed_problem_is_less_robust_than_our_own_design(design):
     """Of plants whose parameters are up to 15 % off, nine in ten settle in time with the optimal controller of the printed problem.
 
@@ -234,6 +235,7 @@ def drawn(kind: str, count: int) -> RTAC:
     return model.with_values({name: float(model[name]) * factor for name, factor in spread.items()})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["15 %", "Table 1"])
 def test_own_design_holds_for_2000_plants(design, kind):
     units, acting, plant, _, found = design
@@ -246,6 +248,7 @@ def test_own_design_holds_for_2000_plants(design, kind):
     assert np.mean(free.settling_time() <= 3.0) < 0.01
 
 
+@pytest.mark.slow
 def test_plants_inside_an_envelope_are_inside():
     """Against equations (1) and (2) at small motions, in plain NumPy, and all-pass perturbations of the envelope itself."""
     model, acting = RTAC.paper(), Actuation.proposed(RTAC.paper())

@@ -149,6 +149,7 @@ def test_arm_velocity_decays_at_the_rate_of_its_direction():
         np.testing.assert_allclose(track.arm_velocity, expected, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_energy_is_conserved_without_damping():
     tilt = {"tilt_along": 0.02, "tilt_across": -0.03}
     rig = Rig(
@@ -173,8 +174,8 @@ def test_dry_friction_takes_the_same_from_each_half_swing_and_ends_at_rest():
     rig = Rig(cart_viscous=0.0)
     band = rig.cart_coulomb / rig.spring_stiffness
     omega = np.sqrt(rig.spring_stiffness / rig.total_mass)
-    time = 0.005 * np.arange(3000)
-    exact, amplitude, half_swing = np.empty(3000), 0.01, 0
+    time = 0.005 * np.arange(1900)
+    exact, amplitude, half_swing = np.empty(1900), 0.01, 0
     while amplitude > band:
         rows = time * omega >= np.pi * half_swing
         swing = (amplitude - band) * np.cos(omega * time[rows] - np.pi * half_swing) + band
@@ -183,7 +184,7 @@ def test_dry_friction_takes_the_same_from_each_half_swing_and_ends_at_rest():
     exact[time * omega >= np.pi * half_swing] = (-1) ** half_swing * amplitude
     errors = []
     for step in (4e-4, 1e-4):
-        track = move(rig, Plan("decay", "free", 15.0, 0.005, initial_position=0.01, arm="locked"), step)
+        track = move(rig, Plan("decay", "free", 9.5, 0.005, initial_position=0.01, arm="locked"), step)
         errors.append(np.abs(track.position - exact).max())
         assert np.all(track.velocity[-100:] == 0.0)
         assert np.all(track.position[-100:] == track.position[-1])
@@ -192,6 +193,7 @@ def test_dry_friction_takes_the_same_from_each_half_swing_and_ends_at_rest():
     assert errors[0] / errors[1] == pytest.approx(16, rel=0.3)
 
 
+@pytest.mark.slow
 def test_free_decay_with_a_free_arm_ends_at_rest_inside_the_band():
     rig = Rig(arm_coulomb=1e-4)
     track = move(rig, Plan("decay", "free", 10.0, 0.01, initial_position=0.008, initial_angle=0.4))
@@ -231,6 +233,7 @@ def test_locked_arm_and_clamped_cart():
     assert np.ptp(clamped.angle) > 1.0
 
 
+@pytest.mark.slow
 def test_flexible_mode_has_the_frequencies_of_the_eigenvalue_problem():
     rig = Rig(cart_coulomb=0, cart_viscous=0, flexible_mass=0.3, flexible_frequency=37.4, flexible_damping=0.0)
     track = move(rig, Plan("ring", "free", 20.0, 0.01, initial_position=0.01, arm="locked"))
@@ -301,6 +304,7 @@ def test_rotor_and_arm_share_what_one_of_them_gets():
             assert 0.95 * 0.025 < np.abs(twist).max() < 1.02 * 0.025
 
 
+@pytest.mark.slow
 def test_shaft_rings_at_its_frequency():
     stiffness, rig = 0.5, Rig(arm_viscous_positive=0.0, arm_viscous_negative=0.0, rotor_share=0.4)
     plan = Plan("push", "forced", 0.5, 1e-3, np.full(500, 0.1), cart="clamped")
@@ -311,7 +315,7 @@ def test_shaft_rings_at_its_frequency():
     np.testing.assert_allclose(track.seen_angle - track.angle, expected, atol=2e-3 * rest)
 
 
-@pytest.mark.parametrize("played", ["foh", "bl"])
+@pytest.mark.parametrize("played", [pytest.param("foh", marks=pytest.mark.slow), "bl"])
 def test_inputs_that_run_otherwise_than_the_recording_says(played):
     rig = Rig(arm_viscous_positive=0.0, arm_viscous_negative=0.0)
     time = 0.01 * np.arange(200)

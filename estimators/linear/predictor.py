@@ -1,5 +1,6 @@
 """Prediction errors of a linear model along a condition, and the fit of all conditions at once that makes them small."""
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -11,6 +12,7 @@ from jaxtyping import Array, Bool, Float, Int
 from estimators.linear.batched_gauss_newton import gauss_newton
 from estimators.linear.model_sets import Sampled, Scale, Structure, sampled
 from rtac_jax.programs import program
+from rtac_jax.time_loop import time_loop
 
 
 class Signals(eqx.Module):
@@ -46,7 +48,28 @@ class Track(NamedTuple):
 
 
 def track(model: Sampled, one: Signals) -> Track:
-    """Run the predictor of section 5.1, L_1 = 1 - 1/H and L_2 = G/H."""
+    """Run the predictor of section 5.1, L_1 = 1 - 1/H and L_2 = G/H, and keep all that it knows."""
+    step, begin = _predictor(model)
+    samples = one.output.shape[-1]
+    # A plain scan would copy the arrays that it shows whole in every step.
+    signals = (one.input, one.output, one.present)
+    _, (error, simulated, noise) = time_loop(step, begin, signals, room=samples, samples=samples)
+    return Track(error, simulated, jnp.stack(noise, -1) if noise else jnp.zeros((*error.shape, 0)))
+
+
+def _errors(model: Sampled, one: Signals) -> Float[Array, " sample"]:
+    """Run the same predictor, and keep its errors alone."""
+    step, begin = _predictor(model)
+
+    def shown(carry: Any, row: Any) -> tuple[Any, Array]:
+        after, (error, _, _) = step(carry, row)
+        return after, error
+
+    return jax.lax.scan(shown, begin, (one.input, one.output, one.present))[1]
+
+
+def _predictor(model: Sampled) -> tuple[Callable[[Any, Any], tuple[Any, Any]], Any]:
+    """Return the step of a predictor, which shows its error, G u and the states of H, and what it begins with."""
     modes, order = model.transition.shape[0], len(model.c)
 
     def step(carry: tuple[Any, Any], row: tuple[Any, Any, Any]) -> tuple[tuple[Any, Any], Any]:
@@ -70,9 +93,7 @@ def track(model: Sampled, one: Signals) -> Track:
             moved.append(tuple(f[row, 0] * x + f[row, 1] * v + pushed[row] for row in range(2)))
         return (tuple(moved), after), (error, simulated, after)
 
-    begin = (tuple((s[0], s[1]) for s in model.start), tuple(model.noise_start))
-    _, (error, simulated, noise) = jax.lax.scan(step, begin, (one.input, one.output, one.present))
-    return Track(error, simulated, jnp.stack(noise, -1) if order else jnp.zeros((*error.shape, 0)))
+    return step, (tuple((s[0], s[1]) for s in model.start), tuple(model.noise_start))
 
 
 def _sampled(structure: Structure, theta: Array, one: Signals) -> Sampled:
@@ -81,7 +102,7 @@ def _sampled(structure: Structure, theta: Array, one: Signals) -> Sampled:
 
 def prediction_errors(structure: Structure, theta: Float[Array, " unknown"], one: Signals) -> Float[Array, " sample"]:
     """Return prediction errors over their size."""
-    return track(_sampled(structure, theta, one), one).error / one.scale.error
+    return _errors(_sampled(structure, theta, one), one) / one.scale.error
 
 
 class Rows(NamedTuple):

@@ -15,6 +15,7 @@ from rtac_jax.excitation import Excitation
 from rtac_jax.measurement import DESIGNED, Experiment, Recording
 from rtac_jax.programs import program
 from rtac_jax.simulation import State, Steps, advance, substeps_for, trajectories
+from rtac_jax.time_loop import time_loop
 
 _FEWER = 0.9  # by which an amplitude is lowered until the travel holds
 # Periods of the cart without a current after the last sample, in which a motion that still grew is largest.
@@ -157,7 +158,8 @@ def _closed(
         current = jnp.where(jnp.abs(jnp.cos(state[2])) <= dead_band, 0.0, wanted)
         return advance(model, state, (current,), None, excitation, substeps=substeps), (current, state[0], shown)
 
-    return jax.lax.scan(one_sample, start, currents)[1]
+    samples = len(currents)
+    return time_loop(one_sample, start, currents, room=samples, samples=samples)[1]
 
 
 def _settled(

@@ -42,6 +42,7 @@ EFFECTS: dict[str, Case] = {
     "arm_presliding": Case({"arm_presliding": 4e-4, "arm_presliding_yield": 0.05}),
     "arm_quadratic_drag": Case({"arm_quadratic_drag": 3e-6}),
     "cogging": Case({"cogging_torque": 4e-4, "cogging_order": 7.0, "cogging_phase": 0.7}),
+    "torque_ripple": Case({"torque_ripple": 0.03, "torque_ripple_order": 6.0, "torque_ripple_phase": 0.7}),
     "cable_spring": Case({"cable_stiffness": 5e-5}),
     "gravity_tilt": Case({"tilt_across": 0.01}),
     "flexible_shaft": Case({"shaft_stiffness": 0.3, "shaft_damping": 2e-5}),

@@ -30,6 +30,7 @@ class Job:
         not_split: why not.
         remark: what a reader must know of the result beside it.
         doubts: what contradicts itself in the recording; None before it was looked for.
+        inconsistencies: those of them that are held against the equations of motion.
         folder: for the report and the figures, or None.
         json: file for the numbers, or None.
         path: of the file that was read, or None.
@@ -40,6 +41,7 @@ class Job:
     ) -> None:
         self.file, self.recording, self.folder, self.json, self.began = file, recording, folder, json, began
         self.doubts: list[str] | None = None
+        self.inconsistencies: list[str] = []
         self.said: list[Any] = []
         self.path: Path | None = None
         self.names = _names(recording, validation)
@@ -119,9 +121,17 @@ class Job:
         from rtac_jax.measurement import contradictions
 
         if self.doubts is None:
-            self.doubts = contradictions(self.recording) + channel_consistency(self.recording).concerns
-            lines = [*self._unmeasured(), *(f"Doubtful: {sentence}" for sentence in self.doubts)]
+            self.inconsistencies = channel_consistency(self.recording).concerns
+            self.doubts = contradictions(self.recording) + self.inconsistencies
+            lines = [*self._unmeasured(), *map(_doubtful, self.doubts)]
             self.remark = "\n".join([self.remark, *lines]).strip()
+
+    def withdraw_inconsistencies(self) -> None:
+        """Take back what the equations of motion alone contradict: a model with what they lack follows the recording."""
+        taken_back = set(map(_doubtful, self.inconsistencies))
+        self.remark = "\n".join(line for line in self.remark.split("\n") if line not in taken_back)
+        self.doubts = [one for one in self.doubts or [] if one not in self.inconsistencies]
+        self.inconsistencies = []
 
     def _unmeasured(self) -> list[str]:
         """Return what is said of a cart without a sensor."""
@@ -284,6 +294,10 @@ def prepare() -> None:
 def say(*blocks: Any) -> None:
     """Print paragraphs and tables, an empty line between them."""
     typer.echo("\n\n".join(str(block) for block in blocks if str(block)))
+
+
+def _doubtful(sentence: str) -> str:
+    return f"Doubtful: {sentence}"
 
 
 def _names(recording: Any, validation: str | None) -> list[str] | None:

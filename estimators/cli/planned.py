@@ -8,17 +8,21 @@ from estimators.cli.job import Job
 def plan_next(work: Job, base: Any, found: Any, candidates: Any) -> Any:
     """Plan the experiment that would tell the effects of an ambiguous diagnosis apart.
 
-    None where none is needed or feasible.
+    None where none is needed or feasible, or would tell them apart.
     """
     if found.verdict != "ambiguous":
         return None
     import estimators as est
 
     try:
-        return est.next_experiment(base, work.train, found, candidates=candidates, held_out=work.held_out)
+        planned = est.next_experiment(base, work.train, found, candidates=candidates, held_out=work.held_out)
     except (ValueError, FloatingPointError) as error:
         work.note(f"No next experiment could be planned: {error}")
         return None
+    if planned.hopeless:
+        work.note(planned.hopeless)
+        return None
+    return planned
 
 
 def show_plan(planned: Any, work: Job, figures: dict[str, Any], captions: dict[str, str]) -> None:

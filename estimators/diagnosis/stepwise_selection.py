@@ -317,9 +317,10 @@ def _presupposed(laboratory: Laboratory, now: FittedModel, seen: Findings, ranke
 
 
 def _resembling(laboratory: Laboratory, now: FittedModel, seen: Findings, ranked: Sequence[Score]) -> list[Score]:
-    """Return what changes the motion as the first candidate does, though its score at small sizes may hide that."""
+    """Return what changes the motion as the first candidate does, though its score at small sizes may hide that.
+
+    Whether the data could show it by itself does not matter: they show it where they show the first.
+    """
     effects, there = laboratory.facts.effects, {*now.added, *(s.id for s in ranked)}
     alike = {i for s in ranked[:1] for i in effects[s.id].resembles} - there
-    return by_size(
-        nameable(laboratory.facts, [s for s in seen.scores if s.id in alike]), math.log(laboratory.facts.samples)
-    )
+    return by_size([s for s in seen.scores if s.id in alike], math.log(laboratory.facts.samples))

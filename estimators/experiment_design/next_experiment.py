@@ -27,6 +27,9 @@ CONFUSABLE = 10.0
 ENOUGH = 500.0
 """Separation beyond that of the recording, above which more decides nothing more: the gentler experiment comes first."""
 
+HOPELESS = 0.5
+"""Separation that the best experiment adds, below which twenty repeats of it would not do, so that none is worth recording."""
+
 Pair = tuple[str, str]
 
 
@@ -96,6 +99,18 @@ class NextExperiment:
         )
 
     @property
+    def hopeless(self) -> str:
+        """Say that no experiment tells the effects apart, however often it is repeated; empty where one may."""
+        already, most = min(self.already.values()), max(one.smallest for one in self.ranked)
+        if already >= CONFUSABLE or most - already >= HOPELESS:
+            return ""
+        return (
+            f"No next experiment: of {len(self.ranked)} that the rig could do none tells {self.told_apart} apart, however often"
+            f" it is repeated (separation {most:.2g} at most; below {CONFUSABLE:g} effects are not told apart). No motion of the"
+            " rig will: what they stand for has to be measured by itself, as by weighing, or by calibrating a sensor."
+        )
+
+    @property
     def best(self) -> PlannedExperiment:
         """Return the recommended experiment."""
         return self.ranked[0]
@@ -149,6 +164,8 @@ class NextExperiment:
         }
 
     def __str__(self) -> str:
+        if self.hopeless:
+            return self.hopeless
         best, plan = self.best, self.plan
         worst = min(best.separation, key=lambda pair: best.separation[pair])
         lines = [

@@ -59,6 +59,7 @@ _ASSUMES: dict[str, tuple[str, tuple[str, ...]]] = {
             "saturation",
             "tacho_lag",
             "cogging",
+            "torque_ripple",
             "cable_spring",
         ),
     ),

@@ -1,4 +1,4 @@
-"""Torque ripple of a motor with iron teeth."""
+"""Cogging and ripple of the motor: torques that repeat with its angle, without current and in proportion to it."""
 
 from typing import Any, ClassVar
 
@@ -28,3 +28,28 @@ class Cogging(Force):
     def force(self, motion: Motion, own: States) -> tuple[Any, Any]:
         s, c = sincos(self.harmonic * motion.arm_angle)
         return 0.0, self.sine * s + self.cosine * c
+
+
+class TorqueRipple(Force):
+    """A torque constant that rises and falls n times a turn; once a turn also where the angle of a commutated motor is off."""
+
+    id: ClassVar[str] = "torque_ripple"
+    equation: ClassVar[str] = "K_m i (a sin(n theta) + b cos(n theta))"
+    source: ClassVar[str] = "Hanselman, Brushless Permanent Magnet Motor Design (2006), chapter 8"
+    port: ClassVar[str] = "arm"
+    nature: ClassVar[str] = "source"
+
+    sine: Scalar = parameter(
+        symbol="a", unit="1", meaning="ripple in phase with the sine, over the mean", null=0.0, plausible=0.05
+    )
+    cosine: Scalar = parameter(
+        symbol="b", unit="1", meaning="ripple in phase with the cosine, over the mean", null=0.0, plausible=0.05
+    )
+    harmonic: Scalar = parameter(
+        symbol="n", unit="1", meaning="periods in a turn", fixed=True,
+        plausible=tuple(float(n) for n in range(1, 25)),
+    )  # fmt: skip
+
+    def force(self, motion: Motion, own: States) -> tuple[Any, Any]:
+        s, c = sincos(self.harmonic * motion.arm_angle)
+        return 0.0, motion.body.torque_constant * motion.current * (self.sine * s + self.cosine * c)

@@ -10,6 +10,8 @@ from rtac_jax.parameters import Scalar, parameter
 
 STANDARD_GRAVITY = 9.80665  # m/s^2, CGPM 1901
 
+_ROUNDED = 1e-3  # by which the sine of a vertical plane may be estimated beyond one
+
 
 class GravityTilt(Force):
     """A tilt along the cart's travel and across it; the eccentric mass lies at q + e sin theta along, e cos theta across.
@@ -45,7 +47,7 @@ class GravityTilt(Force):
 
     def remark(self, body: RigidBody) -> str:
         steepest = float(np.hypot(np.max(np.abs(self.along)), np.max(np.abs(self.across))))
-        if steepest <= 1.0:
+        if steepest <= 1.0 + _ROUNDED:
             return ""
         swing = float(np.max(np.abs(body.eccentric_moment)))
         return (

@@ -130,6 +130,7 @@ class LvdtGain(Sensor):
     equation: ClassVar[str] = "(1 + g) q"
     source: ClassVar[str] = _AMPLIFIER
     needs_channel: ClassVar[str | None] = "cart_position"
+    resembles: ClassVar[tuple[str, ...]] = ("wrong_arm_inertia", "wrong_total_mass")
 
     error: Scalar = _gain("LVDT's scale")
 

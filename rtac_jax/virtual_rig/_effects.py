@@ -202,6 +202,21 @@ def cogging(batch: Batch) -> Act | None:
     return act
 
 
+def torque_ripple(batch: Batch) -> Act | None:
+    """Build the ripple of the motor's torque."""
+    rows = batch.rows("torque_ripple")
+    if rows is None:
+        return None
+    ripple = batch.column("torque_ripple")[rows]
+    order, phase = batch.column("torque_ripple_order")[rows], batch.column("torque_ripple_phase")[rows]
+    angle, motor, impulse = batch.position[1, rows], batch.motor[rows], batch.impulse[1, rows]
+
+    def act() -> None:
+        impulse[:] += motor * ripple * np.sin(order * angle + phase)
+
+    return act
+
+
 def cable_spring(batch: Batch) -> Act | None:
     """Build the spring of a cable on the arm."""
     rows = batch.rows("cable_stiffness")
@@ -329,6 +344,7 @@ BUILDERS = (
     end_stop,
     gravity,
     cogging,
+    torque_ripple,
     cable_spring,
     detent,
     vibration,

@@ -172,6 +172,12 @@ class Rig:
     """n [1]."""
     cogging_phase: float = 0.0
     """phi [rad]."""
+    torque_ripple: float = 0.0
+    """a [1]: the motor's torque times 1 + a sin(n theta + phi)."""
+    torque_ripple_order: float = 6.0
+    """n [1]."""
+    torque_ripple_phase: float = 0.0
+    """phi [rad]."""
     cable_stiffness: float = 0.0
     """k_c [N m/rad]: torque -k_c (theta - theta_home)."""
     cable_home: float = 0.0

@@ -77,6 +77,30 @@ def test_wrong_constant_is_not_told_from_a_sensors_gain(recording: rtac.Recordin
 
 
 @pytest.mark.slow
+def test_no_experiment_is_planned_for_what_no_motion_tells(recording: rtac.Recording) -> None:
+    """Two percent of the inertia are a percent of the sensor's gain, but for what one straight line misses of it."""
+    fit = est.output_error(rtac.RTAC.from_rig(recording), recording, progress=False)
+    found = est.diagnose(fit, recording, candidates=[*FEW, WrongArmInertia], progress=False)
+    planned = est.next_experiment(fit, recording, found, candidates=[*FEW, WrongArmInertia], progress=False)
+    assert set(planned.effects) == ALIKE
+    assert max(planned.already.values()) < 1.0
+    assert "No motion of the rig will" in planned.hopeless
+    assert str(planned) == planned.hopeless
+
+
+@pytest.mark.slow
+def test_beside_a_lag_a_sensors_gain_is_not_told_from_a_wrong_constant_either() -> None:
+    """That the constant's error could not be seen before the lag was in the model says nothing of what it looks like."""
+    plans = virtual_rig.standard_plans(seed=11, sample_time=0.005, duration=4.0, free=1, forced=3, rest=1)
+    lagging = virtual_rig.record(dataclasses.replace(RIG, current_lag=0.005), plans, seed=3)
+    off = dataclasses.replace(lagging, rig={**lagging.rig, "arm_inertia": (1 + OFF) * RIG.arm_inertia})
+    found = diagnosed(off, [*FEW, CATALOGUE["current_lag"], WrongArmInertia])
+    assert found.verdict == "ambiguous", found
+    assert {c.id for c in found.effects} == {"current_lag", *ALIKE}, found
+    assert [c.id for c in found.effects if not c.confusable_with] == ["current_lag"]
+
+
+@pytest.mark.slow
 def test_with_its_deviation_nothing_is_missing(recording: rtac.Recording) -> None:
     stated = dataclasses.replace(recording, rig_std={"arm_inertia": OFF * RIG.arm_inertia})
     found = diagnosed(stated, FEW)

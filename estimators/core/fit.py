@@ -21,6 +21,7 @@ HEADER = ("parameter", "value", "std", "unit")
 FAR = 10.0
 """Times its noise, beyond which a channel's residual says that the model does not follow the rig."""
 
+_MOVED = 4.0  # stated deviations of a constant, from which on chance has not moved it
 # Gain in log-likelihood, half a squared deviation, from which on a fit that came to rest says that its slopes promise it. Sixty
 # fits with dry friction and nothing missing ended at 0.05 at most, one at 20 beside a Stribeck friction that a kink kept off.
 _KINK = 0.5
@@ -186,6 +187,7 @@ class Fit(ModelFit):
         if self.lost:
             said += f" There {'; '.join(left_free(self.model, self.information))}: of these the fit says nothing."
         ratios = self.residual_over_noise
+        said += "".join(f" {one}" for one in self.moved_constants)
         for name, bound in self.on_bounds().items():
             said += f" {name} ended on its bound, {bound:g}: the data ask for no such term in this model."
         if (promised := self.statistics.get("promised", 0.0)) > _KINK:
@@ -204,6 +206,20 @@ class Fit(ModelFit):
                 "sum of squares has many minima, and further starts may end in a lower one."
             )
         return said
+
+    @property
+    def moved_constants(self) -> tuple[str, ...]:
+        """Say of each constant that was measured by itself if the fit takes it far from that."""
+        found = []
+        for name in self.model.uncertain:
+            prior, value = self.model.priors[name], float(np.asarray(self.model[name]))
+            mean, std = float(np.asarray(prior.mean)), float(np.asarray(prior.std))
+            if abs(value - mean) > _MOVED * std:
+                found.append(
+                    f"{name} ended at {value:.4g}, {abs(value - mean) / std:.2g} stated standard deviations from the {mean:.4g} +- "
+                    f"{std:.2g} of the recording: that is wrong, or something that is missing takes it along."
+                )
+        return tuple(found)
 
     @property
     def criteria(self) -> InformationCriteria | None:

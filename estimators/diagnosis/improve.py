@@ -18,7 +18,7 @@ from estimators.diagnosis.diagnosis import Diagnosis
 from estimators.diagnosis.explanation import at_noise
 from estimators.diagnosis.improvement_loop import Loop
 from estimators.diagnosis.learned_force import LearnedForce
-from estimators.diagnosis.model_extension import Added, PredictedGain
+from estimators.diagnosis.model_extension import Added, PredictedGain, misfit
 from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
 from estimators.diagnosis.removed_error import Verdict
 from estimators.linear.homogeneity_test import Equality
@@ -118,6 +118,7 @@ class Improvement(Result):
             )
         if self.final.result in _UNFINISHED:
             said.append(f"The last model: {self.final.outcome}")
+        said.extend(self.final.moved_constants)
         if self.diagnoses[-1].verdict == "adequate" and not self._drifts and (astray := self._astray):
             said.append(astray)
         return " ".join([*said, self.stopped, *([str(self.learned)] if self.learned is not None else [])])
@@ -309,7 +310,8 @@ def improve(
         thorough: where a verdict would be unknown, look again at what raised no alarm; that may take minutes.
         learned_force: where the last verdict is unknown, and an effect explains most of what is missing, add it and go on: two may
             hide each other. Where that does not end at an adequate model, add as a last resort that effect or a learned force
-            (`LearnedForce`): what serves held-out experiments better, if their error clearly falls. The verdict stays.
+            (`LearnedForce`): what serves held-out experiments better, if their error clearly falls, and more than by leaving out an
+            experiment that differs. The verdict stays.
         policy: the thresholds of every diagnosis; see `DiagnosisPolicy`.
         progress: show bars.
 
@@ -328,9 +330,14 @@ def improve(
     learned: LearnedForce | None = None
     nearest: Candidate | None = None
     unknown, asked = loop.diagnoses[-1].verdict == "unknown", loop.last.fit
+    whole = loop.copied()
     differs = loop.without_outlier(least=0.0 if unknown else WORTH_ASKING)
-    # What the one experiment does that is left out is no effect: nothing is learned from it.
-    if learned_force and unknown and loop.left_out is None:
+    if learned_force and unknown and loop.left_out is not None:
+        # Unless a last resort that is learned from all serves held-out experiments better: then it alone may show what is missing.
+        resort = whole.last_resort(whole.nearest())
+        if misfit(whole.last.tested) < misfit(loop.last.tested):
+            loop, differs, (nearest, learned) = whole, None, resort
+    elif learned_force and unknown:
         near = loop.nearest()
         further = None if near is None else loop.with_nearest(*near)
         if further is not None:
@@ -338,7 +345,9 @@ def improve(
         else:
             nearest, learned = loop.last_resort(near)
         if loop.last.fit is not asked:
-            differs = loop.without_outlier(leave=False) or differs
+            # What a last resort learned from all of them explains is no fault of one.
+            kept = differs if differs is not None and differs.outlying is None else None
+            differs = loop.without_outlier(leave=False) or kept
     steps, diagnoses, added = loop.steps, loop.diagnoses, loop.added
     fits = [step.fit for _, step in steps]
     tested = [step.tested for _, step in steps]

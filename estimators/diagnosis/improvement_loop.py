@@ -151,6 +151,13 @@ class Loop:
             self.left_out = one.name
         return found
 
+    def copied(self) -> "Loop":
+        """Return a loop that goes on from here by itself."""
+        several = (list(x) for x in (self.steps, self.diagnoses, self.diagnosed, self.added))
+        return dataclasses.replace(
+            self, **dict(zip(("steps", "diagnoses", "diagnosed", "added"), several, strict=True))
+        )
+
     def nearest(self) -> tuple[Added, Candidate] | None:
         """Return the model with the effect that explains most of what the last diagnosis cannot name, if it serves."""
         return add_nearest(

@@ -47,7 +47,7 @@ def loop(monkeypatch: pytest.MonkeyPatch) -> Loop:
         rest = "adequate" if "arm_coulomb" in fit.model else "unknown"
         return made(
             est.Diagnosis, verdict="missing" if named else rest, effects=(BESIDE,) if named else (),
-            additions=(ArmCoulomb(3e-3),) if named else (), simulation=None,
+            additions=(ArmCoulomb(3e-3),) if named else (), left=(), simulation=None,
         )  # fmt: skip
 
     monkeypatch.setattr(improvement_loop, "diagnose", diagnosed)

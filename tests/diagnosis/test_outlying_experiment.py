@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from command_line import call
 from made_up_results import compared, diagnosis
+from scipy.integrate import solve_ivp
 
 import estimators as est
 import rtac_jax as rtac
@@ -197,3 +198,35 @@ def test_the_one_decay_that_swings_far_is_not_left_out():
     assert found.base.farthest > 3
     assert found.left_out is None
     assert "free_3" in found.final.experiments
+
+
+def braked(name, size, seed, *, drag=2000.0):
+    """Record the decay of a cart alone whose drag grows as the square of its position, by SciPy."""
+    mass, stiffness, viscous, step = 1.2, 130.0, 0.3, 0.01
+
+    def rate(_, state):
+        q, v = state
+        return [v, -(stiffness * q + (viscous + drag * q**2) * v) / mass]
+
+    time = step * np.arange(400)
+    found = solve_ivp(rate, (0.0, time[-1]), [size, 0.0], t_eval=time, rtol=1e-9, atol=1e-12)
+    noise = 1e-5 * np.random.default_rng(seed).standard_normal(len(time))
+    return rtac.Experiment.of(name, kind="free", sample_time=step, arm="locked", cart_position=found.y[0] + noise)
+
+
+@pytest.mark.slow
+def test_the_one_decay_that_shows_a_drag_is_not_blamed_where_a_learned_force_serves_better():
+    """All but one are followed without the drag, which grows as a power of the motion and hides in their damping."""
+    sizes = (0.006, 0.0061, 0.012, 0.0059, 0.006, 0.0061)
+    recording = rtac.Recording([braked(f"free_{n}", size, n) for n, size in enumerate(sizes)], rig={"total_mass": 1.2})
+    found = est.improve(
+        rtac.RTAC.from_rig(recording).without("cart_coulomb"), recording, validation=["free_1", "free_5"],
+        candidates=[CubicSpring], progress=False,
+    )  # fmt: skip
+    assert found.base.farthest > 3
+    assert found.left_out is None
+    assert "free_2" not in found.headline
+    assert found.learned is not None
+    assert found.learned.port == "cart"
+    before, after = (model.errors["cart_position"].rms_over_noise for model in found.validation.models)
+    assert after < 0.7 * before

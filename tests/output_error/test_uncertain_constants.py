@@ -65,6 +65,22 @@ def test_fit_finds_what_the_data_know_better_than_the_prior(fitted: est.Fit, off
     assert torque.std < 0.1 * known["torque_constant"].std
 
 
+def test_a_constant_that_the_fit_takes_far_from_what_was_measured_is_told(
+    fitted: est.Fit, uncertain: rtac.Recording
+) -> None:
+    assert fitted.moved_constants == ()
+    worse = {**uncertain.rig, "arm_inertia": 1.1 * RIG.arm_inertia}
+    surer = dataclasses.replace(
+        uncertain, rig=worse, rig_std={**uncertain.rig_std, "arm_inertia": 0.01 * RIG.arm_inertia}
+    )
+    found = est.output_error(rtac.RTAC.from_rig(surer), surer, progress=False)
+    (said,) = found.moved_constants
+    apart = (surer.rig["arm_inertia"] - found.parameters["arm_inertia"].value) / surer.rig_std["arm_inertia"]
+    assert 4.0 < apart < 10.0  # of the ten between the truth and what is stated
+    assert said.startswith(f"arm_inertia ended at {found.parameters['arm_inertia'].value:.4g}, {apart:.2g} stated")
+    assert said in found.outcome
+
+
 def test_predictions_count_the_constants_too(fitted: est.Fit, uncertain: rtac.Recording) -> None:
     found = est.prediction_error_nonlinear(fitted.model, uncertain, from_model=True, progress=False)
     assert all(abs(d) < 4 for d in deviations(found).values()), deviations(found)

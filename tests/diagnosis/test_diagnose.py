@@ -30,6 +30,10 @@ HIDDEN = {
     "dead_zone": (dict(dead_zone=0.01), {"threshold": 0.01}),
     "current_offset": (dict(current_offset=0.005), {"offset": 0.005}),
     "tacho_bias": (dict(tacho_bias=0.2), {"bias": 0.2}),
+    "torque_ripple": (
+        dict(torque_ripple=0.04, torque_ripple_order=6.0, torque_ripple_phase=0.0),
+        {"sine": 0.04, "cosine": 0.0, "harmonic": 6.0},
+    ),
 }
 # One is named in every run of the tests, among a few; of the whole catalogue one by `rtac demo` and one by the README. The others
 # take half a minute each.

@@ -58,7 +58,8 @@ def improved(
             learned_force=learned_force,
         )  # fmt: skip
     extended = len(found.validation.models) > 1
-    if extended and all(at_noise(_worst(comparison)) for comparison in (found.train, found.validation)):
+    mended = found.mended == "adequate" and found.left_out is None and found.learned is None and found.nearest is None
+    if mended and all(at_noise(_worst(comparison)) for comparison in (found.train, found.validation)):
         work.withdraw_inconsistencies()
     errors = _report.error_table(found.train, found.validation)
     advice = _advice(found, work)

@@ -187,7 +187,7 @@ class Fit(ModelFit):
         if self.lost:
             said += f" There {'; '.join(left_free(self.model, self.information))}: of these the fit says nothing."
         ratios = self.residual_over_noise
-        said += "".join(f" {one}" for one in self.moved_constants)
+        said += "" if self.lost else "".join(f" {one}" for one in self.moved_constants)
         for name, bound in self.on_bounds().items():
             said += f" {name} ended on its bound, {bound:g}: the data ask for no such term in this model."
         if (promised := self.statistics.get("promised", 0.0)) > _KINK:

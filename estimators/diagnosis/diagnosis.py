@@ -93,11 +93,15 @@ class Diagnosis(Result):
 
     @property
     def drift(self) -> str:
-        """Return the words of the test of drift, where that finds most of what the tests of a model find that nothing explains."""
-        found = next((test for test in self.left if test.test == "drift" and test.rejects), None)
-        if self.verdict != "unknown" or found is None or found.excess <= self.policy.static * excess_of(self.left):
+        """Return the words of the test of drift, where it rejects and what any other finds is a small part of that.
+
+        What grows with the amplitude, as a spring that hardens, changes in free decays with the time as well.
+        """
+        if self.verdict != "unknown":
             return ""
-        return found.words
+        found = next((test for test in self.left if test.test == "drift" and test.rejects), None)
+        others = excess_of([test for test in self.left if test.test != "drift"])
+        return "" if found is None or others > self.policy.left * found.excess else found.words
 
     @property
     def best(self) -> Effect | None:

@@ -111,7 +111,7 @@ def words(
     groups = "; ".join(f"{step.id} or {', '.join(step.rivals)}" for step in steps if step.rivals)
     return (
         f"Ambiguous: the data cannot tell {groups} apart. The best fit: {text}.{fraction}{shown} An experiment that separates "
-        "them would decide (est.next_experiment)."
+        "them may decide (est.next_experiment)."
     )
 
 

@@ -18,7 +18,7 @@ from estimators.diagnosis.diagnosis import Diagnosis
 from estimators.diagnosis.explanation import at_noise
 from estimators.diagnosis.improvement_loop import Loop
 from estimators.diagnosis.learned_force import LearnedForce
-from estimators.diagnosis.model_extension import Added, PredictedGain, misfit
+from estimators.diagnosis.model_extension import Added, PredictedGain, falls_clearly
 from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
 from estimators.diagnosis.removed_error import Verdict
 from estimators.linear.homogeneity_test import Equality
@@ -118,7 +118,8 @@ class Improvement(Result):
             )
         if self.final.result in _UNFINISHED:
             said.append(f"The last model: {self.final.outcome}")
-        said.extend(self.final.moved_constants)
+        else:
+            said.extend(self.final.moved_constants)
         if self.diagnoses[-1].verdict == "adequate" and not self._drifts and (astray := self._astray):
             said.append(astray)
         return " ".join([*said, self.stopped, *([str(self.learned)] if self.learned is not None else [])])
@@ -335,8 +336,9 @@ def improve(
     if learned_force and unknown and loop.left_out is not None:
         # Unless a last resort that is learned from all serves held-out experiments better: then it alone may show what is missing.
         resort = whole.last_resort(whole.nearest())
-        if misfit(whole.last.tested) < misfit(loop.last.tested):
-            loop, differs, (nearest, learned) = whole, None, resort
+        if falls_clearly(loop.last.tested, whole.last.tested, policy):
+            loop, (nearest, learned) = whole, resort
+            differs = loop.without_outlier(leave=False)
     elif learned_force and unknown:
         near = loop.nearest()
         further = None if near is None else loop.with_nearest(*near)

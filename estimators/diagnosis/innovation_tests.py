@@ -114,7 +114,7 @@ def run_tests(setting: Setting, refit: Refit, ahead: Ahead | None = None) -> Tes
         tuple(LaggedForce(one.port, one.follows, float(one.p_value), float(one.excess)) for one in delayed),
         line,
         repeats,
-        tuple(parameter_drifts(probed, jacobian, error, basis)),
+        tuple(parameter_drifts(probed, jacobian, error)),
     )
     return Tested(tuple(screened), tuple(curves), findings)
 

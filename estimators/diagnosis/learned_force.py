@@ -23,10 +23,11 @@ _SLOPES = {
     ("cart", "cart_position"): "spring_stiffness",
     ("cart", "cart_velocity"): "cart_viscous",
     ("cart", "cart_position, against the motion"): "cart_coulomb",
+    ("arm", "arm_angle, against the motion"): "arm_coulomb",
     ("arm", "arm_velocity"): "arm_viscous",
     ("arm", "current"): "torque_constant",
 }
-"""Parameters of the model that act along the same variable as a learned force, so that only both together are known."""
+"""Parameters and effects that act along the same variable as a learned force, so that only both together are known."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -44,6 +45,7 @@ class LearnedForce:
         outside: experiments held out that leave the range, with the fraction of their samples that does.
         laws: formulas that would describe the curve, the likeliest on held-out data first; each is an effect in `formulas()` of the
             diagnosis' curve.
+        shares: what the model estimates along the same variable, as a spring where it depends on the position; empty for none.
     """
 
     port: str
@@ -53,6 +55,7 @@ class LearnedForce:
     std: Float[np.ndarray, " knot"]
     outside: dict[str, float]
     laws: tuple[str, ...]
+    shares: str = ""
 
     @property
     def unit(self) -> str:
@@ -98,8 +101,8 @@ class LearnedForce:
                 f"{name} ({100 * fraction:.0f} % of the samples)" for name, fraction in self.outside.items()
             )
             text += f" Experiments held out that go beyond: {where}."
-        if (shared := _SLOPES.get((self.port, self.variable))) is not None:
-            text += f" It and {shared} share what they do: no deviation counts that, so take neither without the other."
+        if self.shares:
+            text += f" It and {self.shares} share what they do: no deviation counts that, so take neither without the other."
         if self.laws:
             text += f" Laws that would describe it: {'; '.join(self.laws)}."
         return text
@@ -168,4 +171,8 @@ def _described(step: Added, curve: ForceCurve) -> LearnedForce:
         std = np.sqrt(np.einsum("sk,st,tk->k", shapes, covariance, shapes))
     laws = tuple(law.text for law in curve.formulas(most=_LAWS)) if curve.evidence is not None else ()
     outside = {name: fraction for name, (_, fraction) in step.tested.beyond.items()}
-    return LearnedForce(curve.port, curve.variable, curve.at, amounts @ shapes, std, outside, laws)
+    shares = _SLOPES.get((curve.port, curve.variable), "")
+    estimated = any(name.split(".")[0] == shares for name in step.fit.model.free)
+    return LearnedForce(
+        curve.port, curve.variable, curve.at, amounts @ shapes, std, outside, laws, shares if estimated else ""
+    )

@@ -125,7 +125,7 @@ def add_effects(
             reasons.append(f"Stopped: with {names} the model could not be fitted: {error}")
             continue
         steps.append(Added(fit, test, way))
-        if _falls_clearly(min((one.tested for one in bases), key=misfit), test, way, policy):
+        if falls_clearly(min((one.tested for one in bases), key=misfit), test, policy, way):
             return steps[-1]
         reasons.append(f"Stopped: with {names} the held-out error would not fall.")
     if not steps or len(ways) < len(WAYS):
@@ -214,7 +214,7 @@ def parameters_of(model: RTAC, effects: Sequence[str]) -> list[str]:
     return [name for name in model.parameters if name.split(".")[0] in effects]
 
 
-def _falls_clearly(before: Compared, after: Compared, way: str, policy: DiagnosisPolicy) -> bool:
+def falls_clearly(before: Compared, after: Compared, policy: DiagnosisPolicy, way: str = "simulated") -> bool:
     """Return whether the error falls by a twentieth.
 
     Near the noise, where the effect is simply fitted, any fall will do.

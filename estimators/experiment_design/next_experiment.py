@@ -100,14 +100,19 @@ class NextExperiment:
 
     @property
     def hopeless(self) -> str:
-        """Say that no experiment tells the effects apart, however often it is repeated; empty where one may."""
-        already, most = min(self.already.values()), max(one.smallest for one in self.ranked)
-        if already >= CONFUSABLE or most - already >= HOPELESS:
+        """Say that no experiment tells any of the effects apart that are not told apart yet; empty where one may, or would have."""
+        added = {
+            pair: max(one.separation[pair] for one in self.ranked) - before
+            for pair, before in self.already.items()
+            if before < CONFUSABLE
+        }
+        if not added or max(added.values()) >= HOPELESS or self.deciding:
             return ""
+        most = max(self.already[pair] + more for pair, more in added.items())
         return (
-            f"No next experiment: of {len(self.ranked)} that the rig could do none tells {self.told_apart} apart, however often"
-            f" it is repeated (separation {most:.2g} at most; below {CONFUSABLE:g} effects are not told apart). No motion of the"
-            " rig will: what they stand for has to be measured by itself, as by weighing, or by calibrating a sensor."
+            f"No next experiment: none of {len(self.ranked)} within the limits tells {self.told_apart} apart, be it repeated"
+            f" twenty times (separation {most:.2g} at most; below {CONFUSABLE:g} effects are not told apart). What they stand for"
+            " has to be measured by itself, as by weighing, or by calibrating a sensor."
         )
 
     @property

@@ -55,7 +55,7 @@ def seconds(linear: Linear) -> np.ndarray:
 def drifts(linear: Linear, error: np.ndarray) -> dict[str, ParameterDrift]:
     jacobian = linear.jacobian()
     basis = orthonormal(jacobian)
-    found = parameter_drifts(linear, jacobian, error - basis @ (basis.T @ error), basis)
+    found = parameter_drifts(linear, jacobian, error - basis @ (basis.T @ error))
     assert [d.excess for d in found] == sorted((d.excess for d in found), reverse=True)
     return {d.parameter: d for d in found}
 
@@ -96,3 +96,17 @@ def test_the_rate_of_the_parameter_that_drifts_is_found(place: int) -> None:
         apart.append((first.rate - rate) / first.std)
     assert abs(np.mean(apart)) < 4 / np.sqrt(20)
     assert 0.5 < np.std(apart) < 1.6
+
+
+def test_what_differs_between_long_and_short_experiments_is_no_drift() -> None:
+    """A parameter that is constant in each, and another in the shortest, which ends before the others."""
+    linear, random = Linear(experiments()), np.random.default_rng(3)
+    brief = seconds(linear) < 0
+    brief[len(brief) // 3 : 2 * len(brief) // 3] = True  # the second experiment of three
+    added = -linear.jacobian()[:, 0] * 0.3 * brief
+    p_values = []
+    for _ in range(20):
+        drawn = noise(random, linear) + added
+        p_values.append(min(d.p_value for d in drifts(linear, drawn).values()))
+    assert np.linalg.norm(added) > 10.0  # what is added is far beyond the noise, by itself
+    assert min(p_values) > 1e-3

@@ -129,6 +129,7 @@ def test_what_a_diagnosis_names_is_added_together_or_one_after_the_other(
     assert loop.diagnosed == ([0] if len(steps) == 1 or most == 1 else [0, len(steps) - 1])
 
 
+@pytest.mark.slow
 def test_two_effects_of_one_diagnosis_are_fitted_together() -> None:
     """A spring that hardens and dry friction of the arm, in the virtual rig."""
     rig = virtual_rig.Rig(cubic_spring=5e4, arm_coulomb=4e-4)

@@ -1,5 +1,6 @@
 """A drive whose friction falls while it warms up, simulated by code of its own: told as a drift, and no law is put in its place."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 
 import estimators as est
 import rtac_jax as rtac
+from estimators.misspecification.adequacy import AdequacyTest
 from rtac_jax.effects import ArmQuadraticDrag, CurrentOffset
 
 INERTIA, VISCOUS, TORQUE_CONSTANT = 4e-5, 2e-4, 0.06  # kg m^2, N m s, N m/A
@@ -64,6 +66,15 @@ def test_the_friction_is_named_that_falls(improved):
     # From 1.5 to 1.07 times the value in four seconds; a straight line through that falls by less than the first second does.
     assert -0.12 < rates["arm_viscous.positive"] < -0.06
     assert -0.12 < rates["arm_viscous.negative"] < -0.06
+
+
+def test_where_a_force_that_holds_at_all_times_explains_some_of_it_no_drift_is_told(improved):
+    """What grows with the amplitude, as a spring that hardens, changes in free decays with the time as well."""
+    found = improved.diagnoses[-1]
+    drift = next(test for test in found.left if test.test == "drift")
+    for fraction, told in ((0.05, True), (0.5, False)):
+        force = AdequacyTest("static force", 1e-9, fraction * drift.excess, 0.002, "a force on the arm")
+        assert bool(dataclasses.replace(found, left=(*found.left, force)).drift) is told
 
 
 def test_no_law_is_learned_in_its_place(improved):

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import scipy.io
 import scipy.optimize
+from plant_families import NOMINAL, OMEGA, WEIGHT, at, draw, mode, responses
 
 import estimators as est
 from estimators.plots import plot_envelope
@@ -15,33 +16,6 @@ from estimators.uncertainty.uncertainty_structures import KINDS, centres, corner
 from estimators.uncertainty.vector_fitting import vector_fit
 from rtac_jax.measurement import multisine
 from rtac_jax.virtual_rig import Plan, Rig, record
-
-OMEGA = np.geomspace(1.0, 100.0, 100)
-# Two modes and zeros on both sides, as the paper's P_0.
-NOMINAL = ct.tf([0.3, 10.0, -20.0, 4000.0], np.polymul([1, 5.4, 174.0], [1, 8.2, 1415.0]))
-WEIGHT = ct.tf([0.4, 4.0], [1.0, 30.0])
-
-
-def at(system, omega=OMEGA):
-    return np.polyval(system.num[0][0], 1j * omega) / np.polyval(system.den[0][0], 1j * omega)
-
-
-def mode(gain, frequency, damping, gain_2=0.15, frequency_2=37.4):
-    """Two modes, the second smaller."""
-    return ct.tf([gain], [1 / frequency**2, 2 * damping / frequency, 1]) + ct.tf(
-        [gain * gain_2], [1 / frequency_2**2, 0.2 / frequency_2, 1]
-    )
-
-
-def draw(count, seed, spread=1.0):
-    random = np.random.default_rng(seed)
-    u = spread * random.uniform(-1, 1, (count, 4))
-    return [mode(1 + 0.2 * a, 12.9 * (1 + 0.05 * b), 0.2 * (1 + 0.3 * c), 0.15 * (1 + 0.3 * d)) for a, b, c, d in u]
-
-
-def responses(systems, omega=OMEGA):
-    return np.array([at(system, omega) for system in systems])
-
 
 # -- nominal and weight ---------------------------------------------------------------------------------------------------
 
@@ -260,7 +234,7 @@ def test_a_pair_of_poles_may_become_two_real_ones():
     s = 1j * omega
     plants = np.array([(1 + 0.2 * random.normal()) / ((s / 20 + 1) * (s / 50 + 1)) for _ in range(3)])
     noise = random.normal(size=(3, 40)) + 1j * random.normal(size=(3, 40))
-    found = cover(plants * (1 + 0.1 * noise), omega=omega)
+    found = est.envelope(plants * (1 + 0.1 * noise), omega=omega)
     assert np.all(found.model_errors <= found.weight_magnitude() * (1 + 1e-9))
     assert np.all(found.nominal.poles().real < 0)
 
@@ -323,61 +297,6 @@ def test_export_text_and_picture(tmp_path):
     assert figure.get_suptitle().startswith("One model of order 4 and a weight of order 2 cover 12 conditions")
     assert all(axes.lines or axes.collections for axes in figure.axes)
     assert figure.axes[-1].get_xlabel() == "Frequency [rad/s]"
-
-
-# -- refusals ---------------------------------------------------------------------------------------------------------------
-
-
-PLANTS = responses(draw(6, seed=12))
-
-
-def cover(plants=PLANTS, **options):
-    return est.envelope(plants, **{"omega": OMEGA, **options})
-
-
-UNSTABLE = ct.tf([1.0], [1.0, -0.5, 10.0], name="rolling")
-INTEGRATOR = ct.ss([[0.0, 1.0], [0.0, -2.0]], [[0.0], [1.0]], [[1.0, 0.0]], 0.0, name="turning")
-SYSTEMS = draw(3, seed=13)
-
-
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda: cover(PLANTS[:1]), "1 condition is left to fit"),
-        (lambda: cover(held_out=range(5)), "1 condition is left to fit"),
-        (lambda: cover(held_out=[6]), "held_out: there is no condition 6; there are 6: condition_1, "),
-        (lambda: cover(held_out=["seven"]), "held_out: there is no condition 'seven'"),
-        (lambda: cover(minimise="most"), "minimise: is 'most'"),
-        (lambda: cover(nominal=UNSTABLE), r"nominal: has a pole at 0.25"),
-        (lambda: cover(nominal=ct.tf([1.0], [1.0, 0.5], 0.01)), "nominal: is a discrete-time system"),
-        (lambda: cover(order_weight=0, within_db=3.0), "order_weight: a weight of order 0 covers the profile only"),
-        (lambda: cover(kind="feedback"), "kind: is 'feedback'"),
-        (lambda: cover(order_nominal=0), "order_nominal, order_weight: are 0 and 2"),
-        (lambda: cover(zeros=5), "zeros: is 5"),
-        (lambda: cover(confidence=1.0), "confidence: is 1"),
-        (lambda: cover(importance=np.zeros(100)), "importance: give 100 positive"),
-        (lambda: cover(np.where(OMEGA > 50, 0, PLANTS)), "a plant is zero at a frequency"),
-        (lambda: cover(np.where(OMEGA > 50, np.nan, PLANTS)), "condition_1: has a response that is not finite"),
-        (lambda: cover(np.tile(PLANTS[:1], (3, 1))), "all conditions equal the nominal model"),
-        (lambda: cover(omega=OMEGA[:50]), "omega: give the 100 frequencies"),
-        (lambda: cover(omega=OMEGA[::-1]), "omega: must be positive and increasing"),
-        (lambda: est.envelope(SYSTEMS), "omega: give the frequencies"),
-        (lambda: est.envelope([*SYSTEMS, ct.frd(PLANTS[0], OMEGA)], omega=OMEGA), "give only FRD, or only"),
-        (lambda: est.envelope([ct.frd(PLANTS[0], OMEGA), ct.frd(PLANTS[1, :50], OMEGA[:50])]), "has other frequencies"),
-        (lambda: est.envelope([ct.tf([1.0], [1.0, 0.5], 0.1)] * 2, omega=OMEGA), "discrete-time"),
-        (lambda: est.envelope([ct.rss(2, 2, 1)] * 2, omega=OMEGA), "choose one of each"),
-        (lambda: est.envelope([*SYSTEMS, UNSTABLE], omega=OMEGA), r"rolling: has a pole at 0\.25[+-]3\.152j"),
-        (
-            lambda: est.envelope([*SYSTEMS, INTEGRATOR], omega=OMEGA, kind="additive"),
-            r"turning: has a pole at 0\+0j.* integrates",
-        ),
-        (lambda: est.envelope(SYSTEMS, omega=OMEGA).covers([UNSTABLE]), r"rolling: has a pole at 0\.25"),
-    ],
-)
-def test_refusals(call, message):
-    with pytest.raises(ValueError, match=message) as caught:
-        call()
-    assert "\n" not in str(caught.value)
 
 
 # -- the rig ----------------------------------------------------------------------------------------------------------------

@@ -6,7 +6,7 @@ import pytest
 
 from estimators.core.data import Data
 from estimators.prediction_error.ekf import Wander
-from estimators.prediction_error.latent_force import _likelihoods, _Linear, _smoothed
+from estimators.prediction_error.force_smoother import LinearPath, likelihoods, smoothed
 from rtac_jax.measurement import Experiment
 
 LENGTHS, SAMPLE_TIME, STATES = (40, 25), 0.01, 3
@@ -14,7 +14,7 @@ SIZES = np.array([0.7, 0.3])  # of the forces on cart and arm
 CORRELATION_TIME = 0.05
 
 
-def recorded() -> tuple[Data, _Linear]:
+def recorded() -> tuple[Data, LinearPath]:
     """Return errors of two experiments of unequal lengths, with a gap in one, and a linear model that changes with time."""
     random = np.random.default_rng(1)
     several = []
@@ -29,7 +29,7 @@ def recorded() -> tuple[Data, _Linear]:
     transition = 0.9 * np.eye(STATES)[None, :, :, None] + 0.1 * random.normal(size=(room, STATES, STATES, count))
     shown = np.zeros((room, 3, STATES, count))
     shown[:, 0] = random.normal(size=(room, STATES, count))
-    linear = _Linear(
+    linear = LinearPath(
         transition=jnp.asarray(transition), push=jnp.asarray(random.normal(size=(room, STATES, 2, count))),
         shown=jnp.asarray(shown), error=data.values * data.present,
         wander=Wander(jnp.full((3, count), 0.04), jnp.zeros((STATES, count)), jnp.zeros((STATES, count)), ()),
@@ -38,7 +38,7 @@ def recorded() -> tuple[Data, _Linear]:
     return data, linear
 
 
-def dense(data: Data, linear: _Linear, column: int, swing: float) -> tuple[np.ndarray, np.ndarray, float]:
+def dense(data: Data, linear: LinearPath, column: int, swing: float) -> tuple[np.ndarray, np.ndarray, float]:
     """Return mean and variance of both forces given all outputs of an experiment, and the logarithm of their density."""
     count = LENGTHS[column]
     apart = SAMPLE_TIME * np.abs(np.subtract.outer(np.arange(count), np.arange(count)))
@@ -71,8 +71,8 @@ def test_forces_and_their_likelihood_are_those_of_a_gaussian_process(swing: floa
     data, linear = recorded()
     gain = jnp.zeros((data.room, STATES, 3, len(LENGTHS)))
     time, turn = jnp.asarray(CORRELATION_TIME), jnp.asarray(swing)
-    mean, variance = _smoothed(linear, data, gain, jnp.asarray(SIZES), time, turn)
-    likelihood = _likelihoods(linear, data, gain, jnp.asarray(SIZES)[None], time, turn)
+    mean, variance = smoothed(linear, data, gain, jnp.asarray(SIZES), time, turn)
+    likelihood = likelihoods(linear, data, gain, jnp.asarray(SIZES)[None], time, turn)
     expected = [dense(data, linear, column, swing) for column in range(len(LENGTHS))]
     for column, (force, doubt, _) in enumerate(expected):
         count = LENGTHS[column]

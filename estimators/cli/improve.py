@@ -41,7 +41,6 @@ def improved(
 ) -> None:
     """Run the loop on a job, and say and write what it found."""
     import estimators as est
-    from estimators.diagnosis.explanation import at_noise
     from estimators.reporting import report as _report
     from estimators.reporting import summary
     from estimators.reporting.fit_table import recommended_table
@@ -58,8 +57,7 @@ def improved(
             learned_force=learned_force,
         )  # fmt: skip
     extended = len(found.validation.models) > 1
-    mended = found.mended == "adequate" and found.left_out is None and found.learned is None and found.nearest is None
-    if mended and all(at_noise(_worst(comparison)) for comparison in (found.train, found.validation)):
+    if found.settled:
         work.withdraw_inconsistencies()
     errors = _report.error_table(found.train, found.validation)
     advice = _advice(found, work)
@@ -133,11 +131,6 @@ def improved(
     bullets = summary.of_diagnosis(found, found.train, found.validation, file=work.file, estimates=estimates)
     title = f"Improvement of the model with {work.file}"
     work.write_report(title, figures, sections, summary=bullets, traces=found.validation)
-
-
-def _worst(comparison: Any) -> float:
-    """Return the error of the last model over the noise, of the worst channel."""
-    return max(error.rms_over_noise for error in comparison.models[-1].errors.values())
 
 
 def _advice(found: Any, work: Job) -> Any:

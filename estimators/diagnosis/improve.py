@@ -129,6 +129,13 @@ class Improvement(Result):
         return self.constancy is not None and self.constancy.decisive
 
     @property
+    def settled(self) -> bool:
+        """Return whether effects that were added, and nothing else, make the model follow all experiments to the noise."""
+        others = (self.learned, self.nearest, self.left_out)
+        followed = [e.rms_over_noise for c in (self.train, self.validation) for e in c.models[-1].errors.values()]
+        return self.mended == "adequate" and others == (None, None, None) and at_noise(max(followed))
+
+    @property
     def mended(self) -> Verdict | None:
         """Return the verdict on the last model without a last resort, where effects were added and it was diagnosed again.
 
@@ -241,9 +248,12 @@ class Improvement(Result):
             start = f"{start}, and one of a group ({group})" if start else f"One of a group was missing ({group})"
         if groups:
             start += ", and the data cannot tell which"
+        drift = "" if self.nearest is not None else self.diagnoses[-1].drift
         end = {
             "adequate": f"the mended model is adequate{' one sample ahead' if self._astray else ''}",
-            "unknown": f"the mended model still fails, and no effect of the catalogue explains {whole}",
+            "unknown": f"the mended model fails as where a parameter drifts: {drift}"
+            if drift
+            else f"the mended model still fails, and no effect of the catalogue explains {whole}",
             None: "the mended model was not diagnosed again",
         }.get(self.mended, "what a diagnosis of the mended model names does not serve held-out experiments")
         return f"{start}; {end}."

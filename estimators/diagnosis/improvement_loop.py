@@ -175,11 +175,10 @@ class Loop:
 
         Two effects may hide each other: with neither in the model neither explains enough.
         """
-        further = dataclasses.replace(
-            self, steps=[*self.steps, ((nearest.id,), step)], diagnoses=list(self.diagnoses),
-            diagnosed=list(self.diagnosed), added=[*self.added, nearest],
-            stopped="",
-        )  # fmt: skip
+        further = self.copied()
+        further.steps.append(((nearest.id,), step))
+        further.added.append(nearest)
+        further.stopped = ""
         further.run()
         if further.diagnoses[-1].verdict != "adequate":
             return None

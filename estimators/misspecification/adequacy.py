@@ -113,6 +113,9 @@ def adequacy_tests(found: Findings, critical: CriticalValues) -> tuple[AdequacyT
     if found.drifts:
         p_value, drift = _strongest(found.drifts, level)
         words = f"{drift.parameter} that changes {_rate(drift)} within experiments would explain {drift.excess:.0f}"
+        others = [d for d in significant(found.drifts, level) if d is not drift]
+        by_themselves = ", ".join(f"{d.parameter} {d.excess:.0f}" for d in others)
+        words += f" (others by themselves: {by_themselves})" if others else ""
         tests.append(AdequacyTest("drift", p_value, drift.excess, level, words))
     if line is not None:
         where = f"{line.channel} at {line.frequency:.3g} rad/s ({line.in_hertz})"

@@ -119,11 +119,15 @@ def of_diagnosis(
     steps = {
         "adequate": "Use the model: a controller (rtac envelope, rtac control), given recordings of several conditions.",
         "missing": f"rtac improve {shlex.quote(file)}, which adds it and goes on.",
-        "ambiguous": "Record the experiment that tells them apart (next_experiment.h5 where one could be planned), join it, and "
-        "diagnose again.",
+        "ambiguous": "Record the experiment that tells them apart, if one could be planned (next_experiment.h5), join it, and "
+        "diagnose again; else measure by itself what they stand for.",
         "unknown": "Look where and at which frequency the force acts (below); use its learned curve, or give an effect of your "
         "own with --effects.",
     }
+    if last.drift:
+        steps["unknown"] = (
+            "Let the rig run before it is recorded, or fit shorter experiments and hold them against each other."
+        )
     if isinstance(found, Improvement):
         steps["missing"] = "Use the model with it, in the range of motion that was recorded."
     if _largest(after) > FAR:

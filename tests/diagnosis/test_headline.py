@@ -164,3 +164,29 @@ def test_a_line_alone_beside_a_simulation_at_the_noise_is_no_failure_of_the_mode
     assert (
         "Only a line speaks against the model" in str(of_diagnosis(found, found.train, found.validation, file="x"))
     ) == told
+
+
+@pytest.mark.parametrize("steps", [1, 2])
+def test_a_drift_is_told_of_the_base_model_and_of_the_mended_one(steps):
+    drift = AdequacyTest("drift", 1e-9, 400.0, 2e-3, "arm_viscous.positive that changes would explain 400")
+    last = dataclasses.replace(diagnosis("unknown"), left=(drift,))
+    diagnoses = (NAMED, last)[2 - steps :]
+    found = looped(*diagnoses, steps=steps, added=NAMED.effects[: steps - 1], verdict="unknown")
+    assert f"fails as where a parameter drifts: {drift.words}" in found.headline
+    said = str(of_diagnosis(found, found.train, found.validation, file="x"))
+    assert drift.words in said
+    assert "Let the rig run before it is recorded" in said
+    other = AdequacyTest("static force", 1e-9, 300.0, 2e-3, "a force that depends on cart_position")
+    beside = dataclasses.replace(last, left=(drift, other))
+    assert "drifts" not in looped(*diagnoses[:-1], beside, steps=steps, added=found.added, verdict="unknown").headline
+
+
+def test_the_recording_is_settled_where_effects_alone_make_the_model_follow_all_of_it():
+    found = looped(NAMED, diagnosis("adequate"), train=Comparison((compared("base", 20.0), compared("+ it", 0.8))))
+    near = dataclasses.replace(found, validation=found.train)
+    assert near.settled
+    assert not found.settled, "held-out experiments are at three times the noise"
+    for last_resort in ({"learned": LEARNED}, {"nearest": OTHERS[0]}, {"left_out": "free_1"}):
+        assert not dataclasses.replace(near, **last_resort).settled
+    assert not dataclasses.replace(near, diagnoses=(NAMED, diagnosis("unknown"))).settled
+    assert not looped(diagnosis("adequate"), steps=1, train=near.train, validation=near.train).settled

@@ -76,6 +76,8 @@ def finding(diagnosis: Diagnosis) -> str:
         tried, count = len(diagnosis.candidates), sum(c.testable for c in diagnosis.candidates)
         return f"Nothing is missing {diagnosis.floor}: none of {tried} candidates ({count} testable) stands out"
     if diagnosis.verdict == "unknown":
+        if diagnosis.drift:
+            return f"The model fails as where a parameter drifts: {diagnosis.drift.split(' would explain')[0]}"
         failed = "The model fails, and no effect of the catalogue explains it"
         if not diagnosis.curves:
             return failed

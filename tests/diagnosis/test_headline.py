@@ -10,6 +10,7 @@ from estimators.core.fisher_information import information_of
 from estimators.core.fit import Fit
 from estimators.core.results import RESULTS
 from estimators.misspecification.adequacy import AdequacyTest
+from estimators.plots.diagnosis import finding
 from estimators.reporting.summary import of_diagnosis
 from estimators.validation.simulation_error import Comparison
 from rtac_jax import RTAC
@@ -176,6 +177,7 @@ def test_a_drift_is_told_of_the_base_model_and_of_the_mended_one(steps):
     said = str(of_diagnosis(found, found.train, found.validation, file="x"))
     assert drift.words in said
     assert "Let the rig run before it is recorded" in said
+    assert finding(last) == "The model fails as where a parameter drifts: arm_viscous.positive that changes"
     other = AdequacyTest("static force", 1e-9, 300.0, 2e-3, "a force that depends on cart_position")
     beside = dataclasses.replace(last, left=(drift, other))
     assert "drifts" not in looped(*diagnoses[:-1], beside, steps=steps, added=found.added, verdict="unknown").headline

@@ -40,6 +40,15 @@ def axis(name, seconds, *, sizes, period, sample_time=1e-3):
     )  # fmt: skip
 
 
+def as_cart(experiment):
+    """Return an experiment of the axis as one of a cart without spring beside a locked arm, and the drive as a force [N]."""
+    return rtac.Experiment.of(
+        experiment.name, kind="forced", sample_time=experiment.sample_time, arm="locked",
+        cart_position=experiment.outputs["arm_angle"].values,
+        disturbance_force=TORQUE_CONSTANT * experiment.inputs["current"].values,
+    )  # fmt: skip
+
+
 def recording():
     """Two experiments of the axis, whose torque constant is known."""
     experiments = [

@@ -12,13 +12,14 @@ from rtac_jax.parameters import Scales, declarations
 
 
 def offered(model: RTAC, candidates: Sequence[type[Effect]] | None) -> list[type[Effect]]:
-    """Return the candidate set: the whole catalogue and wrong constants, or these candidates, without what the model has already.
+    """Return the candidate set: the whole catalogue and wrong constants, or these candidates, without what the model has already
+    and what stands only beside effects that it lacks.
 
     Raises:
         ValueError: what is no class of effects, or one that is not declared well enough to be looked for.
     """
     classes = require_distinct(CATALOGUE.values() if candidates is None else candidates)
-    found = [c for c in classes if c.id not in model]
+    found = [c for c in classes if c.id not in model and all(i in model for i in c.only_beside)]
     return found + wrong_constants(model) if candidates is None else found
 
 

@@ -96,7 +96,9 @@ def diagnose(
     recording = fitted_part(recording, fit.experiments)
     classes = offered(fit.model, candidates)
     if not classes:
-        raise ValueError("no candidate is left: the model has every effect that was offered.")
+        raise ValueError(
+            "no candidate is left: the model has every effect that was offered, or lacks what they stand beside."
+        )
     with Progress("diagnose", show=progress) as shown:
         setting = setting_of(fit, recording, classes, shown, policy)
         # Where some are in the model already, as in the loop, its other tests are still worth asking.

@@ -171,7 +171,7 @@ def found_by_simulation(before: SimulationError, after: SimulationError) -> str:
     force, torque = before.random
     return (
         " This is what simulations select, as predictions one sample ahead do not tell: random forces stand in for the physics"
-        f" there ({100 * force:.2g} % of the rms spring force and {100 * torque:.2g} % of the rms torque in one sample). The"
+        f" there ({100 * force:.2g} % of the rms force and {100 * torque:.2g} % of the rms torque in one sample). The"
         f" error of the simulation falls from {before.error[farthest]:,.3g} to {after.error[farthest]:,.3g} times the noise"
         f" ({farthest})."
     )
@@ -260,7 +260,7 @@ def shaken(random_force: float, random_torque: float, left_out: float, *, large:
     """Say what random forces mean for the verdict and for the fit that follows; nothing where they are small.
 
     Args:
-        random_force: in one sample, as a fraction of the rms spring force.
+        random_force: in one sample, as a fraction of the rms force.
         random_torque: in one sample, as a fraction of the rms motor torque.
         left_out: fraction of the samples that are stick-slip ambiguous.
         large: whether they are no small disturbance any more, by `random_forces_are_large`.
@@ -280,7 +280,7 @@ def shaken(random_force: float, random_torque: float, left_out: float, *, large:
             " hold beside such forces"
         )
     return said + (
-        f" The predictor asks for random forces even so ({100 * random_force:.1f} % of the rms spring force in one sample,"
+        f" The predictor asks for random forces even so ({100 * random_force:.1f} % of the rms force in one sample,"
         f" {100 * random_torque:.1f} % of the rms torque): {stand}. A simulation cannot follow them: est.prediction_error_nonlinear"
         " estimates parameters of such a rig, est.output_error may not."
     )

@@ -32,7 +32,7 @@ def can_show(effect: type[Effect], experiments: Sequence[Experiment]) -> bool:
         return "current" in driven and arm
     if effect.port == "sensor":
         return arm or effect.needs_channel != "arm_velocity"
-    if effect.port == "arm":
+    if effect.port in ("arm", "arm and cart"):  # beside a locked arm the latter is another effect of the cart's
         return arm
     if effect.port == "cart":
         return cart

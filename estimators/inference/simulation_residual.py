@@ -232,9 +232,7 @@ def _words(
 ) -> str:
     if cause == "noise":
         return ""
-    size = (
-        f"{100 * random[0]:.2g} % of the rms spring force and {100 * random[1]:.2g} % of the rms torque in one sample"
-    )
+    size = f"{100 * random[0]:.2g} % of the rms force and {100 * random[1]:.2g} % of the rms torque in one sample"
     if cause == "stand-in":
         return (
             f"Although predictions one sample ahead are at the noise, {misses}. Random forces stand in for the physics there"

@@ -24,7 +24,7 @@ _CORRELATION_TIMES = (
     0.3,
     1.0,
 )  # correlation times of the force that are tried, as fractions of the period of the motion
-# Standard deviations of the force that are tried, as fractions of the rms spring force or motor torque.
+# Standard deviations of the force that are tried, as fractions of the rms force on the cart or motor torque.
 _SHARES = (1e-4, 1e-3, 3e-3, 1e-2, 3e-2, 1e-1, 3e-1)
 _STILL = 1e-7  # fraction of the force that stands for none
 _RINGING = (1.0, 3.0, 10.0)  # correlation times that are tried of a force that swings, in its periods

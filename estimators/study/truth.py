@@ -52,6 +52,7 @@ EFFECT_FIELD: Mapping[str, str] = {
     "arm_presliding.angle": "arm_presliding_yield",
     "arm_quadratic_drag.coefficient": "arm_quadratic_drag",
     "cogging.harmonic": "cogging_order",
+    "second_cogging.harmonic": "second_cogging_order",
     "torque_ripple.harmonic": "torque_ripple_order",
     "cable_spring.stiffness": "cable_stiffness",
     "gravity_tilt.along": "tilt_along",

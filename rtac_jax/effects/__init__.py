@@ -18,7 +18,7 @@ from rtac_jax.effects.actuator import CurrentLag, CurrentOffset, DeadZone, Satur
 from rtac_jax.effects.arm_friction import ArmCoulomb, ArmQuadraticDrag, ArmStribeck, ArmViscous
 from rtac_jax.effects.between_samples import InputDelay, InputHold
 from rtac_jax.effects.cart_friction import CartCoulomb, CartQuadraticDrag, CartStribeck, CartViscous
-from rtac_jax.effects.cogging import Cogging, TorqueRipple
+from rtac_jax.effects.cogging import Cogging, SecondCogging, TorqueRipple
 from rtac_jax.effects.flexible_mode import FlexibleMode
 from rtac_jax.effects.gravity_tilt import GravityTilt
 from rtac_jax.effects.hysteretic_spring import HystereticSpring
@@ -61,6 +61,7 @@ CATALOGUE: dict[str, type[Effect]] = {
         ArmPresliding,
         ArmQuadraticDrag,
         Cogging,
+        SecondCogging,
         TorqueRipple,
         CableSpring,
         TorqueOffset,
@@ -152,6 +153,7 @@ __all__ = [
     "Outputs",
     "QuadraticSpring",
     "Saturation",
+    "SecondCogging",
     "Sensor",
     "SplineForce",
     "States",

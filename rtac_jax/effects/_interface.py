@@ -81,6 +81,7 @@ class Effect(eqx.Module):
             "sensor". An effect on a part that never moves, or is never driven, cannot be seen.
         needs_channel: name of the output without which it cannot be seen either, as that of a sensor; None if there is none.
         undriven: whether a diagnosis offers it only where no current drives the motor, since another effect is the same elsewhere.
+        only_beside: ids of effects that a model must have before a diagnosis looks for it, as it is one of them elsewhere.
         states: names of its own states, with units.
         contains: ids of simpler effects that it becomes at the edge of its shape. Where the data cannot tell it from one of
             them, that one is named.
@@ -110,6 +111,7 @@ class Effect(eqx.Module):
     closed: ClassVar[bool] = False
     needs_channel: ClassVar[str | None] = None
     undriven: ClassVar[bool] = False
+    only_beside: ClassVar[tuple[str, ...]] = ()
     looked_at: ClassVar[float] = 1.0
     acts_by_contact: ClassVar[bool] = False
 

@@ -30,6 +30,13 @@ class Cogging(Force):
         return 0.0, self.sine * s + self.cosine * c
 
 
+class SecondCogging(Cogging):
+    """Another order of cogging: that of the slots beside that of the magnets, or the second harmonic of the first."""
+
+    id: ClassVar[str] = "second_cogging"
+    only_beside: ClassVar[tuple[str, ...]] = ("cogging",)
+
+
 class TorqueRipple(Force):
     """A torque constant that rises and falls n times a turn; once a turn also where the angle of a commutated motor is off."""
 

@@ -189,11 +189,21 @@ def gravity(batch: Batch) -> Act | None:
 
 def cogging(batch: Batch) -> Act | None:
     """Build the cogging torque of the motor."""
-    rows = batch.rows("cogging_torque")
+    return _repeating(batch, "cogging")
+
+
+def second_cogging(batch: Batch) -> Act | None:
+    """Build the cogging torque of a second order."""
+    return _repeating(batch, "second_cogging")
+
+
+def _repeating(batch: Batch, name: str) -> Act | None:
+    """Build a torque that repeats with the arm's angle."""
+    rows = batch.rows(f"{name}_torque")
     if rows is None:
         return None
-    torque = batch.column("cogging_torque")[rows] * batch.step
-    order, phase = batch.column("cogging_order")[rows], batch.column("cogging_phase")[rows]
+    torque = batch.column(f"{name}_torque")[rows] * batch.step
+    order, phase = batch.column(f"{name}_order")[rows], batch.column(f"{name}_phase")[rows]
     angle, impulse = batch.position[1, rows], batch.impulse[1, rows]
 
     def act() -> None:
@@ -344,6 +354,7 @@ BUILDERS = (
     end_stop,
     gravity,
     cogging,
+    second_cogging,
     torque_ripple,
     cable_spring,
     detent,

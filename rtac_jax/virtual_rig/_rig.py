@@ -172,6 +172,12 @@ class Rig:
     """n [1]."""
     cogging_phase: float = 0.0
     """phi [rad]."""
+    second_cogging_torque: float = 0.0
+    """A [N m]: another torque A sin(n theta + phi)."""
+    second_cogging_order: float = 8.0
+    """n [1]."""
+    second_cogging_phase: float = 0.0
+    """phi [rad]."""
     torque_ripple: float = 0.0
     """a [1]: the motor's torque times 1 + a sin(n theta + phi)."""
     torque_ripple_order: float = 6.0

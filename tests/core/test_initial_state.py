@@ -7,7 +7,7 @@ import pytest
 
 import estimators as est
 import rtac_jax as rtac
-from estimators.core.initial_state import first_values, space_of
+from estimators.core.initial_state import first_values, scales_of, space_of
 from rtac_jax import virtual_rig
 from rtac_jax.effects import ArmCoulomb
 from rtac_jax.measurement import Signal
@@ -74,3 +74,19 @@ def test_an_arm_at_rest_that_only_an_encoder_shows_begins_at_rest() -> None:
     assert level.std < 2e-6
     assert found.statistics["one_step_rms"]["arm_angle"] < 1.2 * rig.angle_noise
     assert "white" in found.verdict
+
+
+def test_forces_of_a_cart_without_spring_are_those_that_move_it() -> None:
+    """What a diagnosis looks for is a fraction of them: of a spring that is not there it would look for nothing."""
+    time = 0.01 * np.arange(400)
+    push = 50.0 * np.sin(2.0 * np.pi * time)
+    driven = rtac.Experiment.of(
+        "driven", kind="forced", sample_time=0.01, arm="locked", cart_position=0.1 * np.sin(2.0 * np.pi * time),
+        disturbance_force=push,
+    )  # fmt: skip
+    coasting = dataclasses.replace(driven, inputs={}, kind="free")
+    model = rtac.RTAC.paper().with_values({"spring_stiffness": 0.0, "total_mass": 10.0})
+    assert scales_of(model, [driven]).force == pytest.approx(50.0 / 2**0.5, rel=1e-6)
+    assert scales_of(model, [coasting]).force == pytest.approx(10.0 * 0.1 / 2**0.5 * (2.0 * np.pi) ** 2, rel=1e-3)
+    stiff = model.with_values({"spring_stiffness": 1e4})
+    assert scales_of(stiff, [driven]).force == pytest.approx(1e3 / 2**0.5, rel=1e-3)

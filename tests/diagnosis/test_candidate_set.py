@@ -43,7 +43,13 @@ def test_what_the_model_has_is_not_offered() -> None:
     own = spring()
     assert offered(MODEL, [own, CubicSpring]) == [own, CubicSpring]
     assert offered(MODEL + CubicSpring(1e4), [own, CubicSpring]) == [own]
-    assert {c.id for c in offered(MODEL, None)} == set(CATALOGUE) - set(MODEL.ids)
+    assert {c.id for c in offered(MODEL, None)} == set(CATALOGUE) - set(MODEL.ids) - {"second_cogging"}
+
+
+def test_a_second_order_of_cogging_is_offered_beside_the_first_alone() -> None:
+    first, second = CATALOGUE["cogging"], CATALOGUE["second_cogging"]
+    assert offered(MODEL, [first, second]) == [first]
+    assert offered(MODEL + first(1e-4, 0.0, 7.0), [first, second]) == [second]
 
 
 @pytest.mark.parametrize(

@@ -1,12 +1,12 @@
 """A drive whose fine encoder leaves predictions one sample ahead nothing to tell: the simulation says what is missing."""
 
 import pytest
-from positioning_axis import COULOMB, OFFSET, TORQUE_CONSTANT, recording
+from positioning_axis import COULOMB, OFFSET, TORQUE_CONSTANT, as_cart, axis, recording
 
 import estimators as est
 import rtac_jax as rtac
 from estimators.plots.diagnosis import finding
-from rtac_jax.effects import ArmCoulomb, ArmPresliding, CurrentOffset, EncoderLag
+from rtac_jax.effects import ArmCoulomb, ArmPresliding, CubicSpring, CurrentOffset, EncoderLag, ForceOffset, GravityTilt
 
 
 @pytest.mark.slow  # test_simulation_selection.py asserts in every run how simulations select
@@ -41,3 +41,17 @@ def test_the_loop_finds_friction_and_offset_and_the_axis() -> None:
     assert found.diagnoses[-1].verdict == "adequate"
     assert found.final.parameters["arm_coulomb.level"].value == pytest.approx(COULOMB, rel=0.01)
     assert found.final.parameters["current_offset.offset"].value == pytest.approx(-OFFSET / TORQUE_CONSTANT, rel=0.02)
+
+
+@pytest.mark.slow
+def test_a_cart_without_spring_has_its_offset_named() -> None:
+    """What is plausible is a fraction of the forces, of which the spring's are none."""
+    moves = axis("forth and back", 6.0, sizes=(0.24, 0.14, 0.07), period=3.0, sample_time=4e-3)
+    train = rtac.Recording([as_cart(moves)], rig={})
+    fit = est.output_error(rtac.RTAC.from_rig(train), train, progress=False)
+    few = [ForceOffset, GravityTilt, CubicSpring]
+    found = est.diagnose(fit, train, candidates=few, thorough=False, progress=False)
+    assert found.verdict == "missing"
+    assert [c.id for c in found.effects] == ["force_offset"]  # a tilt is the same, beside an arm that is locked
+    assert found.effects[0].confusable_with == ()
+    assert found.effects[0].parameters["offset"].value == pytest.approx(-OFFSET, rel=0.02)

@@ -82,7 +82,7 @@ def test_it_is_said_why_simulations_select_and_how_far_the_error_falls() -> None
     before = SimulationError({"arm_angle": 33_154.0}, {"arm_angle": 1.0}, {"arm_angle": 4e5}, (0.02, 0.5))
     said = found_by_simulation(before, dataclasses.replace(before, error={"arm_angle": 65.0}))
     assert "This is what simulations select" in said
-    assert "(2 % of the rms spring force and 50 % of the rms torque in one sample)" in said
+    assert "(2 % of the rms force and 50 % of the rms torque in one sample)" in said
     assert "falls from 3.32e+04 to 65 times the noise (arm_angle)" in said
 
 

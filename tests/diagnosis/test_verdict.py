@@ -150,6 +150,6 @@ def test_a_parameter_that_is_fixed_is_told_without_a_deviation() -> None:
 
 def test_random_forces_are_told_of_where_they_matter():
     assert shaken(1e-4, 2e-3, 0.01) == ""
-    assert "5.8 % of the rms spring force" in shaken(0.058, 1e-5, 0.0)
+    assert "5.8 % of the rms force" in shaken(0.058, 1e-5, 0.0)
     assert "est.prediction_error_nonlinear" in shaken(1e-5, 0.02, 0.0)
     assert shaken(1e-5, 1e-5, 0.12).startswith(" 12 % of the samples do not count")

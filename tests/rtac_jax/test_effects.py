@@ -38,6 +38,7 @@ NAMES = frozenset(
         "arm_presliding",
         "arm_quadratic_drag",
         "cogging",
+        "second_cogging",
         "torque_ripple",
         "cable_spring",
         "gravity_tilt",

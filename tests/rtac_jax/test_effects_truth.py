@@ -50,6 +50,9 @@ CASES: dict[str, tuple[dict[str, float], Effect]] = {
     "arm_presliding": ({"arm_presliding": 1e-3}, effects.ArmPresliding(1e-3, 0.02)),
     "arm_quadratic_drag": ({"arm_quadratic_drag": 6e-6}, effects.ArmQuadraticDrag(6e-6)),
     "cogging": ({"cogging_torque": 2e-3, "cogging_phase": 0.4}, wave(effects.Cogging, 2e-3, 0.4, 4.0)),
+    "second_cogging": (
+        {"second_cogging_torque": 2e-3, "second_cogging_phase": 0.4}, wave(effects.SecondCogging, 2e-3, 0.4, 8.0)
+    ),
     "torque_ripple": (
         {"torque_ripple": 0.1, "torque_ripple_phase": 0.4}, wave(effects.TorqueRipple, 0.1, 0.4, 6.0)
     ),
@@ -96,7 +99,8 @@ CASES: dict[str, tuple[dict[str, float], Effect]] = {
 # Parameters that no field of the rig holds as they are, by the reason.
 NO_FIELD = {
     "the rig has an amplitude and a phase": (
-        "cogging.sine", "cogging.cosine", "torque_ripple.sine", "torque_ripple.cosine", "tacho_ripple.sine", "tacho_ripple.cosine",
+        "cogging.sine", "cogging.cosine", "second_cogging.sine", "second_cogging.cosine",
+        "torque_ripple.sine", "torque_ripple.cosine", "tacho_ripple.sine", "tacho_ripple.cosine",
         "lvdt_ripple.sine", "lvdt_ripple.cosine",
         "encoder_ripple.sine", "encoder_ripple.cosine",
     ),

@@ -27,6 +27,7 @@ EFFECTS = [
     {"tilt_along": 0.01},
     {"tilt_across": 0.02},
     {"cogging_torque": 1e-3},
+    {"second_cogging_torque": 1e-3},
     {"torque_ripple": 0.1},
     {"cable_stiffness": 1e-3},
     {"backlash": 0.02},

@@ -65,6 +65,7 @@ def reference(rig: Rig, plan: Plan) -> np.ndarray:
         arm = rig.torque_constant * i - viscous * arm_speed
         arm -= rig.arm_quadratic_drag * abs(arm_speed) * arm_speed
         arm += rig.cogging_torque * np.sin(rig.cogging_order * theta + rig.cogging_phase)
+        arm += rig.second_cogging_torque * np.sin(rig.second_cogging_order * theta + rig.second_cogging_phase)
         ripple = rig.torque_ripple * np.sin(rig.torque_ripple_order * theta + rig.torque_ripple_phase)
         arm += rig.torque_constant * i * ripple
         arm -= rig.arm_presliding * bristles[1] / rig.arm_presliding_yield
@@ -107,6 +108,7 @@ SMOOTH = {
     "flexible": {"flexible_mass": 0.25, "flexible_damping": 0.05},
     "drag": {"cart_quadratic_drag": 3.0, "arm_quadratic_drag": 6e-6},
     "tilt": {"tilt_along": 0.01, "tilt_across": 0.03},
+    "second cogging": {"cogging_torque": 1e-3, "second_cogging_torque": 2e-3, "second_cogging_phase": 0.4},
     "torque_ripple": {"torque_ripple": 0.2, "torque_ripple_phase": 0.4},
     "arm": {"cogging_torque": 2e-3, "cogging_phase": 0.4, "cable_stiffness": 1e-3, "cable_home": 0.5},
     "detent": {"detent_force": 0.2},

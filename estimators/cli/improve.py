@@ -76,7 +76,10 @@ def improved(
     if open_question is not None:
         base = found.fits[found.fitted_before(found.diagnoses.index(open_question))]
         planned = plan_next(work, base, open_question, candidates)
-    table, judged = _report.candidate_table(found.diagnoses[0]), found.diagnoses[0].policy.words
+    table, judged = (
+        _report.candidate_table(found.diagnoses[0], [c.id for c in found.added]),
+        found.diagnoses[0].policy.words,
+    )
     work.say(found.headline, *said, found.ending, work.remark, table, errors, *parameters, planned or "", judged)
     work.save(found, save)
     work.write_json(_report.report_dict(found, planned=planned, seconds=work.seconds, advice=advice))
@@ -117,7 +120,10 @@ def improved(
     show_plan(planned, work, figures, captions)
     tables: list[Any] = []
     for number, diagnosis in enumerate(found.diagnoses, 1):
-        tables += [f"Diagnosis {number}: {diagnosis.verdict}.", _report.candidate_table(diagnosis)]
+        tables += [
+            f"Diagnosis {number}: {diagnosis.verdict}.",
+            _report.candidate_table(diagnosis, [c.id for c in found.added]),
+        ]
         tables += [_report.evidence_table(diagnosis), _report.place_table(diagnosis)]
     sections = [
         ("Verdict", [found.headline, f"{finding(found)}.", *told, found.ending, work.remark]),

@@ -91,13 +91,14 @@ class _Arc:
         """Return where the step with this damping leads, and by how much it promises to lower the cost."""
         residual, jacobian = self._joined[:, -1], self._joined[:, :-1]
         step = np.asarray(_damped(self._padded, jnp.asarray(damping)))[: jacobian.shape[1]]
-        left = residual + jacobian @ step
+        move = jacobian @ step
         parts, first = [], 0
         for leaf in self._from:
             part = step[first : first + np.size(leaf)]
             parts.append(jnp.asarray(np.asarray(leaf) + part.reshape(np.shape(leaf))))
             first += np.size(leaf)
-        return Unknowns(*parts), 0.5 * float(residual @ residual - left @ left)
+        # Of the difference of two sums of squares, each far larger, rounding would promise something however short the step.
+        return Unknowns(*parts), -float(residual @ move + 0.5 * move @ move)
 
 
 def _triangle_of_all(

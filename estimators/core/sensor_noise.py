@@ -1,6 +1,6 @@
 """Sensor noise levels: seen at rest, stated in the file, or read off the quietest part of the spectrum."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -12,6 +12,7 @@ from rtac_jax.measurement import OUTPUTS, Experiment, filled
 
 Values = Float[np.ndarray, " sample"]
 
+_ROUNDING = 1.1  # noise over that of rounding alone, below which a channel has next to no other
 _SOME = 0.02  # fraction of samples that are missing, up to which bridging them takes less than a fiftieth of the noise
 _FEWEST = 16  # samples of which a spectrum is taken
 _BRIDGED = 16  # samples that a gap may span and be bridged: a spline swings out over longer ones
@@ -64,6 +65,27 @@ def stated_levels(experiments: Sequence[Experiment]) -> dict[tuple[str, str], fl
         for e in experiments
         for channel, signal in e.outputs.items()
         if channel not in resting and signal.noise_std is not None
+    }
+
+
+def rounded(experiments: Sequence[Experiment], levels: Mapping[str, float]) -> dict[str, float]:
+    """Return the quantisation steps of channels whose noise is next to nothing but rounding, SI units.
+
+    Rounding is like random noise only while a sensor passes several steps in a sample or two: Widrow and Kollar, Quantization Noise
+    (2008), chapter 5.
+
+    Args:
+        experiments: that hold them.
+        levels: noise of each channel, SI units.
+    """
+    steps = {
+        channel: _least_step(
+            e.outputs[channel].values for e in experiments if channel in e.outputs and e.kind != "rest"
+        )
+        for channel in levels
+    }
+    return {
+        channel: step for channel, step in steps.items() if 0.0 < levels[channel] < _ROUNDING * step / np.sqrt(12.0)
     }
 
 

@@ -60,7 +60,7 @@ def _beginnings(unknowns: Unknowns, arguments: Arguments) -> Iterator[Unknowns]:
 
 
 def _led(unknowns: Unknowns, arguments: Arguments) -> Unknowns:
-    """Return where ever longer parts of the data lead the start, from the first samples or from rest, if it leaves more than noise."""
+    """Return where ever longer parts of the data lead a start that leaves more than noise, from there or from rest."""
     if not np.any(beyond_noise(unknowns, arguments)):
         return unknowns
     rest = at_rest(unknowns, arguments.space)

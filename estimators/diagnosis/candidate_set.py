@@ -12,8 +12,9 @@ from rtac_jax.parameters import Scales, declarations
 
 
 def offered(model: RTAC, candidates: Sequence[type[Effect]] | None) -> list[type[Effect]]:
-    """Return the candidate set: the whole catalogue and wrong constants, or these candidates, without what the model has already
-    and what stands only beside effects that it lacks.
+    """Return the candidate set: the whole catalogue and wrong constants, or these candidates.
+
+    What the model has already is not in it, nor what stands only beside effects that the model lacks.
 
     Raises:
         ValueError: what is no class of effects, or one that is not declared well enough to be looked for.

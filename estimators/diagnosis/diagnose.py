@@ -11,6 +11,7 @@ from estimators.core.compilation import make_room
 from estimators.core.data import fitted_part
 from estimators.core.fit import Fit
 from estimators.core.progress import Progress
+from estimators.core.sensor_noise import rounded
 from estimators.core.threads import one_blas_thread
 from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.candidate_set import offered
@@ -20,6 +21,7 @@ from estimators.diagnosis.evidence import Evidence
 from estimators.diagnosis.explanation import (
     OF_A_DRIFT,
     OF_A_LINE,
+    OF_ROUNDING,
     SHAKEN,
     found_by_simulation,
     not_named,
@@ -186,6 +188,7 @@ def _told(
         detectable=tuple(by_id[step.id] for step in found.detectable),
         simulated=simulated,
         by_simulation=bool(found.steps and found.selection.simulated),
+        rounded=rounded(setting.experiments, laboratory.facts.noise),
     )
     return dataclasses.replace(told, explanation=_explanation(told, found, setting, thorough=evidence.thorough))
 
@@ -212,6 +215,8 @@ def _explanation(told: Diagnosis, found: Judgement, setting: Setting, *, thoroug
         text += unconfirmed(told.candidates, told.detectable, told.policy, thorough=thorough)
     if told.line_alone:
         text += OF_A_LINE.format(told.simulated)
+    elif told.rounding:
+        text += OF_ROUNDING.format(told.simulated, " and ".join(told.rounded))
     if told.drift:
         text += OF_A_DRIFT
     text += "".join(f" {remark}" for effect in told.additions if (remark := effect.remark(setting.model.body)))

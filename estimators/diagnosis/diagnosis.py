@@ -1,6 +1,7 @@
 """The result of a diagnosis: the verdict, its effects, and everything that it rests on."""
 
 import dataclasses
+from collections.abc import Mapping
 from typing import Any
 
 from estimators.core.drawing import draw
@@ -18,6 +19,7 @@ from estimators.misspecification.residual_maps import Place
 from estimators.misspecification.static_force import ForceCurve
 from estimators.prediction_error.latent_force import LatentForce
 from rtac_jax.effects import Effect
+from rtac_jax.measurement import OUTPUTS
 from rtac_jax.overview import Overview, shortened
 
 
@@ -49,6 +51,7 @@ class Diagnosis(Result):
         evidence: everything that was computed, to be saved, or judged by another policy; None where the result was made by hand.
         simulated: residual of the diagnosed fit's simulation over the noise, of the worst channel.
         by_simulation: whether the effects were selected by what they take off the simulation's error, which `removed` then counts.
+        rounded: quantisation step of the channels whose noise is next to nothing but rounding, SI units.
     """
 
     verdict: Verdict
@@ -73,6 +76,7 @@ class Diagnosis(Result):
     detectable: tuple[Candidate, ...] = ()
     simulated: float = 0.0
     by_simulation: bool = False
+    rounded: Mapping[str, float] = dataclasses.field(default_factory=dict)
 
     @property
     def misfit(self) -> str:
@@ -90,6 +94,18 @@ class Diagnosis(Result):
         rejecting = [test for test in self.tests if test.rejects]
         alone = [test.test for test in rejecting] == ["spectral line"] and at_noise(self.simulated)
         return rejecting[0].words if self.verdict == "unknown" and alone else ""
+
+    @property
+    def rounding(self) -> str:
+        """Return what may reject a model whose simulation is at the noise: the rounding of sensors, in words; empty elsewhere."""
+        rejecting = [test for test in self.tests if test.rejects]
+        if self.verdict != "unknown" or not self.rounded or not rejecting or not at_noise(self.simulated):
+            return ""
+        steps = " and ".join(
+            f"{channel} in steps of {step:.2g} {OUTPUTS[channel]}" for channel, step in self.rounded.items()
+        )
+        worst = max(rejecting, key=lambda test: test.excess)
+        return f"{steps}, whose rounding is no random noise; {worst.words}"
 
     @property
     def drift(self) -> str:

@@ -25,6 +25,10 @@ OF_A_LINE = (
     " Nothing but that line speaks against the model, and its simulation is left at {:.2f} times the noise: where a record at rest"
     " shows the line too it is the sensor's own, as hum, and the parameters hold."
 )
+OF_ROUNDING = (
+    " Its simulation is left at {:.2f} times the noise, which is next to nothing but the rounding of {}, and the tests take that"
+    " for random noise: record with a finer range before anything is looked for."
+)
 OF_A_DRIFT = (
     " It is as where a parameter changes while an experiment lasts, as friction of a drive that warms up: let the rig run"
     " before it is recorded, or fit shorter experiments and hold them against each other (est.constancy)."
@@ -239,7 +243,7 @@ def surer(verdict: Verdict, recording: Recording) -> str:
 
 def at_noise(simulated: float) -> bool:
     """Return whether a simulation that leaves so many times the noise is at it."""
-    return simulated <= _OFF_NOISE
+    return bool(simulated <= _OFF_NOISE)
 
 
 def floor_of(random: float, simulated: float) -> str:

@@ -231,6 +231,11 @@ class Improvement(Result):
                     f"The model follows the recording to {last.simulated:.2f} times the noise, and only a line speaks against it, "
                     f"which no effect of the catalogue explains: {line}."
                 )
+            if last.rounding and self.nearest is None and self.learned is None:
+                return (
+                    f"The model follows the recording to {last.simulated:.2f} times the noise, and what speaks against it may be "
+                    f"how coarsely it was recorded: {last.rounding}."
+                )
             if last.drift and self.nearest is None:
                 return f"The model fails as where a parameter drifts: {last.drift}. No effect of the catalogue explains it."
             return {
@@ -338,6 +343,7 @@ def improve(
         first = Added(base, compare(base, held_out, labels=["base"]).models[0], "simulated")
     loop = Loop(train, held_out, candidates, most, thorough, policy, progress, [((), first)])
     loop.run()
+    loop = loop.with_runner_up() or loop
     learned: LearnedForce | None = None
     nearest: Candidate | None = None
     unknown, asked = loop.diagnoses[-1].verdict == "unknown", loop.last.fit

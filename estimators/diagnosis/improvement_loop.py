@@ -3,18 +3,22 @@
 import dataclasses
 from collections.abc import Sequence
 
+from estimators.core.fit import Fit
 from estimators.core.results import DivergedError
 from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.diagnose import diagnose
 from estimators.diagnosis.diagnosis import Diagnosis
+from estimators.diagnosis.explanation import static_force
 from estimators.diagnosis.learned_force import LearnedForce, learn_force
 from estimators.diagnosis.model_extension import WAYS, Added, add_effects, misfit, parameters_of
 from estimators.diagnosis.nearest_effect import add_nearest
 from estimators.diagnosis.policy import DiagnosisPolicy
+from estimators.diagnosis.runner_up import runner_up
 from estimators.linear.homogeneity_test import Equality
 from estimators.validation.differing_experiments import WORTH_ASKING, differing, may_show_alone
 from estimators.validation.simulation_error import compare
 from rtac_jax.effects import CATALOGUE, Effect, SplineForce
+from rtac_jax.effects.one_sided_spring import GROSS
 from rtac_jax.measurement import Recording
 
 
@@ -75,10 +79,7 @@ class Loop:
             released = self.last.fit.model.release(*parameters_of(self.last.fit.model, self.held))
             base = dataclasses.replace(self.last.fit, model=released)
             try:
-                found = diagnose(
-                    base, self.train, candidates=self.candidates, thorough=self.thorough, policy=self.policy,
-                    progress=self.progress,
-                )  # fmt: skip
+                found = self._beyond_catalogue(base, self._diagnosed(base, self.candidates, thorough=self.thorough))
             except DivergedError as error:
                 if not self.diagnoses:
                     raise
@@ -95,6 +96,26 @@ class Loop:
             self._add(found)
             if not self.stopped and not [c for c in self._classes.values() if c.id not in self.last.fit.model]:
                 self.stopped = "Stopped: every candidate was added."
+
+    def _diagnosed(self, base: Fit, candidates: Sequence[type[Effect]] | None, *, thorough: bool) -> Diagnosis:
+        return diagnose(
+            base, self.train, candidates=candidates, thorough=thorough, policy=self.policy, progress=self.progress
+        )
+
+    def _beyond_catalogue(self, base: Fit, found: Diagnosis) -> Diagnosis:
+        """Return a diagnosis with what is in no catalogue, as it is never small, where that names it; else the one there is.
+
+        It is made where nothing of the catalogue is a force on the cart against its position that is missing.
+        """
+        if found.verdict != "unknown" or self.candidates is not None:
+            return found
+        known = {c.id for c in found.candidates} | set(base.model.ids)
+        classes = [c for i, c in GROSS.items() if i not in known]
+        curve, _ = static_force(found.curves, found.tests, self.policy)
+        if not classes or curve is None or (curve.port, curve.variable) != ("cart", "cart_position"):
+            return found
+        other = self._diagnosed(base, classes, thorough=False)
+        return other if other.additions else found
 
     def _add(self, found: Diagnosis) -> None:
         """Add what a diagnosis names: together, as it was estimated, or, where no fit of that serves, one after the other."""
@@ -187,6 +208,29 @@ class Loop:
         further.stopped = (
             f"{nearest.id} alone explained {100 * nearest.error_reduction:.0f} % of what was left;{with_it} it explains all. "
             f"{further.stopped}"
+        )
+        return further
+
+    def with_runner_up(self) -> "Loop | None":
+        """Return the loop that goes on with a runner-up in the place of what was added, where simulations ask for it; else None."""
+        if not self.added or any(step.way != "simulated" for _, step in self.steps):
+            return None
+        found = runner_up(
+            self.last, self.added, self.diagnoses, self._classes, self.train, self.held_out, policy=self.policy,
+            progress=self.progress,
+        )  # fmt: skip
+        if found is None:
+            return None
+        further = self.copied()
+        further.steps.append(((found.taken.id,), found.step))
+        further.added = [c for c in self.added if c.id != found.given_up.id]
+        further.added.append(dataclasses.replace(found.taken, confusable_with=()))
+        further.stopped = ""
+        further.run()
+        further.stopped = (
+            f"{found.taken.id} takes the place of {found.given_up.id}, which predictions one sample ahead prefer: simulated, the "
+            f"held-out experiments are left at {misfit(found.step.tested):.3g} times the noise, and with {found.given_up.id} at "
+            f"{misfit(self.last.tested):.3g}. {further.stopped}"
         )
         return further
 

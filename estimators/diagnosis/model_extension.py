@@ -136,6 +136,27 @@ def add_effects(
     )
 
 
+def extended_without(
+    last: Added, given_up: str, effect: Effect, label: str, train: Recording, held_out: Recording, *, progress: bool
+) -> Added | None:
+    """Return a model, fitted by simulation, with an effect in the place of another one; None where it cannot be fitted.
+
+    Args:
+        last: the model.
+        given_up: id of the effect that it loses.
+        effect: that it gets, at the values where the fit begins.
+        label: for the comparison.
+        train: the recording that is fitted.
+        held_out: the recording that validates.
+        progress: show bars.
+    """
+    try:
+        fit = output_error(last.fit.model.without(given_up) + effect, train, from_model=True, progress=progress)
+        return None if fit.lost else Added(fit, compare(fit, held_out, labels=[label]).models[0], "simulated")
+    except (NotIdentifiableError, DivergedError, FloatingPointError):
+        return None
+
+
 def _by_predictions(
     names: str,
     bases: Sequence[Added],

@@ -10,6 +10,9 @@ from rtac_jax.effects import Effect
 from rtac_jax.measurement import Recording
 from rtac_jax.parameters import declarations
 
+# Standard deviations from nothing below which an effect may as well not be there: two, the usual interval of 95 %.
+_SURE = 2.0
+
 
 def nearest_of(found: Diagnosis) -> Candidate | None:
     """Return the candidate that removes most of the misfit, of those that explain most of it; None where none does."""
@@ -57,5 +60,8 @@ def add_nearest(
         progress=progress,
     )
     if isinstance(step, str) or misfit(step.tested) > (1 - policy.fall) * misfit(last.tested):
+        return None
+    sizes = [step.fit.parameters[f"{nearest.id}.{name}"] for name in cls.amplitudes()]
+    if not any(abs(size.value) > _SURE * size.std for size in sizes):
         return None
     return step, nearest

@@ -178,7 +178,6 @@ class Descent:
         scales: Any,
     ) -> Unknowns | None:  # fmt: skip
         """Return where predictions with ever weaker correction, and simulations of ever longer parts, lead; None if nowhere."""
-        whitener, nothing = diagonal_whitener(noise, self.data), no_gain(model, self.data)
         for fraction in _CORRECTION:
             gain, corrected = self._gain(parts[0], model, space, unknowns, noise, scales, fraction, substeps)
             arguments = Arguments(model, parts[0], space, corrected, gain, substeps)

@@ -63,7 +63,7 @@ class Predictor:
 
     @property
     def random_force(self) -> float:
-        """Rms of the random force that the predictor needs, as a fraction of the rms force on the cart (`Scales.force`), in one sample."""
+        """Rms of the random force that the predictor needs, as a fraction of `Scales.force`, in one sample."""
         return float(np.exp(0.5 * self.noise[0]))
 
     @property

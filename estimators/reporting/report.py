@@ -2,7 +2,7 @@
 
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -363,9 +363,15 @@ def place_table(diagnosis: Diagnosis, most: int = 8) -> Table:
     return Table(header, tuple(rows), "Squared innovations where they exceed what chance allows, worst first.")
 
 
-def candidate_table(diagnosis: Diagnosis) -> Table:
-    """Return a table of all candidates: what was accepted, then the others by their score."""
-    accepted = {c.id for c in diagnosis.effects}
+def candidate_table(diagnosis: Diagnosis, added: Collection[str] | None = None) -> Table:
+    """Return a table of all candidates: what was accepted, then the others by their score.
+
+    Args:
+        diagnosis: that tried them.
+        added: ids of what a loop added in the end; by default what the diagnosis names is accepted.
+    """
+    named = {c.id for c in diagnosis.effects}
+    accepted = named if added is None else set(added)
     rows = []
     for c in ranked(diagnosis):
         rows.append(
@@ -376,7 +382,7 @@ def candidate_table(diagnosis: Diagnosis) -> Table:
                 f"{c.bic_gain:.1f}" if c.refitted else "",
                 f"{100 * c.error_reduction:.0f}" if c.refitted else "",
                 c.limit_or_why,
-                "accepted" if c.id in accepted else "",
+                "accepted" if c.id in accepted else "not kept" if c.id in named else "",
             )
         )
     header = ("effect", "score [1]", "p [1]", "BIC gain [1]", "explains [%]", "would be found from", "")

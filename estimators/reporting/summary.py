@@ -84,6 +84,8 @@ def of_diagnosis(
     }
     if last.line_alone:
         whats["unknown"] = f"Only a line speaks against the model{on_the_way}: {last.line_alone}"
+    elif last.rounding:
+        whats["unknown"] = f"What speaks against the model may be rounding{on_the_way}: {last.rounding}"
     if last.drift:
         whats["unknown"] = f"The model fails as where a parameter drifts{on_the_way}: {last.drift}"
     what = whats[found.verdict]

@@ -162,3 +162,15 @@ def test_an_arc_ends_where_what_it_promises_is_rounding(monkeypatch: pytest.Monk
     walk._arguments = None
     found = walk._along(Rounded(), 1.0, 2.5e15, np.ones(3))
     assert found.there is None
+
+
+@pytest.mark.parametrize("beside", [0.0, 1e9])
+def test_a_step_promises_what_it_moves_however_large_is_what_no_step_moves(beside: float) -> None:
+    """As slopes that are seen from beyond a kink are: rounding of such a sum of squares promised 0.03 without end."""
+    unknowns = Unknowns(jnp.zeros(1), jnp.zeros((0, 1)), jnp.zeros((0, 1)))
+    arc = levenberg_marquardt._Arc(unknowns, np.array([[1.0, 2.0], [0.0, beside]]))
+    for damping in (1e-6, 1.0, 1e12, np.inf):
+        step, promised = arc.at(damping)
+        moved = 2.0 / (1.0 + damping)
+        assert float(step.shared[0]) == pytest.approx(-moved, rel=1e-9, abs=1e-30)
+        assert promised == pytest.approx(2.0 * moved - 0.5 * moved**2, rel=1e-9, abs=1e-30)

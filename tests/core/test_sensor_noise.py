@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import rtac_jax as rtac
-from estimators.core.sensor_noise import noise_levels, quantisation_step, spectral_floor
+from estimators.core.sensor_noise import noise_levels, quantisation_step, rounded, spectral_floor
 from estimators.inference.simulation_residual import known_noise
 
 MISSING = {
@@ -109,6 +109,18 @@ def test_counts_that_a_file_rounds_are_steps_all_the_same() -> None:
     rest = rtac.Experiment.of("r", kind="rest", sample_time=0.005, arm_angle=resting)
     moving = rtac.Experiment.of("a", kind="free", sample_time=0.005, arm_angle=angle)
     assert noise_levels([rest, moving])["arm_angle"] == pytest.approx(np.radians(count) / np.sqrt(12), rel=0.02)
+
+
+def test_rounding_is_told_from_noise() -> None:
+    """Of a coarse sensor, of one whose noise moves it through several steps, and of one without steps."""
+    random, time = np.random.default_rng(3), 0.005 * np.arange(2000)
+    motion, noise = 0.01 * np.sin(10 * time), 5e-6 * random.normal(size=2000)
+    steps = {"coarse": 1e-4, "fine": 2e-6, "none": 0.0}
+    for name, step in steps.items():
+        seen = motion + noise if step == 0.0 else step * np.round((motion + noise) / step)
+        one = [rtac.Experiment.of("a", kind="free", sample_time=0.005, cart_position=seen)]
+        found = rounded(one, noise_levels(one))
+        assert found == ({"cart_position": pytest.approx(1e-4)} if name == "coarse" else {}), name
 
 
 def test_a_moving_record_that_reads_one_value_tells_no_noise() -> None:

@@ -167,6 +167,22 @@ def test_a_line_alone_beside_a_simulation_at_the_noise_is_no_failure_of_the_mode
     ) == told
 
 
+@pytest.mark.parametrize(
+    ("simulated", "rounded", "told"),
+    [(1.02, {"cart_position": 1e-4}, True), (1.6, {"cart_position": 1e-4}, False), (1.02, {}, False)],
+)
+def test_what_rounding_may_do_is_no_failure_of_the_model(simulated, rounded, told):
+    lag = AdequacyTest("delayed force", 1e-9, 67.0, 2e-3, "a force that follows cart_position with a lag", alarmed=True)
+    last = dataclasses.replace(diagnosis("unknown"), tests=(lag,), simulated=simulated, rounded=rounded)
+    found = looped(last, steps=1, added=(), verdict="unknown")
+    said = str(of_diagnosis(found, found.train, found.validation, file="x"))
+    assert found.headline.startswith("The model follows the recording to 1.02" if told else "The model fails")
+    for text in (found.headline, said):
+        assert (
+            "cart_position in steps of 0.0001 m, whose rounding is no random noise; a force that follows" in text
+        ) == told
+
+
 @pytest.mark.parametrize("steps", [1, 2])
 def test_a_drift_is_told_of_the_base_model_and_of_the_mended_one(steps):
     drift = AdequacyTest("drift", 1e-9, 400.0, 2e-3, "arm_viscous.positive that changes would explain 400")

@@ -19,6 +19,7 @@ from estimators.diagnosis.model_extension import Added
 from estimators.diagnosis.policy import STANDARD
 from rtac_jax import virtual_rig
 from rtac_jax.effects import CATALOGUE, ArmCoulomb, Effect, InputDelay
+from rtac_jax.effects.one_sided_spring import OneSidedSpring
 
 NEAREST = made_up_results.candidate("input_delay", 564.0, error_reduction=0.68)
 BESIDE = made_up_results.candidate("arm_coulomb", 900.0)
@@ -47,7 +48,7 @@ def loop(monkeypatch: pytest.MonkeyPatch) -> Loop:
         rest = "adequate" if "arm_coulomb" in fit.model else "unknown"
         return made(
             est.Diagnosis, verdict="missing" if named else rest, effects=(BESIDE,) if named else (),
-            additions=(ArmCoulomb(3e-3),) if named else (), left=(), simulation=None,
+            additions=(ArmCoulomb(3e-3),) if named else (), left=(), simulation=None, candidates=(), curves=(), tests=(),
         )  # fmt: skip
 
     monkeypatch.setattr(improvement_loop, "diagnose", diagnosed)
@@ -127,6 +128,55 @@ def test_what_a_diagnosis_names_is_added_together_or_one_after_the_other(
     assert [c.id for c in loop.added] == [i for ids in steps for i in ids]
     assert loop.stopped == stopped
     assert loop.diagnosed == ([0] if len(steps) == 1 or most == 1 else [0, len(steps) - 1])
+
+
+@pytest.mark.parametrize(
+    ("port", "variable", "known", "asked"),
+    [
+        ("cart", "cart_position", (), True),
+        ("cart", "cart_velocity", (), False),
+        ("arm", "arm_angle", (), False),
+        ("cart", "cart_position", ("one_sided_spring",), False),
+    ],
+)
+def test_a_force_against_the_position_that_is_in_no_catalogue_is_looked_for_beyond(
+    monkeypatch: pytest.MonkeyPatch, port: str, variable: str, known: tuple[str, ...], asked: bool
+) -> None:
+    """Unless the diagnosis offered it already, as where the fit of the model follows nothing."""
+    curve = made_up_results.curve(port, variable, 0.01)
+    test = made_up_results.AdequacyTest("static force", 1e-9, curve.excess, 2e-3, "of it", alarmed=True)
+    offered = []
+
+    def diagnosed(fit: est.Fit, *_: Any, candidates: Sequence[type[Effect]] | None, **__: Any) -> est.Diagnosis:
+        offered.append(None if candidates is None else [c.id for c in candidates])
+        if "one_sided_spring" in fit.model:
+            return made(
+                est.Diagnosis,
+                verdict="adequate",
+                effects=(),
+                additions=(),
+                simulation=None,
+                curves=(),
+                tests=(),
+                candidates=(),
+            )
+        if candidates is not None:
+            effects = (made_up_results.candidate("one_sided_spring", 50.0),)
+            return made(
+                est.Diagnosis, verdict="missing", effects=effects, additions=(OneSidedSpring(30.0),), simulation=None
+            )
+        several = tuple(made_up_results.candidate(name, 1.0) for name in known)
+        return made(
+            est.Diagnosis, verdict="unknown", effects=(), additions=(), simulation=None, curves=(curve,), tests=(test,),
+            candidates=several,
+        )  # fmt: skip
+
+    monkeypatch.setattr(improvement_loop, "diagnose", diagnosed)
+    monkeypatch.setattr(improvement_loop, "add_effects", extended)
+    loop = new_loop()
+    loop.run()
+    assert offered == ([None, ["one_sided_spring"], None] if asked else [None])
+    assert [c.id for c in loop.added] == (["one_sided_spring"] if asked else [])
 
 
 @pytest.mark.slow

@@ -35,11 +35,22 @@ def unknown(*candidates: est.Candidate) -> est.Diagnosis:
     return dataclasses.replace(diagnosis("unknown"), candidates=candidates, additions=())
 
 
-@pytest.mark.parametrize(("error", "kept"), [(20.0, False), (10.0, True), (None, False)])
-def test_one_that_does_not_help_is_not_added(error: float | None, kept: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What a fit with it leaves of held-out experiments, 20 times the noise without it; or why there is no fit."""
+@pytest.mark.parametrize(
+    ("error", "deviation", "kept"), [(20.0, 1e3, False), (10.0, 1e3, True), (10.0, 1e5, False), (None, 1e3, False)]
+)
+def test_one_that_does_not_help_is_not_added(
+    error: float | None, deviation: float, kept: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What a fit with it leaves of held-out experiments, 20 times the noise without it; or why there is no fit.
+
+    One whose size is less than its deviation may as well not be there, whatever the experiments say.
+    """
     before = Added(FIT, compared("base", 20.0), "simulated")
-    after = "Stopped." if error is None else Added(before.fit, compared("+ cubic_spring", error), "simulated")
+    model = MODEL + CubicSpring(7e4)
+    spread = np.where(np.array(model.free) == "cubic_spring.stiffness", deviation, 1.0) ** 2
+    known = Information(model.free, np.diag(spread), np.eye(len(spread)), np.ones(len(spread)))
+    with_it = dataclasses.replace(FIT, model=model, information=known)
+    after = "Stopped." if error is None else Added(with_it, compared("+ cubic_spring", error), "simulated")
     monkeypatch.setattr(nearest_effect, "add_effects", lambda *_, **__: after)
     found = nearest_effect.add_nearest(
         before, unknown(candidate()), {"cubic_spring": CubicSpring}, RECORDING, RECORDING, progress=False

@@ -1,4 +1,4 @@
-"""A driven arm in a vertical plane that turns over: over a long simulation alone its start and its parameters have many best values."""
+"""A driven arm in a vertical plane that turns over: of a long simulation its start and parameters have many best values."""
 
 import dataclasses
 

@@ -1,5 +1,6 @@
 """`rtac improve`: the loop."""
 
+import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -156,4 +157,5 @@ def _advice(found: Any, work: Job) -> Any:
         except (ValueError, est.DivergedError) as error:
             work.note(f"No prediction error: {error}")
     spread = est.covariances(found.final, work.train)
-    return est.recommended(found.final, found.train.models[-1], predicted=predicted, spread=spread)
+    advice = est.recommended(found.final, found.train.models[-1], predicted=predicted, spread=spread)
+    return dataclasses.replace(advice, adequate=found.diagnoses[-1].verdict == "adequate")

@@ -111,6 +111,9 @@ def table_1(found: ClosedForm) -> str:
         if not columns:
             parts.append(f"({letter}) {kind} oscillation: no experiment that serves")
             continue
+        if (inertia := columns.get("(M+m)/k")) is not None and not inertia.value > 0:
+            parts.append(f"({letter}) {kind} oscillation: the data show no spring, and so no ratio to its stiffness")
+            continue
         count = max(len(e.each) for e in columns.values())
         rows = [
             ["", *(f"{n} [{e.unit}]" for n, e in columns.items())],

@@ -188,8 +188,15 @@ class Fit(ModelFit):
             said += f" There {'; '.join(left_free(self.model, self.information))}: of these the fit says nothing."
         ratios = self.residual_over_noise
         said += "" if self.lost else "".join(f" {one}" for one in self.moved_constants)
+        worst = max(ratios, key=lambda c: ratios[c], default="")
+        far = bool(worst) and ratios[worst] > FAR
+        no_such = (
+            ", which tells nothing, as the model does not follow the rig"
+            if far
+            else ": the data ask for no such term in this model"
+        )
         for name, bound in self.on_bounds().items():
-            said += f" {name} ended on its bound, {bound:g}: the data ask for no such term in this model."
+            said += f" {name} ended on its bound, {bound:g}{no_such}."
         if (promised := self.statistics.get("promised", 0.0)) > _KINK:
             rest = self.result != RESULTS.steps_exhausted
             said += (
@@ -198,8 +205,7 @@ class Fit(ModelFit):
             said += f" still promise {promised:.2g} in log-likelihood: estimates may lie several of their deviations "
             said += "beside the best."
             said += " Begin elsewhere (starts), or hold it against est.prediction_error_nonlinear." if rest else ""
-        worst = max(ratios, key=lambda c: ratios[c], default="")
-        if worst and ratios[worst] > FAR:
+        if far:
             anew = " in pieces of long experiments that begin anew, more in a whole one" if self.in_pieces else ""
             said += (
                 f" The model does not follow the rig, {worst} being left at {ratios[worst]:,.0f} times its noise{anew}: there the "

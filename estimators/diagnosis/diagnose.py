@@ -189,6 +189,7 @@ def _told(
         simulated=simulated,
         by_simulation=bool(found.steps and found.selection.simulated),
         rounded=rounded(setting.experiments, laboratory.facts.noise),
+        values={name: float(value) for name, value in final.values.items()},
     )
     return dataclasses.replace(told, explanation=_explanation(told, found, setting, thorough=evidence.thorough))
 

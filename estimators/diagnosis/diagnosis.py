@@ -52,6 +52,7 @@ class Diagnosis(Result):
         simulated: residual of the diagnosed fit's simulation over the noise, of the worst channel.
         by_simulation: whether the effects were selected by what they take off the simulation's error, which `removed` then counts.
         rounded: quantisation step of the channels whose noise is next to nothing but rounding, SI units.
+        values: of all parameters that the predictor with the additions estimates, SI units.
     """
 
     verdict: Verdict
@@ -77,6 +78,7 @@ class Diagnosis(Result):
     simulated: float = 0.0
     by_simulation: bool = False
     rounded: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    values: Mapping[str, float] = dataclasses.field(default_factory=dict)
 
     @property
     def misfit(self) -> str:

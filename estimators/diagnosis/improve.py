@@ -343,7 +343,9 @@ def improve(
         first = Added(base, compare(base, held_out, labels=["base"]).models[0], "simulated")
     loop = Loop(train, held_out, candidates, most, thorough, policy, progress, [((), first)])
     loop.run()
+    loop.lead_by_predictions()
     loop = loop.with_runner_up() or loop
+    loop.drop_superseded()
     learned: LearnedForce | None = None
     nearest: Candidate | None = None
     unknown, asked = loop.diagnoses[-1].verdict == "unknown", loop.last.fit

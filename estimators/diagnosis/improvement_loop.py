@@ -3,18 +3,28 @@
 import dataclasses
 from collections.abc import Sequence
 
-from estimators.core.fit import Fit
-from estimators.core.results import DivergedError
+from estimators.core.fit import FAR, Fit
+from estimators.core.results import DivergedError, NotIdentifiableError
 from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.diagnose import diagnose
 from estimators.diagnosis.diagnosis import Diagnosis
 from estimators.diagnosis.explanation import static_force
 from estimators.diagnosis.learned_force import LearnedForce, learn_force
-from estimators.diagnosis.model_extension import WAYS, Added, add_effects, misfit, parameters_of
+from estimators.diagnosis.model_extension import (
+    WAYS,
+    Added,
+    add_effects,
+    extended_without,
+    is_sure,
+    misfit,
+    parameters_of,
+)
 from estimators.diagnosis.nearest_effect import add_nearest
 from estimators.diagnosis.policy import DiagnosisPolicy
 from estimators.diagnosis.runner_up import runner_up
 from estimators.linear.homogeneity_test import Equality
+from estimators.output_error.fit import output_error
+from estimators.prediction_error.fit import prediction_error_nonlinear
 from estimators.validation.differing_experiments import WORTH_ASKING, differing, may_show_alone
 from estimators.validation.simulation_error import compare
 from rtac_jax.effects import CATALOGUE, Effect, SplineForce
@@ -137,7 +147,7 @@ class Loop:
             self.last.fit, self.last.tested, several, "+ " + ", ".join([*(c.id for c in self.added), *ids]), self.train,
             self.held_out, policy=self.policy, progress=self.progress,
             deviations={f"{i}.{field}": std for i in ids for field, std in known[i].deviations.items()},
-            ways=WAYS if len(several) == 1 else WAYS[:1],
+            values=found.values, ways=WAYS if len(several) == 1 else WAYS[:1],
         )  # fmt: skip
         if isinstance(step, str):
             return step
@@ -210,6 +220,42 @@ class Loop:
             f"{further.stopped}"
         )
         return further
+
+    def lead_by_predictions(self) -> None:
+        """Fit the last model anew from where predictions one sample ahead lead, if it is adequate to these and simulates far off.
+
+        Its fit by simulation may have ended in another minimum. Kept where most of the held-out error falls.
+        """
+        last = self.last
+        far = max(e.rms_over_noise for e in last.tested.errors.values()) > FAR
+        if not far or last.way != "simulated" or self.diagnoses[-1].verdict != "adequate":
+            return
+        try:
+            led = prediction_error_nonlinear(last.fit.model, self.train, from_model=True, progress=self.progress)
+            fit = output_error(led.model, self.train, from_model=True, progress=self.progress)
+            tested = compare(fit, self.held_out, labels=[last.tested.label]).models[0]
+        except (NotIdentifiableError, DivergedError, FloatingPointError):
+            return
+        if not fit.lost and misfit(tested) <= (1 - self.policy.static) * misfit(last.tested):
+            self.steps[-1] = self.steps[-1][0], dataclasses.replace(last, fit=fit, tested=tested)
+
+    def drop_superseded(self) -> None:
+        """Leave out what was added and, beside what was added after it, is no larger than its deviation, if nothing is lost."""
+        for candidate in self.added[:-1]:
+            last = self.last
+            if last.way != "simulated" or is_sure(last.fit, candidate.id):
+                continue
+            others = [c for c in self.added if c is not candidate]
+            step = extended_without(
+                last, candidate.id, [], "+ " + ", ".join(c.id for c in others), self.train, self.held_out,
+                progress=self.progress,
+            )  # fmt: skip
+            if step is None or misfit(step.tested) > max((1 + self.policy.fall) * misfit(last.tested), 1.0):
+                continue
+            self.steps[-1] = tuple(i for i in self.steps[-1][0] if i != candidate.id), step
+            self.added = others
+            beside = ", ".join(c.id for c in others)
+            self.stopped = f"{candidate.id} is left out again: beside {beside} nothing is left of it. {self.stopped}"
 
     def with_runner_up(self) -> "Loop | None":
         """Return the loop that goes on with a runner-up in the place of what was added, where simulations ask for it; else None."""

@@ -8,9 +8,9 @@ from typing import Any, Literal
 import numpy as np
 
 from estimators.core.data import mark_of
-from estimators.core.fit import Fit
+from estimators.core.fit import FAR, Fit
 from estimators.core.results import RESULTS, DivergedError, NotIdentifiableError
-from estimators.diagnosis.gross_effects import begun_by_equations
+from estimators.diagnosis.gross_effects import begun_by_equations, placed_inside
 from estimators.diagnosis.held_estimates import counting_held
 from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
 from estimators.output_error.fit import output_error
@@ -22,6 +22,7 @@ from rtac_jax.effects import Effect
 from rtac_jax.measurement import Recording
 
 Way = Literal["simulated", "held", "predicted"]
+_SURE = 2.0  # deviations from nothing below which an effect may as well not be there, as in the usual interval of 95 %
 WAYS: tuple[Way, ...] = ("simulated", "held", "predicted")
 """Ways of fitting a model with effects more, in the order in which they are tried."""
 
@@ -82,6 +83,7 @@ def add_effects(
     held_out: Recording,
     *,
     deviations: Mapping[str, float],
+    values: Mapping[str, float] | None = None,
     ways: Sequence[Way] = WAYS,
     policy: DiagnosisPolicy = STANDARD,
     progress: bool,
@@ -97,6 +99,7 @@ def add_effects(
         held_out: the recording that validates.
         deviations: standard deviations of the effects' parameters as the diagnosis estimated them, by name; those of what is
             held count them.
+        values: of all parameters as the diagnosis estimated them, for where the model without the effects is far from the data.
         ways: of fitting it that are tried; by predictions it is kept only if all are.
         policy: the thresholds by which it is kept.
         progress: show bars.
@@ -104,6 +107,8 @@ def add_effects(
     ids, names = [effect.id for effect in several], ", ".join(effect.id for effect in several)
     known = {**before.held, **deviations}
     extended = begun_by_equations(before, reduce(RTAC.__add__, several, before.model), train, policy)
+    if values is not None and before.farthest > FAR:
+        extended = _nearer([extended, placed_inside(extended, values)], train)
     bases = [Added(before, tested, "simulated")]
     steps: list[Added] = []
     reasons = []
@@ -136,25 +141,46 @@ def add_effects(
     )
 
 
+def _nearer(several: Sequence[RTAC], train: Recording) -> RTAC:
+    """Return the first of several models whose simulation follows a recording best."""
+
+    def left(model: RTAC) -> float:
+        try:
+            return misfit(compare(model, train).models[0])
+        except DivergedError:
+            return np.inf
+
+    return min(several, key=left)
+
+
 def extended_without(
-    last: Added, given_up: str, effect: Effect, label: str, train: Recording, held_out: Recording, *, progress: bool
-) -> Added | None:
-    """Return a model, fitted by simulation, with an effect in the place of another one; None where it cannot be fitted.
+    last: Added, given_up: str, several: Sequence[Effect], label: str, train: Recording, held_out: Recording, *,
+    progress: bool,
+) -> Added | None:  # fmt: skip
+    """Return a model, fitted by simulation, without an effect or with others in its place; None where it cannot be fitted.
 
     Args:
         last: the model.
         given_up: id of the effect that it loses.
-        effect: that it gets, at the values where the fit begins.
+        several: effects that it gets, at the values where the fit begins.
         label: for the comparison.
         train: the recording that is fitted.
         held_out: the recording that validates.
         progress: show bars.
     """
     try:
-        fit = output_error(last.fit.model.without(given_up) + effect, train, from_model=True, progress=progress)
+        model = reduce(RTAC.__add__, several, last.fit.model.without(given_up))
+        fit = output_error(model, train, from_model=True, progress=progress)
         return None if fit.lost else Added(fit, compare(fit, held_out, labels=[label]).models[0], "simulated")
     except (NotIdentifiableError, DivergedError, FloatingPointError):
         return None
+
+
+def is_sure(fit: Fit, effect: str) -> bool:
+    """Return whether a fit shows an effect, by its id: whether any of its sizes is more than its deviations allow for nothing."""
+    amplitudes = next(one for one in fit.model.effects if one.id == effect).amplitudes()
+    sizes = [fit.parameters[f"{effect}.{name}"] for name in amplitudes]
+    return any(abs(size.value) > _SURE * size.std for size in sizes)
 
 
 def _by_predictions(

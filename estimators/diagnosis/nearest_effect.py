@@ -4,14 +4,11 @@ from collections.abc import Mapping
 
 from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.diagnosis import Diagnosis
-from estimators.diagnosis.model_extension import Added, add_effects, misfit
+from estimators.diagnosis.model_extension import Added, add_effects, is_sure, misfit
 from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
 from rtac_jax.effects import Effect
 from rtac_jax.measurement import Recording
 from rtac_jax.parameters import declarations
-
-# Standard deviations from nothing below which an effect may as well not be there: two, the usual interval of 95 %.
-_SURE = 2.0
 
 
 def nearest_of(found: Diagnosis) -> Candidate | None:
@@ -61,7 +58,4 @@ def add_nearest(
     )
     if isinstance(step, str) or misfit(step.tested) > (1 - policy.fall) * misfit(last.tested):
         return None
-    sizes = [step.fit.parameters[f"{nearest.id}.{name}"] for name in cls.amplitudes()]
-    if not any(abs(size.value) > _SURE * size.std for size in sizes):
-        return None
-    return step, nearest
+    return (step, nearest) if is_sure(step.fit, nearest.id) else None

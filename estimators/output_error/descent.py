@@ -32,6 +32,7 @@ from estimators.prediction_error.filter_pass import run_filter
 from estimators.prediction_error.noise_model import NoiseModel, start_variance
 from rtac_jax import RTAC
 from rtac_jax.measurement import Experiment
+from rtac_jax.simulation import substeps_for
 
 # Random force and torque of the predictor, as fractions of the rms ones: from strong to weak correction.
 _CORRECTION = (0.3, 0.03)
@@ -56,6 +57,7 @@ _SQUARED = 1e150
 # A start leads where another one did if, once both were guided, the rms of what sets their simulations apart is less than this
 # many times the noise of every sensor: no measurement could tell them from each other.
 _ALIKE = 0.3
+_STAGE = 15  # passes of a stage that only makes a start for the next
 # Gain in log-likelihood for which a stage that only makes a start for the next takes no further step; where a start that was
 # guided is held against another's, both have to be nearer to where they lead.
 _START, _GUIDANCE = 1.0, 1e-2
@@ -114,12 +116,27 @@ class Descent:
         """Descend from predictions with strong correction to the free simulation; None where that leads nowhere.
 
         Where the guided start simulates what that of an earlier descent did, the rest would be the same: its end is returned.
+        Steps are as short as what is left of the data asks for.
 
         Args:
             model: at whose values the descent begins.
             best: least cost of the descents before.
             given: whether somebody gave these values, and did not find them in closed form.
         """
+        end = self._descended(model, best=best, given=given)
+        if end is None:
+            return None
+        noise = np.array([self.levels.get(channel, 1.0) for channel in CHANNELS])
+        substeps = self._accurate(end.model, end.space, end.solved.unknowns, np.maximum(noise, end.deviation))
+        if substeps <= end.substeps:
+            return end
+        return self._weighted(end.model, end.space, end.solved.unknowns, substeps, noise, end.deviation, np.inf)
+
+    def _accurate(self, model: RTAC, space: Space, unknowns: Unknowns, levels: Float[np.ndarray, " output"]) -> int:
+        return accurate_substeps(model, self.data, space, unknowns, levels)
+
+    def _descended(self, model: RTAC, *, best: float, given: bool) -> DescentEnd | None:
+        """Descend as `descend` does, by steps that are accurate where the descent begins."""
         space = space_of(model, self.experiments, free=[n for n in model.free if n not in model.per_experiment])
         unknowns = space.unconstrained(off_bounds=OFF_BOUNDS)
         noise = np.array([self.levels.get(channel, 1.0) for channel in CHANNELS])
@@ -129,7 +146,11 @@ class Descent:
         # While what only simulates, and the filter, are compiled here.
         passes = Passes(Arguments(model, self.data, space, whitener, nothing, 1))
         compile_beside(lambda: passes.prepare(unknowns))
-        substeps = accurate_substeps(model, self.data, space, unknowns, noise)
+        left = self._deviation(model, space, unknowns, substeps_for(model, self.data.excitation), noise)
+        follows = np.all(
+            left <= np.maximum(noise, _NEAR_MOTION * self._motion())
+        )  # one that is lost may be led off by the error of long steps
+        substeps = self._accurate(model, space, unknowns, np.maximum(noise, left) if follows else noise)
         if may_swing(model):
             simulated = Arguments(model, self.data, space, whitener, nothing, substeps)
             unknowns = best_starts([unknowns, at_rest(unknowns, space)], simulated, worth=_AT_REST)
@@ -151,7 +172,8 @@ class Descent:
         if guided is None:
             return end
         ends = [] if end is None else [end]
-        lost = len(parts) == 1 and self._is_lost(model, space, guided, substeps, noise)
+        reached = [guided] if end is None else [guided, end.solved.unknowns]
+        lost = len(parts) == 1 and all(self._is_lost(model, space, one, substeps, noise) for one in reached)
         if lost and (short := self._begun_short(model, space, guided, substeps, noise, best)) is not None:
             if np.all(short.deviation < _NEAR_NOISE * noise):
                 return short
@@ -183,7 +205,7 @@ class Descent:
             arguments = Arguments(model, parts[0], space, corrected, gain, substeps)
             self._require_determined(model, space, unknowns, substeps, noise)
             try:
-                near = self._solve(unknowns, arguments, tolerance=1e-3, gain=_GUIDANCE, most=15)
+                near = self._solve(unknowns, arguments, tolerance=1e-3, gain=_GUIDANCE, most=min(_STAGE, self.steps))
             except FloatingPointError:
                 # Gains that do not know an effect's own states may make these grow where no simulation does.
                 continue
@@ -202,7 +224,9 @@ class Descent:
         nothing = no_gain(model, self.data)
         for part in parts:
             arguments = Arguments(model, part, space, diagonal_whitener(noise, self.data), nothing, substeps)
-            unknowns = self._solve(unknowns, arguments, tolerance=1e-2, gain=_GUIDANCE, most=15).unknowns
+            unknowns = self._solve(
+                unknowns, arguments, tolerance=1e-2, gain=_GUIDANCE, most=min(_STAGE, self.steps)
+            ).unknowns
         return unknowns
 
     def _begun_short(
@@ -247,7 +271,7 @@ class Descent:
             model, self.data, space, diagonal_whitener(deviation, self.data), no_gain(model, self.data), substeps
         )
         self._require_determined(model, space, unknowns, substeps, levels)
-        solved = self._solve(unknowns, arguments, tolerance=1e-2, gain=_START, most=15)
+        solved = self._solve(unknowns, arguments, tolerance=1e-2, gain=_START, most=min(_STAGE, self.steps))
         # In units of the sensors' noise, as whoever weighs anew begins from no weights.
         arguments = dataclasses.replace(arguments, whitener=diagonal_whitener(levels, self.data))
         constant = float(noise.counts @ np.log(levels))

@@ -32,18 +32,25 @@ class Recommendation(Result):
         estimator: "output error" or "prediction error".
         deviation: what the standard deviations take for granted, in words.
         sound: whether the model passes the test of its own residuals; otherwise no standard deviation holds what the model lacks.
+        adequate: whether a diagnosis found nothing missing.
     """
 
     parameters: Mapping[str, Parameter]
     estimator: str
     deviation: str
     sound: bool
+    adequate: bool = False
 
     @property
     def sentence(self) -> str:
         """Return which estimator is recommended, with which standard deviation, and what that leaves out."""
         said = f"Recommended: {self.estimator}, with the standard deviation for {self.deviation}."
-        if not self.sound:
+        if not self.sound and self.adequate:
+            said += (
+                " A residual is coloured though nothing is found missing, which no deviation counts: by how a sensor is rounded, or"
+                " by what is too small to be named."
+            )
+        elif not self.sound:
             said += (
                 " A residual is coloured, so something may be missing, which no deviation counts; est.diagnose tells whether it "
                 "can be named."

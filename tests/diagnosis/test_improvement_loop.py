@@ -11,14 +11,14 @@ import pytest
 
 import estimators as est
 import rtac_jax as rtac
-from estimators.core.fisher_information import information_of
+from estimators.core.fisher_information import Information, information_of
 from estimators.core.results import RESULTS
 from estimators.diagnosis import improvement_loop
 from estimators.diagnosis.improvement_loop import Loop
 from estimators.diagnosis.model_extension import Added
 from estimators.diagnosis.policy import STANDARD
 from rtac_jax import virtual_rig
-from rtac_jax.effects import CATALOGUE, ArmCoulomb, Effect, InputDelay
+from rtac_jax.effects import CATALOGUE, ArmCoulomb, CurrentLag, Effect, EncoderLag, InputDelay
 from rtac_jax.effects.one_sided_spring import OneSidedSpring
 
 NEAREST = made_up_results.candidate("input_delay", 564.0, error_reduction=0.68)
@@ -28,6 +28,7 @@ BESIDE = made_up_results.candidate("arm_coulomb", 900.0)
 def made(cls: Any, **values: Any) -> Any:
     """Return a record with some of its values."""
     found = object.__new__(cls)
+    values.setdefault("values", {})
     for name, value in values.items():
         object.__setattr__(found, name, value)
     return found
@@ -177,6 +178,63 @@ def test_a_force_against_the_position_that_is_in_no_catalogue_is_looked_for_beyo
     loop.run()
     assert offered == ([None, ["one_sided_spring"], None] if asked else [None])
     assert [c.id for c in loop.added] == (["one_sided_spring"] if asked else [])
+
+
+def fitted(size: float, deviation: float, error: float) -> Added:
+    """Return a model with a lag of the encoder of a size and one of the current, which leaves an error over the noise."""
+    model = rtac.RTAC.paper() + EncoderLag(size) + CurrentLag(6e-3)
+    spread = np.where(np.array(model.free) == "encoder_lag.time_constant", deviation, 1e-5) ** 2
+    known = Information(model.free, np.diag(spread), np.eye(len(spread)), np.ones(len(spread)))
+    fit = dataclasses.replace(made_up_results.FIT, model=model, information=known)
+    return Added(fit, made_up_results.compared("+ encoder_lag, current_lag", error), "simulated")
+
+
+@pytest.mark.parametrize(
+    ("size", "left", "dropped"), [(4e-5, 1.3, True), (4e-5, 1.6, False), (4e-5, None, False), (6e-3, 1.3, False)]
+)
+def test_what_nothing_is_left_of_beside_what_was_added_later_goes(
+    monkeypatch: pytest.MonkeyPatch, size: float, left: float | None, dropped: bool
+) -> None:
+    """Unless the held-out experiments lose by it, or there is no fit without it."""
+    loop = new_loop()
+    loop.steps.append((("encoder_lag", "current_lag"), fitted(size, 6e-5, 1.3)))
+    loop.added = [made_up_results.candidate(name, 50.0) for name in ("encoder_lag", "current_lag")]
+    loop.stopped = "Stopped: nothing more is missing."
+
+    def without(last: Added, given_up: str, several: Sequence[Effect], label: str, *_: Any, **__: Any) -> Added | None:
+        assert (given_up, several, label) == ("encoder_lag", [], "+ current_lag")
+        tested = None if left is None else made_up_results.compared(label, left)
+        return None if tested is None else dataclasses.replace(last, tested=tested)
+
+    monkeypatch.setattr(improvement_loop, "extended_without", without)
+    loop.drop_superseded()
+    assert [c.id for c in loop.added] == (["current_lag"] if dropped else ["encoder_lag", "current_lag"])
+    assert loop.steps[-1][0] == (("current_lag",) if dropped else ("encoder_lag", "current_lag"))
+    assert loop.stopped.startswith("encoder_lag is left out again") == dropped
+
+
+@pytest.mark.parametrize(
+    ("error", "left", "verdict", "taken"),
+    [
+        (50.0, 1.2, "adequate", True),
+        (50.0, 40.0, "adequate", False),
+        (5.0, 1.2, "adequate", False),
+        (50.0, 1.2, "unknown", False),
+    ],
+)
+def test_a_fit_that_ended_far_off_is_led_by_predictions(
+    monkeypatch: pytest.MonkeyPatch, error: float, left: float, verdict: str, taken: bool
+) -> None:
+    loop = new_loop()
+    loop.steps.append((("encoder_lag",), fitted(6e-3, 1e-5, error)))
+    loop.diagnoses = [made_up_results.diagnosis(verdict)]
+    led = fitted(5e-3, 1e-5, left)
+    monkeypatch.setattr(improvement_loop, "prediction_error_nonlinear", lambda *_, **__: led.fit)
+    monkeypatch.setattr(improvement_loop, "output_error", lambda *_, **__: led.fit)
+    monkeypatch.setattr(improvement_loop, "compare", lambda *_, **__: made(est.Comparison, models=(led.tested,)))
+    loop.lead_by_predictions()
+    assert (loop.last.fit is led.fit) == taken
+    assert loop.steps[-1][0] == ("encoder_lag",)
 
 
 @pytest.mark.slow

@@ -179,8 +179,8 @@ def looped(
     def diagnosed(fit: est.Fit, *_: Any, **__: Any) -> est.Diagnosis:
         if "cubic_spring" in fit.model:
             assert "cubic_spring.stiffness" in fit.model.free  # also where a simulation held it
-            return made(est.Diagnosis, verdict="adequate", effects=(), additions=())
-        return made(est.Diagnosis, verdict="missing", effects=(CANDIDATE,), additions=(spring,))
+            return made(est.Diagnosis, verdict="adequate", effects=(), additions=(), values={})
+        return made(est.Diagnosis, verdict="missing", effects=(CANDIDATE,), additions=(spring,), values={})
 
     for module, stubs in {
         improve: {"output_error": fitted, "compare": compared},

@@ -35,8 +35,9 @@ class RigidBody(eqx.Module):
         source="paper, Table 1(b)",
     )
     spring_stiffness: Scalar = parameter(
-        symbol="k", unit="N/m", bounds=(0.0, np.inf), meaning="spring of the cart", source=_TABLE_1
-    )
+        symbol="k", unit="N/m", bounds=(0.0, np.inf), meaning="spring of the cart", source=_TABLE_1,
+        plausible=lambda s: 0.01 * s.force / s.position,
+    )  # fmt: skip
     torque_constant: Scalar = parameter(
         symbol="K_m", unit="N m/A", bounds=(0.0, np.inf), meaning="motor torque per ampere", source=_TABLE_1
     )

@@ -28,7 +28,7 @@ class Scales:
         velocity: rms cart velocity [m/s].
         arm_velocity: rms arm velocity [rad/s].
         current: rms motor current [A].
-        force: rms spring force, inertia force of the cart or recorded force on it, whichever is largest [N].
+        force: rms spring force or recorded force on the cart, whichever is larger [N].
         torque: rms motor torque or arm inertia torque, whichever is larger [N m].
         frequency: the cart's natural frequency [rad/s].
         mass: total mass [kg].

@@ -147,6 +147,7 @@ def _advice(found: Any, work: Job) -> Any:
     """
     import estimators as est
     from estimators.core.fit import FAR
+    from estimators.diagnosis.explanation import at_noise
 
     if found.predicted:
         return None
@@ -158,4 +159,6 @@ def _advice(found: Any, work: Job) -> Any:
             work.note(f"No prediction error: {error}")
     spread = est.covariances(found.final, work.train)
     advice = est.recommended(found.final, found.train.models[-1], predicted=predicted, spread=spread)
-    return dataclasses.replace(advice, adequate=found.diagnoses[-1].verdict == "adequate")
+    return dataclasses.replace(
+        advice, adequate=found.diagnoses[-1].verdict == "adequate" and at_noise(found.final.farthest)
+    )

@@ -111,8 +111,10 @@ def table_1(found: ClosedForm) -> str:
         if not columns:
             parts.append(f"({letter}) {kind} oscillation: no experiment that serves")
             continue
-        if (inertia := columns.get("(M+m)/k")) is not None and not inertia.value > 0:
-            parts.append(f"({letter}) {kind} oscillation: the data show no spring, and so no ratio to its stiffness")
+        if (inertia := columns.get("(M+m)/k")) is not None and inertia.value <= 0:
+            parts.append(
+                f"({letter}) {kind} oscillation: the data show no spring, so there are no ratios to its stiffness"
+            )
             continue
         count = max(len(e.each) for e in columns.values())
         rows = [

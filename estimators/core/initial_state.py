@@ -181,7 +181,7 @@ def scales_of(model: RTAC, experiments: Sequence[Experiment]) -> Scales:
         velocity=position * frequency,
         arm_velocity=arm_velocity,
         current=current,
-        force=max(body["spring_stiffness"] * position, body["total_mass"] * position * frequency**2, driven),
+        force=max(body["spring_stiffness"] * position, driven),
         torque=max(body["torque_constant"] * current, body["arm_inertia"] * arm_velocity * frequency),
         frequency=frequency,
         mass=body["total_mass"],

@@ -12,7 +12,8 @@ from rtac_jax.measurement import OUTPUTS, Experiment, filled
 
 Values = Float[np.ndarray, " sample"]
 
-_ROUNDING = 1.1  # noise over that of rounding alone, below which a channel has next to no other
+# Noise over that of rounding alone, below which a channel has next to no other; steps a sample, below which it moves slowly.
+_ROUNDING, _SLOW = 1.1, 1.5
 _SOME = 0.02  # fraction of samples that are missing, up to which bridging them takes less than a fiftieth of the noise
 _FEWEST = 16  # samples of which a spectrum is taken
 _BRIDGED = 16  # samples that a gap may span and be bridged: a spline swings out over longer ones
@@ -69,10 +70,10 @@ def stated_levels(experiments: Sequence[Experiment]) -> dict[tuple[str, str], fl
 
 
 def rounded(experiments: Sequence[Experiment], levels: Mapping[str, float]) -> dict[str, float]:
-    """Return the quantisation steps of channels whose noise is next to nothing but rounding, SI units.
+    """Return the quantisation steps of channels that mostly move by less than one a sample, with no noise but rounding, SI units.
 
-    Rounding is like random noise only while a sensor passes several steps in a sample or two: Widrow and Kollar, Quantization Noise
-    (2008), chapter 5.
+    Rounding is like random noise where a sensor passes several steps in a sample: Widrow and Kollar, Quantization Noise (2008),
+    chapter 5.
 
     Args:
         experiments: that hold them.
@@ -84,9 +85,15 @@ def rounded(experiments: Sequence[Experiment], levels: Mapping[str, float]) -> d
         )
         for channel in levels
     }
-    return {
-        channel: step for channel, step in steps.items() if 0.0 < levels[channel] < _ROUNDING * step / np.sqrt(12.0)
-    }
+    found = {}
+    for channel, step in steps.items():
+        moves = [
+            np.abs(np.diff(e.outputs[channel].values)) for e in experiments if channel in e.outputs and e.kind != "rest"
+        ]
+        slow = step > 0.0 and float(np.nanmedian(np.concatenate(moves))) < _SLOW * step
+        if slow and levels[channel] < _ROUNDING * step / np.sqrt(12.0):
+            found[channel] = step
+    return found
 
 
 def _least_step(several: Iterable[Values]) -> float:

@@ -63,7 +63,7 @@ def _led(unknowns: Unknowns, arguments: Arguments) -> Unknowns:
     """Return where ever longer parts of the data lead a start that leaves more than noise, from there or from rest."""
     if not np.any(beyond_noise(unknowns, arguments)):
         return unknowns
-    rest = at_rest(unknowns, arguments.space)
+    first, rest = unknowns, at_rest(unknowns, arguments.space)
     for part in _PARTS:
         data = arguments.data.beginning(max(arguments.data.samples // part, _SHORTEST))
         within = dataclasses.replace(arguments, data=data)
@@ -71,4 +71,4 @@ def _led(unknowns: Unknowns, arguments: Arguments) -> Unknowns:
             unknowns = solve_bounded(best_starts([unknowns, rest], within), within, tolerance=1e-3, most=10).unknowns
         except FloatingPointError:
             break
-    return unknowns
+    return best_starts([unknowns, first], arguments)

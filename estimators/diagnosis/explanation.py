@@ -26,8 +26,8 @@ OF_A_LINE = (
     " shows the line too it is the sensor's own, as hum, and the parameters hold."
 )
 OF_ROUNDING = (
-    " Its simulation is left at {:.2f} times the noise, which is next to nothing but the rounding of {}, and the tests take that"
-    " for random noise: record with a finer range before anything is looked for."
+    " Its simulation is left at {:.2f} times the noise, which is next to nothing but the rounding of {}; the tests take that for"
+    " random noise, which it is not where a sensor moves slowly, so it may be all that they reject: record with a finer range."
 )
 OF_A_DRIFT = (
     " It is as where a parameter changes while an experiment lasts, as friction of a drive that warms up: let the rig run"

@@ -231,13 +231,13 @@ class Improvement(Result):
                     f"The model follows the recording to {last.simulated:.2f} times the noise, and only a line speaks against it, "
                     f"which no effect of the catalogue explains: {line}."
                 )
+            if last.drift and self.nearest is None:
+                return f"The model fails as where a parameter drifts: {last.drift}. No effect of the catalogue explains it."
             if last.rounding and self.nearest is None and self.learned is None:
                 return (
                     f"The model follows the recording to {last.simulated:.2f} times the noise, and what speaks against it may be "
                     f"how coarsely it was recorded: {last.rounding}."
                 )
-            if last.drift and self.nearest is None:
-                return f"The model fails as where a parameter drifts: {last.drift}. No effect of the catalogue explains it."
             return {
                 "adequate": f"The model is adequate: nothing is missing {self.diagnoses[-1].floor}{self._but}.",
                 "unknown": f"The model fails, and no effect of the catalogue explains {whole}.",

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from estimators.core.fit import FAR, Fit
 from estimators.core.results import DivergedError, NotIdentifiableError
 from estimators.diagnosis.candidate import Candidate
+from estimators.diagnosis.candidate_set import offered
 from estimators.diagnosis.diagnose import diagnose
 from estimators.diagnosis.diagnosis import Diagnosis
 from estimators.diagnosis.explanation import static_force
@@ -89,7 +90,7 @@ class Loop:
             released = self.last.fit.model.release(*parameters_of(self.last.fit.model, self.held))
             base = dataclasses.replace(self.last.fit, model=released)
             try:
-                found = self._beyond_catalogue(base, self._diagnosed(base, self.candidates, thorough=self.thorough))
+                found = self._diagnosed(base, self.candidates, thorough=self.thorough)
             except DivergedError as error:
                 if not self.diagnoses:
                     raise
@@ -97,6 +98,8 @@ class Loop:
                 return
             self.diagnoses.append(found)
             self.diagnosed.append(len(self.steps) - 1)
+            if self._add_beyond_catalogue(base, found):
+                continue
             if not found.additions:
                 enough = found.verdict == "adequate"
                 why = "nothing more is missing" if enough else "no effect of the catalogue explains what is missing"
@@ -104,7 +107,7 @@ class Loop:
                     why = "no test names what the simulation's error comes from"
                 self.stopped = f"Stopped: {why}."
             self._add(found)
-            if not self.stopped and not [c for c in self._classes.values() if c.id not in self.last.fit.model]:
+            if not self.stopped and not offered(self.last.fit.model, self.candidates):
                 self.stopped = "Stopped: every candidate was added."
 
     def _diagnosed(self, base: Fit, candidates: Sequence[type[Effect]] | None, *, thorough: bool) -> Diagnosis:
@@ -112,20 +115,26 @@ class Loop:
             base, self.train, candidates=candidates, thorough=thorough, policy=self.policy, progress=self.progress
         )
 
-    def _beyond_catalogue(self, base: Fit, found: Diagnosis) -> Diagnosis:
-        """Return a diagnosis with what is in no catalogue, as it is never small, where that names it; else the one there is.
+    def _add_beyond_catalogue(self, base: Fit, found: Diagnosis) -> bool:
+        """Add what is in no catalogue, as it is never small, and return whether a diagnosis names it and it serves.
 
-        It is made where nothing of the catalogue is a force on the cart against its position that is missing.
+        Asked where a force on the cart against its position is missing, and no effect of the catalogue is it.
         """
-        if found.verdict != "unknown" or self.candidates is not None:
-            return found
+        if found.verdict != "unknown" or self.candidates is not None or len(self.added) >= self.most:
+            return False
         known = {c.id for c in found.candidates} | set(base.model.ids)
         classes = [c for i, c in GROSS.items() if i not in known]
         curve, _ = static_force(found.curves, found.tests, self.policy)
         if not classes or curve is None or (curve.port, curve.variable) != ("cart", "cart_position"):
-            return found
-        other = self._diagnosed(base, classes, thorough=False)
-        return other if other.additions else found
+            return False
+        try:
+            other = self._diagnosed(base, classes, thorough=False)
+        except DivergedError:
+            return False
+        if not other.additions or self._extend_by(other.additions, other) is not None:
+            return False
+        self.diagnoses[-1] = other
+        return True
 
     def _add(self, found: Diagnosis) -> None:
         """Add what a diagnosis names: together, as it was estimated, or, where no fit of that serves, one after the other."""
@@ -228,7 +237,7 @@ class Loop:
         """
         last = self.last
         far = max(e.rms_over_noise for e in last.tested.errors.values()) > FAR
-        if not far or last.way != "simulated" or self.diagnoses[-1].verdict != "adequate":
+        if not far or not self._all_simulated or self.diagnoses[-1].verdict != "adequate":
             return
         try:
             led = prediction_error_nonlinear(last.fit.model, self.train, from_model=True, progress=self.progress)
@@ -238,14 +247,23 @@ class Loop:
             return
         if not fit.lost and misfit(tested) <= (1 - self.policy.static) * misfit(last.tested):
             self.steps[-1] = self.steps[-1][0], dataclasses.replace(last, fit=fit, tested=tested)
+            self.stopped = (
+                f"The last model is fitted again from where predictions lead: the held-out experiments were left at "
+                f"{misfit(last.tested):.3g} times the noise, and are at {misfit(tested):.3g}. {self.stopped}"
+            )
+
+    @property
+    def _all_simulated(self) -> bool:
+        """Return whether simulations chose all that was added: what predictions keep is not judged by simulations."""
+        return all(step.way == "simulated" and step.predicted_gain is None for _, step in self.steps)
 
     def drop_superseded(self) -> None:
-        """Leave out what was added and, beside what was added after it, is no larger than its deviation, if nothing is lost."""
+        """Leave out what was added and, beside the others, is no larger than its deviations, if nothing is lost by it."""
         for candidate in self.added[:-1]:
-            last = self.last
-            if last.way != "simulated" or is_sure(last.fit, candidate.id):
+            last, others = self.last, [c for c in self.added if c is not candidate]
+            needed = any(candidate.id in effect.only_beside for effect in last.fit.model.effects)
+            if not self._all_simulated or needed or is_sure(last.fit, candidate.id):
                 continue
-            others = [c for c in self.added if c is not candidate]
             step = extended_without(
                 last, candidate.id, [], "+ " + ", ".join(c.id for c in others), self.train, self.held_out,
                 progress=self.progress,
@@ -258,8 +276,11 @@ class Loop:
             self.stopped = f"{candidate.id} is left out again: beside {beside} nothing is left of it. {self.stopped}"
 
     def with_runner_up(self) -> "Loop | None":
-        """Return the loop that goes on with a runner-up in the place of what was added, where simulations ask for it; else None."""
-        if not self.added or any(step.way != "simulated" for _, step in self.steps):
+        """Return the loop that goes on with a runner-up in the place of what was added, where simulations ask for it.
+
+        None where none does, or where it does not end at an adequate model.
+        """
+        if not self.added or not self._all_simulated:
             return None
         found = runner_up(
             self.last, self.added, self.diagnoses, self._classes, self.train, self.held_out, policy=self.policy,
@@ -273,6 +294,8 @@ class Loop:
         further.added.append(dataclasses.replace(found.taken, confusable_with=()))
         further.stopped = ""
         further.run()
+        if further.diagnoses[-1].verdict != "adequate":
+            return None
         further.stopped = (
             f"{found.taken.id} takes the place of {found.given_up.id}, which predictions one sample ahead prefer: simulated, the "
             f"held-out experiments are left at {misfit(found.step.tested):.3g} times the noise, and with {found.given_up.id} at "

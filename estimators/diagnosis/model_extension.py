@@ -107,8 +107,9 @@ def add_effects(
     ids, names = [effect.id for effect in several], ", ".join(effect.id for effect in several)
     known = {**before.held, **deviations}
     extended = begun_by_equations(before, reduce(RTAC.__add__, several, before.model), train, policy)
+    begins = [extended]
     if values is not None and before.farthest > FAR:
-        extended = _nearer([extended, placed_inside(extended, values)], train)
+        begins = _nearest_first([extended, placed_inside(extended, values)], train)
     bases = [Added(before, tested, "simulated")]
     steps: list[Added] = []
     reasons = []
@@ -120,10 +121,7 @@ def add_effects(
                 bases.append(Added(base, compare(base, held_out).models[0], way))
                 fit = _predicted(extended, before, train, progress=progress)
             else:
-                tried = extended if way == "simulated" else holding(extended, ids)
-                fit = output_error(tried, train, from_model=True, progress=progress)
-                if fit.lost:
-                    raise NotIdentifiableError(fit.outcome)
+                fit = _fitted(begins if way == "simulated" else [holding(extended, ids)], train, progress=progress)
                 fit = counting_held(fit, train, known)
             test = compare(fit, held_out, labels=[label]).models[0]
         except (NotIdentifiableError, DivergedError, FloatingPointError) as error:
@@ -141,8 +139,8 @@ def add_effects(
     )
 
 
-def _nearer(several: Sequence[RTAC], train: Recording) -> RTAC:
-    """Return the first of several models whose simulation follows a recording best."""
+def _nearest_first(several: Sequence[RTAC], train: Recording) -> list[RTAC]:
+    """Return models by how well their simulations follow a recording, the best first."""
 
     def left(model: RTAC) -> float:
         try:
@@ -150,7 +148,25 @@ def _nearer(several: Sequence[RTAC], train: Recording) -> RTAC:
         except DivergedError:
             return np.inf
 
-    return min(several, key=left)
+    return sorted(several, key=left)
+
+
+def _fitted(begins: Sequence[RTAC], train: Recording, *, progress: bool) -> Fit:
+    """Return the fit by simulation from the first of several models from which there is one.
+
+    Raises:
+        NotIdentifiableError, DivergedError, FloatingPointError: from none there is.
+    """
+    for n, model in enumerate(begins):
+        try:
+            fit = output_error(model, train, from_model=True, progress=progress)
+            if not fit.lost:
+                return fit
+            raise NotIdentifiableError(fit.outcome)
+        except (NotIdentifiableError, DivergedError, FloatingPointError):
+            if n == len(begins) - 1:
+                raise
+    raise ValueError("begins: there is no model to begin with.")
 
 
 def extended_without(

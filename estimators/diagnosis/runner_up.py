@@ -1,5 +1,6 @@
 """The runner-up of an effect that was added, where simulations of the held-out experiments ask for it in that effect's place."""
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
@@ -38,7 +39,9 @@ def runner_up(
     policy: DiagnosisPolicy,
     progress: bool,
 ) -> Exchange | None:
-    """Return the exchange of an added effect for a runner-up that takes most of the held-out error off; None where none does.
+    """Return the exchange of an added effect for the runner-up that leaves least of the held-out error; None where none is near.
+
+    It takes most of the error off, and leaves the held-out experiments near the data.
 
     Predictions one sample ahead choose between a lag of the current and one of the encoder by little, and wrongly while other
     effects are still missing beside them. Asked where the simulation of the held-out experiments is far from the data.
@@ -53,15 +56,20 @@ def runner_up(
         policy: the thresholds.
         progress: show bars.
     """
-    if max(e.rms_over_noise for e in last.tested.errors.values()) <= FAR:
+    if not _far(last):
         return None
+    found: list[Exchange] = []
     for given_up, taken in _pairs(last, added, diagnoses, classes, policy)[: policy.refits]:
         effect = classes[taken.id](**{name: p.value for name, p in taken.parameters.items()})
         label = "+ " + ", ".join([*(c.id for c in added if c.id != given_up.id), taken.id])
         step = extended_without(last, given_up.id, [effect], label, train, held_out, progress=progress)
-        if step is not None and misfit(step.tested) <= (1 - policy.static) * misfit(last.tested):
-            return Exchange(step, taken, given_up)
-    return None
+        if step is not None and misfit(step.tested) <= (1 - policy.static) * misfit(last.tested) and not _far(step):
+            found.append(Exchange(step, taken, given_up))
+    return min(found, key=lambda one: misfit(one.step.tested), default=None)
+
+
+def _far(one: Added) -> bool:
+    return max(e.rms_over_noise for e in one.tested.errors.values()) > FAR
 
 
 def _pairs(
@@ -83,6 +91,6 @@ def _pairs(
                 and c.id in classes
                 and c.id not in last.fit.model
                 and set(declarations(classes[c.id])) <= set(c.parameters)
-                and c.bic_gain > policy.static * given_up.bic_gain
+                and c.bic_gain > policy.static * given_up.bic_gain > 0
             ]
-    return sorted(found, key=lambda pair: -pair[1].bic_gain / pair[0].bic_gain)
+    return sorted(found, key=lambda pair: abs(math.log(pair[1].bic_gain / pair[0].bic_gain)))

@@ -57,6 +57,9 @@ _SQUARED = 1e150
 # A start leads where another one did if, once both were guided, the rms of what sets their simulations apart is less than this
 # many times the noise of every sensor: no measurement could tell them from each other.
 _ALIKE = 0.3
+# Fraction of what is left of the data that stands for the noise in how long steps may be, so that at 50 times the noise they are
+# off by a fifth of it.
+_COARSER = 0.2
 _STAGE = 15  # passes of a stage that only makes a start for the next
 # Gain in log-likelihood for which a stage that only makes a start for the next takes no further step; where a start that was
 # guided is held against another's, both have to be nearer to where they lead.
@@ -127,10 +130,16 @@ class Descent:
         if end is None:
             return None
         noise = np.array([self.levels.get(channel, 1.0) for channel in CHANNELS])
-        substeps = self._accurate(end.model, end.space, end.solved.unknowns, np.maximum(noise, end.deviation))
+        substeps = self._accurate(
+            end.model, end.space, end.solved.unknowns, np.maximum(noise, _COARSER * end.deviation)
+        )
         if substeps <= end.substeps:
             return end
-        return self._weighted(end.model, end.space, end.solved.unknowns, substeps, noise, end.deviation, np.inf)
+        with contextlib.suppress(FloatingPointError):
+            finer = self._weighted(end.model, end.space, end.solved.unknowns, substeps, noise, end.deviation, np.inf)
+            self.followed = [(begun, finer if one is end else one) for begun, one in self.followed]
+            return finer
+        return end
 
     def _accurate(self, model: RTAC, space: Space, unknowns: Unknowns, levels: Float[np.ndarray, " output"]) -> int:
         return accurate_substeps(model, self.data, space, unknowns, levels)
@@ -150,7 +159,7 @@ class Descent:
         follows = np.all(
             left <= np.maximum(noise, _NEAR_MOTION * self._motion())
         )  # one that is lost may be led off by the error of long steps
-        substeps = self._accurate(model, space, unknowns, np.maximum(noise, left) if follows else noise)
+        substeps = self._accurate(model, space, unknowns, np.maximum(noise, _COARSER * left) if follows else noise)
         if may_swing(model):
             simulated = Arguments(model, self.data, space, whitener, nothing, substeps)
             unknowns = best_starts([unknowns, at_rest(unknowns, space)], simulated, worth=_AT_REST)

@@ -363,6 +363,12 @@ def place_table(diagnosis: Diagnosis, most: int = 8) -> Table:
     return Table(header, tuple(rows), "Squared innovations where they exceed what chance allows, worst first.")
 
 
+def _fate(named: bool, kept: bool) -> str:
+    if named:
+        return "accepted" if kept else "not kept"
+    return "added later" if kept else ""
+
+
 def candidate_table(diagnosis: Diagnosis, added: Collection[str] | None = None) -> Table:
     """Return a table of all candidates: what was accepted, then the others by their score.
 
@@ -371,7 +377,7 @@ def candidate_table(diagnosis: Diagnosis, added: Collection[str] | None = None) 
         added: ids of what a loop added in the end; by default what the diagnosis names is accepted.
     """
     named = {c.id for c in diagnosis.effects}
-    accepted = named if added is None else set(added)
+    kept = named if added is None else set(added)
     rows = []
     for c in ranked(diagnosis):
         rows.append(
@@ -382,7 +388,7 @@ def candidate_table(diagnosis: Diagnosis, added: Collection[str] | None = None) 
                 f"{c.bic_gain:.1f}" if c.refitted else "",
                 f"{100 * c.error_reduction:.0f}" if c.refitted else "",
                 c.limit_or_why,
-                "accepted" if c.id in accepted else "not kept" if c.id in named else "",
+                _fate(c.id in named, c.id in kept),
             )
         )
     header = ("effect", "score [1]", "p [1]", "BIC gain [1]", "explains [%]", "would be found from", "")

@@ -31,5 +31,5 @@ class OneSidedSpring(Force):
 
 
 GROSS: dict[str, type[Effect]] = {OneSidedSpring.id: OneSidedSpring}
-"""Effects, by id, that are offered only where the fit of the model follows nothing, or no effect of the catalogue is the force on
-the cart against its position that is missing."""
+"""Effects, by id, that a diagnosis offers only where the fit of the model follows nothing, and `improve` where no effect of the
+catalogue is the force on the cart against its position that is missing."""

@@ -111,16 +111,21 @@ def test_counts_that_a_file_rounds_are_steps_all_the_same() -> None:
     assert noise_levels([rest, moving])["arm_angle"] == pytest.approx(np.radians(count) / np.sqrt(12), rel=0.02)
 
 
-def test_rounding_is_told_from_noise() -> None:
-    """Of a coarse sensor, of one whose noise moves it through several steps, and of one without steps."""
+def test_rounding_that_is_no_random_noise_is_told() -> None:
+    """Of a coarse sensor that passes a fraction of a step in a sample, of one that passes many, and of one with noise beside it."""
     random, time = np.random.default_rng(3), 0.005 * np.arange(2000)
-    motion, noise = 0.01 * np.sin(10 * time), 5e-6 * random.normal(size=2000)
-    steps = {"coarse": 1e-4, "fine": 2e-6, "none": 0.0}
-    for name, step in steps.items():
-        seen = motion + noise if step == 0.0 else step * np.round((motion + noise) / step)
-        one = [rtac.Experiment.of("a", kind="free", sample_time=0.005, cart_position=seen)]
+    motion, noise = 0.01 * np.sin(2 * time), 2e-5 * random.normal(size=2000)
+    seen = {
+        "slow": (1e-3, motion),
+        "fast": (1e-5, motion),
+        "noisy": (1e-5, motion + noise),
+        "smooth": (0.0, motion + noise),
+    }
+    for name, (step, values) in seen.items():
+        recorded = values if step == 0.0 else step * np.round(values / step)
+        one = [rtac.Experiment.of("a", kind="free", sample_time=0.005, cart_position=recorded)]
         found = rounded(one, noise_levels(one))
-        assert found == ({"cart_position": pytest.approx(1e-4)} if name == "coarse" else {}), name
+        assert found == ({"cart_position": pytest.approx(1e-3)} if name == "slow" else {}), name
 
 
 def test_a_moving_record_that_reads_one_value_tells_no_noise() -> None:

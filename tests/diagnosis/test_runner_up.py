@@ -36,19 +36,23 @@ FIRST = dataclasses.replace(
 )
 
 
+BOTH = ["current_lag", "input_delay"]
+
+
 @pytest.mark.parametrize(
     ("before", "after", "asked", "taken"),
     [
-        (19.0, {"current_lag": 1.03}, ["current_lag"], "current_lag"),
-        (19.0, {"current_lag": 15.0, "input_delay": 6.0}, ["current_lag", "input_delay"], "input_delay"),
-        (19.0, {"current_lag": None, "input_delay": 12.0}, ["current_lag", "input_delay"], None),
+        (19.0, {"current_lag": 1.03, "input_delay": 1.6}, BOTH, "current_lag"),
+        (19.0, {"current_lag": 8.0, "input_delay": 6.0}, BOTH, "input_delay"),
+        (90.0, {"current_lag": 30.0, "input_delay": 20.0}, BOTH, None),
+        (19.0, {"current_lag": None, "input_delay": 12.0}, BOTH, None),
         (1.5, {"current_lag": 1.03}, [], None),
     ],
 )
 def test_it_is_taken_where_most_of_the_error_falls(
     before: float, after: dict[str, float | None], asked: list[str], taken: str | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The closest first, and none that gained little; not where the simulation follows already."""
+    """The closest first, none that gained little, and none that stays far off; not where the simulation follows already."""
     fit = dataclasses.replace(made_up_results.FIT, model=rtac.RTAC.paper() + EncoderLag(8e-3))
     last = Added(fit, compared("+ encoder_lag", before), "simulated")
     tried = []

@@ -284,6 +284,13 @@ def test_a_recording_of_rests_gives_no_estimates_and_says_so(quiet: rtac.Recordi
         found.plot()
 
 
+def test_no_ratios_to_a_stiffness_that_is_not_there(as_in_paper: est.ClosedForm) -> None:
+    ratios = {**as_in_paper.ratios, "(M+m)/k": dataclasses.replace(as_in_paper.ratios["(M+m)/k"], value=-4.1)}
+    text = str(dataclasses.replace(as_in_paper, ratios=ratios))
+    assert "(a) free oscillation: the data show no spring" in text
+    assert "the data show no spring" not in str(as_in_paper)
+
+
 def test_short_experiments_are_skipped_with_the_reason(quiet: rtac.Recording, model: rtac.RTAC) -> None:
     short = rtac.Recording(tuple(e.cut(0, 60, e.name) for e in quiet.experiments[:2]), rig=quiet.rig)
     assert "record for longer" in est.least_squares(model, short, weak=True).skipped["free_1"]

@@ -67,6 +67,9 @@ def test_an_estimate_that_stays_on_its_bound_is_named(recordings):
     )
     assert fit.on_bounds() == {"arm_coulomb.level": 0.0}
     assert "arm_coulomb.level ended on its bound, 0: the data ask for no such term" in fit.outcome
+    lost = dataclasses.replace(fit, residual_std={c: 100.0 * fit.noise[c] for c in fit.residual_std})
+    assert "arm_coulomb.level ended on its bound, 0, which tells nothing" in lost.outcome
+    assert "ask for no such term" not in lost.outcome
     row = next(row for row in parameter_table(fit).rows if row[0] == "arm_coulomb.level")
     assert row[2].endswith(", on its bound")
     assert without.on_bounds() == {}

@@ -51,6 +51,16 @@ def test_a_coloured_one_by_predictions_if_these_are_white():
     assert dataclasses.astuple(found.parameters["spring_stiffness"])[:2] == pytest.approx((130.0, 0.5))
 
 
+@pytest.mark.parametrize(
+    ("adequate", "said"), [(True, "though nothing is found missing"), (False, "so something may be missing")]
+)
+def test_a_coloured_residual_of_an_adequate_model_is_no_sign_of_what_is_missing(adequate, said):
+    found = dataclasses.replace(recommended(FIT, compared("model", 5.0), spread=SPREAD), adequate=adequate)
+    assert not found.sound
+    assert said in found.sentence
+    assert "though nothing is found missing" not in dataclasses.replace(found, sound=True, adequate=True).sentence
+
+
 @pytest.mark.parametrize(("p_value", "sound"), [(0.5, True), (1e-9, False)])
 def test_an_output_error_that_did_not_converge_is_not_recommended_beside_predictions(p_value, sound):
     astray = dataclasses.replace(FIT, result=RESULTS.steps_exhausted)

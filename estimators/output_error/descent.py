@@ -127,9 +127,9 @@ class Descent:
             given: whether somebody gave these values, and did not find them in closed form.
         """
         end = self._descended(model, best=best, given=given)
-        if end is None:
-            return None
         noise = np.array([self.levels.get(channel, 1.0) for channel in CHANNELS])
+        if end is None or np.any(end.deviation > _NEAR_NOISE * noise):  # far from the data steps need be no shorter
+            return end
         substeps = self._accurate(
             end.model, end.space, end.solved.unknowns, np.maximum(noise, _COARSER * end.deviation)
         )

@@ -87,6 +87,22 @@ class Data(eqx.Module):
         return self.values.shape[2]
 
 
+def squares_of_motion(
+    data: Data,
+) -> tuple[Float[np.ndarray, "output experiment"], Float[np.ndarray, "output experiment"]]:
+    """Return the sum of squares of each channel about its mean in an experiment, and the number of its samples."""
+    values, present = np.asarray(data.values), np.asarray(data.present)
+    count = present.sum(axis=0)
+    mean = (values * present).sum(axis=0) / np.maximum(count, 1.0)
+    return ((values - mean) ** 2 * present).sum(axis=0), count
+
+
+def motion_of(data: Data) -> Float[np.ndarray, " output"]:
+    """Return the rms of each channel about its mean in each experiment; zero where there is none."""
+    squares, count = squares_of_motion(data)
+    return np.sqrt(squares.sum(axis=1) / np.maximum(count.sum(axis=1), 1.0))
+
+
 def mark_of(experiment: Experiment) -> str:
     """Return a digest of the measurements; another recording may hold an experiment of the same name."""
     digest = hashlib.blake2b(digest_size=16)

@@ -252,17 +252,25 @@ class Loop:
                 f"{misfit(last.tested):.3g} times the noise, and are at {misfit(tested):.3g}. {self.stopped}"
             )
 
+    def _is_gone(self, candidate: Candidate) -> bool:
+        """Return whether the last fit leaves little of an effect: next to nothing of its size when it was named, or of any."""
+        if not is_sure(self.last.fit, candidate.id):
+            return True
+        names = next(effect for effect in self.last.fit.model.effects if effect.id == candidate.id).amplitudes()
+        sizes = [(self.last.fit.parameters[f"{candidate.id}.{n}"].value, candidate.parameters[n].value) for n in names]
+        return all(abs(now) <= self.policy.left * abs(named) for now, named in sizes)
+
     @property
     def _all_simulated(self) -> bool:
         """Return whether simulations chose all that was added: what predictions keep is not judged by simulations."""
         return all(step.way == "simulated" and step.predicted_gain is None for _, step in self.steps)
 
     def drop_superseded(self) -> None:
-        """Leave out what was added and, beside the others, is no larger than its deviations, if nothing is lost by it."""
+        """Leave out what was added and of which little is left beside the others, if nothing is lost by it."""
         for candidate in self.added[:-1]:
             last, others = self.last, [c for c in self.added if c is not candidate]
             needed = any(candidate.id in effect.only_beside for effect in last.fit.model.effects)
-            if not self._all_simulated or needed or is_sure(last.fit, candidate.id):
+            if not self._all_simulated or needed or not self._is_gone(candidate):
                 continue
             step = extended_without(
                 last, candidate.id, [], "+ " + ", ".join(c.id for c in others), self.train, self.held_out,

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from estimators.core.compilation import Ahead
-from estimators.core.data import CHANNELS
+from estimators.core.data import CHANNELS, motion_of
 from estimators.core.fit import Fit
 from estimators.core.initial_state import scales_of
 from estimators.core.residual import start_rows
@@ -17,7 +17,7 @@ from estimators.core.threads import at_once
 from estimators.diagnosis.evidence import SimulationError
 from estimators.diagnosis.refit import Refit, Tested
 from estimators.diagnosis.setting import Setting, begun, by_name, model_with, padded_space, shared, space_for
-from estimators.inference.shaken_simulation import signal_rms, simulation_deviation
+from estimators.inference.shaken_simulation import simulation_deviation
 from estimators.inference.simulation_residual import of_unknown_noise
 from estimators.misspecification.candidate_screening import Group, NotNothingError, Screened, same, screen
 from estimators.misspecification.detection_limit import detection_limits
@@ -159,7 +159,7 @@ def simulation_error(setting: Setting, fit: Fit, base: Refit) -> SimulationError
     deviation = simulation_deviation(
         base.model, setting.data, space, physical, setting.prior.starting(space), base.predictor.noise, setting.substeps
     )
-    signal = signal_rms(setting.data)
+    signal = motion_of(setting.data)
     rows = {c: CHANNELS.index(c) for c in fit.residual_std}
     return SimulationError(
         {c: float(fit.residual_std[c] / fit.noise[c]) for c in rows},

@@ -1,5 +1,6 @@
 """Extension of a model by effects: fitted by three estimators, of which held-out experiments choose one, or none."""
 
+import contextlib
 import dataclasses
 from collections.abc import Mapping, Sequence
 from functools import reduce
@@ -152,21 +153,23 @@ def _nearest_first(several: Sequence[RTAC], train: Recording) -> list[RTAC]:
 
 
 def _fitted(begins: Sequence[RTAC], train: Recording, *, progress: bool) -> Fit:
-    """Return the fit by simulation from the first of several models from which there is one.
+    """Return the fit by simulation from the first of one or more models from which there is one.
 
     Raises:
-        NotIdentifiableError, DivergedError, FloatingPointError: from none there is.
+        NotIdentifiableError, DivergedError, FloatingPointError: from none there is; what the last says.
     """
-    for n, model in enumerate(begins):
-        try:
-            fit = output_error(model, train, from_model=True, progress=progress)
-            if not fit.lost:
-                return fit
-            raise NotIdentifiableError(fit.outcome)
-        except (NotIdentifiableError, DivergedError, FloatingPointError):
-            if n == len(begins) - 1:
-                raise
-    raise ValueError("begins: there is no model to begin with.")
+    *others, last = begins
+    for model in others:
+        with contextlib.suppress(NotIdentifiableError, DivergedError, FloatingPointError):
+            return _determined(model, train, progress=progress)
+    return _determined(last, train, progress=progress)
+
+
+def _determined(model: RTAC, train: Recording, *, progress: bool) -> Fit:
+    fit = output_error(model, train, from_model=True, progress=progress)
+    if fit.lost:
+        raise NotIdentifiableError(fit.outcome)
+    return fit
 
 
 def extended_without(

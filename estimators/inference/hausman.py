@@ -11,7 +11,7 @@ from scipy.stats import t as student
 
 from estimators.closed_form.table1 import ClosedForm
 from estimators.core.correlation import require_level
-from estimators.core.data import CHANNELS
+from estimators.core.data import CHANNELS, motion_of
 from estimators.core.fit import Fit
 from estimators.core.initial_state import scales_of
 from estimators.core.linearisation import at_fit
@@ -20,7 +20,7 @@ from estimators.core.progress import Progress
 from estimators.inference.agreement import Agreement, Disagreement, Vector
 from estimators.inference.bootstrap import Shaken, Shuffled, Source
 from estimators.inference.estimates import MODAL, Estimator, Result, estimator_of, label_of
-from estimators.inference.shaken_simulation import shaken_by, signal_rms
+from estimators.inference.shaken_simulation import shaken_by
 from estimators.inference.simulation_residual import (
     SimulationResidual,
     judged_channels,
@@ -190,7 +190,7 @@ def _simulation(fit: Fit, recording: Recording, predictors: Sequence[PredictorFi
     if predictors:
         left, random = shaken_by(predictors[0], np.asarray(problem.arguments.space.physical(problem.unknowns)[2]))
         deviation = {c: float(left[row]) / fit.noise[c] for c, row in rows.items()}
-    signal = signal_rms(data)
+    signal = motion_of(data)
     scales = scales_of(fit.model, problem.experiments)
     return simulation_residual(
         {c: fit.residual_std[c] / fit.noise[c] for c in rows},

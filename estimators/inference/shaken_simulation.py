@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from estimators.core.data import CHANNELS, Data
+from estimators.core.data import CHANNELS, Data, motion_of
 from estimators.core.fit import Fit
 from estimators.core.parameter_space import Space
 from estimators.inference.simulation_residual import SimulationLimits
@@ -68,15 +68,6 @@ def shaken_by(
     return left, (float(force), float(torque))
 
 
-def signal_rms(data: Data) -> Float[np.ndarray, " output"]:
-    """Return the rms of each output about its mean in each experiment, SI units; NaN where nobody measured it."""
-    values = np.where(np.asarray(data.present) > 0, np.asarray(data.values), np.nan)
-    count = np.isfinite(values).sum(axis=0, keepdims=True)
-    mean = np.nansum(values, axis=0, keepdims=True) / np.maximum(count, 1)
-    total = count.sum(axis=(0, 2))
-    return np.sqrt(np.where(total > 0, np.nansum((values - mean) ** 2, axis=(0, 2)) / np.maximum(total, 1), np.nan))
-
-
 def unfollowed(fit: Fit, data: Data, limits: SimulationLimits) -> float:
     """Return the rms error of a fit's simulation over the rms of the motion, of the channel where that is most.
 
@@ -87,7 +78,7 @@ def unfollowed(fit: Fit, data: Data, limits: SimulationLimits) -> float:
         data: that it was fitted to.
         limits: say from which error on that is so.
     """
-    signal = signal_rms(data)
+    signal = motion_of(data)
     found = [
         error / signal[CHANNELS.index(channel)]
         for channel, error in fit.residual_std.items()

@@ -7,12 +7,12 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from estimators.core.active_bounds import OFF_BOUNDS, solve_bounded
 from estimators.core.compilation import compile_beside
 from estimators.core.concentrated_noise import ConcentratedNoise
-from estimators.core.data import CHANNELS, Data
+from estimators.core.data import CHANNELS, Data, motion_of, squares_of_motion
 from estimators.core.fisher_information import information
 from estimators.core.fit import FAR
 from estimators.core.initial_angle import angle_unknown
@@ -25,14 +25,12 @@ from estimators.core.progress import Progress
 from estimators.core.residual import diagonal_whitener, no_gain
 from estimators.core.start_search import beyond_noise, searched
 from estimators.core.step_size import accurate_substeps
+from estimators.output_error.correction import correction
 from estimators.output_error.horizons import horizons
 from estimators.output_error.robust import Robust
 from estimators.output_error.robust import robust as robust_fit
-from estimators.prediction_error.filter_pass import run_filter
-from estimators.prediction_error.noise_model import NoiseModel, start_variance
 from rtac_jax import RTAC
 from rtac_jax.measurement import Experiment
-from rtac_jax.simulation import substeps_for
 
 # Random force and torque of the predictor, as fractions of the rms ones: from strong to weak correction.
 _CORRECTION = (0.3, 0.03)
@@ -48,7 +46,7 @@ _TURNED = 0.95
 # Steps by the simulation from values that were given, after which one that is still far from the data is led by predictions.
 _UNLED_STEPS = 20
 # Parts of the data that are simulated first, each longer, where the simulation of all of an experiment leaves _NEAR_MOTION of its
-# motion, as where an arm turns over: of twelve such fits three met the data without these, and all with them.
+# motion, as where an arm turns over: of twelve such fits four met the data without these, and all with them.
 _PARTS = (16, 4, 2)
 # A start whose short predictions stay this many times worse than another's is given up.
 _HOPELESS = 5.0
@@ -57,9 +55,6 @@ _SQUARED = 1e150
 # A start leads where another one did if, once both were guided, the rms of what sets their simulations apart is less than this
 # many times the noise of every sensor: no measurement could tell them from each other.
 _ALIKE = 0.3
-# Fraction of what is left of the data that stands for the noise in how long steps may be, so that at 50 times the noise they are
-# off by a fifth of it.
-_COARSER = 0.2
 _STAGE = 15  # passes of a stage that only makes a start for the next
 # Gain in log-likelihood for which a stage that only makes a start for the next takes no further step; where a start that was
 # guided is held against another's, both have to be nearer to where they lead.
@@ -119,33 +114,12 @@ class Descent:
         """Descend from predictions with strong correction to the free simulation; None where that leads nowhere.
 
         Where the guided start simulates what that of an earlier descent did, the rest would be the same: its end is returned.
-        Steps are as short as what is left of the data asks for.
 
         Args:
             model: at whose values the descent begins.
             best: least cost of the descents before.
             given: whether somebody gave these values, and did not find them in closed form.
         """
-        end = self._descended(model, best=best, given=given)
-        noise = np.array([self.levels.get(channel, 1.0) for channel in CHANNELS])
-        if end is None or np.any(end.deviation > _NEAR_NOISE * noise):  # far from the data steps need be no shorter
-            return end
-        substeps = self._accurate(
-            end.model, end.space, end.solved.unknowns, np.maximum(noise, _COARSER * end.deviation)
-        )
-        if substeps <= end.substeps:
-            return end
-        with contextlib.suppress(FloatingPointError):
-            finer = self._weighted(end.model, end.space, end.solved.unknowns, substeps, noise, end.deviation, np.inf)
-            self.followed = [(begun, finer if one is end else one) for begun, one in self.followed]
-            return finer
-        return end
-
-    def _accurate(self, model: RTAC, space: Space, unknowns: Unknowns, levels: Float[np.ndarray, " output"]) -> int:
-        return accurate_substeps(model, self.data, space, unknowns, levels)
-
-    def _descended(self, model: RTAC, *, best: float, given: bool) -> DescentEnd | None:
-        """Descend as `descend` does, by steps that are accurate where the descent begins."""
         space = space_of(model, self.experiments, free=[n for n in model.free if n not in model.per_experiment])
         unknowns = space.unconstrained(off_bounds=OFF_BOUNDS)
         noise = np.array([self.levels.get(channel, 1.0) for channel in CHANNELS])
@@ -155,11 +129,7 @@ class Descent:
         # While what only simulates, and the filter, are compiled here.
         passes = Passes(Arguments(model, self.data, space, whitener, nothing, 1))
         compile_beside(lambda: passes.prepare(unknowns))
-        left = self._deviation(model, space, unknowns, substeps_for(model, self.data.excitation), noise)
-        follows = np.all(
-            left <= np.maximum(noise, _NEAR_MOTION * self._motion())
-        )  # one that is lost may be led off by the error of long steps
-        substeps = self._accurate(model, space, unknowns, np.maximum(noise, _COARSER * left) if follows else noise)
+        substeps = accurate_substeps(model, self.data, space, unknowns, noise)
         if may_swing(model):
             simulated = Arguments(model, self.data, space, whitener, nothing, substeps)
             unknowns = best_starts([unknowns, at_rest(unknowns, space)], simulated, worth=_AT_REST)
@@ -169,7 +139,7 @@ class Descent:
         if np.all(deviation < _NEAR_NOISE * noise):
             return self._ended(model, space, unknowns, substeps, noise, best)
         end = None
-        if given and np.all(deviation < np.maximum(_NEAR_NOISE * noise, _NEAR_MOTION * self._motion())):
+        if given and np.all(deviation < np.maximum(_NEAR_NOISE * noise, _NEAR_MOTION * motion_of(self.data))):
             begun = self._simulated(model, space, unknowns, substeps)
             end = self._ended(model, space, unknowns, substeps, noise, best, most=_UNLED_STEPS)
             if not end.solved.converged and not end.is_far(noise):
@@ -200,7 +170,7 @@ class Descent:
     ) -> bool:
         """Return whether the free simulation of an experiment follows little of a channel's motion."""
         left = (self._simulated(model, space, unknowns, substeps) ** 2).sum(axis=0)
-        motion, count = self._squares_of_motion()
+        motion, count = squares_of_motion(self.data)
         follows = left <= np.maximum((FAR * noise[:, None]) ** 2 * count, _NEAR_MOTION**2 * motion)
         return not np.all(follows)  # what is no number follows nothing
 
@@ -210,7 +180,7 @@ class Descent:
     ) -> Unknowns | None:  # fmt: skip
         """Return where predictions with ever weaker correction, and simulations of ever longer parts, lead; None if nowhere."""
         for fraction in _CORRECTION:
-            gain, corrected = self._gain(parts[0], model, space, unknowns, noise, scales, fraction, substeps)
+            gain, corrected = correction(parts[0], model, space, unknowns, noise, scales, fraction, substeps)
             arguments = Arguments(model, parts[0], space, corrected, gain, substeps)
             self._require_determined(model, space, unknowns, substeps, noise)
             try:
@@ -371,19 +341,6 @@ class Descent:
             if not diverged(first) and np.max(np.abs(first)) < _SQUARED:
                 information(first, space, unknowns).require_determined()
 
-    def _gain(
-        self, data: Data, model: RTAC, space: Space, unknowns: Unknowns, noise: np.ndarray, scales: Any, fraction: float,
-        substeps: int,
-    ) -> tuple[Array, Array]:  # fmt: skip
-        # By the function that a diagnosis runs too, so that it is compiled once for both.
-        interval = float(np.min(np.asarray(data.excitation.sample_time)))
-        known = NoiseModel(noise, np.ones_like(noise), scales.force, scales.torque, interval, start_variance(space))
-        size = np.concatenate([np.full(2, 2 * np.log(fraction)), np.zeros(len(CHANNELS))])
-        physical = space.physical(unknowns)
-        result = run_filter(model, data, space, physical, known, size, jnp.asarray(substeps))
-        # One whitener for all samples: enough for a start, and the same compiled function as for the simulation.
-        return result.gain, jnp.asarray(_settled(np.asarray(result.whitener), data))
-
     def _simulated(
         self, model: RTAC, space: Space, unknowns: Unknowns, substeps: int
     ) -> Float[np.ndarray, "sample output experiment"]:
@@ -395,39 +352,8 @@ class Descent:
     def _deviation(self, model: RTAC, space: Space, unknowns: Unknowns, substeps: int, noise: np.ndarray) -> np.ndarray:
         return self._rms(self._simulated(model, space, unknowns, substeps), noise)
 
-    def _motion(self) -> Float[np.ndarray, " output"]:
-        """Return the rms of each channel about its mean in each experiment; zero where there is none."""
-        squares, count = self._squares_of_motion()
-        return np.sqrt(squares.sum(axis=1) / np.maximum(count.sum(axis=1), 1.0))
-
-    def _squares_of_motion(
-        self,
-    ) -> tuple[Float[np.ndarray, "output experiment"], Float[np.ndarray, "output experiment"]]:
-        """Return the sum of squares of each channel about its mean in an experiment, and the number of its samples."""
-        values, present = np.asarray(self.data.values), np.asarray(self.data.present)
-        count = present.sum(axis=0)
-        mean = (values * present).sum(axis=0) / np.maximum(count, 1.0)
-        return ((values - mean) ** 2 * present).sum(axis=0), count
-
     def _rms(self, error: np.ndarray, noise: np.ndarray) -> np.ndarray:
         count = np.maximum(np.asarray(self.data.present).sum(axis=(0, 2)), 1.0)
         rms = np.sqrt((error**2).sum(axis=(0, 2)) / count)
         # A channel cannot be trusted beyond its sensor, or one that happens to fit would drown the others.
         return np.where(rms > 0, np.maximum(rms, 1e-12 * noise), noise)
-
-
-def _settled(whitener: np.ndarray, data: Data) -> Float[np.ndarray, "1 row output experiment"]:
-    """Return the median whitener of each experiment and channel after its first quarter, over the samples that are there.
-
-    Where a channel has no sample the filter's whitener is zero: counted, an experiment that is shorter than others, or a
-    channel sampled less often, would tell nothing.
-    """
-    found = np.zeros((1, *whitener.shape[1:]))
-    present = np.asarray(data.present) > 0
-    for column in range(data.experiments):
-        for row in range(whitener.shape[1]):
-            there = np.flatnonzero(present[:, row, column])
-            late = there[there >= (there[-1] + 1) // 4] if len(there) else there
-            if len(late):
-                found[0, row, :, column] = np.median(whitener[late, row, :, column], axis=0)
-    return found

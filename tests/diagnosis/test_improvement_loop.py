@@ -12,6 +12,7 @@ import pytest
 import estimators as est
 import rtac_jax as rtac
 from estimators.core.fisher_information import Information, information_of
+from estimators.core.fit import Parameter
 from estimators.core.results import RESULTS
 from estimators.diagnosis import improvement_loop
 from estimators.diagnosis.improvement_loop import Loop
@@ -190,15 +191,17 @@ def fitted(size: float, deviation: float, error: float) -> Added:
 
 
 @pytest.mark.parametrize(
-    ("size", "left", "dropped"), [(4e-5, 1.3, True), (4e-5, 1.6, False), (4e-5, None, False), (6e-3, 1.3, False)]
+    ("size", "left", "dropped"),
+    [(4e-5, 1.3, True), (4e-5, 1.6, False), (4e-5, None, False), (3e-4, 1.3, True), (6e-3, 1.3, False)],
 )
 def test_what_nothing_is_left_of_beside_what_was_added_later_goes(
     monkeypatch: pytest.MonkeyPatch, size: float, left: float | None, dropped: bool
 ) -> None:
-    """Unless the held-out experiments lose by it, or there is no fit without it."""
+    """Less than its deviations, or than a tenth of what was named; unless held-out experiments lose, or there is no fit."""
     loop = new_loop()
     loop.steps.append((("encoder_lag", "current_lag"), fitted(size, 6e-5, 1.3)))
-    loop.added = [made_up_results.candidate(name, 50.0) for name in ("encoder_lag", "current_lag")]
+    named = {"time_constant": Parameter(8e-3, 1e-5, "s")}
+    loop.added = [made_up_results.candidate(name, 50.0, parameters=named) for name in ("encoder_lag", "current_lag")]
     loop.stopped = "Stopped: nothing more is missing."
 
     def without(last: Added, given_up: str, several: Sequence[Effect], label: str, *_: Any, **__: Any) -> Added | None:

@@ -64,7 +64,6 @@ def test_given_values_far_from_the_data_are_led_after_a_few_steps(monkeypatch, r
     monkeypatch.setattr(Descent, "_weighted", watched)
     monkeypatch.setattr(Descent, "_guided", counted)
     fit = est.output_error(model, recording, from_model=True, progress=False)
-    assert asked[: len(most)] == most
-    assert asked[len(most) :] in ([], [None])  # by shorter steps, where it came nearer
+    assert asked == most
     assert len(guided) == led
     assert fit.parameters["spring_stiffness"].value == pytest.approx(STIFFNESS, rel=2e-3)

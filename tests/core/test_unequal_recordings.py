@@ -16,7 +16,7 @@ from estimators.core.residual import diagonal_whitener, no_gain
 from estimators.core.step_size import accurate_substeps
 from estimators.misspecification.replication_test import repeat_test
 from estimators.misspecification.spectral_line_test import spectral_line
-from estimators.output_error.descent import _settled
+from estimators.output_error.correction import _settled
 from estimators.prediction_error.ekf import filtered
 from estimators.prediction_error.innovations import stretches
 from estimators.prediction_error.noise_model import start_variance

@@ -6,7 +6,7 @@ from typing import Any
 from estimators.cli.captions import BANDS, CONFUSION, DIAGNOSIS, WHERE, shown, without_limits
 from estimators.cli.job import Job, job
 from estimators.cli.models import base_fit
-from estimators.cli.options import Effects, File, Json, Model, Out, Quick, Save, Validation
+from estimators.cli.options import Effects, File, Json, Model, Out, Quick, Save, Validation, Within
 from estimators.cli.own_effects import offered
 from estimators.cli.planned import plan_next, show_plan
 
@@ -15,6 +15,7 @@ def diagnose(
     file: File,
     validation: Validation = None,
     quick: Quick = False,
+    within: Within = None,
     model: Model = None,
     effects: Effects = None,
     save: Save = None,
@@ -28,9 +29,9 @@ def diagnose(
         from estimators.reporting import summary
 
         candidates = offered(effects)
-        work.warn_of_waiting()
+        seconds = work.time_for(within)
         base = base_fit(work, model, effects)
-        found = est.diagnose(base, work.train, candidates=candidates, thorough=not quick)
+        found = est.diagnose(base, work.train, candidates=candidates, thorough=not quick, within=seconds)
         fits, labels = _refitted(work, base, found)
         trained, tested = work.compared(fits, labels)
         table, errors = _report.candidate_table(found), _report.error_table(trained, tested)

@@ -7,7 +7,19 @@ from typing import Any
 from estimators.cli.captions import BANDS, CONFUSION, DIAGNOSIS, LADDER, LEARNED, WHERE, shown, without_limits
 from estimators.cli.job import Job, job
 from estimators.cli.models import start_model
-from estimators.cli.options import Effects, File, Fix, Json, Model, NoLearnedForce, Out, Quick, Save, Validation
+from estimators.cli.options import (
+    Effects,
+    File,
+    Fix,
+    Json,
+    Model,
+    NoLearnedForce,
+    Out,
+    Quick,
+    Save,
+    Validation,
+    Within,
+)
 from estimators.cli.own_effects import offered
 from estimators.cli.planned import plan_next, show_plan
 from estimators.cli.refusals import NOT_POSSIBLE, stop
@@ -17,6 +29,7 @@ def improve(
     file: File,
     validation: Validation = None,
     quick: Quick = False,
+    within: Within = None,
     no_learned_force: NoLearnedForce = False,
     model: Model = None,
     fix: Fix = None,
@@ -27,7 +40,16 @@ def improve(
 ) -> None:
     """Add what is missing, fit again, and check on experiments held out, until nothing more is missing."""
     with job(file, validation, out, json, save) as work:
-        improved(work, effects, quick=quick, learned_force=not no_learned_force, model=model, fix=fix, save=save)
+        improved(
+            work,
+            effects,
+            quick=quick,
+            learned_force=not no_learned_force,
+            within=within,
+            model=model,
+            fix=fix,
+            save=save,
+        )
 
 
 def improved(
@@ -36,6 +58,7 @@ def improved(
     *,
     quick: bool = False,
     learned_force: bool = True,
+    within: float | None = 0.0,
     model: Path | None = None,
     fix: str | None = None,
     save: Path | None = None,
@@ -51,11 +74,11 @@ def improved(
     candidates = offered(effects)
     start = start_model(work, model, effects, fix)
     work.note_doubts()
-    work.warn_of_waiting()
+    seconds = work.time_for(within)
     with work.explaining():
         found = est.improve(
             start, work.recording, validation=work.held_out.names, candidates=candidates, thorough=not quick,
-            learned_force=learned_force,
+            learned_force=learned_force, within=seconds,
         )  # fmt: skip
     extended = len(found.validation.models) > 1
     if found.settled:

@@ -47,6 +47,16 @@ Save = Annotated[
 Quick = Annotated[
     bool, typer.Option("--quick", help="Do not look again, for minutes, where the verdict would be unknown.")
 ]
+Within = Annotated[
+    float | None,
+    typer.Option(
+        metavar="SECONDS",
+        min=0.0,
+        help="After so long nothing more is fitted, and the answer is what was found until then; 0 for no end. By default 300, "
+        "or more where experiments are long.",
+        show_default=False,
+    ),
+]
 NoLearnedForce = Annotated[
     bool,
     typer.Option(

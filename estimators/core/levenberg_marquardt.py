@@ -15,6 +15,7 @@ from jaxtyping import Array, Float
 from scipy.optimize import nnls
 
 from estimators.core.concentrated_noise import ConcentratedNoise
+from estimators.core.deadline import require_time
 from estimators.core.jacobian_factor import Arguments, Factors, Passes, plain_residual, promised_gain
 from estimators.core.parameter_space import Unknowns
 from rtac_jax.programs import program
@@ -157,6 +158,7 @@ def solve(
         converged = converged or quiet >= 2 or promised < gain
         if converged or walk.steps >= most:
             break
+        require_time()
         taken = walk.step(unknowns, best, weights, promised)
         if taken is None:
             converged = walk.steps < most
@@ -274,6 +276,7 @@ class _Walk:
         found = _Found(None, 0.0, damping, None)
         while True:
             there, promised = arc.at(damping)
+            require_time()
             if not promised >= max(
                 _NOTHING, _ROUNDING * cost
             ):  # of a huge cost what is promised is never less than rounding

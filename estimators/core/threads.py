@@ -10,6 +10,8 @@ from typing import Any, TypeVar
 
 from threadpoolctl import OpenBLASController, ThreadpoolController
 
+from estimators.core.deadline import with_deadline
+
 One = TypeVar("One")
 Result = TypeVar("Result")
 
@@ -36,7 +38,7 @@ def at_once(work: Callable[[One], Result], several: Sequence[One]) -> list[Resul
     if len(several) < 2 or getattr(_here, "at_work", False):
         return [work(one) for one in several]
     with one_blas_thread(), ThreadPoolExecutor(threads(), initializer=_begin) as pool:
-        begun = [pool.submit(work, one) for one in several]
+        begun = [pool.submit(with_deadline(work), one) for one in several]
         try:
             return [one.result() for one in begun]
         finally:

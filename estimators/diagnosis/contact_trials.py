@@ -10,6 +10,7 @@ from jaxtyping import Float
 from scipy.optimize import minimize
 
 from estimators.core.data import Data
+from estimators.core.deadline import OutOfTimeError, require_time
 from estimators.core.parameter_space import Space
 from estimators.core.threads import at_once
 from estimators.diagnosis.refit import Refit
@@ -146,7 +147,10 @@ def in_turn(
     noise = few_random_forces(before.predictor.noise)
     best: tuple[Refit, Space] | None = None
     for side in _SIDES:
-        space, noise = climbed(space, noise, side)
+        try:
+            space, noise = climbed(space, noise, side)
+        except OutOfTimeError:
+            break
         last = before if best is None else best[0]
         gained = 0.0
         try:
@@ -180,5 +184,6 @@ def few_random_forces(noise: Float[np.ndarray, " noise"], most: float = _FEW) ->
 def _cost(
     model: RTAC, data: Data, space: Space, physical: Any, prior: NoiseModel, noise: Any, substeps: Steps
 ) -> float:
+    require_time()
     value = negative_log_likelihood(model, data, space, physical, prior, noise, substeps)
     return value if np.isfinite(value) else _DIVERGED

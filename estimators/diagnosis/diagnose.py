@@ -9,6 +9,7 @@ import numpy as np
 
 from estimators.core.compilation import make_room
 from estimators.core.data import fitted_part
+from estimators.core.deadline import Deadline
 from estimators.core.fit import Fit
 from estimators.core.progress import Progress
 from estimators.core.sensor_noise import rounded
@@ -22,6 +23,7 @@ from estimators.diagnosis.explanation import (
     OF_A_DRIFT,
     OF_A_LINE,
     OF_ROUNDING,
+    OUT_OF_TIME,
     SHAKEN,
     found_by_simulation,
     not_named,
@@ -71,6 +73,7 @@ def diagnose(
     candidates: Sequence[type[Effect]] | None = None,
     thorough: bool = True,
     policy: DiagnosisPolicy = STANDARD,
+    within: float | None = None,
     progress: bool = True,
 ) -> Diagnosis:
     """Say which effects the model of a fit leaves out, or that none is, or that the data cannot say.
@@ -82,6 +85,8 @@ def diagnose(
             as exact beside others. Those of the model are passed over.
         thorough: where the verdict would be unknown, look again at what raised no alarm; that may take minutes.
         policy: the thresholds; see `DiagnosisPolicy`.
+        within: seconds after which nothing more is fitted; the verdict is then of what was until then, and says so. By default the
+            diagnosis goes on to its end. What the same seconds suffice for differs from machine to machine.
         progress: show how far it is, as `core.progress.Progress` does.
 
     Raises:
@@ -94,14 +99,15 @@ def diagnose(
     """
     require_configured()
     make_room()
-    began = time.perf_counter()
+    began, deadline = time.perf_counter(), Deadline(within)
     recording = fitted_part(recording, fit.experiments)
     classes = offered(fit.model, candidates)
     if not classes:
         raise ValueError(
             "no candidate is left: the model has every effect that was offered, or lacks what they stand beside."
         )
-    with Progress("diagnose", show=progress) as shown:
+    # Whose ever deadline this is part of: refits alone are broken off.
+    with Deadline().kept(), Progress("diagnose", show=progress) as shown:
         setting = setting_of(fit, recording, classes, shown, policy)
         # Where some are in the model already, as in the loop, its other tests are still worth asking.
         if not setting.absent and not any(c.id in fit.model for c in candidates or ()):
@@ -109,7 +115,7 @@ def diagnose(
                 f"no candidate is left: nothing in the recording could show {', '.join(c.id for c in classes)}."
             )
         with warnings.catch_warnings():  # what threads do to the filters at the same time ends here
-            laboratory = _begun(setting, fit, Workers(), whole=candidates is None)
+            laboratory = _begun(setting, fit, Workers(), deadline, whole=candidates is None)
             decide(laboratory, policy, thorough=thorough)
             evidence = laboratory.evidence(thorough=thorough)
         shown.at("diagnose: verdict")
@@ -124,13 +130,14 @@ def diagnose(
     return dataclasses.replace(told, seconds=time.perf_counter() - began)
 
 
-def _begun(setting: Setting, fit: Fit, workers: Workers, *, whole: bool) -> LiveLaboratory:
+def _begun(setting: Setting, fit: Fit, workers: Workers, deadline: Deadline, *, whole: bool) -> LiveLaboratory:
     """Return a laboratory with the base model fitted and tested, while another thread compiles what comes next.
 
     Args:
         setting: the data and the candidates.
         fit: that is diagnosed.
         workers: compute side by side.
+        deadline: after which no refit goes on.
         whole: whether the candidates are all that are known.
     """
     setting.progress.at("diagnose: predictor of the base model")
@@ -141,7 +148,7 @@ def _begun(setting: Setting, fit: Fit, workers: Workers, *, whole: bool) -> Live
         if whole and is_gross(setting, fit, base):
             setting = offering_gross(setting)
         setting.progress.at("diagnose: candidates")
-        return LiveLaboratory(setting, fit, base, run_tests(setting, base, ahead), workers)
+        return LiveLaboratory(setting, fit, base, run_tests(setting, base, ahead), workers, deadline)
 
 
 def _told(
@@ -190,6 +197,7 @@ def _told(
         by_simulation=bool(found.steps and found.selection.simulated),
         rounded=rounded(setting.experiments, laboratory.facts.noise),
         values={name: float(value) for name, value in final.values.items()},
+        broken_off=laboratory.broken_off,
     )
     return dataclasses.replace(told, explanation=_explanation(told, found, setting, thorough=evidence.thorough))
 
@@ -200,7 +208,7 @@ def _explanation(told: Diagnosis, found: Judgement, setting: Setting, *, thoroug
     text = words(
         told.verdict, told.effects, told.candidates, steps, told.tests, told.left, told.removed, told.curves, told.latent,
         told.places, told.lines, told.simulation, told.policy, told.consequence, found.detectable,
-        told.floor, told.misfit,
+        told.floor, told.misfit, told.broken_off,
     )  # fmt: skip
     if told.simulation is not None and further and not steps:
         text += without_the_physics(further, told.simulation)
@@ -234,6 +242,8 @@ def _explanation(told: Diagnosis, found: Judgement, setting: Setting, *, thoroug
         random = found.final.random
         large = random_forces_are_large(random, float(setting.samples_per_radian), told.policy.simulation)
         text += shaken(*random, setting.left_out, large=large)
+    if told.broken_off:
+        text += OUT_OF_TIME
     if setting.assumed:
         text += f" Coloured noise of {', '.join(setting.assumed)} was assumed: the data are far more likely with it."
     text += doubt([c.id for c in told.effects], setting.model)

@@ -53,6 +53,7 @@ class Diagnosis(Result):
         by_simulation: whether the effects were selected by what they take off the simulation's error, which `removed` then counts.
         rounded: quantisation step of the channels whose noise is next to nothing but rounding, SI units.
         values: of all parameters that the predictor with the additions estimates, SI units.
+        broken_off: whether the time that was given was over before all that would have been asked was fitted.
     """
 
     verdict: Verdict
@@ -79,6 +80,7 @@ class Diagnosis(Result):
     by_simulation: bool = False
     rounded: Mapping[str, float] = dataclasses.field(default_factory=dict)
     values: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    broken_off: bool = False
 
     @property
     def misfit(self) -> str:

@@ -33,6 +33,10 @@ OF_A_DRIFT = (
     " It is as where a parameter changes while an experiment lasts, as friction of a drive that warms up: let the rig run"
     " before it is recorded, or fit shorter experiments and hold them against each other (est.constancy)."
 )
+OUT_OF_TIME = (
+    " The time that was given was over before every candidate was fitted: what is said of effects holds for those that were; give"
+    " more of it (within), or a part of the recording."
+)
 _NEARLY_ALL = 0.9  # fraction of the misfit whose removal asks why the verdict is unknown even so
 _LEFT_OUT = 0.02  # fraction of the samples from which it is worth a word that they do not count
 SHAKEN = 1e-2  # fraction of the rms forces from which random forces in one sample are worth a word
@@ -57,6 +61,7 @@ def words(
     detectable: Sequence[Step] = (),
     floor: str = AT_NOISE,
     misfit: str = "the misfit",
+    broken_off: bool = False,
 ) -> str:
     """Describe in a paragraph what is missing, how big, where it shows, how sure, and what would make it surer."""
     if verdict == "adequate":
@@ -84,7 +89,7 @@ def words(
             shown if worst is not None and worst.excess > 1 else ""
         )
     if verdict == "unknown":
-        return _unknown(candidates, tests, removed, curves, latent, lines, policy) + shown
+        return _unknown(candidates, tests, removed, curves, latent, lines, policy, broken_off) + shown
     by_id = {c.id: c for c in effects}
     sentences = []
     for step in steps:
@@ -335,6 +340,7 @@ def _unknown(
     latent: Sequence[LatentForce],
     lines: Sequence[LineClass],
     policy: DiagnosisPolicy,
+    broken_off: bool,
 ) -> str:
     reasons = "; ".join(f"{test.test}: {test.words}" for test in tests if test.rejects)
     refitted = [c for c in candidates if c.refitted]
@@ -359,4 +365,5 @@ def _unknown(
             f" On the {telling.lines} lines of the periodic input {telling.channel} has {telling.ratio:.2g} times the power "
             f"of the noise, which shows {telling.shows}."
         )
-    return f"Unknown: the model fails and no effect of the catalogue explains it ({reasons}).{nearest}{force}{static}"
+    none = "no effect of the catalogue" if not broken_off else "none of the effects that were fitted in time"
+    return f"Unknown: the model fails and {none} explains it ({reasons}).{nearest}{force}{static}"

@@ -1,5 +1,6 @@
 """The loop: compare, diagnose, add the effect, fit again, until nothing rejects or the held-out error stops falling."""
 
+import contextlib
 import dataclasses
 import math
 import time
@@ -7,6 +8,7 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
+from estimators.core.deadline import Deadline, OutOfTimeError
 from estimators.core.drawing import draw
 from estimators.core.fit import FAR, Fit
 from estimators.core.result_base import Result
@@ -16,15 +18,15 @@ from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.diagnose import compile_diagnosis
 from estimators.diagnosis.diagnosis import Diagnosis
 from estimators.diagnosis.explanation import at_noise
-from estimators.diagnosis.improvement_loop import Loop
+from estimators.diagnosis.improvement_loop import PROLONGED, Loop
 from estimators.diagnosis.learned_force import LearnedForce
-from estimators.diagnosis.model_extension import Added, PredictedGain, falls_clearly
+from estimators.diagnosis.loop_end import LoopEnd, end_of
+from estimators.diagnosis.model_extension import Added, PredictedGain
 from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
 from estimators.diagnosis.removed_error import Verdict
 from estimators.linear.homogeneity_test import Equality
 from estimators.linear.outlier import rounded
 from estimators.output_error.fit import output_error
-from estimators.validation.differing_experiments import WORTH_ASKING
 from estimators.validation.simulation_error import Comparison, compare
 from rtac_jax import RTAC
 from rtac_jax.arguments import checked_arguments
@@ -158,7 +160,7 @@ class Improvement(Result):
             return f"{self.constancy.differences} {self._found}"
         verdict = {
             "adequate": "predicted one sample ahead, which counts random forces, nothing is missing",
-            "unknown": "the model fails, and no effect of the catalogue explains that",
+            "unknown": f"the model fails, and {self._none} explains that",
         }.get(
             self.diagnoses[-1].verdict,
             "the model fails, and what the diagnosis names does not serve held-out experiments",
@@ -222,6 +224,11 @@ class Improvement(Result):
         return f"{' and '.join(falls)} times the noise"
 
     @property
+    def _none(self) -> str:
+        in_time = self.diagnoses[-1].broken_off
+        return "no effect that was fitted before the time was over" if in_time else "no effect of the catalogue"
+
+    @property
     def _named(self) -> str:
         whole = "it" if self.nearest is None else "all of it"
         if not self.added:
@@ -240,7 +247,7 @@ class Improvement(Result):
                 )
             return {
                 "adequate": f"The model is adequate: nothing is missing {self.diagnoses[-1].floor}{self._but}.",
-                "unknown": f"The model fails, and no effect of the catalogue explains {whole}.",
+                "unknown": f"The model fails, and {self._none} explains {whole}.",
             }.get(
                 self.diagnoses[-1].verdict,
                 "The model fails, and what the diagnosis names does not serve held-out experiments.",
@@ -258,7 +265,7 @@ class Improvement(Result):
             "adequate": f"the mended model is adequate{' one sample ahead' if self._astray else ''}",
             "unknown": f"the mended model fails as where a parameter drifts: {drift}"
             if drift
-            else f"the mended model still fails, and no effect of the catalogue explains {whole}",
+            else f"the mended model still fails, and {self._none} explains {whole}",
             None: "the mended model was not diagnosed again",
         }.get(self.mended, "what a diagnosis of the mended model names does not serve held-out experiments")
         return f"{start}; {end}."
@@ -304,6 +311,7 @@ def improve(
     thorough: bool = True,
     learned_force: bool = True,
     policy: DiagnosisPolicy = STANDARD,
+    within: float | None = None,
     progress: bool = True,
 ) -> Improvement:
     """Fit, diagnose, add what is missing, fit again, and validate on experiments that no fit has seen.
@@ -329,45 +337,27 @@ def improve(
             (`LearnedForce`): what serves held-out experiments better, if their error clearly falls, and more than by leaving out an
             experiment that differs. The verdict stays.
         policy: the thresholds of every diagnosis; see `DiagnosisPolicy`.
+        within: seconds after which nothing more is diagnosed: what is named until then, or a last resort, is added still, for which
+            a third of that time more is given, and `stopped` says so. The fit of the base model counts, and is not broken off. By
+            default the loop goes on to its end. What the same seconds suffice for differs from machine to machine.
         progress: show bars.
 
     Raises:
         ValueError: there is nothing to hold out, or nothing moves.
         NotIdentifiableError, DivergedError: as `output_error`, for the base model.
     """
-    began = time.perf_counter()
+    began, deadline = time.perf_counter(), Deadline(within)
     train, held_out = recording.split(validation)
     with ThreadPoolExecutor(1) as other:
         other.submit(compile_diagnosis, model, train, candidates)
         base = output_error(model, train, progress=progress)
         first = Added(base, compare(base, held_out, labels=["base"]).models[0], "simulated")
-    loop = Loop(train, held_out, candidates, most, thorough, policy, progress, [((), first)])
+    loop = Loop(train, held_out, candidates, most, thorough, policy, progress, [((), first)], deadline=deadline)
     loop.run()
-    loop.lead_by_predictions()
-    loop = loop.with_runner_up() or loop
-    loop.drop_superseded()
-    learned: LearnedForce | None = None
-    nearest: Candidate | None = None
-    unknown, asked = loop.diagnoses[-1].verdict == "unknown", loop.last.fit
-    whole = loop.copied()
-    differs = loop.without_outlier(least=0.0 if unknown else WORTH_ASKING)
-    if learned_force and unknown and loop.left_out is not None:
-        # Unless a last resort that is learned from all serves held-out experiments better: then it alone may show what is missing.
-        resort = whole.last_resort(whole.nearest())
-        if falls_clearly(loop.last.tested, whole.last.tested, policy):
-            loop, (nearest, learned) = whole, resort
-            differs = loop.without_outlier(leave=False)
-    elif learned_force and unknown:
-        near = loop.nearest()
-        further = None if near is None else loop.with_nearest(*near)
-        if further is not None:
-            loop = further
-        else:
-            nearest, learned = loop.last_resort(near)
-        if loop.last.fit is not asked:
-            # What a last resort learned from all of them explains is no fault of one.
-            kept = differs if differs is not None and differs.outlying is None else None
-            differs = loop.without_outlier(leave=False) or kept
+    ended = LoopEnd(loop, None, None, None)
+    with contextlib.suppress(OutOfTimeError), deadline.prolonged(PROLONGED).kept():
+        ended = end_of(loop, last_resort=learned_force)
+    loop, learned, nearest = ended.loop, ended.learned, ended.nearest
     steps, diagnoses, added = loop.steps, loop.diagnoses, loop.added
     fits = [step.fit for _, step in steps]
     tested = [step.tested for _, step in steps]
@@ -391,6 +381,6 @@ def improve(
         seconds=time.perf_counter() - began,
         learned=learned,
         nearest=nearest,
-        constancy=differs,
+        constancy=ended.differs,
         left_out=loop.left_out,
     )

@@ -3,6 +3,7 @@
 import dataclasses
 from collections.abc import Sequence
 
+from estimators.core.deadline import Deadline
 from estimators.core.fit import FAR, Fit
 from estimators.core.results import DivergedError, NotIdentifiableError
 from estimators.diagnosis.candidate import Candidate
@@ -32,6 +33,10 @@ from rtac_jax.effects import CATALOGUE, Effect, SplineForce
 from rtac_jax.effects.one_sided_spring import GROSS
 from rtac_jax.measurement import Recording
 
+OUT_OF_TIME = "Stopped: the time that was given is over."
+PROLONGED = 1 / 3
+"""Of the time that is given: so much more for fits with what was named until then, and for last resorts."""
+
 
 @dataclasses.dataclass
 class Loop:
@@ -50,6 +55,8 @@ class Loop:
         added: the effects that were added.
         stopped: why it ended.
         left_out: the experiment without which the last model was fitted; None where all were.
+        deadline: after which nothing is diagnosed any more, and only what is named already is added.
+        out_of_time: whether it ended for that.
     """
 
     train: Recording
@@ -65,6 +72,8 @@ class Loop:
     added: list[Candidate] = dataclasses.field(default_factory=list)
     stopped: str = ""
     left_out: str | None = None
+    deadline: Deadline = dataclasses.field(default_factory=Deadline)
+    out_of_time: bool = False
 
     @property
     def last(self) -> Added:
@@ -86,6 +95,10 @@ class Loop:
     def run(self) -> None:
         """Go on until nothing is found, or what is found does not serve held-out experiments."""
         while not self.stopped:
+            if self.diagnoses and self.deadline.over:
+                self.out_of_time = True
+                self.stopped = OUT_OF_TIME
+                return
             # What is held was estimated too: a diagnosis may move it.
             released = self.last.fit.model.release(*parameters_of(self.last.fit.model, self.held))
             base = dataclasses.replace(self.last.fit, model=released)
@@ -105,6 +118,8 @@ class Loop:
                 why = "nothing more is missing" if enough else "no effect of the catalogue explains what is missing"
                 if found.simulation is not None and found.simulation.vetoes:
                     why = "no test names what the simulation's error comes from"
+                if found.broken_off:
+                    why = "no effect that was fitted before the time was over explains what is missing"
                 self.stopped = f"Stopped: {why}."
             self._add(found)
             if not self.stopped and not offered(self.last.fit.model, self.candidates):
@@ -112,8 +127,9 @@ class Loop:
 
     def _diagnosed(self, base: Fit, candidates: Sequence[type[Effect]] | None, *, thorough: bool) -> Diagnosis:
         return diagnose(
-            base, self.train, candidates=candidates, thorough=thorough, policy=self.policy, progress=self.progress
-        )
+            base, self.train, candidates=candidates, thorough=thorough, policy=self.policy, within=self.deadline.left,
+            progress=self.progress,
+        )  # fmt: skip
 
     def _add_beyond_catalogue(self, base: Fit, found: Diagnosis) -> bool:
         """Add what is in no catalogue, as it is never small, and return whether a diagnosis names it and it serves.
@@ -152,12 +168,13 @@ class Loop:
         """Add effects that a diagnosis names; return why they do not serve, or None where they do."""
         known = {c.id: c for c in found.effects}
         ids = tuple(effect.id for effect in several)
-        step = add_effects(
-            self.last.fit, self.last.tested, several, "+ " + ", ".join([*(c.id for c in self.added), *ids]), self.train,
-            self.held_out, policy=self.policy, progress=self.progress,
-            deviations={f"{i}.{field}": std for i in ids for field, std in known[i].deviations.items()},
-            values=found.values, ways=WAYS if len(several) == 1 else WAYS[:1],
-        )  # fmt: skip
+        with self.deadline.prolonged(PROLONGED).kept():
+            step = add_effects(
+                self.last.fit, self.last.tested, several, "+ " + ", ".join([*(c.id for c in self.added), *ids]), self.train,
+                self.held_out, policy=self.policy, progress=self.progress,
+                deviations={f"{i}.{field}": std for i in ids for field, std in known[i].deviations.items()},
+                values=found.values, ways=WAYS if len(several) == 1 else WAYS[:1],
+            )  # fmt: skip
         if isinstance(step, str):
             return step
         self.steps.append((ids, step))
@@ -220,7 +237,7 @@ class Loop:
         further.added.append(nearest)
         further.stopped = ""
         further.run()
-        if further.diagnoses[-1].verdict != "adequate":
+        if further.out_of_time or further.diagnoses[-1].verdict != "adequate":
             return None
         beside = ", ".join(c.id for c in further.added[len(self.added) + 1 :])
         with_it = f" with {beside}" if beside else ", all parameters fitted anew,"
@@ -237,7 +254,8 @@ class Loop:
         """
         last = self.last
         far = max(e.rms_over_noise for e in last.tested.errors.values()) > FAR
-        if not far or not self._all_simulated or self.diagnoses[-1].verdict != "adequate":
+        adequate = self.diagnoses[-1].verdict == "adequate"
+        if not far or not self._all_simulated or not adequate or self.deadline.over:
             return
         try:
             led = prediction_error_nonlinear(last.fit.model, self.train, from_model=True, progress=self.progress)
@@ -270,7 +288,7 @@ class Loop:
         for candidate in self.added[:-1]:
             last, others = self.last, [c for c in self.added if c is not candidate]
             needed = any(candidate.id in effect.only_beside for effect in last.fit.model.effects)
-            if not self._all_simulated or needed or not self._is_gone(candidate):
+            if not self._all_simulated or needed or self.deadline.over or not self._is_gone(candidate):
                 continue
             step = extended_without(
                 last, candidate.id, [], "+ " + ", ".join(c.id for c in others), self.train, self.held_out,
@@ -288,7 +306,7 @@ class Loop:
 
         None where none does, or where it does not end at an adequate model.
         """
-        if not self.added or not self._all_simulated:
+        if not self.added or not self._all_simulated or self.deadline.over:
             return None
         found = runner_up(
             self.last, self.added, self.diagnoses, self._classes, self.train, self.held_out, policy=self.policy,
@@ -302,7 +320,7 @@ class Loop:
         further.added.append(dataclasses.replace(found.taken, confusable_with=()))
         further.stopped = ""
         further.run()
-        if further.diagnoses[-1].verdict != "adequate":
+        if further.out_of_time or further.diagnoses[-1].verdict != "adequate":
             return None
         further.stopped = (
             f"{found.taken.id} takes the place of {found.given_up.id}, which predictions one sample ahead prefer: simulated, the "

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from estimators.core.data import moving, origins
+from estimators.core.deadline import Deadline
 from estimators.core.fit import Fit
 from estimators.diagnosis.evidence import (
     EffectTraits,
@@ -72,7 +73,9 @@ class LiveLaboratory:
         base: the record of the base model.
     """
 
-    def __init__(self, setting: Setting, fit: Fit, base: Refit, tested: Tested, workers: Workers) -> None:
+    def __init__(
+        self, setting: Setting, fit: Fit, base: Refit, tested: Tested, workers: Workers, deadline: Deadline
+    ) -> None:
         """Begin with the base model and its tests.
 
         Args:
@@ -81,8 +84,9 @@ class LiveLaboratory:
             base: predictor of its model.
             tested: the tests of that.
             workers: compute side by side.
+            deadline: after which no refit goes on.
         """
-        self._fit, self._workers, self._progress = fit, workers, setting.progress
+        self._fit, self._workers, self._progress, self._deadline = fit, workers, setting.progress, deadline
         self._models: list[FittedModel] = []
         self._computed: list[tuple[Setting, Refit]] = []
         self._tested: dict[int, Tested] = {}
@@ -105,6 +109,11 @@ class LiveLaboratory:
         blind = [i for i, s in best.items() if not s.instance.acts_by_contact and i not in shown]
         self.facts = dataclasses.replace(self.facts, untestable=tuple(sorted(blind)))
 
+    @property
+    def broken_off(self) -> bool:
+        """Return whether a refit was broken off, as the time was over."""
+        return self._deadline.missed
+
     def say(self, text: str) -> None:
         """Show what is asked now."""
         self._progress.at(f"diagnose: {text}")
@@ -115,15 +124,18 @@ class LiveLaboratory:
         """Refit a model with the first candidate and those near it, and test the first meanwhile."""
         setting, refit = self.computed(before)
         held = self._held([first, *near])
-        found, tested = refit_first(setting, refit, held[0], held[1:], way, self._workers)
+        with self._deadline.kept():
+            found, tested = refit_first(setting, refit, held[0], held[1:], way, self._workers)
         return self._added(before, [first, *near], way, found, {first.id: tested})
 
     def refits(self, before: FittedModel, several: Sequence[Score], way: Way) -> dict[str, FittedModel]:
         """Refit a model with each of several candidates."""
         if way == "simulation":
-            return self._refits_from_simulation(before, several)
+            with self._deadline.kept():
+                return self._refits_from_simulation(before, several)
         setting, refit = self.computed(before)
-        found = refit_each(setting, refit, self._held(several), way, self._workers)
+        with self._deadline.kept():
+            found = refit_each(setting, refit, self._held(several), way, self._workers)
         return self._added(before, several, way, found, {})
 
     def findings(self, model: FittedModel) -> Findings:
@@ -181,7 +193,8 @@ class LiveLaboratory:
 
     def simulation_errors(self, before: FittedModel, several: Sequence[Score]) -> dict[str, Mapping[str, float]]:
         """Return the rms error over the noise, by channel, that a simulation fitted with each of several candidates leaves."""
-        self._simulated.extend(before.number, *self.computed(before), self._held(several))
+        with self._deadline.kept():
+            self._simulated.extend(before.number, *self.computed(before), self._held(several))
         found = {s.id: self._simulated.errors[before.number, s.id] for s in several}
         return {effect: errors for effect, errors in found.items() if errors}
 

@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from estimators.core.data import mark_of
+from estimators.core.deadline import OutOfTimeError
 from estimators.core.fit import FAR, Fit
 from estimators.core.results import RESULTS, DivergedError, NotIdentifiableError
 from estimators.diagnosis.gross_effects import begun_by_equations, placed_inside
@@ -134,7 +135,11 @@ def add_effects(
         reasons.append(f"Stopped: with {names} the held-out error would not fall.")
     if not steps or len(ways) < len(WAYS):
         return reasons[0]
-    return _by_predictions(names, bases, steps, train, held_out, policy) or (
+    try:
+        foreseen = _by_predictions(names, bases, steps, train, held_out, policy)
+    except OutOfTimeError as error:
+        return f"{reasons[0]} {error}"
+    return foreseen or (
         f"{reasons[0]} Held at the estimate of the diagnosis, or fitted by predictions one sample ahead, it would not help "
         "clearly either, and predictions are no better with it."
     )

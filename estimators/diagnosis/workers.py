@@ -6,6 +6,7 @@ from contextlib import contextmanager
 from typing import TypeVar
 
 from estimators.core.compilation import Ahead
+from estimators.core.deadline import with_deadline
 from estimators.core.threads import at_once, threads
 
 One = TypeVar("One")
@@ -52,7 +53,7 @@ class Workers:
         """
         with ThreadPoolExecutor(threads() - 1) as pool:
             code = Ahead(pool, pieces)
-            begun = [pool.submit(other) for other in others]
+            begun = [pool.submit(with_deadline(other)) for other in others]
             try:
                 found = first()
                 answer = None if found is None else test(found, code)

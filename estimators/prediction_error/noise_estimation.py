@@ -11,6 +11,7 @@ from jaxtyping import Array, Float
 
 from estimators.core.active_bounds import solve_bounded
 from estimators.core.data import CHANNELS, Data
+from estimators.core.deadline import require_time
 from estimators.core.jacobian_factor import Arguments, Passes
 from estimators.core.parameter_space import Space, Unknowns
 from estimators.prediction_error.ekf import Filtered
@@ -213,6 +214,7 @@ def _climbed(scored: Callable[[np.ndarray, Curvature | None], _Scored], here: _S
     """Climb by Newton's steps, and return the last point."""
     damping = 0.0
     for _ in range(_PASSES if np.isfinite(here.value) else 0):
+        require_time()
         trial = _moved(here, damping)
         if here.promised(trial) < _LITTLE:
             break

@@ -52,7 +52,7 @@ def ran(file, tmp_path_factory):
 
         return remembered
 
-    def loop(model, recording, *, validation, candidates, thorough, learned_force):
+    def loop(model, recording, *, validation, candidates, thorough, learned_force, within):
         train, held_out = recording.split(validation)
         fits = tuple(fit for (name, _), fit in kept.items() if name == "output_error")
         (diagnosis,) = (record for (name, _), record in kept.items() if name == "diagnose")
@@ -171,6 +171,7 @@ def test_the_json_has_the_form_that_was_agreed(ran, command):
     assert set(content) == {
         "format", "version", "verdict", "mended", "effects", "candidates", "parameters", "error", "next_experiment",
         "seconds", "policy", "consequence", "learned_force", "likely_effect", "recommended", "varying", "left_out",
+        "broken_off",
     }  # fmt: skip
     assert content["verdict"] == "missing"
     assert content["next_experiment"] is None

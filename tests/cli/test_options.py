@@ -68,6 +68,21 @@ def test_quick_improves_without_second_looks(file, monkeypatch):
     assert asked == [True, False]
 
 
+@pytest.mark.parametrize("command", ["diagnose", "improve"])
+def test_a_command_ends_its_work_after_five_minutes_or_when_it_is_told(command, file, monkeypatch):
+    asked = []
+
+    def found(*_, **options):
+        asked.append(options["within"])
+        raise ValueError("that is enough.")
+
+    monkeypatch.setattr(estimators, "output_error", lambda *_, **__: None)
+    monkeypatch.setattr(estimators, command, found)
+    for flags in ([], ["--within", "60"], ["--within", "0"]):
+        refused(call(command, file, *flags), 1, "that is enough")
+    assert asked == [300.0, 60.0, None]
+
+
 def test_info_as_json(file, recording, tmp_path):
     result = call("info", file, "--json", tmp_path / "info.json")
     assert result.exit_code == 0

@@ -17,7 +17,7 @@ def job(samples: int) -> Job:
 
 
 def test_a_long_one_is_announced(capsys: pytest.CaptureFixture[str]) -> None:
-    job(25_000).warn_of_waiting()
+    assert job(25_000).time_for(None) == 900.0
     said = capsys.readouterr().err
     assert "25,000 samples" in said
     assert "some 5 minutes" in said
@@ -26,5 +26,10 @@ def test_a_long_one_is_announced(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_a_short_one_is_not(capsys: pytest.CaptureFixture[str]) -> None:
-    job(2_000).warn_of_waiting()
+    assert job(2_000).time_for(None) == 300.0
     assert capsys.readouterr().err == ""
+
+
+def test_who_says_how_long_is_given_that_and_who_says_nothing_of_time_no_end():
+    assert job(25_000).time_for(60.0) == 60.0
+    assert job(2_000).time_for(0.0) is None

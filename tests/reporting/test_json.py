@@ -44,7 +44,7 @@ def test_the_json_has_one_form_whatever_the_verdict(verdict, command, tmp_path):
     content = json.loads((tmp_path / "x.json").read_text(), parse_constant=pytest.fail)
     assert list(content) == [
         "format", "version", "verdict", "mended", "effects", "candidates", "parameters", "error", "next_experiment", "seconds",
-        "policy", "consequence", "learned_force", "likely_effect", "recommended", "varying", "left_out",
+        "policy", "consequence", "learned_force", "likely_effect", "recommended", "varying", "left_out", "broken_off",
     ]  # fmt: skip
     assert content["verdict"] == verdict
     # The loop adds one of a group; a diagnosis names them all. Either says what it may be instead.

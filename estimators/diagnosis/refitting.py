@@ -17,6 +17,7 @@ from estimators.core.progress import Progress
 from estimators.core.residual import start_rows
 from estimators.core.results import DivergedError, NotIdentifiableError
 from estimators.diagnosis.contact_trials import (
+    TRIED,
     acting_on_arm,
     begins_of,
     climbed_by_trial,
@@ -169,6 +170,7 @@ def refit_by_simulation(setting: Setting, before: Refit, s: Screened, filtered: 
 def refit_by_trial(setting: Setting, before: Refit, s: Screened) -> Refit:
     """Refit what works by contact: trials of what moves it, a fit of all else, and a fit of all, in turn.
 
+    Trials are of the beginning of every experiment, which tells where a contact is; fits are of all samples.
     When a contact begins and ends moves by whole samples as a parameter changes, so the likelihood has steps, and the
     derivative of the innovations says nothing of them: a fit alone ends a few percent from the truth, with random forces
     for what it does not follow. So trials begin with little of these, at the likeliest of many sizes and shapes.
@@ -179,6 +181,7 @@ def refit_by_trial(setting: Setting, before: Refit, s: Screened) -> Refit:
     model, free, added = _extended(setting, before, s)
     model = model.with_values({n: v for n, v in before.values.items() if n in model.parameters})
     moving = acting_on_arm(model, free)
+    part = setting.data.beginning(TRIED)
     others = tuple(name for name in free if name not in moving)
 
     def placed(values: Mapping[str, float], each: Any) -> Space:
@@ -186,9 +189,7 @@ def refit_by_trial(setting: Setting, before: Refit, s: Screened) -> Refit:
         return dataclasses.replace(begun(space_for(setting, there, moving), there, before.start), each_values=each)
 
     def climbed(space: Space, noise: np.ndarray, side: float) -> tuple[Space, np.ndarray]:
-        return climbed_by_trial(
-            model, setting.data, space, setting.prior.starting(space), noise, setting.substeps, side=side
-        )
+        return climbed_by_trial(model, part, space, setting.prior.starting(space), noise, setting.substeps, side=side)
 
     def climbed_and_fitted(space: Space, noise: np.ndarray) -> tuple[Refit, Space]:
         values = dict(zip(space.names, np.asarray(space.values).tolist(), strict=True))
@@ -199,7 +200,7 @@ def refit_by_trial(setting: Setting, before: Refit, s: Screened) -> Refit:
     begins = begins_of(s.instance, s.amplitudes)
     several = [placed({f"{s.id}.{n}": v for n, v in one.items()}, before.predictor.physical[1]) for one in begins]
     few = few_random_forces(before.predictor.noise)
-    space = likeliest_begin(model, setting.data, several, setting.prior.starting(several[0]), few, setting.substeps)
+    space = likeliest_begin(model, part, several, setting.prior.starting(several[0]), few, setting.substeps)
     return in_turn(space, before, climbed, climbed_and_fitted)
 
 

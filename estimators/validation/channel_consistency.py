@@ -22,7 +22,7 @@ from estimators.validation.equation_error import (
 from estimators.validation.equilibrium import distance_from_equilibrium
 from estimators.validation.mistakes import COARSE, DELAYS, Mistake, delays, usual_mistakes
 from rtac_jax.arguments import checked_arguments
-from rtac_jax.measurement import Experiment, Recording, moving_at_rest
+from rtac_jax.measurement import Experiment, Recording, Signal, moving_at_rest
 
 # What is undone must take nine tenths of the squared residual beyond the noise away, the fraction of the misfit from which on an
 # effect explains it in a diagnosis (`DiagnosisPolicy`), to be called the mistake.
@@ -278,9 +278,11 @@ class _Search:
         everything = list(self.systems.values())
         before = solve(everything).residual
         after = solve([s for s in everything if s.name != name]).residual
-        # What is wrong is wrong with the others; and where these do not agree to their noise, as beside a sensor's gain, one that
-        # differs by a little more has no mistake of its own.
-        if after >= before or (after > SUSPICIOUS and after > _explained(before)):
+        # What is wrong is wrong with the others; and where these do not agree to their noise, as beside a sensor's gain or dry
+        # friction, one that differs by a little more has no mistake of its own, and one that is no larger than they are no unit.
+        if after >= before or (
+            after > SUSPICIOUS and (after > _explained(before) or not self._may_have(name, mistake))
+        ):
             return None
         return Inconsistency(
             name,
@@ -291,6 +293,17 @@ class _Search:
             f"experiment {name} disagrees with all others; leaving it out takes the residual of the equations of motion from "
             f"{before:.3g} to {after:.3g} times the noise; its {mistake.seen}: {mistake.mend}.{_or(alike)}",
         )
+
+    def _may_have(self, name: str, mistake: Mistake) -> bool:
+        """Return whether an experiment is out of line with the others by what a mistake of a unit makes of it, to its root."""
+        if mistake.scale is None:
+            return True
+        channel, factor = mistake.scale
+        sizes = {e.name: float(np.nanstd(s.values)) for e in self.experiments.values() if (s := _signal(e, channel))}
+        usual = float(np.median([size for other, size in sizes.items() if other != name] or [0.0]))
+        if usual == 0:
+            return True
+        return bool(abs(np.log(sizes[name] / usual * factor)) < 0.5 * abs(np.log(factor)))
 
     def _own_levels(self, experiment: Experiment) -> dict[str, float]:
         """Return the noise levels of an experiment that may be quieter than the others, as one in a smaller unit would be.
@@ -332,6 +345,10 @@ def _taken_off(off: float) -> str:
     """Say how an offset of the cart's position is mended."""
     how = f"subtract {off:.4g} m from" if off > 0 else f"add {-off:.4g} m to"
     return f"{how} cart_position, or read it from where the spring is at rest"
+
+
+def _signal(experiment: Experiment, channel: str) -> Signal | None:
+    return experiment.outputs.get(channel) or experiment.inputs.get(channel)
 
 
 def _undone(experiment: Experiment, mistake: Mistake) -> Experiment:

@@ -29,6 +29,7 @@ class Mistake:
         undo_rig: returns the constants of the rig without the mistake; None where it concerns experiments.
         single: whether one experiment alone may have it.
         every: whether all experiments may have it and the equations of motion show it.
+        scale: what a channel, by name, is multiplied by to undo it; None where it is no unit.
     """
 
     id: str
@@ -38,6 +39,7 @@ class Mistake:
     undo_rig: Callable[[Rig], Rig | None] | None = None
     single: bool = True
     every: bool = True
+    scale: tuple[str, float] | None = None
 
 
 def usual_mistakes() -> list[Mistake]:
@@ -90,6 +92,7 @@ def _units() -> Iterator[Mistake]:
             f"{channel} fits when it is taken to be in {unit}",
             f"multiply {channel} by {factor:.4g}, or give its unit on reading",
             lambda e, channel=channel, factor=factor: _with(e, channel, lambda x: factor * x),
+            scale=(channel, factor),
         )
     for channel, unit in (("current", "mA"), ("disturbance_force", "mN")):
         # In all experiments alike it is a torque constant, or a mass, that is unusual but possible.
@@ -99,6 +102,7 @@ def _units() -> Iterator[Mistake]:
             f"multiply {channel} by 0.001, or give its unit on reading",
             lambda e, channel=channel: _with(e, channel, lambda x: 1e-3 * x),
             every=channel == "disturbance_force",
+            scale=(channel, 1e-3),
         )
 
 

@@ -23,6 +23,8 @@ from spoilt_recordings import (
 )
 
 import estimators as est
+from estimators.validation.channel_consistency import _Search
+from estimators.validation.mistakes import usual_mistakes
 from rtac_jax import virtual_rig
 from rtac_jax.measurement import concerns, moving_at_rest
 
@@ -278,3 +280,11 @@ def shifted(offset):
         return dataclasses.replace(experiment, outputs={**experiment.outputs, "cart_position": moved})
 
     return change
+
+
+@pytest.mark.parametrize(("times", "may"), [(1.0, False), (1000.0, True), (100.0, True), (10.0, False)])
+def test_only_what_is_out_of_line_with_the_others_may_be_in_another_unit(clean, times, may):
+    """Where dry friction leaves the others far from the equations, a run fits that is made to vanish beside them."""
+    recording = in_one(clean, "forced_1", lambda e: changed(e, "cart_position", lambda x: times * x))
+    (millimetres,) = (one for one in usual_mistakes() if one.id == "cart_position in mm")
+    assert _Search(recording)._may_have("forced_1", millimetres) is may

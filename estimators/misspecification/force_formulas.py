@@ -16,6 +16,7 @@ from rtac_jax.parameters import declarations
 _MOST_TERMS = 3  # more describe a curve of twelve knots rather than a law
 _TRIED = 15  # candidates of each number of terms, the best on all data, that are fitted in full
 _TOLD = 2.0  # standard deviations from zero that every coefficient has to be
+_NEARLY = 0.9  # of what the best formula gains, from which a simpler one is told, too; as of the misfit to name an effect
 _SEEN = 1e-6  # information on a term, relative to the largest, below which the model's own parameters explain it
 _ALIKE = 0.9999  # correlation of two terms from which they are one
 _SHAPES = (0.05, 0.1, 0.2, 0.4, 0.8)  # scales of saturations, over the range of the variable
@@ -82,7 +83,8 @@ def formulas_of(
     where the model's own parameters explain a shape: what these take up of a term costs nothing and tells nothing.
     Scales and wave numbers are refined by Nelder and Mead's search. What a formula gains on each fold of the data when it is
     fitted to the others ranks them; one with a coefficient that is not told from zero is left out, and so is one that says the same
-    with more terms.
+    with more terms. The simplest that gains nine tenths of what the best does is among them: a curve is made beside a model that
+    lacks the force, and terms more may describe what that does to it.
 
     Args:
         port: "cart" or "arm".
@@ -122,7 +124,17 @@ def formulas_of(
         terms = set(one.effect.terms)
         if not any(set(better.effect.terms) <= terms for better in ranked):
             ranked.append(one)
+    simplest = _simplest(found)
+    if simplest is not None and all(one is not simplest for one in ranked[:most]):
+        return [*ranked[: most - 1], simplest]
     return ranked[:most]
+
+
+def _simplest(found: Sequence[Formula]) -> Formula | None:
+    """Return the formula of fewest terms that gains nearly as much on held-out data as the best; None where none gains."""
+    most = max((one.held_out for one in found), default=0.0)
+    near = [one for one in found if one.held_out >= _NEARLY * most > 0]
+    return min(near, key=lambda one: (len(one.effect.terms), -one.held_out), default=None)
 
 
 def _fine(at: np.ndarray) -> np.ndarray:

@@ -84,6 +84,18 @@ def test_two_powers_are_read_as_two_powers_with_their_units():
         assert shown.unit == f"N/m^{power}"
 
 
+def test_the_simplest_that_says_nearly_all_is_told_beside_those_that_describe_the_rest():
+    """A detent of teeth that are a little uneven: its main sine, though terms more gain a twentieth."""
+    at, known = evidence(
+        lambda q, v: -0.12 * np.sin(500.0 * q) + 0.02 * np.sin(900.0 * q) + 0.02 * np.cos(300.0 * q), 0, seed=1
+    )
+    *several, simplest = formulas_of("cart", "cart_position", at, known, 1e-4, most=3)
+    assert min(len(one.effect.terms) for one in several) == 3
+    assert simplest.effect.terms == (Term("sine"),)
+    assert 0.9 * several[0].held_out <= simplest.held_out < several[0].held_out
+    assert simplest.parameters["coefficient_1"].value == pytest.approx(-0.12, rel=0.1)
+
+
 def test_where_nothing_is_missing_no_formula_is_worth_its_terms():
     at, known = evidence(lambda q, v: 0.0 * q, 0, seed=4)
     assert all(one.held_out < 5.0 for one in formulas_of("cart", "cart_position", at, known, 1e-4))

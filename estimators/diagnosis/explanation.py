@@ -78,8 +78,8 @@ def words(
     shown = ""
     if worst is not None and worst.excess <= 1:
         shown = (
-            " Predicted one sample ahead, no channel of any experiment is farther off than chance allows, as random forces can make up"
-            " for what is missing: it shows in what these errors go along with, and in simulations."
+            " Predicted one sample ahead, no channel of any experiment is farther off than chance allows, as random forces can make"
+            " up for what is missing: it shows in what these errors go along with, and in simulations."
         )
     elif worst is not None:
         shown = f" It shows most in {worst.channel} of {worst.label} ({worst.value:.2f} times the expected squares)"

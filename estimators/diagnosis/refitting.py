@@ -17,13 +17,13 @@ from estimators.core.progress import Progress
 from estimators.core.residual import start_rows
 from estimators.core.results import DivergedError, NotIdentifiableError
 from estimators.diagnosis.contact_trials import (
-    TRIED,
     acting_on_arm,
     begins_of,
     climbed_by_trial,
     few_random_forces,
     in_turn,
     likeliest_begin,
+    tried,
 )
 from estimators.diagnosis.evidence import HeldOut, SimulationError
 from estimators.diagnosis.gross_effects import placed_inside
@@ -181,7 +181,7 @@ def refit_by_trial(setting: Setting, before: Refit, s: Screened) -> Refit:
     model, free, added = _extended(setting, before, s)
     model = model.with_values({n: v for n, v in before.values.items() if n in model.parameters})
     moving = acting_on_arm(model, free)
-    part = setting.data.beginning(TRIED)
+    part = tried(setting.data)
     others = tuple(name for name in free if name not in moving)
 
     def placed(values: Mapping[str, float], each: Any) -> Space:

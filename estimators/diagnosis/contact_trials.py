@@ -25,7 +25,7 @@ from rtac_jax.simulation import Steps
 # Logarithm of the variance of random forces, in fractions of the rms forces, above which they take over what they should not.
 _FEW = -4.0
 _SOME = -2.0  # the same, once trials have come near
-_TRIED = 3000  # samples of every experiment that trials are of: they take hundreds of passes of some twenty steps a sample
+_TRIED = 3000  # samples of every experiment that trials are of: hundreds of passes are made of them
 _TRIALS = 150
 _SIDES = (0.6, 0.3, 0.2, 0.1, 0.05)  # of the first simplex of trials, one sweep after the other
 _WORTH_A_SWEEP = (10.0, 0.003)  # gain in log-likelihood, and fraction of all that was gained, worth a sweep

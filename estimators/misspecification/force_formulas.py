@@ -16,7 +16,7 @@ from rtac_jax.parameters import declarations
 _MOST_TERMS = 3  # more describe a curve of twelve knots rather than a law
 _TRIED = 15  # candidates of each number of terms, the best on all data, that are fitted in full
 _TOLD = 2.0  # standard deviations from zero that every coefficient has to be
-_NEARLY = 0.9  # of what the best formula gains, from which a simpler one is told, too; as of the misfit to name an effect
+_NEARLY = 0.9  # of what the best formula gains, from which a simpler one is told, too
 _SEEN = 1e-6  # information on a term, relative to the largest, below which the model's own parameters explain it
 _ALIKE = 0.9999  # correlation of two terms from which they are one
 _SHAPES = (0.05, 0.1, 0.2, 0.4, 0.8)  # scales of saturations, over the range of the variable

@@ -19,6 +19,11 @@ _SLOWLY = (
 
 # Where that would be some ten minutes.
 _TOO_LONG = 300_000
+_BESIDE = 180.0  # s that the prediction error and the comparison are given: of a model that follows nothing they take for ever
+_NOT_IN_TIME = (
+    "No {what} within {seconds:.0f} s, as where a model follows nothing; est.prediction_error_nonlinear and est.agreement go on to"
+    " their end."
+)
 _LEFT_OUT = (
     "No prediction error and no comparison of the estimates, which of an experiment of {samples:,} samples would take some "
     "{minutes:.0f} minutes: fit a part of it (Experiment.cut), or call est.prediction_error_nonlinear and est.agreement. Output "
@@ -114,17 +119,26 @@ def fit(
 def _side_by_side(work: Job, closed: Any, found: Any) -> tuple[Any, Any]:
     """Return the fit by predictions one sample ahead, and how far the estimators agree; None, with a note, where there is none."""
     import estimators as est
+    from estimators.core.deadline import Deadline, OutOfTimeError
+    from estimators.core.piecewise_triangle import LONG
 
     predicted, agreed = None, None
-    try:
-        predicted = est.prediction_error_nonlinear(found.model, work.train, from_model=not found.lost)
-    except (ValueError, est.DivergedError) as error:  # such as data that leave parameters free beside random forces
-        work.note(f"No prediction error: {error}")
-    try:
-        estimates = [closed, found] if predicted is None else [closed, found, predicted]
-        agreed = est.agreement(estimates, work.train)
-    except ValueError as error:  # the closed form needs channels that the fit does not
-        work.note(f"The estimators were not compared: {error}")
+    longer = max(e.samples for e in work.train) / LONG
+    deadline = Deadline(_BESIDE * max(1.0, longer))
+    with deadline.kept():
+        try:
+            predicted = est.prediction_error_nonlinear(found.model, work.train, from_model=not found.lost)
+        except (ValueError, est.DivergedError) as error:  # such as data that leave parameters free beside random forces
+            work.note(f"No prediction error: {error}")
+        except OutOfTimeError:
+            work.note(_NOT_IN_TIME.format(what="prediction error", seconds=deadline.seconds))
+        try:
+            estimates = [closed, found] if predicted is None else [closed, found, predicted]
+            agreed = est.agreement(estimates, work.train)
+        except ValueError as error:  # the closed form needs channels that the fit does not
+            work.note(f"The estimators were not compared: {error}")
+        except OutOfTimeError:
+            work.note(_NOT_IN_TIME.format(what="comparison of the estimators", seconds=deadline.seconds))
     return predicted, agreed
 
 

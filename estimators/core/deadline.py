@@ -11,8 +11,12 @@ Given = ParamSpec("Given")
 Answer = TypeVar("Answer")
 
 
-class OutOfTimeError(FloatingPointError):
-    """A step that would begin after the time is over: to whoever asks, work that came to no end, as where a model diverges."""
+PROLONGED = 1 / 3
+"""Of the time that is given: so much more for what was named until then, and for last resorts."""
+
+
+class OutOfTimeError(Exception):
+    """A step that would begin after the time is over. It is no failure of a model, so no handler of those catches it."""
 
 
 class Deadline:

@@ -153,16 +153,17 @@ def in_turn(
     noise = few_random_forces(before.predictor.noise)
     best: tuple[Refit, Space] | None = None
     for side in _SIDES:
-        try:
-            space, noise = climbed(space, noise, side)
-        except OutOfTimeError:
-            break
         last = before if best is None else best[0]
         gained = 0.0
         try:
+            space, noise = climbed(space, noise, side)
             now = fitted(space, noise)
         except ArithmeticError:
             pass
+        except OutOfTimeError:
+            if best is None:
+                raise
+            break
         else:
             gained = now[0].predictor.log_likelihood - last.predictor.log_likelihood
             if best is None or gained > 0:

@@ -23,10 +23,10 @@ from estimators.diagnosis.explanation import (
     OF_A_DRIFT,
     OF_A_LINE,
     OF_ROUNDING,
-    OUT_OF_TIME,
     SHAKEN,
     found_by_simulation,
     not_named,
+    out_of_time,
     shaken,
     strayed,
     surer,
@@ -46,7 +46,14 @@ from estimators.diagnosis.innovation_tests import (
 from estimators.diagnosis.live_laboratory import LiveLaboratory
 from estimators.diagnosis.noise_colour import recoloured
 from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
-from estimators.diagnosis.refitting import compile_base, compile_for, fit_base, parameters_of, trusting
+from estimators.diagnosis.refitting import (
+    compile_base,
+    compile_for,
+    fit_base,
+    parameters_of,
+    trusting,
+    with_predictive_steps,
+)
 from estimators.diagnosis.removed_error import floor
 from estimators.diagnosis.selection import Selection, by_size
 from estimators.diagnosis.setting import Setting, effect_of, setting_of
@@ -143,6 +150,7 @@ def _begun(setting: Setting, fit: Fit, workers: Workers, deadline: Deadline, *, 
     setting.progress.at("diagnose: predictor of the base model")
     first = setting
     with workers.compiling(pieces_of_tests(first), before=lambda: compile_base(first)) as ahead:
+        setting = with_predictive_steps(setting)
         setting, base = recoloured(setting, fit_base(setting))
         setting, base = trusting(setting, base)
         if whole and is_gross(setting, fit, base):
@@ -208,7 +216,7 @@ def _explanation(told: Diagnosis, found: Judgement, setting: Setting, *, thoroug
     text = words(
         told.verdict, told.effects, told.candidates, steps, told.tests, told.left, told.removed, told.curves, told.latent,
         told.places, told.lines, told.simulation, told.policy, told.consequence, found.detectable,
-        told.floor, told.misfit, told.broken_off,
+        told.floor, told.misfit, told.none,
     )  # fmt: skip
     if told.simulation is not None and further and not steps:
         text += without_the_physics(further, told.simulation)
@@ -221,7 +229,8 @@ def _explanation(told: Diagnosis, found: Judgement, setting: Setting, *, thoroug
     if steps and not found.selection.simulated and steps[0].id not in {s.id for s in alarms}:
         text += without_alarm(steps[0].id, found.selection.confirmed, hid=found.selection.hid)
     if told.verdict == "adequate":
-        text += unconfirmed(told.candidates, told.detectable, told.policy, thorough=thorough)
+        asked = thorough and not told.broken_off
+        text += unconfirmed(told.candidates, told.detectable, told.policy, thorough=asked)
     if told.line_alone:
         text += OF_A_LINE.format(told.simulated)
     elif told.rounding:
@@ -243,7 +252,7 @@ def _explanation(told: Diagnosis, found: Judgement, setting: Setting, *, thoroug
         large = random_forces_are_large(random, float(setting.samples_per_radian), told.policy.simulation)
         text += shaken(*random, setting.left_out, large=large)
     if told.broken_off:
-        text += OUT_OF_TIME
+        text += out_of_time(told.broken_off)
     if setting.assumed:
         text += f" Coloured noise of {', '.join(setting.assumed)} was assumed: the data are far more likely with it."
     text += doubt([c.id for c in told.effects], setting.model)

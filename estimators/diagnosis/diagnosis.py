@@ -53,7 +53,7 @@ class Diagnosis(Result):
         by_simulation: whether the effects were selected by what they take off the simulation's error, which `removed` then counts.
         rounded: quantisation step of the channels whose noise is next to nothing but rounding, SI units.
         values: of all parameters that the predictor with the additions estimates, SI units.
-        broken_off: whether the time that was given was over before all that would have been asked was fitted.
+        broken_off: what was asked and not computed, as the time that was given was over: candidates by id, and what else.
     """
 
     verdict: Verdict
@@ -80,7 +80,7 @@ class Diagnosis(Result):
     by_simulation: bool = False
     rounded: Mapping[str, float] = dataclasses.field(default_factory=dict)
     values: Mapping[str, float] = dataclasses.field(default_factory=dict)
-    broken_off: bool = False
+    broken_off: tuple[str, ...] = ()
 
     @property
     def misfit(self) -> str:
@@ -122,6 +122,11 @@ class Diagnosis(Result):
         found = next((test for test in self.left if test.test == "drift" and test.rejects), None)
         others = excess_of([test for test in self.left if test.test != "drift"])
         return "" if found is None or others > self.policy.left * found.excess else found.words
+
+    @property
+    def none(self) -> str:
+        """Return the subject of a sentence that says that nothing explains a misfit."""
+        return "no effect that was fitted before the time was over" if self.broken_off else "no effect of the catalogue"
 
     @property
     def best(self) -> Effect | None:

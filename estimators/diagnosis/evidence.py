@@ -177,6 +177,7 @@ class Evidence:
         equations: scores by what takes off the equation error, by number of the model; where a fit follows nothing.
         simulated: rms error over the noise, by channel, of a simulation fitted with a candidate more, by number of the model and id
             of the candidate; empty where it cannot be fitted.
+        broken_off: what was asked and not computed, as the time that was given was over: candidates by id, and what else.
     """
 
     facts: Facts
@@ -192,6 +193,7 @@ class Evidence:
     policy: Mapping[str, float | int]
     equations: Mapping[int, tuple[Score, ...]] = dataclasses.field(default_factory=dict)
     simulated: Mapping[tuple[int, str], Mapping[str, float]] = dataclasses.field(default_factory=dict)
+    broken_off: tuple[str, ...] = ()
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write the evidence to a file (JSON, with NaN and Infinity as numbers), aside first, and renamed once it is whole.

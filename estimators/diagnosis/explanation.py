@@ -33,10 +33,7 @@ OF_A_DRIFT = (
     " It is as where a parameter changes while an experiment lasts, as friction of a drive that warms up: let the rig run"
     " before it is recorded, or fit shorter experiments and hold them against each other (est.constancy)."
 )
-OUT_OF_TIME = (
-    " The time that was given was over before every candidate was fitted: what is said of effects holds for those that were; give"
-    " more of it (within), or a part of the recording."
-)
+_LISTED = 6  # of what was not asked, by name
 _NEARLY_ALL = 0.9  # fraction of the misfit whose removal asks why the verdict is unknown even so
 _LEFT_OUT = 0.02  # fraction of the samples from which it is worth a word that they do not count
 SHAKEN = 1e-2  # fraction of the rms forces from which random forces in one sample are worth a word
@@ -61,7 +58,7 @@ def words(
     detectable: Sequence[Step] = (),
     floor: str = AT_NOISE,
     misfit: str = "the misfit",
-    broken_off: bool = False,
+    none: str = "no effect of the catalogue",
 ) -> str:
     """Describe in a paragraph what is missing, how big, where it shows, how sure, and what would make it surer."""
     if verdict == "adequate":
@@ -89,7 +86,7 @@ def words(
             shown if worst is not None and worst.excess > 1 else ""
         )
     if verdict == "unknown":
-        return _unknown(candidates, tests, removed, curves, latent, lines, policy, broken_off) + shown
+        return _unknown(candidates, tests, removed, curves, latent, lines, policy, none) + shown
     by_id = {c.id: c for c in effects}
     sentences = []
     for step in steps:
@@ -216,6 +213,18 @@ def without_alarm(effect: str, confirmed: tuple[int, ...], *, hid: bool = False)
     return f" {effect} raised no alarm by itself: it was tried because what did explains less, or nothing."
 
 
+def out_of_time(broken_off: Sequence[str]) -> str:
+    """Say what was not asked, as the time was over."""
+    names = ", ".join(broken_off[:_LISTED])
+    if len(broken_off) > _LISTED:
+        names += f" and {len(broken_off) - _LISTED} more"
+    verb = "was" if len(broken_off) == 1 else "were"
+    return (
+        f" The time that was given was over before {names} {verb} fitted: what is said of effects holds for the others. Give more"
+        " of it (within), or a part of the recording."
+    )
+
+
 def unconfirmed(
     candidates: Sequence[Candidate], detectable: Sequence[Candidate], policy: DiagnosisPolicy, *, thorough: bool
 ) -> str:
@@ -340,7 +349,7 @@ def _unknown(
     latent: Sequence[LatentForce],
     lines: Sequence[LineClass],
     policy: DiagnosisPolicy,
-    broken_off: bool,
+    none: str,
 ) -> str:
     reasons = "; ".join(f"{test.test}: {test.words}" for test in tests if test.rejects)
     refitted = [c for c in candidates if c.refitted]
@@ -365,5 +374,4 @@ def _unknown(
             f" On the {telling.lines} lines of the periodic input {telling.channel} has {telling.ratio:.2g} times the power "
             f"of the noise, which shows {telling.shows}."
         )
-    none = "no effect of the catalogue" if not broken_off else "none of the effects that were fitted in time"
     return f"Unknown: the model fails and {none} explains it ({reasons}).{nearest}{force}{static}"

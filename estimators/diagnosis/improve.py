@@ -1,6 +1,5 @@
 """The loop: compare, diagnose, add the effect, fit again, until nothing rejects or the held-out error stops falling."""
 
-import contextlib
 import dataclasses
 import math
 import time
@@ -8,7 +7,7 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
-from estimators.core.deadline import Deadline, OutOfTimeError
+from estimators.core.deadline import PROLONGED, Deadline
 from estimators.core.drawing import draw
 from estimators.core.fit import FAR, Fit
 from estimators.core.result_base import Result
@@ -18,9 +17,9 @@ from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.diagnose import compile_diagnosis
 from estimators.diagnosis.diagnosis import Diagnosis
 from estimators.diagnosis.explanation import at_noise
-from estimators.diagnosis.improvement_loop import PROLONGED, Loop
+from estimators.diagnosis.improvement_loop import Loop
 from estimators.diagnosis.learned_force import LearnedForce
-from estimators.diagnosis.loop_end import LoopEnd, end_of
+from estimators.diagnosis.loop_end import end_of
 from estimators.diagnosis.model_extension import Added, PredictedGain
 from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
 from estimators.diagnosis.removed_error import Verdict
@@ -65,6 +64,8 @@ class Improvement(Result):
             but one together; None elsewhere.
         left_out: the experiment without which the last model was fitted, as one set of parameters follows all others and not it;
             None elsewhere. No error of `train` counts it.
+        broken_off: whether the time that was given was over before all was asked.
+        not_added: ids of what the last diagnosis names, and what was not fitted before the time was over.
     """
 
     fits: tuple[Fit, ...]
@@ -83,6 +84,8 @@ class Improvement(Result):
     nearest: Candidate | None = None
     constancy: Equality | None = None
     left_out: str | None = None
+    broken_off: bool = False
+    not_added: tuple[str, ...] = ()
 
     foreseen = renamed("foreseen", "predicted_gains")
 
@@ -134,6 +137,8 @@ class Improvement(Result):
     def settled(self) -> bool:
         """Return whether effects that were added, and nothing else, make the model follow all experiments to the noise."""
         others = (self.learned, self.nearest, self.left_out)
+        if self.diagnoses[-1].broken_off:
+            return False
         followed = [e.rms_over_noise for c in (self.train, self.validation) for e in c.models[-1].errors.values()]
         return self.mended == "adequate" and others == (None, None, None) and at_noise(max(followed))
 
@@ -160,7 +165,7 @@ class Improvement(Result):
             return f"{self.constancy.differences} {self._found}"
         verdict = {
             "adequate": "predicted one sample ahead, which counts random forces, nothing is missing",
-            "unknown": f"the model fails, and {self._none} explains that",
+            "unknown": f"the model fails, and {self.diagnoses[-1].none} explains that",
         }.get(
             self.diagnoses[-1].verdict,
             "the model fails, and what the diagnosis names does not serve held-out experiments",
@@ -224,11 +229,6 @@ class Improvement(Result):
         return f"{' and '.join(falls)} times the noise"
 
     @property
-    def _none(self) -> str:
-        in_time = self.diagnoses[-1].broken_off
-        return "no effect that was fitted before the time was over" if in_time else "no effect of the catalogue"
-
-    @property
     def _named(self) -> str:
         whole = "it" if self.nearest is None else "all of it"
         if not self.added:
@@ -236,18 +236,22 @@ class Improvement(Result):
             if line := last.line_alone:
                 return (
                     f"The model follows the recording to {last.simulated:.2f} times the noise, and only a line speaks against it, "
-                    f"which no effect of the catalogue explains: {line}."
+                    f"which {last.none} explains: {line}."
                 )
             if last.drift and self.nearest is None:
-                return f"The model fails as where a parameter drifts: {last.drift}. No effect of the catalogue explains it."
+                return (
+                    f"The model fails as where a parameter drifts: {last.drift}. {last.none.capitalize()} explains it."
+                )
+            if self.not_added:
+                return f"The model fails. {self._not_added}."
             if last.rounding and self.nearest is None and self.learned is None:
                 return (
                     f"The model follows the recording to {last.simulated:.2f} times the noise, and what speaks against it may be "
                     f"how coarsely it was recorded: {last.rounding}."
                 )
             return {
-                "adequate": f"The model is adequate: nothing is missing {self.diagnoses[-1].floor}{self._but}.",
-                "unknown": f"The model fails, and {self._none} explains {whole}.",
+                "adequate": f"The model is adequate: nothing is missing {last.floor}{self._in_time}{self._but}.",
+                "unknown": f"The model fails, and {self.diagnoses[-1].none} explains {whole}.",
             }.get(
                 self.diagnoses[-1].verdict,
                 "The model fails, and what the diagnosis names does not serve held-out experiments.",
@@ -262,13 +266,33 @@ class Improvement(Result):
             start += ", and the data cannot tell which"
         drift = "" if self.nearest is not None else self.diagnoses[-1].drift
         end = {
-            "adequate": f"the mended model is adequate{' one sample ahead' if self._astray else ''}",
+            "adequate": f"the mended model is adequate{' one sample ahead' if self._astray else ''}{self._in_time}",
             "unknown": f"the mended model fails as where a parameter drifts: {drift}"
             if drift
-            else f"the mended model still fails, and {self._none} explains {whole}",
+            else f"the mended model still fails, and {self.diagnoses[-1].none} explains {whole}",
             None: "the mended model was not diagnosed again",
         }.get(self.mended, "what a diagnosis of the mended model names does not serve held-out experiments")
-        return f"{start}; {end}."
+        if self.not_added:
+            end = f"the mended model still fails, and {self._not_added}"
+        asked = sorted(
+            {name for d in self.diagnoses if d.effects for name in d.broken_off} - set(sure) - set(groups.values())
+        )
+        rivals = (
+            f" Not fitted before the time was over, so that none is ruled out: {', '.join(asked)}." if asked else ""
+        )
+        return f"{start}; {end}.{rivals}"
+
+    @property
+    def _in_time(self) -> str:
+        return ", as far as was asked before the time was over" if self.diagnoses[-1].broken_off else ""
+
+    @property
+    def _not_added(self) -> str:
+        several = len(self.not_added) > 1
+        return (
+            f"{', '.join(self.not_added)} {'are' if several else 'is'} named, and {'were' if several else 'was'} not added before"
+            " the time was over"
+        )
 
     def overview(self) -> Overview:
         """Return the held-out errors of every model, and why the loop ended."""
@@ -354,8 +378,7 @@ def improve(
         first = Added(base, compare(base, held_out, labels=["base"]).models[0], "simulated")
     loop = Loop(train, held_out, candidates, most, thorough, policy, progress, [((), first)], deadline=deadline)
     loop.run()
-    ended = LoopEnd(loop, None, None, None)
-    with contextlib.suppress(OutOfTimeError), deadline.prolonged(PROLONGED).kept():
+    with deadline.prolonged(PROLONGED).kept():
         ended = end_of(loop, last_resort=learned_force)
     loop, learned, nearest = ended.loop, ended.learned, ended.nearest
     steps, diagnoses, added = loop.steps, loop.diagnoses, loop.added
@@ -364,6 +387,8 @@ def improve(
     labels = [model.label for model in tested]
     said = diagnoses[-1].verdict
     verdict: Verdict = "unknown" if said in ("missing", "ambiguous") else said
+    if loop.not_added:
+        verdict = said
     if added:
         verdict = "ambiguous" if any(c.confusable_with for c in added) else "missing"
     return Improvement(
@@ -383,4 +408,6 @@ def improve(
         nearest=nearest,
         constancy=ended.differs,
         left_out=loop.left_out,
+        broken_off=loop.out_of_time or ended.out_of_time or any(d.broken_off for d in diagnoses),
+        not_added=loop.not_added,
     )

@@ -3,7 +3,7 @@
 import dataclasses
 from collections.abc import Sequence
 
-from estimators.core.deadline import Deadline
+from estimators.core.deadline import PROLONGED, Deadline, OutOfTimeError
 from estimators.core.fit import FAR, Fit
 from estimators.core.results import DivergedError, NotIdentifiableError
 from estimators.diagnosis.candidate import Candidate
@@ -34,8 +34,6 @@ from rtac_jax.effects.one_sided_spring import GROSS
 from rtac_jax.measurement import Recording
 
 OUT_OF_TIME = "Stopped: the time that was given is over."
-PROLONGED = 1 / 3
-"""Of the time that is given: so much more for fits with what was named until then, and for last resorts."""
 
 
 @dataclasses.dataclass
@@ -57,6 +55,7 @@ class Loop:
         left_out: the experiment without which the last model was fitted; None where all were.
         deadline: after which nothing is diagnosed any more, and only what is named already is added.
         out_of_time: whether it ended for that.
+        not_added: ids of what is named, and what was not fitted before.
     """
 
     train: Recording
@@ -74,6 +73,7 @@ class Loop:
     left_out: str | None = None
     deadline: Deadline = dataclasses.field(default_factory=Deadline)
     out_of_time: bool = False
+    not_added: tuple[str, ...] = ()
 
     @property
     def last(self) -> Added:
@@ -115,11 +115,9 @@ class Loop:
                 continue
             if not found.additions:
                 enough = found.verdict == "adequate"
-                why = "nothing more is missing" if enough else "no effect of the catalogue explains what is missing"
+                why = "nothing more is missing" if enough else f"{found.none} explains what is missing"
                 if found.simulation is not None and found.simulation.vetoes:
                     why = "no test names what the simulation's error comes from"
-                if found.broken_off:
-                    why = "no effect that was fitted before the time was over explains what is missing"
                 self.stopped = f"Stopped: {why}."
             self._add(found)
             if not self.stopped and not offered(self.last.fit.model, self.candidates):
@@ -136,7 +134,8 @@ class Loop:
 
         Asked where a force on the cart against its position is missing, and no effect of the catalogue is it.
         """
-        if found.verdict != "unknown" or self.candidates is not None or len(self.added) >= self.most:
+        asked = found.verdict == "unknown" and self.candidates is None and not self.deadline.over
+        if not asked or len(self.added) >= self.most:
             return False
         known = {c.id for c in found.candidates} | set(base.model.ids)
         classes = [c for i, c in GROSS.items() if i not in known]
@@ -158,23 +157,30 @@ class Loop:
         together = self._extend_by(several, found) if len(several) > 1 else ""
         if together is not None:
             for effect in several:
-                if (reason := self._extend_by([effect], found)) is not None:
+                if not self.out_of_time and (reason := self._extend_by([effect], found)) is not None:
                     self.stopped = reason
                     return
         if len(several) < len(found.additions):
             self.stopped = f"Stopped: {self.most} effects were added; more seem to be missing."
 
     def _extend_by(self, several: Sequence[Effect], found: Diagnosis) -> str | None:
-        """Add effects that a diagnosis names; return why they do not serve, or None where they do."""
+        """Add effects that a diagnosis names; return why they do not serve, or None where they do.
+
+        Where the time is over before they are fitted, the loop ends with that.
+        """
         known = {c.id: c for c in found.effects}
         ids = tuple(effect.id for effect in several)
-        with self.deadline.prolonged(PROLONGED).kept():
-            step = add_effects(
-                self.last.fit, self.last.tested, several, "+ " + ", ".join([*(c.id for c in self.added), *ids]), self.train,
-                self.held_out, policy=self.policy, progress=self.progress,
-                deviations={f"{i}.{field}": std for i in ids for field, std in known[i].deviations.items()},
-                values=found.values, ways=WAYS if len(several) == 1 else WAYS[:1],
-            )  # fmt: skip
+        try:
+            with self.deadline.prolonged(PROLONGED).kept():
+                step = add_effects(
+                    self.last.fit, self.last.tested, several, "+ " + ", ".join([*(c.id for c in self.added), *ids]), self.train,
+                    self.held_out, policy=self.policy, progress=self.progress,
+                    deviations={f"{i}.{field}": std for i in ids for field, std in known[i].deviations.items()},
+                    values=found.values, ways=WAYS if len(several) == 1 else WAYS[:1],
+                )  # fmt: skip
+        except OutOfTimeError:
+            self.out_of_time, self.not_added = True, ids
+            return OUT_OF_TIME
         if isinstance(step, str):
             return step
         self.steps.append((ids, step))

@@ -6,7 +6,6 @@ from functools import partial
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
 
 from estimators.core.compilation import Ahead
 from estimators.core.data import CHANNELS, motion_of
@@ -32,15 +31,13 @@ from estimators.misspecification.static_force import force_curves
 from estimators.prediction_error.filter_pass import run_filter
 from estimators.prediction_error.innovations import Innovations, Rows, orthonormal
 from estimators.prediction_error.latent_force import LatentForce, latent_forces
+from estimators.prediction_error.noise_estimation import low_process_noise
 from estimators.prediction_error.noise_model import start_variance
 from rtac_jax import RTAC
 
 _GROUPS = 4  # of candidates, each simulated with a model of its own
 _MANY = 50_000  # samples of all experiments, from which on that is faster than one model for all
 _SLOW = 1e-2  # fraction of the rms speed below which a learned friction fades
-_LOW = np.log(
-    1e-3**2
-)  # variance of random forces, over the square of the rms forces, where they should not hide an effect
 
 
 def pieces_of_tests(
@@ -117,11 +114,6 @@ def run_tests(setting: Setting, refit: Refit, ahead: Ahead | None = None) -> Tes
         tuple(parameter_drifts(probed, jacobian, error)),
     )
     return Tested(tuple(screened), tuple(curves), findings)
-
-
-def low_process_noise(exponents: Float[np.ndarray, " noise"]) -> Float[np.ndarray, " noise"]:
-    """Return the exponents of the noise with random forces so small that they hide no effect."""
-    return np.concatenate([np.minimum(exponents[:2], _LOW), exponents[2:]])
 
 
 def screened_at_low_noise(setting: Setting, refit: Refit) -> list[Screened]:

@@ -78,7 +78,7 @@ class Archive:
     def __init__(self, evidence: Evidence) -> None:
         self.facts = evidence.facts
         self.base = evidence.models[0]
-        self.missing: list[str] = []
+        self.missing = [f"{one}, as the time was over" for one in evidence.broken_off]
         self._evidence = evidence
         self._models = {model.number: model for model in evidence.models}
         self._refits = {(one.before, one.way, one.effect): one.after for one in evidence.refits}

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from estimators.core.data import moving, origins
-from estimators.core.deadline import Deadline
+from estimators.core.deadline import PROLONGED, Deadline, OutOfTimeError
 from estimators.core.fit import Fit
 from estimators.diagnosis.evidence import (
     EffectTraits,
@@ -99,6 +99,7 @@ class LiveLaboratory:
         self._simulations: dict[int, SimulationError] = {}
         self._simulated = SimulatedFits(fit, workers)
         self._coloured: list[FittedModel | None] = []  # empty until asked
+        self._broken_off: set[str] = set()
         self._stretches = setting.stretches()
         self.facts, self.policy = facts_of(setting, fit), setting.policy
         best = by_statistic(tested.screened)
@@ -110,9 +111,9 @@ class LiveLaboratory:
         self.facts = dataclasses.replace(self.facts, untestable=tuple(sorted(blind)))
 
     @property
-    def broken_off(self) -> bool:
-        """Return whether a refit was broken off, as the time was over."""
-        return self._deadline.missed
+    def broken_off(self) -> tuple[str, ...]:
+        """Return what was asked and not computed, as the time was over: candidates by id, and what else."""
+        return tuple(sorted(self._broken_off))
 
     def say(self, text: str) -> None:
         """Show what is asked now."""
@@ -126,6 +127,7 @@ class LiveLaboratory:
         held = self._held([first, *near])
         with self._deadline.kept():
             found, tested = refit_first(setting, refit, held[0], held[1:], way, self._workers)
+        self._note_time([first, *near], found)
         return self._added(before, [first, *near], way, found, {first.id: tested})
 
     def refits(self, before: FittedModel, several: Sequence[Score], way: Way) -> dict[str, FittedModel]:
@@ -136,6 +138,7 @@ class LiveLaboratory:
         setting, refit = self.computed(before)
         with self._deadline.kept():
             found = refit_each(setting, refit, self._held(several), way, self._workers)
+        self._note_time(several, found)
         return self._added(before, several, way, found, {})
 
     def findings(self, model: FittedModel) -> Findings:
@@ -173,6 +176,9 @@ class LiveLaboratory:
 
     def coloured(self) -> FittedModel | None:
         """Return the base model with coloured noise, if the data are likelier with it."""
+        if not self._coloured and self._deadline.over:
+            self._broken_off.add("the colour of the noise")
+            return None
         if not self._coloured:
             setting, base = self.computed(self.base)
             other = coloured(setting, base, self._workers)
@@ -183,20 +189,27 @@ class LiveLaboratory:
                 self._coloured = [self._record(other, base, None)]
         return self._coloured[0]
 
-    def simulation(self, model: FittedModel) -> SimulationError:
+    def simulation(self, model: FittedModel) -> SimulationError | None:
         """Return the error of a free simulation of a model: of a base model that of the fit that is diagnosed."""
         if model.number not in self._simulations:
             setting, refit = self.computed(model)
             make = extended_simulation if model.added else simulation_error
-            self._simulations[model.number] = make(setting, self._fit, refit)
-        return self._simulations[model.number]
+            try:
+                # What is named without it may be a stand-in, so it is given time beyond the end.
+                with self._deadline.prolonged(PROLONGED).kept():
+                    self._simulations[model.number] = make(setting, self._fit, refit)
+            except OutOfTimeError:
+                self._broken_off.add(f"a simulation with {', '.join(model.added)}")
+        return self._simulations.get(model.number)
 
     def simulation_errors(self, before: FittedModel, several: Sequence[Score]) -> dict[str, Mapping[str, float]]:
         """Return the rms error over the noise, by channel, that a simulation fitted with each of several candidates leaves."""
         with self._deadline.kept():
             self._simulated.extend(before.number, *self.computed(before), self._held(several))
         found = {s.id: self._simulated.errors[before.number, s.id] for s in several}
-        return {effect: errors for effect, errors in found.items() if errors}
+        found = {effect: errors for effect, errors in found.items() if errors}
+        self._note_time(several, found)
+        return found
 
     def computed(self, model: FittedModel) -> tuple[Setting, Refit]:
         """Return what a record stands for, and what made it."""
@@ -241,11 +254,17 @@ class LiveLaboratory:
             policy=self.policy.as_dict(),
             equations=dict(self._equations),
             simulated=dict(self._simulated.errors),
+            broken_off=self.broken_off,
         )
 
     def _held(self, several: Sequence[Score]) -> list[Screened | Explained]:
         """Return what scores were computed from: equations of motion, or innovations."""
         return [self._explained[s] if s in self._explained else self._screened[s] for s in several]
+
+    def _note_time(self, asked: Sequence[Score], found: Mapping[str, object]) -> None:
+        """Note which of several candidates were not fitted, where the time was over meanwhile."""
+        if self._deadline.missed:
+            self._broken_off |= {s.id for s in asked if s.id not in found}
 
     def _refits_from_simulation(self, before: FittedModel, several: Sequence[Score]) -> dict[str, FittedModel]:
         """Refit a model with each of several candidates from where a simulation with it ended, and keep that as the model's."""
@@ -257,6 +276,7 @@ class LiveLaboratory:
             after = None if fit is None else self._simulated.predictor_from(fit, setting, refit, s)
             if fit is not None and after is not None:
                 fits[s.id], found[s.id] = fit, after
+        self._note_time(several, found)
         models = self._added(before, several, "simulation", found, {})
         for effect, model in models.items():
             self._simulated.keep(model.number, fits[effect])
@@ -275,8 +295,9 @@ class LiveLaboratory:
         setting, _ = self.computed(before)
         models = {i: self._record(setting, refit, tested.get(i)) for i, refit in found.items()}
         for s in several:
-            after = models[s.id].number if s.id in models else None
-            self._refits[before.number, way, s.id] = Refitting(before.number, way, s.id, s.shape, after)
+            key, after = (before.number, way, s.id), models[s.id].number if s.id in models else None
+            if after is not None or key not in self._refits:  # one that is asked again may be broken off
+                self._refits[key] = Refitting(before.number, way, s.id, s.shape, after)
         return models
 
     def _record(self, setting: Setting, refit: Refit, tested: Tested | None) -> FittedModel:

@@ -1,7 +1,8 @@
 """The end of the loop: what was added is looked at again, and where the verdict is unknown, last resorts are tried."""
 
-from typing import NamedTuple
+import dataclasses
 
+from estimators.core.deadline import OutOfTimeError
 from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.improvement_loop import Loop
 from estimators.diagnosis.learned_force import LearnedForce
@@ -10,19 +11,22 @@ from estimators.linear.homogeneity_test import Equality
 from estimators.validation.differing_experiments import WORTH_ASKING
 
 
-class LoopEnd(NamedTuple):
+@dataclasses.dataclass
+class LoopEnd:
     """The loop with its last model.
 
     Attributes:
         loop: that goes on from the one that was ended.
         nearest, learned: the last resort of its last model, if there is one.
         differs: what differs between experiments; None where they do not.
+        out_of_time: whether the deadline that is kept was over before all was asked.
     """
 
     loop: Loop
-    nearest: Candidate | None
-    learned: LearnedForce | None
-    differs: Equality | None
+    nearest: Candidate | None = None
+    learned: LearnedForce | None = None
+    differs: Equality | None = None
+    out_of_time: bool = False
 
 
 def end_of(loop: Loop, *, last_resort: bool) -> LoopEnd:
@@ -32,28 +36,45 @@ def end_of(loop: Loop, *, last_resort: bool) -> LoopEnd:
         loop: that names nothing more.
         last_resort: add the nearest effect or a learned force where the verdict is unknown.
     """
-    loop.lead_by_predictions()
-    loop = loop.with_runner_up() or loop
-    loop.drop_superseded()
-    nearest, learned = None, None
+    end = LoopEnd(loop)
+    try:
+        _look_again(end)
+        _resort(end, last_resort=last_resort)
+    except OutOfTimeError:
+        end.out_of_time = True
+    return end
+
+
+def _look_again(end: LoopEnd) -> None:
+    """Fit what simulates far off from elsewhere, or with a runner-up, and leave out what others supersede."""
+    end.loop.lead_by_predictions()
+    end.loop = end.loop.with_runner_up() or end.loop
+    end.loop.drop_superseded()
+
+
+def _resort(end: LoopEnd, *, last_resort: bool) -> None:
+    """Ask whether experiments differ, and where the verdict is unknown, add what explains most, if it serves."""
+    loop = end.loop
     unknown, asked = loop.diagnoses[-1].verdict == "unknown", loop.last.fit
     whole = loop.copied()
-    differs = loop.without_outlier(least=0.0 if unknown else WORTH_ASKING)
+    # One that differs is left out only where all that may explain it was asked.
+    leave = not loop.diagnoses[-1].broken_off
+    end.differs = loop.without_outlier(least=0.0 if unknown else WORTH_ASKING, leave=leave)
     if last_resort and unknown and loop.left_out is not None:
         # Unless a last resort that is learned from all serves held-out experiments better: then it alone may show what is missing.
         resort = whole.last_resort(whole.nearest())
         if falls_clearly(loop.last.tested, whole.last.tested, loop.policy):
-            loop, (nearest, learned) = whole, resort
-            differs = loop.without_outlier(leave=False)
+            end.loop, (end.nearest, end.learned) = whole, resort
+            end.differs = whole.without_outlier(leave=False)
     elif last_resort and unknown:
         near = loop.nearest()
         further = None if near is None else loop.with_nearest(*near)
         if further is not None:
-            loop = further
+            end.loop = further
         else:
-            nearest, learned = loop.last_resort(near)
-        if loop.last.fit is not asked:
+            end.nearest, end.learned = loop.last_resort(near)
+        if end.loop.last.fit is not asked:
             # What a last resort learned from all of them explains is no fault of one.
-            kept = differs if differs is not None and differs.outlying is None else None
-            differs = loop.without_outlier(leave=False) or kept
-    return LoopEnd(loop, nearest, learned, differs)
+            kept = end.differs if end.differs is not None and end.differs.outlying is None else None
+            end.differs = None
+            end.differs = end.loop.without_outlier(leave=False) or kept

@@ -8,15 +8,16 @@ from typing import Any, Literal
 
 import numpy as np
 
-from estimators.core.data import mark_of
-from estimators.core.deadline import OutOfTimeError
+from estimators.core.data import CHANNELS, mark_of
+from estimators.core.deadline import Deadline
 from estimators.core.fit import FAR, Fit
 from estimators.core.results import RESULTS, DivergedError, NotIdentifiableError
+from estimators.core.step_size import accurate_substeps
 from estimators.diagnosis.gross_effects import begun_by_equations, placed_inside
 from estimators.diagnosis.held_estimates import counting_held
 from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
 from estimators.output_error.fit import output_error
-from estimators.prediction_error.fit import prediction_error_nonlinear
+from estimators.prediction_error.fit import PredictorFit, prediction_error_nonlinear
 from estimators.validation.predictive_likelihood import OneStepAhead, one_step_ahead
 from estimators.validation.simulation_error import Compared, compare
 from rtac_jax import RTAC
@@ -105,6 +106,9 @@ def add_effects(
         ways: of fitting it that are tried; by predictions it is kept only if all are.
         policy: the thresholds by which it is kept.
         progress: show bars.
+
+    Raises:
+        OutOfTimeError: the deadline that is kept was over before it was fitted.
     """
     ids, names = [effect.id for effect in several], ", ".join(effect.id for effect in several)
     known = {**before.held, **deviations}
@@ -125,7 +129,8 @@ def add_effects(
             else:
                 fit = _fitted(begins if way == "simulated" else [holding(extended, ids)], train, progress=progress)
                 fit = counting_held(fit, train, known)
-            test = compare(fit, held_out, labels=[label]).models[0]
+            with Deadline().kept():  # what is fitted is compared
+                test = compare(fit, held_out, labels=[label]).models[0]
         except (NotIdentifiableError, DivergedError, FloatingPointError) as error:
             reasons.append(f"Stopped: with {names} the model could not be fitted: {error}")
             continue
@@ -135,11 +140,7 @@ def add_effects(
         reasons.append(f"Stopped: with {names} the held-out error would not fall.")
     if not steps or len(ways) < len(WAYS):
         return reasons[0]
-    try:
-        foreseen = _by_predictions(names, bases, steps, train, held_out, policy)
-    except OutOfTimeError as error:
-        return f"{reasons[0]} {error}"
-    return foreseen or (
+    return _by_predictions(names, bases, steps, train, held_out, policy) or (
         f"{reasons[0]} Held at the estimate of the diagnosis, or fitted by predictions one sample ahead, it would not help "
         "clearly either, and predictions are no better with it."
     )
@@ -267,12 +268,19 @@ def _predicted(model: RTAC, before: Fit, train: Recording, *, progress: bool) ->
             "agreed": 1,
             "winner": "predictions one sample ahead",
             "failures": (),
-            "substeps": found.statistics["substeps"],
+            "substeps": _simulation_steps(found, before.noise),  # predictions need fewer
             "seconds": found.statistics["seconds"],
         },
         marks={e.name: mark_of(e) for e in experiments},
         held={},  # the deviations are those of the predictions, for what is held as it is
     )
+
+
+def _simulation_steps(found: PredictorFit, levels: Mapping[str, float]) -> int:
+    """Return the integration steps in a sample that a free simulation of a model needs which was fitted by predictions."""
+    arguments = found.problem.arguments
+    noise = np.array([levels.get(channel, 1.0) for channel in CHANNELS])
+    return accurate_substeps(found.model, arguments.data, arguments.space, found.problem.unknowns, noise)
 
 
 def holding(model: RTAC, effects: Sequence[str]) -> RTAC:

@@ -6,9 +6,11 @@ from collections.abc import Mapping, Sequence
 from functools import partial, reduce
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 
 from estimators.closed_form.fit import starting_values
+from estimators.core.deadline import OutOfTimeError, require_time
 from estimators.core.fisher_information import information
 from estimators.core.fit import Fit, Parameter
 from estimators.core.jacobian_factor import Arguments, factor
@@ -27,7 +29,7 @@ from estimators.diagnosis.contact_trials import (
 )
 from estimators.diagnosis.evidence import HeldOut, SimulationError
 from estimators.diagnosis.gross_effects import placed_inside
-from estimators.diagnosis.innovation_tests import low_process_noise, pieces_of_tests, run_tests, simulation_error
+from estimators.diagnosis.innovation_tests import pieces_of_tests, run_tests, simulation_error
 from estimators.diagnosis.laboratory import Way
 from estimators.diagnosis.refit import Refit, Tested
 from estimators.diagnosis.setting import Setting, begun, effect_of, model_with, set_up, shared, space_for
@@ -37,7 +39,8 @@ from estimators.misspecification.equation_screening import Explained
 from estimators.output_error.fit import output_error
 from estimators.prediction_error.coloured_noise import with_colours
 from estimators.prediction_error.filter_pass import without_shaken
-from estimators.prediction_error.noise_estimation import compile_predictor, fit_predictor
+from estimators.prediction_error.noise_estimation import compile_predictor, fit_predictor, low_process_noise
+from estimators.prediction_error.predictive_steps import predictive_substeps
 from estimators.validation.model_comparison import by_sample, held_out
 from rtac_jax import RTAC
 from rtac_jax.effects import Effect
@@ -51,6 +54,16 @@ def compile_for(model: RTAC, recording: Recording, classes: Sequence[type[Effect
     for piece in pieces_of_tests(setting):  # first: a fit begins with the filter too, and compiles it
         piece()
     _compile_fit(setting, model_with(setting, []), tuple(shared(model)))
+
+
+def with_predictive_steps(setting: Setting) -> Setting:
+    """Return the setting with as few steps of integration in a sample as its predictions need; a free simulation may need more."""
+    most = int(setting.substeps)
+    model = model_with(setting, [])
+    space = begun(space_for(setting, model, tuple(shared(setting.model))), model, {})
+    physical = (space.values, space.each_values, space.start)
+    fewest = predictive_substeps(model, setting.data, space, physical, setting.prior.starting(space), most)
+    return dataclasses.replace(setting, substeps=jnp.asarray(fewest))
 
 
 def compile_base(setting: Setting) -> None:
@@ -250,9 +263,10 @@ def extended_simulation(setting: Setting, fit: Fit, final: Refit) -> SimulationE
 
 
 def _refit_or_none(setting: Setting, before: Refit, s: Screened | Explained, way: Way) -> Refit | None:
-    """Fit a model with one candidate more; None if the model diverges with it."""
+    """Fit a model with one candidate more; None if the model diverges with it, or the time is over."""
     setting.progress.at(f"diagnose: refit with {s.id}")
-    with contextlib.suppress(ArithmeticError, NotIdentifiableError):
+    with contextlib.suppress(ArithmeticError, NotIdentifiableError, OutOfTimeError):
+        require_time()
         if isinstance(s, Explained):
             return refit_from_equations(setting, before, s)
         return (refit_thoroughly if way == "thorough" else refit_with)(setting, before, s)

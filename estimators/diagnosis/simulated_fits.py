@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from estimators.core.deadline import OutOfTimeError, require_time
 from estimators.core.fit import Fit
 from estimators.core.results import NotIdentifiableError
 from estimators.diagnosis.gross_effects import placed_inside
@@ -48,7 +49,8 @@ class SimulatedFits:
         """Fit the simulation with a candidate to its end, by number of the model before and id; None where none could be begun."""
         begun = self._with.get((number, effect))
         if begun is not None:
-            with contextlib.suppress(ArithmeticError, NotIdentifiableError):
+            with contextlib.suppress(ArithmeticError, NotIdentifiableError, OutOfTimeError):
+                require_time()
                 done = output_error(begun.model, setting.recording, from_model=True, progress=False)
                 begun = begun if done.lost else done
         return begun
@@ -57,7 +59,7 @@ class SimulatedFits:
         """Return the predictor that is fitted from where a simulation with a candidate ended; None where it diverges there."""
         setting.progress.at(f"diagnose: refit with {s.id}")
         model, free, added = beginning(setting, before, s)
-        with contextlib.suppress(ArithmeticError):
+        with contextlib.suppress(ArithmeticError, OutOfTimeError):
             return from_simulation(setting, before, added, model, free, fit)
         return None
 
@@ -79,7 +81,8 @@ def _simulated_with(setting: Setting, fit: Fit, before: Refit, s: Screened | Exp
     begin = (setting.model if fit.lost else fit.model) + effect
     if isinstance(s, Explained):
         begin = placed_inside(begin, {name: value for name, value in s.values.items() if name in begin.free})
-    with contextlib.suppress(ArithmeticError, NotIdentifiableError):
+    with contextlib.suppress(ArithmeticError, NotIdentifiableError, OutOfTimeError):
+        require_time()
         found = output_error(begin, setting.recording, from_model=True, steps=_STEPS, progress=False)
         sound = not found.lost and np.all(np.isfinite(list(found.residual_std.values())))
         return found if sound and _plausible(found, s, setting.policy) else None

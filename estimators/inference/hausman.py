@@ -12,6 +12,7 @@ from scipy.stats import t as student
 from estimators.closed_form.table1 import ClosedForm
 from estimators.core.correlation import require_level
 from estimators.core.data import CHANNELS, motion_of
+from estimators.core.deadline import require_time
 from estimators.core.fit import Fit
 from estimators.core.initial_state import scales_of
 from estimators.core.linearisation import at_fit
@@ -136,6 +137,7 @@ def agreement(
     found = np.full((draws, len(estimators), len(names)), np.nan)
     with Progress("agreement", show=progress, unit="replicates", total=draws) as shown:
         for number in range(draws):
+            require_time()
             measured = source.draw(random)
             for row, estimator in enumerate(estimators):
                 found[number, row] = _in_order(estimator, estimator.again(measured), names)

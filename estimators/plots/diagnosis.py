@@ -74,11 +74,14 @@ def finding(diagnosis: Diagnosis) -> str:
         return diagnosis.simulation.headline
     if diagnosis.verdict == "adequate":
         tried, count = len(diagnosis.candidates), sum(c.testable for c in diagnosis.candidates)
-        return f"Nothing is missing {diagnosis.floor}: none of {tried} candidates ({count} testable) stands out"
+        in_time = ", as far as was asked in time" if diagnosis.broken_off else ""
+        return (
+            f"Nothing is missing {diagnosis.floor}{in_time}: none of {tried} candidates ({count} testable) stands out"
+        )
     if diagnosis.verdict == "unknown":
         if diagnosis.drift:
             return f"The model fails as where a parameter drifts: {diagnosis.drift.split(' would explain')[0]}"
-        failed = "The model fails, and no effect of the catalogue explains it"
+        failed = f"The model fails, and {diagnosis.none} explains it"
         if not diagnosis.curves:
             return failed
         best, rejected = static_force(diagnosis.curves, diagnosis.tests, diagnosis.policy)

@@ -9,6 +9,7 @@ from jaxtyping import Array, Float
 
 from estimators.core.bound_transform import to_unconstrained
 from estimators.core.data import Data
+from estimators.core.deadline import require_time
 from estimators.core.fisher_information import Information, each_deviations, each_slope, information, sizes_of, slope_of
 from estimators.core.parameter_space import Space, Unknowns
 from estimators.core.results import DivergedError
@@ -110,6 +111,7 @@ def most_likely(
     noise = Noise(found.noise, found.log_likelihood, found.filtered, None)
     found_rows = rows(at, noise.exponents)
     for _ in range(_STEPS):
+        require_time()
         move, promised = _scoring(triangles(found_rows, at), at, lower, upper)
         if promised < _WORTH:
             break

@@ -25,13 +25,13 @@ from estimators.core.parameter_space import Space, number_of_unknowns
 from estimators.core.progress import Progress
 from estimators.core.results import DivergedError
 from estimators.core.sensor_noise import noise_levels
-from estimators.core.step_size import accurate_substeps
 from estimators.core.threads import one_blas_thread
 from estimators.prediction_error.fisher_scoring import most_likely
 from estimators.prediction_error.initial_angle import with_likeliest_angles
 from estimators.prediction_error.innovations import one_step_rms
 from estimators.prediction_error.noise_estimation import Predictor, fit_trusted
 from estimators.prediction_error.noise_model import NoiseModel
+from estimators.prediction_error.predictive_steps import predictive_substeps
 from rtac_jax import RTAC, require_configured
 from rtac_jax.arguments import checked_arguments
 from rtac_jax.effect_contract import require_working_model
@@ -189,8 +189,8 @@ def prediction_error_nonlinear(
     space = space_of(start, begun, free=shared)
     scales = scales_of(start, experiments)
     prior = NoiseModel.of(levels, recording.experiments, scales, space)
-    sensors = np.array([levels.get(channel, 1.0) for channel in CHANNELS])
-    substeps = accurate_substeps(start, data, space, space.unconstrained(off_bounds=OFF_BOUNDS), sensors)
+    begin = space.physical(space.unconstrained(off_bounds=OFF_BOUNDS))
+    substeps = predictive_substeps(start, data, space, begin, prior)
     with Progress("prediction error", show=progress) as shown:
         steps = jnp.asarray(substeps)
         try:

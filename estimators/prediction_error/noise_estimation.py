@@ -32,6 +32,7 @@ from rtac_jax.simulation import Steps
 # shake it.
 _LEAST, _FIRST = np.log(1e-5**2), np.log(3e-3**2)
 _MOST = (np.log(1.0**2), np.log(10.0**2))
+_LOW = np.log(1e-3**2)  # where they should not hide an effect
 _FAR = 3.0  # the longest step in the logarithm of a variance
 _LITTLE = 0.1  # gain in log-likelihood that is not worth another pass of the filter
 _PASSES = 25
@@ -91,6 +92,11 @@ def compile_predictor(
 def first_noise() -> np.ndarray:
     """Return the exponents of the noise at which a fit begins."""
     return np.array([_FIRST, _FIRST, 0.0, 0.0, 0.0])
+
+
+def low_process_noise(exponents: Float[np.ndarray, " noise"]) -> Float[np.ndarray, " noise"]:
+    """Return the exponents of the noise with random forces so small that they hide no effect."""
+    return np.concatenate([np.minimum(exponents[:2], _LOW), exponents[2:]])
 
 
 class Noise(NamedTuple):

@@ -79,9 +79,7 @@ def report_dict(
             "recommended": _recommended(advice) if advice is not None else None,
             "varying": found.constancy.as_dict() if isinstance(found, Improvement) and found.constancy else None,
             "left_out": found.left_out if isinstance(found, Improvement) else None,
-            "broken_off": any(one.broken_off for one in found.diagnoses)
-            if isinstance(found, Improvement)
-            else found.broken_off,
+            "broken_off": bool(found.broken_off),
         }
     )
 

@@ -76,11 +76,12 @@ def of_diagnosis(
     named = "; ".join(_effect(c, final) for c in effects)
     last = found.diagnoses[-1] if isinstance(found, Improvement) else found
     on_the_way = f"; added on the way: {named}" if named else ""
+    in_time = ", as far as was asked before the time was over" if last.broken_off else ""
     whats = {
-        "adequate": f"Nothing is missing from the model {last.floor}",
+        "adequate": f"Nothing is missing from the model {last.floor}{in_time}",
         "missing": f"Missing: {named}" if named else "An effect is missing",
         "ambiguous": f"One of a group is missing, and these data cannot tell which: {named}",
-        "unknown": f"The model fails, and no effect of the catalogue explains it{on_the_way}",
+        "unknown": f"The model fails, and {last.none} explains it{on_the_way}",
     }
     if last.line_alone:
         whats["unknown"] = f"Only a line speaks against the model{on_the_way}: {last.line_alone}"
@@ -91,7 +92,7 @@ def of_diagnosis(
     what = whats[found.verdict]
     learned = found.learned if isinstance(found, Improvement) else None
     if isinstance(found, Improvement) and named and found.verdict in ("adequate", "missing"):
-        rest = f"; nothing more is missing {last.floor}" if found.verdict == "adequate" else ""
+        rest = f"; nothing more is missing {last.floor}{in_time}" if found.verdict == "adequate" else ""
         what = f"Was missing, and is in the model now: {named}{rest}"
     if isinstance(found, Improvement) and found.added and found.verdict == "ambiguous":
         alike = "; ".join(f"{c.id} from {', '.join(c.confusable_with)}" for c in found.added if c.confusable_with)

@@ -295,7 +295,8 @@ def _compare_one(
 
 
 def _substeps(fit: Fitted) -> int | None:
-    return None if isinstance(fit, RTAC) else int(fit.statistics["substeps"])
+    # Predictions need fewer than a simulation.
+    return int(fit.statistics["substeps"]) if isinstance(fit, Fit) else None
 
 
 def _simulated(

@@ -89,19 +89,3 @@ def test_of_a_warm_drive_nothing_is_told():
     assert found.verdict == "adequate"
     assert found.drift == ""
     assert [test.rejects for test in found.tests if test.test == "drift"] == [False]
-
-
-def test_without_time_nothing_is_fitted_and_the_answer_says_so():
-    recorded = recording(0.5)
-    model = rtac.RTAC.from_rig(recorded)
-    found = est.improve(
-        model, recorded, candidates=[ArmQuadraticDrag, CurrentOffset], thorough=False, within=0.0, progress=False
-    )
-    first = found.diagnoses[0]
-    assert first.broken_off
-    assert not any(candidate.refitted for candidate in first.candidates)
-    assert "The time that was given was over before every candidate was fitted" in first.explanation
-    assert "no effect of the catalogue explains it" not in first.explanation
-    assert first.curves  # what needs no refit is there
-    assert found.learned is found.nearest is None
-    assert len(found.diagnoses) == len(found.fits) == 1

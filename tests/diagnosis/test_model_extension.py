@@ -268,9 +268,11 @@ def test_a_fit_by_predictions_tells_its_likelihood_and_calls_nothing_a_cost(monk
     )  # fmt: skip
     monkeypatch.setattr(_add_effect, "prediction_error_nonlinear", lambda *_, **__: predicted)
     monkeypatch.setattr(_add_effect, "compare", lambda *_: est.Comparison((made(Known, known={}, start={}),)))
+    monkeypatch.setattr(_add_effect, "_simulation_steps", lambda *_: 4)
     found = _add_effect._predicted(model, before, rtac.Recording((experiment,)), progress=False)
     assert found.statistics["log_likelihood"] == 1234.0
     assert "cost" not in found.statistics
+    assert found.statistics["substeps"] == 4  # of a simulation, which needs more than predictions do
 
 
 def test_predicted_gains_have_their_old_name_with_a_warning() -> None:

@@ -28,6 +28,7 @@ class Known:
         self.facts = Facts(10_000, 2, 2, rest=True, noise_known=False, samples_per_radian=20.0, effects=TRAITS)
         self.policy: DiagnosisPolicy = STANDARD
         self.values: dict[str, tuple[float, float]] = {}
+        self.late: tuple[str, ...] = ()
         self.rejects: Callable[[FittedModel], Findings] = lambda model: Findings()
         self._models: list[FittedModel] = []
         self.base = self.model()
@@ -56,6 +57,9 @@ class Known:
 
     def refits(self, before: FittedModel, several: Sequence[Score], way: Way) -> dict[str, FittedModel]:
         return {s.id: self.model(*before.added, s.id) for s in several}
+
+    def unfitted(self, before: FittedModel) -> tuple[str, ...]:
+        return self.late
 
     def findings(self, model: FittedModel) -> Findings | None:
         return self.rejects(model)

@@ -25,6 +25,7 @@ def diagnose(
     """Rank the effects that the paper's model may be missing."""
     with job(file, validation, out, json, save) as work:
         import estimators as est
+        from estimators.core.deadline import PROLONGED, Deadline
         from estimators.reporting import report as _report
         from estimators.reporting import summary
 
@@ -32,10 +33,11 @@ def diagnose(
         seconds = work.time_for(within)
         base = base_fit(work, model, effects)
         found = est.diagnose(base, work.train, candidates=candidates, thorough=not quick, within=seconds)
-        fits, labels = _refitted(work, base, found)
+        with Deadline(None if seconds is None else PROLONGED * seconds).kept():
+            fits, labels = _refitted(work, base, found)
         trained, tested = work.compared(fits, labels)
         table, errors = _report.candidate_table(found), _report.error_table(trained, tested)
-        planned = plan_next(work, base, found, candidates)
+        planned = None if found.broken_off else plan_next(work, base, found, candidates)
         work.save(found, save)
         table_of_tests = _report.evidence_table(found)
         work.say(found.explanation, work.remark, table, table_of_tests, errors, planned or "", found.policy.words)
@@ -90,6 +92,7 @@ def _refitted(work: Job, base: Any, found: Any) -> tuple[list[Any], list[str]]:
     What a simulation cannot fit is held at the diagnosis's estimate.
     """
     import estimators as est
+    from estimators.core.deadline import OutOfTimeError
     from estimators.diagnosis.held_estimates import counting_held
     from estimators.diagnosis.model_extension import holding
     from rtac_jax import RTAC
@@ -107,6 +110,9 @@ def _refitted(work: Job, base: Any, found: Any) -> tuple[list[Any], list[str]]:
                 fits.append(counting_held(est.output_error(extended, work.train, from_model=True), work.train, known))
             except (est.NotIdentifiableError, est.DivergedError, FloatingPointError) as error:
                 work.note(f"The model with {names}{held} could not be fitted by simulation: {error}")
+            except OutOfTimeError:
+                work.note(f"The time was over before the model with {names}{held} was fitted by simulation.")
+                break
             else:
                 labels.append(f"+ {names}{held}")
                 if held:

@@ -95,7 +95,8 @@ def improved(
         parameters.append(advice.sentence)
     said = [diagnosis.explanation for diagnosis in found.diagnoses]
     told = [without_limits(text) for text in said]
-    open_question = next((d for d in found.diagnoses if d.verdict == "ambiguous"), None)
+    # What was not fitted in time is no question for an experiment.
+    open_question = next((d for d in found.diagnoses if d.verdict == "ambiguous" and not d.broken_off), None)
     planned = None
     if open_question is not None:
         base = found.fits[found.fitted_before(found.diagnoses.index(open_question))]
@@ -175,7 +176,7 @@ def _advice(found: Any, work: Job) -> Any:
     if found.predicted:
         return None
     predicted = None
-    if found.diagnoses[-1].verdict == "adequate" and found.final.farthest > FAR:
+    if found.diagnoses[-1].verdict == "adequate" and found.final.farthest > FAR and not found.broken_off:
         try:
             predicted = est.prediction_error_nonlinear(found.final.model, work.train, from_model=True)
         except (ValueError, est.DivergedError) as error:

@@ -178,6 +178,7 @@ class Evidence:
         simulated: rms error over the noise, by channel, of a simulation fitted with a candidate more, by number of the model and id
             of the candidate; empty where it cannot be fitted.
         broken_off: what was asked and not computed, as the time that was given was over: candidates by id, and what else.
+        unfitted: the candidates among it whose refits beside a model were broken off, by the number of that model.
     """
 
     facts: Facts
@@ -194,6 +195,7 @@ class Evidence:
     equations: Mapping[int, tuple[Score, ...]] = dataclasses.field(default_factory=dict)
     simulated: Mapping[tuple[int, str], Mapping[str, float]] = dataclasses.field(default_factory=dict)
     broken_off: tuple[str, ...] = ()
+    unfitted: Mapping[int, tuple[str, ...]] = dataclasses.field(default_factory=dict)
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write the evidence to a file (JSON, with NaN and Infinity as numbers), aside first, and renamed once it is whole.

@@ -17,7 +17,7 @@ from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.diagnose import compile_diagnosis
 from estimators.diagnosis.diagnosis import Diagnosis
 from estimators.diagnosis.explanation import at_noise
-from estimators.diagnosis.improvement_loop import Loop
+from estimators.diagnosis.improvement_loop import OUT_OF_TIME, Loop
 from estimators.diagnosis.learned_force import LearnedForce
 from estimators.diagnosis.loop_end import end_of
 from estimators.diagnosis.model_extension import Added, PredictedGain
@@ -381,6 +381,8 @@ def improve(
     with deadline.prolonged(PROLONGED).kept():
         ended = end_of(loop, last_resort=learned_force)
     loop, learned, nearest = ended.loop, ended.learned, ended.nearest
+    if ended.out_of_time and not loop.out_of_time:
+        loop.stopped = f"{loop.stopped} {OUT_OF_TIME.removeprefix('Stopped: ').capitalize()}"
     steps, diagnoses, added = loop.steps, loop.diagnoses, loop.added
     fits = [step.fit for _, step in steps]
     tested = [step.tested for _, step in steps]

@@ -39,6 +39,10 @@ class Laboratory(Protocol):
         """Refit a model with each of several candidates."""
         ...
 
+    def unfitted(self, before: FittedModel) -> tuple[str, ...]:
+        """Return the candidates whose refits beside a model were broken off, as the time was over."""
+        ...
+
     def findings(self, model: FittedModel) -> Findings | None:
         """Test the innovations of a model."""
         ...
@@ -96,6 +100,10 @@ class Archive:
         """Return the refits with each of several candidates."""
         found = {s.id: self._refit(before, way, s.id) for s in several}
         return {effect: model for effect, model in found.items() if model is not None}
+
+    def unfitted(self, before: FittedModel) -> tuple[str, ...]:
+        """Return the candidates whose refits beside a model were broken off, as the time was over."""
+        return self._evidence.unfitted.get(before.number, ())
 
     def findings(self, model: FittedModel) -> Findings | None:
         """Return the tests of the innovations of a model."""

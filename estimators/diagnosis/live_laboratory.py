@@ -100,6 +100,7 @@ class LiveLaboratory:
         self._simulated = SimulatedFits(fit, workers)
         self._coloured: list[FittedModel | None] = []  # empty until asked
         self._broken_off: set[str] = set()
+        self._unfitted: dict[int, set[str]] = {}
         self._stretches = setting.stretches()
         self.facts, self.policy = facts_of(setting, fit), setting.policy
         best = by_statistic(tested.screened)
@@ -113,7 +114,7 @@ class LiveLaboratory:
     @property
     def broken_off(self) -> tuple[str, ...]:
         """Return what was asked and not computed, as the time was over: candidates by id, and what else."""
-        return tuple(sorted(self._broken_off))
+        return tuple(sorted(self._broken_off.union(*self._unfitted.values())))
 
     def say(self, text: str) -> None:
         """Show what is asked now."""
@@ -127,7 +128,7 @@ class LiveLaboratory:
         held = self._held([first, *near])
         with self._deadline.kept():
             found, tested = refit_first(setting, refit, held[0], held[1:], way, self._workers)
-        self._note_time([first, *near], found)
+        self._note_time(before, [first, *near], found)
         return self._added(before, [first, *near], way, found, {first.id: tested})
 
     def refits(self, before: FittedModel, several: Sequence[Score], way: Way) -> dict[str, FittedModel]:
@@ -138,8 +139,12 @@ class LiveLaboratory:
         setting, refit = self.computed(before)
         with self._deadline.kept():
             found = refit_each(setting, refit, self._held(several), way, self._workers)
-        self._note_time(several, found)
+        self._note_time(before, several, found)
         return self._added(before, several, way, found, {})
+
+    def unfitted(self, before: FittedModel) -> tuple[str, ...]:
+        """Return the candidates whose refits beside a model were broken off, as the time was over."""
+        return tuple(sorted(self._unfitted.get(before.number, ())))
 
     def findings(self, model: FittedModel) -> Findings:
         """Test the innovations of a model."""
@@ -208,7 +213,7 @@ class LiveLaboratory:
             self._simulated.extend(before.number, *self.computed(before), self._held(several))
         found = {s.id: self._simulated.errors[before.number, s.id] for s in several}
         found = {effect: errors for effect, errors in found.items() if errors}
-        self._note_time(several, found)
+        self._note_time(before, several, found)
         return found
 
     def computed(self, model: FittedModel) -> tuple[Setting, Refit]:
@@ -255,16 +260,17 @@ class LiveLaboratory:
             equations=dict(self._equations),
             simulated=dict(self._simulated.errors),
             broken_off=self.broken_off,
+            unfitted={number: tuple(sorted(several)) for number, several in self._unfitted.items() if several},
         )
 
     def _held(self, several: Sequence[Score]) -> list[Screened | Explained]:
         """Return what scores were computed from: equations of motion, or innovations."""
         return [self._explained[s] if s in self._explained else self._screened[s] for s in several]
 
-    def _note_time(self, asked: Sequence[Score], found: Mapping[str, object]) -> None:
-        """Note which of several candidates were not fitted, where the time was over meanwhile."""
+    def _note_time(self, before: FittedModel, asked: Sequence[Score], found: Mapping[str, object]) -> None:
+        """Note which of several candidates were not fitted beside a model, where the time was over meanwhile."""
         if self._deadline.missed:
-            self._broken_off |= {s.id for s in asked if s.id not in found}
+            self._unfitted.setdefault(before.number, set()).update(s.id for s in asked if s.id not in found)
 
     def _refits_from_simulation(self, before: FittedModel, several: Sequence[Score]) -> dict[str, FittedModel]:
         """Refit a model with each of several candidates from where a simulation with it ended, and keep that as the model's."""
@@ -276,7 +282,7 @@ class LiveLaboratory:
             after = None if fit is None else self._simulated.predictor_from(fit, setting, refit, s)
             if fit is not None and after is not None:
                 fits[s.id], found[s.id] = fit, after
-        self._note_time(several, found)
+        self._note_time(before, several, found)
         models = self._added(before, several, "simulation", found, {})
         for effect, model in models.items():
             self._simulated.keep(model.number, fits[effect])

@@ -62,7 +62,11 @@ def _resort(end: LoopEnd, *, last_resort: bool) -> None:
     end.differs = loop.without_outlier(least=0.0 if unknown else WORTH_ASKING, leave=leave)
     if last_resort and unknown and loop.left_out is not None:
         # Unless a last resort that is learned from all serves held-out experiments better: then it alone may show what is missing.
-        resort = whole.last_resort(whole.nearest())
+        try:
+            resort = whole.last_resort(whole.nearest())
+        except OutOfTimeError:
+            end.loop = whole
+            raise
         if falls_clearly(loop.last.tested, whole.last.tested, loop.policy):
             end.loop, (end.nearest, end.learned) = whole, resort
             end.differs = whole.without_outlier(leave=False)

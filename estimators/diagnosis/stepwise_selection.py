@@ -297,7 +297,9 @@ def _next_step(
     left = None if step is None else laboratory.findings(step.model)
     if step is None or left is None:
         return None
-    return dataclasses.replace(step, left=adequacy_tests(left, policy.critical))
+    # Whatever was not fitted in time may do as well.
+    rivals = (*step.rivals, *(i for i in laboratory.unfitted(now) if i not in (step.id, *step.rivals)))
+    return dataclasses.replace(step, left=adequacy_tests(left, policy.critical), rivals=rivals)
 
 
 def _beside(laboratory: Laboratory, now: FittedModel, seen: Findings, policy: DiagnosisPolicy) -> list[Score]:

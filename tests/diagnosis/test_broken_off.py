@@ -4,11 +4,15 @@ import math
 
 import numpy as np
 import pytest
+from known_search import Known, known, sized
 
 import estimators as est
 import rtac_jax as rtac
 from estimators.core.deadline import Deadline
 from estimators.diagnosis.improvement_loop import OUT_OF_TIME
+from estimators.diagnosis.policy import STANDARD
+from estimators.diagnosis.stepwise_selection import improvements
+from estimators.misspecification.findings import Findings
 from estimators.reporting.report import report_dict
 from rtac_jax.effects import ArmQuadraticDrag, CurrentOffset, TorqueDroop
 
@@ -111,3 +115,14 @@ def test_without_time_nothing_is_fitted_and_the_evidence_knows(recording):
     )
     assert first.evidence.broken_off == first.broken_off
     assert any("time was over" in one for one in est.judge(first.evidence).incomplete)
+
+
+def test_what_was_not_fitted_in_time_is_a_rival_of_what_was():
+    """Else the first of two that explain as much would be missing for certain, as the other was never asked."""
+    search = Known(known(base=-1000.0, cubic_spring=-900.0))
+    search.rejects = lambda model: Findings(() if model.added else (sized("cubic_spring", 190.0, 1e-9),))
+    for late in ((), ("lvdt_gain", "cubic_spring")):
+        search.late = late
+        ((found,), _) = improvements(search, search.base, search.rejects(search.base), STANDARD)
+        assert found.id == "cubic_spring"
+        assert found.rivals == late[:1]

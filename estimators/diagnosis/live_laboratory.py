@@ -194,18 +194,22 @@ class LiveLaboratory:
                 self._coloured = [self._record(other, base, None)]
         return self._coloured[0]
 
-    def simulation(self, model: FittedModel) -> SimulationError | None:
+    def simulation(self, model: FittedModel) -> SimulationError:
         """Return the error of a free simulation of a model: of a base model that of the fit that is diagnosed."""
         if model.number not in self._simulations:
             setting, refit = self.computed(model)
             make = extended_simulation if model.added else simulation_error
             try:
-                # What is named without it may be a stand-in, so it is given time beyond the end.
+                # What is named may be a stand-in, so it is given time beyond the end.
                 with self._deadline.prolonged(PROLONGED).kept():
-                    self._simulations[model.number] = make(setting, self._fit, refit)
+                    found = make(setting, self._fit, refit)
             except OutOfTimeError:
                 self._broken_off.add(f"a simulation with {', '.join(model.added)}")
-        return self._simulations.get(model.number)
+                found = simulation_error(
+                    setting, self._fit, refit
+                )  # without the effects, as where none can be fitted with them
+            self._simulations[model.number] = found
+        return self._simulations[model.number]
 
     def simulation_errors(self, before: FittedModel, several: Sequence[Score]) -> dict[str, Mapping[str, float]]:
         """Return the rms error over the noise, by channel, that a simulation fitted with each of several candidates leaves."""

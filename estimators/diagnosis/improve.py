@@ -9,7 +9,7 @@ from typing import Any
 
 from estimators.core.deadline import PROLONGED, Deadline
 from estimators.core.drawing import draw
-from estimators.core.fit import FAR, Fit
+from estimators.core.fit import Fit
 from estimators.core.result_base import Result
 from estimators.core.results import RESULTS
 from estimators.core.threads import one_blas_thread
@@ -20,12 +20,13 @@ from estimators.diagnosis.explanation import at_noise
 from estimators.diagnosis.improvement_loop import OUT_OF_TIME, Loop
 from estimators.diagnosis.learned_force import LearnedForce
 from estimators.diagnosis.loop_end import end_of
-from estimators.diagnosis.model_extension import Added, PredictedGain
+from estimators.diagnosis.model_extension import Added, PredictedGain, misfit
 from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
 from estimators.diagnosis.removed_error import Verdict
 from estimators.linear.homogeneity_test import Equality
 from estimators.linear.outlier import rounded
 from estimators.output_error.fit import output_error
+from estimators.validation.differing_experiments import WORTH_ASKING
 from estimators.validation.simulation_error import Comparison, compare
 from rtac_jax import RTAC
 from rtac_jax.arguments import checked_arguments
@@ -193,13 +194,13 @@ class Improvement(Result):
         """Return where the last model's simulation leaves held-out experiments although nothing is missing; empty if nowhere."""
         errors = self.validation.models[-1].errors
         farthest = max(errors, key=lambda c: errors[c].rms_over_noise, default=None)
-        if farthest is None or errors[farthest].rms_over_noise <= FAR:
+        if farthest is None or errors[farthest].rms_over_noise <= WORTH_ASKING:
             return ""
         error, trained = errors[farthest], self.train.models[-1].errors
         fitted = max((e.rms_over_noise for e in trained.values()), default=math.nan)
         why = (
-            "random forces, an arm that tumbles, friction that holds what a little less would not, or parameters that change within"
-            " an experiment lead it away, which predictions one sample ahead do not tell apart"
+            "random forces, an arm that tumbles, friction that holds what a little less would not, or parameters and sensors that"
+            " change within an experiment lead it away, which predictions one sample ahead do not tell apart"
         )
         if at_noise(fitted):
             why = (
@@ -207,8 +208,8 @@ class Improvement(Result):
                 " simulation follows, as an arm that tumbles"
             )
         return (
-            f"Even so, its simulation leaves {farthest} of the held-out experiments at {error.rms_over_noise:,.0f} times the noise"
-            f" ({rounded(100 - error.fit_percent)} % of the motion), and of the fitted ones at {rounded(fitted)}: {why}."
+            f"Even so, its simulation leaves {farthest} of the held-out experiments at {rounded(error.rms_over_noise)} times the"
+            f" noise ({rounded(100 - error.fit_percent)} % of the motion), and of the fitted ones at {rounded(fitted)}: {why}."
             " est.compare(..., ahead=10) shows how far it can be followed."
         )
 
@@ -218,7 +219,7 @@ class Improvement(Result):
         if not self._astray:
             return ""
         worst = max(e.rms_over_noise for e in self.validation.models[-1].errors.values())
-        return f"; of the held-out experiments its simulation leaves {worst:,.0f} times the noise"
+        return f"; of the held-out experiments its simulation leaves {rounded(worst)} times the noise"
 
     @property
     def _change(self) -> str:
@@ -280,7 +281,21 @@ class Improvement(Result):
         rivals = (
             f" Not fitted before the time was over, so that none is ruled out: {', '.join(asked)}." if asked else ""
         )
-        return f"{start}; {end}.{rivals}"
+        return f"{start}; {end}.{rivals}{self._little}"
+
+    @property
+    def _little(self) -> str:
+        """Say that what was added serves held-out experiments little, where it does; else nothing."""
+        after = sum(last is not None for last in (self.nearest, self.learned, self.left_out))
+        first, last = (misfit(self.validation.models[place]) for place in (0, len(self.fits) - 1 - after))
+        fallen = 1 - last / first
+        if self.predicted_gains or at_noise(first) or at_noise(last) or fallen >= self.diagnoses[0].policy.fall:
+            return ""
+        what = "it" if len(self.added) == 1 else "they"
+        return (
+            f" The held-out error of simulation falls by {max(100 * fallen, 0.0):.2g} % only, so {what} may stand for something"
+            " else, as a sensor that drifts or a parameter that changes."
+        )
 
     @property
     def _in_time(self) -> str:

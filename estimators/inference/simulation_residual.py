@@ -39,6 +39,8 @@ class SimulationLimits:
 
 
 STANDARD = SimulationLimits()
+# Times the noise of the fastest changes that no sensor wanders by: one whose noise is correlated over a thousand samples does.
+_NO_SENSOR = 30.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -163,7 +165,8 @@ def simulation_residual(
     data cannot confirm; random forces.
 
     Where no noise is known apart from a fit, that of the fastest changes stands for it, which is less than there is where sensors
-    wander slowly. Only a poor simulation is judged then, which no usual sensor makes. So it is of a channel whose noise nobody
+    wander slowly. Only a poor simulation is judged then, or one that is left at thirty times that, which no usual sensor makes. So
+    it is of a channel whose noise nobody
     knows beside others that are known: it tells only of random forces in place of the model's own.
 
     Args:
@@ -183,7 +186,8 @@ def simulation_residual(
     away = {
         c: ratio
         for c, ratio in error.items()
-        if ratio**2 > limits.beyond and ((noise_known and c not in unknown) or ratio > limits.poor * signal[c])
+        if ratio**2 > limits.beyond
+        and ((noise_known and c not in unknown) or ratio > limits.poor * signal[c] or ratio > _NO_SENSOR)
     }
     beyond = {c: ratio for c, ratio in away.items() if c not in unknown}
     if not error or not (away or noise_known):

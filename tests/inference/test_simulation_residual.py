@@ -126,6 +126,23 @@ def test_where_no_noise_is_known_a_poor_simulation_is_judged_and_no_other() -> N
     assert of(15.0, (0.4, 0.0)).words == ""
 
 
+def test_no_sensor_wanders_by_a_tenth_of_the_motion_and_hundreds_of_times_its_fastest_changes() -> None:
+    """As where a spring hardens by a tenth of the motion, beside an encoder of a micrometre: estimates may agree there by chance."""
+    channels = {"cart_position": 445.0}, {"cart_position": 20.0}, {"cart_position": 4612.0}
+    found = simulation_residual(
+        *channels, random=(0.02, 0.0), samples_per_radian=20.0, experiments=3, noise_known=False
+    )
+    assert found.cause == "unexplained"
+    assert found.vetoes
+    assert "the simulation is 9.6 % of the motion away from the recording (cart_position)" in found.words
+    assert "known noise" not in found.words
+    explained = simulation_residual(
+        *channels[:1], {"cart_position": 400.0}, channels[2], random=(0.02, 0.0), samples_per_radian=20.0, experiments=3,
+        noise_known=False,
+    )  # fmt: skip
+    assert explained.cause == "shaken"
+
+
 def train(seed: int, duration: float, free: int, forced: int, **hidden: Any) -> Recording:
     rig = virtual_rig.Rig(**hidden)
     plans = virtual_rig.standard_plans(seed=seed, duration=duration, free=free, forced=forced)

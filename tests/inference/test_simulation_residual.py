@@ -127,7 +127,7 @@ def test_where_no_noise_is_known_a_poor_simulation_is_judged_and_no_other() -> N
 
 
 def test_no_sensor_wanders_by_a_tenth_of_the_motion_and_hundreds_of_times_its_fastest_changes() -> None:
-    """As where a spring hardens by a tenth of the motion, beside an encoder of a micrometre: estimates may agree there by chance."""
+    """As where a spring hardens by a tenth of the motion, beside a fine encoder: estimates may agree there by chance."""
     channels = {"cart_position": 445.0}, {"cart_position": 20.0}, {"cart_position": 4612.0}
     found = simulation_residual(
         *channels, random=(0.02, 0.0), samples_per_radian=20.0, experiments=3, noise_known=False

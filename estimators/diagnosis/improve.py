@@ -1,7 +1,6 @@
 """The loop: compare, diagnose, add the effect, fit again, until nothing rejects or the held-out error stops falling."""
 
 import dataclasses
-import math
 import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -14,19 +13,19 @@ from estimators.core.result_base import Result
 from estimators.core.results import RESULTS
 from estimators.core.threads import one_blas_thread
 from estimators.diagnosis.candidate import Candidate
+from estimators.diagnosis.caveats import astray, named_too_late, not_told_from_nothing, of_little_service
 from estimators.diagnosis.diagnose import compile_diagnosis
 from estimators.diagnosis.diagnosis import Diagnosis
 from estimators.diagnosis.explanation import at_noise
 from estimators.diagnosis.improvement_loop import OUT_OF_TIME, Loop
 from estimators.diagnosis.learned_force import LearnedForce
 from estimators.diagnosis.loop_end import end_of
-from estimators.diagnosis.model_extension import Added, PredictedGain, misfit
+from estimators.diagnosis.model_extension import Added, PredictedGain
 from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
 from estimators.diagnosis.removed_error import Verdict
 from estimators.linear.homogeneity_test import Equality
 from estimators.linear.outlier import rounded
 from estimators.output_error.fit import output_error
-from estimators.validation.differing_experiments import WORTH_ASKING
 from estimators.validation.simulation_error import Comparison, compare
 from rtac_jax import RTAC
 from rtac_jax.arguments import checked_arguments
@@ -126,8 +125,8 @@ class Improvement(Result):
             said.append(f"The last model: {self.final.outcome}")
         else:
             said.extend(self.final.moved_constants)
-        if self.diagnoses[-1].verdict == "adequate" and not self._drifts and (astray := self._astray):
-            said.append(astray)
+        if self.diagnoses[-1].verdict == "adequate" and not self._drifts and (strays := self._astray):
+            said.append(strays)
         return " ".join([*said, self.stopped, *([str(self.learned)] if self.learned is not None else [])])
 
     @property
@@ -191,27 +190,7 @@ class Improvement(Result):
 
     @property
     def _astray(self) -> str:
-        """Return where the last model's simulation leaves held-out experiments although nothing is missing; empty if nowhere."""
-        errors = self.validation.models[-1].errors
-        farthest = max(errors, key=lambda c: errors[c].rms_over_noise, default=None)
-        if farthest is None or errors[farthest].rms_over_noise <= WORTH_ASKING:
-            return ""
-        error, trained = errors[farthest], self.train.models[-1].errors
-        fitted = max((e.rms_over_noise for e in trained.values()), default=math.nan)
-        why = (
-            "random forces, an arm that tumbles, friction that holds what a little less would not, or parameters and sensors that"
-            " change within an experiment lead it away, which predictions one sample ahead do not tell apart"
-        )
-        if at_noise(fitted):
-            why = (
-                "the held-out ones may reach beyond what was fitted, differ from it in how they were recorded, or hold what no"
-                " simulation follows, as an arm that tumbles"
-            )
-        return (
-            f"Even so, its simulation leaves {farthest} of the held-out experiments at {rounded(error.rms_over_noise)} times the"
-            f" noise ({rounded(100 - error.fit_percent)} % of the motion), and of the fitted ones at {rounded(fitted)}: {why}."
-            " est.compare(..., ahead=10) shows how far it can be followed."
-        )
+        return astray(self.train.models[-1], self.validation.models[-1])
 
     @property
     def _but(self) -> str:
@@ -244,7 +223,7 @@ class Improvement(Result):
                     f"The model fails as where a parameter drifts: {last.drift}. {last.none.capitalize()} explains it."
                 )
             if self.not_added:
-                return f"The model fails. {self._not_added}."
+                return f"The model fails. {named_too_late(self.not_added)}."
             if last.rounding and self.nearest is None and self.learned is None:
                 return (
                     f"The model follows the recording to {last.simulated:.2f} times the noise, and what speaks against it may be "
@@ -274,40 +253,22 @@ class Improvement(Result):
             None: "the mended model was not diagnosed again",
         }.get(self.mended, "what a diagnosis of the mended model names does not serve held-out experiments")
         if self.not_added:
-            end = f"the mended model still fails, and {self._not_added}"
+            end = f"the mended model still fails, and {named_too_late(self.not_added)}"
         asked = sorted(
             {name for d in self.diagnoses if d.effects for name in d.broken_off} - set(sure) - set(groups.values())
         )
         rivals = (
             f" Not fitted before the time was over, so that none is ruled out: {', '.join(asked)}." if asked else ""
         )
-        return f"{start}; {end}.{rivals}{self._little}"
-
-    @property
-    def _little(self) -> str:
-        """Say that what was added serves held-out experiments little, where it does; else nothing."""
         after = sum(last is not None for last in (self.nearest, self.learned, self.left_out))
-        first, last = (misfit(self.validation.models[place]) for place in (0, len(self.fits) - 1 - after))
-        fallen = 1 - last / first
-        if self.predicted_gains or at_noise(first) or at_noise(last) or fallen >= self.diagnoses[0].policy.fall:
-            return ""
-        what = "it" if len(self.added) == 1 else "they"
-        return (
-            f" The held-out error of simulation falls by {max(100 * fallen, 0.0):.2g} % only, so {what} may stand for something"
-            " else, as a sensor that drifts or a parameter that changes."
-        )
+        first, last = (self.validation.models[place] for place in (0, len(self.fits) - 1 - after))
+        counted = 0 if self.predicted_gains else len(self.added)
+        little = of_little_service(first, last, counted, self.diagnoses[0].policy.fall)
+        return f"{start}; {end}.{rivals}{little}{not_told_from_nothing(self.final, self.added)}"
 
     @property
     def _in_time(self) -> str:
         return ", as far as was asked before the time was over" if self.diagnoses[-1].broken_off else ""
-
-    @property
-    def _not_added(self) -> str:
-        several = len(self.not_added) > 1
-        return (
-            f"{', '.join(self.not_added)} {'are' if several else 'is'} named, and {'were' if several else 'was'} not added before"
-            " the time was over"
-        )
 
     def overview(self) -> Overview:
         """Return the held-out errors of every model, and why the loop ended."""

@@ -252,8 +252,8 @@ def next_experiment(
         menu: old name of `plans`.
 
     Raises:
-        ValueError: nothing is to be told apart, an effect is unknown, a limit is out of range, or no experiment keeps to
-            the limits.
+        ValueError: nothing is to be told apart, an effect is unknown, a limit is out of range, no experiment keeps to
+            the limits, or the arm is locked in all and no plans are given.
         RuntimeError: JAX was not configured for double precision.
 
     Source: Atkinson and Fedorov, Biometrika 62 (1975), T-optimum design for discrimination, linearised at the estimates.
@@ -261,6 +261,11 @@ def next_experiment(
     require_configured()
     limits = Limits(travel, torque_limit, speed_limit, current_limit)
     experiments = moving(recording)
+    if plans is None and menu is None and all(e.arm == "locked" for e in experiments):
+        raise ValueError(
+            "the arm is locked in every experiment, and what is planned moves the rig by its motor; give plans of your own, or"
+            " measure by itself what the effects stand for."
+        )
     contest = contest_of(fit, recording, found, between=between, candidates=candidates, progress=progress)
     interval = min(e.sample_time for e in experiments)
     if menu is not None:

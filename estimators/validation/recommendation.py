@@ -33,6 +33,7 @@ class Recommendation(Result):
         deviation: what the standard deviations take for granted, in words.
         sound: whether the model passes the test of its own residuals; otherwise no standard deviation holds what the model lacks.
         adequate: whether a diagnosis found nothing missing.
+        left: residual of output error over the noise, of its worst channel, where its estimates are given though none is better.
     """
 
     parameters: Mapping[str, Parameter]
@@ -40,11 +41,17 @@ class Recommendation(Result):
     deviation: str
     sound: bool
     adequate: bool = False
+    left: float = 0.0
 
     @property
     def sentence(self) -> str:
         """Return which estimator is recommended, with which standard deviation, and what that leaves out."""
         said = f"Recommended: {self.estimator}, with the standard deviation for {self.deviation}."
+        if self.left > FAR:
+            said += (
+                f" But output error does not follow the rig, being left at {self.left:,.0f} times the noise: where the model lacks"
+                " something no estimate is right, whatever its deviation, so take these for no more than where to begin."
+            )
         if not self.sound and self.adequate:
             said += (
                 " A residual is coloured though nothing is found missing, which no deviation counts: by how a sensor is rounded, or"
@@ -109,9 +116,11 @@ def recommended(
             words = " or ".join([*kinds, "white innovations"])
             return Recommendation(found, "prediction error", f"{words}, the largest; {astray}", False)
     if not kinds:
-        return Recommendation(fit.parameters, "output error", "a white residual, which it has not", False)
+        return Recommendation(
+            fit.parameters, "output error", "a white residual, which it has not", False, left=fit.farthest
+        )
     found = _with_largest(fit.parameters, list(kinds.values()))
-    return Recommendation(found, "output error", f"{' or '.join(kinds)}, the larger of both", False)
+    return Recommendation(found, "output error", f"{' or '.join(kinds)}, the larger of both", False, left=fit.farthest)
 
 
 def _with_largest(

@@ -227,6 +227,12 @@ def test_what_cannot_be_planned_is_refused(delayed: Case) -> None:
     adequate = dataclasses.replace(delayed.found, verdict="adequate", effects=(), additions=())
     with pytest.raises(ValueError, match="nothing is to be told apart"):
         est.next_experiment(*given[:2], adequate, progress=False)
+    decay = 0.01 * np.cos(0.1 * np.arange(200))
+    locked = rtac.Recording(
+        [rtac.Experiment.of("free", kind="free", sample_time=0.01, arm="locked", cart_position=decay)]
+    )
+    with pytest.raises(ValueError, match="the arm is locked in every experiment"):
+        est.next_experiment(delayed.fit, locked, delayed.found, progress=False)
     with pytest.raises(ValueError, match="is no candidate of the diagnosis"):
         est.next_experiment(*given, between=["input_delay", "gremlins"], progress=False)
     with pytest.raises(ValueError, match="travel limit"):

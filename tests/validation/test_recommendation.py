@@ -82,7 +82,15 @@ def test_where_nothing_is_white_the_larger_robust_deviation_is_given_and_the_rea
     assert ["total_mass", "1.23", "fixed", "kg"] in [line.split() for line in lines]
     assert lines[-1] == found.sentence
     assert "something may be missing" in found.sentence
+    assert "no estimate is right" not in found.sentence
     assert "spring_stiffness" in found._repr_html_()
+
+
+def test_of_a_model_that_does_not_follow_the_rig_no_estimate_is_called_right():
+    far = dataclasses.replace(FIT, residual_std={channel: 30.0 * level for channel, level in NOISE.items()})
+    found = recommended(far, compared("model", 30.0), spread=SPREAD)
+    assert found.estimator == "output error"
+    assert "being left at 30 times the noise: where the model lacks something no estimate is right" in found.sentence
 
 
 def test_a_simulation_that_is_far_off_is_not_recommended_beside_predictions():

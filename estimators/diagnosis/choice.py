@@ -39,9 +39,9 @@ def chosen(
 ) -> Step | None:
     """Return the best of the refits as the next step; None if none improves the model.
 
-    Of a law and a simpler one that it contains, which the data cannot tell from it, the simpler is the step. And before an effect
-    comes what it presupposes, where that improves the model too: Stribeck friction is what dry friction has more near rest, so that
-    alone it leaves none at speed.
+    Of a law and a simpler one that it contains, which the data cannot tell from it or which it has become, the simpler is the step.
+    And before an effect comes what it presupposes, where that improves the model too: Stribeck friction is what dry friction has
+    more near rest, so that alone it leaves none at speed.
     """
     models = {i: model for i, (_, model) in tried.items()}
     gains = {i: bic_gain(laboratory.facts.samples, before, model) for i, model in models.items()}
@@ -56,6 +56,10 @@ def chosen(
     if simpler := [i for i in rivals if i in laboratory.facts.effects[best].contains]:
         best = max(simpler, key=lambda i: gains[i])
         rivals = _rivals(laboratory, good, gains, best, policy)
+    at_edge = is_at_its_edge(laboratory, best, models[best], policy)
+    if at_edge and (simpler := [i for i in good if i in laboratory.facts.effects[best].contains]):
+        best = max(simpler, key=lambda i: gains[i])
+        rivals = _rivals(laboratory, good, gains, best, policy)
     if first := [i for i in laboratory.facts.effects[best].presupposes if i in good]:
         best = first[0]
         rivals = [i for i in rivals if i != best]
@@ -63,6 +67,19 @@ def chosen(
         best, tuple(rivals), 2 * gain(before, models[best]), gains[best], held_out[best], models[best], (),
         tried[best][0].amplitudes,
     )  # fmt: skip
+
+
+def is_at_its_edge(laboratory: Laboratory, effect: str, model: FittedModel, policy: DiagnosisPolicy) -> bool:
+    """Return whether an added effect has become a simpler one that it contains, by a shape far below a sensor's noise.
+
+    Bristles that yield within a hundredth of an encoder's step are dry friction, which a simulation follows more smoothly so.
+    """
+    edge = laboratory.facts.effects[effect].edge
+    if not edge:
+        return False
+    parameter, channel = edge
+    size = abs(model.values.get(f"{effect}.{parameter}", (math.inf, 0.0))[0])
+    return size < policy.consequence * laboratory.facts.noise.get(channel, 0.0)
 
 
 def alone(

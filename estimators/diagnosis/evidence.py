@@ -22,12 +22,14 @@ class EffectTraits:
     Attributes:
         contact: whether it acts by contact.
         contains: ids of effects that it contains.
+        edge: a parameter and an output, far below whose noise the effect is what it contains; empty if there is none.
         presupposes: ids of effects beside which it stands.
         resembles: ids of effects that change the motion as it does, whatever their size.
     """
 
     contact: bool = False
     contains: tuple[str, ...] = ()
+    edge: tuple[str, ...] = ()
     presupposes: tuple[str, ...] = ()
     resembles: tuple[str, ...] = ()
 

@@ -365,5 +365,6 @@ def facts_of(setting: Setting, fit: Fit) -> Facts:
 def traits(effect: type[Effect]) -> EffectTraits:
     """Return what a selection asks of a class of effects."""
     return EffectTraits(
-        bool(effect.acts_by_contact), tuple(effect.contains), tuple(effect.presupposes), tuple(effect.resembles)
-    )
+        contact=bool(effect.acts_by_contact), contains=tuple(effect.contains), edge=tuple(effect.edge or ()),
+        presupposes=tuple(effect.presupposes), resembles=tuple(effect.resembles),
+    )  # fmt: skip

@@ -9,7 +9,7 @@ import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 
-from estimators.diagnosis.choice import bic_gain, gain, held_out_gain
+from estimators.diagnosis.choice import bic_gain, gain, held_out_gain, is_at_its_edge
 from estimators.diagnosis.evidence import FittedModel, SimulationError
 from estimators.diagnosis.laboratory import Laboratory
 from estimators.diagnosis.policy import DiagnosisPolicy
@@ -137,6 +137,11 @@ def _taken(
     while left:
         best, rivals = _best(laboratory, remaining, left, policy)
         model = laboratory.refits(now, [asked[best]], "simulation").get(best)
+        # What has become a simpler one leaves its place to that.
+        edge = model is not None and is_at_its_edge(laboratory, best, model, policy)
+        if edge and any(i in laboratory.facts.effects[best].contains for i in left):
+            left.remove(best)
+            continue
         after = None if model is None else laboratory.findings(model)
         if model is not None and after is not None and bic_gain(laboratory.facts.samples, now, model) > 0:
             return best, tuple(rivals), model, after

@@ -58,6 +58,7 @@ class CartPresliding(_Presliding):
     id: ClassVar[str] = "cart_presliding"
     equation: ClassVar[str] = "-f z / z_y, z' = q' - |q'| z / z_y"
     contains: ClassVar[tuple[str, ...]] = ("cart_coulomb",)
+    edge: ClassVar[tuple[str, str] | None] = ("displacement", "cart_position")
     port: ClassVar[str] = "cart"
     states: ClassVar[dict[str, str]] = {"deflection": "m"}
     place: ClassVar[str] = "cart_position"
@@ -85,6 +86,7 @@ class ArmPresliding(_Presliding):
     id: ClassVar[str] = "arm_presliding"
     equation: ClassVar[str] = "-tau z / z_y, z' = theta' - |theta'| z / z_y"
     contains: ClassVar[tuple[str, ...]] = ("arm_coulomb",)
+    edge: ClassVar[tuple[str, str] | None] = ("angle", "arm_angle")
     port: ClassVar[str] = "arm"
     states: ClassVar[dict[str, str]] = {"deflection": "rad"}
     place: ClassVar[str] = "arm_angle"

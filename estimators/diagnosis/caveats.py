@@ -1,15 +1,20 @@
 """Caveats of a loop's result: where its last model strays, what was added for little, and what was not added in time."""
 
+import contextlib
 import math
 from collections.abc import Sequence
+
+import numpy as np
 
 from estimators.core.fit import Fit
 from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.explanation import at_noise
-from estimators.diagnosis.model_extension import is_sure, misfit
+from estimators.diagnosis.model_extension import SURE, misfit
+from estimators.inference.robust_covariance import covariances
 from estimators.linear.outlier import rounded
 from estimators.validation.differing_experiments import WORTH_ASKING
 from estimators.validation.simulation_error import Compared
+from rtac_jax.measurement import Recording
 
 
 def astray(trained: Compared, tested: Compared) -> str:
@@ -55,14 +60,39 @@ def of_little_service(first: Compared, last: Compared, count: int, fall: float) 
     )
 
 
-def not_told_from_nothing(fit: Fit, added: Sequence[Candidate]) -> str:
-    """Say which effects that were added a fit does not tell from nothing; nothing where it tells all."""
-    several = [c.id for c in added if c.id in fit.model and not is_sure(fit, c.id)]
+def doubtful(fit: Fit, recording: Recording, added: Sequence[Candidate]) -> tuple[str, ...]:
+    """Return the ids of effects that were added and that a fit by simulation does not tell from nothing.
+
+    Their deviations are the largest of those that the fit states, for a coloured residual, and for independent experiments.
+
+    Args:
+        fit: with the effects.
+        recording: that was fitted.
+        added: the effects.
+    """
+    amplitudes = {e.id: [f"{e.id}.{name}" for name in e.amplitudes()] for e in fit.model.effects}
+    several = {c.id: amplitudes[c.id] for c in added if c.id in amplitudes}
     if not several:
+        return ()
+    deviations = [{name: p.std for name, p in fit.parameters.items()}]
+    with contextlib.suppress(ValueError, ArithmeticError):
+        spread = covariances(fit, recording)
+        deviations += [spread.std("sandwich"), spread.std("clustered")]
+
+    def sure(name: str) -> bool:
+        known = [d[name] for d in deviations if np.isfinite(d.get(name, np.nan))]
+        return abs(fit.parameters[name].value) > SURE * max(known, default=np.inf)
+
+    return tuple(i for i, names in several.items() if not any(map(sure, names)))
+
+
+def not_told_from_nothing(ids: Sequence[str]) -> str:
+    """Say that the last fit does not tell effects from nothing; nothing where there are none."""
+    if not ids:
         return ""
     return (
-        f" The last fit does not tell {', '.join(several)} from nothing, by two deviations or more: what was named so may be"
-        " something else."
+        f" The last fit does not tell {', '.join(ids)} from nothing, by two deviations or more: what was named so may be something"
+        " else."
     )
 
 

@@ -13,7 +13,7 @@ from estimators.core.result_base import Result
 from estimators.core.results import RESULTS
 from estimators.core.threads import one_blas_thread
 from estimators.diagnosis.candidate import Candidate
-from estimators.diagnosis.caveats import astray, named_too_late, not_told_from_nothing, of_little_service
+from estimators.diagnosis.caveats import astray, doubtful, named_too_late, not_told_from_nothing, of_little_service
 from estimators.diagnosis.diagnose import compile_diagnosis
 from estimators.diagnosis.diagnosis import Diagnosis
 from estimators.diagnosis.explanation import at_noise
@@ -66,6 +66,7 @@ class Improvement(Result):
             None elsewhere. No error of `train` counts it.
         broken_off: whether the time that was given was over before all was asked.
         not_added: ids of what the last diagnosis names, and what was not fitted before the time was over.
+        doubtful: ids of added effects that the last fit, by simulation, does not tell from nothing.
     """
 
     fits: tuple[Fit, ...]
@@ -86,6 +87,7 @@ class Improvement(Result):
     left_out: str | None = None
     broken_off: bool = False
     not_added: tuple[str, ...] = ()
+    doubtful: tuple[str, ...] = ()
 
     foreseen = renamed("foreseen", "predicted_gains")
 
@@ -264,7 +266,7 @@ class Improvement(Result):
         first, last = (self.validation.models[place] for place in (0, len(self.fits) - 1 - after))
         counted = 0 if self.predicted_gains else len(self.added)
         little = of_little_service(first, last, counted, self.diagnoses[0].policy.fall)
-        return f"{start}; {end}.{rivals}{little}{not_told_from_nothing(self.final, self.added)}"
+        return f"{start}; {end}.{rivals}{little}{not_told_from_nothing(self.doubtful)}"
 
     @property
     def _in_time(self) -> str:
@@ -388,4 +390,5 @@ def improve(
         left_out=loop.left_out,
         broken_off=loop.out_of_time or ended.out_of_time or any(d.broken_off for d in diagnoses),
         not_added=loop.not_added,
+        doubtful=doubtful(loop.last.fit, loop.followed, added) if loop.last.way == "simulated" else (),
     )

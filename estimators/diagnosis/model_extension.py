@@ -25,7 +25,7 @@ from rtac_jax.effects import Effect
 from rtac_jax.measurement import Recording
 
 Way = Literal["simulated", "held", "predicted"]
-_SURE = 2.0  # deviations from nothing below which an effect may as well not be there, as in the usual interval of 95 %
+SURE = 2.0  # deviations from nothing below which an effect may as well not be there, as in the usual interval of 95 %
 WAYS: tuple[Way, ...] = ("simulated", "held", "predicted")
 """Ways of fitting a model with effects more, in the order in which they are tried."""
 
@@ -205,7 +205,7 @@ def is_sure(fit: Fit, effect: str) -> bool:
     """Return whether a fit shows an effect, by its id: whether any of its sizes is more than its deviations allow for nothing."""
     amplitudes = next(one for one in fit.model.effects if one.id == effect).amplitudes()
     sizes = [fit.parameters[f"{effect}.{name}"] for name in amplitudes]
-    return any(abs(size.value) > _SURE * size.std for size in sizes)
+    return any(abs(size.value) > SURE * size.std for size in sizes)
 
 
 def _by_predictions(

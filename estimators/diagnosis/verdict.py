@@ -203,7 +203,7 @@ def _residual(
     found = simulation_residual(
         error.error, error.shaken, error.signal, random=error.random, suspect=suspect, seconds=facts.seconds,
         samples_per_radian=facts.samples_per_radian, experiments=facts.experiments, noise_known=facts.noise_known,
-        unknown=error.unknown, limits=policy.simulation,
+        unknown=error.unknown, added=model.added, limits=policy.simulation,
     )  # fmt: skip
     # A fit that ended elsewhere than at the best, or a motion that no simulation can follow, is no failing of the model: where no
     # noise is known, random forces in place of its own are.

@@ -1,7 +1,7 @@
 """The meaning of a simulation error beyond the noise: random forces, too few data, or what nobody explained."""
 
 import dataclasses
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from typing import TYPE_CHECKING, Literal
 
 from scipy.stats import chi2
@@ -156,6 +156,7 @@ def simulation_residual(
     seconds: int = 0,
     noise_known: bool = True,
     unknown: Collection[str] = (),
+    added: Sequence[str] = (),
     limits: SimulationLimits = STANDARD,
 ) -> SimulationResidual:
     """Judge the simulation error of a fit.
@@ -180,6 +181,7 @@ def simulation_residual(
         seconds: of data.
         noise_known: whether the noise of any channel is known apart from a fit.
         unknown: channels of which it is not, where it is of others.
+        added: ids of the effects that the model has beside those of the fit that is diagnosed.
         limits: the thresholds.
     """
     nothing = float("nan")
@@ -195,7 +197,8 @@ def simulation_residual(
 
     def said(cause: Cause, channel: str) -> SimulationResidual:
         fraction = error[channel] / signal[channel]
-        misses = f"the simulation is {_percent(fraction)} of the motion away from the recording ({channel})"
+        simulation = f"the simulation with {', '.join(added)}" if added else "the simulation"
+        misses = f"{simulation} is {_percent(fraction)} of the motion away from the recording ({channel})"
         if noise_known and channel not in unknown:
             misses += f", {error[channel]:.2g} times the known noise"
         words = _words(cause, misses, shaken.get(channel, nothing), random, suspect, seconds)

@@ -121,6 +121,11 @@ def test_where_no_noise_is_known_a_poor_simulation_is_judged_and_no_other() -> N
         of(60.0, (0.4, 0.0)).headline
         == "Random forces stand in for the physics: the simulation misses 30 % of the motion (arm_velocity)"
     )
+    beside = simulation_residual(
+        {"arm_velocity": 60.0}, {}, {"arm_velocity": 200.0}, random=(0.4, 0.0), samples_per_radian=20.0, experiments=3,
+        noise_known=False, added=("lvdt_gain",),
+    )  # fmt: skip
+    assert "the simulation with lvdt_gain is 30 % of the motion away" in beside.words
     assert of(60.0, (NAN, NAN)).cause == "unexplained"
     assert of(15.0, (0.4, 0.0)).cause == "noise"  # of a sensor that wanders slowly the fastest changes tell too little
     assert of(15.0, (0.4, 0.0)).words == ""

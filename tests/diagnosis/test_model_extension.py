@@ -172,7 +172,9 @@ def looped(
 
     def compared(fits: Any, *_: Any, labels: tuple[str, ...] = ("base",)) -> est.Comparison:
         several = fits if isinstance(fits, list) else [fits]
-        error = [{"cart_position": SimpleNamespace(rms_over_noise=f.statistics["error"])} for f in several]
+        error = [
+            {"cart_position": SimpleNamespace(rms_over_noise=f.statistics["error"], fit_percent=90.0)} for f in several
+        ]
         pairs = zip(labels, error, strict=True)
         return est.Comparison(tuple(made(Known, label=x, known=e, start={}) for x, e in pairs))
 
@@ -183,7 +185,7 @@ def looped(
         return made(est.Diagnosis, verdict="missing", effects=(CANDIDATE,), additions=(spring,), values={})
 
     for module, stubs in {
-        improve: {"output_error": fitted, "compare": compared},
+        improve: {"output_error": fitted, "compare": compared, "doubtful": lambda *_: ()},
         improvement_loop: {"diagnose": diagnosed},
         _add_effect: {
             "output_error": fitted,

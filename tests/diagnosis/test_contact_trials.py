@@ -1,6 +1,7 @@
 """A play, which the likelihood shows by steps only, is found by trial where a fit along derivatives ends beside it."""
 
 import dataclasses
+import inspect
 from types import SimpleNamespace
 
 import numpy as np
@@ -8,8 +9,10 @@ import pytest
 
 import estimators as est
 import rtac_jax as rtac
+from estimators.core.deadline import Deadline, OutOfTimeError
 from estimators.core.parameter_space import Space
 from estimators.core.progress import Progress
+from estimators.diagnosis import contact_trials
 from estimators.diagnosis.contact_trials import acting_on_arm, begins_of, in_turn
 from estimators.diagnosis.innovation_tests import screened_at_low_noise
 from estimators.diagnosis.refit import Refit
@@ -123,3 +126,29 @@ def test_sweeps_of_trials_end_with_the_likeliest_fit(
     # Each begins where the likeliest fit before it ended.
     ended = [[one for one in likelihoods[:count] if one is not None] for count in range(sweeps)]
     assert begun == [(str(max(before, default=0.0)), max(before, default=0.0)) for before in ended]
+
+
+def test_a_trial_looks_at_the_time_before_the_filter_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(contact_trials, "negative_log_likelihood", lambda *_: 1.0)
+    cost, nothing = inspect.unwrap(contact_trials._cost), [None] * 7
+    assert cost(*nothing) == 1.0
+    with Deadline(0.0).kept(), pytest.raises(OutOfTimeError):
+        cost(*nothing)
+
+
+def test_where_the_time_is_over_the_likeliest_fit_so_far_counts() -> None:
+    def climbed(space: Space, noise: np.ndarray, side: float) -> tuple[Space, np.ndarray]:
+        if len(done) == late:
+            raise OutOfTimeError
+        return space, noise
+
+    def fitted(space: Space, noise: np.ndarray) -> tuple[Refit, Space]:
+        done.append(100.0 * (1 + len(done)))
+        return fit_of(done[-1]), space_of(done[-1])
+
+    for late in (1, 2):
+        done: list[float] = []
+        assert in_turn(space_of(0.0), fit_of(0.0), climbed, fitted).predictor.log_likelihood == 100.0 * late
+    late, done = 0, []
+    with pytest.raises(OutOfTimeError):
+        in_turn(space_of(0.0), fit_of(0.0), climbed, fitted)

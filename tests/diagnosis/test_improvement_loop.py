@@ -11,6 +11,7 @@ import pytest
 
 import estimators as est
 import rtac_jax as rtac
+from estimators.core.deadline import Deadline
 from estimators.core.fisher_information import Information, information_of
 from estimators.core.fit import Parameter
 from estimators.core.results import RESULTS
@@ -272,3 +273,14 @@ def test_dry_friction_of_the_arm_and_a_delay_hide_each_other() -> None:
     assert found.mended == "adequate"
     assert found.final.parameters["input_delay.delay"].value == pytest.approx(4e-3, rel=0.05)
     assert found.final.parameters["arm_coulomb.level"].value == pytest.approx(3e-3, rel=0.05)
+
+
+def test_after_the_time_is_over_nothing_is_diagnosed_any_more(monkeypatch):
+    def diagnosed(*_, **__):
+        raise AssertionError("diagnosed again")
+
+    monkeypatch.setattr(improvement_loop, "diagnose", diagnosed)
+    one = dataclasses.replace(new_loop(), diagnoses=[made_up_results.diagnosis("missing")], deadline=Deadline(0.0))
+    one.run()
+    assert one.out_of_time
+    assert one.stopped == improvement_loop.OUT_OF_TIME

@@ -6,11 +6,12 @@ import pytest
 
 import rtac_jax as rtac
 from estimators.core.data import CHANNELS, Data, moving
+from estimators.core.deadline import Deadline, OutOfTimeError
 from estimators.core.initial_state import scales_of, space_of
 from estimators.core.sensor_noise import noise_levels
 from estimators.core.step_size import STEP_ERROR, accurate_substeps
 from estimators.prediction_error.filter_pass import run_filter
-from estimators.prediction_error.noise_estimation import first_noise, low_process_noise
+from estimators.prediction_error.noise_estimation import first_noise, fit_noise, low_process_noise
 from estimators.prediction_error.noise_model import NoiseModel
 from estimators.prediction_error.predictive_steps import predictive_substeps
 
@@ -57,3 +58,10 @@ def test_no_more_are_taken_than_a_simulation_needs(problem):
     model, data, space, prior, _ = problem
     physical = (space.values, space.each_values, space.start)
     assert predictive_substeps(model, data, space, physical, prior, most=1) == 1
+
+
+def test_a_fit_of_the_noise_looks_at_the_time(problem):
+    model, data, space, prior, _ = problem
+    physical = (space.values, space.each_values, space.start)
+    with Deadline(0.0).kept(), pytest.raises(OutOfTimeError):
+        fit_noise(model, data, space, physical, prior, None, jnp.asarray(1))

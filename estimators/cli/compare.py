@@ -44,6 +44,7 @@ def compare(
     with job(file, validation, out, json) as work:
         from estimators.reporting import report as _report
         from estimators.reporting import summary
+        from estimators.reporting import tables as _tables
         from estimators.reporting.several_models import models_dict, models_table
 
         fits, labels = _judged(work, models, effects)
@@ -53,9 +54,9 @@ def compare(
         tables = []
         for compared in against.models:
             own = [row for row in rows if row["model"] == compared.label]
-            table = _report.comparison_table(own, whiteness=not against.several_ahead)
+            table = _tables.comparison_table(own, whiteness=not against.several_ahead)
             tables += [compared.label] * (len(fits) > 1) + [table]
-        errors = _report.error_table(trained, tested) if len(fits) == 1 else models_table(trained, tested)
+        errors = _tables.error_table(trained, tested) if len(fits) == 1 else models_table(trained, tested)
         where = "\n".join(_where(compared, rows, against, several=len(fits) > 1) for compared in against.models)
         if ahead is not None:
             where = f"{against.several_ahead or 'Predictions one sample ahead.'}\n{where}"
@@ -127,7 +128,7 @@ def _where(compared: Any, rows: list[dict[str, Any]], against: Any, *, several: 
 def _parameters(fit: Any) -> Any:
     """Return a table of the parameters; of a model without deviations."""
     from estimators.reporting.html import Table
-    from estimators.reporting.report import parameter_table
+    from estimators.reporting.tables import parameter_table
 
     if hasattr(fit, "information"):
         return parameter_table(fit)

@@ -51,6 +51,7 @@ def control(
         from estimators.reporting import control as texts
         from estimators.reporting import envelope as envelope_texts
         from estimators.reporting import report
+        from estimators.reporting import tables as _tables
         from estimators.reporting.summary import of_control
         from estimators.uncertainty.fitted_model import fitted_in_envelope
 
@@ -70,7 +71,7 @@ def control(
             )
         whose = f"It was fitted to {'the same' if fitted_to(fit, work.train) else 'another'} recording."
         trained, tested = work.compared(fit)
-        errors, parameters = report.error_table(trained, tested), report.parameter_table(fit)
+        errors, parameters = _tables.error_table(trained, tested), _tables.parameter_table(fit)
         fitted = fitted_in_envelope(fit.model, made.covered, with_spring=with_arm_spring(fit.model, made.actuation))
         work.save(made, save)
         doubt = _does_not_follow(tested or trained)

@@ -28,6 +28,7 @@ def diagnose(
         from estimators.core.deadline import PROLONGED, Deadline
         from estimators.reporting import report as _report
         from estimators.reporting import summary
+        from estimators.reporting import tables as _tables
 
         candidates = offered(effects)
         seconds = work.time_for(within)
@@ -36,10 +37,10 @@ def diagnose(
         with Deadline(None if seconds is None else PROLONGED * seconds).kept():
             fits, labels = _refitted(work, base, found)
         trained, tested = work.compared(fits, labels)
-        table, errors = _report.candidate_table(found), _report.error_table(trained, tested)
+        table, errors = _tables.candidate_table(found), _tables.error_table(trained, tested)
         planned = None if found.broken_off else plan_next(work, base, found, candidates)
         work.save(found, save)
-        table_of_tests = _report.evidence_table(found)
+        table_of_tests = _tables.evidence_table(found)
         work.say(found.explanation, work.remark, table, table_of_tests, errors, planned or "", found.policy.words)
         work.write_json(
             _report.report_dict(
@@ -78,9 +79,9 @@ def diagnose(
                 ("Error before and after", [errors]),
                 ("Figures", shown(figures, **captions)),
                 ("Candidates", [table]),
-                ("Is anything missing?", [_report.evidence_table(found), _report.place_table(found)]),
-                ("Parameters", [_report.parameter_table(fits[-1], base=base if len(fits) > 1 else None)]),
-                ("Thresholds", [_report.policy_table(found.policy)]),
+                ("Is anything missing?", [_tables.evidence_table(found), _tables.place_table(found)]),
+                ("Parameters", [_tables.parameter_table(fits[-1], base=base if len(fits) > 1 else None)]),
+                ("Thresholds", [_tables.policy_table(found.policy)]),
             ]
             bullets = summary.of_diagnosis(found, trained, tested, file=work.file)
             work.write_report(f"Diagnosis of {work.file}", figures, sections, summary=bullets, traces=tested or trained)

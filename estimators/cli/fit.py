@@ -50,6 +50,7 @@ def fit(
         from estimators.core.piecewise_triangle import LONG
         from estimators.reporting import report as _report
         from estimators.reporting import summary
+        from estimators.reporting import tables as _tables
         from estimators.reporting.fit_table import AllEstimates, estimates_table, fit_table, recommended_table
         from estimators.validation.differing_experiments import differing
 
@@ -71,7 +72,7 @@ def fit(
         if (differences := differing(found, work.train)) is not None:
             work.note(differences.differences)
         trained, tested = work.compared(found)
-        errors = _report.error_table(trained, tested)
+        errors = _tables.error_table(trained, tested)
         known = AllEstimates(closed, found, predicted, agreed, spread)
         table = fit_table(known)
         advice = est.recommended(found, trained.models[0], predicted=predicted, spread=spread)

@@ -67,6 +67,7 @@ def improved(
     import estimators as est
     from estimators.reporting import report as _report
     from estimators.reporting import summary
+    from estimators.reporting import tables as _tables
     from estimators.reporting.fit_table import recommended_table
 
     if work.held_out is None:
@@ -83,11 +84,11 @@ def improved(
     extended = len(found.validation.models) > 1
     if found.settled:
         work.withdraw_inconsistencies()
-    errors = _report.error_table(found.train, found.validation)
+    errors = _tables.error_table(found.train, found.validation)
     advice = _advice(found, work)
     own = advice.parameters if advice is not None and advice.estimator == "output error" else None
     base = found.base if extended else None
-    parameters: list[Any] = [_report.parameter_table(found.final, base=base, estimates=own)]
+    parameters: list[Any] = [_tables.parameter_table(found.final, base=base, estimates=own)]
     if extended and found.base.lost:
         parameters.append(f"Before: {found.base.outcome}")
     if advice is not None:
@@ -102,7 +103,7 @@ def improved(
         base = found.fits[found.fitted_before(found.diagnoses.index(open_question))]
         planned = plan_next(work, base, open_question, candidates)
     table, judged = (
-        _report.candidate_table(found.diagnoses[0], [c.id for c in found.added]),
+        _tables.candidate_table(found.diagnoses[0], [c.id for c in found.added]),
         found.diagnoses[0].policy.words,
     )
     work.say(found.headline, *said, found.ending, work.remark, table, errors, *parameters, planned or "", judged)
@@ -147,16 +148,16 @@ def improved(
     for number, diagnosis in enumerate(found.diagnoses, 1):
         tables += [
             f"Diagnosis {number}: {diagnosis.verdict}.",
-            _report.candidate_table(diagnosis, [c.id for c in found.added]),
+            _tables.candidate_table(diagnosis, [c.id for c in found.added]),
         ]
-        tables += [_report.evidence_table(diagnosis), _report.place_table(diagnosis)]
+        tables += [_tables.evidence_table(diagnosis), _tables.place_table(diagnosis)]
     sections = [
         ("Verdict", [found.headline, f"{finding(found)}.", *told, found.ending, work.remark]),
         ("Error before and after", [errors]),
         ("Figures", shown(figures, **captions)),
         ("Parameters", parameters),
         ("Candidates", tables),
-        ("Thresholds", [_report.policy_table(found.diagnoses[0].policy)]),
+        ("Thresholds", [_tables.policy_table(found.diagnoses[0].policy)]),
     ]
     estimates = None if advice is None else advice.parameters
     bullets = summary.of_diagnosis(found, found.train, found.validation, file=work.file, estimates=estimates)

@@ -48,7 +48,7 @@ def acting_on_arm(model: RTAC, free: Sequence[str]) -> tuple[str, ...]:
     return tuple(name for name in free if name in _ARM or name.split(".")[0] in effects)
 
 
-def tried(data: Data) -> Data:
+def trial_data(data: Data) -> Data:
     """Return the data that trials are of: the beginning of every experiment tells where a contact is."""
     return data.beginning(_TRIED)
 

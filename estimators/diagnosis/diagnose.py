@@ -113,7 +113,7 @@ def diagnose(
         raise ValueError(
             "no candidate is left: the model has every effect that was offered, or lacks what they stand beside."
         )
-    # Whose ever deadline this is part of: refits alone are broken off.
+    # Whatever deadline whoever asks keeps: refits alone are broken off.
     with Deadline().kept(), Progress("diagnose", show=progress) as shown:
         setting = setting_of(fit, recording, classes, shown, policy)
         # Where some are in the model already, as in the loop, its other tests are still worth asking.
@@ -216,7 +216,7 @@ def _explanation(told: Diagnosis, found: Judgement, setting: Setting, *, thoroug
     text = words(
         told.verdict, told.effects, told.candidates, steps, told.tests, told.left, told.removed, told.curves, told.latent,
         told.places, told.lines, told.simulation, told.policy, told.consequence, found.detectable,
-        told.floor, told.misfit, told.none,
+        told.floor, told.misfit, told.no_effect,
     )  # fmt: skip
     if told.simulation is not None and further and not steps:
         text += without_the_physics(further, told.simulation)

@@ -124,7 +124,7 @@ class Diagnosis(Result):
         return "" if found is None or others > self.policy.left * found.excess else found.words
 
     @property
-    def none(self) -> str:
+    def no_effect(self) -> str:
         """Return the subject of a sentence that says that nothing explains a misfit."""
         return "no effect that was fitted before the time was over" if self.broken_off else "no effect of the catalogue"
 

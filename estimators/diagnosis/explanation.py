@@ -58,7 +58,7 @@ def words(
     detectable: Sequence[Step] = (),
     floor: str = AT_NOISE,
     misfit: str = "the misfit",
-    none: str = "no effect of the catalogue",
+    no_effect: str = "no effect of the catalogue",
 ) -> str:
     """Describe in a paragraph what is missing, how big, where it shows, how sure, and what would make it surer."""
     if verdict == "adequate":
@@ -86,7 +86,7 @@ def words(
             shown if worst is not None and worst.excess > 1 else ""
         )
     if verdict == "unknown":
-        return _unknown(candidates, tests, removed, curves, latent, lines, policy, none) + shown
+        return _unknown(candidates, tests, removed, curves, latent, lines, policy, no_effect) + shown
     by_id = {c.id: c for c in effects}
     sentences = []
     for step in steps:
@@ -349,7 +349,7 @@ def _unknown(
     latent: Sequence[LatentForce],
     lines: Sequence[LineClass],
     policy: DiagnosisPolicy,
-    none: str,
+    no_effect: str,
 ) -> str:
     reasons = "; ".join(f"{test.test}: {test.words}" for test in tests if test.rejects)
     refitted = [c for c in candidates if c.refitted]
@@ -374,4 +374,4 @@ def _unknown(
             f" On the {telling.lines} lines of the periodic input {telling.channel} has {telling.ratio:.2g} times the power "
             f"of the noise, which shows {telling.shows}."
         )
-    return f"Unknown: the model fails and {none} explains it ({reasons}).{nearest}{force}{static}"
+    return f"Unknown: the model fails and {no_effect} explains it ({reasons}).{nearest}{force}{static}"

@@ -167,7 +167,7 @@ class Improvement(Result):
             return f"{self.constancy.differences} {self._found}"
         verdict = {
             "adequate": "predicted one sample ahead, which counts random forces, nothing is missing",
-            "unknown": f"the model fails, and {self.diagnoses[-1].none} explains that",
+            "unknown": f"the model fails, and {self.diagnoses[-1].no_effect} explains that",
         }.get(
             self.diagnoses[-1].verdict,
             "the model fails, and what the diagnosis names does not serve held-out experiments",
@@ -218,12 +218,10 @@ class Improvement(Result):
             if line := last.line_alone:
                 return (
                     f"The model follows the recording to {last.simulated:.2f} times the noise, and only a line speaks against it, "
-                    f"which {last.none} explains: {line}."
+                    f"which {last.no_effect} explains: {line}."
                 )
             if last.drift and self.nearest is None:
-                return (
-                    f"The model fails as where a parameter drifts: {last.drift}. {last.none.capitalize()} explains it."
-                )
+                return f"The model fails as where a parameter drifts: {last.drift}. {last.no_effect.capitalize()} explains it."
             if self.not_added:
                 return f"The model fails. {named_too_late(self.not_added)}."
             if last.rounding and self.nearest is None and self.learned is None:
@@ -233,7 +231,7 @@ class Improvement(Result):
                 )
             return {
                 "adequate": f"The model is adequate: nothing is missing {last.floor}{self._in_time}{self._but}.",
-                "unknown": f"The model fails, and {self.diagnoses[-1].none} explains {whole}.",
+                "unknown": f"The model fails, and {self.diagnoses[-1].no_effect} explains {whole}.",
             }.get(
                 self.diagnoses[-1].verdict,
                 "The model fails, and what the diagnosis names does not serve held-out experiments.",
@@ -251,7 +249,7 @@ class Improvement(Result):
             "adequate": f"the mended model is adequate{' one sample ahead' if self._astray else ''}{self._in_time}",
             "unknown": f"the mended model fails as where a parameter drifts: {drift}"
             if drift
-            else f"the mended model still fails, and {self.diagnoses[-1].none} explains {whole}",
+            else f"the mended model still fails, and {self.diagnoses[-1].no_effect} explains {whole}",
             None: "the mended model was not diagnosed again",
         }.get(self.mended, "what a diagnosis of the mended model names does not serve held-out experiments")
         if self.not_added:

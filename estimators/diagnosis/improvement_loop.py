@@ -115,7 +115,7 @@ class Loop:
                 continue
             if not found.additions:
                 enough = found.verdict == "adequate"
-                why = "nothing more is missing" if enough else f"{found.none} explains what is missing"
+                why = "nothing more is missing" if enough else f"{found.no_effect} explains what is missing"
                 if found.simulation is not None and found.simulation.vetoes:
                     why = "no test names what the simulation's error comes from"
                 self.stopped = f"Stopped: {why}."

@@ -25,7 +25,7 @@ from estimators.diagnosis.contact_trials import (
     few_random_forces,
     in_turn,
     likeliest_begin,
-    tried,
+    trial_data,
 )
 from estimators.diagnosis.evidence import HeldOut, SimulationError
 from estimators.diagnosis.gross_effects import placed_inside
@@ -194,7 +194,7 @@ def refit_by_trial(setting: Setting, before: Refit, s: Screened) -> Refit:
     model, free, added = _extended(setting, before, s)
     model = model.with_values({n: v for n, v in before.values.items() if n in model.parameters})
     moving = acting_on_arm(model, free)
-    part = tried(setting.data)
+    part = trial_data(setting.data)
     others = tuple(name for name in free if name not in moving)
 
     def placed(values: Mapping[str, float], each: Any) -> Space:

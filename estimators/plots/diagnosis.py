@@ -81,7 +81,7 @@ def finding(diagnosis: Diagnosis) -> str:
     if diagnosis.verdict == "unknown":
         if diagnosis.drift:
             return f"The model fails as where a parameter drifts: {diagnosis.drift.split(' would explain')[0]}"
-        failed = f"The model fails, and {diagnosis.none} explains it"
+        failed = f"The model fails, and {diagnosis.no_effect} explains it"
         if not diagnosis.curves:
             return failed
         best, rejected = static_force(diagnosis.curves, diagnosis.tests, diagnosis.policy)

@@ -81,7 +81,7 @@ def of_diagnosis(
         "adequate": f"Nothing is missing from the model {last.floor}{in_time}",
         "missing": f"Missing: {named}" if named else "An effect is missing",
         "ambiguous": f"One of a group is missing, and these data cannot tell which: {named}",
-        "unknown": f"The model fails, and {last.none} explains it{on_the_way}",
+        "unknown": f"The model fails, and {last.no_effect} explains it{on_the_way}",
     }
     if last.line_alone:
         whats["unknown"] = f"Only a line speaks against the model{on_the_way}: {last.line_alone}"

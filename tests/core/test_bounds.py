@@ -19,7 +19,7 @@ from estimators.core.jacobian_factor import Arguments, factor
 from estimators.core.linearisation import at_fit
 from estimators.core.residual import diagonal_whitener, no_gain
 from estimators.diagnosis.candidate_set import plausible
-from estimators.reporting.report import parameter_table
+from estimators.reporting.tables import parameter_table
 from rtac_jax import Scales, effects, virtual_rig
 from rtac_jax.parameters import declarations
 from rtac_jax.simulation import substeps_for

@@ -16,7 +16,7 @@ from estimators.core.results import RESULTS
 from estimators.diagnosis import improve, improvement_loop
 from estimators.diagnosis import model_extension as _add_effect
 from estimators.diagnosis.model_extension import holding
-from estimators.reporting.report import parameter_table
+from estimators.reporting.tables import parameter_table
 from estimators.validation.predictive_likelihood import OneStepAhead
 from estimators.validation.simulation_error import Compared
 from rtac_jax import virtual_rig

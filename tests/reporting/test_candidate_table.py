@@ -5,7 +5,7 @@ import dataclasses
 import made_up_results
 import pytest
 
-from estimators.reporting.report import candidate_table
+from estimators.reporting.tables import candidate_table
 
 
 @pytest.mark.parametrize(

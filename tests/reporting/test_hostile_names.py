@@ -14,7 +14,8 @@ from estimators.cli.job import Job
 from estimators.plots import plot_comparison, plot_recording, plot_residuals
 from estimators.plots.style import shortened
 from estimators.reporting.html import Shown, Table, write_figures, write_report
-from estimators.reporting.report import comparison_rows, comparison_table
+from estimators.reporting.report import comparison_rows
+from estimators.reporting.tables import comparison_table
 from estimators.study import Estimate
 from estimators.validation.simulation_error import Comparison
 from rtac_jax.measurement import Experiment, Recording, RecordingError, describe

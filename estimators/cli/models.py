@@ -107,10 +107,11 @@ def fitted_to(fit: Any, recording: Any) -> bool:
 
 def seen(fit: Any, recording: Any) -> list[str]:
     """Return the names of the experiments in a recording that a fit was made of; none for a model."""
-    from estimators.core.data import mark_of
+    from estimators.core.data import is_among, mark_of, moving, pieces
 
     marks = getattr(fit, "marks", {})
-    return [e.name for e in _moving(recording) if marks.get(e.name) == mark_of(e)]
+    several = pieces([e for e in moving(recording) if is_among(e, marks)])
+    return [e.name for e in several if marks.get(e.name) == mark_of(e)]
 
 
 def _moving(recording: Any) -> Any:

@@ -17,6 +17,9 @@ from rtac_jax.measurement import OUTPUTS, Experiment, Recording
 from rtac_jax.time_loop import room_for
 
 CHANNELS = tuple(OUTPUTS)
+_LONG = 8192  # samples that are simulated in one piece
+_PIECE = 512
+_SEVERAL = 2 * _PIECE  # beside others that are cut
 Values = Float[np.ndarray, " sample"]
 Outputs3 = Float[Real, "sample output experiment"]
 
@@ -133,7 +136,7 @@ def fitted_part(recording: Recording, names: Collection[str]) -> Recording:
     Raises:
         ValueError: it holds none of them.
     """
-    kept = [e for e in recording.experiments if e.kind == "rest" or any(p.name in names for p in pieces([e]))]
+    kept = [e for e in recording.experiments if e.kind == "rest" or is_among(e, names)]
     if all(e.kind == "rest" for e in kept):
         raise ValueError(
             f"the fit used {', '.join(names)}, and this recording holds none of these; give the recording that was fitted."
@@ -143,23 +146,33 @@ def fitted_part(recording: Recording, names: Collection[str]) -> Recording:
     return dataclasses.replace(recording, experiments=tuple(kept))
 
 
-def pieces(experiments: Sequence[Experiment], longest: int = 8192, length: int = 512) -> list[Experiment]:
+def is_among(e: Experiment, names: Collection[str]) -> bool:
+    """Return whether an experiment has one of some names, whole or cut."""
+    return any(piece.name in names for longest in (_LONG, _SEVERAL) for piece in _cut(e, longest))
+
+
+def pieces(experiments: Sequence[Experiment]) -> list[Experiment]:
     """Cut long experiments into pieces that are simulated side by side, each with a start of its own.
 
-    Only where every piece shows where it starts: with the arm locked or its angle measured. What comes before the first sample
-    that a sensor measured is cut off there, too.
+    Only where every piece shows where it starts: with the arm locked or its angle measured. Where one is cut, so are others of
+    several pieces, as all are simulated for as long as the longest. What comes before the first sample that a sensor measured is
+    cut off, too.
     """
-    found = []
-    for e in experiments:
-        begin = first_sample(e)
-        samples = e.samples - begin
-        if samples <= longest or not _shows_its_start(e):
-            found.append(e.cut(begin, e.samples) if begin else e)
-            continue
-        edges = np.linspace(begin, e.samples, round(samples / length) + 1).astype(int)
-        for first, last in itertools.pairwise(edges):
-            found.append(e.cut(int(first), int(last), f"{e.name}[{first}:{last}]"))
-    return found
+    longest = _SEVERAL if any(map(_is_long, experiments)) else _LONG
+    return [piece for e in experiments for piece in _cut(e, longest)]
+
+
+def _is_long(e: Experiment) -> bool:
+    return _shows_its_start(e) and e.samples - first_sample(e) > _LONG
+
+
+def _cut(e: Experiment, longest: int) -> list[Experiment]:
+    begin = first_sample(e)
+    samples = e.samples - begin
+    if samples <= longest or not _shows_its_start(e):
+        return [e.cut(begin, e.samples) if begin else e]
+    edges = np.linspace(begin, e.samples, round(samples / _PIECE) + 1).astype(int)
+    return [e.cut(int(a), int(b), f"{e.name}[{a}:{b}]") for a, b in itertools.pairwise(edges)]
 
 
 def first_sample(experiment: Experiment) -> int:
@@ -175,4 +188,5 @@ def _shows_its_start(experiment: Experiment) -> bool:
 
 def origins(experiments: Sequence[Experiment]) -> dict[str, str]:
     """Return by the name of each of their `pieces` the name of the experiment that it is cut from, in the order of time."""
-    return {piece.name: e.name for e in experiments for piece in pieces([e])}
+    longest = _SEVERAL if any(map(_is_long, experiments)) else _LONG
+    return {piece.name: e.name for e in experiments for piece in _cut(e, longest)}

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from estimators.core.data import CHANNELS, Data, mark_of, moving, pieces
+from estimators.core.data import CHANNELS, Data, is_among, mark_of, moving, pieces
 from estimators.core.fisher_information import slope_of
 from estimators.core.fit import Fit
 from estimators.core.initial_state import space_of
@@ -48,7 +48,9 @@ def at_fit(fit: Fit, recording: Recording, *, off_bounds: float = 0.0) -> Proble
     Raises:
         ValueError: the recording is not the one that was fitted.
     """
-    by_name = {e.name: e for e in pieces(moving(recording))}
+    # Beside longer ones that were not fitted, what was would be cut otherwise.
+    fitted = [e for e in moving(recording) if is_among(e, fit.experiments)]
+    by_name = {e.name: e for e in pieces(fitted)}
     missing = [name for name in fit.experiments if name not in by_name]
     if missing:
         raise ValueError(

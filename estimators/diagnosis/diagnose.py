@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from estimators.core.compilation import make_room
-from estimators.core.data import fitted_part
+from estimators.core.data import fitted_part, moving
 from estimators.core.deadline import Deadline
 from estimators.core.fit import Fit
 from estimators.core.progress import Progress
@@ -26,6 +26,7 @@ from estimators.diagnosis.explanation import (
     SHAKEN,
     found_by_simulation,
     not_named,
+    of_part,
     out_of_time,
     shaken,
     strayed,
@@ -35,7 +36,7 @@ from estimators.diagnosis.explanation import (
     without_the_physics,
     words,
 )
-from estimators.diagnosis.gross_effects import is_gross, offering_gross
+from estimators.diagnosis.gross_effects import enough_of, is_gross, offering_gross
 from estimators.diagnosis.innovation_tests import (
     latent_of,
     lines_of,
@@ -115,26 +116,49 @@ def diagnose(
         )
     # Whatever deadline whoever asks keeps: refits alone are broken off.
     with Deadline().kept(), Progress("diagnose", show=progress) as shown:
-        setting = setting_of(fit, recording, classes, shown, policy)
-        # Where some are in the model already, as in the loop, its other tests are still worth asking.
-        if not setting.absent and not any(c.id in fit.model for c in candidates or ()):
-            raise ValueError(
-                f"no candidate is left: nothing in the recording could show {', '.join(c.id for c in classes)}."
+        part = enough_of(fit, recording, policy)
+        told = _diagnosed(fit, part, candidates, classes, policy, shown, deadline, thorough=thorough)
+        if part is not recording and not told.additions and not deadline.over:
+            told = _diagnosed(fit, recording, candidates, classes, policy, shown, deadline, thorough=thorough)
+        elif part is not recording:
+            told = dataclasses.replace(
+                told, explanation=told.explanation + of_part(sum(e.samples for e in moving(part)))
             )
-        with warnings.catch_warnings():  # what threads do to the filters at the same time ends here
-            laboratory = _begun(setting, fit, Workers(), deadline, whole=candidates is None)
-            decide(laboratory, policy, thorough=thorough)
-            evidence = laboratory.evidence(thorough=thorough)
-        shown.at("diagnose: verdict")
-        unshown = [c for c in classes if c.id not in setting.absent and not stood_for(c, setting.experiments)]
-        told = _told(laboratory, evidence, judge(evidence, policy), unshown, fit.farthest)
+    return dataclasses.replace(told, seconds=time.perf_counter() - began)
+
+
+def _diagnosed(
+    fit: Fit,
+    recording: Recording,
+    candidates: Sequence[type[Effect]] | None,
+    classes: Sequence[type[Effect]],
+    policy: DiagnosisPolicy,
+    shown: Progress,
+    deadline: Deadline,
+    *,
+    thorough: bool,
+) -> Diagnosis:
+    """Diagnose a fit by the recording that it was fitted to, or by the beginnings of its experiments."""
+    setting = setting_of(fit, recording, classes, shown, policy)
+    # Where some are in the model already, as in the loop, its other tests are still worth asking.
+    if not setting.absent and not any(c.id in fit.model for c in candidates or ()):
+        raise ValueError(
+            f"no candidate is left: nothing in the recording could show {', '.join(c.id for c in classes)}."
+        )
+    with warnings.catch_warnings():  # what threads do to the filters at the same time ends here
+        laboratory = _begun(setting, fit, Workers(), deadline, whole=candidates is None)
+        decide(laboratory, policy, thorough=thorough)
+        evidence = laboratory.evidence(thorough=thorough)
+    shown.at("diagnose: verdict")
+    unshown = [c for c in classes if c.id not in setting.absent and not stood_for(c, setting.experiments)]
+    told = _told(laboratory, evidence, judge(evidence, policy), unshown, fit.farthest)
     facts = evidence.facts
     unexplained = told.simulation is not None and told.simulation.cause == "unexplained"
     unasked = told.verdict == "adequate" and not facts.noise_known
     if (unexplained or unasked) and max(told.random_force, told.random_torque) < SHAKEN:  # or else they are the reason
         said = strayed(fit.residual_std, fit.noise, recording, unfollowed=facts.unfollowed, poor=policy.simulation.poor)
         told = dataclasses.replace(told, explanation=told.explanation + said)
-    return dataclasses.replace(told, seconds=time.perf_counter() - began)
+    return told
 
 
 def _begun(setting: Setting, fit: Fit, workers: Workers, deadline: Deadline, *, whole: bool) -> LiveLaboratory:

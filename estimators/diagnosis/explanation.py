@@ -158,6 +158,18 @@ def static_force(
     return best, True
 
 
+def of_part(samples: int) -> str:
+    """Say that only a part of the samples was looked at, as the fit follows nothing.
+
+    Args:
+        samples: that were looked at.
+    """
+    return (
+        f" As the fit follows nothing, {samples:,} samples of all experiments were looked at, which show what dominates; detection"
+        " limits are theirs. A diagnosis of the model with what is named looks at all."
+    )
+
+
 def not_named(further: Sequence[Step], left: Sequence[AdequacyTest], samples: int) -> str:
     """Say what would explain a part of what the named effects leave, but too little of it."""
     first = further[0]

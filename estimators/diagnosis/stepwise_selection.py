@@ -30,11 +30,13 @@ class _Look:
         ranked: those to be refitted, all but the first and what is near it only if the first leaves something.
         near: those among them that are refitted together with the first.
         way: to refit them.
+        least: gain that the first step must have, or none is taken.
     """
 
     ranked: Sequence[Score]
     near: Sequence[Score]
     way: Way
+    least: float = 0.0
 
 
 def select(laboratory: Laboratory, policy: DiagnosisPolicy, *, thorough: bool) -> Selection:
@@ -48,10 +50,7 @@ def select(laboratory: Laboratory, policy: DiagnosisPolicy, *, thorough: bool) -
     if gross(laboratory, policy):
         by_equations = explaining_equations(laboratory, policy)
         if by_equations.named(laboratory.facts.samples, policy)[1]:
-            # What innovations show of something else, as of an input that is declared wrongly, may be more than all that.
-            large = by_size(nameable(laboratory.facts, alarming(by_equations.findings.scores, policy.critical)), 0.0)
-            if not large or by_equations.steps[0].gain > large[0].statistic:
-                return by_equations
+            return by_equations
     found = _selected(laboratory, laboratory.base, policy)
     simulated = selected_by_simulation(laboratory, found, policy)
     if simulated is not None:
@@ -81,7 +80,10 @@ def explaining_equations(laboratory: Laboratory, policy: DiagnosisPolicy) -> Sel
     findings = laboratory.findings(laboratory.base) or Findings()
     tests = adequacy_tests(findings, policy.critical)
     ranked = [s for s in laboratory.equation_scores(laboratory.base) if s.statistic > policy.bic_gain][: policy.refits]
-    look = _Look(ranked, _near(ranked, policy.close) if ranked else [], "equations")
+    # What innovations show of something else, as of an input that is declared wrongly, may be more than all that.
+    large = by_size(nameable(laboratory.facts, alarming(findings.scores, policy.critical)), 0.0)
+    least = large[0].statistic if large else 0.0
+    look = _Look(ranked, _near(ranked, policy.close) if ranked else [], "equations", least)
     return Selection(
         laboratory.base, findings, tests, *improvements(laboratory, laboratory.base, findings, policy, look)
     )
@@ -226,7 +228,7 @@ def improvements(
     first_tests = adequacy_tests(findings, policy.critical)
     for _ in range(policy.effects):
         step = _next_step(laboratory, now, seen, tried, policy, look if not steps else None)
-        if step is None:
+        if step is None or (look is not None and not steps and step.gain <= look.least):
             break
         known = tried.get(step.id)  # the first refit with it, alone if it came before what it presupposes
         if steps and known is not None and known[0].added == now.added[:-1]:

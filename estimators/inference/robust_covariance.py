@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.stats import t as student
 
-from estimators.core.data import moving, origins
+from estimators.core.data import fitted_part, moving, origins
 from estimators.core.fisher_information import Information
 from estimators.core.fit import Fit
 from estimators.core.linearisation import Problem, Rows, at_fit, rows_at
@@ -102,7 +102,7 @@ def covariances(fit: Fit, recording: Recording) -> Covariances:
     rows = rows_at(problem)
     meat, bread, independent = _coloured(rows, problem)
     meat = meat * _spent(rows, problem) + rows.known.T @ rows.known
-    origin = origins(moving(recording))
+    origin = origins(moving(fitted_part(recording, fit.experiments)))
     clusters = [origin[name] for name in fit.experiments]
     by_cluster, degrees = clustered(_of_experiments(fit.information, rows), clusters)
     # What was measured of constants beforehand is another observation, whose variance is known.

@@ -4,7 +4,10 @@ import numpy as np
 import pytest
 from small_experiments import forced, free, rest
 
+import estimators as est
 from estimators.core.data import fitted_part, origins, pieces
+from estimators.core.linearisation import at_fit
+from rtac_jax import RTAC
 from rtac_jax.measurement import Experiment, Recording
 
 RECORDING = Recording((free(), forced(), rest()), {"total_mass": 1.23})
@@ -21,6 +24,26 @@ def test_an_experiment_that_was_fitted_in_pieces_counts_as_fitted() -> None:
     names = tuple(piece.name for piece in pieces([long]))
     assert len(names) > 1
     assert fitted_part(Recording((long, free())), names).names == ("long",)
+
+
+def test_beside_a_long_experiment_others_are_cut_too_and_found_again() -> None:
+    """All are simulated for as long as the longest. Beside pieces of 512 samples one of 8,000 takes sixteen times as long."""
+
+    def locked(name: str, samples: int) -> Experiment:
+        position = np.cos(1e-3 * np.arange(samples))
+        return Experiment.of(name, kind="free", sample_time=1e-3, arm="locked", cart_position=position)
+
+    long, middle, short = locked("long", 20_000), locked("middle", 8000), locked("short", 1000)
+    assert pieces([middle, short]) == [middle, short]
+    cut = pieces([long, middle, short])
+    assert max(piece.samples for piece in cut) == 1000
+    assert sum(piece.samples for piece in cut) == 29_000
+    assert set(origins([long, middle, short]).values()) == {"long", "middle", "short"}
+    assert list(origins([long, middle, short])) == [piece.name for piece in cut]
+    # Whether it was fitted beside the long one or by itself.
+    for beside in ([long, middle], [middle]):
+        names = [piece.name for piece in pieces(beside) if piece.name.startswith("middle")]
+        assert fitted_part(Recording((long, middle, short)), names).names == ("middle",)
 
 
 def test_a_recording_of_which_nothing_was_fitted_is_refused() -> None:
@@ -48,3 +71,18 @@ def test_pieces_begin_where_a_sensor_comes_on() -> None:
     )
     assert pieces([tachometer])[0] is tachometer
     assert len(pieces([tachometer])) == 1
+
+
+def test_a_fit_finds_its_experiments_beside_a_longer_one() -> None:
+    """Beside one that is cut a run of 1,100 samples would be cut as well, and the fit knows it whole."""
+
+    def swinging(name: str, samples: int) -> Experiment:
+        position = 0.01 * np.cos(0.1 * np.arange(samples)) * np.exp(-2e-3 * np.arange(samples))
+        return Experiment.of(name, kind="free", sample_time=0.01, arm="locked", cart_position=position)
+
+    long, short = swinging("long", 8300), swinging("short", 1100)
+    assert len(pieces([long, short])[-1].name) > len("short")
+    rig = {"total_mass": 1.5}
+    fit = est.output_error(RTAC.from_rig(Recording((short,), rig)), Recording((short,), rig), progress=False)
+    problem = at_fit(fit, Recording((long, short), rig))
+    assert [e.name for e in problem.experiments] == ["short"]

@@ -4,12 +4,14 @@ import dataclasses
 import math
 from typing import Any
 
+import numpy as np
 import pytest
+from made_up_results import FIT
 
 import estimators as est
 import rtac_jax as rtac
 from estimators.core.data import Data, moving, pieces
-from estimators.diagnosis.gross_effects import placed_inside
+from estimators.diagnosis.gross_effects import enough_of, placed_inside
 from estimators.diagnosis.policy import STANDARD
 from estimators.inference.shaken_simulation import unfollowed
 from rtac_jax import virtual_rig
@@ -69,6 +71,46 @@ def test_the_loop_mends_a_model_that_followed_nothing() -> None:
     assert [c.id for c in found.added] == ["cable_spring"]
     errors = found.validation.models[-1].errors
     assert all(error.rms_over_noise < 1.3 for error in errors.values()), found
+
+
+def locked(count: int, samples: int, *, from_sample: int = 0) -> rtac.Recording:
+    """Carts that swing by 10 mm, after some samples in which they hardly do."""
+    number = np.arange(samples)
+    position = np.where(number < from_sample, 1e-4, 1e-2) * np.cos(0.05 * number)
+    several = [
+        rtac.Experiment.of(f"run_{n}", kind="free", sample_time=0.005, arm="locked", cart_position=position + 1e-6 * n)
+        for n in range(count)
+    ]
+    return rtac.Recording(several, {"total_mass": 1.5})
+
+
+def left_of(recording: rtac.Recording, fraction: float) -> est.Fit:
+    """A fit that leaves so much of the motion."""
+    rms = float(np.mean([np.std(e.outputs["cart_position"].values) for e in recording]))
+    return dataclasses.replace(FIT, residual_std={"cart_position": fraction * rms}, noise={"cart_position": 1e-6})
+
+
+@pytest.mark.parametrize(
+    ("recording", "left", "looked_at"),
+    [
+        (locked(5, 8000), 0.9, 16_000),
+        (locked(2, 20_000), 0.9, 16_000),  # in pieces
+        (locked(20, 2000), 0.9, 20_000),  # a thousand of each at least
+        (locked(5, 8000), 0.1, None),  # it follows
+        (locked(3, 8000), 0.9, None),  # few anyway
+        (locked(5, 8000, from_sample=7000), 0.9, None),  # the beginnings show nothing
+    ],
+)
+def test_a_part_is_looked_at_where_the_fit_follows_nothing(
+    recording: rtac.Recording, left: float, looked_at: int | None
+) -> None:
+    part = enough_of(left_of(recording, left), recording, STANDARD)
+    if looked_at is None:
+        assert part is recording
+        return
+    assert sum(e.samples for e in part) == pytest.approx(looked_at, rel=0.05)
+    known = {e.name for e in pieces(moving(recording))}
+    assert {e.name for e in pieces(moving(part))} <= known  # their starts are those of the fit
 
 
 def test_what_is_fixed_on_a_bound_stays_there() -> None:

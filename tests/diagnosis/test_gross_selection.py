@@ -19,17 +19,19 @@ class Gross(Known):
     """One whose base model follows nothing: innovations speak for `lvdt_lag`, the equations for `cubic_spring`."""
 
     ways: list[Way]
+    begun: list[FittedModel]  # the models that were extended, one for each of these
     left_over = 1e-5  # random torque with an effect in the model
     error = 50.0  # of a simulation, over the noise
 
     def __init__(self, *, unfollowed: float = 0.8, torque: float = 0.6) -> None:
         super().__init__(LIKELIHOOD)
-        self.ways = []
+        self.ways, self.begun = [], []
         self.facts = dataclasses.replace(self.facts, unfollowed=unfollowed, noise_known=True)
         self.base = dataclasses.replace(self.base, random_torque=torque)
 
     def refits(self, before: FittedModel, several: Sequence[Score], way: Way) -> dict[str, FittedModel]:
         self.ways.append(way)
+        self.begun.append(before)
         found = super().refits(before, several, way)
         return {i: dataclasses.replace(model, random_torque=self.left_over) for i, model in found.items()}
 
@@ -102,6 +104,18 @@ def test_what_the_innovations_show_more_of_than_the_equations_explain_comes_firs
             return Findings() if model.added else Findings((sized("lvdt_lag", shown, 1e-9),), curves=(force(2000.0),))
 
     assert decide(Louder(), STANDARD, thorough=True).effects == (effect,)
+
+
+def test_no_second_step_from_the_equations_is_asked_where_the_first_explains_less() -> None:
+    class Leaving(Gross):
+        def findings(self, model: FittedModel) -> Findings:
+            left = (sized("lvdt_lag", 10_001.0, 1e-9), sized("cubic_spring", 900.0, 1e-9))
+            return Findings(tuple(s for s in left if s.id not in model.added), curves=(force(2000.0),))
+
+    laboratory = Leaving()
+    decide(laboratory, STANDARD, thorough=False)
+    last = len(laboratory.ways) - laboratory.ways[::-1].index("equations")
+    assert not laboratory.begun[last].added  # the ordinary way begins anew at once
 
 
 @pytest.mark.parametrize(("left_over", "error", "verdict"), [(0.1, 50.0, "unknown"), (0.1, 1.0, "missing")])

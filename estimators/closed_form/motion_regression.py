@@ -163,6 +163,18 @@ class MotionRegression:
         price = parameters * np.log(max(np.sum(self.independent), 1.0))
         return float(np.sum(self.independent * np.log(first / last)) - price)
 
+    def misfit(self, solution: Solution, inertia: float) -> float:
+        """Return twice the negative log-likelihood of a solution, the arm's equation divided by the inertia that it knew.
+
+        So that solutions with different inertias compare: undivided, the arm's equation is nothing equals nothing without one.
+
+        Args:
+            solution: of these equations.
+            inertia: of the arm [kg m^2], as the model has it.
+        """
+        squares = (solution.squares + np.maximum(self.floor, 1e-300)) / np.array([1.0, inertia**2])
+        return float(np.sum(self.independent * np.log(squares)))
+
     def _rows(self, added: Added) -> Rows:
         """Return what is added to both equations, against the test functions."""
         found, begin = [], 0

@@ -1,7 +1,7 @@
 """Gross effects: where the fit of the base model follows nothing, candidates are screened by the equations of motion."""
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
@@ -19,11 +19,14 @@ from estimators.inference.shaken_simulation import unfollowed
 from estimators.inference.simulation_residual import follows_nothing
 from estimators.misspecification.equation_screening import Explained, explained_by
 from rtac_jax import RTAC
+from rtac_jax.effects import Effect
 from rtac_jax.effects.one_sided_spring import GROSS
 from rtac_jax.measurement import Experiment, Recording
 
 _ENOUGH = 16_000  # samples of all experiments together that a gross effect is looked for in
 _LEAST = 1_000  # of each of many experiments
+_INERTIAS = 4.0 ** np.arange(8)  # of the least that a rigid body can have, which are tried where nobody knows the arm's
+_FINER = 4.0 ** np.array([-0.6, -0.3, 0.3, 0.6])
 _LIVELY = 0.5  # rms of a beginning over that of the whole, from which on it shows as much
 
 
@@ -90,21 +93,39 @@ def offering_gross(setting: Setting) -> Setting:
     )
 
 
-def screened_by_equations(setting: Setting, refit: Refit) -> list[Explained]:
+def screened_by_equations(setting: Setting, model: RTAC, added: Collection[str] = ()) -> list[Explained]:
     """Return what candidates take off the equation error of a model, those that a forward selection takes first.
 
     Args:
         setting: the data and the candidates.
-        refit: of the model.
+        model: at its estimates.
+        added: ids of the candidates that it has.
     """
-    levels = noise_levels(setting.recording.experiments)
-    model = refit.model.with_values({n: v for n, v in refit.values.items() if n in refit.model.parameters})
-    equations = motion_regression(model, setting.experiments, levels)
+    instances = [i for i in setting.instances if i.id not in added]
+    first = motion_regression(model, setting.experiments, noise_levels(setting.recording.experiments))
+    moment = 0.0 if first is None else first.solved().values.get("eccentric_moment", 0.0)
+    if "arm_inertia" not in model.free or not moment > 0:
+        return _explained(setting, model, instances)[1]
+    # It fixes the scale of the arm's equation, and a fit that follows nothing may have run away with it. No rigid body has less
+    # than the moment squared over the mass.
+    least = moment**2 / float(np.asarray(model["total_mass"]))
+    found = [(by, *_explained(setting, model.with_values({"arm_inertia": least * by}), instances)) for by in _INERTIAS]
+    best = min(found, key=lambda one: one[1])
+    for by in best[0] * _FINER:
+        found.append((by, *_explained(setting, model.with_values({"arm_inertia": least * by}), instances)))
+    return min(found, key=lambda one: one[1])[2]
+
+
+def _explained(setting: Setting, model: RTAC, instances: Sequence[Effect]) -> tuple[float, list[Explained]]:
+    """Return what is left of the equations of a model beside what a forward selection takes, and what candidates explain."""
+    inertia, policy = float(np.asarray(model["arm_inertia"])), setting.policy
+    equations = motion_regression(model, setting.experiments, noise_levels(setting.recording.experiments))
     if equations is None:
-        return []
-    instances = [i for i in setting.instances if i.id not in refit.added]
-    policy = setting.policy
-    return explained_by(equations, instances, least=policy.bic_gain, most=policy.effects)
+        return np.inf, []
+    explained = explained_by(equations, instances, least=policy.bic_gain, most=policy.effects)
+    left = equations.misfit(equations.solved(), inertia) - sum(one.statistic for one in explained if one.selected)
+    with_scale = [dataclasses.replace(one, values={**one.values, "arm_inertia": inertia}) for one in explained]
+    return left, with_scale if "arm_inertia" in model.free else explained
 
 
 def begun_by_equations(fit: Fit, model: RTAC, recording: Recording, policy: DiagnosisPolicy) -> RTAC:
@@ -133,7 +154,7 @@ def placed_inside(model: RTAC, values: Mapping[str, float]) -> RTAC:
     An eccentric moment that no rigid body has is left as it was.
     """
     declared, free = model.parameters, set(model.free)
-    scale = float(np.mean(np.asarray(model["total_mass"] * model["arm_inertia"])))
+    scale = np.prod([values.get(n, float(np.mean(np.asarray(model[n])))) for n in ("total_mass", "arm_inertia")])
     inside = {}
     for name in [name for name in values if name in declared]:
         if name == "eccentric_moment" and not values[name] ** 2 < scale:

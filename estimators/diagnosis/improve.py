@@ -211,6 +211,16 @@ class Improvement(Result):
         return f"{' and '.join(falls)} times the noise"
 
     @property
+    def _failing(self) -> str:
+        """Return how the mended model fails: at the noise only a test of its predictions speaks against it."""
+        place = self.diagnosed[-1]
+        both = (self.train.models[place], self.validation.models[place])
+        worst = [max(e.rms_over_noise for e in one.errors.values()) for one in both]
+        if all(map(at_noise, worst)):
+            return f"leaves the held-out experiments at {worst[1]:.2f} times the noise, though a test of predictions rejects it"
+        return "still fails"
+
+    @property
     def _named(self) -> str:
         whole = "it" if self.nearest is None else "all of it"
         if not self.added:
@@ -249,13 +259,17 @@ class Improvement(Result):
             "adequate": f"the mended model is adequate{' one sample ahead' if self._astray else ''}{self._in_time}",
             "unknown": f"the mended model fails as where a parameter drifts: {drift}"
             if drift
-            else f"the mended model still fails, and {self.diagnoses[-1].no_effect} explains {whole}",
+            else f"the mended model {self._failing}, and {self.diagnoses[-1].no_effect} explains {whole}",
             None: "the mended model was not diagnosed again",
         }.get(self.mended, "what a diagnosis of the mended model names does not serve held-out experiments")
         if self.not_added:
             end = f"the mended model still fails, and {named_too_late(self.not_added)}"
         asked = sorted(
-            {name for d in self.diagnoses if d.effects for name in d.broken_off} - set(sure) - set(groups.values())
+            {
+                name for d in self.diagnoses if d.effects for name in d.broken_off if " " not in name
+            }  # the colour is no effect
+            - set(sure)
+            - set(groups.values())
         )
         rivals = (
             f" Not fitted before the time was over, so that none is ruled out: {', '.join(asked)}." if asked else ""

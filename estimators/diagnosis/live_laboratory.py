@@ -162,7 +162,9 @@ class LiveLaboratory:
     def equation_scores(self, model: FittedModel) -> tuple[Score, ...]:
         """Score candidates by what they take off the equation error of a model."""
         if model.number not in self._equations:
-            explained = screened_by_equations(*self.computed(model))
+            setting, refit = self.computed(model)
+            estimated = refit.model.with_values({n: v for n, v in refit.values.items() if n in refit.model.parameters})
+            explained = screened_by_equations(setting, estimated, refit.added)
             scores = tuple(
                 Score(e.id, place, e.amplitudes, float(e.statistic), e.p_value, tuple(np.asarray(e.begin).tolist()))
                 for place, e in enumerate(explained)

@@ -70,6 +70,8 @@ def _resort(end: LoopEnd, *, last_resort: bool) -> None:
         if falls_clearly(loop.last.tested, whole.last.tested, loop.policy):
             end.loop, (end.nearest, end.learned) = whole, resort
             end.differs = whole.without_outlier(leave=False)
+    elif last_resort and unknown and end.differs is not None and end.differs.is_of_the_rig:
+        return  # no law that holds in all of them makes up for that
     elif last_resort and unknown:
         near = loop.nearest()
         further = None if near is None else loop.with_nearest(*near)

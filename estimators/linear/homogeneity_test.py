@@ -138,6 +138,12 @@ class Equality:
         return not self.equal and alone and left <= FOLLOWED
 
     @property
+    def is_of_the_rig(self) -> bool:
+        """Return whether one quantity alone explains the differences, and does not go with the motion, as what is missing would."""
+        trend = self.best_trend(self.varying[0]) if self.decisive else None
+        return self.decisive and (trend is None or trend.covariate not in _MOTION)
+
+    @property
     def differences(self) -> str:
         """Return, where one quantity or one experiment alone explains it, what differs, and what to do about it; else nothing."""
         alone = self.outlying.words if self.outlying is not None and self.outlying.decisive else ""

@@ -124,9 +124,12 @@ def of_diagnosis(
         "missing": f"rtac improve {shlex.quote(file)}, which adds it and goes on.",
         "ambiguous": "Record the experiment that tells them apart, if one could be planned (next_experiment.h5), join it, and "
         "diagnose again; else measure by itself what they stand for.",
-        "unknown": "Look where and at which frequency the force acts (below); use its learned curve, or give an effect of your "
-        "own with --effects.",
+        "unknown": "Look where and at which frequency the force acts (below), and give an effect of your own with --effects.",
     }
+    if isinstance(found, Improvement) and found.broken_off:
+        steps["unknown"] = (
+            "Give more time (--within), or a part of the recording: not all was fitted before the time was over."
+        )
     if last.drift:
         steps["unknown"] = (
             "Let the rig run before it is recorded, or fit shorter experiments and hold them against each other."

@@ -1,5 +1,6 @@
 """What differs between the experiments that a fit does not follow together: one parameter, or one experiment alone."""
 
+import contextlib
 import dataclasses
 
 import numpy as np
@@ -9,13 +10,15 @@ from estimators.core.fit import Fit
 from estimators.core.results import DivergedError, NotIdentifiableError
 from estimators.inference.constancy import constancy
 from estimators.inference.varying_parameters import ENOUGH, NEXT_TO_ALL
-from estimators.linear.homogeneity_test import Equality
-from estimators.linear.outlier import Outlier
+from estimators.linear.homogeneity_test import Equality, trend_of, varying
+from estimators.linear.outlier import FOLLOWED, Outlier
 from estimators.output_error.fit import output_error
 from estimators.validation.simulation_error import compare
 from rtac_jax.measurement import Recording
 
 WORTH_ASKING = 3.0  # residual over noise, as far as that is known, from which it is asked whether experiments differ
+_OWN_PARAMETERS = 4  # those that scatter most, each of which is tried with a value for each experiment
+_STEPS = 30  # of these fits: the one that follows converges in a few
 _MOST = 0.5  # of the differences, which an experiment must take with it to be asked alone
 _FITS_OF_OTHERS = 2  # experiments that are asked alone at most
 
@@ -42,7 +45,49 @@ def differing(fit: Fit, recording: Recording, *, least: float = WORTH_ASKING) ->
     apart = [one for one in _suspects(fit, recording, found) if one.decisive]
     if len(apart) == 1:
         found = dataclasses.replace(found, outlying=apart[0])
+    if not found.differences and not found.equal:
+        found = _with_own_parameter(fit, recording, found)
     return found if found.differences else None
+
+
+def _with_own_parameter(fit: Fit, recording: Recording, found: Equality) -> Equality:
+    """Return the test with the one parameter that, free in each experiment, lets a fit follow all of them to the noise.
+
+    Far from the data one step from the common fit does not tell it, and an experiment by itself, as a decay, need not show all
+    parameters. As it was where none does, or more than one.
+
+    Args:
+        fit: of all, with one set of parameters.
+        recording: that was fitted.
+        found: says by how much each parameter scatters.
+    """
+    if fit.model.per_experiment:
+        return found
+    scatter = np.nansum((found.values - found.common) ** 2 / found.std**2, axis=0)
+    following: dict[int, Fit] = {}
+    for place in np.argsort(-scatter)[:_OWN_PARAMETERS]:
+        own = fit.model.each_experiment(found.names[place])
+        with contextlib.suppress(ArithmeticError, NotIdentifiableError, DivergedError):
+            one = output_error(own, recording, from_model=True, steps=_STEPS, progress=False)
+            if one.farthest <= FOLLOWED:
+                following[int(place)] = one
+    if len(following) != 1:
+        return found
+    ((place, one),) = following.items()
+    name = found.names[place]
+    each = np.asarray(one.model[name])
+    spread = found.std[:, place] * one.farthest / fit.farthest  # of residuals as large as those that are left now
+    std = np.where(np.isfinite(spread), spread, np.nanmax(spread))
+    told = varying(found.covariates)
+    trends = list(found.trends)
+    trends[place] = tuple(trend_of(covariate, x, each, np.diag(std**-2.0)) for covariate, x in told.items())
+    values, deviations, common = found.values.copy(), found.std.copy(), found.common.copy()
+    values[:, place], deviations[:, place], common[place] = each, std, float(np.mean(each))
+    over_noise = {channel: one.residual_std[channel] / one.noise[channel] for channel in one.residual_std}
+    return dataclasses.replace(
+        found, values=values, std=deviations, common=common, trends=tuple(trends), varying=(name,), explained=1.0,
+        rival=0.0, suffices=True, over_noise=over_noise,
+    )  # fmt: skip
 
 
 def may_show_alone(recording: Recording, one: Outlier) -> bool:

@@ -28,6 +28,7 @@ _HUNDRED = 100.0  # ratio of two experiments beyond which ranges do not explain 
 # Of the power at the cart's frequency to that beside it; chance gives at most ln(bins / 1e-6), some 20, if the noise is white, and
 # three times that beside the corner of coloured noise.
 _LINE = 100.0
+_HUM = 0.01  # of the frequency of the mains, within which a swing is likely theirs
 _FACTORS = {
     180 / np.pi: "arm_angle is in degrees",
     np.pi / 180: "arm_velocity is in deg/s",
@@ -86,9 +87,15 @@ def unit_concerns(recording: Recording) -> Iterator[str]:
 def rest_concerns(recording: Recording) -> Iterator[str]:
     """Yield the experiments of kind rest in which something moves."""
     for name, (channel, frequency, size, unit) in _moving(recording).items():
+        mend = "set its kind to free, or record it again with nothing moving"
+        if any(abs(frequency - mains) < _HUM * mains for mains in (50.0, 60.0, 100.0, 120.0)):
+            mend = (
+                "that is likely hum of the mains: shield the sensor, or filter it out of all experiments alike "
+                "(scipy.signal.iirnotch)"
+            )
         yield (
             f"{name}: {channel} swings by {size:.2g} {unit} at {frequency:.3g} Hz although the experiment is of kind rest, so it "
-            "does not tell the noise; set its kind to free, or record it again with nothing moving."
+            f"does not tell the noise; {mend}."
         )
 
 

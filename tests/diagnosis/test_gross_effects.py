@@ -11,8 +11,10 @@ from made_up_results import FIT
 import estimators as est
 import rtac_jax as rtac
 from estimators.core.data import Data, moving, pieces
-from estimators.diagnosis.gross_effects import enough_of, placed_inside
+from estimators.core.progress import Progress
+from estimators.diagnosis.gross_effects import enough_of, placed_inside, screened_by_equations
 from estimators.diagnosis.policy import STANDARD
+from estimators.diagnosis.setting import set_up
 from estimators.inference.shaken_simulation import unfollowed
 from rtac_jax import virtual_rig
 from rtac_jax.effects import CATALOGUE, Effect
@@ -111,6 +113,22 @@ def test_a_part_is_looked_at_where_the_fit_follows_nothing(
     assert sum(e.samples for e in part) == pytest.approx(looked_at, rel=0.05)
     known = {e.name for e in pieces(moving(recording))}
     assert {e.name for e in pieces(moving(part))} <= known  # their starts are those of the fit
+
+
+def test_an_inertia_that_nobody_gave_is_found_beside_what_is_missing() -> None:
+    """A fit that follows nothing runs away with it: to a ten-millionth, of a crane's pendulum."""
+    recording = recorded("gravity_tilt")
+    rig = {name: value for name, value in recording.rig.items() if name != "arm_inertia"}
+    unknown = dataclasses.replace(recording, rig=rig)
+    model = rtac.RTAC.from_rig(unknown).with_values({"arm_inertia": 1e-11, "eccentric_moment": 1e-9})
+    assert "arm_inertia" in model.free
+    classes = [CATALOGUE[n] for n in ("gravity_tilt", "cable_spring", "cogging", "cubic_spring")]
+    setting = set_up(model, unknown, classes, {}, 4, Progress("test", show=False))
+    first = screened_by_equations(setting, model)[0]
+    assert first.id == "gravity_tilt"
+    assert first.values["arm_inertia"] == pytest.approx(RIG.arm_inertia, rel=0.3)
+    placed = placed_inside(model, first.values)
+    assert float(placed["eccentric_moment"]) == pytest.approx(RIG.eccentric_moment, rel=0.3)
 
 
 def test_what_is_fixed_on_a_bound_stays_there() -> None:

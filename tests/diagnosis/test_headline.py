@@ -42,6 +42,12 @@ def test_the_headline_tells_what_was_missing_from_what_is(last, words):
     assert repr(found) == f"Improvement: {found.headline}"
 
 
+def test_a_model_at_the_noise_does_not_fail_as_one_that_is_far_from_it_does():
+    found = dataclasses.replace(looped(NAMED, diagnosis("unknown"), steps=3), diagnosed=(0, 2))
+    assert "the mended model leaves the held-out experiments at 1.08" in found.headline
+    assert "times the noise, though a test of predictions rejects it, and no effect of the catalogue" in found.headline
+
+
 def test_a_last_model_that_was_not_diagnosed_is_not_judged():
     found = looped(NAMED)
     assert found.mended is None

@@ -1,0 +1,62 @@
+"""A parameter that differs between experiments, hidden in the independent virtual rig."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import estimators as est
+import rtac_jax as rtac
+from estimators.validation import differing_experiments
+from estimators.validation.differing_experiments import differing
+from rtac_jax import virtual_rig
+
+RIG = virtual_rig.Rig().drawn(620)
+STIFFNESS = RIG.spring_stiffness * (1 - 0.04 * np.arange(4))
+
+
+@pytest.fixture(scope="module")
+def softening() -> rtac.Recording:
+    """Runs of a rig whose spring softens from one to the next; the decay by itself does not tell what the motor does."""
+    plans = virtual_rig.standard_plans(seed=62, sample_time=0.01, duration=4.0, free=1, forced=3, rest=1)
+    whole = virtual_rig.record(RIG, plans, seed=72)
+    moving = [plan.name for plan in plans if plan.kind != "rest"]
+    each = {
+        name: virtual_rig.record(dataclasses.replace(RIG, spring_stiffness=float(k)), plans, seed=72)[name]
+        for name, k in zip(moving, STIFFNESS, strict=True)
+    }
+    return dataclasses.replace(whole, experiments=tuple(each.get(e.name, e) for e in whole.experiments))
+
+
+@pytest.fixture(scope="module")
+def fit(softening: rtac.Recording) -> est.Fit:
+    return est.output_error(rtac.RTAC.from_rig(softening), softening, progress=False)
+
+
+def test_the_parameter_with_which_all_are_followed_is_named_with_its_values(
+    fit: est.Fit, softening: rtac.Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also where one of them, as a decay that does not show all parameters, could not be fitted by itself."""
+    by_itself = est.constancy(fit, softening)
+    lost = dataclasses.replace(by_itself, over_noise={"cart_position": 44.7}, varying=("eccentric_moment",))
+    assert not lost.differences
+    monkeypatch.setattr(differing_experiments, "constancy", lambda *_: lost)
+    found = differing(fit, softening)
+    assert found is not None
+    assert found.varying == ("spring_stiffness",)
+    assert found.is_of_the_rig
+    assert max(found.over_noise.values()) < 1.3
+    place = found.names.index("spring_stiffness")
+    assert found.values[:, place] == pytest.approx(STIFFNESS, rel=1e-3)
+    assert "drifts with the order of time" in found.differences
+
+
+@pytest.mark.slow
+def test_a_spring_that_hardens_is_no_parameter_that_differs() -> None:
+    rig = dataclasses.replace(RIG, cubic_spring=6e5)
+    plans = virtual_rig.standard_plans(seed=62, sample_time=0.01, duration=4.0, free=1, forced=3, rest=1)
+    recording = virtual_rig.record(rig, plans, seed=72)
+    fit = est.output_error(rtac.RTAC.from_rig(recording), recording, progress=False)
+    assert fit.farthest > 3.0
+    found = differing(fit, recording)
+    assert found is None or not found.is_of_the_rig

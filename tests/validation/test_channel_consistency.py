@@ -23,6 +23,7 @@ from spoilt_recordings import (
 )
 
 import estimators as est
+import rtac_jax as rtac
 from estimators.validation.channel_consistency import _Search
 from estimators.validation.mistakes import usual_mistakes
 from rtac_jax import virtual_rig
@@ -288,3 +289,19 @@ def test_only_what_is_out_of_line_with_the_others_may_be_in_another_unit(clean, 
     recording = in_one(clean, "forced_1", lambda e: changed(e, "cart_position", lambda x: times * x))
     (millimetres,) = (one for one in usual_mistakes() if one.id == "cart_position in mm")
     assert _Search(recording)._may_have("forced_1", millimetres) is may
+
+
+@pytest.mark.parametrize(("frequency", "hum"), [(50.0, True), (60.3, True), (43.0, False)])
+def test_hum_of_the_mains_is_no_motion_at_rest(frequency, hum):
+    time, random = 1e-3 * np.arange(3000), np.random.default_rng(5)
+    decay = 2.0 * np.exp(-0.5 * time) * np.cos(10.0 * time) + 0.01 * random.standard_normal(3000)
+    resting = 0.4 * np.sin(2 * np.pi * frequency * time) + 0.01 * random.standard_normal(3000)
+    recording = rtac.Recording(
+        [
+            rtac.Experiment.of("free_1", kind="free", sample_time=1e-3, arm_velocity=decay),
+            rtac.Experiment.of("rest_1", kind="rest", sample_time=1e-3, arm_velocity=resting),
+        ]
+    )
+    (said,) = [one for one in concerns(recording) if "of kind rest" in one]
+    assert ("likely hum of the mains" in said) == hum
+    assert ("set its kind to free" in said) != hum

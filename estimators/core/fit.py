@@ -92,6 +92,20 @@ class ModelFit(Result):
         reached = bounds_reached(self.model, self.information)
         return {name: bound for name, bound in reached.items() if self.information.looseness(name) < UNDETERMINED}
 
+    @property
+    def moved_constants(self) -> tuple[str, ...]:
+        """Say of each constant that was measured by itself if the fit takes it far from that."""
+        found = []
+        for name in self.model.uncertain:
+            prior, value = self.model.priors[name], float(np.asarray(self.model[name]))
+            mean, std = float(np.asarray(prior.mean)), float(np.asarray(prior.std))
+            if abs(value - mean) > _MOVED * std:
+                found.append(
+                    f"{name} ended at {value:.4g}, {abs(value - mean) / std:.2g} stated standard deviations from the {mean:.4g} +- "
+                    f"{std:.2g} of the recording: that is wrong, or something that is missing takes it along."
+                )
+        return tuple(found)
+
     def lines(self) -> list[str]:
         """Return the same as lines of equal columns, below a head."""
         return [f"{name:30s} {value:>12s} {std:>10s}  {unit}" for name, value, std, unit in (HEADER, *self.rows())]
@@ -212,20 +226,6 @@ class Fit(ModelFit):
                 "sum of squares has many minima, and further starts may end in a lower one."
             )
         return said
-
-    @property
-    def moved_constants(self) -> tuple[str, ...]:
-        """Say of each constant that was measured by itself if the fit takes it far from that."""
-        found = []
-        for name in self.model.uncertain:
-            prior, value = self.model.priors[name], float(np.asarray(self.model[name]))
-            mean, std = float(np.asarray(prior.mean)), float(np.asarray(prior.std))
-            if abs(value - mean) > _MOVED * std:
-                found.append(
-                    f"{name} ended at {value:.4g}, {abs(value - mean) / std:.2g} stated standard deviations from the {mean:.4g} +- "
-                    f"{std:.2g} of the recording: that is wrong, or something that is missing takes it along."
-                )
-        return tuple(found)
 
     @property
     def criteria(self) -> InformationCriteria | None:

@@ -34,6 +34,7 @@ class Recommendation(Result):
         sound: whether the model passes the test of its own residuals; otherwise no standard deviation holds what the model lacks.
         adequate: whether a diagnosis found nothing missing.
         left: residual of output error over the noise, of its worst channel, where its estimates are given though none is better.
+        moved: of prediction error what constants that were measured by themselves it takes far from that, in words.
     """
 
     parameters: Mapping[str, Parameter]
@@ -42,6 +43,7 @@ class Recommendation(Result):
     sound: bool
     adequate: bool = False
     left: float = 0.0
+    moved: tuple[str, ...] = ()
 
     @property
     def sentence(self) -> str:
@@ -62,7 +64,7 @@ class Recommendation(Result):
                 " A residual is coloured, so something may be missing, which no deviation counts; est.diagnose tells whether it "
                 "can be named."
             )
-        return said
+        return " ".join([said, *self.moved])
 
     def rows(self) -> list[tuple[str, str, str, str]]:
         """Return every parameter as text: name, value, standard deviation and unit."""
@@ -107,7 +109,9 @@ def recommended(
         white = _white([w.p_value for w in predicted.whiteness])
         if white or refused:
             deviation = f"white innovations, which it has{'' if white else f' not; output error {refused}'}"
-            return Recommendation(predicted.parameters, "prediction error", deviation, white)
+            return Recommendation(
+                predicted.parameters, "prediction error", deviation, white, moved=predicted.moved_constants
+            )
         if fit.farthest > FAR:
             # Its values are nearer then, and its deviations too small for what the model lacks.
             own = {name: p.std for name, p in predicted.parameters.items()}

@@ -13,6 +13,7 @@ from estimators.inference.robust_covariance import Covariances
 from estimators.prediction_error.fit import PredictorFit, Whiteness
 from estimators.validation.recommendation import recommended
 from rtac_jax import RTAC
+from rtac_jax.prior import Prior
 
 MODEL = RTAC.paper()
 NAMES = ("spring_stiffness", "torque_constant")
@@ -49,6 +50,16 @@ def test_a_coloured_one_by_predictions_if_these_are_white():
     found = recommended(FIT, compared("model", 5.0), predicted=predictor(0.5), spread=SPREAD)
     assert (found.estimator, found.sound) == ("prediction error", True)
     assert dataclasses.astuple(found.parameters["spring_stiffness"])[:2] == pytest.approx((130.0, 0.5))
+
+
+@pytest.mark.parametrize(("std", "told"), [(0.5, True), (2.0, False)])
+def test_a_constant_that_predictions_take_far_from_what_was_measured_is_told(std, told):
+    predicted = predictor(0.5)
+    model = RTAC(predicted.model.body, predicted.model.effects, priors={"spring_stiffness": Prior(132.6, std)})
+    object.__setattr__(predicted, "model", model)
+    found = recommended(FIT, compared("model", 5.0), predicted=predicted, spread=SPREAD)
+    words = f"spring_stiffness ended at 130, 5.2 stated standard deviations from the 132.6 +- {std:g} of the recording"
+    assert (words in found.sentence) == told
 
 
 @pytest.mark.parametrize(

@@ -118,7 +118,8 @@ def recommended(
             found = _with_largest(predicted.parameters, [own, *kinds.values()])
             astray = f"output error does not follow the rig, being left at {fit.farthest:,.0f} times the noise"
             words = " or ".join([*kinds, "white innovations"])
-            return Recommendation(found, "prediction error", f"{words}, the largest; {astray}", False)
+            deviation = f"{words}, the largest; {astray}"
+            return Recommendation(found, "prediction error", deviation, False, moved=predicted.moved_constants)
     if not kinds:
         return Recommendation(
             fit.parameters, "output error", "a white residual, which it has not", False, left=fit.farthest

@@ -53,11 +53,14 @@ def test_a_coloured_one_by_predictions_if_these_are_white():
 
 
 @pytest.mark.parametrize(("std", "told"), [(0.5, True), (2.0, False)])
-def test_a_constant_that_predictions_take_far_from_what_was_measured_is_told(std, told):
-    predicted = predictor(0.5)
+@pytest.mark.parametrize(("p_value", "left"), [(0.5, 1.0), (1e-9, 100.0)])
+def test_a_constant_that_predictions_take_far_from_what_was_measured_is_told(std, told, p_value, left):
+    predicted = predictor(p_value)
     model = RTAC(predicted.model.body, predicted.model.effects, priors={"spring_stiffness": Prior(132.6, std)})
     object.__setattr__(predicted, "model", model)
-    found = recommended(FIT, compared("model", 5.0), predicted=predicted, spread=SPREAD)
+    fit = dataclasses.replace(FIT, residual_std={channel: left * noise for channel, noise in NOISE.items()})
+    found = recommended(fit, compared("model", 5.0), predicted=predicted, spread=SPREAD)
+    assert found.estimator == "prediction error"
     words = f"spring_stiffness ended at 130, 5.2 stated standard deviations from the 132.6 +- {std:g} of the recording"
     assert (words in found.sentence) == told
 

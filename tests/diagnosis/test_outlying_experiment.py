@@ -13,9 +13,10 @@ import rtac_jax as rtac
 from estimators.core.fisher_information import information_of
 from estimators.core.results import RESULTS
 from estimators.diagnosis import improvement_loop
+from estimators.diagnosis.loop_end import end_of
 from estimators.diagnosis.model_extension import Added
 from estimators.diagnosis.policy import STANDARD
-from estimators.linear.homogeneity_test import Equality
+from estimators.linear.homogeneity_test import Equality, Trend
 from estimators.linear.outlier import Outlier, rounded
 from estimators.plots.improvement import finding, plot_improvement
 from estimators.validation.differing_experiments import differing, may_show_alone
@@ -230,3 +231,21 @@ def test_the_one_decay_that_shows_a_drag_is_not_blamed_where_a_learned_force_ser
     assert found.learned.port == "cart"
     before, after = (model.errors["cart_position"].rms_over_noise for model in found.validation.models)
     assert after < 0.7 * before
+
+
+@pytest.mark.parametrize(("covariate", "resorts"), [("time", False), ("amplitude", True)])
+def test_no_last_resort_takes_the_place_of_a_parameter_that_differs(loop, monkeypatch, covariate, resorts):
+    """But what goes with the motion is an effect that the model lacks, as a spring that hardens."""
+    differs = Equality(
+        ("total_mass",), ("kg",), ("a", "b", "c", "d"), np.ones((4, 1)), np.ones((4, 1)), np.ones(1), np.ones(1), 90.0, 3, 0.0,
+        np.zeros(1), ((Trend(covariate, 1.0, 0.01, 0.99, 1e-6),),), {}, (), 0.01, varying=("total_mass",), explained=1.0,
+        over_noise={"cart_position": 1.1},
+    )  # fmt: skip
+    assert differs.decisive
+    asked = []
+    monkeypatch.setattr(improvement_loop, "differing", lambda *_, **__: differs)
+    monkeypatch.setattr(improvement_loop.Loop, "nearest", lambda _: None)
+    monkeypatch.setattr(improvement_loop.Loop, "last_resort", lambda *_: asked.append(1) or (None, None))
+    found = end_of(loop, last_resort=True)
+    assert bool(asked) == resorts
+    assert found.differs is differs

@@ -1,12 +1,13 @@
 """Gross effects, hidden in the independent virtual rig, are named although the fit of the base model follows nothing."""
 
 import dataclasses
+import importlib
 import math
 from typing import Any
 
 import numpy as np
 import pytest
-from made_up_results import FIT
+from made_up_results import FIT, diagnosis
 
 import estimators as est
 import rtac_jax as rtac
@@ -19,6 +20,7 @@ from estimators.inference.shaken_simulation import unfollowed
 from rtac_jax import virtual_rig
 from rtac_jax.effects import CATALOGUE, Effect
 
+diagnose = importlib.import_module("estimators.diagnosis.diagnose")  # a function of that name hides it
 RIG = virtual_rig.Rig().drawn(100)
 # What the rig hides, the rms of the current, the arm's speed at the start, and a size that should come out.
 HIDDEN: dict[str, tuple[dict[str, Any], float, float, tuple[str, float]]] = {
@@ -142,3 +144,21 @@ def test_what_is_fixed_on_a_bound_stays_there() -> None:
     assert float(placed["gravity_tilt.zeroed"]) == 0.0
     assert float(placed["gravity_tilt.along"]) == 0.02
     assert float(placed["cart_coulomb.level"]) > 0.0
+
+
+@pytest.mark.parametrize("named", [True, False])
+def test_all_samples_are_looked_at_where_a_part_names_nothing(named: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole, part = locked(1, 2000), locked(1, 500)
+    looked_at: list[rtac.Recording] = []
+
+    def diagnosed(fit: est.Fit, recording: rtac.Recording, *_: Any, **__: Any) -> est.Diagnosis:
+        looked_at.append(recording)
+        found = diagnosis("missing" if named else "unknown")
+        return dataclasses.replace(found, additions=(CATALOGUE["cubic_spring"](1.0),) if named else ())
+
+    monkeypatch.setattr(diagnose, "enough_of", lambda *_: part)
+    monkeypatch.setattr(diagnose, "_diagnosed", diagnosed)
+    fit = dataclasses.replace(FIT, experiments=("run_0",), model=rtac.RTAC.from_rig(whole))
+    found = est.diagnose(fit, whole, progress=False)
+    assert looked_at == ([part] if named else [part, whole])
+    assert ("500 samples of all experiments were looked at" in found.explanation) == named

@@ -158,12 +158,14 @@ def pieces(experiments: Sequence[Experiment]) -> list[Experiment]:
     several pieces, as all are simulated for as long as the longest. What comes before the first sample that a sensor measured is
     cut off, too.
     """
-    longest = _SEVERAL if any(map(_is_long, experiments)) else _LONG
+    longest = _longest(experiments)
     return [piece for e in experiments for piece in _cut(e, longest)]
 
 
-def _is_long(e: Experiment) -> bool:
-    return _shows_its_start(e) and e.samples - first_sample(e) > _LONG
+def _longest(experiments: Sequence[Experiment]) -> int:
+    """Return the samples up to which none of several experiments is cut."""
+    long = any(_shows_its_start(e) and e.samples - first_sample(e) > _LONG for e in experiments)
+    return _SEVERAL if long else _LONG
 
 
 def _cut(e: Experiment, longest: int) -> list[Experiment]:
@@ -188,5 +190,5 @@ def _shows_its_start(experiment: Experiment) -> bool:
 
 def origins(experiments: Sequence[Experiment]) -> dict[str, str]:
     """Return by the name of each of their `pieces` the name of the experiment that it is cut from, in the order of time."""
-    longest = _SEVERAL if any(map(_is_long, experiments)) else _LONG
+    longest = _longest(experiments)
     return {piece.name: e.name for e in experiments for piece in _cut(e, longest)}

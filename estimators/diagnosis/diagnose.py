@@ -138,7 +138,7 @@ def _diagnosed(
     *,
     thorough: bool,
 ) -> Diagnosis:
-    """Diagnose a fit by the recording that it was fitted to, or by the beginnings of its experiments."""
+    """Diagnose a fit by the recording that it was fitted to, or by a part of it."""
     setting = setting_of(fit, recording, classes, shown, policy)
     # Where some are in the model already, as in the loop, its other tests are still worth asking.
     if not setting.absent and not any(c.id in fit.model for c in candidates or ()):

@@ -102,9 +102,11 @@ def screened_by_equations(setting: Setting, model: RTAC, added: Collection[str] 
         added: ids of the candidates that it has.
     """
     instances = [i for i in setting.instances if i.id not in added]
+    if "arm_inertia" not in model.free:
+        return _explained(setting, model, instances)[1]
     first = motion_regression(model, setting.experiments, noise_levels(setting.recording.experiments))
     moment = 0.0 if first is None else first.solved().values.get("eccentric_moment", 0.0)
-    if "arm_inertia" not in model.free or not moment > 0:
+    if not moment > 0:
         return _explained(setting, model, instances)[1]
     # It fixes the scale of the arm's equation, and a fit that follows nothing may have run away with it. No rigid body has less
     # than the moment squared over the mass.

@@ -13,7 +13,14 @@ from estimators.core.result_base import Result
 from estimators.core.results import RESULTS
 from estimators.core.threads import one_blas_thread
 from estimators.diagnosis.candidate import Candidate
-from estimators.diagnosis.caveats import astray, doubtful, named_too_late, not_told_from_nothing, of_little_service
+from estimators.diagnosis.caveats import (
+    astray,
+    doubtful,
+    failure,
+    named_too_late,
+    not_told_from_nothing,
+    of_little_service,
+)
 from estimators.diagnosis.diagnose import compile_diagnosis
 from estimators.diagnosis.diagnosis import Diagnosis
 from estimators.diagnosis.explanation import at_noise
@@ -195,6 +202,11 @@ class Improvement(Result):
         return astray(self.train.models[-1], self.validation.models[-1])
 
     @property
+    def _failure(self) -> str:
+        place = self.diagnosed[-1]
+        return failure(self.train.models[place], self.validation.models[place])
+
+    @property
     def _but(self) -> str:
         """Return what an adequate model's simulation leaves, where that is far from the held-out experiments; else nothing."""
         if not self._astray:
@@ -209,16 +221,6 @@ class Improvement(Result):
         before, after = (model.errors for model in models[-2:])
         falls = [f"of {c} from {e.rms_over_noise:.3g} to {after[c].rms_over_noise:.3g}" for c, e in before.items()]
         return f"{' and '.join(falls)} times the noise"
-
-    @property
-    def _failing(self) -> str:
-        """Return how the mended model fails: at the noise only a test of its predictions speaks against it."""
-        place = self.diagnosed[-1]
-        both = (self.train.models[place], self.validation.models[place])
-        worst = [max(e.rms_over_noise for e in one.errors.values()) for one in both]
-        if all(map(at_noise, worst)):
-            return f"leaves the held-out experiments at {worst[1]:.2f} times the noise, though a test of predictions rejects it"
-        return "still fails"
 
     @property
     def _named(self) -> str:
@@ -259,18 +261,14 @@ class Improvement(Result):
             "adequate": f"the mended model is adequate{' one sample ahead' if self._astray else ''}{self._in_time}",
             "unknown": f"the mended model fails as where a parameter drifts: {drift}"
             if drift
-            else f"the mended model {self._failing}, and {self.diagnoses[-1].no_effect} explains {whole}",
+            else f"the mended model {self._failure}, and {self.diagnoses[-1].no_effect} explains {whole}",
             None: "the mended model was not diagnosed again",
         }.get(self.mended, "what a diagnosis of the mended model names does not serve held-out experiments")
         if self.not_added:
             end = f"the mended model still fails, and {named_too_late(self.not_added)}"
-        asked = sorted(
-            {
-                name for d in self.diagnoses if d.effects for name in d.broken_off if " " not in name
-            }  # the colour is no effect
-            - set(sure)
-            - set(groups.values())
-        )
+        # What else was broken off, as the colour of the noise, is no effect.
+        unfitted = {name for d in self.diagnoses if d.effects for name in d.broken_off if " " not in name}
+        asked = sorted(unfitted - set(sure) - set(groups.values()))
         rivals = (
             f" Not fitted before the time was over, so that none is ruled out: {', '.join(asked)}." if asked else ""
         )

@@ -101,7 +101,7 @@ def words(
             )
         )
     text = "; ".join(sentences)
-    rest = [test.test for test in left if test.rejects]
+    rest = [f"{test.test}{' (hum of the mains)' if test.hum else ''}" for test in left if test.rejects]
     after = (
         f"; still, {', '.join(rest)} {'rejects' if len(rest) == 1 else 'reject'}"
         if rest

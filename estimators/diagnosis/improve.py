@@ -257,10 +257,13 @@ class Improvement(Result):
         if groups:
             start += ", and the data cannot tell which"
         drift = "" if self.nearest is not None else self.diagnoses[-1].drift
+        line = self.diagnoses[-1].line_alone
         end = {
             "adequate": f"the mended model is adequate{' one sample ahead' if self._astray else ''}{self._in_time}",
             "unknown": f"the mended model fails as where a parameter drifts: {drift}"
             if drift
+            else f"only a line speaks against the mended model: {line}"
+            if line
             else f"the mended model {self._failure}, and {self.diagnoses[-1].no_effect} explains {whole}",
             None: "the mended model was not diagnosed again",
         }.get(self.mended, "what a diagnosis of the mended model names does not serve held-out experiments")

@@ -16,7 +16,7 @@ from estimators.diagnosis.policy import DiagnosisPolicy
 from estimators.diagnosis.selection import Selection, Tried, by_size
 from estimators.diagnosis.step import Step
 from estimators.inference.simulation_residual import random_forces_are_large
-from estimators.misspecification.adequacy import adequacy_tests
+from estimators.misspecification.adequacy import adequacy_tests, rejecting
 from estimators.misspecification.findings import Findings, Score
 
 
@@ -61,7 +61,7 @@ def _is_doubtful(laboratory: Laboratory, found: Selection, named: FittedModel, p
     """
     if not named.added:
         large = random_forces_are_large(named.random, laboratory.facts.samples_per_radian, policy.simulation)
-        return large or any(test.rejects for test in found.tests)
+        return large or bool(rejecting(found.tests))
     if replaces_random_forces(named, found.base, policy):
         return False
     shown = {s.id: s.statistic for s in by_size(laboratory.quiet_scores(found.base), 0.0)}

@@ -17,6 +17,7 @@ from estimators.misspecification.adequacy import (
     adequacy_tests,
     alarming,
     overshadowing,
+    rejecting,
     suspects,
 )
 from estimators.misspecification.findings import Findings, Score
@@ -55,7 +56,7 @@ def select(laboratory: Laboratory, policy: DiagnosisPolicy, *, thorough: bool) -
     simulated = selected_by_simulation(laboratory, found, policy)
     if simulated is not None:
         return simulated
-    if any(test.rejects for test in found.tests) and not laboratory.facts.rest:
+    if rejecting(found.tests) and not laboratory.facts.rest:
         # Noise that wanders makes almost every effect look useful; without rest records the likelihood must say.
         laboratory.say("colour of the noise")
         coloured = laboratory.coloured()
@@ -139,7 +140,7 @@ def second_looks(laboratory: Laboratory, found: Selection, policy: DiagnosisPoli
     And where it names nothing, another of what every experiment confirms, or of what random forces stood for.
     """
     verdict = found.named(laboratory.facts.samples, policy)[0]
-    if verdict == "adequate":
+    if verdict == "adequate" or not (found.steps or rejecting(found.tests)):
         found = confirmed(laboratory, found, policy)
         return found if found.steps else behind_random_forces(laboratory, found, policy)
     if verdict != "unknown":
@@ -248,8 +249,7 @@ def improvements(
         tried[step.id] = (now, step.model)
         now, seen = step.model, left
         count = named(steps, first_tests, laboratory.facts.samples, policy)[1]
-        rejects = any(test.rejects for test in step.left)
-        if not rejects or 0 < count < len(steps):
+        if not rejecting(step.left) or 0 < count < len(steps):
             break
     return steps, tried
 
@@ -281,7 +281,7 @@ def _next_step(
     begun = {s.id for s in (ranked[0], *near)}
     ahead = laboratory.findings(models[ranked[0].id]) if ranked[0].id in models else None
     # Where the best leaves nothing to explain, those far behind it need not be asked.
-    settled = ahead is not None and not any(test.rejects for test in adequacy_tests(ahead, policy.critical))
+    settled = ahead is not None and not rejecting(adequacy_tests(ahead, policy.critical))
     far = [] if settled else [*(s for s in ranked[1:most] if s.id not in begun), *above]
     models |= laboratory.refits(now, far, way)
     asked = {s.id: s for s in (*ranked, *near, *above)}

@@ -34,6 +34,7 @@ class AdequacyTest:
         words: its statement, for a reader.
         alarmed: whether what the test asks for beside a small p-value is there: of named effects that one of them raises the
             alarm.
+        hum: whether what it finds is of the mains, which no effect should explain.
     """
 
     test: str
@@ -42,6 +43,7 @@ class AdequacyTest:
     level: float
     words: str
     alarmed: bool = True
+    hum: bool = False
 
     @property
     def rejects(self) -> bool:
@@ -76,7 +78,7 @@ def suspects(screened: Sequence[Candidate], tests: Sequence[AdequacyTest], criti
 
     What acts at a few instants, as a stop that is hit once, scatters over stretches of time as much as it shows.
     """
-    if alarming(screened, critical) or not any(test.rejects for test in tests):
+    if alarming(screened, critical) or not rejecting(tests):
         return []
     return [s for s in screened if s.statistic >= critical.alarm]
 
@@ -120,7 +122,7 @@ def adequacy_tests(found: Findings, critical: CriticalValues) -> tuple[AdequacyT
     if line is not None:
         where = f"{line.channel} at {line.frequency:.3g} rad/s ({line.in_hertz})"
         words = f"the strongest line, of {where}, has {line.ratio:.1f} times the power around it"
-        tests.append(AdequacyTest("spectral line", line.p_value, line.excess, level, words))
+        tests.append(AdequacyTest("spectral line", line.p_value, line.excess, level, words, hum=line.is_of_mains))
     return tuple(tests)
 
 
@@ -151,6 +153,11 @@ def _strongest(several: Sequence[Missing], level: float) -> tuple[float, Missing
     return min(1.0, surest.p_value * len(several)), strongest
 
 
+def rejecting(tests: Sequence[AdequacyTest]) -> list[AdequacyTest]:
+    """Return the tests that reject for what an effect might explain: hum of the mains, which sensors pick up, is none of it."""
+    return [test for test in tests if test.rejects and not test.hum]
+
+
 def excess_of(tests: Sequence[AdequacyTest]) -> float:
-    """Return the most that any rejecting test finds beyond chance; zero where none rejects."""
-    return max((e.excess for e in tests if e.rejects), default=0.0)
+    """Return the most that any test finds beyond chance which rejects for what an effect might explain; zero where none does."""
+    return max((test.excess for test in rejecting(tests)), default=0.0)

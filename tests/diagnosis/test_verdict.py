@@ -70,6 +70,15 @@ def test_what_is_named(steps: list[Step], verdict: str, count: int) -> None:
     assert named(steps, (found(600.0),), SAMPLES, STANDARD)[:2] == (verdict, count)
 
 
+def test_hum_of_the_mains_is_nothing_that_an_effect_should_remove() -> None:
+    hum = AdequacyTest("spectral line", 1e-9, 2000.0, 0.002, "", hum=True)
+    line = dataclasses.replace(hum, hum=False)
+    lag = dataclasses.replace(step("lag", 500.0, 0.0), left=(found(0.0), hum))
+    assert named([lag], (found(600.0), hum), SAMPLES, STANDARD)[:2] == ("missing", 1)
+    assert named([dataclasses.replace(lag, left=(line,))], (found(600.0), line), SAMPLES, STANDARD)[0] == "unknown"
+    assert named([], (found(0.0), hum), SAMPLES, STANDARD)[0] == "unknown"  # it rejects all the same
+
+
 def test_nothing_found_and_nothing_wrong_is_adequate() -> None:
     assert named([], (found(0.0),), SAMPLES, STANDARD) == ("adequate", 0, 0.0)
 

@@ -13,7 +13,8 @@ from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.diagnose import diagnose
 from estimators.diagnosis.diagnosis import Diagnosis
 from estimators.diagnosis.evidence import Evidence
-from estimators.diagnosis.improve import Improvement, improve
+from estimators.diagnosis.improve import improve
+from estimators.diagnosis.improvement import Improvement
 from estimators.diagnosis.policy import DiagnosisPolicy
 from estimators.diagnosis.verdict import Judgement, judge
 from estimators.experiment_design.next_experiment import NextExperiment, PlannedExperiment, next_experiment

@@ -9,7 +9,7 @@ from estimators.core.fit import Fit, Parameter
 from estimators.core.results import RESULTS
 from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.diagnosis import Diagnosis
-from estimators.diagnosis.improve import Improvement
+from estimators.diagnosis.improvement import Improvement
 from estimators.diagnosis.learned_force import LearnedForce
 from estimators.diagnosis.model_extension import PredictedGain
 from estimators.misspecification.adequacy import AdequacyTest

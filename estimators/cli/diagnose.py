@@ -32,6 +32,7 @@ def diagnose(
 
         candidates = offered(effects)
         seconds = work.time_for(within)
+        work.warn()
         base = base_fit(work, model, effects)
         found = est.diagnose(base, work.train, candidates=candidates, thorough=not quick, within=seconds)
         with Deadline(None if seconds is None else PROLONGED * seconds).kept():
@@ -41,7 +42,14 @@ def diagnose(
         planned = None if found.broken_off else plan_next(work, base, found, candidates)
         work.save(found, save)
         table_of_tests = _tables.evidence_table(found)
-        work.say(found.explanation, work.remark, table, table_of_tests, errors, planned or "", found.policy.words)
+        work.say(
+            *work.ordered(found.verdict, found.explanation),
+            table,
+            table_of_tests,
+            errors,
+            planned or "",
+            found.policy.words,
+        )
         work.write_json(
             _report.report_dict(
                 found, fit=fits[-1], train=trained, validation=tested, planned=planned, seconds=work.seconds
@@ -75,7 +83,7 @@ def diagnose(
             }
             show_plan(planned, work, figures, captions)
             sections = [
-                (f"Verdict: {found.verdict}", [without_limits(found.explanation), work.remark]),
+                (f"Verdict: {found.verdict}", work.ordered(found.verdict, without_limits(found.explanation))),
                 ("Error before and after", [errors]),
                 ("Figures", shown(figures, **captions)),
                 ("Candidates", [table]),
@@ -83,7 +91,7 @@ def diagnose(
                 ("Parameters", [_tables.parameter_table(fits[-1], base=base if len(fits) > 1 else None)]),
                 ("Thresholds", [_tables.policy_table(found.policy)]),
             ]
-            bullets = summary.of_diagnosis(found, trained, tested, file=work.file)
+            bullets = summary.of_diagnosis(found, trained, tested, file=work.file, doubts=work.doubts or ())
             work.write_report(f"Diagnosis of {work.file}", figures, sections, summary=bullets, traces=tested or trained)
 
 

@@ -74,7 +74,7 @@ def improved(
         stop(NOT_POSSIBLE, work.not_split)
     candidates = offered(effects)
     start = start_model(work, model, effects, fix)
-    work.note_doubts()
+    work.warn()
     seconds = work.time_for(within)
     with work.explaining():
         found = est.improve(
@@ -106,7 +106,9 @@ def improved(
         _tables.candidate_table(found.diagnoses[0], [c.id for c in found.added]),
         found.diagnoses[0].policy.words,
     )
-    work.say(found.headline, *said, found.ending, work.remark, table, errors, *parameters, planned or "", judged)
+    last = found.diagnoses[-1].verdict
+    spoken = work.ordered(last, found.headline, *said, found.ending)
+    work.say(*spoken, table, errors, *parameters, planned or "", judged)
     work.save(found, save)
     work.write_json(_report.report_dict(found, planned=planned, seconds=work.seconds, advice=advice))
     if work.folder is None:
@@ -152,7 +154,7 @@ def improved(
         ]
         tables += [_tables.evidence_table(diagnosis), _tables.place_table(diagnosis)]
     sections = [
-        ("Verdict", [found.headline, f"{finding(found)}.", *told, found.ending, work.remark]),
+        ("Verdict", work.ordered(last, found.headline, f"{finding(found)}.", *told, found.ending)),
         ("Error before and after", [errors]),
         ("Figures", shown(figures, **captions)),
         ("Parameters", parameters),
@@ -160,7 +162,9 @@ def improved(
         ("Thresholds", [_tables.policy_table(found.diagnoses[0].policy)]),
     ]
     estimates = None if advice is None else advice.parameters
-    bullets = summary.of_diagnosis(found, found.train, found.validation, file=work.file, estimates=estimates)
+    bullets = summary.of_diagnosis(
+        found, found.train, found.validation, file=work.file, estimates=estimates, doubts=work.doubts or ()
+    )
     title = f"Improvement of the model with {work.file}"
     work.write_report(title, figures, sections, summary=bullets, traces=found.validation)
 

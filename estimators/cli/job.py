@@ -135,6 +135,19 @@ class Job:
             lines = [*self._unmeasured(), *map(_doubtful, self.doubts)]
             self.remark = "\n".join([self.remark, *lines]).strip()
 
+    def warn(self) -> None:
+        """Say on the screen what is doubtful, before an answer is computed for minutes from it."""
+        self.note_doubts()
+        for sentence in self.doubts or []:
+            typer.echo(f"rtac: {_doubtful(sentence)}", err=True)
+
+    def ordered(self, verdict: str, *texts: str) -> list[str]:
+        """Return what is said of a verdict, and the remark; that first where a model fails and the recording may be why."""
+        if verdict != "unknown" or not self.doubts:
+            return [*texts, self.remark]
+        first = "The recording contradicts itself or the equations, which may be all that is wrong: mend this first."
+        return [first, self.remark, *texts]
+
     def withdraw_inconsistencies(self) -> None:
         """Take back what the equations of motion alone contradict: a model with what they lack follows the recording."""
         taken_back = set(map(_doubtful, self.inconsistencies))

@@ -10,7 +10,7 @@ from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.candidate_set import offered
 from estimators.diagnosis.diagnose import diagnose
 from estimators.diagnosis.diagnosis import Diagnosis
-from estimators.diagnosis.explanation import static_force
+from estimators.diagnosis.explanation import at_noise, static_force
 from estimators.diagnosis.learned_force import LearnedForce, learn_force
 from estimators.diagnosis.model_extension import (
     WAYS,
@@ -23,6 +23,7 @@ from estimators.diagnosis.model_extension import (
 )
 from estimators.diagnosis.nearest_effect import add_nearest
 from estimators.diagnosis.policy import DiagnosisPolicy
+from estimators.diagnosis.read_law import read_law
 from estimators.diagnosis.runner_up import runner_up
 from estimators.linear.homogeneity_test import Equality
 from estimators.output_error.fit import output_error
@@ -253,6 +254,36 @@ class Loop:
         )
         return further
 
+    def with_law(self) -> "Loop | None":
+        """Return the loop that goes on with a law read off the missing force, where that ends at an adequate model or at the noise.
+
+        None elsewhere, and none is read where random forces stand in for the physics, or a parameter drifts: no law that holds at
+        all times is missing.
+        """
+        found = self.diagnoses[-1]
+        curve, _ = static_force(found.curves, found.tests, self.policy)
+        if curve is None or found.stands_in or found.drift or not self._all_simulated:
+            return None
+        read = read_law(
+            self.last, self.added, curve, self.train, self.held_out, policy=self.policy, progress=self.progress
+        )
+        if read is None:
+            return None
+        further = self.copied()
+        further.steps.append(((read.law.id,), read.step))
+        further.added = [*(c for c in self.added if c.id not in read.given_up), read.law]
+        further.stopped = ""
+        further.run()
+        followed = all(at_noise(e.rms_over_noise) for e in further.last.tested.errors.values())
+        if not followed and (further.out_of_time or further.diagnoses[-1].verdict != "adequate"):
+            return None
+        place = f"takes the place of {', '.join(read.given_up)}" if read.given_up else "is added"
+        further.stopped = (
+            f"{read.text} is a law read off the missing force, in no catalogue, and {place}: the held-out experiments were left at "
+            f"{misfit(self.last.tested):.3g} times the noise, and are at {misfit(read.step.tested):.3g}. {further.stopped}"
+        )
+        return further
+
     def lead_by_predictions(self) -> None:
         """Fit the last model anew from where predictions one sample ahead lead, if it is adequate to these and simulates far off.
 
@@ -297,7 +328,7 @@ class Loop:
             if not self._all_simulated or needed or self.deadline.over or not self._is_gone(candidate):
                 continue
             step = extended_without(
-                last, candidate.id, [], "+ " + ", ".join(c.id for c in others), self.train, self.held_out,
+                last, [candidate.id], [], "+ " + ", ".join(c.id for c in others), self.train, self.held_out,
                 progress=self.progress,
             )  # fmt: skip
             if step is None or misfit(step.tested) > max((1 + self.policy.fall) * misfit(last.tested), 1.0):

@@ -10,6 +10,7 @@ from estimators.core.fit import Fit
 from estimators.diagnosis.diagnosis import Diagnosis
 from estimators.diagnosis.model_extension import Added, add_effects, misfit
 from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
+from estimators.diagnosis.read_law import LAWS
 from estimators.misspecification.adequacy import significant
 from estimators.misspecification.static_force import ForceCurve
 from estimators.validation.simulation_error import Compared
@@ -18,7 +19,6 @@ from rtac_jax.effects.spline_force import PORT_UNITS, VARIABLE_UNITS
 from rtac_jax.measurement import Recording
 
 LABEL = "+ learned force"
-_LAWS = 3  # proposed laws that are worth a line
 _SLOPES = {
     ("cart", "cart_position"): "spring_stiffness",
     ("cart", "cart_velocity"): "cart_viscous",
@@ -169,7 +169,7 @@ def _described(step: Added, curve: ForceCurve) -> LearnedForce:
         places = [step.fit.information.names.index(name) for name in names]
         covariance = step.fit.information.covariance[np.ix_(places, places)]
         std = np.sqrt(np.einsum("sk,st,tk->k", shapes, covariance, shapes))
-    laws = tuple(law.text for law in curve.formulas(most=_LAWS)) if curve.evidence is not None else ()
+    laws = tuple(law.text for law in curve.formulas(most=LAWS)) if curve.evidence is not None else ()
     outside = {name: fraction for name, (_, fraction) in step.tested.beyond.items()}
     shares = _SLOPES.get((curve.port, curve.variable), "")
     estimated = any(name.split(".")[0] == shares for name in step.fit.model.free)

@@ -73,11 +73,12 @@ def _resort(end: LoopEnd, *, last_resort: bool) -> None:
     elif last_resort and unknown and end.differs is not None and end.differs.is_of_the_rig:
         return  # no law that holds in all of them makes up for that
     elif last_resort and unknown:
-        near = loop.nearest()
+        end.loop = loop.with_law() or loop
+        near = loop.nearest() if end.loop is loop else None
         further = None if near is None else loop.with_nearest(*near)
         if further is not None:
             end.loop = further
-        else:
+        elif end.loop is loop:
             end.nearest, end.learned = loop.last_resort(near)
         if end.loop.last.fit is not asked:
             # What a last resort learned from all of them explains is no fault of one.

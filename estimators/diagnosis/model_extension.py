@@ -179,14 +179,14 @@ def _determined(model: RTAC, train: Recording, *, progress: bool) -> Fit:
 
 
 def extended_without(
-    last: Added, given_up: str, several: Sequence[Effect], label: str, train: Recording, held_out: Recording, *,
+    last: Added, given_up: Sequence[str], several: Sequence[Effect], label: str, train: Recording, held_out: Recording, *,
     progress: bool,
 ) -> Added | None:  # fmt: skip
-    """Return a model, fitted by simulation, without an effect or with others in its place; None where it cannot be fitted.
+    """Return a model, fitted by simulation, without some effects or with others in their place; None where it cannot be fitted.
 
     Args:
         last: the model.
-        given_up: id of the effect that it loses.
+        given_up: ids of the effects that it loses.
         several: effects that it gets, at the values where the fit begins.
         label: for the comparison.
         train: the recording that is fitted.
@@ -194,7 +194,7 @@ def extended_without(
         progress: show bars.
     """
     try:
-        model = reduce(RTAC.__add__, several, last.fit.model.without(given_up))
+        model = reduce(RTAC.__add__, several, last.fit.model.without(*given_up))
         fit = output_error(model, train, from_model=True, progress=progress)
         return None if fit.lost else Added(fit, compare(fit, held_out, labels=[label]).models[0], "simulated")
     except (NotIdentifiableError, DivergedError, FloatingPointError):

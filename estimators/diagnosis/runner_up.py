@@ -62,7 +62,7 @@ def runner_up(
     for given_up, taken in _pairs(last, added, diagnoses, classes, policy)[: policy.refits]:
         effect = classes[taken.id](**{name: p.value for name, p in taken.parameters.items()})
         label = "+ " + ", ".join([*(c.id for c in added if c.id != given_up.id), taken.id])
-        step = extended_without(last, given_up.id, [effect], label, train, held_out, progress=progress)
+        step = extended_without(last, [given_up.id], [effect], label, train, held_out, progress=progress)
         if step is not None and misfit(step.tested) <= (1 - policy.static) * misfit(last.tested) and not _far(step):
             found.append(Exchange(step, taken, given_up))
     return min(found, key=lambda one: misfit(one.step.tested), default=None)

@@ -230,7 +230,12 @@ def _formula(
         name: Parameter(value, float(s), from_declared[name]) for name, value, s in zip(names, values, std, strict=True)
     }
     return Formula(
-        _text(kind, parameters), effect, parameters, held_out, gain / max(whole, 1e-300), (float(at[0]), float(at[-1]))
+        formula_text(kind, parameters),
+        effect,
+        parameters,
+        held_out,
+        gain / max(whole, 1e-300),
+        (float(at[0]), float(at[-1])),
     )
 
 
@@ -268,7 +273,8 @@ def _units(kind: type[FormulaForce]) -> dict[str, str]:
     return {name: declared.unit for name, declared in declarations(kind).items()}
 
 
-def _text(kind: type[FormulaForce], parameters: Mapping[str, Parameter]) -> str:
+def formula_text(kind: type[FormulaForce], parameters: Mapping[str, Parameter]) -> str:
+    """Return a law with the values and units of its parameters."""
     unit = "N" if kind.port == "cart" else "N m"
     told = kind.equation
     for name, p in parameters.items():

@@ -7,7 +7,7 @@ from estimators.closed_form.table1 import ClosedForm
 from estimators.controller.outcome import ControlDesign
 from estimators.core.parameter_correlation import ParameterCorrelations
 from estimators.diagnosis.diagnosis import Diagnosis
-from estimators.diagnosis.improve import Improvement
+from estimators.diagnosis.improvement import Improvement
 from estimators.experiment_design.next_experiment import NextExperiment
 from estimators.frequency_response.response import FrequencyResponses
 from estimators.inference.agreement import Agreement

@@ -6,7 +6,7 @@ from typing import Any
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
 from estimators.core.fit import FAR
-from estimators.diagnosis.improve import Improvement
+from estimators.diagnosis.improvement import Improvement
 from estimators.plots.comparison import draw_pair, same
 from estimators.plots.style import MARKERS, NAMES, SMALL, Picture, picture, tidy, times, title
 from estimators.validation.simulation_error import Comparison

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from estimators.diagnosis.improve import Improvement
+from estimators.diagnosis.improvement import Improvement
 from estimators.plots.improvement import finding
 from estimators.plots.style import NAMES, SMALL, UNITS, Picture, picture, prefixed, tidy, title
 

@@ -11,7 +11,7 @@ from estimators.core.fit import Fit, Parameter
 from estimators.core.information_criteria import InformationCriteria
 from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.diagnosis import Diagnosis
-from estimators.diagnosis.improve import Improvement
+from estimators.diagnosis.improvement import Improvement
 from estimators.experiment_design.next_experiment import NextExperiment
 from estimators.reporting.fit_table import AllEstimates
 from estimators.reporting.html import cleaned

@@ -2,13 +2,13 @@
 
 import math
 import shlex
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from estimators.controller.outcome import ControlDesign, outcome
 from estimators.core.fit import FAR, Fit, Parameter
 from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.diagnosis import Diagnosis
-from estimators.diagnosis.improve import Improvement
+from estimators.diagnosis.improvement import Improvement
 from estimators.experiment_design.next_experiment import NextExperiment
 from estimators.plots.envelope import finding
 from estimators.reporting.html import Bullets
@@ -68,8 +68,18 @@ def of_diagnosis(
     *,
     file: str,
     estimates: Mapping[str, Parameter] | None = None,
+    doubts: Sequence[str] = (),
 ) -> Bullets:
-    """Return the bullets of a diagnosis or of a loop of them; arguments as of `of_fit`, and the estimates that are recommended."""
+    """Return the bullets of a diagnosis or of a loop of them.
+
+    Args:
+        found: what it found.
+        trained: every model on what was fitted.
+        tested: the same on what was held out.
+        file: name of the recording.
+        estimates: that are recommended.
+        doubts: contradictions in the recording.
+    """
     effects = found.added if isinstance(found, Improvement) and found.added else _named(found)
     # What a model holds after all else was fitted beside it; a diagnosis estimates before that.
     final = estimates or (found.final.parameters if isinstance(found, Improvement) else {})
@@ -166,6 +176,8 @@ def of_diagnosis(
             f"Look at {name}: its sample time, lost samples or counts, a sensor that was set anew, what touched "
             f"the rig, or what it alone shows; then again without it. {after_that}"
         )
+    if doubts and last.verdict == "unknown":
+        steps[found.verdict] = f"Mend the recording first, or leave out what is wrong, and ask again. {doubts[0]}"
     return Bullets(f"{what}.", f"{sure[0].upper()}{sure[1:]}.", steps[found.verdict])
 
 

@@ -90,6 +90,14 @@ class FormulaForce(Force):
         return on[0] * total * rubs, on[1] * total * rubs
 
 
+def _named(port: str, variable: str, terms: tuple[Term, ...]) -> str:
+    """Return the id of a formula, in words: the law's variable, where it acts if that is elsewhere, and its terms."""
+    base, rubs = variable.split(",")[0], "," in variable
+    where = "" if base.startswith(port) or (port == "arm" and base == "current") else f"{port}_"
+    kinds = "_".join(f"{term.kind}{term.number or ''}" for term in terms)
+    return f"{where}law_of_{base}{'_in_friction' if rubs else ''}_{kinds}"
+
+
 @functools.cache
 def formula_class(port: str, variable: str, terms: tuple[Term, ...], slow: float) -> type[FormulaForce]:
     """Return the effect whose force is a sum of these terms, with declared parameters, units and symbols.
@@ -128,7 +136,7 @@ def formula_class(port: str, variable: str, terms: tuple[Term, ...], slow: float
     equation = " + ".join(f"c_{n} {term.text(symbol, n)}".strip() for n, term in enumerate(terms, 1))
     told = hashlib.sha256(repr((port, variable, terms, slow)).encode()).hexdigest()[:6]
     space = {
-        "__annotations__": dict.fromkeys(fields, Any), "__module__": __name__, "id": f"formula_{told}", "port": port,
+        "__annotations__": dict.fromkeys(fields, Any), "__module__": __name__, "id": _named(port, variable, terms), "port": port,
         "equation": f"({equation}){against}" if against else equation, "variable": variable, "terms": terms, "slow": slow,
         "__doc__": f"A force on the {port}: {equation}{against}.", **fields,
     }  # fmt: skip

@@ -12,13 +12,14 @@ import numpy as np
 
 from rtac_jax.configuration import require_configured
 from rtac_jax.effects import CATALOGUE, Effect
+from rtac_jax.effects.formula_force import Term, formula_class
 from rtac_jax.storage._encoding import KIND, field_names, not_finite, outcomes
 from rtac_jax.storage._errors import ResultFileError
 
 MOVED: Mapping[str, str] = {
     f"estimators.inference.hausman.{name}": f"estimators.inference.agreement.{name}"
     for name in ("Agreement", "Disagreement")
-}
+} | {"estimators.diagnosis.improve.Improvement": "estimators.diagnosis.improvement.Improvement"}
 """Where records stand today that files of this version name by an older path."""
 
 RENAMED: Mapping[tuple[str, str], str] = {
@@ -102,6 +103,9 @@ class Decoder:
         return self._arrays[key]
 
     def _effect_class(self, value: Any) -> type[Effect]:
+        if "formula" in value:
+            port, variable, terms, slow = value["formula"]
+            return formula_class(port, variable, tuple(Term(kind, number) for kind, number in terms), slow)
         if "type" in value:
             return self._class(value["type"])
         if "own" not in value:

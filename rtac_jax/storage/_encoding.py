@@ -10,6 +10,7 @@ import jax
 import numpy as np
 
 from rtac_jax.effects import CATALOGUE, Effect
+from rtac_jax.effects.formula_force import FormulaForce
 from rtac_jax.storage._errors import ResultFileError
 
 KIND = "is"
@@ -92,6 +93,9 @@ class Encoder:
     def _name_of_effect(self, effect: type[Effect]) -> dict[str, Any]:
         if CATALOGUE.get(effect.id) is effect:
             return {"id": effect.id}
+        if issubclass(effect, FormulaForce) and effect.terms:  # made when it was read off, so that no name leads to it
+            terms = [list(term) for term in effect.terms]
+            return {"formula": [effect.port, effect.variable, terms, effect.slow]}
         if effect.__module__.partition(".")[0] in self.packages:
             return {"type": _path(effect)}
         return {"id": effect.id, "own": effect.__qualname__}

@@ -51,6 +51,23 @@ def test_the_result_carries_the_doubts(clean, spoilt, tmp_path):
     assert "Doubtful" not in fine.remark
 
 
+def test_doubts_come_before_a_failing_verdict_and_after_any_other(clean, spoilt, capsys):
+    work = Job("rig.h5", spoilt, None, None, None, 0.0)
+    work.warn()
+    told = capsys.readouterr().err
+    assert TURNED in told
+    assert told.count("rtac: Doubtful: ") == 2
+    first, remark, verdict = work.ordered("unknown", "The model fails.")
+    assert first.endswith("mend this first.")
+    assert TURNED in remark
+    assert verdict == "The model fails."
+    assert work.ordered("adequate", "Nothing is missing.") == ["Nothing is missing.", work.remark]
+    fine = Job("rig.h5", clean, None, None, None, 0.0)
+    fine.warn()
+    assert capsys.readouterr().err == ""
+    assert fine.ordered("unknown", "The model fails.") == ["The model fails.", fine.remark]
+
+
 def test_a_cart_without_a_sensor_is_said_beside_the_result(clean):
     bare = tuple(dataclasses.replace(e, outputs={"arm_velocity": e.outputs["arm_velocity"]}) for e in clean)
     work = Job("rig.h5", dataclasses.replace(clean, experiments=bare), None, None, None, 0.0)

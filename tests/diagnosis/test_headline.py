@@ -187,6 +187,15 @@ def test_a_line_alone_beside_a_simulation_at_the_noise_is_no_failure_of_the_mode
     ) == told
 
 
+def test_a_report_on_a_failing_model_sends_to_the_faults_of_the_recording_first():
+    found = looped(diagnosis("unknown"), steps=1, added=(), verdict="unknown")
+    doubts = ("free_1: its samples stop.",)
+    said = str(of_diagnosis(found, found.train, found.validation, file="x", doubts=doubts))
+    assert "Mend the recording first, or leave out what is wrong, and ask again. free_1: its samples stop." in said
+    fine = looped(diagnosis("adequate"), steps=1, added=(), verdict="adequate")
+    assert "Mend the recording" not in str(of_diagnosis(fine, fine.train, fine.validation, file="x", doubts=doubts))
+
+
 def test_hum_of_the_mains_alone_is_no_failure_of_a_mended_model_however_loud_it_is():
     hum = AdequacyTest("spectral line", 1e-9, 100.0, 2e-3, "the strongest line, at 314 rad/s (50 Hz)", hum=True)
     last = dataclasses.replace(diagnosis("unknown"), tests=(hum,), simulated=2.7)

@@ -205,8 +205,10 @@ def test_what_nothing_is_left_of_beside_what_was_added_later_goes(
     loop.added = [made_up_results.candidate(name, 50.0, parameters=named) for name in ("encoder_lag", "current_lag")]
     loop.stopped = "Stopped: nothing more is missing."
 
-    def without(last: Added, given_up: str, several: Sequence[Effect], label: str, *_: Any, **__: Any) -> Added | None:
-        assert (given_up, several, label) == ("encoder_lag", [], "+ current_lag")
+    def without(
+        last: Added, given_up: Sequence[str], several: Sequence[Effect], label: str, *_: Any, **__: Any
+    ) -> Added | None:
+        assert (given_up, several, label) == (["encoder_lag"], [], "+ current_lag")
         tested = None if left is None else made_up_results.compared(label, left)
         return None if tested is None else dataclasses.replace(last, tested=tested)
 

@@ -58,10 +58,10 @@ def test_it_is_taken_where_most_of_the_error_falls(
     tried = []
 
     def with_it(
-        last: Added, given_up: str, several: list[rtac.effects.Effect], label: str, *_: object, **__: object
+        last: Added, given_up: list[str], several: list[rtac.effects.Effect], label: str, *_: object, **__: object
     ) -> Added | None:
         (effect,) = several
-        assert (given_up, label) == ("encoder_lag", f"+ {effect.id}")
+        assert (given_up, label) == (["encoder_lag"], f"+ {effect.id}")
         tried.append(effect.id)
         left = after[effect.id]
         return None if left is None else Added(fit, compared(label, left), "simulated")

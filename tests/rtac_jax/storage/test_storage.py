@@ -15,6 +15,7 @@ import estimators as est
 import rtac_jax as rtac
 from estimators.linear.homogeneity_test import Trend
 from rtac_jax.effects import CATALOGUE, CubicSpring, FlexibleMode, Force, SplineForce
+from rtac_jax.effects.formula_force import Term, formula_class
 from rtac_jax.parameters import declarations
 from rtac_jax.storage import _file
 from rtac_jax.storage._decoding import MOVED, RENAMED, Decoder
@@ -59,6 +60,19 @@ def test_every_effect_of_the_catalogue_comes_back(tmp_path):
         loaded = rtac.load(tmp_path / "one.h5")
         assert type(loaded.effects[0]) is effect
         assert bits(loaded) == bits(model)
+
+
+def test_a_law_that_was_read_off_a_curve_comes_back(tmp_path):
+    """No name leads to its class, which is made when it is read off."""
+    terms = (Term("sine"), Term("power", 5))
+    law = formula_class("cart", "cart_position", terms, 1e-4)(coefficient_1=-0.12, shape_1=500.0, coefficient_2=-2e9)
+    friction = formula_class("arm", "arm_angle, against the motion", (Term("cosine", 3),), 1e-3)(coefficient_1=1e-4)
+    assert (law.id, friction.id) == ("law_of_cart_position_sine_power5", "law_of_arm_angle_in_friction_cosine3")
+    model = rtac.RTAC.paper() + law + friction
+    model.save(tmp_path / "law.h5")
+    loaded = rtac.load(tmp_path / "law.h5")
+    assert bits(loaded) == bits(model)
+    assert [type(effect) for effect in loaded.effects] == [type(effect) for effect in model.effects]
 
 
 def test_a_file_of_version_1_is_read_for_ever():

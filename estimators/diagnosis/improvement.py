@@ -1,0 +1,302 @@
+"""The result of the loop: every model, every diagnosis, and what was found in words."""
+
+import dataclasses
+from typing import Any
+
+from estimators.core.drawing import draw
+from estimators.core.fit import Fit
+from estimators.core.result_base import Result
+from estimators.core.results import RESULTS
+from estimators.diagnosis.candidate import Candidate
+from estimators.diagnosis.caveats import (
+    astray,
+    failure,
+    named_too_late,
+    not_told_from_nothing,
+    of_little_service,
+)
+from estimators.diagnosis.diagnosis import Diagnosis
+from estimators.diagnosis.explanation import at_noise
+from estimators.diagnosis.learned_force import LearnedForce
+from estimators.diagnosis.model_extension import PredictedGain
+from estimators.diagnosis.removed_error import Verdict
+from estimators.linear.homogeneity_test import Equality
+from estimators.linear.outlier import rounded
+from estimators.validation.simulation_error import Comparison
+from rtac_jax.effects.formula_force import FormulaForce
+from rtac_jax.overview import Overview
+from rtac_jax.renamed import renamed
+
+_UNFINISHED = (RESULTS.steps_exhausted, RESULTS.pulled_off_bound, RESULTS.undetermined)
+
+
+@dataclasses.dataclass(frozen=True, repr=False)
+class Improvement(Result):
+    """The result of `improve`.
+
+    Attributes:
+        fits: of the base model and of every model after it, in order; what one diagnosis names is added together.
+        diagnoses: one for every fit that was diagnosed.
+        diagnosed: the place of that fit in `fits`.
+        added: the effects that were added, in order, as the diagnosis saw them.
+        verdict: "adequate" if nothing was missing, "missing" if what was added makes the model adequate or all that can be
+            named, else what the last diagnosis says.
+        train, validation: every model against the experiments that it was fitted to, and against those held out.
+        held: ids of added effects that are held at the estimate of the diagnosis, because a fit by simulation fails, or serves
+            held-out experiments worse; deviations of the other parameters count how well the diagnosis knew it.
+        predicted: the last model has all its parameters from predictions one sample ahead, because random forces or an arm that
+            tumbles carry a simulation away from the data that it was fitted to.
+        predicted_gains: added effects that do not clearly lower the held-out error of simulation, but make the held-out experiments
+            likelier one sample ahead.
+        stopped: why the loop ended.
+        seconds: duration [s].
+        nearest: the effect of the last model that explains most, not all, of what the last diagnosis cannot name: a last resort,
+            which serves held-out experiments better than a learned force; None elsewhere.
+        learned: the learned force of the last model, the other last resort; None elsewhere.
+        constancy: what differs between experiments, where the last model follows each by itself and not all together, or all
+            but one together; None elsewhere.
+        left_out: the experiment without which the last model was fitted, as one set of parameters follows all others and not it;
+            None elsewhere. No error of `train` counts it.
+        broken_off: whether the time that was given was over before all was asked.
+        not_added: ids of what the last diagnosis names, and what was not fitted before the time was over.
+        doubtful: ids of added effects that the last fit, by simulation, does not tell from nothing.
+    """
+
+    fits: tuple[Fit, ...]
+    diagnoses: tuple[Diagnosis, ...]
+    diagnosed: tuple[int, ...]
+    added: tuple[Candidate, ...]
+    verdict: Verdict
+    train: Comparison
+    validation: Comparison
+    held: tuple[str, ...]
+    predicted: bool
+    predicted_gains: tuple[PredictedGain, ...]
+    stopped: str
+    seconds: float
+    learned: LearnedForce | None = None
+    nearest: Candidate | None = None
+    constancy: Equality | None = None
+    left_out: str | None = None
+    broken_off: bool = False
+    not_added: tuple[str, ...] = ()
+    doubtful: tuple[str, ...] = ()
+
+    foreseen = renamed("foreseen", "predicted_gains")
+
+    @property
+    def base(self) -> Fit:
+        """Return the fit without any effect added."""
+        return self.fits[0]
+
+    @property
+    def final(self) -> Fit:
+        """Return the last fit: with all effects added, or without the experiment that is left out."""
+        return self.fits[-1]
+
+    @property
+    def ending(self) -> str:
+        """Return what was held, or kept for its predictions, if anything, why the loop ended, and what was learned."""
+        said = [str(one) for one in self.predicted_gains]
+        if self.predicted:
+            said.append(
+                "All parameters of the last model are those with which the data are predicted best one sample ahead, as of "
+                "est.prediction_error_nonlinear: with a fit by simulation the held-out experiments do not tell."
+            )
+        if self.held:
+            counted = (
+                " Standard deviations of the others count how well the diagnosis knew it." if self.final.held else ""
+            )
+            said.insert(
+                0,
+                f"Held at the estimate of the diagnosis, because a fit by simulation fails or serves held-out experiments worse: "
+                f"{', '.join(self.held)}.{counted}",
+            )
+        if self.left_out is not None:
+            said.append(
+                f"The last model is fitted without {self.left_out}, which no error of the fitted experiments counts."
+            )
+        if self.final.result in _UNFINISHED:
+            said.append(f"The last model: {self.final.outcome}")
+        else:
+            said.extend(self.final.moved_constants)
+        if self.diagnoses[-1].verdict == "adequate" and not self._drifts and (strays := self._astray):
+            said.append(strays)
+        return " ".join([*said, self.stopped, *([str(self.learned)] if self.learned is not None else [])])
+
+    @property
+    def _drifts(self) -> bool:
+        return self.constancy is not None and self.constancy.decisive
+
+    @property
+    def settled(self) -> bool:
+        """Return whether effects that were added, and nothing else, make the model follow all experiments to the noise."""
+        others = (self.learned, self.nearest, self.left_out)
+        if self.diagnoses[-1].broken_off:
+            return False
+        followed = [e.rms_over_noise for c in (self.train, self.validation) for e in c.models[-1].errors.values()]
+        return self.mended == "adequate" and others == (None, None, None) and at_noise(max(followed))
+
+    @property
+    def mended(self) -> Verdict | None:
+        """Return the verdict on the last model without a last resort, where effects were added and it was diagnosed again.
+
+        None elsewhere.
+        """
+        after = sum(last is not None for last in (self.nearest, self.learned, self.left_out))
+        with_all = len(self.fits) - 1 - after
+        return self.diagnoses[-1].verdict if self.added and self.diagnosed[-1] >= with_all else None
+
+    def fitted_before(self, diagnosis: int) -> int:
+        """Return the place in `fits` of the model that a diagnosis, by its place, was made of."""
+        return self.diagnosed[diagnosis]
+
+    @property
+    def headline(self) -> str:
+        """Return what was found, in a few sentences: what differs, what was missing or still is, and what was learned."""
+        if self.constancy is None:
+            return self._found
+        if self.left_out is None:
+            return f"{self.constancy.differences} {self._found}"
+        verdict = {
+            "adequate": "predicted one sample ahead, which counts random forces, nothing is missing",
+            "unknown": f"the model fails, and {self.diagnoses[-1].no_effect} explains that",
+        }.get(
+            self.diagnoses[-1].verdict,
+            "the model fails, and what the diagnosis names does not serve held-out experiments",
+        )
+        return f"{self.constancy.differences} With {self.left_out} {verdict}."
+
+    @property
+    def _found(self) -> str:
+        """Return what the first model lacked, what the last one lacks, what was learned."""
+        if self.nearest is not None:
+            explained = 100 * self.nearest.error_reduction
+            return (
+                f"{self._named} The nearest, {self.nearest.id}, explains {explained:.0f} % of what is left: it is likely, and "
+                f"not certain. It changes the held-out error {self._change}."
+            )
+        if self.learned is None:
+            return self._named
+        return (
+            f"{self._named} A learned force on the {self.learned.port} against {self.learned.variable}, which is no physical "
+            f"effect, changes the held-out error {self._change}."
+        )
+
+    @property
+    def _astray(self) -> str:
+        return astray(self.train.models[-1], self.validation.models[-1])
+
+    @property
+    def _failure(self) -> str:
+        place = self.diagnosed[-1]
+        return failure(self.train.models[place], self.validation.models[place])
+
+    @property
+    def _but(self) -> str:
+        """Return what an adequate model's simulation leaves, where that is far from the held-out experiments; else nothing."""
+        if not self._astray:
+            return ""
+        worst = max(e.rms_over_noise for e in self.validation.models[-1].errors.values())
+        return f"; of the held-out experiments its simulation leaves {rounded(worst)} times the noise"
+
+    @property
+    def _change(self) -> str:
+        """Return what the last resort does to the held-out error over the noise, by channel."""
+        models = self.validation.models[: None if self.left_out is None else -1]
+        before, after = (model.errors for model in models[-2:])
+        falls = [f"of {c} from {e.rms_over_noise:.3g} to {after[c].rms_over_noise:.3g}" for c, e in before.items()]
+        return f"{' and '.join(falls)} times the noise"
+
+    @property
+    def _named(self) -> str:
+        whole = "it" if self.nearest is None else "all of it"
+        if not self.added:
+            last = self.diagnoses[-1]
+            if line := last.line_alone:
+                return (
+                    f"The model follows the recording to {last.simulated:.2f} times the noise, and only a line speaks against it, "
+                    f"which {last.no_effect} explains: {line}."
+                )
+            if last.drift and self.nearest is None:
+                return f"The model fails as where a parameter drifts: {last.drift}. {last.no_effect.capitalize()} explains it."
+            if self.not_added:
+                return f"The model fails. {named_too_late(self.not_added)}."
+            if last.rounding and self.nearest is None and self.learned is None:
+                return (
+                    f"The model follows the recording to {last.simulated:.2f} times the noise, and what speaks against it may be "
+                    f"how coarsely it was recorded: {last.rounding}."
+                )
+            return {
+                "adequate": f"The model is adequate: nothing is missing {last.floor}{self._in_time}{self._but}.",
+                "unknown": f"The model fails, and {self.diagnoses[-1].no_effect} explains {whole}.",
+            }.get(
+                self.diagnoses[-1].verdict,
+                "The model fails, and what the diagnosis names does not serve held-out experiments.",
+            )
+        sure = [candidate.id for candidate in self.added if not candidate.confusable_with]
+        laws = {e.id for e in self.final.model.effects if isinstance(e, FormulaForce)}
+        told = [f"{i} (a law read off the data)" if i in laws else i for i in sure]
+        start = f"{', '.join(told)} {'was' if len(sure) == 1 else 'were'} missing" if sure else ""
+        groups = {tuple(sorted({c.id, *c.confusable_with} - set(sure))): c.id for c in self.added if c.confusable_with}
+        for several, first in groups.items():
+            group = ", ".join([first, *(name for name in several if name != first)])
+            start = f"{start}, and one of a group ({group})" if start else f"One of a group was missing ({group})"
+        if groups:
+            start += ", and the data cannot tell which"
+        drift = "" if self.nearest is not None else self.diagnoses[-1].drift
+        line = self.diagnoses[-1].line_alone
+        end = {
+            "adequate": f"the mended model is adequate{' one sample ahead' if self._astray else ''}{self._in_time}",
+            "unknown": f"the mended model fails as where a parameter drifts: {drift}"
+            if drift
+            else f"only a line speaks against the mended model: {line}"
+            if line
+            else f"the mended model {self._failure}, and {self.diagnoses[-1].no_effect} explains {whole}",
+            None: "the mended model was not diagnosed again",
+        }.get(self.mended, "what a diagnosis of the mended model names does not serve held-out experiments")
+        if self.not_added:
+            end = f"the mended model still fails, and {named_too_late(self.not_added)}"
+        # What else was broken off, as the colour of the noise, is no effect.
+        unfitted = {name for d in self.diagnoses if d.effects for name in d.broken_off if " " not in name}
+        asked = sorted(unfitted - set(sure) - set(groups.values()))
+        rivals = (
+            f" Not fitted before the time was over, so that none is ruled out: {', '.join(asked)}." if asked else ""
+        )
+        after = sum(last is not None for last in (self.nearest, self.learned, self.left_out))
+        first, last = (self.validation.models[place] for place in (0, len(self.fits) - 1 - after))
+        counted = 0 if self.predicted_gains else len(self.added)
+        little = of_little_service(first, last, counted, self.diagnoses[0].policy.fall)
+        return f"{start}; {end}.{rivals}{little}{not_told_from_nothing(self.doubtful)}"
+
+    @property
+    def _in_time(self) -> str:
+        return ", as far as was asked before the time was over" if self.diagnoses[-1].broken_off else ""
+
+    def overview(self) -> Overview:
+        """Return the held-out errors of every model, and why the loop ended."""
+        channels = dict.fromkeys(channel for model in self.validation.models for channel in model.errors)
+        rows = [
+            (model.label, *(f"{model.errors[c].rms_over_noise:.2f}" if c in model.errors else "" for c in channels))
+            for model in self.validation.models
+        ]
+        header = ("model", *(f"{channel}, rms over noise" for channel in channels))
+        return Overview(self.headline, header, rows, (self.ending,))
+
+    def __str__(self) -> str:
+        lines = []
+        for diagnosis in self.diagnoses:
+            lines.append(diagnosis.explanation)
+        lines.append(self.ending)
+        for title, comparison in (("train", self.train), ("validation", self.validation)):
+            for model in comparison.models:
+                errors = ", ".join(
+                    f"{channel} {e.rms:.3g} ({e.rms_over_noise:.2f} times the noise)"
+                    for channel, e in model.errors.items()
+                )
+                lines.append(f"{title:10s} {model.label:24s} {errors}")
+        return "\n".join(lines)
+
+    def plot(self) -> Any:
+        """Draw the error before and after, as a matplotlib figure."""
+        return draw(self)

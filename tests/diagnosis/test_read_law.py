@@ -1,0 +1,157 @@
+"""Laws that are in no catalogue: read off the missing force, and put in the place of effects that stand for a part of them.
+
+The truth is an integrator of the test's own, with friction that is nearly discontinuous.
+"""
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import made_up_results
+import numpy as np
+import pytest
+from small_experiments import forced
+
+import estimators as est
+import rtac_jax as rtac
+from estimators.diagnosis import read_law as module
+from estimators.diagnosis.model_extension import Added
+from estimators.diagnosis.policy import STANDARD
+from estimators.misspecification.force_formulas import CurveEvidence
+from rtac_jax.effects import CurrentLag, EndStop
+from rtac_jax.measurement import Experiment, Recording
+
+_MASS, _STIFFNESS, _VISCOUS, _COULOMB = 1.23, 132.6, 0.5543, 0.024
+_MOMENT, _INERTIA, _MOTOR, _BEARING = 1.06e-3, 9.5e-5, 0.0804, 1.44e-4
+_INTERVAL, _SAMPLES, _STEPS = 0.002, 2000, 10
+_NOISE = (2e-5, 0.05)
+
+
+def _slope(state: np.ndarray, current: np.ndarray, law: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+    position, velocity, angle, speed = state
+    force = -_STIFFNESS * position - _VISCOUS * velocity - _COULOMB * np.tanh(velocity / 1e-5) + law(position)
+    force = force + _MOMENT * speed**2 * np.sin(angle)
+    torque, coupling = _MOTOR * current - _BEARING * speed, _MOMENT * np.cos(angle)
+    determinant = _MASS * _INERTIA - coupling**2
+    return np.array(
+        [
+            velocity,
+            (_INERTIA * force - coupling * torque) / determinant,
+            speed,
+            (_MASS * torque - coupling * force) / determinant,
+        ]
+    )
+
+
+def recorded(law: Callable[[np.ndarray], np.ndarray], seed: int, free: int = 2, forced: int = 4) -> Recording:
+    """Return decays and forced runs of a cart with a hidden force against its position, and a record at rest."""
+    random, runs = np.random.default_rng(seed), free + forced
+    frequency, phase = random.uniform(2.0, 60.0, (12, runs)), random.uniform(0.0, 2 * np.pi, (12, runs))
+    size = np.where(np.arange(runs) < free, 0.0, random.uniform(0.12, 0.2, runs)) / np.sqrt(6)
+    state = np.zeros((4, runs))
+    state[0] = random.choice([-1.0, 1.0], runs) * np.where(
+        size == 0.0, random.uniform(0.008, 0.015, runs), random.uniform(0.0, 0.005, runs)
+    )
+    state[2] = random.uniform(-3.0, 3.0, runs)
+    step, states, currents = _INTERVAL / _STEPS, [], []
+    for sample in range(_SAMPLES):
+        current = size * np.sum(np.sin(frequency * sample * _INTERVAL + phase), axis=0)
+        states.append(state)
+        currents.append(current)
+        for _ in range(_STEPS):
+            a = _slope(state, current, law)
+            b = _slope(state + 0.5 * step * a, current, law)
+            c = _slope(state + 0.5 * step * b, current, law)
+            d = _slope(state + step * c, current, law)
+            state = state + step / 6 * (a + 2 * b + 2 * c + d)
+    shown, played = np.array(states), np.array(currents)
+
+    def experiment(run: int) -> Experiment:
+        return Experiment.of(
+            f"{'free' if run < free else 'forced'}_{run}",
+            kind="free" if run < free else "forced",
+            sample_time=_INTERVAL,
+            current=played[:, run],
+            cart_position=shown[:, 0, run] + _NOISE[0] * random.standard_normal(_SAMPLES),
+            arm_velocity=shown[:, 3, run] + _NOISE[1] * random.standard_normal(_SAMPLES),
+            initial_arm_angle=float(shown[0, 2, run]),
+        )
+
+    rest = Experiment.of(
+        "rest_1",
+        kind="rest",
+        sample_time=_INTERVAL,
+        current=np.zeros(_SAMPLES // 2),
+        cart_position=_NOISE[0] * random.standard_normal(_SAMPLES // 2),
+        arm_velocity=_NOISE[1] * random.standard_normal(_SAMPLES // 2),
+    )
+    constants = {"total_mass": _MASS, "arm_inertia": _INERTIA}
+    return Recording((*(experiment(run) for run in range(runs)), rest), rig=constants)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("law", "seed", "name", "truth"),
+    [
+        (lambda q: -2e9 * q**5, 6, "law_of_cart_position_power5", {"coefficient_1": -2e9}),
+        (lambda q: -4e8 * q**5, 6, "law_of_cart_position_power5", {"coefficient_1": -4e8}),
+        (
+            lambda q: -0.12 * np.sin(500.0 * q),
+            7,
+            "law_of_cart_position_sine",
+            {"coefficient_1": -0.12, "shape_1": 500.0},
+        ),
+    ],
+    ids=["a fifth power that an end stop resembles", "a weak one", "a detent with teeth"],
+)
+def test_a_law_that_is_in_no_catalogue_takes_the_place_of_what_resembles_it(
+    law: Callable[[np.ndarray], np.ndarray], seed: int, name: str, truth: dict[str, float]
+) -> None:
+    recording = recorded(law, seed)
+    found = est.improve(rtac.RTAC.from_rig(recording), recording, progress=False)
+    assert [candidate.id for candidate in found.added] == [name], found.headline
+    assert found.verdict == "missing"
+    assert found.learned is None
+    for parameter, value in truth.items():
+        fitted = found.final.parameters[f"{name}.{parameter}"]
+        assert abs(fitted.value - value) < max(5 * fitted.std, 2e-3 * abs(value)), (parameter, fitted)
+    after = found.validation.models[-1].errors
+    assert max(error.rms_over_noise for error in after.values()) < 1.1
+    assert f"{name} (a law read off the data) was missing" in found.headline
+    assert "is a law read off the missing force, in no catalogue" in found.ending
+
+
+def test_a_law_takes_the_place_of_forces_on_the_same_part_and_of_nothing_else(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of three laws the one that leaves least; none where no law leaves clearly less than before."""
+    model = rtac.RTAC.paper() + EndStop(1e3, 0.01) + CurrentLag(2e-3)
+    before = Added(
+        dataclasses.replace(made_up_results.FIT, model=model), made_up_results.compared("both", 4.0), "simulated"
+    )
+    added = [made_up_results.candidate(name, 50.0) for name in ("end_stop", "current_lag")]
+    at = np.linspace(-0.012, 0.012, 12)
+    evidence = CurveEvidence(np.stack([1e4 * np.eye(12)] * 4), np.stack([1e4 * -2e9 * at**5] * 4))
+    curve = dataclasses.replace(made_up_results.curve("cart", "cart_position", 0.012), at=at, evidence=evidence)
+    left = iter([2.0, 1.0, 3.0])
+    asked: list[tuple[tuple[str, ...], str]] = []
+
+    def fitted(
+        last: Added, given_up: tuple[str, ...], several: list[Any], label: str, *_: object, **__: object
+    ) -> Added:
+        assert len(several) == 1
+        asked.append((given_up, label))
+        return dataclasses.replace(last, tested=made_up_results.compared(label, next(left, 4.0)))
+
+    monkeypatch.setattr(module, "extended_without", fitted)
+    monkeypatch.setattr(module, "is_sure", lambda *_: True)
+    monkeypatch.setattr(module, "_text", lambda *_: "the law")
+    nothing = Recording((forced(),), rig={})
+    found = module.read_law(before, added, curve, nothing, nothing, policy=STANDARD, progress=False)
+    assert found is not None
+    assert {given_up for given_up, _ in asked} == {("end_stop",)}
+    assert all(label.startswith("+ current_lag, law_of_cart_position_") for _, label in asked)
+    assert found.step.tested.label == asked[1][1]
+    assert found.given_up == ("end_stop",)
+    assert found.law.parameters
+    assert module.read_law(before, added, curve, nothing, nothing, policy=STANDARD, progress=False) is None
+    bare = dataclasses.replace(curve, evidence=None)
+    assert module.read_law(before, added, bare, nothing, nothing, policy=STANDARD, progress=False) is None

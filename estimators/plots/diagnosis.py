@@ -125,7 +125,7 @@ def _alarms(c: Candidate, policy: DiagnosisPolicy) -> bool:
 
 def _bars(axes: Any, diagnosis: Diagnosis, *, wide: bool) -> None:
     accepted, policy = {c.id for c in diagnosis.effects}, diagnosis.policy
-    shown = ranked(diagnosis)[:_MOST_BARS]
+    shown = sorted(ranked(diagnosis)[:_MOST_BARS], key=lambda c: (c.id not in accepted, -c.chi_square))
     left = len(diagnosis.candidates) - len(shown)
     top = max([c.chi_square for c in shown] + [2 * policy.alarm])
     for row, c in enumerate(shown):

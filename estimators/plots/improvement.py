@@ -12,6 +12,7 @@ from estimators.plots.style import MARKERS, NAMES, SMALL, Picture, picture, tidy
 from estimators.validation.simulation_error import Comparison
 
 _TONES = ("#08306b", "#e6550d", "#31a354")
+_LONG_NAME = 20  # letters that stand side by side without touching
 
 
 def plot_improvement(improvement: Improvement) -> Picture:
@@ -88,7 +89,8 @@ def _ladder(axes: Any, improvement: Improvement) -> None:
         _numbers(axes, last, [final for _, final in ends], left=False)
     axes.text(0.01, 1 / 1.03, "noise floor", transform=axes.get_yaxis_transform(), va="top", fontsize=SMALL)
     names = _rungs(improvement)
-    axes.set_xticks(list(steps), names, rotation=0 if len(names) < 4 else 20)
+    long = max(len(line) for name in names for line in name.split("\n")) > _LONG_NAME and len(names) > 2
+    axes.set_xticks(list(steps), names, rotation=20 if long or len(names) > 3 else 0)
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     if high / low > 10:
         axes.yaxis.set_minor_formatter(NullFormatter())

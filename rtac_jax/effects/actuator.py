@@ -50,6 +50,10 @@ class CurrentLag(Actuator):
     def current(self, current: Any, own: States) -> Any:
         return jnp.where(self.time_constant > 0, own[0], current)
 
+    def remark(self, body: RigidBody) -> str:
+        del body
+        return "Sensors that all lag by as much are nearly the same as current_lag."
+
     def start(self, motion: Motion) -> States:
         return (motion.current,)
 

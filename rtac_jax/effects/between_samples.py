@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 import jax.numpy as jnp
 import numpy as np
 
+from rtac_jax._rigid_body import RigidBody
 from rtac_jax.effects._interface import Input, Pieces
 from rtac_jax.excitation import BEYOND
 from rtac_jax.parameters import Scalar, parameter
@@ -88,6 +89,10 @@ class InputDelay(Input):
         symbol="tau", unit="s", bounds=(0.0, np.inf), meaning="transport delay of the current", null=0.0,
         plausible=lambda s: 1.5 * s.sample_time,
     )  # fmt: skip
+
+    def remark(self, body: RigidBody) -> str:
+        del body
+        return "Sensors that are all late by as much, as behind filters that are alike, are the same as input_delay."
 
     def transform(self, coefficients: Pieces, channel: str, sample_time: Any) -> Pieces:
         if channel != "current":

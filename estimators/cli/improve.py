@@ -70,6 +70,7 @@ def improved(
     from estimators.reporting import tables as _tables
     from estimators.reporting.fit_table import recommended_table
 
+    work.divide()
     if work.held_out is None:
         stop(NOT_POSSIBLE, work.not_split)
     candidates = offered(effects)

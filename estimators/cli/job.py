@@ -54,6 +54,16 @@ class Job:
             else f"Held out: {', '.join(self.held_out.names)}."
         )
 
+    def divide(self) -> None:
+        """Hold out the last quarter of the only experiment that moves, where nothing else can be spared."""
+        divided = self.recording.divided()
+        if self.held_out is None and self.names is None and divided is not self.recording:
+            self.recording = divided
+            self.train, self.held_out, self.not_split = _split(divided, None)
+            self.remark = (
+                f"Held out: {', '.join(self.held_out.names)}, the last quarter of the only experiment that moves."
+            )
+
     @property
     def seconds(self) -> float:
         """Return seconds since the command began."""

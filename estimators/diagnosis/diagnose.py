@@ -45,7 +45,7 @@ from estimators.diagnosis.innovation_tests import (
     run_tests,
 )
 from estimators.diagnosis.live_laboratory import LiveLaboratory
-from estimators.diagnosis.noise_colour import recoloured
+from estimators.diagnosis.noise_colour import assumed_noise, recoloured
 from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
 from estimators.diagnosis.refitting import (
     compile_base,
@@ -68,7 +68,7 @@ from estimators.misspecification.detection_limit import is_testable, main_amplit
 from rtac_jax import RTAC, require_configured
 from rtac_jax.arguments import checked_arguments
 from rtac_jax.effects import Effect
-from rtac_jax.measurement import Recording
+from rtac_jax.measurement import OUTPUTS, Recording
 from rtac_jax.parameters import declarations
 
 
@@ -151,7 +151,7 @@ def _diagnosed(
         evidence = laboratory.evidence(thorough=thorough)
     shown.at("diagnose: verdict")
     unshown = [c for c in classes if c.id not in setting.absent and not stood_for(c, setting.experiments)]
-    told = _told(laboratory, evidence, judge(evidence, policy), unshown, fit.farthest)
+    told = _told(laboratory, evidence, judge(evidence, policy), unshown, fit)
     facts = evidence.facts
     unexplained = told.simulation is not None and told.simulation.cause == "unexplained"
     unasked = told.verdict == "adequate" and not facts.noise_known
@@ -188,10 +188,12 @@ def _told(
     evidence: Evidence,
     found: Judgement,
     unshown: Sequence[type[Effect]],
-    simulated: float,
+    fit: Fit,
 ) -> Diagnosis:
     """Return the verdict and its reasons, also of candidates that nothing in the recording could show."""
     setting, base = laboratory.computed(found.selection.base)
+    coloured = assumed_noise(setting, base, fit.noise)
+    beside = {c: ratio / max(coloured.get(c, 0.0) / fit.noise[c], 1.0) for c, ratio in fit.residual_over_noise.items()}
     tested = laboratory.tested(found.selection.base)
     stood = found.simulation is None or not found.simulation.vetoes
     latent = latent_of(setting, base) if found.verdict == "unknown" and stood else ()
@@ -225,7 +227,8 @@ def _told(
         evidence=evidence,
         consequence=found.consequence,
         detectable=tuple(by_id[step.id] for step in found.detectable),
-        simulated=simulated,
+        simulated=max(beside.values(), default=0.0),
+        coloured=coloured,
         by_simulation=bool(found.steps and found.selection.simulated),
         rounded=rounded(setting.experiments, laboratory.facts.noise),
         values={name: float(value) for name, value in final.values.items()},
@@ -278,7 +281,9 @@ def _explanation(told: Diagnosis, found: Judgement, setting: Setting, *, thoroug
     if told.broken_off:
         text += out_of_time(told.broken_off)
     if setting.assumed:
-        text += f" Coloured noise of {', '.join(setting.assumed)} was assumed: the data are far more likely with it."
+        sizes = told.coloured
+        shown = [f"{c} ({sizes[c]:.2g} {OUTPUTS[c]} rms)" if c in sizes else c for c in setting.assumed]
+        text += f" Coloured noise of {', '.join(shown)} was assumed: the data are far more likely with it."
     text += doubt([c.id for c in told.effects], setting.model)
     return text + surer(told.verdict, setting.recording)
 

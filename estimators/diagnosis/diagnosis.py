@@ -49,7 +49,9 @@ class Diagnosis(Result):
         consequence: what the effects, or those that are detectable, take off the error; None where there are none.
         detectable: candidates that the data show, but without which the model is adequate: they take next to nothing off the error.
         evidence: everything that was computed, to be saved, or judged by another policy; None where the result was made by hand.
-        simulated: residual of the diagnosed fit's simulation over the noise, of the worst channel.
+        simulated: residual of the diagnosed fit's simulation over the noise, of the worst channel; over coloured noise where that
+            was assumed.
+        coloured: rms of coloured noise that was assumed without a record at rest, by channel, where it is credible.
         by_simulation: whether the effects were selected by what they take off the simulation's error, which `removed` then counts.
         rounded: quantisation step of the channels whose noise is next to nothing but rounding, SI units.
         values: of all parameters that the predictor with the additions estimates, SI units.
@@ -77,6 +79,7 @@ class Diagnosis(Result):
     consequence: Consequence | None = None
     detectable: tuple[Candidate, ...] = ()
     simulated: float = 0.0
+    coloured: Mapping[str, float] = dataclasses.field(default_factory=dict)
     by_simulation: bool = False
     rounded: Mapping[str, float] = dataclasses.field(default_factory=dict)
     values: Mapping[str, float] = dataclasses.field(default_factory=dict)

@@ -53,7 +53,8 @@ def improve(
     Args:
         model: the base model.
         recording: with enough moving experiments to hold some out.
-        validation: names of the experiments to hold out; by default every fourth of each kind.
+        validation: names of the experiments to hold out; by default every fourth of each kind, or the last quarter of a forced
+            one that is the only one.
         candidates: classes of effects to try; by default the whole catalogue.
         most: effects to add at most.
         thorough: where a verdict would be unknown, look again at what raised no alarm; that may take minutes.
@@ -72,6 +73,7 @@ def improve(
         NotIdentifiableError, DivergedError: as `output_error`, for the base model.
     """
     began, deadline = time.perf_counter(), Deadline(within)
+    recording = recording.divided() if validation is None else recording
     train, held_out = recording.split(validation)
     with ThreadPoolExecutor(1) as other:
         other.submit(compile_diagnosis, model, train, candidates)

@@ -1,6 +1,7 @@
 """The colour of the sensors' noise in a diagnosis: as rest and motion tell it, or as the likelihood asks for it."""
 
 import dataclasses
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from estimators.prediction_error.coloured_noise import Colours, ColourStates, ca
 from estimators.prediction_error.noise_estimation import fit_noise
 
 _CORRELATION_TIMES = (1.5, 4.0, 10.0, 25.0)  # correlation times of sensor noise that are tried, in samples
+_CREDIBLE = 3.0  # noise over what fast changes show, from which coloured noise is not believed without a record at rest
 _QUIETER = 6.0  # by how much in the logarithm of their variance random forces are lowered for that
 
 
@@ -69,6 +71,21 @@ def coloured(setting: Setting, base: Refit, workers: Workers) -> Setting | None:
             if 2 * (value - likelihood) - price > setting.policy.bic_gain:
                 likelihood, best = value, trial
     return dataclasses.replace(setting, colours=capped(best)) if best else None
+
+
+def assumed_noise(setting: Setting, base: Refit, levels: Mapping[str, float]) -> dict[str, float]:
+    """Return the rms of coloured noise that was assumed, by channel; of channels where that is credible beside fast changes.
+
+    Noise that is many times what fast changes show may as well be what a model lacks.
+
+    Args:
+        setting: with the colours.
+        base: the base model with them.
+        levels: of the noise, as fast changes or a record at rest show it.
+    """
+    sizes = np.exp(0.5 * np.asarray(base.predictor.noise[2:])) * np.asarray(setting.prior.sensor)
+    found = {str(c): float(size) for c, size in zip(CHANNELS, sizes, strict=True) if c in setting.assumed}
+    return {c: size for c, size in found.items() if c in levels and size <= _CREDIBLE * levels[c]}
 
 
 def _likelihood_with(setting: Setting, colours: Colours, base: Refit) -> float:

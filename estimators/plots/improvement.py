@@ -21,7 +21,9 @@ def plot_improvement(improvement: Improvement) -> Picture:
     grid = figure.add_gridspec(2, 2, width_ratios=[1, 1.25], height_ratios=[2, 1])
     _ladder(figure.add_subplot(grid[:, 0]), improvement)
     models = improvement.validation.models
-    before = models[0].worst(1)[0]
+    # What the last model is still far from tells more than what the first was farthest from.
+    last = models[-1].worst(1)[0]
+    before = last if last.rms > FAR * last.noise else models[0].worst(1)[0]
     shown = [models[0]] if len(models) == 1 else [models[0], models[-1]]
     top, below = figure.add_subplot(grid[0, 1]), figure.add_subplot(grid[1, 1])
     labels = [m.label for m in shown]

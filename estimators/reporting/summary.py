@@ -16,6 +16,9 @@ from estimators.uncertainty.envelope import Envelope
 from estimators.validation.recommendation import Recommendation
 from estimators.validation.simulation_error import Compared, Comparison
 
+_AS_FAR = (
+    "Use the model as far as its held-out error is good enough; what else is missing shows where the force below acts."
+)
 _NOISE = 1.2  # error over noise up to which a model follows the data, as in the titles of the pictures
 
 
@@ -146,6 +149,8 @@ def of_diagnosis(
         )
     if isinstance(found, Improvement):
         steps["missing"] = "Use the model with it, in the range of motion that was recorded."
+        if found.added and found.mended != "adequate" and not last.line_alone:
+            steps["missing"] = _AS_FAR
     if _largest(after) > FAR:
         mended = isinstance(found, Improvement) and found.mended == "adequate"
         steps["missing" if mended else "adequate"] = (
@@ -153,9 +158,7 @@ def of_diagnosis(
             "rest and a repeat tell random forces from what is missing."
         )
     if nearest is not None:
-        steps[found.verdict] = (
-            "Use the model as far as its held-out error is good enough; what else is missing shows where the force below acts."
-        )
+        steps[found.verdict] = _AS_FAR
     if learned is not None:
         low, high = learned.between
         steps[found.verdict] = (

@@ -19,6 +19,7 @@ from ._signal import finite, positive, rebuild
 POSITIVE = ("total_mass", "arm_inertia", "spring_stiffness", "torque_constant", "eccentric_moment")
 STD = "_std"  # ends the name of a constant's standard deviation
 HOLD_OUT_EVERY = 4
+_DIVIDED = 2000  # samples from which the only experiment is cut in two
 _WRITERS = {".h5": _hdf5.write, ".hdf5": _hdf5.write, ".csv": _csv.write}
 
 
@@ -248,6 +249,21 @@ class Recording:
                 "for validation, or cut one in two with Experiment.cut."
             )
         return self.select(name for name in self.names if name not in out), self.select(out)
+
+    def divided(self) -> "Recording":
+        """Return the recording with its only moving experiment cut in two, so that the last quarter of it can be held out.
+
+        It is the same where several move, and where that one is not forced or has fewer than 2,000 samples: the end of a decay
+        tells nothing.
+        """
+        moving = [experiment for experiment in self if experiment.kind != "rest"]
+        if len(moving) != 1 or moving[0].kind != "forced" or moving[0].samples < _DIVIDED:
+            return self
+        (only,) = moving
+        place = only.samples - only.samples // HOLD_OUT_EVERY
+        parts = only.cut(0, place), only.cut(place, only.samples)
+        rest = [experiment for experiment in self if experiment is not only]
+        return replace(self, experiments=(*parts, *rest))
 
     @staticmethod
     def _every_fourth(moving: list[Experiment]) -> set[str]:

@@ -84,7 +84,7 @@ def test_a_model_whose_simulation_is_far_off_is_not_to_be_used_as_it_is():
 
 
 @pytest.mark.parametrize(("verdict", "next_step"), [
-    ("missing", "Use the model with it"), ("adequate", "Use the model:"), ("ambiguous", "tells them apart"),
+    ("missing", "Use the model as far as"), ("adequate", "Use the model:"), ("ambiguous", "tells them apart"),
     ("unknown", "give an effect of your own"),
 ])  # fmt: skip
 def test_bullets_say_what_was_found_how_sure_and_what_next(verdict, next_step):
@@ -108,6 +108,13 @@ def test_bullets_say_what_was_found_how_sure_and_what_next(verdict, next_step):
     alone = summary.of_diagnosis(found.diagnoses[0], found.train, None, file="rig.h5")
     if verdict == "missing":
         assert alone.next.startswith("rtac improve rig.h5")
+
+
+def test_a_mended_model_is_recommended_where_nothing_more_is_missing_and_not_where_it_fails():
+    found = improvement(2, "missing", (30.0, 3.0))
+    mended = dataclasses.replace(found, diagnoses=(found.diagnoses[0], diagnosis("adequate")), diagnosed=(0, 1))
+    for one, said in ((found, "Use the model as far as its held-out error"), (mended, "Use the model with it")):
+        assert summary.of_diagnosis(one, one.train, one.validation, file="rig.h5").next.startswith(said)
 
 
 def test_bullets_keep_a_learned_force_to_its_range():

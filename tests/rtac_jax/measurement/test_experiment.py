@@ -199,6 +199,20 @@ def test_split_holds_out_every_fourth_of_each_kind_with_its_repeats():
     assert train.rig == validation.rig == {"total_mass": 1.0}
 
 
+def test_the_last_quarter_of_an_only_forced_experiment_can_be_held_out():
+    motion = {"cart_position": np.sin(0.01 * np.arange(2000)), "current": np.ones(2000)}
+    only = Experiment.of("long", kind="forced", sample_time=0.001, initial_arm_angle=0.3, **motion)
+    divided = Recording((only, rest()), {"total_mass": 1.0}).divided()
+    train, validation = divided.split()
+    assert train.names == ("long[0:1500]", "rest")
+    assert validation.names == ("long[1500:2000]",)
+    assert divided.rig == {"total_mass": 1.0}
+    assert (divided["long[0:1500]"].initial_arm_angle, divided["long[1500:2000]"].initial_arm_angle) == (0.3, None)
+    for several in ((only, free()), (free(), rest()), (only.cut(0, 1999), rest())):
+        recording = Recording(several)
+        assert recording.divided() is recording
+
+
 def test_split_by_name_keeps_repeats_together():
     recording = Recording((forced(), forced("again", repeat_of="forced"), free(), rest()))
     for name in ("forced", "again"):

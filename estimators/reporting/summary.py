@@ -89,6 +89,8 @@ def of_diagnosis(
     named = "; ".join(_effect(c, final) for c in effects)
     last = found.diagnoses[-1] if isinstance(found, Improvement) else found
     on_the_way = f"; added on the way: {named}" if named else ""
+    if named and isinstance(found, Improvement) and not found.added:
+        on_the_way = f"; what a diagnosis names, {named}, does not serve held-out experiments and was not added"
     in_time = ", as far as was asked before the time was over" if last.broken_off else ""
     whats = {
         "adequate": f"Nothing is missing from the model {last.floor}{in_time}",

@@ -27,10 +27,11 @@ def test_assumed_noise_has_its_size_where_that_is_credible_beside_fast_changes(
     assert assumed_noise(setting, base, fit.noise) == {}  # nothing is assumed
     with_colours = coloured(setting, base, Workers())
     assert with_colours is not None
-    assert set(with_colours.assumed) == {"cart_position", "arm_velocity"}
+    assert "cart_position" in with_colours.assumed
     found = assumed_noise(with_colours, fit_base(with_colours), fit.noise)
     assert bool(found) == credible
     if credible:
+        assert set(found) == set(with_colours.assumed) == {"cart_position", "arm_velocity"}
         assert found["cart_position"] == pytest.approx(rig.position_noise, rel=0.1)
         assert found["arm_velocity"] == pytest.approx(rig.velocity_noise, rel=0.1)
         assert all(fit.residual_std[c] / size < 1.1 < fit.residual_over_noise[c] for c, size in found.items())

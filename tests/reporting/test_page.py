@@ -110,6 +110,14 @@ def test_bullets_say_what_was_found_how_sure_and_what_next(verdict, next_step):
         assert alone.next.startswith("rtac improve rig.h5")
 
 
+def test_what_was_named_and_not_added_is_not_said_to_be_added():
+    found = dataclasses.replace(improvement(2, "missing"), added=(), verdict="unknown")
+    assert found.diagnoses[0].effects
+    said = summary.of_diagnosis(found, found.train, found.validation, file="rig.h5").found
+    assert "added on the way" not in said
+    assert "flexible_mode (mass 0.09 +- 0.001 kg), does not serve held-out experiments and was not added" in said
+
+
 def test_a_mended_model_is_recommended_where_nothing_more_is_missing_and_not_where_it_fails():
     found = improvement(2, "missing", (30.0, 3.0))
     mended = dataclasses.replace(found, diagnoses=(found.diagnoses[0], diagnosis("adequate")), diagnosed=(0, 1))

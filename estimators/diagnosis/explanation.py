@@ -102,6 +102,8 @@ def words(
         )
     text = "; ".join(sentences)
     rest = [f"{test.test}{' (hum of the mains)' if test.hum else ''}" for test in left if test.rejects]
+    if any(test.hum and test.rejects for test in left):
+        misfit += " that is seen beside the hum, which may hide more"
     after = (
         f"; still, {', '.join(rest)} {'rejects' if len(rest) == 1 else 'reject'}"
         if rest

@@ -106,7 +106,10 @@ def of_diagnosis(
         whats["unknown"] = f"The model fails as where a parameter drifts{on_the_way}: {last.drift}"
     what = whats[found.verdict]
     learned = found.learned if isinstance(found, Improvement) else None
-    if isinstance(found, Improvement) and named and found.verdict in ("adequate", "missing"):
+    late = isinstance(found, Improvement) and bool(found.not_added) and not found.added
+    if late:
+        what = f"The model fails; missing, and not added before the time was over: {named}"
+    elif isinstance(found, Improvement) and named and found.verdict in ("adequate", "missing"):
         rest = f"; nothing more is missing {last.floor}{in_time}" if found.verdict == "adequate" else ""
         what = f"Was missing, and is in the model now: {named}{rest}"
     if isinstance(found, Improvement) and found.added and found.verdict == "ambiguous":
@@ -141,10 +144,9 @@ def of_diagnosis(
         "diagnose again; else measure by itself what they stand for.",
         "unknown": "Look where and at which frequency the force acts (below), and give an effect of your own with --effects.",
     }
+    more_time = "Give more time (--within), or a part of the recording: not all was fitted before the time was over."
     if isinstance(found, Improvement) and found.broken_off:
-        steps["unknown"] = (
-            "Give more time (--within), or a part of the recording: not all was fitted before the time was over."
-        )
+        steps["unknown"] = more_time
     if last.drift:
         steps["unknown"] = (
             "Let the rig run before it is recorded, or fit shorter experiments and hold them against each other."
@@ -159,6 +161,8 @@ def of_diagnosis(
             "Take the parameters from predictions (est.prediction_error_nonlinear): no simulation follows the rig. A record at "
             "rest and a repeat tell random forces from what is missing."
         )
+    if late:
+        steps[found.verdict] = more_time
     if nearest is not None:
         steps[found.verdict] = _AS_FAR
     if learned is not None:

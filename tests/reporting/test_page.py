@@ -118,6 +118,14 @@ def test_what_was_named_and_not_added_is_not_said_to_be_added():
     assert "flexible_mode (mass 0.09 +- 0.001 kg), does not serve held-out experiments and was not added" in said
 
 
+def test_what_was_not_added_in_time_is_not_said_to_be_in_the_model():
+    found = improvement(2, "missing", (30.0, 3.0))
+    late = dataclasses.replace(found, added=(), not_added=("flexible_mode",), broken_off=True)
+    bullets = summary.of_diagnosis(late, late.train, late.validation, file="rig.h5")
+    assert bullets.found.startswith("The model fails; missing, and not added before the time was over: flexible_mode")
+    assert bullets.next.startswith("Give more time (--within)")
+
+
 def test_a_mended_model_is_recommended_where_nothing_more_is_missing_and_not_where_it_fails():
     found = improvement(2, "missing", (30.0, 3.0))
     mended = dataclasses.replace(found, diagnoses=(found.diagnoses[0], diagnosis("adequate")), diagnosed=(0, 1))

@@ -279,7 +279,7 @@ def _explanation(told: Diagnosis, found: Judgement, setting: Setting, *, thoroug
         large = random_forces_are_large(random, float(setting.samples_per_radian), told.policy.simulation)
         text += shaken(*random, setting.left_out, large=large)
     if told.broken_off:
-        text += out_of_time(told.broken_off)
+        text += out_of_time(told.broken_off, {c.id for c in told.candidates if c.refitted})
     if setting.assumed:
         sizes = told.coloured
         shown = [f"{c} ({sizes[c]:.2g} {OUTPUTS[c]} rms)" if c in sizes else c for c in setting.assumed]

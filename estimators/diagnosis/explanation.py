@@ -1,7 +1,7 @@
 """The verdict of a diagnosis in plain words: what is missing, how sure that is, and what would make it surer."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 from estimators.core.fit import FAR, Parameter
 from estimators.diagnosis.candidate import Candidate
@@ -227,16 +227,27 @@ def without_alarm(effect: str, confirmed: tuple[int, ...], *, hid: bool = False)
     return f" {effect} raised no alarm by itself: it was tried because what did explains less, or nothing."
 
 
-def out_of_time(broken_off: Sequence[str]) -> str:
-    """Say what was not asked, as the time was over."""
-    names = ", ".join(broken_off[:_LISTED])
-    if len(broken_off) > _LISTED:
-        names += f" and {len(broken_off) - _LISTED} more"
-    verb = "was" if len(broken_off) == 1 else "were"
+def out_of_time(broken_off: Sequence[str], fitted: Collection[str] = ()) -> str:
+    """Say what was not asked, as the time was over.
+
+    Args:
+        broken_off: ids of effects, or what else was broken off.
+        fitted: ids of effects that were fitted before that, beside fewer others.
+    """
+    never = [name for name in broken_off if name not in fitted]
+    again = [name for name in broken_off if name in fitted]
+    parts = [f"{_listed(never)} fitted"] if never else []
+    parts += [f"{_listed(again)} fitted beside what else is missing"] if again else []
     return (
-        f" The time that was given was over before {names} {verb} fitted: what is said of effects holds for the others. Give more"
+        f" The time that was given was over before {', and '.join(parts)}: what is said of effects holds for the others. Give more"
         " of it (within), or a part of the recording."
     )
+
+
+def _listed(names: Sequence[str]) -> str:
+    """Return some names with a verb in the past."""
+    more = f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
+    return f"{', '.join(names[:_LISTED])}{more} {'was' if len(names) == 1 else 'were'}"
 
 
 def unconfirmed(

@@ -10,7 +10,7 @@ from small_experiments import free, rest
 from estimators.core.fit import Parameter
 from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.evidence import FittedModel
-from estimators.diagnosis.explanation import shaken, strayed, words
+from estimators.diagnosis.explanation import out_of_time, shaken, strayed, words
 from estimators.diagnosis.policy import STANDARD
 from estimators.diagnosis.removed_error import fraction_removed, named
 from estimators.diagnosis.step import Step
@@ -68,6 +68,14 @@ def test_an_adequate_model_whose_simulation_strays_says_so() -> None:
 )
 def test_what_is_named(steps: list[Step], verdict: str, count: int) -> None:
     assert named(steps, (found(600.0),), SAMPLES, STANDARD)[:2] == (verdict, count)
+
+
+def test_what_was_fitted_alone_is_not_said_to_be_unfitted_when_the_time_is_over() -> None:
+    both = out_of_time(("saturation", "backlash"), {"saturation", "cubic_spring"})
+    assert "was over before backlash was fitted, and saturation was fitted beside what else is missing:" in both
+    assert "was over before a, b were fitted:" in out_of_time(("a", "b"))
+    many = out_of_time([f"e{n}" for n in range(9)])
+    assert "e0, e1, e2, e3, e4, e5 and 3 more were fitted" in many
 
 
 def test_hum_of_the_mains_is_nothing_that_an_effect_should_remove() -> None:

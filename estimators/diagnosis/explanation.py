@@ -104,11 +104,8 @@ def words(
     rest = [f"{test.test}{' (hum of the mains)' if test.hum else ''}" for test in left if test.rejects]
     if any(test.hum and test.rejects for test in left):
         misfit += " that is seen beside the hum, which may hide more"
-    after = (
-        f"; still, {', '.join(rest)} {'rejects' if len(rest) == 1 else 'reject'}"
-        if rest
-        else ", and nothing rejects any more"
-    )
+    verb = "rejects" if len(rest) == 1 else "reject"
+    after = f"; still, {', '.join(rest)} {verb}" if rest else ", and nothing rejects any more"
     fraction = (
         f" {'It removes' if len(steps) == 1 else 'Together they remove'} {100 * removed:.0f} % of {misfit}{after}."
     )
@@ -231,13 +228,12 @@ def out_of_time(broken_off: Sequence[str], fitted: Collection[str] = ()) -> str:
     """Say what was not asked, as the time was over.
 
     Args:
-        broken_off: ids of effects, or what else was broken off.
+        broken_off: what was.
         fitted: ids of effects that were fitted before that, beside fewer others.
     """
-    never = [name for name in broken_off if name not in fitted]
     again = [name for name in broken_off if name in fitted]
-    parts = [f"{_listed(never)} fitted"] if never else []
-    parts += [f"{_listed(again)} fitted beside what else is missing"] if again else []
+    both = ([name for name in broken_off if name not in fitted], ""), (again, " beside what else is missing")
+    parts = [f"{_listed(names)} fitted{how}" for names, how in both if names]
     return (
         f" The time that was given was over before {', and '.join(parts)}: what is said of effects holds for the others. Give more"
         " of it (within), or a part of the recording."
@@ -246,8 +242,8 @@ def out_of_time(broken_off: Sequence[str], fitted: Collection[str] = ()) -> str:
 
 def _listed(names: Sequence[str]) -> str:
     """Return some names with a verb in the past."""
-    more = f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
-    return f"{', '.join(names[:_LISTED])}{more} {'was' if len(names) == 1 else 'were'}"
+    shown = ", ".join(names[:_LISTED]) + (f" and {len(names) - _LISTED} more" if len(names) > _LISTED else "")
+    return f"{shown} {'was' if len(names) == 1 else 'were'}"
 
 
 def unconfirmed(

@@ -19,6 +19,8 @@ from estimators.diagnosis import improvement_loop
 from estimators.diagnosis.improvement_loop import Loop
 from estimators.diagnosis.model_extension import Added
 from estimators.diagnosis.policy import STANDARD
+from estimators.diagnosis.read_law import ReadLaw
+from estimators.inference.simulation_residual import SimulationResidual
 from rtac_jax import virtual_rig
 from rtac_jax.effects import CATALOGUE, ArmCoulomb, CurrentLag, Effect, EncoderLag, InputDelay
 from rtac_jax.effects.one_sided_spring import OneSidedSpring
@@ -180,6 +182,51 @@ def test_a_force_against_the_position_that_is_in_no_catalogue_is_looked_for_beyo
     loop.run()
     assert offered == ([None, ["one_sided_spring"], None] if asked else [None])
     assert [c.id for c in loop.added] == (["one_sided_spring"] if asked else [])
+
+
+@pytest.mark.parametrize(
+    ("verdict", "left", "cause", "kept"),
+    [
+        ("adequate", 4.0, None, True),
+        ("unknown", 0.5, None, True),  # beside the noise itself: at it, though a test rejects
+        ("unknown", 1.2, None, False),
+        ("adequate", 1.2, "stand-in", False),  # random forces stand in for the physics: no law is missing
+    ],
+)
+def test_a_law_stays_where_nothing_more_is_missing_or_it_follows_to_the_noise(
+    monkeypatch: pytest.MonkeyPatch, verdict: str, left: float, cause: Any, kept: bool
+) -> None:
+    """It takes the place of a force, and what was added beside that stays."""
+    loop = new_loop()
+    before = Added(loop.last.fit, made_up_results.compared("+ end_stop, current_lag", 5.0), "simulated")
+    loop.steps = [((), before), (("end_stop", "current_lag"), before)]
+    loop.added = [made_up_results.candidate(name, 50.0) for name in ("end_stop", "current_lag")]
+    unexplained = None if cause is None else made(SimulationResidual, cause=cause)
+    last = dataclasses.replace(made_up_results.diagnosis("unknown"), simulation=unexplained, left=())
+    loop.diagnoses, loop.diagnosed = [last], [1]
+    law = made_up_results.candidate("law_of_cart_position_power5", 90.0)
+    with_it = dataclasses.replace(before, tested=made_up_results.compared("+ current_lag, law", left))
+    asked: list[tuple[str, ...]] = []
+
+    def read(_: Added, added: Sequence[Any], *__: Any, **___: Any) -> ReadLaw:
+        asked.append(tuple(c.id for c in added))
+        return ReadLaw(with_it, law, "force on the cart [N] = (-2e+09 N/m^5) q^5", ("end_stop",))
+
+    monkeypatch.setattr(
+        improvement_loop, "static_force", lambda *_: (made_up_results.curve("cart", "cart_position", 0.01), True)
+    )
+    monkeypatch.setattr(improvement_loop, "read_law", read)
+    monkeypatch.setattr(Loop, "_diagnosed", lambda *_, **__: made_up_results.diagnosis(verdict))
+    further = loop.with_law()
+    assert asked == ([] if cause else [("end_stop", "current_lag")])
+    assert [c.id for c in loop.added] == ["end_stop", "current_lag"]
+    if not kept:
+        assert further is None
+        return
+    assert further is not None
+    assert [c.id for c in further.added] == ["current_lag", law.id]
+    assert further.steps[-1] == ((law.id,), with_it)
+    assert "and takes the place of end_stop: the held-out experiments were left at" in further.stopped
 
 
 def fitted(size: float, deviation: float, error: float) -> Added:

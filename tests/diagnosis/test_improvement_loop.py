@@ -21,6 +21,7 @@ from estimators.diagnosis.model_extension import Added
 from estimators.diagnosis.policy import STANDARD
 from estimators.diagnosis.read_law import ReadLaw
 from estimators.inference.simulation_residual import SimulationResidual
+from estimators.misspecification.adequacy import AdequacyTest
 from rtac_jax import virtual_rig
 from rtac_jax.effects import CATALOGUE, ArmCoulomb, CurrentLag, Effect, EncoderLag, InputDelay
 from rtac_jax.effects.one_sided_spring import OneSidedSpring
@@ -190,7 +191,8 @@ def test_a_force_against_the_position_that_is_in_no_catalogue_is_looked_for_beyo
         ("adequate", 4.0, None, True),
         ("unknown", 0.5, None, True),  # beside the noise itself: at it, though a test rejects
         ("unknown", 1.2, None, False),
-        ("adequate", 1.2, "stand-in", False),  # random forces stand in for the physics: no law is missing
+        ("adequate", 0.5, "stand-in", False),  # random forces stand in for the physics: no law is missing
+        ("adequate", 0.5, "drift", False),
     ],
 )
 def test_a_law_stays_where_nothing_more_is_missing_or_it_follows_to_the_noise(
@@ -201,8 +203,9 @@ def test_a_law_stays_where_nothing_more_is_missing_or_it_follows_to_the_noise(
     before = Added(loop.last.fit, made_up_results.compared("+ end_stop, current_lag", 5.0), "simulated")
     loop.steps = [((), before), (("end_stop", "current_lag"), before)]
     loop.added = [made_up_results.candidate(name, 50.0) for name in ("end_stop", "current_lag")]
-    unexplained = None if cause is None else made(SimulationResidual, cause=cause)
-    last = dataclasses.replace(made_up_results.diagnosis("unknown"), simulation=unexplained, left=())
+    residual = made(SimulationResidual, cause=cause) if cause == "stand-in" else None
+    left_over = (AdequacyTest("drift", 1e-9, 400.0, 2e-3, "a friction that falls"),) if cause == "drift" else ()
+    last = dataclasses.replace(made_up_results.diagnosis("unknown"), simulation=residual, left=left_over)
     loop.diagnoses, loop.diagnosed = [last], [1]
     law = made_up_results.candidate("law_of_cart_position_power5", 90.0)
     with_it = dataclasses.replace(before, tested=made_up_results.compared("+ current_lag, law", left))

@@ -355,3 +355,14 @@ def test_no_title_is_broken_before_a_percent_sign(width):
         title(figure, f"{'m' * length} together explain 100 % of the simulation's squared error beyond the noise")
         assert not any(line.startswith("%") for line in figure.get_suptitle().splitlines())
         assert "100 %" in figure.get_suptitle()
+
+
+@pytest.mark.parametrize(("left", "shown"), [(40.0, "forced_1"), (1.0, "free_1")])
+def test_the_experiment_is_drawn_that_the_last_model_follows_worst_where_it_is_far_from_it(
+    left: float, shown: str
+) -> None:
+    """Where it follows all of them, the one that the base model was farthest from."""
+    before, after = compared("base", 60.0), compared("+ mode", left, names=("forced_1", "free_1"))
+    found = dataclasses.replace(improvement(2), validation=Comparison((before, after)))
+    titles = [axes.get_title(loc="left") for axes in plot_improvement(found).axes]
+    assert any(title.startswith(f"held out: {shown}:") for title in titles), titles

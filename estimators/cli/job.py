@@ -282,6 +282,8 @@ def job(
     """Yield a command's work on a recording; what goes wrong inside becomes one sentence and an exit status."""
     began = time.perf_counter()
     with answering():
+        from rtac_jax.measurement import hum_subtracted
+
         folder = None if out is None else writable_folder(out)
         if json is not None:
             writable_file(json, "--json")
@@ -289,8 +291,11 @@ def job(
             saving_to(save)
         recording = load(file)
         prepare()
-        work = Job(file.name, recording, validation, folder, json, began)
+        hum = recording.hum
+        work = Job(file.name, recording.without_hum(), validation, folder, json, began)
         work.path = file
+        if hum:
+            work.note(hum_subtracted(hum))
         with printed_last(work):
             yield work
 

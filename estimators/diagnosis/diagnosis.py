@@ -97,11 +97,9 @@ class Diagnosis(Result):
 
     @property
     def line_alone(self) -> str:
-        """Return the words of the test that rejects, where that is of a spectral line, at the noise or of the mains."""
+        """Return the words of the test that rejects, where that is of a spectral line and the simulation is at the noise."""
         rejecting = [test for test in self.tests if test.rejects]
-        alone = [test.test for test in rejecting] == ["spectral line"] and (
-            at_noise(self.simulated) or rejecting[0].hum
-        )
+        alone = [test.test for test in rejecting] == ["spectral line"] and at_noise(self.simulated)
         return rejecting[0].words if self.verdict == "unknown" and alone else ""
 
     @property

@@ -101,9 +101,7 @@ def words(
             )
         )
     text = "; ".join(sentences)
-    rest = [f"{test.test}{' (hum of the mains)' if test.hum else ''}" for test in left if test.rejects]
-    if any(test.hum and test.rejects for test in left):
-        misfit += " that is seen beside the hum, which may hide more"
+    rest = [test.test for test in left if test.rejects]
     verb = "rejects" if len(rest) == 1 else "reject"
     after = f"; still, {', '.join(rest)} {verb}" if rest else ", and nothing rejects any more"
     fraction = (

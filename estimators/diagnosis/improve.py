@@ -6,9 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 from estimators.core.deadline import PROLONGED, Deadline
 from estimators.core.threads import one_blas_thread
-from estimators.diagnosis.caveats import (
-    doubtful,
-)
+from estimators.diagnosis.caveats import doubtful
 from estimators.diagnosis.diagnose import compile_diagnosis
 from estimators.diagnosis.improvement import Improvement
 from estimators.diagnosis.improvement_loop import OUT_OF_TIME, Loop
@@ -50,6 +48,8 @@ def improve(
     right the model is. Last, an error that falls a little is enough, if predictions do not speak against it. The held-out
     experiments choose the models by that, so their last error is a little too good.
 
+    Hum of the mains is subtracted first (`Recording.without_hum`).
+
     Args:
         model: the base model.
         recording: with enough moving experiments to hold some out.
@@ -73,6 +73,7 @@ def improve(
         NotIdentifiableError, DivergedError: as `output_error`, for the base model.
     """
     began, deadline = time.perf_counter(), Deadline(within)
+    hum, recording = recording.hum, recording.without_hum()
     recording = recording.divided() if validation is None else recording
     train, held_out = recording.split(validation)
     with ThreadPoolExecutor(1) as other:
@@ -113,6 +114,7 @@ def improve(
         nearest=nearest,
         constancy=ended.differs,
         left_out=loop.left_out,
+        hum=hum,
         broken_off=loop.out_of_time or ended.out_of_time or any(d.broken_off for d in diagnoses),
         not_added=loop.not_added,
         doubtful=doubtful(loop.last.fit, loop.followed, added) if loop.last.way == "simulated" else (),

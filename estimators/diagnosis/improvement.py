@@ -24,6 +24,7 @@ from estimators.linear.homogeneity_test import Equality
 from estimators.linear.outlier import rounded
 from estimators.validation.simulation_error import Comparison
 from rtac_jax.effects.formula_force import FormulaForce
+from rtac_jax.measurement import Hum, hum_subtracted
 from rtac_jax.overview import Overview
 from rtac_jax.renamed import renamed
 
@@ -60,6 +61,7 @@ class Improvement(Result):
         broken_off: whether the time that was given was over before all was asked.
         not_added: ids of what the last diagnosis names, and what was not fitted before the time was over.
         doubtful: ids of added effects that the last fit, by simulation, does not tell from nothing.
+        hum: of the mains, which was subtracted first.
     """
 
     fits: tuple[Fit, ...]
@@ -81,6 +83,7 @@ class Improvement(Result):
     broken_off: bool = False
     not_added: tuple[str, ...] = ()
     doubtful: tuple[str, ...] = ()
+    hum: tuple[Hum, ...] = ()
 
     foreseen = renamed("foreseen", "predicted_gains")
 
@@ -97,7 +100,8 @@ class Improvement(Result):
     @property
     def ending(self) -> str:
         """Return what was held, or kept for its predictions, if anything, why the loop ended, and what was learned."""
-        said = [str(one) for one in self.predicted_gains]
+        said = [hum_subtracted(self.hum)] if self.hum else []
+        said += [str(one) for one in self.predicted_gains]
         if self.predicted:
             said.append(
                 "All parameters of the last model are those with which the data are predicted best one sample ahead, as of "
@@ -127,6 +131,10 @@ class Improvement(Result):
     @property
     def _drifts(self) -> bool:
         return self.constancy is not None and self.constancy.decisive
+
+    @property
+    def _fails(self) -> str:
+        return "The model fails" if not self._drifts else "One set of parameters for all fails"
 
     @property
     def settled(self) -> bool:
@@ -229,7 +237,7 @@ class Improvement(Result):
                 )
             return {
                 "adequate": f"The model is adequate: nothing is missing {last.floor}{self._in_time}{self._but}.",
-                "unknown": f"The model fails, and {self.diagnoses[-1].no_effect} explains {whole}.",
+                "unknown": f"{self._fails}, and {self.diagnoses[-1].no_effect} explains {whole}.",
             }.get(
                 self.diagnoses[-1].verdict,
                 "The model fails, and what the diagnosis names does not serve held-out experiments.",

@@ -198,7 +198,7 @@ class Loop:
             least: residual over noise of the last fit, from which it is asked; by default several times the noise.
             leave: fit without the one; else it is only told.
         """
-        found = differing(self.last.fit, self.train, least=least)
+        found = differing(self.last.fit, self.train, least=least, coloured=self.diagnoses[-1].coloured)
         one = None if found is None else found.outlying
         if one is None or not one.decisive or one.fit is None:
             return found

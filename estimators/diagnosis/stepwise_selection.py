@@ -140,7 +140,7 @@ def second_looks(laboratory: Laboratory, found: Selection, policy: DiagnosisPoli
     And where it names nothing, another of what every experiment confirms, or of what random forces stood for.
     """
     verdict = found.named(laboratory.facts.samples, policy)[0]
-    if verdict == "adequate" or not (found.steps or rejecting(found.tests)):
+    if verdict == "adequate":
         found = confirmed(laboratory, found, policy)
         return found if found.steps else behind_random_forces(laboratory, found, policy)
     if verdict != "unknown":

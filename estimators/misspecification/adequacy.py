@@ -34,7 +34,6 @@ class AdequacyTest:
         words: its statement, for a reader.
         alarmed: whether what the test asks for beside a small p-value is there: of named effects that one of them raises the
             alarm.
-        hum: whether what it finds is of the mains, which no effect should explain.
     """
 
     test: str
@@ -43,7 +42,6 @@ class AdequacyTest:
     level: float
     words: str
     alarmed: bool = True
-    hum: bool = False
 
     @property
     def rejects(self) -> bool:
@@ -122,7 +120,7 @@ def adequacy_tests(found: Findings, critical: CriticalValues) -> tuple[AdequacyT
     if line is not None:
         where = f"{line.channel} at {line.frequency:.3g} rad/s ({line.in_hertz})"
         words = f"the strongest line, of {where}, has {line.ratio:.1f} times the power around it"
-        tests.append(AdequacyTest("spectral line", line.p_value, line.excess, level, words, hum=line.is_of_mains))
+        tests.append(AdequacyTest("spectral line", line.p_value, line.excess, level, words))
     return tuple(tests)
 
 
@@ -154,10 +152,10 @@ def _strongest(several: Sequence[Missing], level: float) -> tuple[float, Missing
 
 
 def rejecting(tests: Sequence[AdequacyTest]) -> list[AdequacyTest]:
-    """Return the tests that reject for what an effect might explain: hum of the mains, which sensors pick up, is none of it."""
-    return [test for test in tests if test.rejects and not test.hum]
+    """Return the tests that reject."""
+    return [test for test in tests if test.rejects]
 
 
 def excess_of(tests: Sequence[AdequacyTest]) -> float:
-    """Return the most that any test finds beyond chance which rejects for what an effect might explain; zero where none does."""
+    """Return the most that any test finds beyond chance which rejects; zero where none does."""
     return max((test.excess for test in rejecting(tests)), default=0.0)

@@ -138,17 +138,8 @@ class SpectralLine:
     def in_hertz(self) -> str:
         """Return its frequency in Hz, and whether that is near that of the mains, or twice that."""
         hertz = self.frequency / (2 * math.pi)
-        return f"{hertz:.3g} Hz{self._of_mains}"
-
-    @property
-    def is_of_mains(self) -> bool:
-        """Return whether its frequency is that of the mains or twice that: a sensor picks it up, and no effect explains it."""
-        return bool(self._of_mains)
-
-    @property
-    def _of_mains(self) -> str:
-        hertz = self.frequency / (2 * math.pi)
-        return next((words for one, words in _MAINS.items() if abs(hertz - one) < _MAINS_WITHIN), "")
+        said = next((words for one, words in _MAINS.items() if abs(hertz - one) < _MAINS_WITHIN), "")
+        return f"{hertz:.3g} Hz{said}"
 
 
 @dataclasses.dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -23,7 +24,9 @@ _MOST = 0.5  # of the differences, which an experiment must take with it to be a
 _FITS_OF_OTHERS = 2  # experiments that are asked alone at most
 
 
-def differing(fit: Fit, recording: Recording, *, least: float = WORTH_ASKING) -> Equality | None:
+def differing(
+    fit: Fit, recording: Recording, *, least: float = WORTH_ASKING, coloured: Mapping[str, float] | None = None
+) -> Equality | None:
     """Return what differs between experiments, where one parameter or one experiment alone explains it; None elsewhere.
 
     An experiment alone does where a fit of all others follows these to the noise, leaves next to no difference between them, and
@@ -35,22 +38,26 @@ def differing(fit: Fit, recording: Recording, *, least: float = WORTH_ASKING) ->
         fit: of output error.
         recording: that was fitted.
         least: residual over noise of the fit, from which it is asked.
+        coloured: rms of coloured noise by channel, where it is larger than what fast changes show of the noise.
     """
+    noise = {channel: max(size, (coloured or {}).get(channel, 0.0)) for channel, size in fit.noise.items()}
     if fit.lost or fit.farthest <= least or fit.in_pieces:
         return None
     try:
         found = constancy(fit, recording)
     except (ValueError, ArithmeticError):  # too few experiments, or one that shows nothing by itself
         return None
+    over = {c: ratio * fit.noise[c] / noise[c] for c, ratio in found.over_noise.items()}
+    found = dataclasses.replace(found, over_noise=over)
     apart = [one for one in _suspects(fit, recording, found) if one.decisive]
     if len(apart) == 1:
         found = dataclasses.replace(found, outlying=apart[0])
     if not found.differences and not found.equal:
-        found = _with_own_parameter(fit, recording, found)
+        found = _with_own_parameter(fit, recording, found, noise)
     return found if found.differences else None
 
 
-def _with_own_parameter(fit: Fit, recording: Recording, found: Equality) -> Equality:
+def _with_own_parameter(fit: Fit, recording: Recording, found: Equality, noise: Mapping[str, float]) -> Equality:
     """Return the test with the one parameter that, free in each experiment, lets a fit follow all of them to the noise.
 
     Far from the data one step from the common fit does not tell it, and an experiment by itself, as a decay, need not show all
@@ -60,20 +67,22 @@ def _with_own_parameter(fit: Fit, recording: Recording, found: Equality) -> Equa
         fit: of all, with one set of parameters.
         recording: that was fitted.
         found: says by how much each parameter scatters.
+        noise: rms by channel.
     """
     if fit.model.per_experiment:
         return found
     scatter = np.nansum((found.values - found.common) ** 2 / found.std**2, axis=0)
-    following: dict[int, Fit] = {}
+    following: dict[int, tuple[Fit, dict[str, float]]] = {}
     for place in np.argsort(-scatter)[:_OWN_PARAMETERS]:
         own = fit.model.each_experiment(found.names[place])
         with contextlib.suppress(ArithmeticError, NotIdentifiableError, DivergedError):
             one = output_error(own, recording, from_model=True, steps=_STEPS, progress=False)
-            if one.farthest <= FOLLOWED:
-                following[int(place)] = one
+            over = {channel: size / noise[channel] for channel, size in one.residual_std.items()}
+            if max(over.values()) <= FOLLOWED:
+                following[int(place)] = one, over
     if len(following) != 1:
         return found
-    ((place, one),) = following.items()
+    ((place, (one, over_noise)),) = following.items()
     name = found.names[place]
     each = np.asarray(one.model[name])
     spread = found.std[:, place] * one.farthest / fit.farthest  # of residuals as large as those that are left now
@@ -83,7 +92,6 @@ def _with_own_parameter(fit: Fit, recording: Recording, found: Equality) -> Equa
     trends[place] = tuple(trend_of(covariate, x, each, np.diag(std**-2.0)) for covariate, x in told.items())
     values, deviations, common = found.values.copy(), found.std.copy(), found.common.copy()
     values[:, place], deviations[:, place], common[place] = each, std, float(np.mean(each))
-    over_noise = {channel: one.residual_std[channel] / one.noise[channel] for channel in one.residual_std}
     return dataclasses.replace(
         found, values=values, std=deviations, common=common, trends=tuple(trends), varying=(name,), explained=1.0,
         rival=0.0, suffices=True, over_noise=over_noise,

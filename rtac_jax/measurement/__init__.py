@@ -19,6 +19,7 @@ from ._excitation import (
 from ._experiment import Experiment
 from ._filter import central_difference, filled, zero_phase_lowpass
 from ._hdf5 import DESIGNED, guarded_by_digest, holds_measurements
+from ._hum import Hum, hum_subtracted
 from ._info import describe
 from ._momentary_faults import spikes
 from ._recording import Recording
@@ -31,6 +32,7 @@ __all__ = [
     "INPUTS",
     "OUTPUTS",
     "Experiment",
+    "Hum",
     "ImportOptions",
     "Plan",
     "Recording",
@@ -48,6 +50,7 @@ __all__ = [
     "guarded_by_digest",
     "harmonic_grid",
     "holds_measurements",
+    "hum_subtracted",
     "moving_at_rest",
     "multisine",
     "positive_negative",

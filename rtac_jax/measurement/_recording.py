@@ -13,6 +13,7 @@ from . import _csv, _hdf5, _mat
 from ._columns import ImportOptions
 from ._errors import RecordingError
 from ._experiment import Experiment
+from ._hum import Hum, without_hum
 from ._info import describe
 from ._signal import finite, positive, rebuild
 
@@ -264,6 +265,19 @@ class Recording:
         parts = only.cut(0, place), only.cut(place, only.samples)
         rest = [experiment for experiment in self if experiment is not only]
         return replace(self, experiments=(*parts, *rest))
+
+    @property
+    def hum(self) -> tuple[Hum, ...]:
+        """Return the hum of the mains in the outputs, as sensors pick it up; empty where there is none."""
+        return without_hum(self.experiments)[0]
+
+    def without_hum(self) -> "Recording":
+        """Return the recording without hum of the mains, a sine that is subtracted; the same where there is none.
+
+        `improve` and the command line begin with it.
+        """
+        found, experiments = without_hum(self.experiments)
+        return replace(self, experiments=experiments) if found else self
 
     @staticmethod
     def _every_fourth(moving: list[Experiment]) -> set[str]:

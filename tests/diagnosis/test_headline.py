@@ -196,13 +196,6 @@ def test_a_report_on_a_failing_model_sends_to_the_faults_of_the_recording_first(
     assert "Mend the recording" not in str(of_diagnosis(fine, fine.train, fine.validation, file="x", doubts=doubts))
 
 
-def test_hum_of_the_mains_alone_is_no_failure_of_a_mended_model_however_loud_it_is():
-    hum = AdequacyTest("spectral line", 1e-9, 100.0, 2e-3, "the strongest line, at 314 rad/s (50 Hz)", hum=True)
-    last = dataclasses.replace(diagnosis("unknown"), tests=(hum,), simulated=2.7)
-    found = looped(NAMED, last, steps=2, added=NAMED.effects, verdict="unknown")
-    assert "; only a line speaks against the mended model: the strongest line, at 314 rad/s (50 Hz)." in found.headline
-
-
 @pytest.mark.parametrize(
     ("simulated", "rounded", "told"),
     [(1.02, {"cart_position": 1e-4}, True), (1.6, {"cart_position": 1e-4}, False), (1.02, {}, False)],

@@ -1,6 +1,7 @@
 """An effect beside hum of the mains, which sensors pick up."""
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -25,7 +26,7 @@ def _with_hum(experiment: Experiment, number: int) -> Experiment:
 
 
 @pytest.mark.slow
-def test_a_lag_of_the_current_is_named_beside_hum_of_the_mains() -> None:
+def test_a_lag_of_the_current_is_named_beside_hum_of_the_mains(tmp_path: Path) -> None:
     plans = virtual_rig.standard_plans(seed=14, duration=4.0, sample_time=0.002, free=1, forced=4, rest=0)
     clean = virtual_rig.record(virtual_rig.Rig(current_lag=_LAG), plans, seed=14)
     recording = rtac.Recording(tuple(_with_hum(e, n) for n, e in enumerate(clean.experiments)), rig=clean.rig)
@@ -33,5 +34,9 @@ def test_a_lag_of_the_current_is_named_beside_hum_of_the_mains() -> None:
     assert [candidate.id for candidate in found.added] == ["current_lag"]
     lag = found.final.parameters["current_lag.time_constant"]
     assert abs(lag.value - _LAG) < 4 * lag.std
-    assert "only a line speaks against the mended model" in found.headline
-    assert "50 Hz, that of the mains" in found.headline
+    assert found.headline == "current_lag was missing; the mended model is adequate."
+    assert found.ending.startswith(
+        "Hum of the mains was subtracted first: cart_position 3e-05 m at 50 Hz and arm_velocity "
+    )
+    found.save(tmp_path / "better.h5")
+    assert est.load(tmp_path / "better.h5").hum == found.hum

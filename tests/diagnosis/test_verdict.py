@@ -78,15 +78,6 @@ def test_what_was_fitted_alone_is_not_said_to_be_unfitted_when_the_time_is_over(
     assert "e0, e1, e2, e3, e4, e5 and 3 more were fitted" in many
 
 
-def test_hum_of_the_mains_is_nothing_that_an_effect_should_remove() -> None:
-    hum = AdequacyTest("spectral line", 1e-9, 2000.0, 0.002, "", hum=True)
-    line = dataclasses.replace(hum, hum=False)
-    lag = dataclasses.replace(step("lag", 500.0, 0.0), left=(found(0.0), hum))
-    assert named([lag], (found(600.0), hum), SAMPLES, STANDARD)[:2] == ("missing", 1)
-    assert named([dataclasses.replace(lag, left=(line,))], (found(600.0), line), SAMPLES, STANDARD)[0] == "unknown"
-    assert named([], (found(0.0), hum), SAMPLES, STANDARD)[0] == "unknown"  # it rejects all the same
-
-
 def test_nothing_found_and_nothing_wrong_is_adequate() -> None:
     assert named([], (found(0.0),), SAMPLES, STANDARD) == ("adequate", 0, 0.0)
 

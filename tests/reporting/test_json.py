@@ -105,3 +105,13 @@ def test_the_experiment_that_differs_is_told_if_all_others_are_followed(over_noi
     assert ("c alone differs from all other experiments" in str(bullets)) == (name is not None)
     assert ("Look at c: its sample time" in str(bullets)) == (name is not None)
     assert ("All experiments but c are followed to" in loop.headline) == (name is not None)
+
+
+def test_where_one_parameter_differs_between_experiments_it_is_one_set_for_all_that_fails():
+    alike = dataclasses.replace(differing(1.0, 1.0), outlying=None)
+    loop = dataclasses.replace(
+        improvement(1, "unknown"), added=(), constancy=dataclasses.replace(alike, over_noise={"arm_angle": 1.1})
+    )
+    assert "One set of parameters for all fails, and no effect" in loop.headline
+    far = dataclasses.replace(loop, constancy=dataclasses.replace(alike, over_noise={"arm_angle": 1.4}))
+    assert "The model fails, and no effect" in far.headline

@@ -51,6 +51,22 @@ def test_the_parameter_with_which_all_are_followed_is_named_with_its_values(
     assert "drifts with the order of time" in found.differences
 
 
+def test_what_is_left_of_each_experiment_is_held_against_coloured_noise_where_that_is_larger(
+    fit: est.Fit, softening: rtac.Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of which fast changes show a part: an experiment followed to that noise is followed."""
+    left = dataclasses.replace(est.constancy(fit, softening), over_noise={"cart_position": 1.65, "arm_velocity": 1.1})
+    monkeypatch.setattr(differing_experiments, "constancy", lambda *_: left)
+    monkeypatch.setattr(differing_experiments, "_with_own_parameter", lambda *given: given[2])
+    monkeypatch.setattr(differing_experiments, "_suspects", lambda *_: [])
+    assert differing(fit, softening) is None
+    assert differing(fit, softening, coloured={"cart_position": 0.5 * fit.noise["cart_position"]}) is None
+    found = differing(fit, softening, coloured={"cart_position": 1.5 * fit.noise["cart_position"]})
+    assert found is not None
+    assert found.varying == ("spring_stiffness",)
+    assert found.over_noise == {"cart_position": pytest.approx(1.1), "arm_velocity": 1.1}
+
+
 @pytest.mark.slow
 def test_a_spring_that_hardens_is_no_parameter_that_differs() -> None:
     rig = dataclasses.replace(RIG, cubic_spring=6e5)

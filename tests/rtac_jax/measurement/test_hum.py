@@ -1,0 +1,119 @@
+"""Hum of the mains: found where it is, nowhere else, and taken out whole."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import rtac_jax as rtac
+from rtac_jax import virtual_rig
+from rtac_jax.measurement import Experiment, Signal, concerns
+
+INTERVAL, SIZE = 0.002, 4e-5
+
+
+def clean(**options: float) -> rtac.Recording:
+    """Return free and forced experiments of a rig without hum."""
+    plans = virtual_rig.standard_plans(seed=3, duration=4.0, sample_time=INTERVAL, free=1, forced=3, rest=1)
+    return virtual_rig.record(virtual_rig.Rig(**options), plans, seed=3)
+
+
+def with_hum(recording: rtac.Recording, hertz: float, size: float = SIZE) -> rtac.Recording:
+    """Return the recording with a sine in the position, of a phase of its own in each experiment."""
+
+    def hummed(e: Experiment, number: int) -> Experiment:
+        wave = size * np.cos(2 * np.pi * hertz * np.arange(e.samples) * e.sample_time + number)
+        signal = e.outputs["cart_position"]
+        return dataclasses.replace(
+            e, outputs=dict(e.outputs) | {"cart_position": dataclasses.replace(signal, values=signal.values + wave)}
+        )
+
+    return dataclasses.replace(recording, experiments=tuple(hummed(e, n) for n, e in enumerate(recording)))
+
+
+@pytest.mark.parametrize("hertz", [49.93, 60.05, 99.98])
+def test_hum_is_measured_and_taken_out_to_a_fraction_of_the_noise(hertz: float) -> None:
+    recording = clean()
+    hummed = with_hum(recording, hertz)
+    (hum,) = hummed.hum
+    assert (hum.channel, hum.unit) == ("cart_position", "m")
+    assert hum.frequency == pytest.approx(hertz, abs=0.03)
+    assert hum.amplitude == pytest.approx(SIZE, rel=0.1)
+    mended = hummed.without_hum()
+    assert not mended.hum
+    noise = np.std(recording["rest_1"].outputs["cart_position"].values)
+    for experiment in recording:
+        left, there = (
+            r[experiment.name].outputs["cart_position"].values - experiment.outputs["cart_position"].values
+            for r in (mended, hummed)
+        )
+        assert np.std(there) > noise
+        assert np.std(left) < 0.15 * noise
+        for other in set(experiment.outputs) - {"cart_position"}:
+            assert np.array_equal(mended[experiment.name].outputs[other].values, experiment.outputs[other].values)
+
+
+def test_where_there_is_none_the_recording_is_the_same() -> None:
+    for recording in (clean(), clean(cogging_torque=2e-3), with_hum(clean(), 43.0)):
+        assert recording.hum == ()
+        assert recording.without_hum() is recording
+
+
+def test_hum_that_wanders_is_followed_part_by_part() -> None:
+    time = INTERVAL * np.arange(20_000)
+    noise = 1e-6 * np.random.default_rng(5).standard_normal(len(time))
+    wave = SIZE * np.cos(2 * np.pi * (50.0 * time + 0.001 * time**2))  # by 0.08 Hz in 40 s
+    e = Experiment("long", "rest", INTERVAL, {}, {"cart_position": Signal(noise + wave, "m")})
+    (mended,) = rtac.Recording((e,)).without_hum()
+    assert np.std(mended.outputs["cart_position"].values - noise) < 0.1 * np.std(wave)
+
+
+def test_what_the_rig_answers_to_a_current_of_that_frequency_is_left_alone() -> None:
+    recording = with_hum(clean(), 50.0)
+    driven = recording["forced_1"]
+    current = driven.inputs["current"]
+    wave = 0.1 * np.sin(2 * np.pi * 50.0 * INTERVAL * np.arange(driven.samples))
+    given = dataclasses.replace(driven, inputs={"current": dataclasses.replace(current, values=current.values + wave)})
+    mixed = dataclasses.replace(recording, experiments=tuple(given if e is driven else e for e in recording))
+    mended = mixed.without_hum()
+    same = {
+        e.name
+        for e in mended
+        if np.array_equal(e.outputs["cart_position"].values, mixed[e.name].outputs["cart_position"].values)
+    }
+    assert same == {"forced_1"}
+
+
+def test_harmonics_of_an_input_that_repeats_are_no_hum() -> None:
+    # Every half hertz one line, as a nonlinearity answers to a period of two seconds.
+    random, time = np.random.default_rng(8), INTERVAL * np.arange(4000)
+    comb = sum(np.cos(2 * np.pi * 0.5 * k * time + random.uniform(0, 7)) for k in range(1, 400))
+    values = 1e-6 * comb + 1e-7 * random.standard_normal(len(time))
+    several = tuple(
+        Experiment(f"e{n}", "free", INTERVAL, {}, {"cart_position": Signal(np.roll(values, 37 * n), "m")})
+        for n in range(4)
+    )
+    assert rtac.Recording(several).hum == ()
+
+
+def test_chance_makes_no_hum() -> None:
+    random = np.random.default_rng(11)
+    for _ in range(200):
+        noise = [np.cumsum(random.standard_normal(1200)) * 1e-6 for _ in range(3)]
+        several = tuple(
+            Experiment(f"e{n}", "rest", INTERVAL, {}, {"cart_position": Signal(x, "m")}) for n, x in enumerate(noise)
+        )
+        assert rtac.Recording(several).hum == ()
+
+
+def test_short_or_slow_experiments_tell_nothing_of_it() -> None:
+    short = tuple(e.cut(0, 200) for e in with_hum(clean(), 50.0))
+    assert rtac.Recording(short).hum == ()
+    slow = virtual_rig.standard_plans(seed=3, duration=8.0, sample_time=0.01, free=1, forced=1, rest=0)
+    assert with_hum(virtual_rig.record(virtual_rig.Rig(), slow, seed=3), 50.0).hum == ()
+
+
+def test_it_is_a_concern_that_says_who_takes_it_out() -> None:
+    (said,) = [one for one in concerns(with_hum(clean(), 50.0)) if one.startswith("Hum of the mains")]
+    assert "cart_position 4e-05 m at 50 Hz" in said
+    assert "recording.without_hum()" in said

@@ -27,8 +27,8 @@ def diagnose(
         import estimators as est
         from estimators.core.deadline import PROLONGED, Deadline
         from estimators.reporting import report as _report
-        from estimators.reporting import summary
         from estimators.reporting import tables as _tables
+        from estimators.reporting.diagnosis_summary import of_diagnosis
 
         candidates = offered(effects)
         seconds = work.time_for(within)
@@ -91,7 +91,7 @@ def diagnose(
                 ("Parameters", [_tables.parameter_table(fits[-1], base=base if len(fits) > 1 else None)]),
                 ("Thresholds", [_tables.policy_table(found.policy)]),
             ]
-            bullets = summary.of_diagnosis(found, trained, tested, file=work.file, doubts=work.doubts or ())
+            bullets = of_diagnosis(found, trained, tested, file=work.file, doubts=work.doubts or ())
             work.write_report(f"Diagnosis of {work.file}", figures, sections, summary=bullets, traces=tested or trained)
 
 

@@ -66,8 +66,8 @@ def improved(
     """Run the loop on a job, and say and write what it found."""
     import estimators as est
     from estimators.reporting import report as _report
-    from estimators.reporting import summary
     from estimators.reporting import tables as _tables
+    from estimators.reporting.diagnosis_summary import of_diagnosis
     from estimators.reporting.fit_table import recommended_table
 
     work.divide()
@@ -163,7 +163,7 @@ def improved(
         ("Thresholds", [_tables.policy_table(found.diagnoses[0].policy)]),
     ]
     estimates = None if advice is None else advice.parameters
-    bullets = summary.of_diagnosis(
+    bullets = of_diagnosis(
         found, found.train, found.validation, file=work.file, estimates=estimates, doubts=work.doubts or ()
     )
     title = f"Improvement of the model with {work.file}"

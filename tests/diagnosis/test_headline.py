@@ -11,7 +11,7 @@ from estimators.core.fit import Fit
 from estimators.core.results import RESULTS
 from estimators.misspecification.adequacy import AdequacyTest
 from estimators.plots.diagnosis import finding
-from estimators.reporting.summary import of_diagnosis
+from estimators.reporting.diagnosis_summary import of_diagnosis
 from estimators.validation.simulation_error import Comparison
 from rtac_jax import RTAC
 from rtac_jax.effects import CubicSpring

@@ -18,9 +18,9 @@ from estimators.core.fit import Fit
 from estimators.core.results import RESULTS
 from estimators.linear.homogeneity_test import Equality
 from estimators.linear.outlier import Outlier
+from estimators.reporting.diagnosis_summary import of_diagnosis
 from estimators.reporting.html import write_json
 from estimators.reporting.report import report_dict
-from estimators.reporting.summary import of_diagnosis
 from rtac_jax import RTAC
 
 ACCEPTED = {"adequate": [], "missing": ["flexible_mode"], "ambiguous": ["flexible_mode", "cubic_spring"], "unknown": []}
@@ -113,5 +113,8 @@ def test_where_one_parameter_differs_between_experiments_it_is_one_set_for_all_t
         improvement(1, "unknown"), added=(), constancy=dataclasses.replace(alike, over_noise={"arm_angle": 1.1})
     )
     assert "One set of parameters for all fails, and no effect" in loop.headline
+    bullets = of_diagnosis(loop, loop.train, loop.validation, file="rig.h5")
+    assert bullets.found.endswith("; torque_constant differs between experiments.")
+    assert bullets.next.startswith("Give each experiment a value of its own (model.each_experiment('torque_constant'))")
     far = dataclasses.replace(loop, constancy=dataclasses.replace(alike, over_noise={"arm_angle": 1.4}))
     assert "The model fails, and no effect" in far.headline

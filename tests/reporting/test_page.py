@@ -12,7 +12,7 @@ from made_up_results import LEARNED, compared, diagnosis, improvement
 
 from estimators.core.fit import Parameter
 from estimators.plots.improvement import finding
-from estimators.reporting import summary
+from estimators.reporting.diagnosis_summary import of_diagnosis
 from estimators.reporting.html import Bullets, Table, write_report
 from estimators.reporting.trace_viewer import trace_viewer
 from estimators.validation.simulation_error import Comparison
@@ -72,14 +72,14 @@ def test_wide_tables_stack_on_a_narrow_page(tmp_path):
 def test_a_model_whose_simulation_is_far_off_is_not_to_be_used_as_it_is():
     """Although predictions show nothing that is missing."""
     found = improvement(1, "adequate", (30.0,))
-    bullets = summary.of_diagnosis(found, found.train, found.validation, file="rig.h5")
+    bullets = of_diagnosis(found, found.train, found.validation, file="rig.h5")
     assert bullets.next.startswith("Take the parameters from predictions")
     assert finding(found).startswith("No effect stands out, and yet the held-out error of")
     assert finding(improvement(1, "adequate", (1.0,))).startswith("Nothing is missing: the held-out error")
     missing = dataclasses.replace(diagnosis("missing"), additions=(CubicSpring(1.0),))
     both = (missing, diagnosis("adequate"))
     mended = dataclasses.replace(improvement(2, "missing", (90.0, 30.0)), diagnoses=both, diagnosed=(0, 1))
-    bullets = summary.of_diagnosis(mended, mended.train, mended.validation, file="rig.h5")
+    bullets = of_diagnosis(mended, mended.train, mended.validation, file="rig.h5")
     assert bullets.next.startswith("Take the parameters from predictions")
 
 
@@ -90,7 +90,7 @@ def test_a_model_whose_simulation_is_far_off_is_not_to_be_used_as_it_is():
 def test_bullets_say_what_was_found_how_sure_and_what_next(verdict, next_step):
     errors = (1.0,) if verdict == "adequate" else (30.0, 3.0)
     found = improvement(1 if verdict in ("adequate", "unknown") else 2, verdict, errors)
-    bullets = summary.of_diagnosis(found, found.train, found.validation, file="rig.h5")
+    bullets = of_diagnosis(found, found.train, found.validation, file="rig.h5")
     assert next_step in bullets.next
     if verdict in ("missing", "ambiguous"):
         assert "flexible_mode (mass 0.09 +- 0.001 kg)" in bullets.found
@@ -102,10 +102,10 @@ def test_bullets_say_what_was_found_how_sure_and_what_next(verdict, next_step):
         )
         assert "confusable with cubic_spring" in bullets.sure
     known = {"flexible_mode.mass": Parameter(0.0912, 0.05, "kg")}
-    advised = summary.of_diagnosis(found, found.train, found.validation, file="rig.h5", estimates=known)
+    advised = of_diagnosis(found, found.train, found.validation, file="rig.h5", estimates=known)
     if verdict == "missing":  # the deviation that the table below recommends
         assert "flexible_mode (mass 0.0912 +- 0.05 kg)" in advised.found
-    alone = summary.of_diagnosis(found.diagnoses[0], found.train, None, file="rig.h5")
+    alone = of_diagnosis(found.diagnoses[0], found.train, None, file="rig.h5")
     if verdict == "missing":
         assert alone.next.startswith("rtac improve rig.h5")
 
@@ -113,7 +113,7 @@ def test_bullets_say_what_was_found_how_sure_and_what_next(verdict, next_step):
 def test_what_was_named_and_not_added_is_not_said_to_be_added():
     found = dataclasses.replace(improvement(2, "missing"), added=(), verdict="unknown")
     assert found.diagnoses[0].effects
-    said = summary.of_diagnosis(found, found.train, found.validation, file="rig.h5").found
+    said = of_diagnosis(found, found.train, found.validation, file="rig.h5").found
     assert "added on the way" not in said
     assert "flexible_mode (mass 0.09 +- 0.001 kg), does not serve held-out experiments and was not added" in said
 
@@ -121,7 +121,7 @@ def test_what_was_named_and_not_added_is_not_said_to_be_added():
 def test_what_was_not_added_in_time_is_not_said_to_be_in_the_model():
     found = improvement(2, "missing", (30.0, 3.0))
     late = dataclasses.replace(found, added=(), not_added=("flexible_mode",), broken_off=True)
-    bullets = summary.of_diagnosis(late, late.train, late.validation, file="rig.h5")
+    bullets = of_diagnosis(late, late.train, late.validation, file="rig.h5")
     assert bullets.found.startswith("The model fails; missing, and not added before the time was over: flexible_mode")
     assert bullets.next.startswith("Give more time (--within)")
 
@@ -130,12 +130,12 @@ def test_a_mended_model_is_recommended_where_nothing_more_is_missing_and_not_whe
     found = improvement(2, "missing", (30.0, 3.0))
     mended = dataclasses.replace(found, diagnoses=(found.diagnoses[0], diagnosis("adequate")), diagnosed=(0, 1))
     for one, said in ((found, "Use the model as far as its held-out error"), (mended, "Use the model with it")):
-        assert summary.of_diagnosis(one, one.train, one.validation, file="rig.h5").next.startswith(said)
+        assert of_diagnosis(one, one.train, one.validation, file="rig.h5").next.startswith(said)
 
 
 def test_bullets_keep_a_learned_force_to_its_range():
     found = dataclasses.replace(improvement(2, "unknown"), learned=LEARNED)
-    bullets = summary.of_diagnosis(found, found.train, found.validation, file="rig.h5")
+    bullets = of_diagnosis(found, found.train, found.validation, file="rig.h5")
     assert "a learned force was added, which is no physical effect: on the cart against cart position" in bullets.found
     assert "error over noise on experiments that no fit has seen" in bullets.sure.lower()
     assert bullets.next.startswith("Use the model between -0.012 and 0.014 m of cart position only")

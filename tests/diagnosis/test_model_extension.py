@@ -181,8 +181,8 @@ def looped(
     def diagnosed(fit: est.Fit, *_: Any, **__: Any) -> est.Diagnosis:
         if "cubic_spring" in fit.model:
             assert "cubic_spring.stiffness" in fit.model.free  # also where a simulation held it
-            return made(est.Diagnosis, verdict="adequate", effects=(), additions=(), values={})
-        return made(est.Diagnosis, verdict="missing", effects=(CANDIDATE,), additions=(spring,), values={})
+            return made(est.Diagnosis, verdict="adequate", effects=(), additions=(), values={}, coloured={})
+        return made(est.Diagnosis, verdict="missing", effects=(CANDIDATE,), additions=(spring,), values={}, coloured={})
 
     for module, stubs in {
         improve: {"output_error": fitted, "compare": compared, "doubtful": lambda *_: ()},

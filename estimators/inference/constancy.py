@@ -19,7 +19,7 @@ from rtac_jax.arguments import checked_arguments
 from rtac_jax.measurement import Experiment, Recording
 
 # Fraction of the squared residual that differences explain, from which on they are too large for one step.
-_BEYOND_ONE_STEP = 0.5
+BEYOND_ONE_STEP = 0.5
 _LEAST = 3  # experiments that a trend and what scatters beside it need
 
 
@@ -62,7 +62,7 @@ def constancy(fit: Fit, recording: Recording, *, covariates: Covariates | None =
     around = about_common(problem, names)
     chi_square, freedom = explained(around.information, around.slope, range(len(names)))
     p_value = float(scipy.stats.chi2.sf(chi_square, freedom))
-    if p_value < level and chi_square > _BEYOND_ONE_STEP * float(np.sum(np.asarray(problem.arguments.data.present))):
+    if p_value < level and chi_square > BEYOND_ONE_STEP * float(np.sum(np.asarray(problem.arguments.data.present))):
         around = about_own(fit, problem, recording, names) or around
     information, slope = around.information, around.slope
     estimates = np.array([float(np.asarray(fit.model[name])) for name in names])
@@ -95,7 +95,7 @@ def constancy(fit: Fit, recording: Recording, *, covariates: Covariates | None =
         trends=tuple(trends), covariates=every,
         left_out=tuple(e.name for e, row in zip(experiments, values, strict=True) if np.all(np.isnan(row))), level=level,
         varying=tuple(names[i] for i in chosen.places), explained=chosen.fraction, rival=chosen.rival,
-        suffices=chosen.suffices, over_noise=around.over_noise,
+        suffices=chosen.suffices, over_noise=around.over_noise, usual=around.usual,
         outlying=None if one is None else Outlier(experiments[one.place].name, *one[1:]),
         left_without=left_without(information, slope),
     )  # fmt: skip

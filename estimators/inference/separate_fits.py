@@ -31,6 +31,7 @@ class Curvatures(NamedTuple):
         information: of each experiment.
         slope: gradient at the common fit, as the second order about the experiment's own fit has it.
         over_noise: what the fit of an experiment by itself leaves at most, over the noise, by channel; empty where none was made.
+        usual: the median of that over the experiments.
         logarithmic: parameters whose distance is the logarithm of a ratio, times their size in the common fit. Data tell the
             ratio of some better than either, and lines of ratios that differ a little meet nowhere but at zero.
     """
@@ -38,6 +39,7 @@ class Curvatures(NamedTuple):
     information: Float[np.ndarray, "experiment parameter parameter"]
     slope: Float[np.ndarray, "experiment parameter"]
     over_noise: dict[str, float]
+    usual: dict[str, float]
     logarithmic: Bool[np.ndarray, " parameter"]
 
 
@@ -48,6 +50,7 @@ def about_common(problem: Problem, names: Sequence[str]) -> Curvatures:
     return Curvatures(
         np.einsum("soep,soeq->epq", jacobian, jacobian),
         np.einsum("soep,soe->ep", jacobian, rows.residual),
+        {},
         {},
         np.zeros(len(names), dtype=bool),
     )
@@ -120,8 +123,9 @@ def _pooled(
         tolerant, told = _tolerating(whole, gradient, _TOLERATED * size)
         information.append(tolerant)
         slope.append(told)
-    over = {c: max(f.residual_over_noise.get(c, 0.0) for f in own) for c in deviation if fit.noise.get(c, 0.0) > 0}
-    return Curvatures(np.stack(information), np.stack(slope), over, logarithmic)
+    left = {c: [f.residual_over_noise.get(c, 0.0) for f in own] for c in deviation if fit.noise.get(c, 0.0) > 0}
+    over, usual = ({c: float(of(x)) for c, x in left.items()} for of in (np.max, np.median))
+    return Curvatures(np.stack(information), np.stack(slope), over, usual, logarithmic)
 
 
 def _tolerating(

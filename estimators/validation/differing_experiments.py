@@ -9,7 +9,7 @@ import numpy as np
 from estimators.core.data import moving
 from estimators.core.fit import Fit
 from estimators.core.results import DivergedError, NotIdentifiableError
-from estimators.inference.constancy import constancy
+from estimators.inference.constancy import BEYOND_ONE_STEP, constancy
 from estimators.inference.varying_parameters import ENOUGH, NEXT_TO_ALL
 from estimators.linear.homogeneity_test import Equality, trend_of, varying
 from estimators.linear.outlier import FOLLOWED, Outlier
@@ -47,12 +47,15 @@ def differing(
         found = constancy(fit, recording)
     except (ValueError, ArithmeticError):  # too few experiments, or one that shows nothing by itself
         return None
-    over = {c: ratio * fit.noise[c] / noise[c] for c, ratio in found.over_noise.items()}
-    found = dataclasses.replace(found, over_noise=over)
+    over, usual = ({c: x * fit.noise[c] / noise[c] for c, x in one.items()} for one in (found.over_noise, found.usual))
+    found = dataclasses.replace(found, over_noise=over, usual=usual)
     apart = [one for one in _suspects(fit, recording, found) if one.decisive]
     if len(apart) == 1:
         found = dataclasses.replace(found, outlying=apart[0])
-    if not found.differences and not found.equal:
+    # One parameter explains no more than all of them do, and the fits that ask are dear.
+    large = found.chi_square > BEYOND_ONE_STEP * sum(fit.statistics["samples"].values())
+    followed = all(ratio <= FOLLOWED for ratio in usual.values())
+    if not found.differences and not found.equal and large and followed:
         found = _with_own_parameter(fit, recording, found, noise)
     return found if found.differences else None
 

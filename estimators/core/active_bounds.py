@@ -42,6 +42,7 @@ def solve_bounded(
     most: int = 60,
     progress: object = None,
     noise: ConcentratedNoise | None = None,
+    far: float = np.inf,
 ) -> Solved:
     """Minimise the sum of squares as `solve` does, with parameters that run to a bound held on it.
 
@@ -56,7 +57,9 @@ def solve_bounded(
         space, at = _holding(whole, unknowns, held)
         within = dataclasses.replace(arguments, space=space)
         try:
-            solved = solve(at, within, tolerance=tolerance, gain=gain, most=most, progress=progress, noise=noise)
+            solved = solve(
+                at, within, tolerance=tolerance, gain=gain, most=most, progress=progress, noise=noise, far=far
+            )
         except FloatingPointError:
             if best is None:
                 raise

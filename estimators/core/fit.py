@@ -212,7 +212,7 @@ class Fit(ModelFit):
         for name, bound in self.on_bounds().items():
             said += f" {name} ended on its bound, {bound:g}{no_such}."
         if (promised := self.statistics.get("promised", 0.0)) > _KINK:
-            rest = self.result != RESULTS.steps_exhausted
+            rest = self.result not in (RESULTS.steps_exhausted, RESULTS.crept)
             said += (
                 " It came to rest at a kink, as dry friction makes them, where the slopes" if rest else " The slopes"
             )

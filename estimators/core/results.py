@@ -11,6 +11,7 @@ class RESULTS(eqx.Enumeration):
         "The fit did not converge in the steps allowed; raise `steps` (of est.output_error), or look at the parameters that still "
         "move."
     )
+    crept = "The fit was stopped where it only crept on, far from the data."
     pulled_off_bound = (
         "The fit did not converge: an estimate lies on its bound, and the data pull it inwards; begin with a plausible value "
         "of it (model.with_values), or fix it (model.fix, or --fix of rtac)."

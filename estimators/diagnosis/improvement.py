@@ -28,7 +28,7 @@ from rtac_jax.measurement import Hum, hum_subtracted
 from rtac_jax.overview import Overview
 from rtac_jax.renamed import renamed
 
-_UNFINISHED = (RESULTS.steps_exhausted, RESULTS.pulled_off_bound, RESULTS.undetermined)
+_UNFINISHED = (RESULTS.steps_exhausted, RESULTS.crept, RESULTS.pulled_off_bound, RESULTS.undetermined)
 
 
 @dataclasses.dataclass(frozen=True, repr=False)

@@ -304,7 +304,7 @@ class Descent:
         noise: ConcentratedNoise | None = None,
     ) -> Solved:  # fmt: skip
         return solve_bounded(
-            unknowns, arguments, tolerance=tolerance, gain=gain, most=most, progress=self._show, noise=noise
+            unknowns, arguments, tolerance=tolerance, gain=gain, most=most, progress=self._show, noise=noise, far=FAR
         )
 
     def weighted(self, stage: DescentEnd, data: Data, experiments: Sequence[Experiment]) -> Robust:

@@ -131,10 +131,13 @@ def output_error(
     free = left_free(model, found)
     if weighted is not None and found.scores is not None:
         found = dataclasses.replace(found, scores=weighted.score_ratio * found.scores)
-    if not stage.solved.converged or (weighted is not None and not weighted.settled):
+    crept = stage.solved.crept
+    if not (stage.solved.converged or crept) or (weighted is not None and not weighted.settled):
         result = RESULTS.steps_exhausted
     elif free:
         result = RESULTS.undetermined
+    elif crept:
+        result = RESULTS.crept
     elif stage.solved.pulled:
         result = RESULTS.pulled_off_bound
     elif len(candidates) > 1 and agreed < 2:

@@ -132,9 +132,8 @@ def _residual(fit: Any) -> float:
 
 
 def _ended(fit: Any) -> str:
-    return next(
-        n for n in ("successful", "steps_exhausted", "starts_disagree") if bool(fit.result == getattr(RESULTS, n))
-    )
+    ended = (n for n in ("successful", "starts_disagree") if bool(fit.result == getattr(RESULTS, n)))
+    return next(ended, "steps_exhausted")
 
 
 def _prediction_error_nonlinear(prepared: Prepared, options: Mapping[str, Any], start: str) -> Outcome:

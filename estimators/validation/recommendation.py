@@ -143,7 +143,7 @@ def _refused(fit: Fit) -> str:
     """Return why output error is no estimate; empty where it may be one."""
     if fit.lost:
         return "ended where the data leave parameters free"
-    if fit.result == RESULTS.steps_exhausted:
+    if fit.result in (RESULTS.steps_exhausted, RESULTS.crept):
         return "did not converge"
     return ""
 

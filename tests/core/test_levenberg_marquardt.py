@@ -1,6 +1,7 @@
 """The optimiser: where it comes to rest, at kinks too, and what it weighs channels by."""
 
 import dataclasses
+from types import SimpleNamespace
 from typing import Any
 
 import jax.numpy as jnp
@@ -174,3 +175,49 @@ def test_a_step_promises_what_it_moves_however_large_is_what_no_step_moves(besid
         moved = 2.0 / (1.0 + damping)
         assert float(step.shared[0]) == pytest.approx(-moved, rel=1e-9, abs=1e-30)
         assert promised == pytest.approx(2.0 * moved - 0.5 * moved**2, rel=1e-9, abs=1e-30)
+
+
+class Scripted:
+    """Steps that gain what is written, of a channel whose deviation stays as it is."""
+
+    def __init__(self, gains: list[float]) -> None:
+        self.gains, self.steps, self.full = gains, 0, False
+
+    def step(self, unknowns: Unknowns, best: Any, weights: Any, promised: float) -> Any:
+        gained = self.gains[min(self.steps, len(self.gains) - 1)]
+        self.steps += 1
+        moved = unknowns._replace(shared=unknowns.shared + 1.0)
+        return levenberg_marquardt._Taken(moved, HERE, gained)
+
+
+SAMPLES, OFF = 2000, 50.0
+HERE = Factors(OFF * np.sqrt(SAMPLES) * np.ones((1, 1, 1, 2)), np.zeros((1, 0, 2)))
+
+
+@pytest.mark.parametrize(
+    ("gains", "promised", "far", "steps", "crept"),
+    [
+        ([100.0, 5.0, 4.0, 3.0], 900.0, 10.0, 4, True),
+        ([100.0, 5.0, 4.0, 90.0, 5.0, 4.0, 3.0], 900.0, 10.0, 7, True),  # in a row
+        ([5.0], 900.0, 60.0, 20, False),  # near the noise every step counts
+        ([5.0], 900.0, np.inf, 20, False),
+        ([5.0], 5.5, 10.0, 20, False),  # what is promised is gained: it converges
+    ],
+)
+def test_a_descent_that_creeps_far_from_the_data_is_ended(
+    problem: Problem,
+    gains: list[float],
+    promised: float,
+    far: float,
+    steps: int,
+    crept: bool,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    walk = Scripted(gains)
+    monkeypatch.setattr(levenberg_marquardt, "_Walk", lambda *_: walk)
+    monkeypatch.setattr(levenberg_marquardt, "Passes", lambda _: SimpleNamespace(factors=lambda _: HERE))
+    monkeypatch.setattr(levenberg_marquardt, "promised_gain", lambda *_: promised)
+    nowhere = Unknowns(jnp.zeros(1), jnp.zeros((0, 1)), jnp.zeros((0, 1)))
+    noise = ConcentratedNoise(np.array([float(SAMPLES)]))
+    solved = solve(nowhere, problem.arguments, most=20, noise=noise, far=far)
+    assert (solved.steps, solved.crept, solved.converged) == (steps, crept, False)

@@ -10,7 +10,8 @@ NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 SILVERBOX = "08_silverbox"
 # What these show, the tests of `make test` show on smaller recordings; they take half a minute to three minutes each.
 LONG = {
-    "02_closed_form", "04_find_the_missing_effect", "05_prediction_error", "06_envelope", "07_control", "09_monte_carlo",
+    "02_closed_form", "03_output_error", "04_find_the_missing_effect", "05_prediction_error", "06_envelope", "07_control",
+    "09_monte_carlo",
     "10_your_own_rig", SILVERBOX,
 }  # fmt: skip
 # What the machinery around a kernel warns of says nothing about a notebook, and what a notebook's own kernel warns of

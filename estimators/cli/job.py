@@ -60,9 +60,11 @@ class Job:
         if self.held_out is None and self.names is None and divided is not self.recording:
             self.recording = divided
             self.train, self.held_out, self.not_split = _split(divided, None)
-            self.remark = (
-                f"Held out: {', '.join(self.held_out.names)}, the last quarter of the only experiment that moves."
+            held, last = (
+                f"Held out: {', '.join(self.held_out.names)}",
+                "the last quarter of the only experiment that moves",
             )
+            self.remark = "\n".join([f"{held}, {last}.", *self.remark.split("\n")[1:]])
 
     @property
     def seconds(self) -> float:
@@ -291,11 +293,12 @@ def job(
             saving_to(save)
         recording = load(file)
         prepare()
-        hum = recording.hum
-        work = Job(file.name, recording.without_hum(), validation, folder, json, began)
+        hum = hum_subtracted(recording.hum())
+        work = Job(file.name, recording.without_hum() if hum else recording, validation, folder, json, began)
         work.path = file
-        if hum:
-            work.note(hum_subtracted(hum))
+        if hum:  # on the screen too, as not every command prints the remark
+            work.note(hum)
+            typer.echo(f"rtac: {hum}", err=True)
         with printed_last(work):
             yield work
 

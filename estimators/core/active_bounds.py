@@ -44,7 +44,7 @@ def solve_bounded(
     noise: ConcentratedNoise | None = None,
     far: float = np.inf,
 ) -> Solved:
-    """Minimise the sum of squares as `solve` does, with parameters that run to a bound held on it.
+    """Minimise the sum of squares as `solve` does, with the same arguments; parameters that run to a bound are held on it.
 
     The factor of the result is that of all parameters, also of those held, so that their standard deviations are known.
     """

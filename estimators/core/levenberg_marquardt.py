@@ -146,8 +146,8 @@ def solve(
         noise: by which channels are weighted, anew at each point, so that its cost is what is minimised; by default they have
             the weights that the arguments give them. A step that lowers the weighted squares lowers that cost, too: the
             logarithm of a channel's squares lies below its tangent.
-        far: deviation of a channel that is weighted anew, in the unit of its residual, beyond which steps that gain next to nothing
-            end the descent.
+        far: deviation of any channel, in the unit of its residual, beyond which steps that gain next to nothing end the descent
+            where channels are weighted anew.
 
     Raises:
         FloatingPointError: the model diverges at the very start.

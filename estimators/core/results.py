@@ -11,7 +11,10 @@ class RESULTS(eqx.Enumeration):
         "The fit did not converge in the steps allowed; raise `steps` (of est.output_error), or look at the parameters that still "
         "move."
     )
-    crept = "The fit was stopped where it only crept on, far from the data."
+    crept = (
+        "The fit was stopped where it only crept on, far from the data; ask est.diagnose what the model lacks, or begin elsewhere "
+        "(starts)."
+    )
     pulled_off_bound = (
         "The fit did not converge: an estimate lies on its bound, and the data pull it inwards; begin with a plausible value "
         "of it (model.with_values), or fix it (model.fix, or --fix of rtac)."

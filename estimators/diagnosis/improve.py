@@ -73,7 +73,7 @@ def improve(
         NotIdentifiableError, DivergedError: as `output_error`, for the base model.
     """
     began, deadline = time.perf_counter(), Deadline(within)
-    hum, recording = recording.hum, recording.without_hum()
+    hum, recording = recording.hum(), recording.without_hum()
     recording = recording.divided() if validation is None else recording
     train, held_out = recording.split(validation)
     with ThreadPoolExecutor(1) as other:

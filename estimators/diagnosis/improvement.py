@@ -100,8 +100,7 @@ class Improvement(Result):
     @property
     def ending(self) -> str:
         """Return what was held, or kept for its predictions, if anything, why the loop ended, and what was learned."""
-        said = [hum_subtracted(self.hum)] if self.hum else []
-        said += [str(one) for one in self.predicted_gains]
+        said = [str(one) for one in self.predicted_gains]
         if self.predicted:
             said.append(
                 "All parameters of the last model are those with which the data are predicted best one sample ahead, as of "
@@ -126,7 +125,8 @@ class Improvement(Result):
             said.extend(self.final.moved_constants)
         if self.diagnoses[-1].verdict == "adequate" and not self._drifts and (strays := self._astray):
             said.append(strays)
-        return " ".join([*said, self.stopped, *([str(self.learned)] if self.learned is not None else [])])
+        told = [hum_subtracted(self.hum), *said, self.stopped, "" if self.learned is None else str(self.learned)]
+        return " ".join(one for one in told if one)
 
     @property
     def _drifts(self) -> bool:

@@ -122,18 +122,16 @@ def _found(told: _Told) -> str:
     """Return what was found: of the effects, of a last resort, and of experiments that differ."""
     loop, last, named = told.loop, told.last, told.named
     in_time = ", as far as was asked before the time was over" if last.broken_off else ""
-    aside = named and loop is not None and not told.added
     way = f"; added on the way: {named}" if named else ""
-    if aside:
+    if named and loop is not None and not told.added:
         way = f"; what a diagnosis names, {named}, does not serve held-out experiments and was not added"
     alike = "; ".join(f"{c.id} from {', '.join(c.confusable_with)}" for c in told.effects if c.confusable_with)
     inside = f"Was missing, and is in the model now: {named}"
     verdict, whole = told.verdict, loop is not None and bool(named)
-    nothing = f"othing is missing from the model {last.floor}{in_time}"
     said = _first(
         (told.late, f"The model fails; missing, and not added before the time was over: {named}"),
         (verdict == "adequate" and whole, f"{inside}; nothing more is missing {last.floor}{in_time}"),
-        (verdict == "adequate", f"N{nothing}"),
+        (verdict == "adequate", f"Nothing is missing from the model {last.floor}{in_time}"),
         (verdict == "missing" and whole, inside),
         (verdict == "missing", f"Missing: {named}" if named else "An effect is missing"),
         (

@@ -52,7 +52,8 @@ def differing(
     apart = [one for one in _suspects(fit, recording, found) if one.decisive]
     if len(apart) == 1:
         found = dataclasses.replace(found, outlying=apart[0])
-    # One parameter explains no more than all of them do, and the fits that ask are dear.
+    # One parameter explains no more than all of them do, by one step and in fits of single experiments, and the fits that ask are
+    # dear.
     large = found.chi_square > BEYOND_ONE_STEP * sum(fit.statistics["samples"].values())
     followed = all(ratio <= FOLLOWED for ratio in usual.values())
     if not found.differences and not found.equal and large and followed:

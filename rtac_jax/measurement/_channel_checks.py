@@ -89,7 +89,10 @@ def rest_concerns(recording: Recording) -> Iterator[str]:
     for name, (channel, frequency, size, unit) in _moving(recording).items():
         mend = "set its kind to free, or record it again with nothing moving"
         if any(abs(frequency - mains) < _HUM * mains for mains in (50.0, 60.0, 100.0, 120.0)):
-            mend = "that is likely hum of the mains: shield the sensor, or subtract it (recording.without_hum())"
+            mend = (
+                "that is likely hum of the mains: shield the sensor, or filter it out of all experiments alike "
+                "(scipy.signal.iirnotch)"
+            )
         yield (
             f"{name}: {channel} swings by {size:.2g} {unit} at {frequency:.3g} Hz although the experiment is of kind rest, so it "
             f"does not tell the noise; {mend}."

@@ -81,7 +81,7 @@ def _about_recording(recording: Recording) -> Iterator[str]:
                 "ones count too much, standard deviations are not those of the quieter ones, and a diagnosis judges by that "
                 "level; fit experiments of one level at a time (Recording.select)."
             )
-    if hum := recording.hum:
+    if hum := recording.hum():
         yield (
             f"Hum of the mains is in {' and '.join(map(str, hum))}: shield the sensor. The command line and est.improve subtract "
             "it; other calls take it for noise, or for what is missing, unless they are given recording.without_hum()."

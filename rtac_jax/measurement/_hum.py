@@ -15,15 +15,17 @@ from ._filter import filled
 
 Values = Float64[np.ndarray, " sample"]
 
-MAINS = (50.0, 60.0, 100.0, 120.0)  # and twice each, as rectifiers give it [Hz]
-_WITHIN = 0.004  # of the frequency: grids keep within 1 % for 99.5 % of a year by EN 50160, and large ones within half of this
+MAINS = (50.0, 60.0, 100.0, 120.0)  # of both grids, and twice each, as rectifiers give it [Hz]
+_WITHIN = 0.004  # of the frequency, within which it is looked for: a large grid keeps within half of that
 _LONGEST = 10.0  # s over which the frequency of a grid holds to a fraction of a turn
 _BELOW_NYQUIST = 0.9  # of half the sampling rate, beyond which a sine is told from its mirror image no more
-_BESIDE = 30  # lines whose mean on both sides is the power without hum
+_BESIDE = 15  # lines on each side that tell the power without hum
 _APART = 3  # lines over which a Hann window spreads a sine, on each side
-_FEWEST = 8 * _BESIDE  # samples
-_CHANCE = 1e-6  # of hum where there is none, for one channel and frequency
 _FINE = 8  # frequencies tried per line of the spectrum
+_CHANCE = 1e-6  # of hum where there is none, for one channel and frequency
+_ITS_OWN = 0.01  # the same of one experiment, where the others show it
+# Of the power of an input near a frequency of the mains, or near the second to the fifth part of one, whose harmonics are no hum.
+_DRIVEN, _HARMONICS = 1e-3, 5
 
 
 @dataclass(frozen=True)
@@ -34,7 +36,7 @@ class Hum:
         channel: the output.
         unit: of it.
         frequency: of the mains, or twice that [Hz].
-        amplitude: root mean square of the amplitudes of all experiments, in the unit of the channel.
+        amplitude: root mean square of the amplitudes where it was subtracted, in the unit of the channel.
     """
 
     channel: str
@@ -48,22 +50,28 @@ class Hum:
 
 def hum_subtracted(hum: Sequence[Hum]) -> str:
     """Return what was subtracted, in words; nothing where there was none."""
-    return f"Hum of the mains was subtracted first: {' and '.join(map(str, hum))}." if hum else ""
+    if not hum:
+        return ""
+    return f"Hum of the mains was subtracted first: {' and '.join(map(str, hum))}. What was fitted is recording.without_hum()."
 
 
 class _Line(NamedTuple):
+    """The largest line near a frequency in a part of a signal; ratios are powers over the mean power beside it."""
+
     part: slice
     ratio: float
-    others: float
+    next_ratio: float
     frequency: float
     amplitude: complex
+    tried: float
 
 
 def without_hum(experiments: Sequence[Experiment]) -> tuple[tuple[Hum, ...], tuple[Experiment, ...]]:
     """Return the hum of every output, and the experiments without it.
 
-    A line counts where all experiments together show it beyond chance. An experiment whose input has one there is left as it is:
-    the rig answers to that. Every ten seconds have a phase, an amplitude and, within bounds, a frequency of their own.
+    It is there where the experiments that nothing drives show it together beyond chance: what a driven rig answers may have a line
+    anywhere. Then it is subtracted from all that show it, but for those whose input has power near it, or near a frequency of which
+    it is a harmonic. Every ten seconds have a phase, an amplitude and, within bounds, a frequency of their own.
 
     Source: windowed least squares; Stoica and Moses, Spectral Analysis of Signals, Pearson 2005, section 4.3.
     """
@@ -72,80 +80,107 @@ def without_hum(experiments: Sequence[Experiment]) -> tuple[tuple[Hum, ...], tup
     for channel in dict.fromkeys(channel for e in experiments for channel in e.outputs):
         for mains in MAINS:
             lines = {place: _lines(e, channel, mains) for place, e in enumerate(kept)}
-            several = [line for own in lines.values() for line in own]
-            if not _beyond_chance(several):
+            idle = [line for place, own in lines.items() for line in own if _is_idle(kept[place])]
+            if not _beyond_chance(idle, _CHANCE):
                 continue
-            for place, own in lines.items():
+            its = {
+                place: own
+                for place, own in lines.items()
+                if _beyond_chance(own, _ITS_OWN) and not _is_driven(kept[place], mains)
+            }
+            for place, own in its.items():
                 kept[place] = _subtracted(kept[place], channel, own)
+            several = [line for own in its.values() for line in own]
             unit = next(e.outputs[channel].unit for e in kept if channel in e.outputs)
             frequency = float(np.median([line.frequency for line in several]))
-            found.append(
-                Hum(channel, unit, frequency, float(np.sqrt(np.mean([abs(x.amplitude) ** 2 for x in several]))))
-            )
+            amplitude = float(np.sqrt(np.mean([abs(line.amplitude) ** 2 for line in several])))
+            found.append(Hum(channel, unit, frequency, amplitude))
     return tuple(found), tuple(kept)
 
 
+def _is_idle(experiment: Experiment) -> bool:
+    """Return whether nothing drives the rig."""
+    return not any(np.any(signal.values) for signal in experiment.inputs.values())
+
+
+def _is_driven(experiment: Experiment, mains: float) -> bool:
+    """Return whether an input has power near a frequency, or near one of which it is a harmonic; a constant one drives all."""
+    for signal in experiment.inputs.values():
+        values = filled(np.asarray(signal.values))
+        if not np.any(values):
+            continue
+        if np.ptp(values) == 0:
+            return True
+        power = np.abs(np.fft.rfft((values - np.mean(values)) * np.hanning(len(values)))) ** 2
+        place = mains * len(values) * experiment.sample_time
+        for k in range(1, _HARMONICS + 1):
+            near = np.abs(np.arange(len(power)) - place / k) <= _WITHIN * place / k + _APART
+            if np.sum(power[near]) > _DRIVEN * np.sum(power):
+                return True
+    return False
+
+
 def _lines(experiment: Experiment, channel: str, mains: float) -> list[_Line]:
-    """Return the largest line of an output near a frequency, part by part; none where it cannot be told, or an input has it."""
+    """Return the largest line of an output near a frequency, part by part; none where a part does not tell it."""
     signal = experiment.outputs.get(channel)
     interval = experiment.sample_time
-    parts = int(np.ceil(experiment.duration / _LONGEST))
-    edges = np.linspace(0, experiment.samples, max(parts, 1) + 1).astype(int)
-    if signal is None or np.min(np.diff(edges)) < _FEWEST or mains > _BELOW_NYQUIST / (2 * interval):
+    if signal is None or mains > _BELOW_NYQUIST / (2 * interval):
         return []
-    sections = [slice(a, b) for a, b in itertools.pairwise(edges)]
-    for given in experiment.inputs.values():
-        values = np.asarray(given.values)
-        if np.ptp(values) > 0 and _beyond_chance([_largest(values, part, interval, mains) for part in sections]):
-            return []
-    values = filled(np.asarray(signal.values))
-    return [_largest(values, part, interval, mains) for part in sections]
+    parts = max(1, int(np.ceil(experiment.duration / _LONGEST)))
+    edges = np.linspace(0, experiment.samples, parts + 1).astype(int)
+    values = np.asarray(signal.values)
+    found = [_largest(values, slice(a, b), interval, mains) for a, b in itertools.pairwise(edges)]
+    return [line for line in found if line is not None]
 
 
-def _largest(values: Values, part: slice, interval: float, mains: float) -> _Line:
-    """Return the largest line of a part within reach of a frequency, and its ratio and that of the next to the mean around."""
-    piece = values[part]
-    count = len(piece)
-    window = np.hanning(count)
-    piece = (piece - np.mean(piece)) * window
-    power = np.abs(np.fft.rfft(piece)) ** 2
+def _largest(values: Values, part: slice, interval: float, mains: float) -> _Line | None:
+    """Return the largest line of a part within reach of a frequency; None where it is none, or motion would not be told from it."""
+    count = part.stop - part.start
     place = mains * count * interval
     reach = max(_WITHIN * place, 0.5)
-    apart = np.abs(np.arange(len(power)) - place) - reach
-    around = power[(apart > _APART) & (apart < _APART + _BESIDE / 2)]
+    around = reach + _APART + _BESIDE
+    # Slow motion takes the lowest lines.
+    if place - around < around or place + around > count // 2 or np.sum(np.isfinite(values[part])) < count // 2:
+        return None
+    window = np.hanning(count)
+    piece = filled(values[part])
+    piece = (piece - np.mean(piece)) * window
+    power = np.abs(np.fft.rfft(piece)) ** 2
+    apart = np.abs(np.arange(len(power)) - place)
+    beside = power[(apart > reach + _APART) & (apart < around)]
     several = np.linspace(place - reach, place + reach, int(2 * reach * _FINE) + 1)
     size = scipy.signal.zoom_fft(
         piece, several[[0, -1]] * 2 / count, m=len(several), endpoint=True
-    )  # 2 is the sampling rate
+    )  # 2: the sampling rate
     best = int(np.argmax(np.abs(size)))
-    mean = max(float(np.mean(around)), 1e-300)
-    ratio, others = float(np.abs(size[best]) ** 2 / mean), float(np.max(around) / mean)
-    return _Line(
-        part, ratio, others, float(several[best] / (count * interval)), complex(2 * size[best] / np.sum(window))
-    )
+    mean = max(float(np.mean(beside)), 1e-300)
+    ratio, next_ratio = float(np.abs(size[best]) ** 2 / mean), float(np.max(beside) / mean)
+    if best in (0, len(several) - 1):  # the foot of a line that lies beyond
+        ratio = 0.0
+    frequency = float(several[best] / (count * interval))
+    # What bridges missing samples has no hum.
+    amplitude = complex(2 * size[best] / np.sum(window[np.isfinite(values[part])]))
+    return _Line(part, ratio, next_ratio, frequency, amplitude, 2 * reach + 1)
 
 
-def _beyond_chance(lines: Sequence[_Line]) -> bool:
-    """Return whether lines are together larger than the power around them makes them by chance, and than any line there.
+def _beyond_chance(lines: Sequence[_Line], level: float) -> bool:
+    """Return whether lines are together larger than the power beside them makes them by chance, and than any line there.
 
-    Harmonics of an input that repeats stand side by side.
+    Harmonics of a motion that repeats stand side by side.
     """
-    ratio = float(np.mean([line.ratio for line in lines])) if lines else 0.0
-    if ratio <= np.mean([line.others for line in lines] or [0.0]):
+    if not lines or np.mean([line.ratio for line in lines]) <= np.mean([line.next_ratio for line in lines]):
         return False
-    # The largest of some frequencies within reach was taken, in every part.
-    tried = (2 * _APART + 1) ** len(lines)
-    p_value = scipy.stats.f.logsf(ratio, 2 * len(lines), _BESIDE * len(lines)) + np.log(tried)
-    return bool(p_value < np.log(_CHANCE))
+    ratio = float(np.mean([line.ratio for line in lines]))
+    # The largest of those within reach was taken, in every part.
+    tried = float(np.sum(np.log([line.tried for line in lines])))
+    return bool(scipy.stats.f.logsf(ratio, 2 * len(lines), 4 * _BESIDE * len(lines)) + tried < np.log(level))
 
 
 def _subtracted(experiment: Experiment, channel: str, lines: Sequence[_Line]) -> Experiment:
     """Return the experiment without these lines of an output."""
-    if not lines:
-        return experiment
     signal = experiment.outputs[channel]
     values = np.array(signal.values)
-    for part, _, _, frequency, amplitude in lines:
-        turns = 2j * np.pi * frequency * experiment.sample_time * np.arange(part.stop - part.start)
-        values[part] -= np.real(amplitude * np.exp(turns))
+    for line in lines:
+        turns = 2j * np.pi * line.frequency * experiment.sample_time * np.arange(line.part.stop - line.part.start)
+        values[line.part] -= np.real(line.amplitude * np.exp(turns))
     return replace(experiment, outputs={**experiment.outputs, channel: replace(signal, values=values)})

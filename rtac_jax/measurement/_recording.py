@@ -266,15 +266,17 @@ class Recording:
         rest = [experiment for experiment in self if experiment is not only]
         return replace(self, experiments=(*parts, *rest))
 
-    @property
     def hum(self) -> tuple[Hum, ...]:
-        """Return the hum of the mains in the outputs, as sensors pick it up; empty where there is none."""
+        """Return the hum of the mains in the outputs, as sensors pick it up; empty where there is none.
+
+        It is looked for at 50 and 60 Hz and twice that, in experiments that nothing drives.
+        """
         return without_hum(self.experiments)[0]
 
     def without_hum(self) -> "Recording":
         """Return the recording without hum of the mains, a sine that is subtracted; the same where there is none.
 
-        `improve` and the command line begin with it.
+        `improve` and the command line begin with it. Experiments whose input may have made such a line are left as they are.
         """
         found, experiments = without_hum(self.experiments)
         return replace(self, experiments=experiments) if found else self

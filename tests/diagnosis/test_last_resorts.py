@@ -221,6 +221,7 @@ def test_the_nearest_effect_is_added_and_called_likely(
     monkeypatch.setattr(
         loop, "diagnose", lambda *_, **__: dataclasses.replace(learned.diagnoses[-1], candidates=(nearest,))
     )
+    monkeypatch.setattr(loop.Loop, "with_law", lambda _: None)  # its curve is that of another recording
     found = improved(recorded(CUBIC))
     assert found.nearest is not None
     assert (found.verdict, found.added, found.learned) == ("unknown", (), None)

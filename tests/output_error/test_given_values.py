@@ -1,11 +1,13 @@
 """Fits that begin at values that somebody gave, near enough to be followed."""
 
 import dataclasses
+from typing import Any
 
 import pytest
 
 import estimators as est
 import rtac_jax as rtac
+from estimators.output_error import descent
 from rtac_jax import virtual_rig
 
 
@@ -26,3 +28,28 @@ def test_a_mode_is_found_from_a_frequency_some_way_off(frequency: float) -> None
     found = est.output_error(without.model + mode, recording, from_model=True, progress=False).parameters
     for name, true in (("mass", 0.12), ("frequency", 37.4), ("damping", 0.03)):
         assert found[f"flexible_mode.{name}"].value == pytest.approx(true, rel=0.02)
+
+
+def test_a_fit_that_crept_far_from_the_data_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    recording = virtual_rig.record(
+        virtual_rig.Rig(), virtual_rig.standard_plans(seed=3, duration=2.0, free=2, forced=0), seed=3
+    )
+    original, beyond = descent.solve_bounded, []
+
+    def crept(*given: Any, **options: Any) -> Any:
+        beyond.append(options["far"])
+        return original(*given, **options)._replace(converged=False, crept=True)
+
+    monkeypatch.setattr(descent, "solve_bounded", crept)
+    locked = dataclasses.replace(
+        recording,
+        experiments=tuple(
+            dataclasses.replace(e, arm="locked", outputs={"cart_position": e.outputs["cart_position"]})
+            for e in recording
+        ),
+    )
+    fit = est.output_error(rtac.RTAC.from_rig(locked), locked, from_model=True, progress=False)
+    assert fit.result == est.RESULTS.crept
+    assert set(beyond) == {10.0}
+    assert "only crept on, far from the data; ask est.diagnose" in fit.outcome
+    assert "came to rest" not in fit.outcome

@@ -35,12 +35,12 @@ def with_hum(recording: rtac.Recording, hertz: float, size: float = SIZE) -> rta
 def test_hum_is_measured_and_taken_out_to_a_fraction_of_the_noise(hertz: float) -> None:
     recording = clean()
     hummed = with_hum(recording, hertz)
-    (hum,) = hummed.hum
+    (hum,) = hummed.hum()
     assert (hum.channel, hum.unit) == ("cart_position", "m")
     assert hum.frequency == pytest.approx(hertz, abs=0.03)
     assert hum.amplitude == pytest.approx(SIZE, rel=0.1)
     mended = hummed.without_hum()
-    assert not mended.hum
+    assert not mended.hum()
     noise = np.std(recording["rest_1"].outputs["cart_position"].values)
     for experiment in recording:
         left, there = (
@@ -55,7 +55,7 @@ def test_hum_is_measured_and_taken_out_to_a_fraction_of_the_noise(hertz: float) 
 
 def test_where_there_is_none_the_recording_is_the_same() -> None:
     for recording in (clean(), clean(cogging_torque=2e-3), with_hum(clean(), 43.0)):
-        assert recording.hum == ()
+        assert recording.hum() == ()
         assert recording.without_hum() is recording
 
 
@@ -93,7 +93,7 @@ def test_harmonics_of_an_input_that_repeats_are_no_hum() -> None:
         Experiment(f"e{n}", "free", INTERVAL, {}, {"cart_position": Signal(np.roll(values, 37 * n), "m")})
         for n in range(4)
     )
-    assert rtac.Recording(several).hum == ()
+    assert rtac.Recording(several).hum() == ()
 
 
 def test_chance_makes_no_hum() -> None:
@@ -103,14 +103,124 @@ def test_chance_makes_no_hum() -> None:
         several = tuple(
             Experiment(f"e{n}", "rest", INTERVAL, {}, {"cart_position": Signal(x, "m")}) for n, x in enumerate(noise)
         )
-        assert rtac.Recording(several).hum == ()
+        assert rtac.Recording(several).hum() == ()
+
+
+@pytest.mark.parametrize("hertz", [48.5, 49.5, 50.5, 60.5])
+def test_a_line_beside_the_mains_is_none_of_theirs(hertz: float) -> None:
+    assert with_hum(clean(), hertz).hum() == ()
+
+
+def current(experiment: Experiment, values: np.ndarray) -> Experiment:
+    signal = experiment.inputs["current"]
+    return dataclasses.replace(experiment, inputs={"current": dataclasses.replace(signal, values=values)})
+
+
+@pytest.mark.parametrize("kind", ["multisine of 2 Hz", "binary", "white", "its fifth part", "constant"])
+def test_an_experiment_whose_input_may_have_made_the_line_is_left_alone(kind: str) -> None:
+    recording = with_hum(clean(), 50.0)
+    random, driven = np.random.default_rng(4), recording["forced_2"]
+    time = INTERVAL * np.arange(driven.samples)
+    values = {
+        "multisine of 2 Hz": np.sum([np.cos(2 * np.pi * f * time + f**2) for f in range(2, 71, 2)], axis=0),
+        "binary": np.repeat(random.choice([-1.0, 1.0], driven.samples // 4), 4),
+        "white": random.standard_normal(driven.samples),
+        "its fifth part": np.sin(2 * np.pi * 10.0 * time),
+        "constant": np.full(driven.samples, 0.1),
+    }[kind]
+    mixed = dataclasses.replace(
+        recording, experiments=tuple(current(e, 0.1 * values) if e is driven else e for e in recording)
+    )
+    mended = mixed.without_hum()
+    same = {
+        e.name
+        for e in mended
+        if np.array_equal(e.outputs["cart_position"].values, mixed[e.name].outputs["cart_position"].values)
+    }
+    assert same == {"forced_2"}
+
+
+def test_nothing_is_hum_that_only_driven_experiments_show() -> None:
+    hummed = with_hum(clean(), 50.0)
+    assert hummed.select(["free_1", "forced_1"]).hum()
+    assert hummed.select(["forced_1", "forced_2", "forced_3"]).hum() == ()
+    plans = virtual_rig.standard_plans(seed=3, duration=4.0, sample_time=INTERVAL, free=1, forced=2, rest=1)
+    wave = 0.1 * np.sin(2 * np.pi * 10.0 * INTERVAL * np.arange(2000))
+    sines = [dataclasses.replace(p, current=wave) if p.kind == "forced" else p for p in plans]
+    rig = virtual_rig.Rig(arm_coulomb=4e-3)  # whose fifth harmonic is a line
+    assert virtual_rig.record(rig, sines, seed=3).hum() == ()
+
+
+def test_samples_that_are_missing_do_not_count() -> None:
+    hummed = with_hum(clean(), 50.0)
+    gap = slice(900, 1300)
+
+    def torn(e: Experiment) -> Experiment:
+        values = np.array(e.outputs["cart_position"].values)
+        values[gap] = np.nan
+        return dataclasses.replace(
+            e,
+            outputs=dict(e.outputs) | {"cart_position": dataclasses.replace(e.outputs["cart_position"], values=values)},
+        )
+
+    mended = dataclasses.replace(hummed, experiments=tuple(map(torn, hummed))).without_hum()
+    for experiment in clean():
+        there = mended[experiment.name].outputs["cart_position"].values
+        left = np.delete(there - experiment.outputs["cart_position"].values, gap)
+        assert np.std(left) < 0.15 * SIZE
+        assert np.isnan(there[gap]).all()
+
+
+def test_an_experiment_without_it_keeps_its_numbers() -> None:
+    hummed, quiet = with_hum(clean(), 50.0), clean()
+    mixed = dataclasses.replace(hummed, experiments=tuple(quiet[e.name] if e.name == "free_1" else e for e in hummed))
+    (hum,) = mixed.hum()
+    assert hum.amplitude == pytest.approx(SIZE, rel=0.05)
+    assert np.array_equal(
+        mixed.without_hum()["free_1"].outputs["cart_position"].values, quiet["free_1"].outputs["cart_position"].values
+    )
+
+
+def at_rest(name: str, seconds: float, seed: int) -> Experiment:
+    time = INTERVAL * np.arange(round(seconds / INTERVAL))
+    noise = 1e-6 * np.random.default_rng(seed).standard_normal(len(time))
+    return Experiment(
+        name, "rest", INTERVAL, {}, {"cart_position": Signal(noise + SIZE * np.cos(100 * np.pi * time), "m")}
+    )
+
+
+@pytest.mark.parametrize(
+    "several", [[at_rest(f"e{n}", 3.0, n) for n in range(30)], [at_rest("long", 300.0, 1)]], ids=["30", "300 s"]
+)
+def test_many_experiments_and_long_ones_are_told_together(several: list[Experiment]) -> None:
+    (hum,) = rtac.Recording(tuple(several)).hum()
+    assert hum.amplitude == pytest.approx(SIZE, rel=0.01)
+
+
+def test_slow_motion_in_short_records_is_no_hum() -> None:
+    time = 2e-5 * np.arange(3000)
+    moving = tuple(
+        Experiment(
+            f"e{n}",
+            "free",
+            2e-5,
+            {},
+            {
+                "cart_position": Signal(
+                    1e-3 * np.cos(90 * time + n) + 1e-7 * np.random.default_rng(n).standard_normal(3000), "m"
+                )
+            },
+        )
+        for n in range(3)
+    )
+    assert rtac.Recording(moving).hum() == ()
 
 
 def test_short_or_slow_experiments_tell_nothing_of_it() -> None:
     short = tuple(e.cut(0, 200) for e in with_hum(clean(), 50.0))
-    assert rtac.Recording(short).hum == ()
+    assert rtac.Recording(short).hum() == ()
     slow = virtual_rig.standard_plans(seed=3, duration=8.0, sample_time=0.01, free=1, forced=1, rest=0)
-    assert with_hum(virtual_rig.record(virtual_rig.Rig(), slow, seed=3), 50.0).hum == ()
+    assert with_hum(virtual_rig.record(virtual_rig.Rig(), slow, seed=3), 50.0).hum() == ()
 
 
 def test_it_is_a_concern_that_says_who_takes_it_out() -> None:

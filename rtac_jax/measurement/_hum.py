@@ -26,6 +26,7 @@ _CHANCE = 1e-6  # of hum where there is none, for one channel and frequency
 _ITS_OWN = 0.01  # the same of one experiment, where the others show it
 # Of the power of an input near a frequency of the mains, or near the second to the fifth part of one, whose harmonics are no hum.
 _DRIVEN, _HARMONICS = 1e-3, 5
+_AS_LARGE = 0.2  # of the hum where nothing drives, within which a line is hum though the input may have made one
 
 
 @dataclass(frozen=True)
@@ -71,7 +72,8 @@ def without_hum(experiments: Sequence[Experiment]) -> tuple[tuple[Hum, ...], tup
 
     It is there where the experiments that nothing drives show it together beyond chance: what a driven rig answers may have a line
     anywhere. Then it is subtracted from all that show it, but for those whose input has power near it, or near a frequency of which
-    it is a harmonic. Every ten seconds have a phase, an amplitude and, within bounds, a frequency of their own.
+    it is a harmonic, if their line is larger or smaller. Every ten seconds have a phase, an amplitude and, within bounds, a
+    frequency of their own.
 
     Source: windowed least squares; Stoica and Moses, Spectral Analysis of Signals, Pearson 2005, section 4.3.
     """
@@ -83,19 +85,25 @@ def without_hum(experiments: Sequence[Experiment]) -> tuple[tuple[Hum, ...], tup
             idle = [line for place, own in lines.items() for line in own if _is_idle(kept[place])]
             if not _beyond_chance(idle, _CHANCE):
                 continue
+            size = _size(idle)
             its = {
                 place: own
                 for place, own in lines.items()
-                if _beyond_chance(own, _ITS_OWN) and not _is_driven(kept[place], mains)
+                if _beyond_chance(own, _ITS_OWN)
+                and (not _is_driven(kept[place], mains) or abs(_size(own) - size) < _AS_LARGE * size)
             }
             for place, own in its.items():
                 kept[place] = _subtracted(kept[place], channel, own)
             several = [line for own in its.values() for line in own]
             unit = next(e.outputs[channel].unit for e in kept if channel in e.outputs)
             frequency = float(np.median([line.frequency for line in several]))
-            amplitude = float(np.sqrt(np.mean([abs(line.amplitude) ** 2 for line in several])))
-            found.append(Hum(channel, unit, frequency, amplitude))
+            found.append(Hum(channel, unit, frequency, _size(several)))
     return tuple(found), tuple(kept)
+
+
+def _size(lines: Sequence[_Line]) -> float:
+    """Return the root mean square of the amplitudes."""
+    return float(np.sqrt(np.mean([abs(line.amplitude) ** 2 for line in lines])))
 
 
 def _is_idle(experiment: Experiment) -> bool:

@@ -276,7 +276,8 @@ class Recording:
     def without_hum(self) -> "Recording":
         """Return the recording without hum of the mains, a sine that is subtracted; the same where there is none.
 
-        `improve` and the command line begin with it. Experiments whose input may have made such a line are left as they are.
+        `improve` and the command line begin with it. An experiment is left as it is whose input may have made such a line, if that
+        is larger or smaller than the hum.
         """
         found, experiments = without_hum(self.experiments)
         return replace(self, experiments=experiments) if found else self

@@ -83,14 +83,15 @@ def without_hum(experiments: Sequence[Experiment]) -> tuple[tuple[Hum, ...], tup
         for mains in MAINS:
             lines = {place: _lines(e, channel, mains) for place, e in enumerate(kept)}
             idle = [line for place, own in lines.items() for line in own if _is_idle(kept[place])]
-            if not _beyond_chance(idle, _CHANCE):
+            shown = {place: own for place, own in lines.items() if _beyond_chance(own, _ITS_OWN)}
+            surely = [line for place, own in shown.items() for line in own if _is_idle(kept[place])]
+            if not surely or not _beyond_chance(idle, _CHANCE):
                 continue
-            size = _size(idle)
+            size = _size(surely)
             its = {
                 place: own
-                for place, own in lines.items()
-                if _beyond_chance(own, _ITS_OWN)
-                and (not _is_driven(kept[place], mains) or abs(_size(own) - size) < _AS_LARGE * size)
+                for place, own in shown.items()
+                if not _is_driven(kept[place], mains) or abs(_size(own) - size) < _AS_LARGE * size
             }
             for place, own in its.items():
                 kept[place] = _subtracted(kept[place], channel, own)

@@ -7,7 +7,7 @@ import pytest
 
 import rtac_jax as rtac
 from rtac_jax import virtual_rig
-from rtac_jax.measurement import Experiment, Signal, concerns
+from rtac_jax.measurement import Experiment, Signal, _hum, concerns
 
 INTERVAL, SIZE = 0.002, 4e-5
 
@@ -184,6 +184,13 @@ def at_rest(name: str, seconds: float, seed: int) -> Experiment:
 def test_many_experiments_and_long_ones_are_told_together(several: list[Experiment]) -> None:
     (hum,) = rtac.Recording(tuple(several)).hum()
     assert hum.amplitude == pytest.approx(SIZE, rel=0.01)
+
+
+def test_what_no_experiment_shows_by_itself_is_not_subtracted(monkeypatch: pytest.MonkeyPatch) -> None:
+    recording = with_hum(clean(), 50.0)
+    original = _hum._beyond_chance
+    monkeypatch.setattr(_hum, "_beyond_chance", lambda lines, level: level < 0.01 and original(lines, level))
+    assert recording.without_hum() is recording
 
 
 def test_slow_motion_in_short_records_is_no_hum() -> None:

@@ -59,8 +59,9 @@ def at_fit(fit: Fit, recording: Recording, *, off_bounds: float = 0.0) -> Proble
     experiments = [by_name[name] for name in fit.experiments]
     other = [e.name for e in experiments if fit.marks.get(e.name) != mark_of(e)]
     if other:
+        hum = ", or that without its hum of the mains (recording.without_hum())" if recording.hum() else ""
         raise ValueError(
-            f"{other[0]} was fitted with other measurements than this recording holds; give the recording that was fitted."
+            f"{other[0]} was fitted with other measurements than this recording holds; give the recording that was fitted{hum}."
         )
     deviation = np.array([fit.residual_std.get(channel, 1.0) for channel in CHANNELS])
     substeps = int(fit.statistics["substeps"])

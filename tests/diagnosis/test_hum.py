@@ -38,5 +38,9 @@ def test_a_lag_of_the_current_is_named_beside_hum_of_the_mains(tmp_path: Path) -
     assert found.ending.startswith(
         "Hum of the mains was subtracted first: cart_position 3e-05 m at 50 Hz and arm_velocity "
     )
+    train, _ = recording.split()
+    with pytest.raises(ValueError, match=r"or that without its hum of the mains \(recording.without_hum\(\)\)"):
+        est.constancy(found.final, train)
+    assert est.constancy(found.final, train.without_hum()).equal
     found.save(tmp_path / "better.h5")
     assert est.load(tmp_path / "better.h5").hum == found.hum

@@ -66,7 +66,7 @@ def control(
         split = covered, apart = sides(made.covered)
         if work.held_out is not None and not apart:
             only = ", ".join(work.held_out.names)
-            work.remark = (
+            work.split_said = (
                 f"Held out of the nonlinear fit: {only}. The envelope covers all conditions: {', '.join(covered)}."
             )
         whose = f"It was fitted to {'the same' if fitted_to(fit, work.train) else 'another'} recording."

@@ -30,7 +30,8 @@ class Job:
         recording: all of it.
         train, held_out: what is fitted and what tests the fit; `held_out` is None where nothing can be spared.
         not_split: why not.
-        remark: what a reader must know of the result beside it.
+        split_said: what is fitted and what is held out, in words.
+        notes: what else a reader must know of the result beside it, a sentence each.
         doubts: what contradicts itself in the recording; None before it was looked for.
         inconsistencies: those of them that are held against the equations of motion.
         folder: for the report and the figures, or None.
@@ -48,7 +49,8 @@ class Job:
         self.path: Path | None = None
         self.names = _names(recording, validation)
         self.train, self.held_out, self.not_split = _split(recording, self.names)
-        self.remark = (
+        self.notes: list[str] = []
+        self.split_said = (
             f"Fitted to all experiments, and nothing validates the result: {self.not_split}"
             if self.held_out is None
             else f"Held out: {', '.join(self.held_out.names)}."
@@ -60,11 +62,14 @@ class Job:
         if self.held_out is None and self.names is None and divided is not self.recording:
             self.recording = divided
             self.train, self.held_out, self.not_split = _split(divided, None)
-            held, last = (
-                f"Held out: {', '.join(self.held_out.names)}",
-                "the last quarter of the only experiment that moves",
+            self.split_said = (
+                f"Held out: {', '.join(self.held_out.names)}, the last quarter of the only experiment that moves."
             )
-            self.remark = "\n".join([f"{held}, {last}.", *self.remark.split("\n")[1:]])
+
+    @property
+    def remark(self) -> str:
+        """Return what a reader must know of the result beside it, a line for each sentence."""
+        return "\n".join([self.split_said, *self.notes]).strip()
 
     @property
     def seconds(self) -> float:
@@ -110,7 +115,7 @@ class Job:
 
     def note(self, sentence: str) -> None:
         """Add a sentence to the remark, on a line of its own."""
-        self.remark = f"{self.remark}\n{sentence}".strip()
+        self.notes.append(sentence)
 
     def model(self) -> Any:
         """Return the paper's model with the constants of the file."""
@@ -144,8 +149,7 @@ class Job:
         if self.doubts is None:
             self.inconsistencies = channel_consistency(self.recording).concerns
             self.doubts = contradictions(self.recording) + self.inconsistencies
-            lines = [*self._unmeasured(), *map(_doubtful, self.doubts)]
-            self.remark = "\n".join([self.remark, *lines]).strip()
+            self.notes += [*self._unmeasured(), *map(_doubtful, self.doubts)]
 
     def warn(self) -> None:
         """Say on the screen what is doubtful, before an answer is computed for minutes from it."""
@@ -163,7 +167,7 @@ class Job:
     def withdraw_inconsistencies(self) -> None:
         """Take back what the equations of motion alone contradict: a model with what they lack follows the recording."""
         taken_back = set(map(_doubtful, self.inconsistencies))
-        self.remark = "\n".join(line for line in self.remark.split("\n") if line not in taken_back)
+        self.notes = [note for note in self.notes if note not in taken_back]
         self.doubts = [one for one in self.doubts or [] if one not in self.inconsistencies]
         self.inconsistencies = []
 
@@ -294,7 +298,7 @@ def job(
         recording = load(file)
         prepare()
         hum = hum_subtracted(recording.hum())
-        work = Job(file.name, recording.without_hum() if hum else recording, validation, folder, json, began)
+        work = Job(file.name, recording.without_hum(), validation, folder, json, began)
         work.path = file
         if hum:  # on the screen too, as not every command prints the remark
             work.note(hum)

@@ -12,7 +12,7 @@ from estimators.core.fisher_information import Information
 from estimators.core.information_criteria import InformationCriteria
 from estimators.core.parameter_correlation import ParameterCorrelations
 from estimators.core.result_base import Result
-from estimators.core.results import RESULTS
+from estimators.core.results import RESULTS, STOPPED
 from estimators.core.undetermined import UNDETERMINED
 from rtac_jax import RTAC
 from rtac_jax.overview import Overview
@@ -212,7 +212,7 @@ class Fit(ModelFit):
         for name, bound in self.on_bounds().items():
             said += f" {name} ended on its bound, {bound:g}{no_such}."
         if (promised := self.statistics.get("promised", 0.0)) > _KINK:
-            rest = self.result not in (RESULTS.steps_exhausted, RESULTS.crept)
+            rest = self.result not in STOPPED
             said += (
                 " It came to rest at a kink, as dry friction makes them, where the slopes" if rest else " The slopes"
             )

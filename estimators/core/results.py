@@ -30,6 +30,10 @@ class RESULTS(eqx.Enumeration):
     )
 
 
+STOPPED = (RESULTS.steps_exhausted, RESULTS.crept)
+"""Results of fits that were stopped before they converged."""
+
+
 class NotIdentifiableError(ValueError):
     """Data that leave combinations of parameters free; the message names them and what would fix them."""
 

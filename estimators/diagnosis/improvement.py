@@ -6,7 +6,7 @@ from typing import Any
 from estimators.core.drawing import draw
 from estimators.core.fit import Fit
 from estimators.core.result_base import Result
-from estimators.core.results import RESULTS
+from estimators.core.results import RESULTS, STOPPED
 from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.caveats import (
     astray,
@@ -28,7 +28,7 @@ from rtac_jax.measurement import Hum, hum_subtracted
 from rtac_jax.overview import Overview
 from rtac_jax.renamed import renamed
 
-_UNFINISHED = (RESULTS.steps_exhausted, RESULTS.crept, RESULTS.pulled_off_bound, RESULTS.undetermined)
+_UNFINISHED = (*STOPPED, RESULTS.pulled_off_bound, RESULTS.undetermined)
 
 
 @dataclasses.dataclass(frozen=True, repr=False)

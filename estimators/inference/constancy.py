@@ -95,7 +95,7 @@ def constancy(fit: Fit, recording: Recording, *, covariates: Covariates | None =
         trends=tuple(trends), covariates=every,
         left_out=tuple(e.name for e, row in zip(experiments, values, strict=True) if np.all(np.isnan(row))), level=level,
         varying=tuple(names[i] for i in chosen.places), explained=chosen.fraction, rival=chosen.rival,
-        suffices=chosen.suffices, over_noise=around.over_noise, usual=around.usual,
+        suffices=chosen.suffices, over_noise=around.over_noise, median_over_noise=around.median_over_noise,
         outlying=None if one is None else Outlier(experiments[one.place].name, *one[1:]),
         left_without=left_without(information, slope),
     )  # fmt: skip

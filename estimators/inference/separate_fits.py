@@ -31,7 +31,7 @@ class Curvatures(NamedTuple):
         information: of each experiment.
         slope: gradient at the common fit, as the second order about the experiment's own fit has it.
         over_noise: what the fit of an experiment by itself leaves at most, over the noise, by channel; empty where none was made.
-        usual: the median of that over the experiments.
+        median_over_noise: the median of that over the experiments.
         logarithmic: parameters whose distance is the logarithm of a ratio, times their size in the common fit. Data tell the
             ratio of some better than either, and lines of ratios that differ a little meet nowhere but at zero.
     """
@@ -39,7 +39,7 @@ class Curvatures(NamedTuple):
     information: Float[np.ndarray, "experiment parameter parameter"]
     slope: Float[np.ndarray, "experiment parameter"]
     over_noise: dict[str, float]
-    usual: dict[str, float]
+    median_over_noise: dict[str, float]
     logarithmic: Bool[np.ndarray, " parameter"]
 
 
@@ -124,8 +124,8 @@ def _pooled(
         information.append(tolerant)
         slope.append(told)
     left = {c: [f.residual_over_noise.get(c, 0.0) for f in own] for c in deviation if fit.noise.get(c, 0.0) > 0}
-    over, usual = ({c: float(of(x)) for c, x in left.items()} for of in (np.max, np.median))
-    return Curvatures(np.stack(information), np.stack(slope), over, usual, logarithmic)
+    over, median_over_noise = ({c: float(of(x)) for c, x in left.items()} for of in (np.max, np.median))
+    return Curvatures(np.stack(information), np.stack(slope), over, median_over_noise, logarithmic)
 
 
 def _tolerating(

@@ -82,7 +82,7 @@ class Equality:
         suffices: whether what these leave is chance, or of no consequence.
         over_noise: of a nonlinear fit what is left over the noise at most, by channel, where each condition was fitted by itself;
             empty where none was. Values, their deviations and `varying` then allow each quantity a thousandth of its size.
-        usual: the median of that over the conditions.
+        median_over_noise: the median of that over the conditions.
         left_without: of a nonlinear fit chi-square and freedom of the differences that are left without each condition.
         outlying: of a nonlinear fit the one experiment of four or more without which next to nothing of the differences is left,
             and no more than chance makes, or which a fit of all others that follows them does not follow; None where there is none,
@@ -109,7 +109,7 @@ class Equality:
     rival: float = 0.0
     suffices: bool = True
     over_noise: Mapping[str, float] = field(default_factory=dict)
-    usual: Mapping[str, float] = field(default_factory=dict)
+    median_over_noise: Mapping[str, float] = field(default_factory=dict)
     left_without: tuple[tuple[float, int], ...] = ()
     outlying: Outlier | None = None
 

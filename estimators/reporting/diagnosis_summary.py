@@ -10,6 +10,7 @@ from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.diagnosis import Diagnosis
 from estimators.diagnosis.improvement import Improvement
 from estimators.reporting.html import Bullets
+from estimators.reporting.largest_error import largest, largest_error
 from estimators.validation.simulation_error import Compared, Comparison
 
 _USE = "Use the model: a controller (rtac envelope, rtac control), given recordings of several conditions."
@@ -228,19 +229,3 @@ def _within(between: tuple[float, float], variable: str, unit: str) -> str:
 
 def _first(*rows: tuple[bool, str]) -> str:
     return next(said for holds, said in rows if holds)
-
-
-def largest(compared: Compared) -> float:
-    """Return the largest error over the noise."""
-    worst = compared.worst(1)[0]
-    return worst.rms / worst.noise
-
-
-def largest_error(compared: Compared, held_out: bool) -> str:
-    """Return the largest error over the noise, and where it is, in words."""
-    worst = compared.worst(1)[0]
-    kind = "held-out" if held_out else "fitted"
-    return (
-        f"the model leaves at most {largest(compared):.3g} times the noise of the {kind} experiments, in "
-        f"{worst.channel.replace('_', ' ')} of {worst.experiment}"
-    )

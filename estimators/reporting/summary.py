@@ -6,8 +6,8 @@ from estimators.controller.outcome import ControlDesign, outcome
 from estimators.core.fit import Fit
 from estimators.experiment_design.next_experiment import NextExperiment
 from estimators.plots.envelope import finding
-from estimators.reporting.diagnosis_summary import largest, largest_error
 from estimators.reporting.html import Bullets
+from estimators.reporting.largest_error import largest, largest_error
 from estimators.uncertainty.envelope import Envelope
 from estimators.validation.recommendation import Recommendation
 from estimators.validation.simulation_error import Compared, Comparison

@@ -47,8 +47,10 @@ def differing(
         found = constancy(fit, recording)
     except (ValueError, ArithmeticError):  # too few experiments, or one that shows nothing by itself
         return None
-    over, usual = ({c: x * fit.noise[c] / noise[c] for c, x in one.items()} for one in (found.over_noise, found.usual))
-    found = dataclasses.replace(found, over_noise=over, usual=usual)
+    over, usual = (
+        {c: x * fit.noise[c] / noise[c] for c, x in one.items()} for one in (found.over_noise, found.median_over_noise)
+    )
+    found = dataclasses.replace(found, over_noise=over, median_over_noise=usual)
     apart = [one for one in _suspects(fit, recording, found) if one.decisive]
     if len(apart) == 1:
         found = dataclasses.replace(found, outlying=apart[0])

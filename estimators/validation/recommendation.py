@@ -8,7 +8,7 @@ import numpy as np
 from estimators.core.correlation import LEVEL
 from estimators.core.fit import FAR, HEADER, Fit, Parameter
 from estimators.core.result_base import Result
-from estimators.core.results import RESULTS
+from estimators.core.results import STOPPED
 from estimators.inference.robust_covariance import Covariances
 from estimators.prediction_error.fit import PredictorFit
 from estimators.validation.simulation_error import Compared
@@ -143,7 +143,7 @@ def _refused(fit: Fit) -> str:
     """Return why output error is no estimate; empty where it may be one."""
     if fit.lost:
         return "ended where the data leave parameters free"
-    if fit.result in (RESULTS.steps_exhausted, RESULTS.crept):
+    if fit.result in STOPPED:
         return "did not converge"
     return ""
 

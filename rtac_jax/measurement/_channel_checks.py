@@ -85,8 +85,8 @@ def unit_concerns(recording: Recording) -> Iterator[str]:
 
 
 def rest_concerns(recording: Recording) -> Iterator[str]:
-    """Yield the experiments of kind rest in which something moves."""
-    for name, (channel, frequency, size, unit) in _moving(recording).items():
+    """Yield the experiments of kind rest in which something moves, beside hum that can be subtracted."""
+    for name, (channel, frequency, size, unit) in _moving(recording.without_hum()).items():
         mend = "set its kind to free, or record it again with nothing moving"
         if any(abs(frequency - mains) < _HUM * mains for mains in (50.0, 60.0, 100.0, 120.0)):
             mend = (

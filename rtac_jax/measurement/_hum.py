@@ -18,7 +18,6 @@ Values = Float64[np.ndarray, " sample"]
 MAINS = (50.0, 60.0, 100.0, 120.0)  # of both grids, and twice each, as rectifiers give it [Hz]
 _WITHIN = 0.004  # of the frequency, within which it is looked for: a large grid keeps within half of that
 _LONGEST = 10.0  # s over which the frequency of a grid holds to a fraction of a turn
-_BELOW_NYQUIST = 0.9  # of half the sampling rate, beyond which a sine is told from its mirror image no more
 _BESIDE = 15  # lines on each side that tell the power without hum
 _APART = 3  # lines over which a Hann window spreads a sine, on each side
 _FINE = 8  # frequencies tried per line of the spectrum
@@ -84,18 +83,18 @@ def without_hum(experiments: Sequence[Experiment]) -> tuple[tuple[Hum, ...], tup
             lines = {place: _lines(e, channel, mains) for place, e in enumerate(kept)}
             idle = [line for place, own in lines.items() for line in own if _is_idle(kept[place])]
             shown = {place: own for place, own in lines.items() if _beyond_chance(own, _ITS_OWN)}
-            surely = [line for place, own in shown.items() for line in own if _is_idle(kept[place])]
-            if not surely or not _beyond_chance(idle, _CHANCE):
+            idle_shown = [line for place, own in shown.items() for line in own if _is_idle(kept[place])]
+            if not idle_shown or not _beyond_chance(idle, _CHANCE):
                 continue
-            size = _size(surely)
-            its = {
+            size = _size(idle_shown)
+            hummed = {
                 place: own
                 for place, own in shown.items()
                 if not _is_driven(kept[place], mains) or abs(_size(own) - size) < _AS_LARGE * size
             }
-            for place, own in its.items():
+            for place, own in hummed.items():
                 kept[place] = _subtracted(kept[place], channel, own)
-            several = [line for own in its.values() for line in own]
+            several = [line for own in hummed.values() for line in own]
             unit = next(e.outputs[channel].unit for e in kept if channel in e.outputs)
             frequency = float(np.median([line.frequency for line in several]))
             found.append(Hum(channel, unit, frequency, _size(several)))
@@ -133,7 +132,7 @@ def _lines(experiment: Experiment, channel: str, mains: float) -> list[_Line]:
     """Return the largest line of an output near a frequency, part by part; none where a part does not tell it."""
     signal = experiment.outputs.get(channel)
     interval = experiment.sample_time
-    if signal is None or mains > _BELOW_NYQUIST / (2 * interval):
+    if signal is None:
         return []
     parts = max(1, int(np.ceil(experiment.duration / _LONGEST)))
     edges = np.linspace(0, experiment.samples, parts + 1).astype(int)
@@ -148,7 +147,7 @@ def _largest(values: Values, part: slice, interval: float, mains: float) -> _Lin
     place = mains * count * interval
     reach = max(_WITHIN * place, 0.5)
     around = reach + _APART + _BESIDE
-    # Slow motion takes the lowest lines.
+    # Slow motion takes the lowest lines, and beyond half of the sampling rate a sine is its mirror image.
     if place - around < around or place + around > count // 2 or np.sum(np.isfinite(values[part])) < count // 2:
         return None
     window = np.hanning(count)

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from os import PathLike, fspath
 from pathlib import Path
 from types import MappingProxyType
@@ -271,7 +272,7 @@ class Recording:
 
         It is looked for at 50 and 60 Hz and twice that, in experiments that nothing drives.
         """
-        return without_hum(self.experiments)[0]
+        return self._parted[0]
 
     def without_hum(self) -> "Recording":
         """Return the recording without hum of the mains, a sine that is subtracted; the same where there is none.
@@ -279,8 +280,12 @@ class Recording:
         `improve` and the command line begin with it. An experiment is left as it is whose input may have made such a line, if that
         is larger or smaller than the hum.
         """
-        found, experiments = without_hum(self.experiments)
+        found, experiments = self._parted
         return replace(self, experiments=experiments) if found else self
+
+    @cached_property
+    def _parted(self) -> tuple[tuple[Hum, ...], tuple[Experiment, ...]]:
+        return without_hum(self.experiments)
 
     @staticmethod
     def _every_fourth(moving: list[Experiment]) -> set[str]:

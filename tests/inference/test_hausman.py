@@ -344,13 +344,10 @@ def test_wrong_use_is_refused(clean: rtac.Recording) -> None:
         agreement([closed, fit], clean, labels=["one"])
     with pytest.raises(ValueError, match="each another"):
         agreement([closed, fit], clean, labels=["one", "one"])
-    one, others = ("eccentric_moment",), [name for name in fit.information.names if name != "eccentric_moment"]
-    apart = [
-        dataclasses.replace(
-            fit, model=fit.model.fix(*held), information=information_of(np.eye(len(left)), left, np.ones(len(left)))
-        )
-        for held, left in ((one, others), (others, one))
-    ]
+    one, others = ["eccentric_moment"], [name for name in fit.information.names if name != "eccentric_moment"]
+    known = {len(names): information_of(np.eye(len(names)), names, np.ones(len(names))) for names in (one, others)}
+    models = {1: fit.model.fix(*others), len(others): fit.model.fix(*one)}
+    apart = [dataclasses.replace(fit, model=models[free], information=known[free]) for free in models]
     with pytest.raises(ValueError, match="no estimated parameter in common"):
         agreement(apart, clean)
     other = recorded(RIG, 2)

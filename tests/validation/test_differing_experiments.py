@@ -1,6 +1,7 @@
 """A parameter that differs between experiments, hidden in the independent virtual rig."""
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -54,7 +55,7 @@ def test_the_parameter_with_which_all_are_followed_is_named_with_its_values(
 def test_what_is_left_of_each_experiment_is_held_against_coloured_noise_where_that_is_larger(
     fit: est.Fit, softening: rtac.Recording, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Of which fast changes show a part: an experiment followed to that noise is followed."""
+    """Fast changes show a part of it: an experiment followed to that noise is followed."""
     left = dataclasses.replace(est.constancy(fit, softening), over_noise={"cart_position": 1.65, "arm_velocity": 1.1})
     monkeypatch.setattr(differing_experiments, "constancy", lambda *_: left)
     monkeypatch.setattr(differing_experiments, "_with_own_parameter", lambda *given: given[2])
@@ -65,6 +66,30 @@ def test_what_is_left_of_each_experiment_is_held_against_coloured_noise_where_th
     assert found is not None
     assert found.varying == ("spring_stiffness",)
     assert found.over_noise == {"cart_position": pytest.approx(1.1), "arm_velocity": 1.1}
+
+
+@pytest.mark.parametrize(
+    ("left", "asked"),
+    [
+        ({"median_over_noise": {"cart_position": 1.0, "arm_velocity": 1.2}}, True),
+        ({"median_over_noise": {"cart_position": 1.0, "arm_velocity": 1.4}}, False),
+        ({"median_over_noise": {}}, True),
+        ({"median_over_noise": {}, "chi_square": 0.4}, False),
+    ],
+)
+def test_a_parameter_of_each_experiment_is_tried_only_where_all_of_them_leave_room_for_it(
+    fit: est.Fit, softening: rtac.Recording, monkeypatch: pytest.MonkeyPatch, left: dict[str, Any], asked: bool
+) -> None:
+    """By one step they explain more than half of the squares; fits of single experiments, where there are some, follow most."""
+    samples = sum(fit.statistics["samples"].values())
+    told = left | {"chi_square": left.get("chi_square", 0.6) * samples}
+    by_itself = dataclasses.replace(est.constancy(fit, softening), over_noise={"cart_position": 44.7}, **told)
+    tried = []
+    monkeypatch.setattr(differing_experiments, "constancy", lambda *_: by_itself)
+    monkeypatch.setattr(differing_experiments, "_suspects", lambda *_: [])
+    monkeypatch.setattr(differing_experiments, "_with_own_parameter", lambda *given: tried.append(given) or given[2])
+    assert differing(fit, softening) is None
+    assert bool(tried) == asked
 
 
 @pytest.mark.slow

@@ -31,7 +31,7 @@ def with_hum(recording: rtac.Recording, hertz: float, size: float = SIZE) -> rta
     return dataclasses.replace(recording, experiments=tuple(hummed(e, n) for n, e in enumerate(recording)))
 
 
-@pytest.mark.parametrize("hertz", [49.93, 60.05, 99.98])
+@pytest.mark.parametrize("hertz", [49.93, 60.05, 99.98, 120.03])
 def test_hum_is_measured_and_taken_out_to_a_fraction_of_the_noise(hertz: float) -> None:
     recording = clean()
     hummed = with_hum(recording, hertz)
@@ -132,6 +132,27 @@ def test_what_the_rig_answers_to_the_current_is_not_taken_for_hum(values: np.nda
     assert alone or np.std(here - true) < 0.3 * np.std(there - true)
 
 
+@pytest.mark.parametrize(
+    "values", [np.full(2000, 0.1), 0.1 * np.sin(20 * np.pi * TIME)], ids=["constant", "a fifth part"]
+)
+@pytest.mark.parametrize(("times", "alone"), [(2.0, True), (0.5, True), (1.1, False)])
+def test_a_line_that_the_input_may_have_made_is_hum_where_it_is_as_large(
+    values: np.ndarray, times: float, alone: bool
+) -> None:
+    """A constant current turns a motor whose torque ripples; dry friction makes harmonics."""
+    recording = clean()
+    larger = {e.name: e for e in with_hum(recording, 50.0, times * SIZE)}
+    driven = dataclasses.replace(
+        larger["forced_2"],
+        inputs={"current": dataclasses.replace(recording["forced_2"].inputs["current"], values=values)},
+    )
+    mixed = dataclasses.replace(
+        recording, experiments=tuple(driven if e.name == "forced_2" else e for e in with_hum(recording, 50.0))
+    )
+    here, there = (r["forced_2"].outputs["cart_position"].values for r in (mixed.without_hum(), mixed))
+    assert np.array_equal(here, there) == alone
+
+
 def test_nothing_is_hum_that_only_driven_experiments_show() -> None:
     hummed = with_hum(clean(), 50.0)
     assert hummed.select(["free_1", "forced_1"]).hum()
@@ -170,11 +191,11 @@ def test_an_experiment_without_it_keeps_its_numbers() -> None:
     )
 
 
-def at_rest(name: str, seconds: float, seed: int) -> Experiment:
+def at_rest(name: str, seconds: float, seed: int, size: float = SIZE) -> Experiment:
     time = INTERVAL * np.arange(round(seconds / INTERVAL))
     noise = 1e-6 * np.random.default_rng(seed).standard_normal(len(time))
     return Experiment(
-        name, "rest", INTERVAL, {}, {"cart_position": Signal(noise + SIZE * np.cos(100 * np.pi * time), "m")}
+        name, "rest", INTERVAL, {}, {"cart_position": Signal(noise + size * np.cos(100 * np.pi * time), "m")}
     )
 
 
@@ -191,6 +212,32 @@ def test_what_no_experiment_shows_by_itself_is_not_subtracted(monkeypatch: pytes
     original = _hum._beyond_chance
     monkeypatch.setattr(_hum, "_beyond_chance", lambda lines, level: level < 0.01 and original(lines, level))
     assert recording.without_hum() is recording
+
+
+def test_of_many_experiments_those_without_it_keep_their_numbers() -> None:
+    several = (at_rest("hum", 3.0, 100), *(at_rest(f"e{n}", 3.0, n, size=0.0) for n in range(60)))
+    recording = rtac.Recording(several)
+    kept = [
+        e.outputs["cart_position"].values is recording[e.name].outputs["cart_position"].values
+        for e in recording.without_hum()
+    ]
+    assert kept == [False, *[True] * 60]
+
+
+@pytest.mark.parametrize(("seconds", "parts"), [(10.0, 1), (4.0, 1), (4.0, 4)])
+@pytest.mark.parametrize("level", [0.05, 0.01])
+def test_noise_is_beyond_chance_as_seldom_as_said(seconds: float, parts: int, level: float) -> None:
+    """Of 1,500 draws; seldomer where a line must also be larger than any beside it."""
+    random, count = np.random.default_rng(7), round(seconds / INTERVAL)
+    whole = slice(0, count)
+
+    def drawn() -> list[_hum._Line]:
+        found = [_hum._largest(random.standard_normal(count), whole, INTERVAL, 50.0) for _ in range(parts)]
+        return [line for line in found if line is not None]
+
+    fraction = np.mean([_hum._beyond_chance(drawn(), level) for _ in range(1500)])
+    assert fraction <= level + 2.5 * np.sqrt(level / 1500)
+    assert parts > 1 or fraction > 0.2 * level
 
 
 def test_slow_motion_in_short_records_is_no_hum() -> None:

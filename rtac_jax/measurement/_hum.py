@@ -132,7 +132,7 @@ def _lines(experiment: Experiment, channel: str, mains: float) -> list[_Line]:
     """Return the largest line of an output near a frequency, part by part; none where a part does not tell it."""
     signal = experiment.outputs.get(channel)
     interval = experiment.sample_time
-    if signal is None:
+    if signal is None or mains * interval >= 0.5:  # beyond half of the sampling rate a sine is its mirror image
         return []
     parts = max(1, int(np.ceil(experiment.duration / _LONGEST)))
     edges = np.linspace(0, experiment.samples, parts + 1).astype(int)
@@ -147,7 +147,7 @@ def _largest(values: Values, part: slice, interval: float, mains: float) -> _Lin
     place = mains * count * interval
     reach = max(_WITHIN * place, 0.5)
     around = reach + _APART + _BESIDE
-    # Slow motion takes the lowest lines, and beyond half of the sampling rate a sine is its mirror image.
+    # Slow motion takes the lowest lines, and what lies beside it must lie below half of the sampling rate, too.
     if place - around < around or place + around > count // 2 or np.sum(np.isfinite(values[part])) < count // 2:
         return None
     window = np.hanning(count)

@@ -11,6 +11,7 @@ from jaxtyping import Array, Bool, Float, Int
 from scipy.interpolate import CubicSpline
 
 from rtac_jax.measurement import Experiment, Signal
+from rtac_jax.programs.arrays import to_jax
 
 if TYPE_CHECKING:
     Real = Any
@@ -49,7 +50,7 @@ class Excitation(eqx.Module):
             experiments: one column each.
             room: length of the arrays, by default that of the longest experiment.
         """
-        return jax.tree.map(jnp.asarray, cls.in_numpy(experiments, room=room))
+        return jax.tree.map(to_jax, cls.in_numpy(experiments, room=room))
 
     @classmethod
     def in_numpy(cls, experiments: Sequence[Experiment], *, room: int | None = None) -> "Excitation":

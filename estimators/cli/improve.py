@@ -189,6 +189,5 @@ def _advice(found: Any, work: Job) -> Any:
             work.note(f"No prediction error: {error}")
     spread = est.covariances(found.final, work.train)
     advice = est.recommended(found.final, found.train.models[-1], predicted=predicted, spread=spread)
-    return dataclasses.replace(
-        advice, adequate=found.diagnoses[-1].verdict == "adequate" and at_noise(found.final.farthest)
-    )
+    adequate = found.diagnoses[-1].verdict == "adequate" and at_noise(found.final.farthest)
+    return dataclasses.replace(advice, adequate=adequate, diagnosed=True)

@@ -14,6 +14,7 @@ from jaxtyping import Float, Int
 from rtac_jax import Excitation
 from rtac_jax.excitation import BEYOND, Real
 from rtac_jax.measurement import OUTPUTS, Experiment, Recording
+from rtac_jax.programs.arrays import to_jax
 from rtac_jax.time_loop import room_for
 
 CHANNELS = tuple(OUTPUTS)
@@ -44,7 +45,7 @@ class Data(eqx.Module):
     @classmethod
     def of(cls, experiments: Sequence[Experiment]) -> "Data":
         """Stack experiments of any lengths and channels."""
-        return jax.tree.map(jnp.asarray, cls.in_numpy(experiments))
+        return jax.tree.map(to_jax, cls.in_numpy(experiments))
 
     @classmethod
     def in_numpy(cls, experiments: Sequence[Experiment]) -> "Data":
@@ -67,7 +68,7 @@ class Data(eqx.Module):
     def beginning(self, samples: int) -> "Data":
         """Return the first so many samples of every experiment, in arrays of the same shape, for which nothing compiles anew."""
         within = jnp.arange(self.room)[:, None, None] < samples
-        return dataclasses.replace(self, present=self.present * within, length=jnp.asarray(min(samples, self.samples)))
+        return dataclasses.replace(self, present=self.present * within, length=to_jax(min(samples, self.samples)))
 
     @property
     def counted(self) -> Outputs3:

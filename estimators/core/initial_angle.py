@@ -1,6 +1,5 @@
 """Beginnings of experiments in which nothing tells the arm's angle: those on a circle from which a simulation follows best."""
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool
 
@@ -8,6 +7,7 @@ from estimators.core.initial_rest import squares
 from estimators.core.initial_state import UNKNOWN_ANGLE
 from estimators.core.jacobian_factor import Arguments
 from estimators.core.parameter_space import Space, Unknowns
+from rtac_jax.programs.arrays import to_jax
 
 ANGLE = 2
 """The row of the arm's angle among the states at the start."""
@@ -40,7 +40,7 @@ def turned(unknowns: Unknowns, arguments: Arguments) -> list[Unknowns]:
     def begun(angles: np.ndarray) -> Unknowns:
         start = np.asarray(unknowns.start).copy()
         start[ANGLE] = np.where(blind, (angles - first) / scale, start[ANGLE])
-        return unknowns._replace(start=jnp.asarray(start))
+        return unknowns._replace(start=to_jax(start))
 
     left = np.stack([squares(begun(np.full(len(blind), angle)), arguments) for angle in CIRCLE])
     lowest = (left <= np.roll(left, 1, axis=0)) & (left <= np.roll(left, -1, axis=0))

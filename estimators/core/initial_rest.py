@@ -1,12 +1,12 @@
 """Initial states at rest, where the first samples do not show the state."""
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from estimators.core.jacobian_factor import Arguments, plain_residual
 from estimators.core.parameter_space import Space, Unknowns
 from rtac_jax import RTAC
+from rtac_jax.programs.arrays import to_jax
 
 _SPEEDS = (1, 3)  # rows of the cart's and the arm's
 
@@ -22,7 +22,7 @@ def at_rest(unknowns: Unknowns, space: Space) -> Unknowns:
         return unknowns
     rows = [*_SPEEDS, *range(4, len(start))]
     start[rows] = -(np.asarray(space.start) / np.asarray(space.start_scale))[rows]
-    return unknowns._replace(start=jnp.asarray(start))
+    return unknowns._replace(start=to_jax(start))
 
 
 def may_swing(model: RTAC) -> bool:
@@ -43,7 +43,7 @@ def best_starts(several: list[Unknowns], arguments: Arguments, *, worth: float =
         return several[0]
     parts = [np.stack([np.asarray(one[field]) for one in several]) for field in (1, 2)]
     each, start = (np.take_along_axis(part, best[None, None], axis=0)[0] for part in parts)
-    return several[0]._replace(each=jnp.asarray(each), start=jnp.asarray(start))
+    return several[0]._replace(each=to_jax(each), start=to_jax(start))
 
 
 def squares(unknowns: Unknowns, arguments: Arguments) -> Float[np.ndarray, " experiment"]:

@@ -4,7 +4,6 @@ import functools
 from collections.abc import Mapping, Sequence
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -12,6 +11,7 @@ from estimators.core.parameter_space import Space
 from estimators.core.residual import start_rows
 from rtac_jax import RTAC, Declaration, Scales
 from rtac_jax.measurement import Experiment, Signal, filled
+from rtac_jax.programs.arrays import to_jax
 
 ANGLE_SPREAD = 0.1  # rad; an arm set by hand at its initial_arm_angle
 UNKNOWN_ANGLE = 3.0  # rad
@@ -204,7 +204,7 @@ def space_of(
         free: names of the shared parameters to estimate; parameters of each experiment are always estimated.
         start: states at the start by experiment, to begin from instead of what the first samples show.
     """
-    return jax.tree.map(jnp.asarray, space_in_numpy(model, experiments, free=free, start=start))
+    return jax.tree.map(to_jax, space_in_numpy(model, experiments, free=free, start=start))
 
 
 def space_in_numpy(

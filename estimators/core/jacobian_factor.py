@@ -15,6 +15,7 @@ from estimators.core.residual import residual, triangle
 from estimators.core.threads import at_once
 from rtac_jax import RTAC
 from rtac_jax.programs import program
+from rtac_jax.programs.arrays import to_jax
 from rtac_jax.simulation import Steps
 
 _HOPELESS = 1e30
@@ -145,7 +146,7 @@ class Passes:
         space = arguments.space
         held = dataclasses.replace(space, start_held=jnp.ones_like(space.start_held))
         return (
-            unknowns._replace(start=jnp.asarray(np.zeros(np.shape(space.start)))),
+            unknowns._replace(start=to_jax(np.zeros(np.shape(space.start)))),
             dataclasses.replace(arguments, space=held),
         )
 

@@ -19,6 +19,7 @@ from estimators.core.deadline import require_time
 from estimators.core.jacobian_factor import Arguments, Factors, Passes, plain_residual, promised_gain
 from estimators.core.parameter_space import Unknowns
 from rtac_jax.programs import program
+from rtac_jax.programs.arrays import to_jax
 
 # A gain in log-likelihood that moves no parameter by a fiftieth of its standard deviation.
 _NOTHING = 2e-4
@@ -92,7 +93,7 @@ class _Arc:
         padded = np.zeros((room + 1, room + 1))
         padded[: size + 1, :size] = self._joined[:, :-1]
         padded[: size + 1, -1] = self._joined[:, -1]
-        self._padded = jnp.asarray(padded)
+        self._padded = to_jax(padded)
 
     def at(self, damping: float) -> tuple[Unknowns, float]:
         """Return where the step with this damping leads, and by how much it promises to lower the cost."""
@@ -102,7 +103,7 @@ class _Arc:
         parts, first = [], 0
         for leaf in self._from:
             part = step[first : first + np.size(leaf)]
-            parts.append(jnp.asarray(np.asarray(leaf) + part.reshape(np.shape(leaf))))
+            parts.append(to_jax(np.asarray(leaf) + part.reshape(np.shape(leaf))))
             first += np.size(leaf)
         # Of the difference of two sums of squares, each far larger, rounding would promise something however short the step.
         return Unknowns(*parts), -float(residual @ move + 0.5 * move @ move)

@@ -19,6 +19,7 @@ from estimators.core.residual import diagonal_whitener, no_gain, residual
 from rtac_jax import RTAC
 from rtac_jax.measurement import Experiment, Recording
 from rtac_jax.programs import program
+from rtac_jax.programs.arrays import to_jax
 
 
 class Problem(NamedTuple):
@@ -74,7 +75,7 @@ def _weighted(arguments: Arguments, fit: Fit, experiments: Sequence[Experiment])
     present = np.asarray(arguments.data.present).copy()
     for column, e in enumerate(experiments):
         present[: e.samples, :, column] *= np.sqrt(fit.weights[e.name])
-    return dataclasses.replace(arguments, data=dataclasses.replace(arguments.data, present=jnp.asarray(present)))
+    return dataclasses.replace(arguments, data=dataclasses.replace(arguments.data, present=to_jax(present)))
 
 
 def problem_of(
@@ -103,7 +104,7 @@ def problem_of(
     if start is not None:
         wanted = np.stack([np.asarray(start[e.name]) for e in experiments], axis=1)
         moved = (wanted - np.asarray(space.start)) / np.asarray(space.start_scale)
-        unknowns = unknowns._replace(start=jnp.asarray(np.where(np.asarray(space.start_held) > 0, 0.0, moved)))
+        unknowns = unknowns._replace(start=to_jax(np.where(np.asarray(space.start_held) > 0, 0.0, moved)))
     arguments = Arguments(model, data, space, diagonal_whitener(deviation, data), no_gain(model, data), substeps)
     names = tuple(space.names[int(i)] for i in np.asarray(space.active))
     return Problem(arguments, unknowns, tuple(experiments), names)

@@ -4,12 +4,12 @@ import dataclasses
 from typing import Any, TypeVar
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Int
 
 from estimators.core.data import Data
 from estimators.core.parameter_space import Space
+from rtac_jax.programs.arrays import to_jax
 from rtac_jax.time_loop import SHORT
 
 Tree = TypeVar("Tree")
@@ -43,7 +43,7 @@ def experiments_at(tree: Tree, places: Any) -> Tree:
     """Return the experiments at some places of arrays whose last axis they are; numbers stay as they are."""
 
     def of(leaf: Any) -> Any:
-        return jnp.asarray(np.asarray(leaf)[..., places]) if np.ndim(leaf) else leaf
+        return to_jax(np.asarray(leaf)[..., places]) if np.ndim(leaf) else leaf
 
     return jax.tree.map(of, tree)
 

@@ -1,5 +1,6 @@
 """The parameter space of a fit: which parameters are free, between which bounds, at which scale."""
 
+import dataclasses
 from typing import NamedTuple
 
 import equinox as eqx
@@ -9,6 +10,7 @@ from jaxtyping import Array, Float, Int
 
 from estimators.core.bound_transform import to_physical, to_unconstrained
 from rtac_jax.excitation import Real
+from rtac_jax.programs.arrays import to_jax
 
 
 class Unknowns(NamedTuple):
@@ -68,24 +70,9 @@ class Space(eqx.Module):
         """Return the negative logarithm of the priors' density, less a constant; not within compiled code."""
         return 0.5 * float(np.sum(np.asarray(self.from_known(jnp.asarray(shared))) ** 2))
 
-    @eqx.filter_jit
     def physical(self, unknowns: Unknowns) -> tuple[Array, Array, Array]:
         """Return all shared parameters, those of each experiment, and the states at the start, in SI units."""
-
-        def of_free(values: Array) -> Array:
-            return values.at[self.active].get(mode="fill", fill_value=1.0)
-
-        free = to_physical(
-            unknowns.shared,
-            of_free(self.lower),
-            of_free(self.upper),
-            of_free(self.scale),
-        )
-        shared = self.values.at[self.active].set(free, mode="drop")
-        each = to_physical(unknowns.each, self.each_lower[:, None], self.each_upper[:, None], self.each_scale[:, None])
-        if unknowns.start.shape[0] == 0:
-            return shared, each, self.start
-        return shared, each, self.start + (1.0 - self.start_held) * self.start_scale * unknowns.start
+        return _physical(dataclasses.replace(self, names=(), each=(), known=None, known_std=None), unknowns)
 
     def unconstrained(self, *, start: bool = True, off_bounds: float = 0.0) -> Unknowns:
         """Return the unknowns at the present values; without `start` the states at the start are not among them.
@@ -96,7 +83,22 @@ class Space(eqx.Module):
                 there. On the bound itself a reparametrised parameter has next to no slope, and would stay.
         """
         rows = np.asarray(self.start)[: len(self.start) * start]
-        return Unknowns(*map(jnp.asarray, (*unconstrained_in_numpy(self, off_bounds=off_bounds), np.zeros_like(rows))))
+        return Unknowns(*map(to_jax, (*unconstrained_in_numpy(self, off_bounds=off_bounds), np.zeros_like(rows))))
+
+
+@eqx.filter_jit
+def _physical(space: Space, unknowns: Unknowns) -> tuple[Array, Array, Array]:
+    """Return `Space.physical` of a space without names, so that all spaces of one size run one program."""
+
+    def of_free(values: Array) -> Array:
+        return values.at[space.active].get(mode="fill", fill_value=1.0)
+
+    free = to_physical(unknowns.shared, of_free(space.lower), of_free(space.upper), of_free(space.scale))
+    shared = space.values.at[space.active].set(free, mode="drop")
+    each = to_physical(unknowns.each, space.each_lower[:, None], space.each_upper[:, None], space.each_scale[:, None])
+    if unknowns.start.shape[0] == 0:
+        return shared, each, space.start
+    return shared, each, space.start + (1.0 - space.start_held) * space.start_scale * unknowns.start
 
 
 def unconstrained_in_numpy(

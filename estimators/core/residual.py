@@ -11,6 +11,7 @@ from jaxtyping import Array, Float
 from estimators.core.data import CHANNELS, Data, Outputs3
 from estimators.core.parameter_space import Space, Unknowns
 from rtac_jax import RTAC, Excitation
+from rtac_jax.programs.arrays import to_jax
 from rtac_jax.simulation import Steps, trajectories
 
 
@@ -184,10 +185,10 @@ def _each_r(rows: Float[Array, "block row column"]) -> Float[Array, "block colum
 
 def no_gain(model: RTAC, data: Data) -> Array:
     """Return the gain of a predictor that does not correct: a free simulation."""
-    return jnp.asarray(np.zeros((data.room, len(model.states), len(CHANNELS), data.experiments)))
+    return to_jax(np.zeros((data.room, len(model.states), len(CHANNELS), data.experiments)))
 
 
 def diagonal_whitener(deviation: np.ndarray, data: Data) -> Array:
     """Return the whitener that divides each output by its standard deviation; [1 row output experiment]."""
     inverse = np.diag(1.0 / np.asarray(deviation))[None, :, :, None]
-    return jnp.asarray(np.broadcast_to(inverse, (1, len(CHANNELS), len(CHANNELS), data.experiments)))
+    return to_jax(np.broadcast_to(inverse, (1, len(CHANNELS), len(CHANNELS), data.experiments)))

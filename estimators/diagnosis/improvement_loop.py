@@ -4,8 +4,8 @@ import dataclasses
 from collections.abc import Sequence
 
 from estimators.core.deadline import PROLONGED, Deadline, OutOfTimeError
-from estimators.core.fit import FAR, Fit
-from estimators.core.results import DivergedError, NotIdentifiableError
+from estimators.core.fit import Fit
+from estimators.core.results import DivergedError
 from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.candidate_set import offered
 from estimators.diagnosis.diagnose import diagnose
@@ -26,8 +26,6 @@ from estimators.diagnosis.policy import DiagnosisPolicy
 from estimators.diagnosis.read_law import read_law
 from estimators.diagnosis.runner_up import runner_up
 from estimators.linear.homogeneity_test import Equality
-from estimators.output_error.fit import output_error
-from estimators.prediction_error.fit import prediction_error_nonlinear
 from estimators.validation.differing_experiments import WORTH_ASKING, differing, may_show_alone
 from estimators.validation.simulation_error import compare
 from rtac_jax.effects import CATALOGUE, Effect, SplineForce
@@ -262,7 +260,7 @@ class Loop:
         """
         found = self.diagnoses[-1]
         curve, _ = static_force(found.curves, found.tests, self.policy)
-        if curve is None or found.stands_in or found.drift or not self._all_simulated:
+        if curve is None or found.stands_in or found.drift or not self.all_simulated:
             return None
         read = read_law(
             self.last, self.added, curve, self.train, self.held_out, policy=self.policy, progress=self.progress
@@ -271,41 +269,14 @@ class Loop:
             return None
         further = self.copied()
         further.steps.append(((read.law.id,), read.step))
-        further.added = [*(c for c in self.added if c.id not in read.given_up), read.law]
+        further.added = read.among(self.added)
         further.stopped = ""
         further.run()
         followed = all(at_noise(e.rms_over_noise) for e in further.last.tested.errors.values())
         if not followed and (further.out_of_time or further.diagnoses[-1].verdict != "adequate"):
             return None
-        place = f"takes the place of {', '.join(read.given_up)}" if read.given_up else "is added"
-        further.stopped = (
-            f"{read.text} is a law read off the missing force, in no catalogue, and {place}: the held-out experiments were left at "
-            f"{misfit(self.last.tested):.3g} times the noise, and are at {misfit(read.step.tested):.3g}. {further.stopped}"
-        )
+        further.stopped = f"{read.said(self.last.tested)} {further.stopped}"
         return further
-
-    def lead_by_predictions(self) -> None:
-        """Fit the last model anew from where predictions one sample ahead lead, if it is adequate to these and simulates far off.
-
-        Its fit by simulation may have ended in another minimum. Kept where most of the held-out error falls.
-        """
-        last = self.last
-        far = max(e.rms_over_noise for e in last.tested.errors.values()) > FAR
-        adequate = self.diagnoses[-1].verdict == "adequate"
-        if not far or not self._all_simulated or not adequate or self.deadline.over:
-            return
-        try:
-            led = prediction_error_nonlinear(last.fit.model, self.train, from_model=True, progress=self.progress)
-            fit = output_error(led.model, self.train, from_model=True, progress=self.progress)
-            tested = compare(fit, self.held_out, labels=[last.tested.label]).models[0]
-        except (NotIdentifiableError, DivergedError, FloatingPointError):
-            return
-        if not fit.lost and misfit(tested) <= (1 - self.policy.static) * misfit(last.tested):
-            self.steps[-1] = self.steps[-1][0], dataclasses.replace(last, fit=fit, tested=tested)
-            self.stopped = (
-                f"The last model is fitted again from where predictions lead: the held-out experiments were left at "
-                f"{misfit(last.tested):.3g} times the noise, and are at {misfit(tested):.3g}. {self.stopped}"
-            )
 
     def _is_gone(self, candidate: Candidate) -> bool:
         """Return whether the last fit leaves little of an effect: next to nothing of its size when it was named, or of any."""
@@ -316,7 +287,7 @@ class Loop:
         return all(abs(now) <= self.policy.left * abs(named) for now, named in sizes)
 
     @property
-    def _all_simulated(self) -> bool:
+    def all_simulated(self) -> bool:
         """Return whether simulations chose all that was added: what predictions keep is not judged by simulations."""
         return all(step.way == "simulated" and step.predicted_gain is None for _, step in self.steps)
 
@@ -325,7 +296,7 @@ class Loop:
         for candidate in self.added[:-1]:
             last, others = self.last, [c for c in self.added if c is not candidate]
             needed = any(candidate.id in effect.only_beside for effect in last.fit.model.effects)
-            if not self._all_simulated or needed or self.deadline.over or not self._is_gone(candidate):
+            if not self.all_simulated or needed or self.deadline.over or not self._is_gone(candidate):
                 continue
             step = extended_without(
                 last, [candidate.id], [], "+ " + ", ".join(c.id for c in others), self.train, self.held_out,
@@ -343,7 +314,7 @@ class Loop:
 
         None where none does, or where it does not end at an adequate model.
         """
-        if not self.added or not self._all_simulated or self.deadline.over:
+        if not self.added or not self.all_simulated or self.deadline.over:
             return None
         found = runner_up(
             self.last, self.added, self.diagnoses, self._classes, self.train, self.held_out, policy=self.policy,

@@ -34,6 +34,7 @@ from estimators.prediction_error.latent_force import LatentForce, latent_forces
 from estimators.prediction_error.noise_estimation import low_process_noise
 from estimators.prediction_error.noise_model import start_variance
 from rtac_jax import RTAC
+from rtac_jax.programs.arrays import to_jax
 
 _GROUPS = 4  # of candidates, each simulated with a model of its own
 _MANY = 50_000  # samples of all experiments, from which on that is faster than one model for all
@@ -80,7 +81,7 @@ def _model_beside(setting: Setting, added: Sequence[str], others: Sequence[str])
 def _unfitted(setting: Setting, model: RTAC, free: Sequence[str]) -> Innovations:
     """Return innovations for compiling only: the shapes are right, gains and whiteners are nothing."""
     gain, whitener = (
-        jnp.asarray(np.zeros((setting.data.room, count, len(CHANNELS), setting.data.experiments)))
+        to_jax(np.zeros((setting.data.room, count, len(CHANNELS), setting.data.experiments)))
         for count in (len(model.states), len(CHANNELS))
     )
     return Innovations(model, setting.data, padded_space(setting, model, free), whitener, gain, setting.substeps)
@@ -257,7 +258,7 @@ def _innovations(setting: Setting, refit: Refit, others: Sequence[str], free: Se
     gain = np.asarray(predictor.filtered.gain)
     rows = {name: gain[:, i] for i, name in enumerate(refit.model.states)}
     nothing = np.zeros_like(gain[:, 0])
-    placed = jnp.asarray(np.stack([rows.get(name, nothing) for name in model.states], axis=1))
+    placed = to_jax(np.stack([rows.get(name, nothing) for name in model.states], axis=1))
     sure = 1.0 - predictor.filtered.shaken[:, None, None]
     return Innovations(model, setting.data, space, predictor.filtered.whitener * sure, placed, setting.substeps)
 

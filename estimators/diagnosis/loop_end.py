@@ -3,12 +3,17 @@
 import dataclasses
 
 from estimators.core.deadline import OutOfTimeError
+from estimators.core.fit import FAR
+from estimators.core.results import DivergedError, NotIdentifiableError
 from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.improvement_loop import Loop
 from estimators.diagnosis.learned_force import LearnedForce
-from estimators.diagnosis.model_extension import falls_clearly
+from estimators.diagnosis.model_extension import falls_clearly, misfit
 from estimators.linear.homogeneity_test import Equality
+from estimators.output_error.fit import output_error
+from estimators.prediction_error.fit import prediction_error_nonlinear
 from estimators.validation.differing_experiments import WORTH_ASKING
+from estimators.validation.simulation_error import compare
 
 
 @dataclasses.dataclass
@@ -47,9 +52,33 @@ def end_of(loop: Loop, *, last_resort: bool) -> LoopEnd:
 
 def _look_again(end: LoopEnd) -> None:
     """Fit what simulates far off from elsewhere, or with a runner-up, and leave out what others supersede."""
-    end.loop.lead_by_predictions()
+    lead_by_predictions(end.loop)
     end.loop = end.loop.with_runner_up() or end.loop
     end.loop.drop_superseded()
+
+
+def lead_by_predictions(loop: Loop) -> None:
+    """Fit the last model anew from where predictions one sample ahead lead, if it is adequate to these and simulates far off.
+
+    Its fit by simulation may have ended in another minimum. Kept where most of the held-out error falls.
+    """
+    last = loop.last
+    far = max(e.rms_over_noise for e in last.tested.errors.values()) > FAR
+    adequate = loop.diagnoses[-1].verdict == "adequate"
+    if not far or not loop.all_simulated or not adequate or loop.deadline.over:
+        return
+    try:
+        led = prediction_error_nonlinear(last.fit.model, loop.train, from_model=True, progress=loop.progress)
+        fit = output_error(led.model, loop.train, from_model=True, progress=loop.progress)
+        tested = compare(fit, loop.held_out, labels=[last.tested.label]).models[0]
+    except (NotIdentifiableError, DivergedError, FloatingPointError):
+        return
+    if not fit.lost and misfit(tested) <= (1 - loop.policy.static) * misfit(last.tested):
+        loop.steps[-1] = loop.steps[-1][0], dataclasses.replace(last, fit=fit, tested=tested)
+        loop.stopped = (
+            f"The last model is fitted again from where predictions lead: the held-out experiments were left at "
+            f"{misfit(last.tested):.3g} times the noise, and are at {misfit(tested):.3g}. {loop.stopped}"
+        )
 
 
 def _resort(end: LoopEnd, *, last_resort: bool) -> None:

@@ -28,6 +28,7 @@ from rtac_jax import RTAC
 from rtac_jax.effects import Effect
 from rtac_jax.measurement import Experiment, Recording
 from rtac_jax.parameters import declarations
+from rtac_jax.programs.arrays import to_jax
 from rtac_jax.simulation import Steps
 
 _ROOM = 8  # unknowns are padded to a multiple of this
@@ -161,7 +162,7 @@ def padded_space(setting: Setting, model: RTAC, free: Sequence[str]) -> Space:
     space = space_for(setting, model, free)
     active = np.full(max(-(-len(free) // _ROOM), 1) * _ROOM, len(space.names))
     active[: len(space.active)] = np.asarray(space.active)
-    return dataclasses.replace(space, active=jnp.asarray(active))
+    return dataclasses.replace(space, active=to_jax(active))
 
 
 def by_name(space: Space, other: Space, values: Any) -> Any:
@@ -173,7 +174,7 @@ def by_name(space: Space, other: Space, values: Any) -> Any:
 def begun(space: Space, model: RTAC, start: Mapping[str, np.ndarray]) -> Space:
     """Return the space with states at the start where they are known by name."""
     known = zip(start_rows(model), np.asarray(space.start), strict=True)
-    return dataclasses.replace(space, start=jnp.asarray(np.stack([start.get(row, first) for row, first in known])))
+    return dataclasses.replace(space, start=to_jax(np.stack([start.get(row, first) for row, first in known])))
 
 
 def shared(model: RTAC) -> list[str]:

@@ -14,6 +14,7 @@ from estimators.output_error.fit_case import Case
 from estimators.output_error.normal_equations import Columns
 from estimators.output_error.side_by_side import places_for, side_by_side
 from rtac_jax.programs import program
+from rtac_jax.programs.arrays import to_jax
 
 # Of the samples, one part in so many. Six decays of 833 samples, whose parameters are true, begin 300 deviations from the minimum
 # by parabolas through their first samples, and 5 after a step over a third of them, 6 over a quarter, 8 over an eighth. 250 such
@@ -49,7 +50,7 @@ def _moved(cases: list[Case], size: int, substeps: int) -> list[Float[np.ndarray
     padded = [*cases, *[cases[-1]] * (size - len(cases))]
     data, columns, noise, unknowns = side_by_side([(c.data, c.columns, c.noise, c.unknowns) for c in padded])
     data = dataclasses.replace(data, length=np.asarray(max(1, int(data.length) // _PARTS)))
-    batch, data, columns, noise = jax.tree.map(jnp.asarray, (begun(unknowns, noise), data, columns, noise))
+    batch, data, columns, noise = jax.tree.map(to_jax, (begun(unknowns, noise), data, columns, noise))
     # A descent that begins only evaluates its beginning, by the function that fits: nothing else is compiled.
     after = one_step(
         one.model, one.names, one.held, len(one.shared), one.outputs, data, columns, batch, noise,

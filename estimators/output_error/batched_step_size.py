@@ -16,6 +16,7 @@ from estimators.output_error.normal_equations import Columns, physical
 from estimators.output_error.side_by_side import places_for, side_by_side
 from rtac_jax import RTAC, Excitation
 from rtac_jax.programs import program
+from rtac_jax.programs.arrays import to_jax
 from rtac_jax.simulation import Steps, rate_jacobians, substeps_at, trajectories
 
 _TOGETHER = 32  # models whose rates are computed at once
@@ -56,7 +57,7 @@ def stable_substeps(models: Sequence[RTAC], excitations: Sequence[Excitation], *
             here = numbers[first : first + _TOGETHER]
             padded = [*here, *[here[-1]] * (_TOGETHER - len(here))]
             stacked = jax.tree.map(lambda *x: np.stack([np.ravel(one)[0] for one in x]), *(models[n] for n in padded))
-            jacobians = np.asarray(_rate_jacobians(jax.tree.map(jnp.asarray, stacked)))[: len(here)]
+            jacobians = np.asarray(_rate_jacobians(jax.tree.map(to_jax, stacked)))[: len(here)]
             fastest = np.max(np.abs(np.linalg.eigvals(jacobians)), axis=(1, 2))
             for number, rate in zip(here, fastest, strict=True):
                 counts[number] = substeps_at(float(rate), excitations[number], stability=stability)
@@ -87,7 +88,7 @@ def _simulated(cases: Sequence[Case], substeps: int) -> list[Float[np.ndarray, "
         here = cases[first : first + size]
         padded = [*here, *[here[-1]] * (size - len(here))]
         parts = side_by_side([(c.data.excitation, c.columns, c.unknowns) for c in padded])
-        excitation, columns, unknowns = jax.tree.map(jnp.asarray, parts)
+        excitation, columns, unknowns = jax.tree.map(to_jax, parts)
         one: Any = here[0]
         shown = np.asarray(
             _outputs(

@@ -10,6 +10,7 @@ from estimators.prediction_error.filter_pass import run_filter
 from estimators.prediction_error.noise_model import NoiseModel, start_variance
 from rtac_jax import RTAC
 from rtac_jax.parameters import Scales
+from rtac_jax.programs.arrays import to_jax
 
 
 def correction(
@@ -40,7 +41,7 @@ def correction(
     size = np.concatenate([np.full(2, 2 * np.log(fraction)), np.zeros(len(CHANNELS))])
     result = run_filter(model, data, space, space.physical(unknowns), known, size, jnp.asarray(substeps))
     # One whitener for all samples: enough for a start, and the same compiled function as for the simulation.
-    return result.gain, jnp.asarray(_settled(np.asarray(result.whitener), data))
+    return result.gain, to_jax(_settled(np.asarray(result.whitener), data))
 
 
 def _settled(whitener: np.ndarray, data: Data) -> Float[np.ndarray, "1 row output experiment"]:

@@ -9,6 +9,7 @@ from jaxtyping import Array, Float
 
 from rtac_jax.effects import Force, Motion, States
 from rtac_jax.effects.spline_force import VARIABLES, on_curve
+from rtac_jax.programs.arrays import to_jax
 
 KNOTS = 12
 
@@ -42,7 +43,7 @@ class ForceProbe(Force):
         """
         spacing = (high - low) / (KNOTS - 1)
         numbers = (np.zeros(KNOTS), np.eye(2)[port], np.eye(len(VARIABLES))[variable], low, spacing, slow)
-        return cls(*(jnp.asarray(np.asarray(number, dtype=float)) for number in numbers))
+        return cls(*(to_jax(np.asarray(number, dtype=float)) for number in numbers))
 
     def force(self, motion: Motion, own: States) -> tuple[Any, Any]:
         """Return force on the cart [N] and torque on the arm [N m] at the present value of the variable."""

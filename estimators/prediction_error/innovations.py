@@ -18,6 +18,7 @@ from estimators.prediction_error.ekf import Filtered
 from estimators.prediction_error.force_probe import KNOTS, ForceProbe
 from rtac_jax import RTAC
 from rtac_jax.programs import program
+from rtac_jax.programs.arrays import to_jax
 from rtac_jax.simulation import Steps
 
 AT_ONCE = 8
@@ -47,7 +48,7 @@ class Innovations:
         def some(first: int) -> Rows:
             part = values[first : first + AT_ONCE]
             padded = np.concatenate([part, np.repeat(part[-1:], AT_ONCE - len(part), axis=0)])
-            found = np.asarray(_innovations(*self._arguments, jnp.asarray(padded), self.substeps))[: len(part)]
+            found = np.asarray(_innovations(*self._arguments, to_jax(padded), self.substeps))[: len(part)]
             return self.rows(found, np.stack([self._constants(one) for one in part]))
 
         return np.concatenate(at_once(some, range(0, len(values), AT_ONCE)), axis=1)
@@ -85,14 +86,14 @@ class Innovations:
         for name, shape in shapes.items():
             rows = np.zeros((DIRECTIONS, *shape))
             rows[: len(given.get(name, ()))] = given.get(name, 0.0)
-            found[name] = jnp.asarray(rows)
+            found[name] = to_jax(rows)
         *_, current, force = padded(self.data, self.space, found["current"], found["force"])
         return _Along(**found | {"current": current, "force": force})
 
     def compile(self) -> None:
         """Compile `at`, and run nothing."""
         several = np.repeat(np.asarray(self.space.values)[None], AT_ONCE, axis=0)
-        _innovations.prepare(*self._arguments, jnp.asarray(several), self.substeps)
+        _innovations.prepare(*self._arguments, to_jax(several), self.substeps)
 
     def compile_derivatives(self) -> None:
         """Compile `jacobian`, `pushed` and `by_force`, which are one program; and run nothing."""

@@ -25,6 +25,7 @@ from estimators.prediction_error.filter_pass import (
 )
 from estimators.prediction_error.noise_model import NoiseModel
 from rtac_jax import RTAC
+from rtac_jax.programs.arrays import to_jax
 from rtac_jax.simulation import Steps
 
 # Random force and torque between these fractions of the rms forces, as powers of e of their variance.
@@ -83,7 +84,7 @@ def compile_predictor(
         physical = (space.values, space.each_values, space.start)  # of the shapes that space.physical computes
         prepare_filter(model, data, space, physical, prior, first_noise(), substeps)
     whitener, gain = (
-        jnp.asarray(np.zeros((data.room, count, len(CHANNELS), data.experiments)))
+        to_jax(np.zeros((data.room, count, len(CHANNELS), data.experiments)))
         for count in (len(CHANNELS), len(model.states))
     )
     Passes(Arguments(model, data, space, whitener, gain, substeps)).prepare(unknowns)

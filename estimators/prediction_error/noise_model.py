@@ -3,7 +3,6 @@
 import dataclasses
 from collections.abc import Mapping, Sequence
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -11,6 +10,7 @@ from estimators.core.data import CHANNELS
 from estimators.core.parameter_space import Space
 from rtac_jax import Scales
 from rtac_jax.measurement import Experiment
+from rtac_jax.programs.arrays import to_jax
 
 _SHOWN = 10.0  # how much wider the cart's position at the start is taken to lie than its scale
 
@@ -66,4 +66,4 @@ def start_variance(space: Space) -> Float[Array, "start experiment"]:
     """
     deviation = np.asarray(space.start_scale) * (1 - np.asarray(space.start_held))
     deviation[0] *= _SHOWN
-    return jnp.asarray(deviation**2)
+    return to_jax(deviation**2)

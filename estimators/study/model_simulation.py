@@ -17,6 +17,7 @@ from rtac_jax import RTAC, Excitation
 from rtac_jax.excitation import BEYOND
 from rtac_jax.measurement import Experiment
 from rtac_jax.programs import program
+from rtac_jax.programs.arrays import to_jax
 from rtac_jax.simulation import Steps, trajectories
 from rtac_jax.time_loop import room_for
 
@@ -58,7 +59,7 @@ def simulate_together(jobs: Sequence[Simulated]) -> list[list[dict[str, np.ndarr
         for first in range(0, len(numbers), size):
             here = numbers[first : first + size]
             padded = [*here, *[here[-1]] * (size - len(here))]
-            excitation, start, values = jax.tree.map(jnp.asarray, side_by_side([made[number] for number in padded]))
+            excitation, start, values = jax.tree.map(to_jax, side_by_side([made[number] for number in padded]))
             job = jobs[here[0]]
             samples = max(e.samples for e in job.experiments)
             names = tuple(job.model.parameters)

@@ -32,7 +32,8 @@ class Recommendation(Result):
         estimator: "output error" or "prediction error".
         deviation: what the standard deviations take for granted, in words.
         sound: whether the model passes the test of its own residuals; otherwise no standard deviation holds what the model lacks.
-        adequate: whether a diagnosis found nothing missing.
+        adequate: whether a diagnosis found nothing missing, and the simulation is at the noise.
+        diagnosed: whether a diagnosis was made of the model, whatever it found.
         left: residual of output error over the noise, of its worst channel, where its estimates are given though none is better.
         moved: of prediction error what constants that were measured by themselves it takes far from that, in words.
     """
@@ -42,6 +43,7 @@ class Recommendation(Result):
     deviation: str
     sound: bool
     adequate: bool = False
+    diagnosed: bool = False
     left: float = 0.0
     moved: tuple[str, ...] = ()
 
@@ -58,6 +60,11 @@ class Recommendation(Result):
             said += (
                 " A residual is coloured though nothing is found missing, which no deviation counts: by how a sensor is rounded, or"
                 " by what is too small to be named."
+            )
+        elif not self.sound and self.diagnosed:
+            said += (
+                " A residual is coloured, which no deviation counts: by what the diagnosis could not name, or by random forces,"
+                " which a simulation does not know."
             )
         elif not self.sound:
             said += (

@@ -15,7 +15,7 @@ from estimators.core.deadline import Deadline
 from estimators.core.fisher_information import Information, information_of
 from estimators.core.fit import Parameter
 from estimators.core.results import RESULTS
-from estimators.diagnosis import improvement_loop
+from estimators.diagnosis import improvement_loop, loop_end
 from estimators.diagnosis.improvement_loop import Loop
 from estimators.diagnosis.model_extension import Added
 from estimators.diagnosis.policy import STANDARD
@@ -285,10 +285,10 @@ def test_a_fit_that_ended_far_off_is_led_by_predictions(
     loop.steps.append((("encoder_lag",), fitted(6e-3, 1e-5, error)))
     loop.diagnoses = [made_up_results.diagnosis(verdict)]
     led = fitted(5e-3, 1e-5, left)
-    monkeypatch.setattr(improvement_loop, "prediction_error_nonlinear", lambda *_, **__: led.fit)
-    monkeypatch.setattr(improvement_loop, "output_error", lambda *_, **__: led.fit)
-    monkeypatch.setattr(improvement_loop, "compare", lambda *_, **__: made(est.Comparison, models=(led.tested,)))
-    loop.lead_by_predictions()
+    monkeypatch.setattr(loop_end, "prediction_error_nonlinear", lambda *_, **__: led.fit)
+    monkeypatch.setattr(loop_end, "output_error", lambda *_, **__: led.fit)
+    monkeypatch.setattr(loop_end, "compare", lambda *_, **__: made(est.Comparison, models=(led.tested,)))
+    loop_end.lead_by_predictions(loop)
     assert (loop.last.fit is led.fit) == taken
     assert loop.steps[-1][0] == ("encoder_lag",)
 

@@ -65,14 +65,21 @@ def test_a_constant_that_predictions_take_far_from_what_was_measured_is_told(std
     assert (words in found.sentence) == told
 
 
-@pytest.mark.parametrize(
-    ("adequate", "said"), [(True, "though nothing is found missing"), (False, "so something may be missing")]
-)
-def test_a_coloured_residual_of_an_adequate_model_is_no_sign_of_what_is_missing(adequate, said):
-    found = dataclasses.replace(recommended(FIT, compared("model", 5.0), spread=SPREAD), adequate=adequate)
+COLOURED = {
+    (True, True): "though nothing is found missing",
+    (False, True): "by what the diagnosis could not name",
+    (False, False): "est.diagnose tells whether it can be named",
+}
+
+
+@pytest.mark.parametrize(("adequate", "diagnosed"), COLOURED)
+def test_a_coloured_residual_is_no_reason_to_ask_what_was_asked(adequate, diagnosed):
+    found = recommended(FIT, compared("model", 5.0), spread=SPREAD)
+    found = dataclasses.replace(found, adequate=adequate, diagnosed=diagnosed)
     assert not found.sound
-    assert said in found.sentence
-    assert "though nothing is found missing" not in dataclasses.replace(found, sound=True, adequate=True).sentence
+    assert [words for words in COLOURED.values() if words in found.sentence] == [COLOURED[adequate, diagnosed]]
+    white = dataclasses.replace(found, sound=True).sentence
+    assert not any(words in white for words in COLOURED.values())
 
 
 @pytest.mark.parametrize(("p_value", "sound"), [(0.5, True), (1e-9, False)])

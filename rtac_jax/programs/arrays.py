@@ -1,0 +1,17 @@
+"""Numbers of NumPy as arrays of JAX, with nothing compiled for it."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+
+def to_jax(value: Any) -> jax.Array:
+    """Return a copy of an array of NumPy as one of JAX; anything else as `jnp.asarray` does.
+
+    `jnp.asarray` compiles a program for each shape, of which a diagnosis has fifty. Not for traced code, where it would be a
+    step of the program.
+    """
+    # Of a copy, as the array may go on using the memory that it is given.
+    return jax.device_put(np.array(value)) if isinstance(value, np.ndarray) else jnp.asarray(value)

@@ -1,7 +1,6 @@
 """`rtac import`: from the files of a data logger to one recording."""
 
 import dataclasses
-import re
 from collections.abc import Mapping, Sequence
 from fnmatch import fnmatch
 from pathlib import Path
@@ -9,26 +8,13 @@ from typing import Annotated, Any
 
 import typer
 
+from estimators.cli.columns import MAT, Columns, names_in
 from estimators.cli.job import say
 from estimators.cli.options import option
 from estimators.cli.output_files import writable_file
 from estimators.cli.refusals import WRONG_USE, answering, stop
 
-_UNIT = re.compile(r"^(?P<column>.*?)\s*\[(?P<unit>[^\[\]]*)\]$")
-_SAME = {
-    "µm": "um",
-    "μm": "um",
-    "°": "deg",
-    "°/s": "deg/s",
-    "µs": "us",
-    "μs": "us",
-    "µA": "uA",
-    "μA": "uA",
-    "1/min": "rpm",
-}
 _HDF5 = (".h5", ".hdf5")
-_TIME, _MAT = "time", ".mat"
-_DELIMITERS = {";": '";"', "\t": "$'\\t'", ",": '","'}  # and how a shell is given them
 
 
 Pairs = list[str] | None
@@ -129,7 +115,7 @@ def import_files(
         from rtac_jax.measurement import Recording, concerns, describe
 
         understood, parts = [], []
-        seen = {name for file in foreign if file.suffix.lower() != _MAT for name in _names_in(file, delimiter)}
+        seen = {name for file in foreign if file.suffix.lower() != MAT for name in names_in(file, delimiter)}
         told = iter(zip(kinds, names, angles, strict=True))
         for file in sources:
             if file not in foreign:
@@ -137,7 +123,7 @@ def import_files(
                 understood.append(f"{file}: a recording; its experiments come along as they are.")
                 continue
             what, called, at = next(told)
-            columns = _Columns.of(file, asked, time, sample_time, delimiter, wanted["scale"], seen)
+            columns = Columns.of(file, asked, time, sample_time, delimiter, wanted["scale"], seen)
             options: dict[str, Any] = {"delimiter": delimiter} if columns.text else {}
             reader = Recording.from_csv if columns.text else Recording.from_mat
             part = reader(
@@ -162,140 +148,6 @@ def import_files(
             doubts,
             f"{out}: not written, as --dry-run asks." if dry_run else f"written: {out}",
         )
-
-
-@dataclasses.dataclass(frozen=True)
-class _Columns:
-    """The columns of one file as they were understood: names and units by channel, and the channels that it does not have."""
-
-    file: Path
-    channels: Mapping[str, str]
-    units: Mapping[str, str]
-    time: str | None
-    text: bool
-    left_out: tuple[str, ...] = ()
-    unstated: tuple[str, ...] = ()
-
-    @classmethod
-    def of(
-        cls,
-        file: Path,
-        asked: Mapping[str, str],
-        time: str | None,
-        sample_time: float | None,
-        delimiter: str,
-        scale: Mapping[str, float],
-        elsewhere: set[str],
-    ) -> "_Columns":
-        """Find column and unit of every channel in a file; a channel whose column only other files have is left out."""
-        from rtac_jax.measurement import FACTORS, INPUTS, OUTPUTS, csv_header
-
-        known = {**INPUTS, **OUTPUTS, _TIME: "s"}
-        text = file.suffix.lower() != _MAT
-        header = csv_header(file, delimiter) if text else []
-        other = next((mark for mark in _DELIMITERS if len(header) == 1 and mark in header[0]), None)
-        if other is not None:
-            stop(
-                WRONG_USE,
-                f"{file}: its first row has one column, {header[0]!r}; give --delimiter {_DELIMITERS[other]}.",
-            )
-        there = f"; the columns of {file.name} are {', '.join(header)}" if header else ""
-        if not asked:
-            stop(WRONG_USE, f'--channel: say which column is which, as in --channel cart_position="x [mm]"{there}.')
-        if (time is None) == (sample_time is None):
-            stop(WRONG_USE, f"--time, --sample-time: give one of the two{there}.")
-        channels, units, unstated = {}, {}, []
-        for channel, wish in {**asked, **({} if time is None else {_TIME: time})}.items():
-            if channel not in known:
-                stop(WRONG_USE, f"--channel: there is no channel {channel}; use {', '.join([*INPUTS, *OUTPUTS])}.")
-            match = _UNIT.match(wish.strip())
-            column, unit = (match["column"], match["unit"].strip()) if match else (wish.strip(), "")
-            channels[channel] = column
-            if header and column not in header:
-                # Often the file states the unit in its first row, and so need not the user.
-                stated = [
-                    (cell, m["unit"].strip()) for cell in header if (m := _UNIT.match(cell)) and m["column"] == column
-                ]
-                if len(stated) != 1:
-                    if channel != _TIME and column in elsewhere:
-                        del channels[channel]
-                        continue
-                    stop(
-                        WRONG_USE,
-                        f"{file}: has no column {column!r} for {channel}{there.replace(f' of {file.name}', '')}.",
-                    )
-                channels[channel], says = stated[0]
-                if unit and _SAME.get(unit, unit) != _SAME.get(says, says):
-                    stop(
-                        WRONG_USE,
-                        f"{file}: says that {column} is in {says}, and --channel {channel} says {unit}; correct one.",
-                    )
-                unit = says
-            if not unit and channel not in scale:
-                unstated.append(channel)
-            unit = unit or known[channel]
-            units[channel] = _SAME.get(unit, unit)
-            if channel not in scale and units[channel] not in FACTORS[known[channel]]:
-                stop(
-                    WRONG_USE,
-                    f"--channel {channel}: the unit {unit!r} is not known for it, only {', '.join(FACTORS[known[channel]])}; "
-                    f"give --scale {channel}=FACTOR, in {known[channel]} per {unit}.",
-                )
-        column_of_time = channels.pop(_TIME, None)
-        left_out = tuple(channel for channel in asked if channel not in channels)
-        return cls(
-            file,
-            channels,
-            {c: u for c, u in units.items() if c not in scale},
-            column_of_time,
-            text,
-            left_out,
-            tuple(unstated),
-        )
-
-    def only_here(self, wanted: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the options of a reader without what they say of channels that this file does not have."""
-        found = dict(wanted)
-        for key in ("scale", "noise_std", "remove_mean"):
-            kept = [name for name in wanted[key] if name not in self.left_out]
-            found[key] = {n: wanted[key][n] for n in kept} if isinstance(wanted[key], dict) else kept
-        return found
-
-    def table(self, experiment: Any, scale: Mapping[str, float]) -> str:
-        """Return what was understood: column, unit, factor and range of every channel."""
-        import numpy as np
-
-        from estimators.reporting.html import Table
-        from rtac_jax.measurement import FACTORS
-
-        rows = []
-        for channel, column in self.channels.items():
-            signal = {**experiment.inputs, **experiment.outputs}[channel]
-            factor = scale[channel] if channel in scale else FACTORS[signal.unit][self.units[channel]]
-            low, high = np.nanmin(signal.values), np.nanmax(signal.values)
-            unit = "of its own" if channel in scale else self.units[channel]
-            rows.append((column, unit, f"{factor:.6g}", channel, signal.unit, f"{low:.4g}", f"{high:.4g}"))
-        clock = f"times in {self.time!r} [{self.units.get(_TIME, 's')}]" if self.time else "the sample time given"
-        head = (
-            f"{self.file}: {experiment.kind} experiment {experiment.name}, {experiment.samples} samples of "
-            f"{experiment.sample_time:.6g} s, from {clock}."
-        )
-        if self.left_out:
-            head += f" It has no column for {', '.join(self.left_out)}."
-        if self.unstated:
-            taken = ", ".join(
-                f"{self.time if c == _TIME else self.channels[c]} in {self.units[c]}" for c in self.unstated
-            )
-            head += f" No unit is stated of these: {taken} by assumption; state one as in 'n [rpm]'."
-        return f"{head}\n{Table(('column', 'unit', 'times', 'is', 'in', 'from', 'to'), tuple(rows))}"
-
-
-def _names_in(file: Path, delimiter: str) -> set[str]:
-    """Return the names of the columns of a text file, with the units that they state and without."""
-    from rtac_jax.measurement import csv_header
-
-    names = csv_header(file, delimiter)
-    return {*names, *(match["column"] for name in names if (match := _UNIT.match(name)))}
 
 
 def _pairs(option: str, given: Sequence[str] | None) -> dict[str, str]:

@@ -92,6 +92,32 @@ def test_a_dry_run_shows_what_was_understood_and_writes_nothing(tmp_path, free):
     assert not (tmp_path / "rig.h5").exists()
 
 
+@pytest.mark.parametrize(
+    ("column", "factor"),
+    [
+        ("x (mm)", 1e-3),
+        ("x (inch)", 0.0254),
+        ("x_um", 1e-6),
+        ("x_in", 1.0),  # what comes in
+        ("x (in)", 0.0254),
+        ("x (left)", 1.0),
+        ("x_rpm", 1.0),  # no unit of a length
+        ("x (mm) [cm]", 1e-2),
+    ],
+)
+def test_a_unit_at_the_end_of_a_name_is_that_of_the_column_and_it_is_said(tmp_path, free, column, factor):
+    name = column.split(" [")[0]
+    head, _, rows = free.read_text().partition("\n")
+    file = tmp_path / "named.csv"
+    file.write_text(",".join(name if cell == "x" else cell for cell in head.split(",")) + "\n" + rows)
+    told = ("--kind", "free", "--time", "t", "--channel", f"cart_position={column}")
+    result, recording = imported(tmp_path / "rig.h5", file, *told)
+    np.testing.assert_allclose(recording["named"].outputs["cart_position"].values, factor * 1e3 * POSITION, rtol=1e-12)
+    by_name = f"By their columns' names: {name} in " in result.stdout
+    assumed = f"No unit is stated of these: {name} in m, t in s by assumption" in result.stdout
+    assert (by_name, assumed) == (factor not in (1.0, 1e-2), factor == 1.0)
+
+
 def test_a_unit_in_the_first_row_need_not_be_repeated_but_not_contradicted(tmp_path, forced):
     arguments = (forced, "--kind", "free", "--time", "t")
     for wish in ("x", "x [mm]"):

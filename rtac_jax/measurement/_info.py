@@ -37,12 +37,19 @@ def describe(recording: Contents) -> str:
     )
     lines = [
         f"rig: {printable(recording.rig_name) or 'not named'}; known beforehand: {known or 'nothing'}",
+        *_exact(recording),
         *(f"comment: {printable(line)}" for line in recording.comment.splitlines()),
         f"experiments: {len(experiments)} ({counts}), {total} samples, {length:.6g} s",
     ]
     for experiment in experiments:
         lines += ["", _conditions(experiment), *_table(experiment)]
     return "\n".join(lines)
+
+
+def _exact(recording: Contents) -> list[str]:
+    """Return a line that says which constants no deviation is stated of: what is off in them shifts all that is estimated."""
+    exact = [name for name in recording.rig if name not in recording.rig_std]
+    return [f"taken as exact: {', '.join(exact)}; {exact[0]}_std beside it says how sure it is"] if exact else []
 
 
 def _spread(deviation: float | None) -> str:

@@ -69,6 +69,9 @@ def test_they_are_told_in_words():
     told = rtac.describe(UNCERTAIN)
     assert "total_mass = 1.23 +- 0.001 kg, arm_inertia = 9.5e-05 kg m^2" in told
     assert "arm starts at 0.5 +- 0.02 rad" in told
+    assert "\ntaken as exact: arm_inertia; arm_inertia_std beside it says how sure it is\n" in told
+    sure = dataclasses.replace(UNCERTAIN, rig={**UNCERTAIN.rig, "arm_inertia_std": 1e-6})
+    assert "taken as exact" not in rtac.describe(sure)
 
 
 @pytest.mark.parametrize("value", [0.0, -1.0, np.inf, np.nan, "wide"])

@@ -69,7 +69,7 @@ def diagnose(
                 "diagnosis": plot_diagnosis(found, recording=work.train),
                 "where": plot_where(found),
                 "confusion": plot_confusion(found),
-                "bands": plot_bands(tested or trained),
+                "bands": plot_bands(tested or trained, coloured=found.coloured),
                 "comparison": plot_comparison(tested or trained),
                 "residuals": plot_residuals(trained.models[0]),
             }

@@ -138,7 +138,8 @@ def improved(
     figures["where"], captions["where"] = plot_where(found.diagnoses[0]), f"{WHERE} First diagnosis."
     figures["confusion"] = plot_confusion(found.diagnoses[0])
     captions["confusion"] = f"{CONFUSION} First diagnosis."
-    figures["bands"], captions["bands"] = plot_bands(found.validation), f"{BANDS} Held-out experiments."
+    figures["bands"] = plot_bands(found.validation, coloured=found.diagnoses[-1].coloured)
+    captions["bands"] = f"{BANDS} Held-out experiments."
     figures["comparison"], captions["comparison"] = plot_comparison(found.validation), "Held-out experiments."
     figures["residuals_before"] = plot_residuals(found.train.models[0])
     captions["residuals_before"] = leaves.format("base")

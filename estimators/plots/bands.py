@@ -1,13 +1,13 @@
 """The error of simulation by frequency, before and after."""
 
+from collections.abc import Collection
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from matplotlib.ticker import FuncFormatter
 from scipy.signal import periodogram
 
-from estimators.plots.style import HATCHES, NAMES, SMALL, Picture, picture, tidy, times, title
+from estimators.plots.style import HATCHES, NAMES, SMALL, Picture, picture, plain_log_axis, tidy, times, title
 from estimators.validation.simulation_error import Compared, Comparison, Trace
 from rtac_jax.measurement import filled
 
@@ -18,10 +18,14 @@ _LONGEST = 2.0  # periods of the lowest frequency that the shortest experiment h
 Edges = Float[np.ndarray, " edge"]
 
 
-def plot_bands(comparison: Comparison) -> Picture:
+def plot_bands(comparison: Comparison, *, coloured: Collection[str] = ()) -> Picture:
     """Draw the error of each channel in bands of frequency, in units of what white noise of the sensor has there.
 
     The first and the last model are shown, over all experiments.
+
+    Args:
+        comparison: of one or more models with the measurements.
+        coloured: channels of which a diagnosis took the noise for coloured: what lies above white noise need be no error.
     """
     models = list(comparison.models)
     shown = models if len(models) == 1 else [models[0], models[-1]]
@@ -31,10 +35,11 @@ def plot_bands(comparison: Comparison) -> Picture:
     figure = picture(9.6, 3.4)
     for axes, channel in zip(np.atleast_1d(figure.subplots(1, len(channels), sharey=True)), channels, strict=True):
         _draw(axes, {m.label: ratios[m.label, channel] for m in shown}, edges)
-        axes.set_title(NAMES[channel], fontsize=9, loc="left")
+        noise = ", whose noise is coloured" if channel in coloured else ""
+        axes.set_title(f"{NAMES[channel]}{noise}", fontsize=9, loc="left")
     figure.axes[0].set_ylabel("rms of residual / noise in the band [1]", fontsize=SMALL)
     figure.axes[0].legend(fontsize=SMALL, loc="upper right")
-    title(figure, _finding({c: [ratios[m.label, c] for m in shown] for c in channels}, edges))
+    title(figure, _finding({c: [ratios[m.label, c] for m in shown] for c in channels}, edges, coloured))
     return figure
 
 
@@ -75,27 +80,28 @@ def _draw(axes: Any, ratios: dict[str, np.ndarray], edges: Edges) -> None:
         )  # fmt: skip
     axes.axhline(1.0, color="black", linestyle="--", linewidth=1)
     axes.set_yscale("log")
-    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    plain_log_axis(axes.yaxis, *axes.get_ylim())
     axes.set_xticks(np.arange(len(edges)) - 0.5, [_short(edge) for edge in edges])
-    axes.set_xlabel("Frequency [Hz]   (dashed: the noise of the sensor)", fontsize=SMALL)
+    axes.set_xlabel("Frequency [Hz]   (dashed: white noise of the sensor)", fontsize=SMALL)
     tidy(axes)
     axes.grid(False, axis="x")
 
 
-def _finding(ratios: dict[str, list[np.ndarray]], edges: Edges) -> str:
+def _finding(ratios: dict[str, list[np.ndarray]], edges: Edges, coloured: Collection[str]) -> str:
     channel = max(ratios, key=lambda c: float(np.max(ratios[c][0])))
     first, *later = ratios[channel]
     worst = int(np.argmax(first))
-    between = f"between {_short(edges[worst])} and {_short(edges[worst + 1])} Hz"
+    between = f"between {_short(edges[worst])} and {_short(edges[worst + 1])}\N{NO-BREAK SPACE}Hz"
     where = f"{NAMES[channel]} {between}"
+    noise = "white noise, and its noise is coloured" if channel in coloured else "the noise"
     if not later:
         if first[worst] < 1.5:
             return (
                 f"The error lies at the noise floor in every band of frequency, {times(first[worst])} times it at most"
             )
-        return f"The error is largest in {where}: {times(first[worst])} times the noise"
+        return f"The error is largest in {where}: {times(first[worst])} times {noise}"
     verb = "falls" if later[-1][worst] < first[worst] else "rises"
-    change = f"{verb} from {times(first[worst])} to {times(later[-1][worst])} times the noise"
+    change = f"{verb} from {times(first[worst])} to {times(later[-1][worst])} times {noise}"
     return f"The error is largest in {where}, where it {change}"
 
 

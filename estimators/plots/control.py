@@ -3,9 +3,8 @@
 from typing import Any
 
 import numpy as np
-from matplotlib.ticker import LogLocator, NullFormatter
 
-from estimators.plots.style import MODELS, SMALL, Picture, picture, prefixed, tidy, title
+from estimators.plots.style import MODELS, SMALL, Picture, picture, plain_log_axis, prefixed, tidy, title
 from rtac_jax.control import ClosedLoop, Margins, Synthesis
 
 _OPEN: dict[str, Any] = {"color": "0.55", "linewidth": 1.6, "linestyle": ":"}
@@ -72,9 +71,7 @@ def plot_synthesis(synthesis: Synthesis) -> Picture:
         axis.set_ylim(max(0.5 * values.min(), 1e-4 * values.max()), 2 * values.max())
         axis.set_xlabel("Frequency [rad/s]", fontsize=SMALL)
         axis.legend(fontsize=SMALL)
-        axis.yaxis.set_minor_formatter(NullFormatter())
-        axis.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if values.max() < 50 * values.min() else (1.0,)))
-        axis.yaxis.set_major_formatter("{x:.3g}")
+        plain_log_axis(axis.yaxis, values.min(), values.max())
         tidy(axis)
     figure.axes[0].set_ylabel("Magnitude [1]", fontsize=SMALL)
     stays = "stays under" if synthesis.robustness < 1 else "passes"

@@ -12,7 +12,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.text import Text
-from matplotlib.ticker import FixedFormatter, FuncFormatter
+from matplotlib.ticker import FixedFormatter, FuncFormatter, LogLocator, NullFormatter
 
 Values = Float[np.ndarray, " sample"]
 
@@ -216,6 +216,13 @@ def tidy(axes: Any) -> None:
     axes.set_axisbelow(True)
     axes.tick_params(labelsize=SMALL)
     axes.spines[["top", "right"]].set_visible(False)
+
+
+def plain_log_axis(axis: Any, lowest: float, highest: float) -> None:
+    """Label a logarithmic axis with plain numbers: at 1, 2 and 5 of every decade, or at 1 alone where these are many."""
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if highest < 50 * lowest else (1.0,)))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
 
 
 def quantity(value: float, unit: str) -> str:

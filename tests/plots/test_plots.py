@@ -102,6 +102,9 @@ PICTURES = {
     "confusion of one": lambda: plot_confusion(diagnosis(others=())),
     "bands of one": lambda: plot_bands(Comparison((compared("model", 12.0),))),
     "bands of two": lambda: plot_bands(Comparison((compared("base", 12.0), compared("+ mode", 0.2)))),
+    "bands of coloured noise": lambda: plot_bands(
+        Comparison((compared("model", 12.0),)), coloured=("cart_position", "arm_velocity")
+    ),
     "improvement": lambda: plot_improvement(improvement()),
     "improvement in two steps": lambda: plot_improvement(improvement(3)),
     "improvement of predictions": lambda: plot_improvement(
@@ -180,9 +183,12 @@ def test_titles_of_the_new_pictures_carry_their_numbers(drawn):
     # 37.4 rad/s are 5.95 Hz
     low, high = map(
         float,
-        re.findall(r"between ([\d.]+) and ([\d.]+) Hz", drawn["bands of one"].get_suptitle().replace("\n", " "))[0],
+        re.findall(r"between ([\d.]+) and ([\d.]+)\sHz", drawn["bands of one"].get_suptitle().replace("\n", " "))[0],
     )
     assert low < 37.4 / (2 * np.pi) < high
+    coloured = drawn["bands of coloured noise"]
+    assert "times white noise, and its noise is coloured" in coloured.get_suptitle().replace("\n", " ")
+    assert coloured.get_axes()[0].get_title(loc="left") == "cart position, whose noise is coloured"
     assert "best 14 candidates, 26 more score lower" in drawn["forty candidates"].get_axes()[0].get_title(loc="left")
     assert len(drawn["forty candidates"].get_axes()[0].get_yticks()) == 14
 

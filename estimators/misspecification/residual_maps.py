@@ -99,8 +99,13 @@ def _by_frequency(
         counts += np.bincount(part, weights=np.full(len(part), 2.0), minlength=_PARTS)
     return [
         Place(
-            "frequency", f"{edges[i]:.3g} to {edges[i + 1]:.3g} rad/s", channel, float(totals[i] / counts[i]),
+            "frequency", f"{_plain(edges[i])} to {_plain(edges[i + 1])} rad/s", channel, float(totals[i] / counts[i]),
             float(chi2.ppf(0.99, counts[i])) / counts[i], i,
         )
         for i in range(_PARTS) if counts[i] > 8
     ]  # fmt: skip
+
+
+def _plain(value: float) -> str:
+    """Return a number in three figures, and in no power of ten up to a million."""
+    return f"{float(f'{value:.3g}'):g}"

@@ -315,6 +315,8 @@ def test_bounds_of_the_places_hold() -> None:
             assert [label for _, label in parts] == [first.format(n) for n in range(1, 5)]
     assert worst.label == "forced_2"
     assert worst.value == pytest.approx(2.25, rel=0.2)
+    fast = where(error, PRESENT, [dataclasses.replace(e, sample_time=1e-3) for e in experiments()])
+    assert "1050 to 3140 rad/s" in {place.label for place in fast}
 
 
 def test_held_out_score_is_that_of_fits_without_each_experiment() -> None:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from estimators.diagnosis.choice import alone, chosen
 from estimators.diagnosis.evidence import FittedModel
+from estimators.diagnosis.exchange import exchanged
 from estimators.diagnosis.laboratory import Laboratory, Way
 from estimators.diagnosis.policy import DiagnosisPolicy
 from estimators.diagnosis.removed_error import named
@@ -251,6 +252,12 @@ def improvements(
         count = named(steps, first_tests, laboratory.facts.samples, policy)[1]
         if not rejecting(step.left) or 0 < count < len(steps):
             break
+    count = named(steps, first_tests, laboratory.facts.samples, policy)[1]
+    if count > 1:
+        laboratory.say("runners-up beside what was found later")
+        best = exchanged(laboratory, base, steps[:count], tried, policy)
+        # What came after was found beside the others.
+        steps = best if [step.id for step in best] != [step.id for step in steps[:count]] else [*best, *steps[count:]]
     return steps, tried
 
 

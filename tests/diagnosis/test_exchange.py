@@ -1,0 +1,93 @@
+"""An effect that was selected while others were missing gives way to what does better beside them."""
+
+import pytest
+from known_search import Known, known, sized
+
+from estimators.diagnosis.policy import STANDARD
+from estimators.diagnosis.stepwise_selection import improvements
+from estimators.misspecification.findings import Findings
+
+FIRST = ("gravity_tilt", "lvdt_offset", "force_offset")
+# A tilt takes a part of a ripple as long as that is missing.
+TILT = known(
+    base=-10_000.0, gravity_tilt=-5000.0, lvdt_offset=-5050.0, force_offset=-5060.0, gravity_tilt__tacho_ripple=-2000.0,
+    lvdt_offset__tacho_ripple=-1990.0, force_offset__tacho_ripple=-1992.0,
+)  # fmt: skip
+
+
+class Search(Known):
+    """A laboratory in which three effects show first, and beside any of them a ripple; it notes what is refitted."""
+
+    def __init__(self, likelihood, first=FIRST, second="tacho_ripple", rejects_to_the_end=()):
+        super().__init__(likelihood)
+        self.asked = []
+
+        def seen(model):
+            if second in model.added:
+                at_the_end = model.added[0] in rejects_to_the_end
+                return Findings((sized("cogging", 60.0, 1e-9),) if at_the_end else ())
+            if model.added:
+                return Findings((sized(second, 900.0, 1e-9),))
+            return Findings(tuple(sized(effect, 1000.0 - place, 1e-9) for place, effect in enumerate(first)))
+
+        self.rejects = seen
+
+    def refits(self, before, several, way):
+        self.asked += [(*before.added, score.id) for score in several]
+        return super().refits(before, several, way)
+
+
+def selected(search):
+    steps, _ = improvements(search, search.base, search.rejects(search.base), STANDARD)
+    return {step.id: set(step.rivals) for step in steps}, steps
+
+
+def test_what_was_selected_first_gives_way_and_keeps_rivals_that_nothing_tells_apart():
+    found, steps = selected(Search(TILT))
+    # 20 and 16 in twice the log-likelihood better than the tilt.
+    assert found == {"lvdt_offset": {"force_offset"}, "tacho_ripple": set()}
+    assert [step.model.added for step in steps] == [("lvdt_offset",), ("lvdt_offset", "tacho_ripple")]
+    assert [step.gain for step in steps] == [2 * 4950.0, 2 * 3060.0]
+    assert steps[0].amplitudes == ("size",)
+
+
+@pytest.mark.parametrize(
+    ("offset", "found"),
+    [
+        (-1996.0, {"lvdt_offset": {"gravity_tilt"}, "tacho_ripple": set()}),
+        (-2003.0, {"gravity_tilt": {"lvdt_offset"}, "tacho_ripple": set()}),
+        (-2030.0, {"gravity_tilt": set(), "tacho_ripple": set()}),
+    ],
+)
+def test_the_likelier_is_named_and_the_other_a_rival_where_it_is_near(offset, found):
+    likelihood = TILT | known(force_offset=-9000.0, lvdt_offset__tacho_ripple=offset)
+    assert selected(Search(likelihood))[0] == found
+
+
+def test_what_is_far_behind_is_not_asked_again():
+    search = Search(TILT | known(lvdt_offset=-7000.0, force_offset=-7000.0))
+    assert selected(search)[0] == {"gravity_tilt": set(), "tacho_ripple": set()}
+    assert not {("lvdt_offset", "tacho_ripple"), ("force_offset", "tacho_ripple")} & set(search.asked)
+
+
+def test_what_leaves_more_than_the_first_did_takes_no_place():
+    search = Search(TILT, rejects_to_the_end=("lvdt_offset", "force_offset"))
+    assert selected(search)[0] == {"gravity_tilt": set(), "tacho_ripple": set()}
+    assert ("lvdt_offset", "tacho_ripple") in search.asked
+
+
+def test_a_single_effect_is_asked_once():
+    search = Search(TILT)
+    search.rejects = lambda model: Findings(() if model.added else tuple(sized(i, 1000.0, 1e-9) for i in FIRST))
+    assert list(selected(search)[0]) == ["gravity_tilt"]
+    assert all(len(effects) == 1 for effects in search.asked)
+
+
+def test_a_law_and_what_it_presupposes_are_not_exchanged():
+    likelihood = known(
+        base=-10_000.0, arm_coulomb=-5000.0, arm_stribeck=-4990.0, arm_coulomb__tacho_ripple=-2000.0,
+        arm_stribeck__tacho_ripple=-1900.0,
+    )  # fmt: skip
+    search = Search(likelihood, first=("arm_coulomb", "arm_stribeck"))
+    assert list(selected(search)[0]) == ["arm_coulomb", "tacho_ripple"]
+    assert ("arm_stribeck", "tacho_ripple") not in search.asked

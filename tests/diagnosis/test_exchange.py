@@ -18,8 +18,8 @@ TILT = known(
 class Search(Known):
     """A laboratory in which three effects show first, and beside any of them a ripple; it notes what is refitted."""
 
-    def __init__(self, likelihood, first=FIRST, second="tacho_ripple", rejects_to_the_end=()):
-        super().__init__(likelihood)
+    def __init__(self, likelihood, first=FIRST, second="tacho_ripple", rejects_to_the_end=(), **options):
+        super().__init__(likelihood, **options)
         self.asked = []
 
         def seen(model):
@@ -74,6 +74,44 @@ def test_what_leaves_more_than_the_first_did_takes_no_place():
     search = Search(TILT, rejects_to_the_end=("lvdt_offset", "force_offset"))
     assert selected(search)[0] == {"gravity_tilt": set(), "tacho_ripple": set()}
     assert ("lvdt_offset", "tacho_ripple") in search.asked
+
+
+def test_what_is_left_with_both_speaks_against_neither():
+    worthless = known(**{f"{first}__tacho_ripple__cogging": -3000.0 for first in FIRST})
+    search = Search(TILT | worthless, rejects_to_the_end=FIRST)
+    assert selected(search)[0] == {"lvdt_offset": {"force_offset"}, "tacho_ripple": set()}
+
+
+@pytest.mark.parametrize(
+    "options", [{"loose": ["lvdt_offset"]}, {"held_out": {"lvdt_offset": -1.0}}], ids=["loose", "held out"]
+)
+def test_what_the_data_leave_free_or_other_experiments_refuse_takes_no_place(options):
+    assert selected(Search(TILT, **options))[0] == {"force_offset": set(), "tacho_ripple": set()}
+
+
+def test_a_rival_that_falls_behind_is_none_any_more():
+    search = Search(TILT | known(lvdt_offset=-5002.0, force_offset=-9000.0, lvdt_offset__tacho_ripple=-2030.0))
+    assert selected(search)[0] == {"gravity_tilt": set(), "tacho_ripple": set()}
+
+
+def test_the_best_two_runners_up_are_asked():
+    search = Search(TILT | known(end_stop=-5040.0, end_stop__tacho_ripple=-2500.0), first=(*FIRST, "end_stop"))
+    selected(search)
+    again = [effects for effects in search.asked if effects[-1] == "tacho_ripple" and len(effects) == 2]
+    assert again == [(effect, "tacho_ripple") for effect in ("gravity_tilt", "end_stop", "lvdt_offset")]
+
+
+def test_what_a_later_effect_presupposes_stays():
+    likelihood = known(
+        base=-10_000.0,
+        arm_coulomb=-5000.0,
+        cogging=-5010.0,
+        arm_coulomb__arm_stribeck=-2000.0,
+        cogging__arm_stribeck=-1000.0,
+    )
+    search = Search(likelihood, first=("arm_coulomb", "cogging"), second="arm_stribeck")
+    assert list(selected(search)[0]) == ["arm_coulomb", "arm_stribeck"]
+    assert ("cogging", "arm_stribeck") not in search.asked
 
 
 def test_a_single_effect_is_asked_once():

@@ -159,7 +159,7 @@ def hidden_in(name: str) -> list[str]:
         name = name.removeprefix(f"{words} ")
     for words in HARD_WORDS:
         name = name.removeprefix(f"{words}: ")
-    return name.removesuffix(LITTLE_NOISE).split(" + ")
+    return [name] if name in NULLS else name.removesuffix(LITTLE_NOISE).split(" + ")
 
 
 def drawn(case: Case, seed: int, draw: int) -> virtual_rig.Rig:

@@ -16,7 +16,7 @@ WHERE = (
     "Mean squared innovations of the base model in each part of the data, 1 where there is only noise. The darker, the further "
     "beyond what chance exceeds in one of a hundred; these are bold."
 )
-BANDS = "Error of free simulation by frequency, in units of the sensor's noise in the same band."
+BANDS = "Error of free simulation by frequency, in units of white noise of the sensor in the same band."
 LEARNED = (
     "The force that was learned as a last resort. It names no physics: it makes the error fall where it was learned, and is not "
     "known beyond. What the model's own parameters explain, such as a slope, is theirs."

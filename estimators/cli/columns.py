@@ -12,8 +12,9 @@ MAT = ".mat"
 _TIME = "time"
 _UNIT = re.compile(r"^(?P<column>.*?)\s*\[(?P<unit>[^\[\]]*)\]$")
 # A unit at the end of a column's name, in round brackets or after an underscore.
-_NAMED = re.compile(r"(?:\((?P<within>[^()]*)\)|_(?P<after>[^_\s]+))$")
-_WORDS = ("in", "rev")  # that after an underscore are units less often than something else, as in "current_in"
+_NAMED = re.compile(r"(?:\((?P<within>[^()]*)\)|_(?P<after>(?:m?rad|deg|rev)_s|[^_\s]+))$")
+# After an underscore these are units less often than something else, as in "current_in" and "x_cm", the centre of mass.
+_WORDS = ("in", "rev", "cm")
 _SAME = {
     "inch": "in",
     "inches": "in",
@@ -26,6 +27,9 @@ _SAME = {
     "µA": "uA",
     "μA": "uA",
     "1/min": "rpm",
+    "U/min": "rpm",
+    "r/min": "rpm",
+    "RPM": "rpm",
 }
 _DELIMITERS = {";": '";"', "\t": "$'\\t'", ",": '","'}  # and how a shell is given them
 
@@ -102,7 +106,7 @@ class Columns:
                     )
                 unit = says
             if not unit and channel not in scale:
-                unit = _named_unit(channels[channel], FACTORS[known[channel]])
+                unit = _named_unit(channels[channel], known[channel], FACTORS)
                 (named if unit else unstated).append(channel)
             unit = unit or known[channel]
             units[channel] = _SAME.get(unit, unit)
@@ -165,14 +169,20 @@ class Columns:
         return ", ".join(f"{self.time if c == _TIME else self.channels[c]} in {self.units[c]}" for c in channels)
 
 
-def _named_unit(column: str, known: Mapping[str, float]) -> str:
-    """Return the unit in which a column's name ends, if it is one of those that are known for its channel; else nothing."""
+def _named_unit(column: str, quantity: str, factors: Mapping[str, Mapping[str, float]]) -> str:
+    """Return the unit in which a column's name ends; nothing where that is no unit, or may be a word.
+
+    In round brackets one of another quantity is returned, too, as it contradicts the channel.
+    """
     match = _NAMED.search(column)
     if match is None:
         return ""
     within, after = match["within"], match["after"]
-    unit = (within or after).strip()
-    return unit if _SAME.get(unit, unit) in known and (within is not None or unit not in _WORDS) else ""
+    unit = (within if after is None else after.replace("_", "/")).strip()
+    meant = _SAME.get(unit, unit)
+    if within is not None:
+        return unit if any(meant in known for known in factors.values()) else ""
+    return unit if meant in factors[quantity] and unit not in _WORDS else ""
 
 
 def names_in(file: Path, delimiter: str) -> set[str]:

@@ -32,7 +32,10 @@ def import_files(
     ],
     channel: Annotated[
         Pairs,
-        option('NAME="COLUMN [UNIT]"', "The column of a channel and its unit; without a unit, that of the recording."),
+        option(
+            'NAME="COLUMN [UNIT]"',
+            "The column of a channel and its unit; without a unit, the one in its name, else that of the recording.",
+        ),
     ] = None,
     kind: Annotated[
         Pairs,

@@ -191,4 +191,4 @@ def _advice(found: Any, work: Job) -> Any:
     spread = est.covariances(found.final, work.train)
     advice = est.recommended(found.final, found.train.models[-1], predicted=predicted, spread=spread)
     adequate = found.diagnoses[-1].verdict == "adequate" and at_noise(found.final.farthest)
-    return dataclasses.replace(advice, adequate=adequate, diagnosed=True)
+    return dataclasses.replace(advice, adequate=adequate, diagnosed=found.diagnosed[-1] == len(found.fits) - 1)

@@ -202,10 +202,17 @@ class Improvement(Result):
 
     @property
     def _but(self) -> str:
-        """Return what an adequate model's simulation leaves, where that is far from the held-out experiments; else nothing."""
-        if not self._astray:
+        """Return what an adequate model's simulation leaves of held-out experiments, where that is no noise; else nothing.
+
+        Coloured noise that was assumed is more than the white noise that errors are held against.
+        """
+        trained, tested = self.train.models[-1].errors, self.validation.models[-1].errors
+        white = [c for c in tested if c not in self.diagnoses[-1].coloured]
+        worst = max((tested[c].rms_over_noise for c in white), default=0.0)
+        beyond = not at_noise(worst) and all(at_noise(trained[c].rms_over_noise) for c in white if c in trained)
+        if not self._astray and not beyond:
             return ""
-        worst = max(e.rms_over_noise for e in self.validation.models[-1].errors.values())
+        worst = max(e.rms_over_noise for e in tested.values()) if self._astray else worst
         return f"; of the held-out experiments its simulation leaves {rounded(worst)} times the noise"
 
     @property
@@ -255,7 +262,7 @@ class Improvement(Result):
         drift = "" if self.nearest is not None else self.diagnoses[-1].drift
         line = self.diagnoses[-1].line_alone
         end = {
-            "adequate": f"the mended model is adequate{' one sample ahead' if self._astray else ''}{self._in_time}",
+            "adequate": f"the mended model is adequate{' one sample ahead' if self._astray else self._but}{self._in_time}",
             "unknown": f"the mended model fails as where a parameter drifts: {drift}"
             if drift
             else f"only a line speaks against the mended model: {line}"

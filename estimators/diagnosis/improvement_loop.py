@@ -23,7 +23,7 @@ from estimators.diagnosis.model_extension import (
 )
 from estimators.diagnosis.nearest_effect import add_nearest
 from estimators.diagnosis.policy import DiagnosisPolicy
-from estimators.diagnosis.read_law import read_law
+from estimators.diagnosis.read_law import ReadLaw, read_law, simpler_law
 from estimators.diagnosis.runner_up import runner_up
 from estimators.linear.homogeneity_test import Equality
 from estimators.validation.differing_experiments import WORTH_ASKING, differing, may_show_alone
@@ -242,7 +242,7 @@ class Loop:
         further.added.append(nearest)
         further.stopped = ""
         further.run()
-        if further.out_of_time or further.diagnoses[-1].verdict != "adequate":
+        if not further.ended_adequate:
             return None
         beside = ", ".join(c.id for c in further.added[len(self.added) + 1 :])
         with_it = f" with {beside}" if beside else ", all parameters fitted anew,"
@@ -267,14 +267,35 @@ class Loop:
         )
         if read is None:
             return None
+        further = self._going_on(read)
+        followed = all(at_noise(e.rms_over_noise) for e in further.last.tested.errors.values())
+        return further if followed or further.ended_adequate else None
+
+    def with_simpler_law(self) -> "Loop | None":
+        """Return the loop that goes on with a law of fewer parameters in the place of a force, where that ends adequate as well.
+
+        None where no law is likelier (`simpler_law`).
+        """
+        if not self.ended_adequate or not self.all_simulated or self.deadline.over:
+            return None
+        read = simpler_law(
+            self.last, self.added, self.diagnoses, self.train, self.held_out, policy=self.policy, progress=self.progress
+        )
+        further = None if read is None else self._going_on(read)
+        return further if further is not None and further.ended_adequate else None
+
+    @property
+    def ended_adequate(self) -> bool:
+        """Return whether the last diagnosis found nothing missing, and was not cut short."""
+        return not self.out_of_time and self.diagnoses[-1].verdict == "adequate"
+
+    def _going_on(self, read: ReadLaw) -> "Loop":
+        """Return the loop that has gone on with a law to its end."""
         further = self.copied()
         further.steps.append(((read.law.id,), read.step))
         further.added = read.among(self.added)
         further.stopped = ""
         further.run()
-        followed = all(at_noise(e.rms_over_noise) for e in further.last.tested.errors.values())
-        if not followed and (further.out_of_time or further.diagnoses[-1].verdict != "adequate"):
-            return None
         further.stopped = f"{read.said(self.last.tested)} {further.stopped}"
         return further
 
@@ -328,7 +349,7 @@ class Loop:
         further.added.append(dataclasses.replace(found.taken, confusable_with=()))
         further.stopped = ""
         further.run()
-        if further.out_of_time or further.diagnoses[-1].verdict != "adequate":
+        if not further.ended_adequate:
             return None
         further.stopped = (
             f"{found.taken.id} takes the place of {found.given_up.id}, which predictions one sample ahead prefer: simulated, the "

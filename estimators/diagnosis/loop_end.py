@@ -51,10 +51,11 @@ def end_of(loop: Loop, *, last_resort: bool) -> LoopEnd:
 
 
 def _look_again(end: LoopEnd) -> None:
-    """Fit what simulates far off from elsewhere, or with a runner-up, and leave out what others supersede."""
+    """Fit what simulates far off from elsewhere, or with a runner-up, leave out what others supersede, and try simpler laws."""
     lead_by_predictions(end.loop)
     end.loop = end.loop.with_runner_up() or end.loop
     end.loop.drop_superseded()
+    end.loop = end.loop.with_simpler_law() or end.loop
 
 
 def lead_by_predictions(loop: Loop) -> None:

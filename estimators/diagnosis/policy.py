@@ -7,7 +7,7 @@ from estimators.inference.simulation_residual import SimulationLimits
 from estimators.misspecification.findings import CriticalValues
 from estimators.prediction_error.colour_limits import ColourLimits
 
-VERSION = 13
+VERSION = 14
 """Of the standard policy: counts up when a threshold comes, goes or changes."""
 
 _PROTOTYPE = "prototype study of 42 cases a setting"
@@ -56,8 +56,12 @@ class DiagnosisPolicy:
     refits: int = _threshold(4, "candidates refitted at least", _PROTOTYPE)
     close: float = _threshold(
         0.3,
-        "fraction of the best score within which a candidate is refitted too",
+        "fraction of the best score within which a candidate is refitted too, and of the first effect's gain in BIC within which"
+        " one may replace it",
         _PROTOTYPE,
+    )
+    replacements: int = _threshold(
+        2, "candidates at most that are refitted in the place of the first of several effects", _UNSTUDIED
     )
     consequence: float = _threshold(
         0.01,

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 from estimators.diagnosis.choice import alone, chosen
 from estimators.diagnosis.evidence import FittedModel
-from estimators.diagnosis.exchange import exchanged
 from estimators.diagnosis.laboratory import Laboratory, Way
 from estimators.diagnosis.policy import DiagnosisPolicy
 from estimators.diagnosis.removed_error import named
 from estimators.diagnosis.selection import Selection, Tried, by_size, nameable
+from estimators.diagnosis.sequential_replacement import with_replacement
 from estimators.diagnosis.simulation_selection import replaces_random_forces, selected_by_simulation
 from estimators.diagnosis.step import Step
 from estimators.inference.simulation_residual import follows_nothing
@@ -33,12 +33,14 @@ class _Look:
         near: those among them that are refitted together with the first.
         way: to refit them.
         least: gain that the first step must have, or none is taken.
+        single: whether the first step alone is wanted, so that it is not judged beside later ones.
     """
 
     ranked: Sequence[Score]
     near: Sequence[Score]
     way: Way
     least: float = 0.0
+    single: bool = False
 
 
 def select(laboratory: Laboratory, policy: DiagnosisPolicy, *, thorough: bool) -> Selection:
@@ -165,6 +167,7 @@ def confirmed(laboratory: Laboratory, found: Selection, policy: DiagnosisPolicy)
     if not look.ranked:
         return found
     laboratory.say("what scatters over the seconds")
+    look = dataclasses.replace(look, single=True)
     steps, more = improvements(laboratory, found.base, found.findings, policy, look)
     found = dataclasses.replace(found, tried=more | found.tried)
     if not steps:
@@ -253,11 +256,16 @@ def improvements(
         if not rejecting(step.left) or 0 < count < len(steps):
             break
     count = named(steps, first_tests, laboratory.facts.samples, policy)[1]
-    if count > 1:
-        laboratory.say("runners-up beside what was found later")
-        best = exchanged(laboratory, base, steps[:count], tried, policy)
-        # What came after was found beside the others.
-        steps = best if [step.id for step in best] != [step.id for step in steps[:count]] else [*best, *steps[count:]]
+    if count > 1 and not (look is not None and look.single):
+        best = with_replacement(laboratory, base, steps[:count], first_tests, tried, policy)
+        if best[0].id == steps[0].id:
+            steps = [*best, *steps[count:]]
+        elif look is None or best[0].gain > look.least:
+            steps = best  # what came after was found beside the others
+            tried |= {
+                step.id: (before, step.model)
+                for before, step in zip([base, *(s.model for s in best)], best, strict=False)
+            }
     return steps, tried
 
 

@@ -35,9 +35,9 @@ def plot_bands(comparison: Comparison, *, coloured: Collection[str] = ()) -> Pic
     figure = picture(9.6, 3.4)
     for axes, channel in zip(np.atleast_1d(figure.subplots(1, len(channels), sharey=True)), channels, strict=True):
         _draw(axes, {m.label: ratios[m.label, channel] for m in shown}, edges)
-        noise = ", whose noise is coloured" if channel in coloured else ""
+        noise = ", noise taken for coloured" if channel in coloured else ""
         axes.set_title(f"{NAMES[channel]}{noise}", fontsize=9, loc="left")
-    figure.axes[0].set_ylabel("rms of residual / noise in the band [1]", fontsize=SMALL)
+    figure.axes[0].set_ylabel("rms of residual / white noise in the band [1]", fontsize=SMALL)
     figure.axes[0].legend(fontsize=SMALL, loc="upper right")
     title(figure, _finding({c: [ratios[m.label, c] for m in shown] for c in channels}, edges, coloured))
     return figure
@@ -93,7 +93,7 @@ def _finding(ratios: dict[str, list[np.ndarray]], edges: Edges, coloured: Collec
     worst = int(np.argmax(first))
     between = f"between {_short(edges[worst])} and {_short(edges[worst + 1])}\N{NO-BREAK SPACE}Hz"
     where = f"{NAMES[channel]} {between}"
-    noise = "white noise, and its noise is coloured" if channel in coloured else "the noise"
+    noise = "white noise, and its noise is taken for coloured" if channel in coloured else "the noise"
     if not later:
         if first[worst] < 1.5:
             return (

@@ -63,8 +63,8 @@ class Recommendation(Result):
             )
         elif not self.sound and self.diagnosed:
             said += (
-                " A residual is coloured, which no deviation counts: by what the diagnosis could not name, or by random forces,"
-                " which a simulation does not know."
+                " A residual is coloured, which no deviation counts: by what the diagnosis names and a fit does not follow, by what"
+                " it does not name, or by random forces."
             )
         elif not self.sound:
             said += (

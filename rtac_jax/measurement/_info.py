@@ -49,7 +49,9 @@ def describe(recording: Contents) -> str:
 def _exact(recording: Contents) -> list[str]:
     """Return a line that says which constants no deviation is stated of: what is off in them shifts all that is estimated."""
     exact = [name for name in recording.rig if name not in recording.rig_std]
-    return [f"taken as exact: {', '.join(exact)}; {exact[0]}_std beside it says how sure it is"] if exact else []
+    if not exact:
+        return []
+    return [f"without a deviation, so exact: {', '.join(exact)}; give {exact[0]}_std beside {exact[0]} where it is not"]
 
 
 def _spread(deviation: float | None) -> str:

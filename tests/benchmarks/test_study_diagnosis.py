@@ -43,6 +43,8 @@ def result(case: str, verdict: str, **groups: tuple[str, ...]) -> dict:
         # One of two groups cannot stand for both.
         (result(PAIR, "ambiguous", arm_coulomb=("cubic_spring",), cogging=()), "wrong"),
         (result("nothing, white noise", "missing", cogging=()), "wrong"),
+        (result("nothing, white noise", "adequate"), "adequate"),
+        (result("nothing, coloured noise, no rest, no repeats", "adequate"), "adequate"),
         (result("outside: eddy brake", "missing", cogging=()), "wrong"),
         (result("twice the limit of tacho_lag", "missing", tacho_lag=()), "right"),
     ],

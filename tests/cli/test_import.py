@@ -101,6 +101,7 @@ def test_a_dry_run_shows_what_was_understood_and_writes_nothing(tmp_path, free):
         ("x_in", 1.0),  # what comes in
         ("x (in)", 0.0254),
         ("x (left)", 1.0),
+        ("x_cm", 1.0),  # of the centre of mass
         ("x_rpm", 1.0),  # no unit of a length
         ("x (mm) [cm]", 1e-2),
     ],
@@ -116,6 +117,22 @@ def test_a_unit_at_the_end_of_a_name_is_that_of_the_column_and_it_is_said(tmp_pa
     by_name = f"By their columns' names: {name} in " in result.stdout
     assumed = f"No unit is stated of these: {name} in m, t in s by assumption" in result.stdout
     assert (by_name, assumed) == (factor not in (1.0, 1e-2), factor == 1.0)
+
+
+def test_speeds_in_names_and_a_unit_of_another_quantity(tmp_path, forced):
+    factors = {"n (RPM)": np.pi / 30, "n_deg_s": np.pi / 180, "n_rad_s": 1.0, "n (U/min)": np.pi / 30}
+    for number, (name, factor) in enumerate(factors.items()):
+        file = tmp_path / f"named_{number}.csv"
+        file.write_text(forced.read_text().replace(",n,", f",{name},"))
+        told = ("--kind", "free", "--time", "t", "--channel", f"arm_velocity={name}")
+        _, recording = imported(tmp_path / f"rig_{number}.h5", file, *told)
+        expected = factor * SPEED * 30 / np.pi
+        np.testing.assert_allclose(recording[file.stem].outputs["arm_velocity"].values, expected, rtol=1e-12)
+    file.write_text(forced.read_text().replace(",n,", ",n (mm),"))
+    result = call(
+        "import", file, "--kind", "free", "--time", "t", "--channel", "arm_velocity=n (mm)", tmp_path / "no.h5"
+    )
+    refused(result, 2, "--channel arm_velocity: the unit 'mm' is not known for it")
 
 
 def test_a_unit_in_the_first_row_need_not_be_repeated_but_not_contradicted(tmp_path, forced):

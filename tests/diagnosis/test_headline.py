@@ -100,6 +100,24 @@ def test_what_serves_held_out_experiments_next_to_nothing_may_stand_for_somethin
     assert "something else" not in kept.headline  # which says what it is kept for
 
 
+@pytest.mark.parametrize("steps", [1, 2])
+@pytest.mark.parametrize(
+    ("fitted", "coloured", "said"), [(0.3, (), True), (1.5, (), False), (0.3, ("arm_velocity",), False)]
+)
+def test_held_out_experiments_beyond_the_noise_are_told_of_a_model_that_follows_the_fitted_ones(
+    steps, fitted, coloured, said
+):
+    """Of noise that is coloured, or where the fitted ones are as far, it is no news."""
+    last = dataclasses.replace(diagnosis("adequate"), coloured=dict.fromkeys(coloured, 0.1))
+    found = looped(*(NAMED, last)[2 - steps :], steps=steps)
+    several = [compared(model.label, 1.5) for model in found.validation.models]
+    beyond = [dataclasses.replace(m, traces=tuple(t for t in m.traces if t.channel == "arm_velocity")) for m in several]
+    trained = Comparison(tuple(compared(model.label, fitted) for model in several))
+    found = dataclasses.replace(found, train=trained, validation=Comparison(tuple(beyond)))
+    assert ("; of the held-out experiments its simulation leaves 1.61 times the noise." in found.headline) == said
+    assert "adequate" in found.headline
+
+
 def near_noise(found):
     """Return a loop that adds nothing, whose held-out experiments are followed to the noise."""
     return dataclasses.replace(looped(found, steps=1), validation=Comparison((compared("base", 0.3),)))

@@ -232,6 +232,40 @@ def test_a_law_stays_where_nothing_more_is_missing_or_it_follows_to_the_noise(
     assert "and takes the place of end_stop: the held-out experiments were left at" in further.stopped
 
 
+@pytest.mark.parametrize(
+    ("before", "read", "after", "taken"),
+    [
+        ("adequate", True, "adequate", True),
+        ("adequate", True, "unknown", False),
+        ("adequate", False, "adequate", False),
+        ("unknown", True, "adequate", False),
+    ],
+)
+def test_a_simpler_law_stays_where_the_model_with_it_is_adequate_too(
+    monkeypatch: pytest.MonkeyPatch, before: str, read: bool, after: str, taken: bool
+) -> None:
+    loop = new_loop()
+    last = Added(loop.last.fit, made_up_results.compared("+ end_stop", 1.1), "simulated")
+    loop.steps.append((("end_stop",), last))
+    loop.added, loop.diagnosed = [made_up_results.candidate("end_stop", 50.0)], [0, 1]
+    loop.diagnoses = [made_up_results.diagnosis("missing"), made_up_results.diagnosis(before)]
+    law = made_up_results.candidate("law_of_cart_position_power5", 90.0)
+    found = ReadLaw(
+        dataclasses.replace(last, tested=made_up_results.compared("+ law", 1.0)), law, "a force", ("end_stop",)
+    )
+    monkeypatch.setattr(improvement_loop, "simpler_law", lambda *_, **__: found if read else None)
+    monkeypatch.setattr(Loop, "_diagnosed", lambda *_, **__: made_up_results.diagnosis(after))
+    further = loop.with_simpler_law()
+    assert (further is not None) == taken
+    if further is not None:
+        assert further.added == [law]
+        assert further.diagnosed == [0, 1, 2]
+        assert further.stopped.startswith(
+            "a force is a law read off the missing force, in no catalogue, and takes the place of"
+        )
+        assert loop.added[0].id == "end_stop"
+
+
 def fitted(size: float, deviation: float, error: float) -> Added:
     """Return a model with a lag of the encoder of a size and one of the current, which leaves an error over the noise."""
     model = rtac.RTAC.paper() + EncoderLag(size) + CurrentLag(6e-3)

@@ -137,6 +137,70 @@ def test_a_spring_that_hardens_as_a_hyperbolic_sine_is_a_cubic_one_and_the_power
     assert named["law_of_cart_position_power5.coefficient_1"].value == pytest.approx(-0.2 / 120 / 0.004**5, rel=0.5)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("law", "seed", "name"),
+    [
+        (lambda q: -4e8 * q**5, 6, "law_of_cart_position_power5"),
+        (lambda q: -400.0 * np.sign(q) * np.maximum(np.abs(q) - 0.009, 0.0), 7, "end_stop"),
+        (lambda q: -15.0 * np.sign(q) * np.maximum(np.abs(q) - 0.007, 0.0), 8, "end_stop"),
+    ],
+    ids=["a weak fifth power", "an end stop", "a weak end stop"],
+)
+def test_a_law_of_fewer_parameters_takes_the_place_of_an_end_stop_where_it_is_likelier(
+    law: Callable[[np.ndarray], np.ndarray], seed: int, name: str
+) -> None:
+    recording = recorded(law, seed)
+    found = est.improve(rtac.RTAC.from_rig(recording), recording, progress=False)
+    assert [candidate.id for candidate in found.added] == [name], found.headline
+    assert found.mended == "adequate"
+    assert max(error.rms_over_noise for error in found.validation.models[-1].errors.values()) < 1.1
+    if name != "end_stop":
+        fitted = found.final.parameters[f"{name}.coefficient_1"]
+        assert abs(fitted.value + 4e8) < 3 * fitted.std < 1e8
+        assert "takes the place of end_stop" in found.ending
+
+
+@pytest.mark.parametrize(
+    ("gain", "error", "taken"),
+    [(60.0, 1.0, True), (8.0, 1.0, False), (60.0, 3.0, False)],
+    ids=["likelier", "hardly likelier", "worse where it was held out"],
+)
+def test_a_simpler_law_must_be_far_likelier_and_no_worse_where_nothing_was_fitted(
+    monkeypatch: pytest.MonkeyPatch, gain: float, error: float, taken: bool
+) -> None:
+    """Of the laws that the curve proposes one has a single parameter, and an end stop has two."""
+    model = rtac.RTAC.paper() + EndStop(1e3, 0.01) + CurrentLag(2e-3)
+    fit = dataclasses.replace(made_up_results.FIT, model=model)
+    last = Added(fit, made_up_results.compared("both", 1.0), "simulated")
+    added = [made_up_results.candidate(name, 50.0) for name in ("end_stop", "current_lag")]
+    at = np.linspace(-0.012, 0.012, 12)
+    evidence = CurveEvidence(np.stack([1e4 * np.eye(12)] * 4), np.stack([1e4 * -2e9 * at**5] * 4))
+    curve = dataclasses.replace(made_up_results.curve("cart", "cart_position", 0.012), at=at, evidence=evidence)
+    named = dataclasses.replace(made_up_results.diagnosis("missing", curves=(curve,)), effects=tuple(added[:1]))
+    monkeypatch.setattr(module, "_bic", lambda one: 0.0 if one is fit else -gain)
+    asked: list[tuple[tuple[str, ...], str]] = []
+
+    def fitted(_: Added, given_up: list[str], several: list[Any], label: str, *__: object, **___: object) -> Added:
+        asked.append((tuple(given_up), label))
+        return Added(dataclasses.replace(fit), made_up_results.compared(label, error), "simulated")
+
+    monkeypatch.setattr(module, "extended_without", fitted)
+    monkeypatch.setattr(module, "is_sure", lambda *_: True)
+    monkeypatch.setattr(module, "_text", lambda *_: "the law")
+    nothing = Recording((forced(),), rig={})
+    found = module.simpler_law(last, added, [named], nothing, nothing, policy=STANDARD, progress=False)
+    assert asked == [(("end_stop",), "+ current_lag, law_of_cart_position_power5")]
+    assert (found is not None) == taken
+    if found is not None:
+        assert found.among(added) == [added[1], found.law]
+    # Nothing is asked of an effect that no diagnosis named, or beside which no static force rejects.
+    asked.clear()
+    for quiet in (dataclasses.replace(named, effects=()), dataclasses.replace(named, tests=())):
+        assert module.simpler_law(last, added, [quiet], nothing, nothing, policy=STANDARD, progress=False) is None
+    assert asked == []
+
+
 @pytest.mark.parametrize(
     ("errors", "place", "given_up"),
     [

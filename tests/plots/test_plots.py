@@ -187,8 +187,8 @@ def test_titles_of_the_new_pictures_carry_their_numbers(drawn):
     )
     assert low < 37.4 / (2 * np.pi) < high
     coloured = drawn["bands of coloured noise"]
-    assert "times white noise, and its noise is coloured" in coloured.get_suptitle().replace("\n", " ")
-    assert coloured.get_axes()[0].get_title(loc="left") == "cart position, whose noise is coloured"
+    assert "times white noise, and its noise is taken for coloured" in coloured.get_suptitle().replace("\n", " ")
+    assert coloured.get_axes()[0].get_title(loc="left") == "cart position, noise taken for coloured"
     assert "best 14 candidates, 26 more score lower" in drawn["forty candidates"].get_axes()[0].get_title(loc="left")
     assert len(drawn["forty candidates"].get_axes()[0].get_yticks()) == 14
 

@@ -67,7 +67,7 @@ def test_a_constant_that_predictions_take_far_from_what_was_measured_is_told(std
 
 COLOURED = {
     (True, True): "though nothing is found missing",
-    (False, True): "by what the diagnosis could not name",
+    (False, True): "by what it does not name, or by random forces",
     (False, False): "est.diagnose tells whether it can be named",
 }
 

@@ -69,9 +69,12 @@ def test_they_are_told_in_words():
     told = rtac.describe(UNCERTAIN)
     assert "total_mass = 1.23 +- 0.001 kg, arm_inertia = 9.5e-05 kg m^2" in told
     assert "arm starts at 0.5 +- 0.02 rad" in told
-    assert "\ntaken as exact: arm_inertia; arm_inertia_std beside it says how sure it is\n" in told
+    assert (
+        "\nwithout a deviation, so exact: arm_inertia; give arm_inertia_std beside arm_inertia where it is not\n"
+        in told
+    )
     sure = dataclasses.replace(UNCERTAIN, rig={**UNCERTAIN.rig, "arm_inertia_std": 1e-6})
-    assert "taken as exact" not in rtac.describe(sure)
+    assert "so exact" not in rtac.describe(sure)
 
 
 @pytest.mark.parametrize("value", [0.0, -1.0, np.inf, np.nan, "wide"])

@@ -18,14 +18,15 @@ TILT = known(
 class Search(Known):
     """A laboratory in which three effects show first, and beside any of them a ripple; it notes what is refitted."""
 
-    def __init__(self, likelihood, first=FIRST, second="tacho_ripple", rejects_to_the_end=(), **options):
+    def __init__(self, likelihood, first=FIRST, second="tacho_ripple", left=None, unanswered=(), **options):
         super().__init__(likelihood, **options)
-        self.asked = []
+        self.asked, self.unanswered = [], unanswered
+        self.left = left or {}
 
         def seen(model):
             if second in model.added:
-                at_the_end = model.added[0] in rejects_to_the_end
-                return Findings((sized("cogging", 60.0, 1e-9),) if at_the_end else ())
+                left = self.left.get(model.added[0], 0.0)
+                return Findings((sized("cogging", left, 1e-9),) if left else ())
             if model.added:
                 return Findings((sized(second, 900.0, 1e-9),))
             return Findings(tuple(sized(effect, 1000.0 - place, 1e-9) for place, effect in enumerate(first)))
@@ -34,7 +35,7 @@ class Search(Known):
 
     def refits(self, before, several, way):
         self.asked += [(*before.added, score.id) for score in several]
-        return super().refits(before, several, way)
+        return super().refits(before, [s for s in several if (*before.added, s.id) not in self.unanswered], way)
 
 
 def selected(search):
@@ -71,15 +72,53 @@ def test_what_is_far_behind_is_not_asked_again():
 
 
 def test_what_leaves_more_than_the_first_did_takes_no_place():
-    search = Search(TILT, rejects_to_the_end=("lvdt_offset", "force_offset"))
+    search = Search(TILT, left={"lvdt_offset": 60.0, "force_offset": 60.0})
     assert selected(search)[0] == {"gravity_tilt": set(), "tacho_ripple": set()}
     assert ("lvdt_offset", "tacho_ripple") in search.asked
 
 
 def test_what_is_left_with_both_speaks_against_neither():
     worthless = known(**{f"{first}__tacho_ripple__cogging": -3000.0 for first in FIRST})
-    search = Search(TILT | worthless, rejects_to_the_end=FIRST)
+    search = Search(TILT | worthless, left=dict.fromkeys(FIRST, 60.0))
     assert selected(search)[0] == {"lvdt_offset": {"force_offset"}, "tacho_ripple": set()}
+
+
+def test_what_would_explain_less_takes_no_place():
+    worthless = known(**{f"{first}__tacho_ripple__cogging": -3000.0 for first in FIRST})
+    search = Search(TILT | worthless, left={"gravity_tilt": 60.0, "lvdt_offset": 9990.0, "force_offset": 9990.0})
+    assert selected(search)[0] == {"gravity_tilt": set(), "tacho_ripple": set()}
+
+
+@pytest.mark.parametrize(
+    "unanswered", [("lvdt_offset", "tacho_ripple"), None], ids=["broken off", "nothing left to refit"]
+)
+def test_a_rival_that_could_not_be_asked_stays_one(unanswered):
+    search = Search(TILT | known(lvdt_offset=-5002.0, force_offset=-9000.0), unanswered=(unanswered,))
+    if unanswered is None:
+        seen = search.rejects
+        search.rejects = lambda model: Findings() if model.added == ("lvdt_offset",) else seen(model)
+    assert selected(search)[0] == {"gravity_tilt": {"lvdt_offset"}, "tacho_ripple": set()}
+
+
+def test_what_is_replaced_is_told_by_the_refits_that_are_named():
+    search = Search(TILT)
+    steps, tried = improvements(search, search.base, search.rejects(search.base), STANDARD)
+    assert [tried[step.id] for step in steps] == [(search.base, steps[0].model), (steps[0].model, steps[1].model)]
+
+
+def test_neither_what_presupposes_another_nor_a_larger_law_comes_first():
+    likelihood = known(
+        base=-10_000.0, gravity_tilt=-5000.0, arm_coulomb=-5010.0, arm_stribeck=-5012.0, gravity_tilt__tacho_ripple=-2000.0,
+        arm_coulomb__tacho_ripple=-1990.0, arm_stribeck__tacho_ripple=-1900.0,
+    )  # fmt: skip
+    search = Search(likelihood, first=("gravity_tilt", "arm_coulomb", "arm_stribeck"))
+    assert selected(search)[0] == {"arm_coulomb": set(), "tacho_ripple": set()}
+    likelihood = known(
+        base=-10_000.0, gravity_tilt=-5000.0, cart_coulomb=-5010.0, cart_presliding=-5009.0, gravity_tilt__tacho_ripple=-2000.0,
+        cart_coulomb__tacho_ripple=-1991.0, cart_presliding__tacho_ripple=-1988.0,
+    )  # fmt: skip
+    search = Search(likelihood, first=("gravity_tilt", "cart_coulomb", "cart_presliding"))
+    assert selected(search)[0] == {"cart_coulomb": set(), "tacho_ripple": set()}
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,119 @@
+"""Replacement of the effect that was selected first, once the effects that were selected after it are in the model."""
+
+import dataclasses
+from collections.abc import Sequence
+
+from estimators.diagnosis.choice import bic_gain, gain, held_out_gain, is_at_its_edge
+from estimators.diagnosis.evidence import FittedModel
+from estimators.diagnosis.laboratory import Laboratory
+from estimators.diagnosis.policy import DiagnosisPolicy
+from estimators.diagnosis.removed_error import named
+from estimators.diagnosis.selection import Tried, by_size
+from estimators.diagnosis.step import Step
+from estimators.misspecification.adequacy import AdequacyTest, adequacy_tests, rejecting
+
+REFUSED: list[Step] = []
+"""The steps with a candidate that the data refuse."""
+
+
+def with_replacement(
+    laboratory: Laboratory,
+    base: FittedModel,
+    steps: Sequence[Step],
+    tests: Sequence[AdequacyTest],
+    tried: Tried,
+    policy: DiagnosisPolicy,
+) -> list[Step]:
+    """Return the steps of a selection with what does better in the place of the first, beside those that came after it.
+
+    What is selected first is selected while the others are missing, and may take a part of them: a table's tilt takes the place of
+    an offset by what it takes of a ripple. A candidate that makes the whole likelier replaces it, and what the data cannot tell
+    from the best there are its rivals.
+
+    Args:
+        laboratory: that computes, or knows, what is asked.
+        base: the model before the first step.
+        steps: that are named, two or more.
+        tests: of the base model.
+        tried: every candidate that was refitted, with the model before it.
+        policy: the thresholds.
+
+    Source: sequential replacement; Miller, Subset Selection in Regression (2002), section 3.3.
+    """
+    first, samples = steps[0], laboratory.facts.samples
+    sequences = {first.id: list(steps)}
+    answered: set[str] = set()
+    for model in _candidates(laboratory, base, steps, tried, policy):
+        laboratory.say(f"{model.added[-1]} in the place of {first.id}")
+        sequence = _continued(laboratory, base, model, steps, policy)
+        if sequence is None:
+            continue
+        answered.add(model.added[-1])
+        if sequence and named(sequence, tests, samples, policy)[1] == len(steps):
+            sequences[model.added[-1]] = sequence
+    gains = {effect: bic_gain(samples, base, sequence[-1].model) for effect, sequence in sequences.items()}
+    best = max(gains, key=lambda effect: gains[effect])
+    alike = [effect for effect in sequences if effect != best and gains[best] - gains[effect] < policy.bic_gain]
+    # What could not be asked stays a rival.
+    unanswered = [effect for effect in first.rivals if effect not in answered]
+    begin = dataclasses.replace(sequences[best][0], rivals=(*alike, *unanswered))
+    return [begin, *sequences[best][1:]]
+
+
+def _candidates(
+    laboratory: Laboratory, base: FittedModel, steps: Sequence[Step], tried: Tried, policy: DiagnosisPolicy
+) -> list[FittedModel]:
+    """Return the refits of the base model with candidates that gained nearly as much as the first step, the best first.
+
+    Of laws that contain or presuppose each other the choice was made already, for other reasons than their likelihood.
+    """
+    effects, first, samples = laboratory.facts.effects, steps[0], laboratory.facts.samples
+    later = {step.id for step in steps[1:]}
+    if any(first.id in effects[effect].presupposes for effect in later):
+        return []
+    gains = {
+        effect: bic_gain(samples, base, after)
+        for effect, (before, after) in tried.items()
+        if effect not in {first.id, *later} and before.number == base.number and not after.leaves_free(effect)
+        and not is_at_its_edge(laboratory, effect, after, policy) and set(effects[effect].presupposes) <= later
+    }  # fmt: skip
+    near = [effect for effect in gains if gains[effect] >= (1 - policy.close) * first.bic_gain]
+    simplest = [effect for effect in near if not set(effects[effect].contains) & {first.id, *near}]
+    apart = [effect for effect in simplest if effect not in effects[first.id].contains]
+    ordered = sorted(apart, key=lambda effect: -gains[effect])
+    return [tried[effect][1] for effect in ordered[: policy.replacements]]
+
+
+def _continued(
+    laboratory: Laboratory,
+    base: FittedModel,
+    model: FittedModel,
+    steps: Sequence[Step],
+    policy: DiagnosisPolicy,
+) -> list[Step] | None:
+    """Return the steps with a candidate in the first place and the later ones refitted beside it.
+
+    `REFUSED` where one of these does not improve the model, or what is left rejects although it did not; None where an answer is
+    missing, as a refit that was broken off.
+    """
+    sequence: list[Step] = []
+    before = base
+    for number, step in enumerate(steps):
+        effect = step.id if number else model.added[-1]
+        scores = laboratory.findings(before)
+        score = by_size([s for s in scores.scores if s.id == effect], 0.0)[:1] if scores is not None else []
+        after = None if number else model
+        if number and score:
+            after = laboratory.refits(before, score, "filter").get(effect)
+        left = None if after is None else laboratory.findings(after)
+        if after is None or left is None:
+            return None
+        held_out = held_out_gain(laboratory, before, after, policy)
+        improvement = bic_gain(laboratory.facts.samples, before, after)
+        if improvement <= policy.bic_gain or held_out <= 0:
+            return REFUSED
+        rivals, amplitudes = (step.rivals, step.amplitudes) if number else ((), score[0].amplitudes if score else ())
+        tests = adequacy_tests(left, policy.critical)
+        sequence.append(Step(effect, rivals, 2 * gain(before, after), improvement, held_out, after, tests, amplitudes))
+        before = after
+    return REFUSED if rejecting(sequence[-1].left) and not rejecting(steps[-1].left) else sequence

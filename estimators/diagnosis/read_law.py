@@ -82,7 +82,7 @@ def read_law(
     def best(instead_of: tuple[str, ...]) -> ReadLaw | None:
         kept = [c.id for c in added if c.id not in instead_of]
         beside = [effect for effect in given_up if effect not in instead_of]
-        found = []
+        found: list[ReadLaw] = []
         for formula in formulas:
             label = "+ " + ", ".join([*kept, formula.effect.id])
             step = extended_without(last, instead_of, [formula.effect], label, train, held_out, progress=progress)

@@ -178,11 +178,13 @@ def looped(
         pairs = zip(labels, error, strict=True)
         return est.Comparison(tuple(made(Known, label=x, known=e, start={}) for x, e in pairs))
 
+    shown: dict[str, Any] = {"values": {}, "coloured": {}, "curves": (), "tests": ()}
+
     def diagnosed(fit: est.Fit, *_: Any, **__: Any) -> est.Diagnosis:
         if "cubic_spring" in fit.model:
             assert "cubic_spring.stiffness" in fit.model.free  # also where a simulation held it
-            return made(est.Diagnosis, verdict="adequate", effects=(), additions=(), values={}, coloured={})
-        return made(est.Diagnosis, verdict="missing", effects=(CANDIDATE,), additions=(spring,), values={}, coloured={})
+            return made(est.Diagnosis, verdict="adequate", effects=(), additions=(), **shown)
+        return made(est.Diagnosis, verdict="missing", effects=(CANDIDATE,), additions=(spring,), **shown)
 
     for module, stubs in {
         improve: {"output_error": fitted, "compare": compared, "doubtful": lambda *_: ()},

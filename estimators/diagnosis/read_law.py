@@ -77,18 +77,13 @@ def read_law(
     if curve.evidence is None:
         return None
     given_up = tuple(c.id for c in added if _is_force_on(last, c.id, curve.port))
-    formulas = [one for one in curve.formulas(most=LAWS) if one.effect.id not in last.fit.model]
+    formulas = curve.formulas(most=LAWS)
 
     def best(instead_of: tuple[str, ...]) -> ReadLaw | None:
-        kept = [c.id for c in added if c.id not in instead_of]
         beside = [effect for effect in given_up if effect not in instead_of]
-        found: list[ReadLaw] = []
-        for formula in formulas:
-            label = "+ " + ", ".join([*kept, formula.effect.id])
-            step = extended_without(last, instead_of, [formula.effect], label, train, held_out, progress=progress)
-            if step is not None and all(is_sure(step.fit, effect) for effect in (formula.effect.id, *beside)):
-                found.append(ReadLaw(step, _candidate(formula, curve), _text(step, formula), instead_of))
-        return min(found, key=lambda one: misfit(one.step.tested), default=None)
+        fitted = _fitted(last, added, curve, formulas, instead_of, train, held_out, progress=progress)
+        sure = [law for law in fitted if all(is_sure(law.step.fit, effect) for effect in beside)]
+        return min(sure, key=lambda law: misfit(law.step.tested), default=None)
 
     law = best(given_up)
     if given_up and (law is None or not _follows(law)):
@@ -96,6 +91,28 @@ def read_law(
         if other is not None and (law is None or _falls(law.step, other.step, policy)):
             law = other
     return law if law is not None and _falls(last, law.step, policy) else None
+
+
+def _fitted(
+    last: Added,
+    added: Sequence[Candidate],
+    curve: ForceCurve,
+    formulas: Sequence[Formula],
+    given_up: tuple[str, ...],
+    train: Recording,
+    held_out: Recording,
+    *,
+    progress: bool,
+) -> list[ReadLaw]:
+    """Return the model with each of several laws in the place of effects, by id, where a fit tells the law from nothing."""
+    kept = [c.id for c in added if c.id not in given_up]
+    found: list[ReadLaw] = []
+    for formula in (one for one in formulas if one.effect.id not in last.fit.model):
+        label = "+ " + ", ".join([*kept, formula.effect.id])
+        step = extended_without(last, given_up, [formula.effect], label, train, held_out, progress=progress)
+        if step is not None and is_sure(step.fit, formula.effect.id):
+            found.append(ReadLaw(step, _candidate(formula, curve), _text(step, formula), given_up))
+    return found
 
 
 def _falls(before: Added, after: Added, policy: DiagnosisPolicy) -> bool:
@@ -136,13 +153,8 @@ def simpler_law(
         if curve is None or len(forces) != 1:
             continue
         free = sum(name.startswith(f"{forces[0]}.") for name in last.fit.model.free)
-        kept = [c.id for c in added if c.id != forces[0]]
-        for formula in curve.formulas(most=LAWS) if free > 1 else ():
-            if len(formula.parameters) < free and formula.effect.id not in last.fit.model:
-                label = "+ " + ", ".join([*kept, formula.effect.id])
-                step = extended_without(last, forces, [formula.effect], label, train, held_out, progress=progress)
-                if step is not None and is_sure(step.fit, formula.effect.id):
-                    found.append(ReadLaw(step, _candidate(formula, curve), _text(step, formula), tuple(forces)))
+        fewer = [one for one in (curve.formulas(most=LAWS) if free > 1 else ()) if len(one.parameters) < free]
+        found += _fitted(last, added, curve, fewer, (forces[0],), train, held_out, progress=progress)
     best = min(found, key=lambda one: _bic(one.step.fit), default=None)
     if best is None or misfit(best.step.tested) > misfit(last.tested):
         return None

@@ -12,9 +12,6 @@ from estimators.diagnosis.selection import Tried, by_size
 from estimators.diagnosis.step import Step
 from estimators.misspecification.adequacy import AdequacyTest, adequacy_tests, rejecting
 
-REFUSED: list[Step] = []
-"""The steps with a candidate that the data refuse."""
-
 
 def with_replacement(
     laboratory: Laboratory,
@@ -93,8 +90,8 @@ def _continued(
 ) -> list[Step] | None:
     """Return the steps with a candidate in the first place and the later ones refitted beside it.
 
-    `REFUSED` where one of these does not improve the model, or what is left rejects although it did not; None where an answer is
-    missing, as a refit that was broken off.
+    An empty list where one of these does not improve the model, or where what is left rejects although it did not; None where an
+    answer is missing, as a refit that was broken off.
     """
     sequence: list[Step] = []
     before = base
@@ -111,9 +108,9 @@ def _continued(
         held_out = held_out_gain(laboratory, before, after, policy)
         improvement = bic_gain(laboratory.facts.samples, before, after)
         if improvement <= policy.bic_gain or held_out <= 0:
-            return REFUSED
+            return []
         rivals, amplitudes = (step.rivals, step.amplitudes) if number else ((), score[0].amplitudes if score else ())
         tests = adequacy_tests(left, policy.critical)
         sequence.append(Step(effect, rivals, 2 * gain(before, after), improvement, held_out, after, tests, amplitudes))
         before = after
-    return REFUSED if rejecting(sequence[-1].left) and not rejecting(steps[-1].left) else sequence
+    return [] if rejecting(sequence[-1].left) and not rejecting(steps[-1].left) else sequence

@@ -52,6 +52,7 @@ def time_loop(
         put = jax.lax.dynamic_update_index_in_dim
         return carry, [put(all_of_it, one, k, 0) for all_of_it, one in zip(shown, together, strict=True)]
 
+    step = jax.jit(step)
     shapes, structure = jax.tree.flatten(jax.eval_shape(step, carry, jax.eval_shape(row_at, 0))[1])
     alike = _alike(shapes)
     many = [(len(places),) if len(places) > 1 else () for places in alike]

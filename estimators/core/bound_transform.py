@@ -8,21 +8,42 @@ from jaxtyping import Array, Float
 Vector = Float[Array, "..."]
 
 
+@jax.custom_jvp
 def to_physical(z: Vector, lower: Vector, upper: Vector, scale: Vector) -> Vector:
     """Return physical values from unconstrained ones.
 
     Without bounds scale * z; with one bound the bound plus scale * (z + sqrt(z^2 + 4)) / 2, which is linear far from
-    the bound and reaches it only at infinity; with two a logistic curve between them.
+    the bound and reaches it only at infinity; with two a logistic curve between them. Derivatives are those by z: bounds
+    and scale are numbers.
     """
-    # The sum and its slope are formed without cancellation, so that neither is lost close to the bound.
+    return _value_and_slope(z, lower, upper, scale)[0]
+
+
+@to_physical.defjvp
+def _to_physical_jvp(primals: tuple[Vector, ...], tangents: tuple[Vector, ...]) -> tuple[Vector, Vector]:
+    # Of the steps one by one JAX would make ten times as many operations, in every program that knows derivatives.
+    value, slope = _value_and_slope(*primals)
+    return value, slope * tangents[0]
+
+
+def _value_and_slope(z: Vector, lower: Vector, upper: Vector, scale: Vector) -> tuple[Vector, Vector]:
+    # Both are formed without cancellation, so that neither is lost close to the bound.
     root = jnp.sqrt(z * z + 4.0)
     far, near = 0.5 * (root + jnp.abs(z)), 2.0 / (root + jnp.abs(z))
-    positive, negative = jnp.where(z < 0, near, far), jnp.where(z < 0, far, near)
     low, high = jnp.isfinite(lower), jnp.isfinite(upper)
-    finite_low, finite_high = jnp.where(low, lower, 0.0), jnp.where(high, upper, 0.0)
-    between = finite_low + (finite_high - finite_low) * jax.nn.sigmoid(z)
-    one_sided = jnp.where(low, finite_low + scale * positive, finite_high - scale * negative)
-    return jnp.where(low & high, between, jnp.where(low | high, one_sided, scale * z))
+    # Of z, or of -z below an upper bound: the curve that is linear far from the bound.
+    side = jnp.where(low, 1.0, -1.0)
+    away = jnp.where(side * z < 0, near, far)
+    first, last = jnp.where(low, lower, 0.0), jnp.where(high, upper, 0.0)
+    fraction = jax.nn.sigmoid(z)
+    both, one = low & high, low | high
+    value = jnp.where(
+        both,
+        first + (last - first) * fraction,
+        jnp.where(one, jnp.where(low, first, last) + side * scale * away, scale * z),
+    )
+    slope = jnp.where(both, (last - first) * fraction * jax.nn.sigmoid(-z), jnp.where(one, scale * away / root, scale))
+    return value, slope
 
 
 def to_unconstrained(

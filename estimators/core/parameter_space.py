@@ -95,7 +95,9 @@ def _physical(space: Space, unknowns: Unknowns) -> tuple[Array, Array, Array]:
 
     free = to_physical(unknowns.shared, of_free(space.lower), of_free(space.upper), of_free(space.scale))
     shared = space.values.at[space.active].set(free, mode="drop")
-    each = to_physical(unknowns.each, space.each_lower[:, None], space.each_upper[:, None], space.each_scale[:, None])
+    each = unknowns.each
+    if len(each):
+        each = to_physical(each, space.each_lower[:, None], space.each_upper[:, None], space.each_scale[:, None])
     if unknowns.start.shape[0] == 0:
         return shared, each, space.start
     return shared, each, space.start + (1.0 - space.start_held) * space.start_scale * unknowns.start

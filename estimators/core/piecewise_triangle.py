@@ -69,9 +69,10 @@ def piecewise_triangle(
 
     def physical(at: Unknowns) -> tuple[Array, Array, Array, Array]:
         """Return the physical parameters, the first states, and the deviation from what was known beforehand."""
-        shared, each, start = space.physical(at)
+        all_of_them = shared, each, start = space.physical(at)
         found = states_at_start(placed(shared, each, 1), start, data.excitation)
-        return shared, each, jnp.stack([jnp.broadcast_to(x, (many,)) for x in found]), prior_residual(space, at, many)
+        first = jnp.stack([jnp.broadcast_to(x, (many,)) for x in found])
+        return shared, each, first, prior_residual(space, at, all_of_them, many)
 
     def physical_along(direction: Unknowns) -> tuple[Any, Any]:
         return jax.jvp(physical, (unknowns,), (direction,))

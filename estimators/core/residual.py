@@ -83,27 +83,43 @@ def residual(
 ) -> tuple[Outputs3, Float[Array, "start experiment"]]:
     """Return the residual: whitened output errors, and the starts' deviation from what is known of them."""
     physical = space.physical(unknowns)
+    error = output_residual(model, data, space, physical, whitener, substeps=substeps, gain=gain)
+    return error, _start_residual(space, unknowns, physical[2])
+
+
+def output_residual(
+    model: RTAC,
+    data: Data,
+    space: Space,
+    physical: tuple[Array, Array, Array],
+    whitener: Array,
+    *,
+    substeps: Steps,
+    gain: Array | None = None,
+) -> Outputs3:
+    """Return the whitened errors of the outputs alone; see `residual`."""
     error = (data.values - predict(model, data, space, physical, substeps=substeps, gain=gain)) * data.present
-    return whitened(whitener, error), start_residual(space, unknowns)
+    return whitened(whitener, error)
 
 
-def start_residual(space: Space, unknowns: Unknowns) -> Float[Array, "start experiment"]:
+def _start_residual(space: Space, unknowns: Unknowns, start: Array) -> Float[Array, "start experiment"]:
     """Return the starts' deviation from what is known of them, in units of its standard deviation."""
     if unknowns.start.shape[0] == 0:
         return unknowns.start
-    start = space.physical(unknowns)[2]
     return jnp.where(space.start_held > 0, unknowns.start, (start - space.start) / space.start_spread)
 
 
-def prior_residual(space: Space, unknowns: Unknowns, experiments: int) -> Float[Array, "row experiment"]:
+def prior_residual(
+    space: Space, unknowns: Unknowns, physical: tuple[Array, Array, Array], experiments: int
+) -> Float[Array, "row experiment"]:
     """Return the deviation from what was known beforehand, in units of its standard deviation: starts, then constants.
 
     What was measured of constants belongs to no experiment: an equal part of it is counted with each.
     """
-    of_start = start_residual(space, unknowns)
+    of_start = _start_residual(space, unknowns, physical[2])
     if space.known is None:
         return of_start
-    constants = space.from_known(space.physical(unknowns)[0]) / np.sqrt(experiments)
+    constants = space.from_known(physical[0]) / np.sqrt(experiments)
     return jnp.concatenate([of_start, jnp.broadcast_to(constants[:, None], (len(constants), experiments))])
 
 
@@ -135,8 +151,9 @@ def triangle(
     tangents = Unknowns(*(basis(block, leaf) for block, leaf in enumerate(unknowns)))
 
     def rows_of(at: Unknowns) -> tuple[Array, Array]:
-        error, _ = residual(model, data, space, at, whitener, substeps=substeps, gain=gain)
-        return error, prior_residual(space, at, count)
+        physical = space.physical(at)
+        error = output_residual(model, data, space, physical, whitener, substeps=substeps, gain=gain)
+        return error, prior_residual(space, at, physical, count)
 
     def along(tangent: Unknowns) -> Any:
         return jax.jvp(rows_of, (unknowns,), (tangent,))

@@ -12,7 +12,7 @@ from estimators.core.residual import states_at_start
 from estimators.prediction_error.coloured_noise import ColourStates
 from rtac_jax import RTAC
 from rtac_jax.programs import program
-from rtac_jax.simulation import Steps, advance, unit_pushes
+from rtac_jax.simulation import Steps, advance, unit_pushes, unrolls
 from rtac_jax.time_loop import time_loop
 
 OUTPUTS = len(CHANNELS)
@@ -95,6 +95,7 @@ def kalman(
     placed = model.with_values(dict(zip(space.names, shared, strict=True)) | dict(zip(space.each, each, strict=True)))
     excitation = placed.driven(data.excitation)
     shape = excitation.sample_time.shape
+    unrolled = unrolls(data.room, *shape)
     state = tuple(jnp.broadcast_to(x, shape) for x in states_at_start(placed, start, excitation))
     count = len(state)
     places = start_places(model)
@@ -145,7 +146,7 @@ def kalman(
         current, force = (None if row[name] is None else tuple(row[name]) for name in ("current", "force"))
 
         def forward(at: Any) -> Any:
-            return advance(placed, at, current, force, excitation, substeps=substeps)
+            return advance(placed, at, current, force, excitation, substeps=substeps, unrolled=unrolled)
 
         pushes = unit_pushes(placed, state, excitation)
         moved, jacobian = _linearised(forward, state, spread, wide)

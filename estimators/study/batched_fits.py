@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from estimators.core.collection import collected_later
 from estimators.core.initial_rest import may_swing
 from estimators.core.results import RESULTS
 from estimators.output_error.batched_fit import End, fit_cases
@@ -15,6 +14,7 @@ from estimators.output_error.batched_step_size import substeps_of
 from estimators.output_error.fit_case import Case
 from estimators.study.outcome import Outcome, Prepared, Value
 from estimators.study.spec import Estimate
+from rtac_jax.programs.collection import collected_later
 
 _TOLERANCE = 0.01
 """Distance to the minimum to which a fit comes, as far as its steps tell, in standard deviations. It comes nearer: 250 fits of

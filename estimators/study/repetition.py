@@ -3,7 +3,6 @@
 import dataclasses
 from collections.abc import Mapping, Sequence
 
-from estimators.core.collection import collected_later
 from estimators.study.chunk_size import per_chunk
 from estimators.study.fit_chunk import QUANTITIES, fit_chunk, model_for, parameters_of
 from estimators.study.layout import Arrays, Layout
@@ -12,6 +11,7 @@ from estimators.study.recordings import recordings
 from estimators.study.spec import StudySpec
 from estimators.study.truth import Truth, true_for
 from estimators.study.work import Work
+from rtac_jax.programs.collection import collected_later
 
 
 @dataclasses.dataclass(frozen=True)

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
+from rtac_jax.programs.collection import collected_later
 from rtac_jax.programs.compiler import compile_lowered
 from rtac_jax.programs.environment import LIBRARIES, PACKAGES, environment
 from rtac_jax.programs.files import (
@@ -132,7 +133,8 @@ class Program(Generic[Given, Result]):
         flat.__name__ = f"program_{self._name}"
         try:
             # No type gives way to others, as that of an array made of a number does: each would be a program more.
-            lowered = jax.jit(flat).lower(*(jax.ShapeDtypeStruct(x.shape, x.dtype) for x in leaves if _is_array(x)))
+            with collected_later():  # which would take a fifth of the time
+                lowered = jax.jit(flat).lower(*(jax.ShapeDtypeStruct(x.shape, x.dtype) for x in leaves if _is_array(x)))
         except _NotOnlyArraysError:
             return _Made(None, None)
         code = None if file is None else code_file(file.parents[1], self._name, lowered)

@@ -4,7 +4,7 @@ import gc
 
 import pytest
 
-from estimators.core.collection import collected_later
+from rtac_jax.programs.collection import collected_later
 
 
 def test_it_is_off_within_and_as_it_was_after():

@@ -254,9 +254,10 @@ class RTAC(eqx.Module):
 
     def start(self, rigid: tuple[Any, Any, Any, Any], current: Any) -> tuple[Any, ...]:
         """Return the whole state at the start, from the rigid body's [m, m/s, rad, rad/s] and the current [A]."""
-        sine, cosine = sincos(rigid[2])
-        motion = Motion(*rigid, sine, cosine, current, self.body)
         state = tuple(rigid)
+        if not any(effect.states for effect in self.effects):
+            return state
+        motion = Motion(*rigid, *sincos(rigid[2]), current, self.body)
         for effect in self.effects:
             state += effect.start(motion)
         return state
@@ -371,9 +372,10 @@ class RTAC(eqx.Module):
     def friction_levels(self, state: tuple[Any, ...]) -> list[tuple[Any, Any]]:
         """Return the largest dry friction force on the cart [N] and torque on the arm [N m], of each effect that has any."""
         rubbing = [effect for effect in self.effects if isinstance(effect, DryFriction)]
-        sine, cosine = sincos(state[2])
+        if not rubbing:
+            return []
         own = self.own_states(state)
-        motion = Motion(state[0], state[1], state[2], state[3], sine, cosine, 0.0, self.body)
+        motion = Motion(state[0], state[1], state[2], state[3], *sincos(state[2]), 0.0, self.body)
         return [effect.levels(motion, own[effect.id]) for effect in rubbing]
 
     def outputs(self, state: tuple[Any, ...]) -> Outputs:

@@ -4,8 +4,6 @@ import operator
 from collections.abc import Sequence
 from typing import Any
 
-import jax
-import jax.core
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -15,14 +13,10 @@ from rtac_jax._rtac import RTAC
 from rtac_jax._substeps_traced import substeps_traced
 from rtac_jax.excitation import Excitation
 from rtac_jax.programs import program
+from rtac_jax.programs.arrays import is_traced
 from rtac_jax.simulation import MOST_SUBSTEPS, Steps, substeps_for, trajectories
 
 _STABILITY = 0.5  # step times fastest rate; a classic Runge-Kutta step then errs by 0.5^5 / 120 of what that mode moves
-
-
-def is_traced(*trees: Any) -> bool:
-    """Return whether JAX traces any number in these, to compile, to differentiate or to batch."""
-    return any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(trees))
 
 
 def whole_starts(

@@ -8,13 +8,14 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from rtac_jax._rtac import RTAC
-from rtac_jax._run import is_traced, run, whole_starts
+from rtac_jax._run import run, whole_starts
 from rtac_jax._simulation_record import Simulation, simulation_of
 from rtac_jax._spline import FEWEST, spline_coefficients
 from rtac_jax.arguments import checked_arguments
 from rtac_jax.configuration import warn_single_precision
 from rtac_jax.effect_contract import require_working_model
 from rtac_jax.excitation import BEYOND, Excitation
+from rtac_jax.programs.arrays import is_traced
 from rtac_jax.time_loop import room_for
 
 Input = Sequence[Any] | np.ndarray | Array

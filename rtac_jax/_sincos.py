@@ -25,14 +25,12 @@ _C = (
 _PIO2 = (1.57079632673412561417e00, 6.07710050630396597660e-11, 2.02226624879595063154e-21)
 
 
-@jax.jit
 def sincos(angle: Float[Array, "..."]) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
     """Return sine and cosine of an angle [rad], exact to 1e-16 up to about 1e5 rad.
 
     Source: range reduction of Cody and Waite, minimax polynomials of fdlibm.
     """
-    # Compiled by itself so that it is traced once within a program, and not wherever an effect asks for it.
-    return _sincos(angle)
+    return _once(angle)
 
 
 @jax.custom_jvp
@@ -59,3 +57,7 @@ def _sincos_jvp(primals: tuple, tangents: tuple) -> tuple:
     (angle,), (tangent,) = primals, tangents
     s, c = _sincos(angle)
     return (s, c), (c * tangent, -s * tangent)
+
+
+# By itself it is traced once within a program, and not wherever an effect asks for it.
+_once = jax.jit(_sincos)

@@ -15,7 +15,6 @@ import numpy as np
 
 from rtac_jax._rigid_body import RigidBody
 from rtac_jax._rtac import RTAC
-from rtac_jax._run import is_traced
 from rtac_jax.effects import (
     PORTS,
     Actuator,
@@ -30,6 +29,7 @@ from rtac_jax.effects import (
     in_parts,
 )
 from rtac_jax.parameters import Scales, declarations
+from rtac_jax.programs.arrays import is_traced
 
 # A rig as the paper's, swinging some millimetres: sizes for which `plausible` must answer.
 TYPICAL = Scales(

@@ -200,7 +200,7 @@ def trajectories(
         if "gain" in row:
             outputs = jnp.stack([jnp.broadcast_to(y, shape) for y in model.outputs(state)]) if states else shown
             error = (row["values"] - outputs) * row["present"]
-            shift = sum(row["gain"][:, j] * error[j] for j in range(len(error)))
+            shift: Any = sum(row["gain"][:, j] * error[j] for j in range(len(error)))
             state = tuple(x + dx for x, dx in zip(state, shift, strict=True))
         if "impulses" in row:
             on_cart, on_arm = unit_pushes(model, state, excitation)

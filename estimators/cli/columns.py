@@ -1,7 +1,6 @@
 """The columns of a foreign file: which channel each is, and in which unit, as the user and the file say."""
 
 import dataclasses
-import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -10,27 +9,6 @@ from estimators.cli.refusals import WRONG_USE, stop
 
 MAT = ".mat"
 _TIME = "time"
-_UNIT = re.compile(r"^(?P<column>.*?)\s*\[(?P<unit>[^\[\]]*)\]$")
-# A unit at the end of a column's name, in round brackets or after an underscore.
-_NAMED = re.compile(r"(?:\((?P<within>[^()]*)\)|_(?P<after>(?:m?rad|deg|rev)_s|[^_\s]+))$")
-# After an underscore these are units less often than something else, as in "current_in" and "x_cm", the centre of mass.
-_WORDS = ("in", "rev", "cm")
-_SAME = {
-    "inch": "in",
-    "inches": "in",
-    "µm": "um",
-    "μm": "um",
-    "°": "deg",
-    "°/s": "deg/s",
-    "µs": "us",
-    "μs": "us",
-    "µA": "uA",
-    "μA": "uA",
-    "1/min": "rpm",
-    "U/min": "rpm",
-    "r/min": "rpm",
-    "RPM": "rpm",
-}
 _DELIMITERS = {";": '";"', "\t": "$'\\t'", ",": '","'}  # and how a shell is given them
 
 
@@ -62,7 +40,15 @@ class Columns:
         elsewhere: set[str],
     ) -> "Columns":
         """Find column and unit of every channel in a file; a channel whose column only other files have is left out."""
-        from rtac_jax.measurement import FACTORS, INPUTS, OUTPUTS, csv_header
+        from rtac_jax.measurement import (
+            FACTORS,
+            INPUTS,
+            OUTPUTS,
+            csv_header,
+            ending_unit,
+            name_and_unit,
+            usual_spelling,
+        )
 
         known = {**INPUTS, **OUTPUTS, _TIME: "s"}
         text = file.suffix.lower() != MAT
@@ -82,13 +68,12 @@ class Columns:
         for channel, wish in {**asked, **({} if time is None else {_TIME: time})}.items():
             if channel not in known:
                 stop(WRONG_USE, f"--channel: there is no channel {channel}; use {', '.join([*INPUTS, *OUTPUTS])}.")
-            match = _UNIT.match(wish.strip())
-            column, unit = (match["column"], match["unit"].strip()) if match else (wish.strip(), "")
+            column, unit = name_and_unit(wish)
             channels[channel] = column
             if header and column not in header:
                 # Often the file states the unit in its first row, and so need not the user.
                 stated = [
-                    (cell, m["unit"].strip()) for cell in header if (m := _UNIT.match(cell)) and m["column"] == column
+                    (cell, says) for cell in header for name, says in [name_and_unit(cell)] if says and name == column
                 ]
                 if len(stated) != 1:
                     if channel != _TIME and column in elsewhere:
@@ -99,17 +84,17 @@ class Columns:
                         f"{file}: has no column {column!r} for {channel}{there.replace(f' of {file.name}', '')}.",
                     )
                 channels[channel], says = stated[0]
-                if unit and _SAME.get(unit, unit) != _SAME.get(says, says):
+                if unit and usual_spelling(unit) != usual_spelling(says):
                     stop(
                         WRONG_USE,
                         f"{file}: says that {column} is in {says}, and --channel {channel} says {unit}; correct one.",
                     )
                 unit = says
             if not unit and channel not in scale:
-                unit = _named_unit(channels[channel], known[channel], FACTORS)
+                unit = ending_unit(channels[channel], known[channel])
                 (named if unit else unstated).append(channel)
             unit = unit or known[channel]
-            units[channel] = _SAME.get(unit, unit)
+            units[channel] = usual_spelling(unit)
             if channel not in scale and units[channel] not in FACTORS[known[channel]]:
                 stop(
                     WRONG_USE,
@@ -169,25 +154,9 @@ class Columns:
         return ", ".join(f"{self.time if c == _TIME else self.channels[c]} in {self.units[c]}" for c in channels)
 
 
-def _named_unit(column: str, quantity: str, factors: Mapping[str, Mapping[str, float]]) -> str:
-    """Return the unit in which a column's name ends; nothing where that is no unit, or may be a word.
-
-    In round brackets one of another quantity is returned, too, as it contradicts the channel.
-    """
-    match = _NAMED.search(column)
-    if match is None:
-        return ""
-    within, after = match["within"], match["after"]
-    unit = (within if after is None else after.replace("_", "/")).strip()
-    meant = _SAME.get(unit, unit)
-    if within is not None:
-        return unit if any(meant in known for known in factors.values()) else ""
-    return unit if meant in factors[quantity] and unit not in _WORDS else ""
-
-
 def names_in(file: Path, delimiter: str) -> set[str]:
     """Return the names of the columns of a text file, with the units that they state and without."""
-    from rtac_jax.measurement import csv_header
+    from rtac_jax.measurement import csv_header, name_and_unit
 
     names = csv_header(file, delimiter)
-    return {*names, *(match["column"] for name in names if (match := _UNIT.match(name)))}
+    return {*names, *(name_and_unit(name)[0] for name in names)}

@@ -1,49 +1,64 @@
 """Bounds by reparametrisation: unconstrained numbers of order one in place of physical parameters."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from scipy.special import expit
 
-Vector = Float[Array, "..."]
+Vector = Float[Array | np.ndarray, "..."]
+
+
+def to_physical(z: Vector, lower: Vector, upper: Vector, scale: Vector) -> Any:
+    """Return physical values from unconstrained ones; NumPy's where all numbers are NumPy's.
+
+    Without bounds scale * z; with one bound the bound plus scale * (z + sqrt(z^2 + 4)) / 2, which is linear far from
+    the bound and reaches it only at infinity; with two a logistic curve between them. JAX's derivatives are those by z: bounds and
+    scale are numbers.
+    """
+    if all(isinstance(x, np.ndarray) for x in (z, lower, upper, scale)):
+        return _value_and_slope(z, lower, upper, scale, xp=np)[0]
+    return _traced(z, lower, upper, scale)
+
+
+def slopes(z: Vector, lower: Vector, upper: Vector, scale: Vector) -> np.ndarray:
+    """Return the derivatives of the physical values by the unconstrained ones, exact however close to a bound."""
+    return _value_and_slope(*(np.asarray(x, dtype=float) for x in (z, lower, upper, scale)), xp=np)[1]
 
 
 @jax.custom_jvp
-def to_physical(z: Vector, lower: Vector, upper: Vector, scale: Vector) -> Vector:
-    """Return physical values from unconstrained ones.
-
-    Without bounds scale * z; with one bound the bound plus scale * (z + sqrt(z^2 + 4)) / 2, which is linear far from
-    the bound and reaches it only at infinity; with two a logistic curve between them. Derivatives are those by z: bounds
-    and scale are numbers.
-    """
-    return _value_and_slope(z, lower, upper, scale)[0]
+def _traced(z: Array, lower: Array, upper: Array, scale: Array) -> Array:
+    return _value_and_slope(z, lower, upper, scale, xp=jnp)[0]
 
 
-@to_physical.defjvp
-def _to_physical_jvp(primals: tuple[Vector, ...], tangents: tuple[Vector, ...]) -> tuple[Vector, Vector]:
+@_traced.defjvp
+def _traced_jvp(primals: tuple[Array, ...], tangents: tuple[Array, ...]) -> tuple[Array, Array]:
     # Of the steps one by one JAX would make ten times as many operations, in every program that knows derivatives.
-    value, slope = _value_and_slope(*primals)
+    z, lower, upper, scale = primals
+    value, slope = _value_and_slope(z, lower, upper, scale, xp=jnp)
     return value, slope * tangents[0]
 
 
-def _value_and_slope(z: Vector, lower: Vector, upper: Vector, scale: Vector) -> tuple[Vector, Vector]:
-    # Both are formed without cancellation, so that neither is lost close to the bound.
-    root = jnp.sqrt(z * z + 4.0)
-    far, near = 0.5 * (root + jnp.abs(z)), 2.0 / (root + jnp.abs(z))
-    low, high = jnp.isfinite(lower), jnp.isfinite(upper)
+def _value_and_slope(z: Any, lower: Any, upper: Any, scale: Any, *, xp: Any) -> tuple[Any, Any]:
+    """Return what `to_physical` does and its derivative, without cancellation, so that neither is lost close to a bound."""
+    sigmoid = expit if xp is np else jax.nn.sigmoid
+    root = xp.sqrt(z * z + 4.0)
+    far, near = 0.5 * (root + xp.abs(z)), 2.0 / (root + xp.abs(z))
+    low, high = xp.isfinite(lower), xp.isfinite(upper)
     # Of z, or of -z below an upper bound: the curve that is linear far from the bound.
-    side = jnp.where(low, 1.0, -1.0)
-    away = jnp.where(side * z < 0, near, far)
-    first, last = jnp.where(low, lower, 0.0), jnp.where(high, upper, 0.0)
-    fraction = jax.nn.sigmoid(z)
+    side = xp.where(low, 1.0, -1.0)
+    away = xp.where(side * z < 0, near, far)
+    first, last = xp.where(low, lower, 0.0), xp.where(high, upper, 0.0)
+    fraction = sigmoid(z)
     both, one = low & high, low | high
-    value = jnp.where(
+    value = xp.where(
         both,
         first + (last - first) * fraction,
-        jnp.where(one, jnp.where(low, first, last) + side * scale * away, scale * z),
+        xp.where(one, xp.where(low, first, last) + side * scale * away, scale * z),
     )
-    slope = jnp.where(both, (last - first) * fraction * jax.nn.sigmoid(-z), jnp.where(one, scale * away / root, scale))
-    return value, slope
+    return value, xp.where(both, (last - first) * fraction * sigmoid(-z), xp.where(one, scale * away / root, scale))
 
 
 def to_unconstrained(
@@ -63,17 +78,3 @@ def to_unconstrained(
             [np.log(fraction / (1 - fraction)), above - 1 / above, 1 / below - below],
             value / scale,
         )
-
-
-def slopes(z: np.ndarray, lower: np.ndarray, upper: np.ndarray, scale: np.ndarray) -> np.ndarray:
-    """Return the derivatives of the physical values by the unconstrained ones, exact however close to a bound."""
-    z, lower, upper, scale = np.broadcast_arrays(*(np.asarray(x, dtype=float) for x in (z, lower, upper, scale)))
-    low, high = np.isfinite(lower), np.isfinite(upper)
-    size = np.abs(z)
-    root = np.sqrt(z * z + 4.0)
-    falling = 2.0 / (root * (root + size))  # of the part that goes to the bound
-    toward = np.where(low, z < 0, z > 0)
-    one_sided = scale * np.where(toward, falling, 1.0 - falling)
-    tail = np.exp(-size)
-    width = np.where(low & high, upper, 0.0) - np.where(low & high, lower, 0.0)
-    return np.where(low & high, width * tail / (1.0 + tail) ** 2, np.where(low | high, one_sided, scale))

@@ -1,16 +1,16 @@
 """The parameter space of a fit: which parameters are free, between which bounds, at which scale."""
 
-import dataclasses
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
 from estimators.core.bound_transform import to_physical, to_unconstrained
 from rtac_jax.excitation import Real
-from rtac_jax.programs.arrays import to_jax
+from rtac_jax.programs.arrays import is_traced, to_jax
 
 
 class Unknowns(NamedTuple):
@@ -72,7 +72,38 @@ class Space(eqx.Module):
 
     def physical(self, unknowns: Unknowns) -> tuple[Array, Array, Array]:
         """Return all shared parameters, those of each experiment, and the states at the start, in SI units."""
-        return _physical(dataclasses.replace(self, names=(), each=(), known=None, known_std=None), unknowns)
+        if is_traced(self, unknowns):
+            return self._physical(unknowns)
+        # To compile so little takes longer than all that it is ever asked for.
+        known: tuple[Space, Unknowns] = jax.tree.map(np.asarray, (self, unknowns))
+        shared, each, start = known[0]._physical(known[1])
+        return to_jax(shared), to_jax(each), to_jax(start)
+
+    def _physical(self, unknowns: Unknowns) -> tuple[Any, Any, Any]:
+        """Return `physical`, in NumPy's arrays where all are."""
+        shared = self._with_free(
+            to_physical(unknowns.shared, *map(self._of_free, (self.lower, self.upper, self.scale)))
+        )
+        each = unknowns.each
+        if len(each):
+            each = to_physical(each, self.each_lower[:, None], self.each_upper[:, None], self.each_scale[:, None])
+        if unknowns.start.shape[0] == 0:
+            return shared, each, self.start
+        return shared, each, self.start + (1.0 - self.start_held) * self.start_scale * unknowns.start
+
+    def _of_free(self, values: Any) -> Any:
+        """Return the values of what is free; 1 at a place past the end."""
+        if isinstance(values, np.ndarray) and isinstance(self.active, np.ndarray):
+            return np.append(values, 1.0)[np.minimum(self.active, len(values))]
+        return jnp.asarray(values).at[self.active].get(mode="fill", fill_value=1.0)
+
+    def _with_free(self, free: Any) -> Any:
+        """Return all shared parameters with these values of those that are free."""
+        if isinstance(free, np.ndarray):
+            found = np.append(self.values, 0.0)
+            found[np.minimum(self.active, len(self.values))] = free
+            return found[:-1]
+        return jnp.asarray(self.values).at[self.active].set(free, mode="drop")
 
     def unconstrained(self, *, start: bool = True, off_bounds: float = 0.0) -> Unknowns:
         """Return the unknowns at the present values; without `start` the states at the start are not among them.
@@ -84,23 +115,6 @@ class Space(eqx.Module):
         """
         rows = np.asarray(self.start)[: len(self.start) * start]
         return Unknowns(*map(to_jax, (*unconstrained_in_numpy(self, off_bounds=off_bounds), np.zeros_like(rows))))
-
-
-@eqx.filter_jit
-def _physical(space: Space, unknowns: Unknowns) -> tuple[Array, Array, Array]:
-    """Return `Space.physical` of a space without names, so that all spaces of one size run one program."""
-
-    def of_free(values: Array) -> Array:
-        return values.at[space.active].get(mode="fill", fill_value=1.0)
-
-    free = to_physical(unknowns.shared, of_free(space.lower), of_free(space.upper), of_free(space.scale))
-    shared = space.values.at[space.active].set(free, mode="drop")
-    each = unknowns.each
-    if len(each):
-        each = to_physical(each, space.each_lower[:, None], space.each_upper[:, None], space.each_scale[:, None])
-    if unknowns.start.shape[0] == 0:
-        return shared, each, space.start
-    return shared, each, space.start + (1.0 - space.start_held) * space.start_scale * unknowns.start
 
 
 def unconstrained_in_numpy(

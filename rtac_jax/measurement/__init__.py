@@ -1,7 +1,7 @@
 """Measurements: experiments, files, and the signals in them."""
 
 from ._channel_checks import moving_at_rest
-from ._columns import FACTORS, ImportOptions
+from ._columns import ImportOptions
 from ._concerns import concerns, contradictions
 from ._csv import csv_header
 from ._errors import RecordingError
@@ -24,6 +24,7 @@ from ._info import describe
 from ._momentary_faults import spikes
 from ._recording import Recording
 from ._signal import INPUTS, OUTPUTS, Signal
+from ._stated_unit import FACTORS, ending_unit, name_and_unit, usual_spelling
 from .plan import Plan
 
 __all__ = [
@@ -45,6 +46,7 @@ __all__ = [
     "crest_factor",
     "csv_header",
     "describe",
+    "ending_unit",
     "filled",
     "from_rest",
     "guarded_by_digest",
@@ -53,10 +55,12 @@ __all__ = [
     "hum_subtracted",
     "moving_at_rest",
     "multisine",
+    "name_and_unit",
     "positive_negative",
     "prbs",
     "spikes",
     "square_wave",
     "steps",
+    "usual_spelling",
     "zero_phase_lowpass",
 ]

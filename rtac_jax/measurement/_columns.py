@@ -11,16 +11,8 @@ from jaxtyping import Float64
 from ._errors import RecordingError
 from ._experiment import Experiment
 from ._signal import INPUTS, OUTPUTS, finite, positive
+from ._stated_unit import FACTORS, ending_unit, name_and_unit, usual_spelling
 
-# Factor from a unit that a file may use to the unit of the layout.
-FACTORS: Mapping[str, Mapping[str, float]] = {
-    "A": {"A": 1.0, "mA": 1e-3, "uA": 1e-6},
-    "N": {"N": 1.0, "mN": 1e-3, "kN": 1e3},
-    "m": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254},
-    "rad/s": {"rad/s": 1.0, "mrad/s": 1e-3, "deg/s": np.pi / 180, "rev/s": 2 * np.pi, "rpm": np.pi / 30},
-    "rad": {"rad": 1.0, "mrad": 1e-3, "deg": np.pi / 180, "rev": 2 * np.pi},
-    "s": {"s": 1.0, "ms": 1e-3, "us": 1e-6},
-}
 UNITS = {**INPUTS, **OUTPUTS}
 UNIFORM = 1e-6
 # Of a step, by which times that a logger rounds may be off the clock that they tell: microseconds of steps from a millisecond on.
@@ -34,7 +26,8 @@ class ImportOptions(TypedDict, total=False):
         time: name of the column with the times [s]; either this or `sample_time` [s] is given.
         sample_time: [s].
         name: of the experiment; that of the file where it is not given.
-        units: of the file by channel, and of "time" ("mm", "deg/s", "ms", ...); those of the layout where absent.
+        units: of the file by channel, and of "time" ("mm", "deg/s", "ms", ...). Where absent, what the column's name states, as
+            "x [mm]", "x (mm)" or "speed_rpm" do, and that of the layout where it states none.
         scale: factor of your own by channel, the layout's unit per unit of the column.
         start, stop: samples that are taken, from `start` up to but without `stop`.
         remove_mean: channels that lose their mean over these.
@@ -140,7 +133,7 @@ def assemble(
         raise RecordingError(f"samples {start} to {stop} were asked for; choose 0 <= start < stop <= {total}.")
     signals = {}
     for channel, column in channels.items():
-        values = columns[column][start:stop] * _factor(channel, units or {}, scale or {})
+        values = columns[column][start:stop] * _factor(channel, column, units or {}, scale or {})
         if unwrap and channel == "arm_angle":
             values = _unwrapped(values, conditions.get("initial_arm_angle"))
         # Missing samples do not take part in a mean; a column without any is refused further on.
@@ -149,7 +142,7 @@ def assemble(
             values = values - present.mean()
         signals[channel] = values
     if time is not None:
-        seconds = columns[time][start:stop] * _factor("time", units or {}, {})
+        seconds = columns[time][start:stop] * _factor("time", time, units or {}, {})
         sample_time = uniform_step(seconds, time, start)
     return Experiment.of(name, sample_time=sample_time, **signals, **conditions)  # pyright: ignore[reportArgumentType] - `of` checks them
 
@@ -192,17 +185,24 @@ def uniform_step(times: Float64[np.ndarray, " sample"], column: str, offset: int
     return float((times[-1] - times[0]) / len(steps))
 
 
-def _factor(channel: str, units: Mapping[str, str], scale: Mapping[str, float]) -> float:
+def _factor(channel: str, column: str, units: Mapping[str, str], scale: Mapping[str, float]) -> float:
     target = "s" if channel == "time" else UNITS[channel]
     if channel in scale:
         # A negative factor turns the direction round, which is a matter of how the sensor is mounted.
         factor = finite(f"scale/{channel}", scale[channel], "the factor")
         positive(f"scale/{channel}", abs(factor), "the size of the factor")
         return factor
-    unit = units.get(channel, target)
-    if unit not in FACTORS[target]:
-        raise RecordingError(
-            f"units/{channel}: {unit!r} is not known for this channel, only {', '.join(FACTORS[target])}; "
-            f"give scale={{{channel!r}: {target} per {unit}}} instead."
-        )
-    return FACTORS[target][unit]
+    unit = units.get(channel)
+    stated = unit is None
+    if unit is None:
+        unit = name_and_unit(column)[1] or ending_unit(column, target) or target
+    if usual_spelling(unit) in FACTORS[target]:
+        return FACTORS[target][usual_spelling(unit)]
+    where = f"column {column!r}" if stated else f"units/{channel}"
+    other = "sample_time" if channel == "time" else f"scale={{{channel!r}: {target} per {unit}}}"
+    mend = f"give {other} instead" + (
+        f", or units={{{channel!r}: {target!r}}} if that is what the numbers are in" if stated else ""
+    )
+    raise RecordingError(
+        f"{where}: {unit!r} is not known for {channel if stated else 'this channel'}, only {', '.join(FACTORS[target])}; {mend}."
+    )

@@ -1,8 +1,9 @@
-"""Numbers of NumPy as arrays of JAX, with nothing compiled for it."""
+"""Numbers of NumPy as arrays of JAX, with nothing compiled for it, and whether numbers are known or traced."""
 
 from typing import Any
 
 import jax
+import jax.core
 import jax.numpy as jnp
 import numpy as np
 
@@ -15,3 +16,8 @@ def to_jax(value: Any) -> jax.Array:
     """
     # Of a copy, as the array may go on using the memory that it is given.
     return jax.device_put(np.array(value)) if isinstance(value, np.ndarray) else jnp.asarray(value)
+
+
+def is_traced(*trees: Any) -> bool:
+    """Return whether JAX traces any number in these, to compile, to differentiate or to batch."""
+    return any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(trees))

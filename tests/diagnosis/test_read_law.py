@@ -202,16 +202,17 @@ def test_a_simpler_law_must_be_far_likelier_and_no_worse_where_nothing_was_fitte
 
 
 @pytest.mark.parametrize(
-    ("errors", "place", "given_up"),
+    ("errors", "sure", "place", "given_up"),
     [
-        ((2.0, 0.5, 3.0), 1, ("end_stop",)),
-        ((2.0, 1.5, 3.0, 3.0, 3.0, 0.5), 5, ()),
-        ((2.0, 1.5, 3.0, 3.0, 3.0, 2.0), 1, ("end_stop",)),
+        ((2.0, 0.5, 3.0), True, 1, ("end_stop",)),
+        ((2.0, 1.5, 3.0, 3.0, 3.0, 0.5), True, 5, ()),
+        ((2.0, 1.5, 3.0, 3.0, 3.0, 0.5), False, 1, ("end_stop",)),
+        ((2.0, 1.5, 3.0, 3.0, 3.0, 2.0), True, 1, ("end_stop",)),
     ],
-    ids=["followed in that place", "followed beside it", "not followed"],
+    ids=["followed in that place", "followed beside it", "beside it nothing is left of the force", "not followed"],
 )
 def test_a_law_takes_the_place_of_forces_on_the_same_part_and_of_nothing_else(
-    monkeypatch: pytest.MonkeyPatch, errors: tuple[float, ...], place: int, given_up: tuple[str, ...]
+    monkeypatch: pytest.MonkeyPatch, errors: tuple[float, ...], sure: bool, place: int, given_up: tuple[str, ...]
 ) -> None:
     """Of three laws the one that leaves least; none where no law leaves clearly less than before.
 
@@ -236,7 +237,7 @@ def test_a_law_takes_the_place_of_forces_on_the_same_part_and_of_nothing_else(
         return dataclasses.replace(last, tested=made_up_results.compared(label, next(left, 4.0)))
 
     monkeypatch.setattr(module, "extended_without", fitted)
-    monkeypatch.setattr(module, "is_sure", lambda *_: True)
+    monkeypatch.setattr(module, "is_sure", lambda _, effect: sure or effect != "end_stop")
     monkeypatch.setattr(module, "_text", lambda *_: "the law")
     nothing = Recording((forced(),), rig={})
     found = module.read_law(before, added, curve, nothing, nothing, policy=STANDARD, progress=False)

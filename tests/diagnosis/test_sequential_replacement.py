@@ -1,10 +1,12 @@
 """An effect that was selected while others were missing gives way to what does better beside them."""
 
+import dataclasses
+
 import pytest
 from known_search import Known, known, sized
 
 from estimators.diagnosis.policy import STANDARD
-from estimators.diagnosis.stepwise_selection import improvements
+from estimators.diagnosis.stepwise_selection import _Look, improvements
 from estimators.misspecification.findings import Findings
 
 FIRST = ("gravity_tilt", "lvdt_offset", "force_offset")
@@ -119,6 +121,88 @@ def test_neither_what_presupposes_another_nor_a_larger_law_comes_first():
     )  # fmt: skip
     search = Search(likelihood, first=("gravity_tilt", "cart_coulomb", "cart_presliding"))
     assert selected(search)[0] == {"cart_coulomb": set(), "tacho_ripple": set()}
+
+
+@pytest.mark.parametrize(("yields", "first"), [(1e-4, "cart_presliding"), (1e-9, "gravity_tilt")])
+def test_bristles_that_yield_by_less_than_a_sensor_shows_take_no_place(yields, first):
+    likelihood = known(
+        base=-10_000.0, gravity_tilt=-5000.0, cart_presliding=-5010.0, gravity_tilt__tacho_ripple=-2000.0,
+        cart_presliding__tacho_ripple=-1980.0,
+    )  # fmt: skip
+    search = Search(likelihood, first=("gravity_tilt", "cart_presliding"))
+    search.facts = dataclasses.replace(search.facts, noise={"cart_position": 1e-5})
+    search.values |= {"cart_presliding.displacement": (yields, 0.0)}
+    assert next(iter(selected(search)[0])) == first
+    assert (("cart_presliding", "tacho_ripple") in search.asked) == (first == "cart_presliding")
+
+
+def test_what_presupposes_an_effect_that_nobody_selected_takes_no_place():
+    likelihood = known(
+        base=-10_000.0, gravity_tilt=-5000.0, arm_stribeck=-5010.0, gravity_tilt__tacho_ripple=-2000.0,
+        arm_stribeck__tacho_ripple=-1900.0,
+    )  # fmt: skip
+    search = Search(likelihood, first=("gravity_tilt", "arm_stribeck"))
+    assert selected(search)[0] == {"gravity_tilt": set(), "tacho_ripple": set()}
+    assert ("arm_stribeck", "tacho_ripple") not in search.asked
+
+
+def test_a_simpler_law_that_the_first_contains_takes_no_place():
+    likelihood = known(
+        base=-10_000.0, cart_presliding=-5000.0, cart_coulomb=-5060.0, cart_presliding__tacho_ripple=-2000.0,
+        cart_coulomb__tacho_ripple=-1900.0,
+    )  # fmt: skip
+    search = Search(likelihood, first=("cart_presliding", "cart_coulomb"))
+    assert selected(search)[0] == {"cart_presliding": set(), "tacho_ripple": set()}
+    assert ("cart_coulomb", "tacho_ripple") not in search.asked
+
+
+def test_where_the_later_effect_gains_too_little_beside_it_a_candidate_is_no_rival():
+    likelihood = known(
+        base=-10_000.0, gravity_tilt=-5000.0, lvdt_offset=-5000.5, gravity_tilt__tacho_ripple=-4988.0,
+        lvdt_offset__tacho_ripple=-4991.5,
+    )  # fmt: skip
+    search = Search(likelihood, first=("gravity_tilt", "lvdt_offset"))
+    # 18 in twice the log-likelihood, less the price of a parameter, is below 10; the whole is worse by 7 only.
+    assert selected(search)[0] == {"gravity_tilt": set(), "tacho_ripple": set()}
+    search = Search(likelihood | known(lvdt_offset__tacho_ripple=-4990.5), first=("gravity_tilt", "lvdt_offset"))
+    assert selected(search)[0] == {"gravity_tilt": {"lvdt_offset"}, "tacho_ripple": set()}
+
+
+def test_later_effects_keep_their_rivals():
+    alike = known(
+        gravity_tilt__cogging=-2001.0, lvdt_offset__cogging=-1991.0, force_offset__cogging=-1993.0,
+    )  # fmt: skip
+    search = Search(TILT | alike)
+    seen = search.rejects
+
+    def with_cogging(model):
+        found = seen(model)
+        if "tacho_ripple" in model.added or not model.added:
+            return found
+        return Findings((*found.scores, sized("cogging", 890.0, 1e-9)))
+
+    search.rejects = with_cogging
+    found, _ = selected(search)
+    assert list(found) == ["lvdt_offset", "tacho_ripple"]
+    assert found["tacho_ripple"] == {"cogging"}
+
+
+@pytest.mark.parametrize(("least", "first"), [(0.0, "lvdt_offset"), (9950.0, "gravity_tilt")])
+def test_what_takes_the_first_place_must_gain_what_the_look_asks(least, first):
+    search = Search(TILT)
+    scores = [sized(effect, 1000.0 - place, 1e-9) for place, effect in enumerate(FIRST)]
+    look = _Look(scores, scores[1:], "filter", least)
+    steps, _ = improvements(search, search.base, search.rejects(search.base), STANDARD, look)
+    assert steps[0].id == first
+
+
+@pytest.mark.parametrize(("single", "first"), [(False, "lvdt_offset"), (True, "gravity_tilt")])
+def test_a_look_for_a_single_effect_judges_it_alone(single, first):
+    search = Search(TILT)
+    scores = [sized(effect, 1000.0 - place, 1e-9) for place, effect in enumerate(FIRST)]
+    look = _Look(scores, scores[1:], "filter", single=single)
+    steps, _ = improvements(search, search.base, search.rejects(search.base), STANDARD, look)
+    assert steps[0].id == first
 
 
 @pytest.mark.parametrize(

@@ -186,6 +186,43 @@ def test_csv(tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("column", "options", "factor"),
+    [
+        ("x [mm]", {}, 1e-3),
+        ("x (mm)", {}, 1e-3),
+        ("x_mm", {}, 1e-3),
+        ("x [inches]", {}, 0.0254),
+        ("x_cm", {}, 1.0),  # the centre of mass, rather
+        ("x_rpm", {}, 1.0),  # no unit of a length
+        ("x [mm]", {"units": {"cart_position": "m"}}, 1.0),
+        ("x [mm]", {"units": {"cart_position": "cm"}}, 1e-2),
+        ("x [V]", {"scale": {"cart_position": 0.02}}, 0.02),
+    ],
+)
+def test_a_unit_that_the_name_of_a_column_states_is_that_of_its_numbers(tmp_path, column, options, factor):
+    rows = [f"t [ms];i_motor;{column}", *(f"{10 * n};{n % 3};{n * n}" for n in range(10))]
+    path = write_csv(tmp_path / "run.csv", *rows)
+    channels = {"current": "i_motor", "cart_position": column}
+    found = load_csv(path, channels=channels, time="t [ms]", **options)["run"]
+    assert found.sample_time == pytest.approx(0.01)
+    np.testing.assert_allclose(found.outputs["cart_position"].values, factor * np.arange(10.0) ** 2, rtol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("column", "time", "message"),
+    [
+        ("x [V]", "t", r"csv: column 'x \[V\]': 'V' is not known for cart_position, only m, .*; give scale=\{'cart_pos"),
+        ("x (rpm)", "t", r"'rpm' is not known for cart_position, .*, or units=\{'cart_position': 'm'\} if that is what"),
+        ("x", "t [min]", r"column 't \[min\]': 'min' is not known for time, only s, ms, us; give sample_time instead, or units="),
+    ],
+)  # fmt: skip
+def test_a_column_that_states_a_unit_of_something_else_is_refused(tmp_path, column, time, message):
+    path = write_csv(tmp_path / "run.csv", f"{time};i_motor;{column}", *(f"{n};{n % 3};{n * n}" for n in range(10)))
+    with pytest.raises(RecordingError, match=message):
+        load_csv(path, channels={"current": "i_motor", "cart_position": column}, time=time)
+
+
+@pytest.mark.parametrize(
     ("row", "text", "options", "message"),
     [
         (5, "0.04;1;1,5;a", {}, r"run.csv: row 6, column 'x': '1,5' is not a number"),

@@ -68,7 +68,7 @@ from estimators.misspecification.detection_limit import is_testable, main_amplit
 from rtac_jax import RTAC, require_configured
 from rtac_jax.arguments import checked_arguments
 from rtac_jax.effects import Effect
-from rtac_jax.measurement import OUTPUTS, Recording
+from rtac_jax.measurement import OUTPUTS, Experiment, Recording
 from rtac_jax.parameters import declarations
 
 
@@ -237,6 +237,16 @@ def _told(
     return dataclasses.replace(told, explanation=_explanation(told, found, setting, thorough=evidence.thorough))
 
 
+def _extents(experiments: Sequence[Experiment]) -> dict[str, tuple[float, float]]:
+    """Return the lowest and the highest value of each output in experiments, SI units."""
+    found: dict[str, tuple[float, float]] = {}
+    for experiment in experiments:
+        for channel, signal in experiment.outputs.items():
+            low, high = found.get(channel, (np.inf, -np.inf))
+            found[channel] = min(low, float(np.nanmin(signal.values))), max(high, float(np.nanmax(signal.values)))
+    return found
+
+
 def _explanation(told: Diagnosis, found: Judgement, setting: Setting, *, thorough: bool) -> str:
     """Return the verdict in plain words, with what it rests on and what would make it surer."""
     steps, further = found.steps, found.further
@@ -265,6 +275,8 @@ def _explanation(told: Diagnosis, found: Judgement, setting: Setting, *, thoroug
     if told.drift:
         text += OF_A_DRIFT
     text += "".join(f" {remark}" for effect in told.additions if (remark := effect.remark(setting.model.body)))
+    extents = _extents(setting.experiments)
+    text += "".join(f" {sentence}" for effect in told.additions if (sentence := effect.unseen(extents)))
     if struck := [effect.id for effect in told.additions if effect.acts_by_contact]:
         text += (
             f" The intervals of {', '.join(struck)} may be far too narrow: they leave out when parts hit each other."

@@ -6,7 +6,7 @@ parameters, and it declares how large it may plausibly be on a rig of given scal
 
 import itertools
 from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
@@ -134,6 +134,15 @@ class Effect(eqx.Module):
     def remark(self, body: RigidBody) -> str:
         """Return a sentence on estimates of this size that mean something else than their names say; none by default."""
         del body
+        return ""
+
+    def unseen(self, extents: Mapping[str, tuple[float, float]]) -> str:
+        """Return a sentence on what of it a recording did not reach, so that it is assumed; none by default.
+
+        Args:
+            extents: lowest and highest value of each output that was recorded, SI units.
+        """
+        del extents
         return ""
 
     def reach(self) -> States:

@@ -1,5 +1,6 @@
 """Springs of the cart that are not linear, a spring of the arm, and a constant force and torque that move their equilibria."""
 
+from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import jax.numpy as jnp
@@ -106,6 +107,16 @@ class EndStop(Force):
     def force(self, motion: Motion, own: States) -> tuple[Any, Any]:
         beyond = motion.cart_position - jnp.clip(motion.cart_position, -self.travel, self.travel)
         return -self.stiffness * beyond, 0.0
+
+    def unseen(self, extents: Mapping[str, tuple[float, float]]) -> str:
+        low, high = extents.get("cart_position", (0.0, 0.0))
+        if (high > self.travel) == (low < -self.travel):
+            return ""
+        seen, other, way = ("positive", "negative", -low) if high > self.travel else ("negative", "positive", high)
+        return (
+            f"Of end_stop only the end at {seen} positions was touched: to {other} ones the cart went {1e3 * max(way, 0.0):.3g} mm, "
+            "so that the end there is alike is assumed, and not seen; let the cart go farther that way in what is fitted."
+        )
 
 
 class CableSpring(Force):

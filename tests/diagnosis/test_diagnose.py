@@ -201,3 +201,22 @@ def test_an_effect_of_the_paper_is_named_where_the_model_lacks_it(
     found = est.diagnose(fit, recording, candidates=offered, progress=False)
     assert found.verdict == "missing", found
     assert [c.id for c in found.effects] == [name], found
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("push", "said"), [(4.0, True), (0.6, False)], ids=["one end", "both ends"])
+def test_of_a_stop_that_one_end_of_the_travel_shows_it_is_said_that_the_other_is_assumed(
+    push: float, said: bool
+) -> None:
+    """A constant force on the cart moves its rest so far that it does not come to the other end."""
+    plans = [
+        virtual_rig.Plan(
+            f"pushed_{n}", "forced", 3.0, initial_position=at, disturbance_force=np.full(600, push), initial_angle=0.0
+        )
+        for n, at in enumerate((0.0115, 0.0108))
+    ]
+    recording = virtual_rig.record(virtual_rig.Rig(end_stop_travel=0.009), plans, seed=3)
+    fit = est.output_error(rtac.RTAC.from_rig(recording), recording, progress=False)
+    found = est.diagnose(fit, recording, candidates=[CATALOGUE["end_stop"]], thorough=False, progress=False)
+    assert [effect.id for effect in found.effects] == ["end_stop"]
+    assert ("only the end at positive positions was touched" in found.explanation) == said

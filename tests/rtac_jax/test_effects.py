@@ -377,3 +377,19 @@ def test_an_effect_shows_its_values_in_a_line():
     traced = []
     jax.jit(lambda x: traced.append(repr(CATALOGUE["cubic_spring"](x))) or x)(1.0)
     assert re.fullmatch(r"CubicSpring\(stiffness=\w+\)", traced[0])
+
+
+@pytest.mark.parametrize(
+    ("extent", "said"),
+    [
+        ((-0.004, 0.006), "Of end_stop only the end at positive positions was touched: to negative ones the cart went 4 mm,"),
+        ((-0.006, 0.001), "Of end_stop only the end at negative positions was touched: to positive ones the cart went 1 mm,"),
+        ((-0.006, 0.006), ""),
+        ((-0.004, 0.004), ""),
+    ],
+)  # fmt: skip
+def test_a_stop_that_was_touched_on_one_side_says_what_is_assumed(extent, said):
+    stop = effects.EndStop(1e3, 0.005)
+    assert stop.unseen({"cart_position": extent}).startswith(said)
+    assert bool(stop.unseen({"cart_position": extent})) == bool(said)
+    assert stop.unseen({}) == effects.CubicSpring(1.0).unseen({"cart_position": extent}) == ""

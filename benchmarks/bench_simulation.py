@@ -18,6 +18,7 @@ from simulation_peers import C, Row, of_c, of_diffrax, of_numba, of_numpy, of_sc
 import rtac_jax as rtac
 
 OWN = "rtac_jax, dry friction"
+UNROLLED = 1 << 17  # samples of all trajectories from which `rtac_jax.simulation.unrolls`
 
 
 class Cost(NamedTuple):
@@ -64,10 +65,11 @@ def compiled_loop(trajectories: int, steps: int, repeats: int, *, dry: bool) -> 
 def cost_of_step(trajectories: int) -> Cost:
     """Return what a step costs by XLA's account, which counts the body of a loop once.
 
-    What is around the loop goes with the room for samples, 64 or 128 here, and is taken off.
+    What is around the loop goes with the room for samples, and is taken off. With so many the stages of a step are compiled one by
+    one, so that all of them count.
     """
-    rooms = []
-    for samples in (50, 100):
+    rooms, room = [], UNROLLED // trajectories
+    for samples in (room, 2 * room):
         run, given = time_loop(trajectories, samples, dry=True)
         rooms.append(run.lower(*given).compile().compiled)
     kernels = max(part.count(" fusion(") + part.count(" copy(") for part in rooms[0].as_text().split("\n\n"))

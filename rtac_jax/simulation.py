@@ -99,13 +99,11 @@ def runge_kutta(
         began = model.since(state, _polynomial(current, begin), step, _polynomial(current, begin + 1.0 / substeps))
     places = [place for place, moves in enumerate(model.integrated) if moves]
 
-    def slope(last: State, elapsed: Any) -> State:
-        """Return the rates of what is integrated, at this fraction of the step along the last rates."""
-        at, fraction = list(state), begin + elapsed / substeps
-        for place, rate in zip(places, last, strict=True):
-            at[place] = state[place] + elapsed * step * rate
+    def slope(at: State, elapsed: Any) -> State:
+        """Return the rates of what is integrated, when this fraction of the step has gone by."""
+        fraction = begin + elapsed / substeps
         rates = model.derivative(
-            tuple(at),
+            at,
             _polynomial(current, fraction),
             _polynomial(force, fraction),
             excitation.arm_free,
@@ -115,24 +113,31 @@ def runge_kutta(
         )
         return tuple(jnp.broadcast_to(rates[place], state[place].shape) for place in places)
 
+    def along(rates: State, length: Any) -> State:
+        """Return the state so long [s] after the beginning of the step, at these rates."""
+        at = list(state)
+        for place, rate in zip(places, rates, strict=True):
+            at[place] = state[place] + length * rate
+        return tuple(at)
+
     def stage(carry: tuple[State, State], row: Any) -> tuple[tuple[State, State], None]:
         (last, total), (elapsed, weight) = carry, row
-        rates = slope(last, elapsed)
+        rates = slope(along(last, elapsed * step), elapsed)
         return (rates, tuple(x + weight * dx for x, dx in zip(total, rates, strict=True))), None
 
-    none = tuple(jnp.zeros_like(state[place]) for place in places)
     if unrolled:
-        carry, again = (none, none), jax.jit(stage)
-        for row in _STAGES:
-            carry, _ = again(carry, row)
+        rates_at = jax.jit(slope)
+        k1 = rates_at(state, 0.0)
+        k2 = rates_at(along(k1, 0.5 * step), 0.5)
+        k3 = rates_at(along(k2, 0.5 * step), 0.5)
+        k4 = rates_at(along(k3, step), 1.0)
+        total = tuple(a + 2.0 * (b + c) + d for a, b, c, d in zip(k1, k2, k3, k4, strict=True))
     else:
-        carry, _ = jax.lax.scan(stage, (none, none), tuple(jnp.array(_STAGES).T))
-    total = carry[1]
-    smooth = list(state)
-    for place, rate in zip(places, total, strict=True):
-        smooth[place] = state[place] + step / 6.0 * rate
+        none = tuple(jnp.zeros_like(state[place]) for place in places)
+        ((_, total), _) = jax.lax.scan(stage, (none, none), tuple(jnp.array(_STAGES).T))
     end = began and began._replace(elapsed=1.0)
-    after = model.stop(state, tuple(smooth), step, excitation.arm_free, excitation.cart_free)
+    smooth = along(total, step / 6.0)
+    after = model.stop(state, smooth, step, excitation.arm_free, excitation.cart_free)
     return after if end is None else model.settle(after, end, excitation.arm_free, excitation.cart_free)
 
 

@@ -114,8 +114,8 @@ class EndStop(Force):
             return ""
         seen, other, way = ("positive", "negative", -low) if high > self.travel else ("negative", "positive", high)
         return (
-            f"Of end_stop only the end at {seen} positions was touched: to {other} ones the cart went {1e3 * max(way, 0.0):.3g} mm, "
-            "so that the end there is alike is assumed, and not seen; let the cart go farther that way in what is fitted."
+            f"Of end_stop only the end at {seen} positions was touched: to {other} ones the cart went {1e3 * max(way, 0.0):.3g} mm,"
+            " so that the end there is alike is assumed, and not seen; let the cart go farther that way in what is fitted."
         )
 
 

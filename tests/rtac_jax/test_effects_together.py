@@ -1,6 +1,6 @@
 """All effects in one model, as the diagnosis runs them: absent they change nothing, and each has true derivatives."""
 
-from functools import cache
+from functools import cache, partial
 
 import equinox as eqx
 import jax
@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 from rtac_jax import RTAC, Excitation, Experiment, Scales, effects, simulate
 from rtac_jax.effects import CATALOGUE, Effect
 from rtac_jax.parameters import declarations
-from rtac_jax.simulation import substeps_for, trajectories
+from rtac_jax.simulation import advance, substeps_for, trajectories
 
 SAMPLES, SAMPLE_TIME, SUBSTEPS = 150, 0.004, 4
 TIME = SAMPLE_TIME * np.arange(SAMPLES)
@@ -199,3 +199,29 @@ def test_shaft_that_is_made_slower_keeps_its_static_twist():
         # The shaft carries what accelerates the arm alone.
         expected = (1 - 0.4) * torque * compliance / inertia
         assert found["flexible_shaft.twist"][-1] == pytest.approx(expected, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    "ids",
+    [(), ("current_lag", "flexible_mode", "cart_presliding", "tacho_lag"), ("backlash", "arm_coulomb")],
+    ids=["the paper's", "with states in closed form and not", "with parts that hit each other"],
+)
+def test_stages_of_a_step_as_a_loop_are_those_one_by_one(ids):
+    model = RTAC.paper()
+    for effect_id in ids:
+        model = model + example(effect_id)
+    excitation = Excitation.of([EXPERIMENT])
+    random = np.random.default_rng(8)
+    start = model.start(tuple(jnp.full(1, x) for x in START), jnp.full(1, 0.2))
+    state = tuple(x + jnp.asarray(1e-3 * random.standard_normal(1)) for x in start)
+    powers = tuple(jnp.full(1, x) for x in (0.2, -0.1, 0.05, 0.02))
+
+    @partial(jax.jit, static_argnames="unrolled")
+    def later(state, *, unrolled):
+        return jnp.stack(
+            advance(model, state, powers, None, excitation, substeps=jnp.asarray(SUBSTEPS), unrolled=unrolled)
+        )
+
+    loop, one_by_one = later(state, unrolled=False), later(state, unrolled=True)
+    assert np.any(np.abs(loop - jnp.stack(state)) > 1e-6)
+    np.testing.assert_allclose(loop, one_by_one, rtol=1e-12, atol=1e-15)

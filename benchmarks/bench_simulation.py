@@ -18,7 +18,6 @@ from simulation_peers import C, Row, of_c, of_diffrax, of_numba, of_numpy, of_sc
 import rtac_jax as rtac
 
 OWN = "rtac_jax, dry friction"
-UNROLLED = 1 << 17  # samples of all trajectories from which `rtac_jax.simulation.unrolls`
 
 
 class Cost(NamedTuple):
@@ -68,7 +67,9 @@ def cost_of_step(trajectories: int) -> Cost:
     What is around the loop goes with the room for samples, and is taken off. With so many the stages of a step are compiled one by
     one, so that all of them count.
     """
-    rooms, room = [], UNROLLED // trajectories
+    from rtac_jax.simulation import UNROLLED
+
+    rooms, room = [], -(-UNROLLED // trajectories)
     for samples in (room, 2 * room):
         run, given = time_loop(trajectories, samples, dry=True)
         rooms.append(run.lower(*given).compile().compiled)

@@ -73,8 +73,16 @@ def _states(driven: Driven, samples: Array, substeps: Array, *, room: int, most:
     frame, start = driven.frame, driven.start
     assert start is not None
     excitation = Excitation(driven.current, driven.force, frame.sample_time, frame.arm_free, frame.cart_free)
+    # It may be one of a batch by `jax.vmap`.
     return trajectories(
-        driven.model, tuple(start), excitation, room=room, samples=samples, substeps=substeps, states=True
+        driven.model,
+        tuple(start),
+        excitation,
+        room=room,
+        samples=samples,
+        substeps=substeps,
+        states=True,
+        unrolled=True,
     )
 
 

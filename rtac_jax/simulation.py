@@ -23,15 +23,17 @@ ANGLES = (0.0, 1.5)  # rad, of the arm, at which the fastest mode is looked for
 _NEGLIGIBLE = 1e-100
 _STAGES = ((0.0, 1.0), (0.5, 2.0), (0.5, 2.0), (1.0, 1.0))
 """Of a classic Runge-Kutta step: the fraction of it that has gone by, and six times the weight of the rates there."""
-_UNROLLED = 1 << 17
+UNROLLED = 1 << 17
+"""Samples from which `unrolls`."""
 
 
 def unrolls(*sizes: int) -> bool:
     """Return whether the stages of a Runge-Kutta step are compiled one by one, for so many samples (a product of numbers).
 
-    As a loop they compile in two thirds of the time and run a tenth to a third longer, which many samples feel.
+    As a loop they compile in two thirds of the time. They run a third longer then, or a twentieth to a tenth where derivatives are
+    carried along.
     """
-    return math.prod(sizes) >= _UNROLLED
+    return math.prod(sizes) >= UNROLLED
 
 
 def advance(
@@ -111,7 +113,8 @@ def runge_kutta(
             way,
             began and began._replace(elapsed=elapsed),
         )
-        return tuple(jnp.broadcast_to(rates[place], state[place].shape) for place in places)
+        # An effect of one's own may return whole numbers, or others of single precision.
+        return tuple(jnp.broadcast_to(jnp.asarray(rates[p], state[p].dtype), state[p].shape) for p in places)
 
     def along(rates: State, length: Any) -> State:
         """Return the state so long [s] after the beginning of the step, at these rates."""
@@ -134,7 +137,7 @@ def runge_kutta(
         total = tuple(a + 2.0 * (b + c) + d for a, b, c, d in zip(k1, k2, k3, k4, strict=True))
     else:
         none = tuple(jnp.zeros_like(state[place]) for place in places)
-        ((_, total), _) = jax.lax.scan(stage, (none, none), tuple(jnp.array(_STAGES).T))
+        (_, total), _ = jax.lax.scan(stage, (none, none), tuple(jnp.array(_STAGES, state[0].dtype).T))
     end = began and began._replace(elapsed=1.0)
     smooth = along(total, step / 6.0)
     after = model.stop(state, smooth, step, excitation.arm_free, excitation.cart_free)
@@ -176,6 +179,7 @@ def trajectories(
     gain: Float[Array, "sample state output experiment"] | None = None,
     states: bool = False,
     impulses: Float[Array, "sample 2 2 experiment"] | None = None,
+    unrolled: bool | None = None,
 ) -> Float[Array, "sample row experiment"]:
     """Return the outputs of all experiments, one column each: cart position [m], arm velocity [rad/s], arm angle [rad].
 
@@ -187,12 +191,14 @@ def trajectories(
     With `impulses` a white random force on the cart [N s] and torque on the arm [N m s] act between the samples: the first
     number is the impulse, the second, independent and as large, makes the positions at the next sample what white noise
     makes them; an impulse at once would move them too far.
+    Whether the stages of a step are `unrolled` is said by whoever may be batched by `jax.vmap`, of which nothing is seen here;
+    else `unrolls` tells.
     """
     excitation = model.driven(excitation)
     shape = excitation.sample_time.shape
     start = tuple(jnp.broadcast_to(x, shape) for x in start)
     room = room or int(samples)
-    unrolled = unrolls(room, *shape)
+    unrolled = unrolls(room, *shape) if unrolled is None else unrolled
     rows: dict[str, Any] = {"current": excitation.current, "force": excitation.force, "lasts": excitation.lasts(room)}
     if measured is not None and gain is not None:
         rows |= {"values": measured[0], "present": measured[1], "gain": gain}

@@ -38,6 +38,8 @@ def time_loop(
         room: length of the rows and of the results.
         samples: a number of steps; an array compiles once for all numbers.
     """
+    # Traced once, for its shape, for the body of the loop, and for each round in which JAX looks for what has derivatives.
+    step = jax.jit(step)
 
     def row_at(k: Any) -> Any:
         return jax.tree.map(lambda x: jax.lax.dynamic_index_in_dim(x, k, keepdims=False), rows)
@@ -52,7 +54,6 @@ def time_loop(
         put = jax.lax.dynamic_update_index_in_dim
         return carry, [put(all_of_it, one, k, 0) for all_of_it, one in zip(shown, together, strict=True)]
 
-    step = jax.jit(step)
     shapes, structure = jax.tree.flatten(jax.eval_shape(step, carry, jax.eval_shape(row_at, 0))[1])
     alike = _alike(shapes)
     many = [(len(places),) if len(places) > 1 else () for places in alike]

@@ -73,7 +73,7 @@ class Columns:
             if header and column not in header:
                 # Often the file states the unit in its first row, and so need not the user.
                 stated = [
-                    (cell, says) for cell in header for name, says in [name_and_unit(cell)] if says and name == column
+                    (cell, says) for cell in header for name, says in [name_and_unit(cell)] if cell != name == column
                 ]
                 if len(stated) != 1:
                     if channel != _TIME and column in elsewhere:

@@ -19,13 +19,15 @@ def to_physical(z: Vector, lower: Vector, upper: Vector, scale: Vector) -> Any:
     scale are numbers.
     """
     if all(isinstance(x, np.ndarray) for x in (z, lower, upper, scale)):
-        return _value_and_slope(z, lower, upper, scale, xp=np)[0]
+        with np.errstate(over="ignore", invalid="ignore"):  # far beyond all bounds, as compiled code does
+            return _value_and_slope(z, lower, upper, scale, xp=np)[0]
     return _traced(z, lower, upper, scale)
 
 
 def slopes(z: Vector, lower: Vector, upper: Vector, scale: Vector) -> np.ndarray:
     """Return the derivatives of the physical values by the unconstrained ones, exact however close to a bound."""
-    return _value_and_slope(*(np.asarray(x, dtype=float) for x in (z, lower, upper, scale)), xp=np)[1]
+    with np.errstate(over="ignore", invalid="ignore"):
+        return _value_and_slope(*(np.asarray(x, dtype=float) for x in (z, lower, upper, scale)), xp=np)[1]
 
 
 @jax.custom_jvp
@@ -44,12 +46,12 @@ def _traced_jvp(primals: tuple[Array, ...], tangents: tuple[Array, ...]) -> tupl
 def _value_and_slope(z: Any, lower: Any, upper: Any, scale: Any, *, xp: Any) -> tuple[Any, Any]:
     """Return what `to_physical` does and its derivative, without cancellation, so that neither is lost close to a bound."""
     sigmoid = expit if xp is np else jax.nn.sigmoid
-    root = xp.sqrt(z * z + 4.0)
-    far, near = 0.5 * (root + xp.abs(z)), 2.0 / (root + xp.abs(z))
     low, high = xp.isfinite(lower), xp.isfinite(upper)
-    # Of z, or of -z below an upper bound: the curve that is linear far from the bound.
+    # Away from the one bound that there is: a curve that is linear far from it.
     side = xp.where(low, 1.0, -1.0)
-    away = xp.where(side * z < 0, near, far)
+    t = side * z
+    root = xp.sqrt(t * t + 4.0)
+    away = xp.where(t < 0, 2.0 / (root + xp.abs(t)), 0.5 * (root + xp.abs(t)))
     first, last = xp.where(low, lower, 0.0), xp.where(high, upper, 0.0)
     fraction = sigmoid(z)
     both, one = low & high, low | high

@@ -174,8 +174,20 @@ def _cut(e: Experiment, longest: int) -> list[Experiment]:
     samples = e.samples - begin
     if samples <= longest or not _shows_its_start(e):
         return [e.cut(begin, e.samples) if begin else e]
-    edges = np.linspace(begin, e.samples, round(samples / _PIECE) + 1).astype(int)
-    return [e.cut(int(a), int(b), f"{e.name}[{a}:{b}]") for a, b in itertools.pairwise(edges)]
+    showing = ["arm_angle"] if e.arm == "free" else list(e.outputs)
+    seen = np.any([np.isfinite(e.outputs[channel].values) for channel in showing], axis=0)
+    edges = [begin]
+    for edge in map(int, np.linspace(begin, e.samples, round(samples / _PIECE) + 1)[1:]):
+        if seen[edges[-1] : edge].any():  # a piece that does not show where it starts goes on
+            edges.append(edge)
+    edges[max(len(edges) - 1, 1) :] = [e.samples]
+    return [_with_what_was_measured(e, a, b) for a, b in itertools.pairwise(edges)]
+
+
+def _with_what_was_measured(e: Experiment, begin: int, end: int) -> Experiment:
+    """Return a piece of an experiment, without the sensors that measured nothing in it."""
+    measured = {c: s for c, s in e.outputs.items() if np.isfinite(s.values[begin:end]).any()}
+    return dataclasses.replace(e, outputs=measured).cut(begin, end, f"{e.name}[{begin}:{end}]")
 
 
 def first_sample(experiment: Experiment) -> int:

@@ -9,6 +9,8 @@ import numpy as np
 from rtac_jax.effects._interface import Force, Motion, States
 from rtac_jax.parameters import Scalar, parameter
 
+_SHORT_OF_IT = 0.9  # of the travel, below which an end was not touched whatever a sensor's offset or gain makes of it
+
 
 class CubicSpring(Force):
     """A spring that hardens (k_3 > 0) or softens (k_3 < 0) alike on both sides."""
@@ -110,12 +112,12 @@ class EndStop(Force):
 
     def unseen(self, extents: Mapping[str, tuple[float, float]]) -> str:
         low, high = extents.get("cart_position", (0.0, 0.0))
-        if (high > self.travel) == (low < -self.travel):
+        touched, other = ("positive", -low) if high > -low else ("negative", high)
+        if max(high, -low) <= self.travel or other >= _SHORT_OF_IT * self.travel:
             return ""
-        seen, other, way = ("positive", "negative", -low) if high > self.travel else ("negative", "positive", high)
         return (
-            f"Of end_stop only the end at {seen} positions was touched: to {other} ones the cart went {1e3 * max(way, 0.0):.3g} mm,"
-            " so that the end there is alike is assumed, and not seen; let the cart go farther that way in what is fitted."
+            f"end_stop was touched at {touched} positions only: the other way the cart went no farther than"
+            f" {1e3 * max(other, 0.0):.3g} mm. That the stop there is alike is assumed; record a run that reaches it."
         )
 
 

@@ -23,7 +23,7 @@ class ImportOptions(TypedDict, total=False):
     """The options of `Recording.from_mat` and `Recording.from_csv` beside a file's channels and its kind.
 
     Attributes:
-        time: name of the column with the times [s]; either this or `sample_time` [s] is given.
+        time: name of the column with the times; either this or `sample_time` [s] is given.
         sample_time: [s].
         name: of the experiment; that of the file where it is not given.
         units: of the file by channel, and of "time" ("mm", "deg/s", "ms", ...). Where absent, what the column's name states, as

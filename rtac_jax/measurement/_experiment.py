@@ -1,7 +1,7 @@
 """An experiment on the rig: its inputs, its measured outputs, and its conditions."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any
 
@@ -26,7 +26,8 @@ class Experiment:
     outputs are sensor noise). `inputs` and `outputs` map names in `INPUTS` and `OUTPUTS` to signals; an
     absent current means that the motor is idle. `initial_arm_angle` is in rad, and so is its standard deviation
     `initial_arm_angle_std`. `repeat_of` names the experiment whose inputs and start this one repeats. `Experiment.of`
-    builds one from plain arrays.
+    builds one from plain arrays. It is `part` of a longer one where it was cut from that; in a part everything may stand still,
+    and no input act.
 
     Raises `RecordingError` (a `ValueError`) naming the experiment, channel and sample that is wrong.
     """
@@ -41,6 +42,7 @@ class Experiment:
     cart: str = "free"
     repeat_of: str | None = None
     initial_arm_angle_std: float | None = None
+    part: bool = field(default=False, compare=False, repr=False)
 
     def __post_init__(self) -> None:
         check_name(self.name)
@@ -85,8 +87,10 @@ class Experiment:
             check_input(f"{place}/inputs/{name}", signal, INPUTS[name])
         for name, signal in self.outputs.items():
             held = (self.cart == "clamped") if name == "cart_position" else (self.arm == "locked")
-            check_output(f"{place}/outputs/{name}", signal, OUTPUTS[name], still=held or self.kind == "rest")
-        if self.kind == "forced" and not any(signal.values.any() for signal in self.inputs.values()):
+            check_output(
+                f"{place}/outputs/{name}", signal, OUTPUTS[name], still=held or self.part or self.kind == "rest"
+            )
+        if self.kind == "forced" and not self.part and not any(signal.values.any() for signal in self.inputs.values()):
             raise RecordingError(
                 f"{place}/inputs: a forced experiment needs an input that is not zero throughout; give "
                 "current or disturbance_force, or set kind='free'."
@@ -197,8 +201,8 @@ class Experiment:
         """Return samples `start` to `stop` (exclusive) as an experiment of its own.
 
         The initial arm angle is kept only if `start` is 0, and `repeat_of` is dropped. `kind` is given when
-        the part is of another kind, as the decay after a forced start. Raises `RecordingError` for samples
-        that do not exist.
+        the part is of another kind, as the decay after a forced start. Within a part the rig may stand still.
+        Raises `RecordingError` for samples that do not exist.
         """
         if not 0 <= start < stop <= self.samples:
             raise RecordingError(
@@ -223,6 +227,7 @@ class Experiment:
             arm=self.arm,
             cart=self.cart,
             initial_arm_angle_std=self.initial_arm_angle_std if begins else None,
+            part=self.part or stop - start < self.samples,
         )
 
 

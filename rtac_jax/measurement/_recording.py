@@ -132,7 +132,7 @@ class Recording:
         """Import a recording of one experiment from the variables of a MAT file (v5 or v7.3).
 
         `channels` maps channels to variables, as in `{"disturbance_force": "V1", "cart_position": "V2"}`; each
-        variable is a vector. Either `sample_time` [s] or `time`, the variable with the times [s], is given. The other
+        variable is a vector. Either `sample_time` [s] or `time`, the variable with the times, is given. The other
         options are those of `ImportOptions`.
 
         Raises `FileNotFoundError`, or `RecordingError` naming the variable, option or sample that is wrong.
@@ -152,7 +152,7 @@ class Recording:
         """Import a recording of one experiment from the columns of a CSV file whose first row names them.
 
         `channels` maps channels to columns, as in `{"current": "i_motor", "cart_position": "x"}`. Either `time`,
-        the column with the times [s], or `sample_time` [s] is given. An empty cell and "nan" mean a missing
+        the column with the times, or `sample_time` [s] is given. An empty cell and "nan" mean a missing
         sample. The other options are those of `ImportOptions`.
 
         Raises `FileNotFoundError`, or `RecordingError` naming the row (counted from 1, with the header) and the

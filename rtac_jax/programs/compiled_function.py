@@ -133,7 +133,7 @@ class Program(Generic[Given, Result]):
         flat.__name__ = f"program_{self._name}"
         try:
             # No type gives way to others, as that of an array made of a number does: each would be a program more.
-            with collected_later():  # which would take a fifth of the time
+            with collected_later():  # a search for garbage would take a fifth of the time
                 lowered = jax.jit(flat).lower(*(jax.ShapeDtypeStruct(x.shape, x.dtype) for x in leaves if _is_array(x)))
         except _NotOnlyArraysError:
             return _Made(None, None)

@@ -146,6 +146,17 @@ def test_a_unit_in_the_first_row_need_not_be_repeated_but_not_contradicted(tmp_p
     )  # fmt: skip
 
 
+def test_brackets_with_nothing_in_them_state_no_unit(tmp_path, free):
+    file = tmp_path / "bare.csv"
+    head, _, rows = free.read_text().partition("\n")
+    file.write_text(",".join("x []" if cell == "x" else cell for cell in head.split(",")) + "\n" + rows)
+    for number, wish in enumerate(("x", "x []")):
+        told = ("--kind", "free", "--time", "t", "--channel", f"cart_position={wish}")
+        result, recording = imported(tmp_path / f"rig_{number}.h5", file, *told)
+        np.testing.assert_allclose(recording["bare"].outputs["cart_position"].values, 1e3 * POSITION, rtol=1e-12)
+        assert "x [] in m" in result.stdout
+
+
 def test_a_mat_file_and_a_recording_join(tmp_path, free):
     imported(tmp_path / "rig.h5", free, *FREE)
     scipy.io.savemat(tmp_path / "forced_2.mat", {"V1": CURRENT, "V2": np.degrees(SPEED)})

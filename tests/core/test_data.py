@@ -8,7 +8,7 @@ import estimators as est
 from estimators.core.data import fitted_part, origins, pieces
 from estimators.core.linearisation import at_fit
 from rtac_jax import RTAC
-from rtac_jax.measurement import Experiment, Recording
+from rtac_jax.measurement import Experiment, Recording, RecordingError
 
 RECORDING = Recording((free(), forced(), rest()), {"total_mass": 1.23})
 
@@ -49,6 +49,48 @@ def test_beside_a_long_experiment_others_are_cut_too_and_found_again() -> None:
 def test_a_recording_of_which_nothing_was_fitted_is_refused() -> None:
     with pytest.raises(ValueError, match=r"the fit used other, .*give the recording that was fitted"):
         fitted_part(RECORDING, ("other",))
+
+
+@pytest.mark.parametrize(("gap", "without", "longest"), [("cart_position", 5, 500), ("arm_angle", 0, 3000)])
+def test_a_sensor_that_fails_for_a_while_is_left_out_of_the_pieces_or_these_go_on(gap, without, longest) -> None:
+    """An experiment whose sensor measured nothing in a whole piece was refused."""
+    time = 0.002 * np.arange(9000)
+    outputs = {"cart_position": np.cos(3 * time), "arm_angle": np.sin(time)}
+    outputs[gap][3000:5500] = np.nan
+    found = pieces([Experiment.of("e", kind="free", sample_time=0.002, initial_arm_angle=0.0, **outputs)])
+    assert sum(piece.samples for piece in found) == 9000
+    assert sum(gap not in piece.outputs for piece in found) == without
+    assert all("arm_angle" in piece.outputs for piece in found)
+    assert 500 <= max(piece.samples for piece in found) <= longest
+    outputs[gap][3000:5500] = 0.01 * time[3000:5500]
+    outputs[gap][5000:] = np.nan
+    late = {
+        channel: values[::-1] for channel, values in outputs.items()
+    }  # nothing at the end, and nothing at the beginning
+    for given in (outputs, late):
+        found = pieces([Experiment.of("e", kind="free", sample_time=0.002, **given)])
+        assert all("arm_angle" in piece.outputs for piece in found)
+        assert sum(piece.samples for piece in found) == 9000
+    locked = {"cart_position": given["cart_position"]}
+    found = pieces([Experiment.of("l", kind="free", sample_time=0.002, arm="locked", **locked)])
+    assert found[-1].name.endswith(":9000]")
+
+
+def test_a_rig_that_rests_for_a_while_and_is_not_driven_is_no_fault_of_a_piece() -> None:
+    """What coarse encoders show of it is one value; by itself such a record would be refused."""
+    time = 0.002 * np.arange(9000)
+    current = np.where(time < 8, np.sin(5 * time), 0.0)
+    position, angle = (np.where(time < 8, np.round(x, 2), 0.5) for x in (np.cos(3 * time), np.sin(time)))
+    long = Experiment.of(
+        "e", kind="forced", sample_time=0.002, current=current, cart_position=position, arm_angle=angle
+    )
+    found = pieces([long])
+    assert np.ptp(found[-1].outputs["cart_position"].values) == np.ptp(found[-1].outputs["arm_angle"].values) == 0
+    assert sum(piece.samples for piece in found) == 9000
+    assert found[0].part
+    assert not long.part
+    with pytest.raises(RecordingError, match="the sensor was not connected or nothing moved"):
+        Experiment.of("e", kind="free", sample_time=0.002, cart_position=position[-500:], arm_angle=angle[-500:])
 
 
 def test_pieces_begin_where_a_sensor_comes_on() -> None:

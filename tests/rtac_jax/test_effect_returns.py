@@ -52,6 +52,22 @@ class Forgetful(Magnet):
         return ()
 
 
+class Counter(Magnet):
+    """Its rate is a whole number, or one of single precision."""
+
+    states: ClassVar[dict[str, str]] = {"count": "m"}
+    step: ClassVar[Any] = 1.0
+
+    def start(self, motion):
+        return (0.0 * motion.cart_position,)
+
+    def rate(self, motion, own):
+        return (self.step,)
+
+    def force(self, motion, own):
+        return -self.strength * own[0], 0.0
+
+
 @pytest.mark.parametrize(
     ("effect", "said"),
     [
@@ -68,3 +84,25 @@ def test_an_effect_that_returns_too_little_is_named(effect, said):
 def test_two_values_are_enough():
     run = simulate(RTAC.paper() + Magnet(0.2), [DECAY], start={"free": [0.01, 0.0, 0.0, 0.0]}, substeps=1)
     assert np.all(np.isfinite(np.asarray(run["free"].cart_position)))
+
+
+class Whole(Counter):
+    """It counts by whole numbers."""
+
+    step: ClassVar[Any] = 1
+
+
+class Short(Counter):
+    """It counts in single precision."""
+
+    step: ClassVar[Any] = np.float32(1.0)
+
+
+@pytest.mark.parametrize("counter", [Whole, Short])
+def test_rates_of_other_types_are_numbers_too(counter):
+    start = {"free": [0.01, 0.0, 0.0, 0.0]}
+    found, exact = (
+        simulate(RTAC.paper() + one(0.2), [DECAY], start=start, substeps=1)["free"] for one in (counter, Counter)
+    )
+    np.testing.assert_array_equal(found.cart_position, exact.cart_position)
+    assert np.ptp(np.asarray(exact.states["magnet.count"])) > 0.05

@@ -382,9 +382,11 @@ def test_an_effect_shows_its_values_in_a_line():
 @pytest.mark.parametrize(
     ("extent", "said"),
     [
-        ((-0.004, 0.006), "Of end_stop only the end at positive positions was touched: to negative ones the cart went 4 mm,"),
-        ((-0.006, 0.001), "Of end_stop only the end at negative positions was touched: to positive ones the cart went 1 mm,"),
+        ((-0.004, 0.006), "end_stop was touched at positive positions only: the other way the cart went no farther than 4 mm."),
+        ((-0.006, 0.001), "end_stop was touched at negative positions only: the other way the cart went no farther than 1 mm."),
+        ((0.002, 0.006), "end_stop was touched at positive positions only: the other way the cart went no farther than 0 mm."),
         ((-0.006, 0.006), ""),
+        ((-0.0048, 0.006), ""),  # a sensor's offset may hide that it was
         ((-0.004, 0.004), ""),
     ],
 )  # fmt: skip

@@ -68,6 +68,8 @@ def _fill(file: h5py.File, recording: Contents) -> None:
             value = getattr(experiment, name)
             if value is not None:
                 group.attrs[name] = value
+        if experiment.part:
+            group.attrs["part"] = 1
         for side, signals in (("inputs", experiment.inputs), ("outputs", experiment.outputs)):
             folder = group.create_group(side)
             for name, signal in signals.items():
@@ -159,6 +161,7 @@ def _read_experiment(name: str, folder: Any, budget: "Budget") -> Experiment:
         cart=text(folder, "cart") or "free",
         repeat_of=text(folder, "repeat_of"),
         initial_arm_angle_std=number(folder, "initial_arm_angle_std"),
+        part=bool(number(folder, "part")),
     )
 
 

@@ -62,6 +62,17 @@ def test_a_file_loses_nothing(path):
             assert not after.outputs[name].values.flags.writeable
 
 
+def test_a_part_in_which_the_rig_stands_still_is_read_again(tmp_path):
+    time = 0.01 * np.arange(400)
+    long = Experiment.of("e", kind="free", sample_time=0.01, cart_position=np.where(time < 2, np.cos(time), 0.5))
+    Recording((long.cut(200, 400, "still"),)).save(tmp_path / "part.h5")
+    (found,) = Recording.load(tmp_path / "part.h5").experiments
+    assert found.part
+    assert np.ptp(found.outputs["cart_position"].values) == 0
+    Recording((long,)).save(tmp_path / "whole.h5")
+    assert not Recording.load(tmp_path / "whole.h5")["e"].part
+
+
 def test_the_file_follows_the_layout(path):
     with h5py.File(path) as file:
         attributes = dict(file.attrs)

@@ -95,6 +95,12 @@ def derivative(
     return result
 
 
+def integrated(model: Moving) -> list[int]:
+    """Return the places of the states that are integrated, and do not follow in closed form from where a step began."""
+    closed = [False] * len(RIGID_STATES) + [effect.closed for effect in model.effects for _ in effect.states]
+    return [place for place, follows in enumerate(closed) if not follows]
+
+
 def settle(model: Moving, after: tuple[Any, ...], since: Since, arm_free: Any, cart_free: Any) -> tuple[Any, ...]:
     """Return the state after a step, as `RTAC.settle` says."""
     own = model.own_states(after)

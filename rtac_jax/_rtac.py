@@ -305,12 +305,6 @@ class RTAC(eqx.Module):
         return sum((effect.dead_time() for effect in self.effects if isinstance(effect, Input)), start=0.0)
 
     @property
-    def integrated(self) -> tuple[bool, ...]:
-        """Return of each state whether it is integrated, and does not follow in closed form from where a step began."""
-        own = [not effect.closed for effect in self.effects for _ in effect.states]
-        return (True,) * len(RIGID_STATES) + tuple(own)
-
-    @property
     def steps_apart(self) -> bool:
         """Return whether an effect needs to know where an integration step began, because it is not integrated itself."""
         return any(effect.closed or isinstance(effect, Impact) for effect in self.effects)

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from rtac_jax._equations import integrated
 from rtac_jax._rtac import RTAC
 from rtac_jax.excitation import Excitation
 from rtac_jax.programs import program
@@ -99,7 +100,7 @@ def runge_kutta(
     began = None
     if model.steps_apart:
         began = model.since(state, _polynomial(current, begin), step, _polynomial(current, begin + 1.0 / substeps))
-    places = [place for place, moves in enumerate(model.integrated) if moves]
+    places = integrated(model)
 
     def slope(at: State, elapsed: Any) -> State:
         """Return the rates of what is integrated, when this fraction of the step has gone by."""

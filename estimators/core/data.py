@@ -187,7 +187,8 @@ def _cut(e: Experiment, longest: int) -> list[Experiment]:
 def _with_what_was_measured(e: Experiment, begin: int, end: int) -> Experiment:
     """Return a piece of an experiment, without the sensors that measured nothing in it."""
     measured = {c: s for c, s in e.outputs.items() if np.isfinite(s.values[begin:end]).any()}
-    return dataclasses.replace(e, outputs=measured).cut(begin, end, f"{e.name}[{begin}:{end}]")
+    whole = e if len(measured) == len(e.outputs) else dataclasses.replace(e, outputs=measured)
+    return whole.cut(begin, end, f"{e.name}[{begin}:{end}]")
 
 
 def first_sample(experiment: Experiment) -> int:

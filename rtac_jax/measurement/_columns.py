@@ -192,17 +192,14 @@ def _factor(channel: str, column: str, units: Mapping[str, str], scale: Mapping[
         factor = finite(f"scale/{channel}", scale[channel], "the factor")
         positive(f"scale/{channel}", abs(factor), "the size of the factor")
         return factor
-    unit = units.get(channel)
-    stated = unit is None
-    if unit is None:
-        unit = name_and_unit(column)[1] or ending_unit(column, target) or target
+    said = units.get(channel)
+    unit = name_and_unit(column)[1] or ending_unit(column, target) or target if said is None else said
     if usual_spelling(unit) in FACTORS[target]:
         return FACTORS[target][usual_spelling(unit)]
-    where = f"column {column!r}" if stated else f"units/{channel}"
-    other = "sample_time" if channel == "time" else f"scale={{{channel!r}: {target} per {unit}}}"
-    mend = f"give {other} instead" + (
-        f", or units={{{channel!r}: {target!r}}} if that is what the numbers are in" if stated else ""
-    )
-    raise RecordingError(
-        f"{where}: {unit!r} is not known for {channel if stated else 'this channel'}, only {', '.join(FACTORS[target])}; {mend}."
-    )
+    where, mend = f"units/{channel}", f"give scale={{{channel!r}: {target} per {unit}}} instead"
+    if channel == "time":
+        mend = "give sample_time instead"
+    if said is None:
+        where = f"column {column!r}"
+        mend += f", or units={{{channel!r}: {target!r}}} if that is what the numbers are in"
+    raise RecordingError(f"{where}: {unit!r} is not known for {channel}, only {', '.join(FACTORS[target])}; {mend}.")

@@ -89,6 +89,8 @@ def test_a_rig_that_rests_for_a_while_and_is_not_driven_is_no_fault_of_a_piece()
     assert sum(piece.samples for piece in found) == 9000
     assert found[0].part
     assert not long.part
+    assert not long.cut(0, long.samples).part
+    assert found[-1].cut(0, found[-1].samples).part  # and still a part of the long one
     with pytest.raises(RecordingError, match="the sensor was not connected or nothing moved"):
         Experiment.of("e", kind="free", sample_time=0.002, cart_position=position[-500:], arm_angle=angle[-500:])
 

@@ -3,13 +3,17 @@
 import math
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.integrate import cumulative_simpson, solve_ivp
 from scipy.interpolate import CubicSpline
 
-from rtac_jax import RTAC, Experiment, RigidBody, simulate
+from rtac_jax import RTAC, Excitation, Experiment, RigidBody, simulate
+from rtac_jax._adjoint import differentiable_states
 from rtac_jax.effects import ArmCoulomb, ArmViscous, CartCoulomb, CartViscous, FlexibleMode
+from rtac_jax.simulation import UNROLLED, trajectories
 from rtac_jax.virtual_rig import Plan, Rig, standard_plans
 from rtac_jax.virtual_rig._motion import integrate
 
@@ -325,3 +329,16 @@ def test_experiments_together_equal_experiments_alone():
             np.testing.assert_allclose(values, getattr(alone, name), rtol=1e-11, atol=1e-13)
     assert np.all(together["locked"].arm_angle == 0.4)
     assert np.all(together["clamped"].cart_position == 0)
+
+
+@pytest.mark.parametrize(("room", "batched", "loops"), [(64, False, True), (UNROLLED, False, False), (64, True, False)])
+def test_stages_are_a_loop_where_samples_are_few_and_nothing_is_batched(room: int, batched: bool, loops: bool) -> None:
+    excitation = Excitation.of([experiment(samples=64, sample_time=0.01)])
+    start = jnp.array(START)[:, None]
+
+    def states(start: Any) -> Any:
+        if batched:
+            return differentiable_states(SMOOTH, start, excitation, 64, jnp.asarray(64), jnp.asarray(1), 1)
+        return trajectories(SMOOTH, tuple(start), excitation, room=room, samples=jnp.asarray(64), substeps=1)
+
+    assert ("scan[" in str(jax.make_jaxpr(states)(start))) == loops

@@ -72,14 +72,15 @@ def chosen(
 def is_at_its_edge(laboratory: Laboratory, effect: str, model: FittedModel, policy: DiagnosisPolicy) -> bool:
     """Return whether an added effect has become a simpler one that it contains, by a shape far below a sensor's noise.
 
-    Bristles that yield within a hundredth of an encoder's step are dry friction, which a simulation follows more smoothly so.
+    Bristles that yield within a tenth of a sensor's noise are dry friction, which a simulation follows more smoothly so; what is
+    missing beside it may ask for that.
     """
     edge = laboratory.facts.effects[effect].edge
     if not edge:
         return False
     parameter, channel = edge
     size = abs(model.values.get(f"{effect}.{parameter}", (math.inf, 0.0))[0])
-    return size < policy.consequence * laboratory.facts.noise.get(channel, 0.0)
+    return size < policy.left * laboratory.facts.noise.get(channel, 0.0)
 
 
 def alone(

@@ -24,7 +24,6 @@ from estimators.diagnosis.explanation import (
     OF_A_LINE,
     OF_ROUNDING,
     SHAKEN,
-    found_by_simulation,
     not_named,
     of_part,
     out_of_time,
@@ -33,7 +32,6 @@ from estimators.diagnosis.explanation import (
     surer,
     unconfirmed,
     without_alarm,
-    without_the_physics,
     words,
 )
 from estimators.diagnosis.gross_effects import enough_of, is_gross, offering_gross
@@ -58,6 +56,7 @@ from estimators.diagnosis.refitting import (
 from estimators.diagnosis.removed_error import floor
 from estimators.diagnosis.selection import Selection, by_size
 from estimators.diagnosis.setting import Setting, effect_of, setting_of
+from estimators.diagnosis.simulation_remarks import found_by_simulation, untried, without_the_physics
 from estimators.diagnosis.testability import stood_for
 from estimators.diagnosis.verdict import Judgement, decide, judge
 from estimators.diagnosis.workers import Workers
@@ -253,13 +252,14 @@ def _explanation(told: Diagnosis, found: Judgement, setting: Setting, *, thoroug
     text = words(
         told.verdict, told.effects, told.candidates, steps, told.tests, told.left, told.removed, told.curves, told.latent,
         told.places, told.lines, told.simulation, told.policy, told.consequence, found.detectable,
-        told.floor, told.misfit, told.no_effect,
+        told.floor, told.misfit, told.no_effect, told.broken_off,
     )  # fmt: skip
     if told.simulation is not None and further and not steps:
         text += without_the_physics(further, told.simulation)
     if told.by_simulation and told.evidence is not None:
         known = told.evidence.simulations
         text += found_by_simulation(known[found.selection.base.number], known[found.final.number])
+        text += untried(told.candidates, told.left, told.policy)
     if steps and further:
         text += not_named(further, told.left, setting.samples)
     alarms = alarming(found.selection.findings.scores, told.policy.critical)
@@ -274,7 +274,9 @@ def _explanation(told: Diagnosis, found: Judgement, setting: Setting, *, thoroug
         text += OF_ROUNDING.format(told.simulated, " and ".join(told.rounded))
     if told.drift:
         text += OF_A_DRIFT
-    text += "".join(f" {remark}" for effect in told.additions if (remark := effect.remark(setting.model.body)))
+    # What a remark computes of other parameters is to be of where they ended, and not of the model that fails.
+    ended = setting.model.with_values({n: v for n, v in told.values.items() if n in setting.model.parameters})
+    text += "".join(f" {remark}" for effect in told.additions if (remark := effect.remark(ended.body)))
     extents = _extents(setting.experiments)
     text += "".join(f" {sentence}" for effect in told.additions if (sentence := effect.unseen(extents)))
     if struck := [effect.id for effect in told.additions if effect.acts_by_contact]:

@@ -5,13 +5,13 @@ from collections.abc import Collection, Mapping, Sequence
 
 from estimators.core.fit import FAR, Parameter
 from estimators.diagnosis.candidate import Candidate
-from estimators.diagnosis.evidence import SimulationError
+from estimators.diagnosis.missing_force import static_force
 from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
-from estimators.diagnosis.removed_error import Verdict, fraction_removed, without_named_rivals
+from estimators.diagnosis.removed_error import Verdict, fraction_removed
 from estimators.diagnosis.step import Step
 from estimators.diagnosis.verdict import Consequence
 from estimators.inference.simulation_residual import SimulationResidual, judged_channels
-from estimators.misspecification.adequacy import AdequacyTest, excess_of, significant
+from estimators.misspecification.adequacy import AdequacyTest
 from estimators.misspecification.line_classes import LineClass
 from estimators.misspecification.residual_maps import Place
 from estimators.misspecification.static_force import ForceCurve
@@ -59,6 +59,7 @@ def words(
     floor: str = AT_NOISE,
     misfit: str = "the misfit",
     no_effect: str = "no effect of the catalogue",
+    broken_off: Collection[str] = (),
 ) -> str:
     """Describe in a paragraph what is missing, how big, where it shows, how sure, and what would make it surer."""
     if verdict == "adequate":
@@ -111,10 +112,20 @@ def words(
         fraction += f" The error falls by {_fall(consequence)}."
     if verdict == "missing":
         return f"Missing: {text}.{fraction}{shown} The intervals do not count that the effect was selected."
-    groups = "; ".join(f"{step.id} or {', '.join(step.rivals)}" for step in steps if step.rivals)
-    return (
-        f"Ambiguous: the data cannot tell {groups} apart. The best fit: {text}.{fraction}{shown} An experiment that separates "
-        "them may decide (est.next_experiment)."
+    alike, would_tell = _alike(steps, broken_off)
+    return f"Ambiguous: {alike}. The best fit: {text}.{fraction}{shown}{would_tell}"
+
+
+def _alike(steps: Sequence[Step], broken_off: Collection[str]) -> tuple[str, str]:
+    """Say what is not told from each step, by the data or as the time was over before, and what would tell them apart."""
+    told = [(step.id, [i for i in step.rivals if i not in broken_off]) for step in steps]
+    late = [(step.id, [i for i in step.rivals if i in broken_off]) for step in steps]
+    apart = "; ".join(f"{i} or {', '.join(rivals)}" for i, rivals in told if rivals)
+    untried = "; ".join(f"{', '.join(rivals)} against {i}" for i, rivals in late if rivals)
+    parts = [f"the data cannot tell {apart} apart"] if apart else []
+    parts += [f"the time was over before all were held against each other, {untried}"] if untried else []
+    return ", and ".join(parts), (
+        " An experiment that separates them may decide (est.next_experiment)." if apart else ""
     )
 
 
@@ -142,19 +153,6 @@ def _size(one: Parameter) -> str:
     return f"{one.value:.4g} +- {one.std:.2g}{unit}" if one.std > 0 else f"{one.value:.4g}{unit}, fixed"
 
 
-def static_force(
-    curves: Sequence[ForceCurve], tests: Sequence[AdequacyTest], policy: DiagnosisPolicy = STANDARD
-) -> tuple[ForceCurve | None, bool]:
-    """Return the curve that explains most of what is missing, if one does; and whether any explains more than chance."""
-    rejecting = next((test for test in tests if test.test == "static force" and test.rejects), None)
-    if rejecting is None:
-        return None, False
-    best = max(significant(curves, rejecting.level), key=lambda c: c.excess, default=None)
-    if best is None or not best.excess > policy.static * excess_of(tests):
-        return None, True
-    return best, True
-
-
 def of_part(samples: int) -> str:
     """Say that only a part of the samples was looked at, as the fit follows nothing.
 
@@ -173,34 +171,6 @@ def not_named(further: Sequence[Step], left: Sequence[AdequacyTest], samples: in
     fraction = fraction_removed([first], samples)
     choice = " or ".join([first.id, *first.rivals])
     return f" Of what is then left {choice} would remove {100 * fraction:.0f} %, too little to be named."
-
-
-def found_by_simulation(before: SimulationError, after: SimulationError) -> str:
-    """Say why effects were selected by simulation, and how far its error falls with them.
-
-    Args:
-        before: the simulation of the fit that is diagnosed, beside its predictor.
-        after: that with the effects.
-    """
-    farthest = max(before.error, key=lambda channel: before.error[channel])
-    force, torque = before.random
-    return (
-        " This is what simulations select, as predictions one sample ahead do not tell: random forces stand in for the physics"
-        f" there ({100 * force:.2g} % of the rms force and {100 * torque:.2g} % of the rms torque in one sample). The"
-        f" error of the simulation falls from {before.error[farthest]:,.3g} to {after.error[farthest]:,.3g} times the noise"
-        f" ({farthest})."
-    )
-
-
-def without_the_physics(steps: Sequence[Step], simulation: SimulationResidual) -> str:
-    """Return what the predictions speak for where a simulation with it does not follow, so that it is not named."""
-    names = " and ".join(" or ".join([step.id, *step.rivals]) for step in without_named_rivals(steps))
-    if simulation.cause != "stand-in":
-        return f" That is with {names}, which would improve the predictions; without the simulation that follows it is not named."
-    return (
-        f" {names} would improve the predictions, but random forces stand in for the physics beside it too: it may make up for"
-        " a part of another mistake, so it is not named."
-    )
 
 
 def without_alarm(effect: str, confirmed: tuple[int, ...], *, hid: bool = False) -> str:

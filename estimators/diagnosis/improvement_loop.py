@@ -10,8 +10,9 @@ from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.candidate_set import offered
 from estimators.diagnosis.diagnose import diagnose
 from estimators.diagnosis.diagnosis import Diagnosis
-from estimators.diagnosis.explanation import at_noise, static_force
+from estimators.diagnosis.explanation import at_noise
 from estimators.diagnosis.learned_force import LearnedForce, learn_force
+from estimators.diagnosis.missing_force import static_force
 from estimators.diagnosis.model_extension import (
     WAYS,
     Added,

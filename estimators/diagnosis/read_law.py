@@ -7,7 +7,8 @@ from typing import NamedTuple
 from estimators.core.fit import Fit
 from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.diagnosis import Diagnosis
-from estimators.diagnosis.explanation import at_noise, static_force
+from estimators.diagnosis.explanation import at_noise
+from estimators.diagnosis.missing_force import static_force
 from estimators.diagnosis.model_extension import Added, extended_without, is_sure, misfit
 from estimators.diagnosis.policy import DiagnosisPolicy
 from estimators.misspecification.force_formulas import Formula, formula_text

@@ -83,7 +83,7 @@ def _simulated_with(setting: Setting, fit: Fit, before: Refit, s: Screened | Exp
         begin = placed_inside(begin, {name: value for name, value in s.values.items() if name in begin.free})
     with contextlib.suppress(ArithmeticError, NotIdentifiableError, OutOfTimeError):
         require_time()
-        found = output_error(begin, setting.recording, from_model=True, steps=_STEPS, progress=False)
+        found = output_error(begin, setting.recording, from_model=True, steps=_STEPS, led=False, progress=False)
         sound = not found.lost and np.all(np.isfinite(list(found.residual_std.values())))
         return found if sound and _plausible(found, s, setting.policy) else None
     return None

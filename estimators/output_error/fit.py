@@ -42,6 +42,7 @@ def output_error(
     tolerance: float = 1e-6,
     steps: int = 60,
     from_model: bool = False,
+    led: bool = True,
     robust: bool = False,
     progress: bool = True,
 ) -> Fit:
@@ -61,6 +62,8 @@ def output_error(
         tolerance: relative change at which the optimiser stops.
         steps: optimiser steps in each stage.
         from_model: begin at the model's values only, as after adding an effect to a model that was fitted.
+        led: let predictions lead on where the model's values are near the data and `steps` end before the descent does, and short
+            parts of the data where these do not; False where models are only ranked.
         robust: let samples that lie too far off for noise, as spikes and dropouts do, count for little, and list them; see
             `estimators.output_error.robust`. The standard deviations allow for it. What a missing effect leaves may be
             discounted too, so look at the list.
@@ -100,7 +103,9 @@ def output_error(
         for name, start in candidates:
             shown.at(f"output error from {name}")
             try:
-                end = run.descend(start, best=min((end.cost for _, end in ends), default=np.inf), given=start is model)
+                end = run.descend(
+                    start, best=min((end.cost for _, end in ends), default=np.inf), given=start is model, led=led
+                )
                 if end is not None:
                     ends.append((name, end))
             except FloatingPointError as error:
@@ -110,7 +115,7 @@ def output_error(
         winner, stage = min(ends, key=lambda end: end[1].cost)
         noise = np.array([levels.get(channel, 1.0) for channel in CHANNELS])
         # Far from the data it was led already, and a model that lacks something creeps on for hundreds of steps.
-        if not stage.solved.converged and stage.solved.promised > _FAR_FROM_ENDED and not stage.is_far(noise):
+        if led and not stage.solved.converged and stage.solved.promised > _FAR_FROM_ENDED and not stage.is_far(noise):
             shown.at(f"output error again, from where that from {winner} ended")
             with contextlib.suppress(FloatingPointError):
                 again = run.descend(_with_end(stage), best=stage.cost, given=True)

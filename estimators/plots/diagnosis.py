@@ -6,7 +6,7 @@ import numpy as np
 
 from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.diagnosis import Diagnosis
-from estimators.diagnosis.explanation import static_force
+from estimators.diagnosis.missing_force import static_force
 from estimators.diagnosis.policy import DiagnosisPolicy
 from estimators.diagnosis.ranking import ranked
 from estimators.misspecification.static_force import ForceCurve

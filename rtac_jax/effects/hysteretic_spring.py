@@ -1,5 +1,6 @@
 """A spring that remembers which way it was bent."""
 
+from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import jax.numpy as jnp
@@ -39,6 +40,16 @@ class HystereticSpring(Force):
 
     def start(self, motion: Motion) -> States:
         return (0.0 * motion.cart_position,)
+
+    def unseen(self, extents: Mapping[str, tuple[float, float]]) -> str:
+        low, high = extents.get("cart_position", (0.0, 0.0))
+        yields, span = float(np.max(np.asarray(self.yield_displacement))), high - low
+        if not 0 < span <= yields:
+            return ""
+        return (
+            f"hysteretic_spring yields over {1e3 * yields:.3g} mm, and the cart moved over {1e3 * span:.3g} mm only: what was"
+            " recorded is where it begins to yield, so its stiffness and the spring's are hardly told apart; record a wider motion."
+        )
 
     def rate(self, motion: Motion, own: States) -> States:
         speed, z = motion.cart_velocity, own[0]

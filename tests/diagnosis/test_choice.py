@@ -47,6 +47,17 @@ def test_a_law_is_no_rival_of_the_simpler_one_that_it_contains(larger: str, gain
     assert (found.id, found.rivals) == (named, ())
 
 
+@pytest.mark.parametrize(("angle", "named"), [(1.1e-5, "arm_coulomb"), (1e-4, "arm_presliding")])
+def test_bristles_that_yield_within_a_tenth_of_the_noise_are_dry_friction(angle: float, named: str) -> None:
+    """Of an encoder of 8,192 counts a turn, whose rounding is 2.2e-4 rad rms: nothing that it shows is bent so little."""
+    search = Known(known(base=0.0, arm_coulomb=1000.0, arm_presliding=1060.0))
+    search.values = {"arm_presliding.angle": (angle, 4e-7)}
+    search.facts = dataclasses.replace(search.facts, noise={"arm_angle": 2.2e-4})
+    found = step(search, (), ["arm_presliding", "arm_coulomb"])
+    assert found is not None
+    assert found.id == named
+
+
 @pytest.mark.parametrize(("lag", "rivals"), [(996.0, ("lvdt_lag",)), (994.0, ())])
 def test_a_rival_is_what_bic_does_not_tell_from_the_best(lag: float, rivals: tuple[str, ...]) -> None:
     """Ten, in twice the log-likelihood."""

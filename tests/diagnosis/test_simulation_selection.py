@@ -5,14 +5,16 @@ from collections.abc import Mapping, Sequence
 
 import pytest
 from known_search import Known, force, known, sized
+from made_up_results import candidate
 
 from estimators.diagnosis import simulation_selection
 from estimators.diagnosis.evidence import FittedModel, SimulationError
-from estimators.diagnosis.explanation import found_by_simulation
 from estimators.diagnosis.laboratory import Way
 from estimators.diagnosis.policy import STANDARD
 from estimators.diagnosis.selection import Selection
+from estimators.diagnosis.simulation_remarks import found_by_simulation, untried
 from estimators.diagnosis.verdict import decide
+from estimators.misspecification.adequacy import AdequacyTest
 from estimators.misspecification.findings import Findings, Score
 
 # Of a positioning axis whose encoder has next to no noise: errors of fitted simulations over it.
@@ -84,6 +86,18 @@ def test_it_is_said_why_simulations_select_and_how_far_the_error_falls() -> None
     assert "This is what simulations select" in said
     assert "(2 % of the rms force and 50 % of the rms torque in one sample)" in said
     assert "falls from 3.32e+04 to 65 times the noise (arm_angle)" in said
+
+
+@pytest.mark.parametrize(
+    ("excess", "refitted", "named"), [(50.0, False, True), (50.0, True, False), (-1.0, False, False)]
+)
+def test_what_was_as_large_as_an_alarm_and_not_tried_is_named(excess: float, refitted: bool, named: bool) -> None:
+    backlash = candidate("backlash", 400.0, refitted=refitted)
+    left = (AdequacyTest("static force", 0.0 if excess > 0 else 0.5, excess, 0.002, ""),)
+    said = untried([candidate("lvdt_gain", 2.0), backlash], left, STANDARD)
+    assert ("backlash (409, the alarm is at 20)" in said) == named
+    assert "lvdt_gain" not in said
+    assert bool(said) == named
 
 
 @pytest.mark.parametrize("named", [100.0, 9.0])

@@ -156,6 +156,30 @@ def test_a_parameter_that_is_fixed_is_told_without_a_deviation() -> None:
     assert "a (compliance = 0.0003 +- 1e-06 s^2, fastest = 450 rad/s, fixed) gains" in text
 
 
+@pytest.mark.parametrize(
+    ("broken_off", "said", "decided"),
+    [
+        ((), "the data cannot tell a or b, c apart.", True),
+        (
+            ("c",),
+            "the data cannot tell a or b apart, and the time was over before all were held against each other, c against a.",
+            True,
+        ),
+        (("b", "c"), "Ambiguous: the time was over before all were held against each other, b, c against a.", False),
+    ],
+)
+def test_what_was_not_held_against_the_best_in_time_is_not_said_to_be_like_it(
+    broken_off: tuple[str, ...], said: str, decided: bool
+) -> None:
+    one = Candidate("a", 500.0, 509.0, 0.0, 0.01, "N", True, refitted=True)
+    text = words(
+        "ambiguous", [one], [one], [step("a", 500.0, 0.0, ("b", "c"))], (found(600.0),), (), 1.0, [], [], [], [],
+        broken_off=broken_off,
+    )  # fmt: skip
+    assert said in text
+    assert ("An experiment that separates them" in text) == decided
+
+
 def test_random_forces_are_told_of_where_they_matter():
     assert shaken(1e-4, 2e-3, 0.01) == ""
     assert "5.8 % of the rms force" in shaken(0.058, 1e-5, 0.0)

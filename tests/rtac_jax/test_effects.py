@@ -395,3 +395,13 @@ def test_a_stop_that_was_touched_on_one_side_says_what_is_assumed(extent, said):
     assert stop.unseen({"cart_position": extent}).startswith(said)
     assert bool(stop.unseen({"cart_position": extent})) == bool(said)
     assert stop.unseen({}) == effects.CubicSpring(1.0).unseen({"cart_position": extent}) == ""
+
+
+@pytest.mark.parametrize(
+    ("yields", "said"), [(0.045, "yields over 45 mm, and the cart moved over 20 mm only"), (0.012, "")]
+)
+def test_a_hysteretic_spring_that_hardly_yields_says_what_is_not_told_apart(yields: float, said: str) -> None:
+    spring = effects.HystereticSpring(400.0, yields)
+    assert said in spring.unseen({"cart_position": (-0.011, 0.009)})
+    assert bool(spring.unseen({"cart_position": (-0.011, 0.009)})) == bool(said)
+    assert spring.unseen({}) == ""

@@ -1,0 +1,57 @@
+"""What is said where simulations, and not predictions one sample ahead, decide what is named."""
+
+from collections.abc import Sequence
+
+from estimators.diagnosis.candidate import Candidate
+from estimators.diagnosis.evidence import SimulationError
+from estimators.diagnosis.policy import DiagnosisPolicy
+from estimators.diagnosis.removed_error import without_named_rivals
+from estimators.diagnosis.step import Step
+from estimators.inference.simulation_residual import SimulationResidual
+from estimators.misspecification.adequacy import AdequacyTest
+
+_SHOWN = 3  # of what was not fitted, by name
+
+
+def found_by_simulation(before: SimulationError, after: SimulationError) -> str:
+    """Say why effects were selected by simulation, and how far its error falls with them.
+
+    Args:
+        before: the simulation of the fit that is diagnosed, beside its predictor.
+        after: that with the effects.
+    """
+    farthest = max(before.error, key=lambda channel: before.error[channel])
+    force, torque = before.random
+    return (
+        " This is what simulations select, as predictions one sample ahead do not tell: random forces stand in for the physics"
+        f" there ({100 * force:.2g} % of the rms force and {100 * torque:.2g} % of the rms torque in one sample). The"
+        f" error of the simulation falls from {before.error[farthest]:,.3g} to {after.error[farthest]:,.3g} times the noise"
+        f" ({farthest})."
+    )
+
+
+def without_the_physics(steps: Sequence[Step], simulation: SimulationResidual) -> str:
+    """Return what the predictions speak for where a simulation with it does not follow, so that it is not named."""
+    names = " and ".join(" or ".join([step.id, *step.rivals]) for step in without_named_rivals(steps))
+    if simulation.cause != "stand-in":
+        return f" That is with {names}, which would improve the predictions; without the simulation that follows it is not named."
+    return (
+        f" {names} would improve the predictions, but random forces stand in for the physics beside it too: it may make up for"
+        " a part of another mistake, so it is not named."
+    )
+
+
+def untried(candidates: Sequence[Candidate], left: Sequence[AdequacyTest], policy: DiagnosisPolicy) -> str:
+    """Name what is as large as an alarm and was not fitted beside what is named, where that leaves something; nothing elsewhere.
+
+    Simulations do not try what acts by contact, whose hits no descent follows.
+    """
+    if not any(test.rejects for test in left):
+        return ""
+    large = sorted(
+        (c for c in candidates if not c.refitted and c.chi_square >= policy.alarm), key=lambda c: -c.chi_square
+    )
+    if not large:
+        return ""
+    shown = " and ".join(f"{c.id} ({c.chi_square:.0f}, the alarm is at {policy.alarm:.0f})" for c in large[:_SHOWN])
+    return f" Not fitted so far, and not ruled out beside what is named: {shown}; a diagnosis of the mended model asks for it."

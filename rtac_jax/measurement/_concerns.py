@@ -21,6 +21,9 @@ SAMPLES_PER_PERIOD = 20
 OUTLIER_SIGMAS = 10
 OUTLIER_WINDOW = 51
 MOVING_SIGMAS = 2  # times the noise from which on a channel moves: three quarters of its power are motion
+_INPUT_NOISE = (
+    0.2  # of the current that drives other experiments, which one that is noise and drives nothing stays below
+)
 # From the median of absolute values to the standard deviation, for Gaussian noise.
 MEDIAN_TO_STD = 1.4826
 # Ratio of stated noise: where half of the samples have either, equal weights make deviations larger by 8 %.
@@ -31,7 +34,40 @@ UNEQUAL_NOISE = 1.5
 def concerns(recording: Recording) -> list[str]:
     """Return what looks wrong with `recording`, one sentence each; empty when nothing does."""
     with np.errstate(all="ignore"):
-        return [*_about_recording(recording), *contradictions(recording), *_by_sentence(recording, _about_experiment)]
+        noisy = _noise_of_inputs(recording)
+
+        def of(experiment: Experiment) -> Iterator[str]:
+            return _about_experiment(experiment, silent=experiment.name in noisy)
+
+        several = [*_about_recording(recording), *contradictions(recording), *_by_sentence(recording, of)]
+        return several if not noisy else [*several, _of_noisy_inputs(noisy)]
+
+
+def _noise_of_inputs(recording: Recording) -> dict[str, float]:
+    """Return the rms of what is noise in the current of experiments that nothing drives, by name, where it was measured [A].
+
+    It is where a sample tells next to nothing of the one after it, and all of it is small beside what drives others.
+    """
+    currents = {e.name: e.inputs["current"].values for e in recording if "current" in e.inputs}
+    size = {name: float(np.std(values)) for name, values in currents.items()}
+    least = _INPUT_NOISE * max((size[e.name] for e in recording if e.kind == "forced" and e.name in size), default=0.0)
+    return {
+        e.name: size[e.name]
+        for e in recording
+        if e.kind != "forced"
+        and 0.0 < size.get(e.name, 0.0) <= least
+        # Independent samples differ by the root of two times their deviation.
+        and float(np.std(np.diff(currents[e.name]))) > size[e.name]
+    }
+
+
+def _of_noisy_inputs(noisy: dict[str, float]) -> str:
+    size = float(np.sqrt(np.mean(np.square(list(noisy.values())))))
+    return (
+        f"{_listed(list(noisy))}: the current is noise of {size:.2g} A rms, as where it is measured. An input with noise shakes the"
+        " model as a random torque would, and a fit by simulation, which knows none, ends beside the truth: give the command, where"
+        " the current follows it, or take the estimates of the prediction error (est.prediction_error_nonlinear, rtac fit)."
+    )
 
 
 def contradictions(recording: Recording) -> list[str]:
@@ -115,14 +151,15 @@ def _stated_levels(recording: Recording) -> dict[str, dict[str, float]]:
     return {name: levels for name, levels in found.items() if name not in resting}
 
 
-def _about_experiment(experiment: Experiment) -> Iterator[str]:
+def _about_experiment(experiment: Experiment, *, silent: bool) -> Iterator[str]:
+    """Yield what looks wrong with an experiment; `silent` says that its current is nothing but noise."""
     driven = {name for name, signal in experiment.inputs.items() if signal.values.any()}
     at_rest, locked, clamped = (
         experiment.kind == "rest",
         experiment.arm == "locked",
         experiment.cart == "clamped",
     )
-    if driven and experiment.kind != "forced":
+    if driven and experiment.kind != "forced" and not (silent and driven == {"current"}):
         yield (f"an experiment of kind {experiment.kind} has an input that is not zero; set its kind to forced.")
     if not at_rest and locked and clamped:
         yield "arm and cart are both held, so it says nothing about the rig; use kind rest, or leave it out."

@@ -62,6 +62,7 @@ class Declaration:
         null: the value at which the effect is absent; None for a parameter that only shapes it.
         plausible: from the scales of a rig, a size worth looking for, or a grid of them for a shape parameter.
         fixed: not estimated unless asked for by name.
+        largest: size that it may have however little is plausible, as gravity where the arm's plane is vertical; zero for none.
     """
 
     symbol: str
@@ -72,6 +73,7 @@ class Declaration:
     null: float | None
     plausible: Plausible | None
     fixed: bool
+    largest: float
 
 
 def parameter(
@@ -84,6 +86,7 @@ def parameter(
     null: float | None = None,
     plausible: Plausible | float | tuple[float, ...] | None = None,
     fixed: bool = False,
+    largest: float = 0.0,
     default: Any = dataclasses.MISSING,
 ) -> Any:
     """Declare a parameter of a rigid body or of an effect; the arguments are those of `Declaration`.
@@ -94,7 +97,7 @@ def parameter(
     if not bounds[0] < bounds[1]:
         raise ValueError(f"parameter {symbol}: bounds {bounds} are not an interval; write (lower, upper).")
     guess = plausible if plausible is None or callable(plausible) else (lambda _, value=plausible: value)
-    declared = Declaration(symbol, unit, meaning, bounds, source, null, guess, fixed)
+    declared = Declaration(symbol, unit, meaning, bounds, source, null, guess, fixed, largest)
     extra = {} if default is dataclasses.MISSING else {"default": default}
     return eqx.field(converter=as_value, metadata={_KEY: declared}, **extra)
 

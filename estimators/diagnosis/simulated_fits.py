@@ -15,6 +15,7 @@ from estimators.diagnosis.refitting import beginning, from_simulation
 from estimators.diagnosis.setting import Setting
 from estimators.diagnosis.workers import Workers
 from estimators.misspecification.candidate_screening import Screened
+from estimators.misspecification.detection_limit import largest_size
 from estimators.misspecification.equation_screening import Explained
 from estimators.output_error.fit import output_error
 
@@ -91,5 +92,5 @@ def _simulated_with(setting: Setting, fit: Fit, before: Refit, s: Screened | Exp
 
 def _plausible(fit: Fit, s: Screened | Explained, policy: DiagnosisPolicy) -> bool:
     """Return whether an effect is no larger than those that data are asked to show."""
-    sizes = ((fit.model[f"{s.id}.{name}"], getattr(s.instance, name)) for name in s.amplitudes)
-    return all(abs(float(np.asarray(found))) <= policy.testable * abs(float(np.asarray(size))) for found, size in sizes)
+    sizes = ((fit.model[f"{s.id}.{name}"], largest_size(s.instance, name, policy.testable)) for name in s.amplitudes)
+    return all(abs(float(np.asarray(found))) <= size for found, size in sizes)

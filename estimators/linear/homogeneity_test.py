@@ -12,6 +12,7 @@ from jaxtyping import Float
 from estimators.core.drawing import draw
 from estimators.linear.model import LinearModel
 from estimators.linear.outlier import FOLLOWED, Outlier
+from estimators.linear.step_change import values_in_words
 from rtac_jax.renamed import renamed
 
 _DETERMINED = 0.5  # standard deviation over value
@@ -202,7 +203,9 @@ class Equality:
             trend = self.best_trend(name)
             unit = "" if self.units[place] == "1" else f" {self.units[place]}"
             if trend is None:
-                said.append(f"{name[0].upper()}{name[1:]} scatters, with nothing that was looked at.")
+                each, std = self.values[:, place], self.std[:, place]
+                how = values_in_words(self.conditions, each, std) if name in self.varying else ""
+                said.append(f"{name[0].upper()}{name[1:]} {how or 'scatters, with nothing that was looked at'}.")
             else:
                 said.append(
                     f"{name[0].upper()}{name[1:]} drifts with {covariate_words(trend.covariate)}: {trend.slope:+.3g} ± "

@@ -9,6 +9,7 @@ import numpy as np
 from estimators.core.threads import at_once
 from estimators.misspecification.candidate_screening import Group, Screened
 from estimators.prediction_error.innovations import AT_ONCE, Rows, orthonormal
+from rtac_jax.effects import Effect
 from rtac_jax.parameters import declarations
 
 _NEAR = 1.5  # of the chi-square at the limit, to either side, within which proportion holds
@@ -17,8 +18,14 @@ _ROUNDS = 2
 
 
 def is_testable(s: Screened, limit: float, most: float) -> bool:
-    """Return whether the data could show a candidate, from its detection limit, below `most` times its plausible size."""
-    return bool(np.isfinite(limit) and limit < most * abs(_plausible(s)))
+    """Return whether the data could show a candidate, from its detection limit, below the largest size that it may have."""
+    return bool(np.isfinite(limit) and limit < largest_size(s.instance, main_amplitude(s), most))
+
+
+def largest_size(instance: Effect, amplitude: str, most: float) -> float:
+    """Return the largest size that an effect may have: `most` times its plausible one, or more where its declaration says so."""
+    plausible = abs(float(np.asarray(getattr(instance, amplitude))))
+    return max(most * plausible, declarations(instance)[amplitude].largest)
 
 
 def main_amplitude(s: Screened) -> str:
@@ -32,8 +39,8 @@ def detection_limits(group: Group, several: Sequence[Screened], basis: Rows, mos
     """Return for every candidate the size of its main amplitude at which screening would reject.
 
     A template of a plausible size says so by proportion. At that limit the innovations are computed once more, and where the
-    template explains more or less of their change, the size is looked for. Infinite where no size up to `most` times the
-    plausible one is enough.
+    template explains more or less of their change, the size is looked for. Infinite where no size up to the largest
+    (`largest_size`) is enough.
     """
     found = {s.id: limit if (limit := _by_proportion(s)) < _largest(s, most) else np.inf for s in several}
     sound = [s for s in several if np.isfinite(found[s.id])]
@@ -55,7 +62,7 @@ def _by_proportion(s: Screened) -> float:
 def _largest(s: Screened, most: float) -> float:
     """Return the largest size that is looked at: beyond its bounds no estimate may go."""
     low, high = declarations(s.instance)[main_amplitude(s)].bounds
-    return min(most * abs(_plausible(s)), high if _plausible(s) > 0 else -low)
+    return min(largest_size(s.instance, main_amplitude(s), most), high if _plausible(s) > 0 else -low)
 
 
 def _alarm(s: Screened) -> float:

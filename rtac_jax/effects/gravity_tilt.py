@@ -10,6 +10,8 @@ from rtac_jax.parameters import Scalar, parameter
 
 STANDARD_GRAVITY = 9.80665  # m/s^2, CGPM 1901
 
+# An arm in a vertical plane has 1, and several times that where the model's eccentric_moment is too small.
+_LARGEST = 10.0
 _ROUNDED = 1e-3  # by which the sine of a vertical plane may be estimated beyond one
 
 
@@ -27,10 +29,10 @@ class GravityTilt(Force):
     nature: ClassVar[str] = "conservative"
 
     along: Scalar = parameter(
-        symbol="a", unit="1", meaning="sine of the tilt along the travel", null=0.0, plausible=0.01
+        symbol="a", unit="1", meaning="sine of the tilt along the travel", null=0.0, plausible=0.01, largest=_LARGEST
     )
     across: Scalar = parameter(
-        symbol="b", unit="1", meaning="sine of the tilt across the travel", null=0.0, plausible=0.01
+        symbol="b", unit="1", meaning="sine of the tilt across the travel", null=0.0, plausible=0.01, largest=_LARGEST
     )
     zeroed: Scalar = parameter(
         symbol="z", unit="1", bounds=(0.0, 1.0), meaning="fraction of the cart's sag in the sensor's zero", fixed=True,

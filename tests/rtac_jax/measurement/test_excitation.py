@@ -234,9 +234,7 @@ def test_an_encoder_that_is_zeroed_at_every_start_is_a_concern():
         assert any("zeroed at every start" in c for c in concerns(recording)) == said
 
 
-@pytest.mark.parametrize(
-    ("noise", "smooth", "silent"), [(5e-3, False, True), (0.3, False, False), (5e-3, True, False)]
-)
+@pytest.mark.parametrize(("noise", "smooth", "silent"), [(5e-3, False, True), (0.3, False, False), (5e-3, True, False)])
 def test_the_noise_of_a_measured_current_drives_nothing_and_is_told(noise: float, smooth: bool, silent: bool) -> None:
     values = noise * (np.sin(0.02 * np.arange(len(T))) if smooth else np.random.default_rng(3).standard_normal(len(T)))
     decay = free()

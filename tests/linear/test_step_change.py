@@ -1,0 +1,36 @@
+"""How a quantity that differs between conditions is told."""
+
+import numpy as np
+import pytest
+
+from estimators.linear.step_change import values_in_words
+
+NAMES = ("e1", "e2", "e3", "e4", "e5", "e6")
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ((212.4, 212.5, 212.3, 206.0, 206.1, 206.0), "changes once, from 212.4 up to e3 to 206 from e4 on"),
+        ((212.4, np.nan, 212.4, 206.0, np.nan, 206.0), "changes once, from 212.4 up to e3 to 206 from e4 on"),
+        ((212.4, 206.0, 212.3, 206.1, 206.0, 212.5), "scatters, with nothing that was looked at: 212.4 in e1, 206 in e2"),
+        # One alone is no step.
+        ((212.4, 206.0, 206.1, 206.0, 206.1, 206.0), "scatters, with nothing that was looked at: 212.4 in e1"),
+        ((np.nan, np.nan, np.nan, np.nan, np.nan, 1.0), ""),
+    ],
+)  # fmt: skip
+def test_a_step_is_told_from_scatter(values: tuple[float, ...], said: str) -> None:
+    told = values_in_words(NAMES, np.array(values), np.full(6, 0.1))
+    assert told.startswith(said)
+    assert bool(told) == bool(said)
+
+
+def test_of_many_values_the_ends_are_told() -> None:
+    names = [f"run_{n}" for n in range(12)]
+    values = 200.0 + 5.0 * np.sin(2.0 * np.arange(12.0))
+    told = values_in_words(names, values, np.full(12, 0.1))
+    assert (
+        told == "scatters, from 195 in run_11 to 205 in run_4, with nothing that was looked at"
+        or "scatters, from" in told
+    )
+    assert f"in run_{np.argmin(values)} to" in told

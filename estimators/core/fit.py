@@ -219,6 +219,11 @@ class Fit(ModelFit):
             said += f" still promise {promised:.2g} in log-likelihood: estimates may lie several of their deviations "
             said += "beside the best."
             said += " Begin elsewhere (starts), or hold it against est.prediction_error_nonlinear." if rest else ""
+        elif self.result == RESULTS.steps_exhausted and promised > 0:
+            said += (
+                f" The slopes promise {promised:.2g} in log-likelihood, so that the best lies within {np.sqrt(2 * promised):.1g} of"
+                " their deviations."
+            )
         if far:
             anew = " in pieces of long experiments that begin anew, more in a whole one" if self.in_pieces else ""
             said += (

@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -83,3 +84,13 @@ def test_what_is_hidden_is_a_multiple_of_the_limit_that_was_stated() -> None:
     assert found["twice the limit of tacho_gain"] == {"tacho_gain": pytest.approx(1.02)}
     assert found["a third of the limit of saturation"] == {"saturation": pytest.approx(0.75)}
     assert len(found) == 4
+
+
+def test_the_study_of_the_command_line_hides_what_the_benchmark_hides() -> None:
+    """Ten repetitions of each effect, in the same order and of the same size."""
+    study = tomllib.loads((Path(__file__).parents[2] / "studies" / "diagnosis.toml").read_text(encoding="utf-8"))
+    told = {one["effect"]: one for one in study["plant"]["hidden"]}
+    assert list(told)[: len(diagnosis_cases.EFFECTS) + 1] == ["nothing", *diagnosis_cases.EFFECTS]
+    assert study["repetitions"] == 10 * len(told)
+    for name, case in diagnosis_cases.EFFECTS.items():
+        assert (told[name].get("values", {}), told[name].get("played")) == (case.hidden, case.played), name

@@ -78,6 +78,10 @@ def test_a_fit_that_a_kink_stopped_says_so(noisy_fit: est.Fit) -> None:
     moving = dataclasses.replace(stopped, result=est.RESULTS.steps_exhausted).outcome
     assert "still promise 22" in moving
     assert "kink" not in moving, "it has not come to rest"
+    nearly = dataclasses.replace(
+        stopped, result=est.RESULTS.steps_exhausted, statistics={**stopped.statistics, "promised": 0.06}
+    )
+    assert "so that the best lies within 0.3 of their deviations" in nearly.outcome
 
 
 @pytest.mark.slow

@@ -108,7 +108,7 @@ def test_every_effect_is_tested_and_null_by_default():
         "_phase",
         "_home",
     )
-    shapes += ("_reference", "_position", "_width", "maxwell_damping", "shaft_damping", "_share", "_pitch")
+    shapes += ("_reference", "_position", "_width", "maxwell_damping", "shaft_damping", "_share", "_pitch", "_gap")
     assert {next(iter(effect)) for effect in EFFECTS} == {name for name in hidden if not name.endswith(shapes)}
 
 

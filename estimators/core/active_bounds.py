@@ -1,6 +1,7 @@
 """Active bounds: parameters that end on a bound are held there, as a reparametrisation only creeps towards it."""
 
 import dataclasses
+from collections.abc import Iterable
 
 import jax.numpy as jnp
 import numpy as np
@@ -50,6 +51,7 @@ def solve_bounded(
     """
     whole = arguments.space
     held: dict[int, float] = {}
+    before: dict[int, float] = {}
     best: Solved | None = None
     turn = 0
     while True:
@@ -64,7 +66,7 @@ def solve_bounded(
             if best is None:
                 raise
             # A parameter taken off its bound makes the model diverge, as beside another that has run away.
-            return best._replace(pulled=True)
+            return best._replace(pulled=best.pulled or tuple(_names(whole, (*before, *held))))
         unknowns = solved.unknowns
         full = solved.factor
         if held:
@@ -73,11 +75,12 @@ def solve_bounded(
         before = dict(held)
         held, inside = _on_bounds(whole, unknowns, full, held)
         apart = _each_pulled(whole, unknowns, full)
-        solved = solved._replace(factor=full, pulled=bool(inside or apart), held=len(before))
+        pulled = (*_names(whole, inside), *dict.fromkeys(whole.each[row] for row, _ in apart))
+        solved = solved._replace(factor=full, pulled=pulled, held=len(before))
         if best is None or solved.cost <= best.cost:
             best = solved
         elif best.pulled and not solved.pulled and solved.cost < best.cost + _AS_GOOD:
-            best = best._replace(pulled=False)  # it was released, and inside nothing is better
+            best = best._replace(pulled=())  # it was released, and inside nothing is better
         if (held == before and not inside and not apart) or turn == _TURNS:
             return best
         shared = np.asarray(unknowns.shared).copy()
@@ -89,6 +92,11 @@ def solve_bounded(
         for where, value in apart.items():
             each[where] = value
         unknowns = unknowns._replace(shared=jnp.asarray(shared), each=jnp.asarray(each))
+
+
+def _names(space: Space, places: Iterable[int]) -> list[str]:
+    """Return the names of free parameters by their places."""
+    return [space.names[int(space.active[place])] for place in dict.fromkeys(places)]
 
 
 def _holding(space: Space, unknowns: Unknowns, held: dict[int, float]) -> tuple[Space, Unknowns]:

@@ -140,7 +140,8 @@ class Fit(ModelFit):
         residual_std: rms of each channel's residual, which weighted the channels.
         start: states at the start of each experiment, SI units.
         experiments: names of the experiments.
-        statistics: cost, or log_likelihood where predictions one sample ahead were fitted; promised, the gain in log-likelihood
+        statistics: cost, or log_likelihood where predictions one sample ahead were fitted; pulled, the parameters that the data pull
+            off bounds on which the fit left them; promised, the gain in log-likelihood
             that the slopes promise at the end; steps, seconds, starts and how many agreed, substeps; samples of each channel, and
             the number of unknowns; whether long experiments were fitted in pieces.
         marks: of each experiment's measurements, which tell it from another of the same name.
@@ -198,6 +199,8 @@ class Fit(ModelFit):
     def outcome(self) -> str:
         """Return how the optimisation ended, and how far its starts can vouch for that, in a sentence or two."""
         said = f"{RESULTS[self.result]} {self.statistics['agreed']} of {self.statistics['starts']} starts agree."
+        if self.result == RESULTS.pulled_off_bound and (pulled := self.statistics.get("pulled", ())):
+            said += f" That is {', '.join(pulled)}."
         if self.lost:
             said += f" There {'; '.join(left_free(self.model, self.information))}: of these the fit says nothing."
         ratios = self.residual_over_noise

@@ -55,7 +55,7 @@ class Solved(NamedTuple):
         converged: whether no step gains more, rather than the number of steps running out.
         squares: sum of squares of each channel's residual, unweighted.
         promised: gain in log-likelihood that the slopes promise there: little at a smooth minimum, more where a kink stopped it.
-        pulled: whether a parameter was left on its bound although the data pull it inwards.
+        pulled: names of the parameters that were left on their bounds although the data pull them inwards.
         held: how many parameters are held on a bound.
         crept: whether it was stopped far from the data, where steps gained next to nothing.
     """
@@ -67,7 +67,7 @@ class Solved(NamedTuple):
     converged: bool
     squares: np.ndarray
     promised: float = 0.0
-    pulled: bool = False
+    pulled: tuple[str, ...] = ()
     held: int = 0
     crept: bool = False
 

@@ -8,8 +8,8 @@ class RESULTS(eqx.Enumeration):
 
     successful = "The fit converged."
     steps_exhausted = (
-        "The fit did not converge in the steps allowed; allow more (steps of est.output_error), or go on from where it ended (--save "
-        "and --model of rtac)."
+        "The fit did not converge in the steps allowed; allow more (steps of est.output_error), or go on from where it ended "
+        "(--save and --model of rtac)."
     )
     crept = (
         "The fit was stopped where it only crept on, far from the data; ask est.diagnose what the model lacks, or begin elsewhere "

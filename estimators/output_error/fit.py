@@ -160,6 +160,7 @@ def output_error(
         statistics={
             "cost": stage.cost,
             "promised": stage.solved.promised,
+            "pulled": stage.solved.pulled,
             "steps": run.taken,
             "starts": len(candidates),
             "agreed": agreed,

@@ -78,6 +78,12 @@ def test_a_fit_that_a_kink_stopped_says_so(noisy_fit: est.Fit) -> None:
     moving = dataclasses.replace(stopped, result=est.RESULTS.steps_exhausted).outcome
     assert "still promise 22" in moving
     assert "kink" not in moving, "it has not come to rest"
+    bound = dataclasses.replace(
+        noisy_fit,
+        result=est.RESULTS.pulled_off_bound,
+        statistics={**noisy_fit.statistics, "pulled": ("cart_coulomb.level",)},
+    )
+    assert " That is cart_coulomb.level." in bound.outcome
     nearly = dataclasses.replace(
         stopped, result=est.RESULTS.steps_exhausted, statistics={**stopped.statistics, "promised": 0.06}
     )

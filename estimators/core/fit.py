@@ -140,10 +140,10 @@ class Fit(ModelFit):
         residual_std: rms of each channel's residual, which weighted the channels.
         start: states at the start of each experiment, SI units.
         experiments: names of the experiments.
-        statistics: cost, or log_likelihood where predictions one sample ahead were fitted; pulled, the parameters that the data pull
-            off bounds on which the fit left them; promised, the gain in log-likelihood
-            that the slopes promise at the end; steps, seconds, starts and how many agreed, substeps; samples of each channel, and
-            the number of unknowns; whether long experiments were fitted in pieces.
+        statistics: cost, or log_likelihood where predictions one sample ahead were fitted; pulled, the parameters that were left on
+            a bound although the data pull them off it; promised, the gain in log-likelihood that the slopes promise at the end;
+            steps, seconds, starts and how many agreed, substeps; samples of each channel, and the number of unknowns; whether long
+            experiments were fitted in pieces.
         marks: of each experiment's measurements, which tell it from another of the same name.
         discounted: samples that hardly count, where the fit is robust.
         weights: of the squares in a robust fit, [sample output], by experiment; empty where all count alike.

@@ -25,7 +25,7 @@ def diagnose(
     """Rank the effects that the paper's model may be missing."""
     with job(file, validation, out, json, save) as work:
         import estimators as est
-        from estimators.core.deadline import PROLONGED, Deadline
+        from estimators.core.deadline import SEARCHING, Deadline
         from estimators.reporting import report as _report
         from estimators.reporting import tables as _tables
         from estimators.reporting.diagnosis_summary import of_diagnosis
@@ -35,7 +35,7 @@ def diagnose(
         work.warn()
         base = base_fit(work, model, effects)
         found = est.diagnose(base, work.train, candidates=candidates, thorough=not quick, within=seconds)
-        with Deadline(None if seconds is None else PROLONGED * seconds).kept():
+        with Deadline(None if seconds is None else (1 - SEARCHING) * seconds).kept():
             fits, labels = _refitted(work, base, found)
         trained, tested = work.compared(fits, labels)
         table, errors = _tables.candidate_table(found), _tables.error_table(trained, tested)

@@ -18,8 +18,8 @@ from estimators.cli.refusals import WRONG_USE, answering, stop
 
 # Minutes of a diagnosis for 10^5 samples of the longest experiment: 5 for the 24,800 of a drive that dry friction held.
 _DIAGNOSIS = 20.0
-_WITHIN = 300.0  # s that a diagnosis, or a loop, is given by default: who waits at a terminal wants an answer
-_LONGER = 3.0  # of what is foretold for long experiments, where that is more
+_WITHIN = 400.0  # s that a diagnosis, or a loop, is given by default: who waits at a terminal wants an answer
+_LONGER = 4.0  # of what is foretold for long experiments, where that is more
 
 
 class Job:

@@ -52,8 +52,8 @@ Within = Annotated[
     typer.Option(
         metavar="SECONDS",
         min=0.0,
-        help="After so long nothing more is fitted, and the answer is what was found until then; 0 for no end. By default 300, "
-        "or more where experiments are long.",
+        help="The answer is wanted after so long, beside the fit of the base model, and is what was found until then; 0 for no "
+        "end. By default 400, or more where experiments are long.",
         show_default=False,
     ),
 ]

@@ -11,8 +11,10 @@ Given = ParamSpec("Given")
 Answer = TypeVar("Answer")
 
 
-PROLONGED = 1 / 3
-"""Of the time that is given: so much more for what was named until then, and for last resorts."""
+SEARCHING = 0.75
+"""Fraction of the time that is given in which it is asked what is missing; the rest is for what was named, and for last resorts."""
+PROLONGED = 1 / SEARCHING - 1
+"""Of the time for searching: so much more is there for what was named until then, and for last resorts."""
 
 
 class OutOfTimeError(Exception):
@@ -31,6 +33,16 @@ class Deadline:
         self.seconds = math.inf if seconds is None else seconds
         self.missed = False
         self._at = time.monotonic() + self.seconds
+
+    @classmethod
+    def of_searching(cls, within: float | None) -> "Deadline":
+        """Return the deadline of searching, where an answer is wanted after so many seconds; None for no end."""
+        return cls(None if within is None else SEARCHING * within)
+
+    @property
+    def within(self) -> float:
+        """Return the seconds that are left until an answer is wanted, from a deadline of searching."""
+        return self.left / SEARCHING
 
     @property
     def over(self) -> bool:

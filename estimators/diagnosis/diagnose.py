@@ -92,8 +92,9 @@ def diagnose(
             as exact beside others. Those of the model are passed over.
         thorough: where the verdict would be unknown, look again at what raised no alarm; that may take minutes.
         policy: the thresholds; see `DiagnosisPolicy`.
-        within: seconds after which nothing more is fitted; the verdict is then of what was until then, and says so. By default the
-            diagnosis goes on to its end. What the same seconds suffice for differs from machine to machine.
+        within: seconds after which an answer is wanted. After three quarters of them no further effect is fitted, and the verdict
+            is of what was until then, and says so; the rest is for holding what is named against a simulation. By default
+            the diagnosis goes on to its end. What the same seconds suffice for differs from machine to machine.
         progress: show how far it is, as `core.progress.Progress` does.
 
     Raises:
@@ -106,7 +107,7 @@ def diagnose(
     """
     require_configured()
     make_room()
-    began, deadline = time.perf_counter(), Deadline(within)
+    began, deadline = time.perf_counter(), Deadline.of_searching(within)
     recording = fitted_part(recording, fit.experiments)
     classes = offered(fit.model, candidates)
     if not classes:

@@ -63,8 +63,8 @@ def improve(
             (`LearnedForce`): what serves held-out experiments better, if their error clearly falls, and more than by leaving out an
             experiment that differs. The verdict stays.
         policy: the thresholds of every diagnosis; see `DiagnosisPolicy`.
-        within: seconds after which nothing more is diagnosed: what is named until then, or a last resort, is added still, for which
-            a third of that time more is given, and `stopped` says so. The fit of the base model counts, and is not broken off. By
+        within: seconds after which an answer is wanted. After three quarters of them nothing more is diagnosed, and `stopped` says
+            so; the rest is for adding what was named, or a last resort. The fit of the base model counts, and is not broken off. By
             default the loop goes on to its end. What the same seconds suffice for differs from machine to machine.
         progress: show bars.
 
@@ -72,7 +72,7 @@ def improve(
         ValueError: there is nothing to hold out, or nothing moves.
         NotIdentifiableError, DivergedError: as `output_error`, for the base model.
     """
-    began, deadline = time.perf_counter(), Deadline(within)
+    began, deadline = time.perf_counter(), Deadline.of_searching(within)
     hum, recording = recording.hum(), recording.without_hum()
     recording = recording.divided() if validation is None else recording
     train, held_out = recording.split(validation)

@@ -125,7 +125,7 @@ class Loop:
 
     def _diagnosed(self, base: Fit, candidates: Sequence[type[Effect]] | None, *, thorough: bool) -> Diagnosis:
         return diagnose(
-            base, self.train, candidates=candidates, thorough=thorough, policy=self.policy, within=self.deadline.left,
+            base, self.train, candidates=candidates, thorough=thorough, policy=self.policy, within=self.deadline.within,
             progress=self.progress,
         )  # fmt: skip
 

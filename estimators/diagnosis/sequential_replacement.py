@@ -48,6 +48,9 @@ def with_replacement(
         answered.add(model.added[-1])
         if sequence and named(sequence, tests, samples, policy)[1] == len(steps):
             sequences[model.added[-1]] = sequence
+    if became := set(sequences).intersection(_became(laboratory, steps, policy)):
+        # It is one of these by now, whatever it gains: bristles that beside the later effects yield by nothing are dry friction.
+        sequences = {effect: sequence for effect, sequence in sequences.items() if effect in became}
     gains = {effect: bic_gain(samples, base, sequence[-1].model) for effect, sequence in sequences.items()}
     best = max(gains, key=lambda effect: gains[effect])
     alike = [effect for effect in sequences if effect != best and gains[best] - gains[effect] < policy.bic_gain]
@@ -62,7 +65,8 @@ def _candidates(
 ) -> list[FittedModel]:
     """Return the refits of the base model with candidates that gained nearly as much as the first step, the best first.
 
-    Of laws that contain or presuppose each other the choice was made already, for other reasons than their likelihood.
+    Of laws that contain or presuppose each other the choice was made already, for other reasons than their likelihood; but the
+    first may have become the simpler one since.
     """
     effects, first, samples = laboratory.facts.effects, steps[0], laboratory.facts.samples
     later = {step.id for step in steps[1:]}
@@ -76,9 +80,17 @@ def _candidates(
     }  # fmt: skip
     near = [effect for effect in gains if gains[effect] >= (1 - policy.close) * first.bic_gain]
     simplest = [effect for effect in near if not set(effects[effect].contains) & {first.id, *near}]
+    became = [effect for effect in _became(laboratory, steps, policy) if effect in gains]
     apart = [effect for effect in simplest if effect not in effects[first.id].contains]
-    ordered = sorted(apart, key=lambda effect: -gains[effect])
+    ordered = [*became, *sorted(apart, key=lambda effect: -gains[effect])]
     return [tried[effect][1] for effect in ordered[: policy.replacements]]
+
+
+def _became(laboratory: Laboratory, steps: Sequence[Step], policy: DiagnosisPolicy) -> tuple[str, ...]:
+    """Return the simpler laws of which the first effect is one beside all later ones; none where it is not at its edge there."""
+    first = steps[0].id
+    at_edge = is_at_its_edge(laboratory, first, steps[-1].model, policy)
+    return laboratory.facts.effects[first].contains if at_edge else ()
 
 
 def _continued(

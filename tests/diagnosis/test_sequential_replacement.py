@@ -156,6 +156,24 @@ def test_a_simpler_law_that_the_first_contains_takes_no_place():
     assert ("cart_coulomb", "tacho_ripple") not in search.asked
 
 
+@pytest.mark.parametrize(("yields", "first"), [(1e-4, "cart_presliding"), (5e-7, "cart_coulomb")])
+def test_what_beside_the_later_effects_has_become_a_simpler_law_gives_way_to_it(yields, first):
+    """The bristles took a part of the ripple while that was missing, and more of the likelihood."""
+    likelihood = known(
+        base=-10_000.0, cart_presliding=-5000.0, cart_coulomb=-5060.0, cart_presliding__tacho_ripple=-2000.0,
+        cart_coulomb__tacho_ripple=-2030.0,
+    )  # fmt: skip
+    search = Search(likelihood, first=("cart_presliding", "cart_coulomb"))
+    search.facts = dataclasses.replace(search.facts, noise={"cart_position": 1e-5})
+    beside = {"cart_presliding": 1e-4, "cart_presliding__tacho_ripple": yields}
+    model = search.model
+    search.model = lambda *ids: dataclasses.replace(
+        model(*ids),
+        values={**model(*ids).values, "cart_presliding.displacement": (beside.get("__".join(ids), 1e-4), 0.0)},
+    )
+    assert selected(search)[0] == {first: set(), "tacho_ripple": set()}
+
+
 def test_where_the_later_effect_gains_too_little_beside_it_a_candidate_is_no_rival():
     likelihood = known(
         base=-10_000.0, gravity_tilt=-5000.0, lvdt_offset=-5000.5, gravity_tilt__tacho_ripple=-4988.0,

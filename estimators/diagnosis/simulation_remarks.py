@@ -7,7 +7,7 @@ from estimators.diagnosis.evidence import SimulationError
 from estimators.diagnosis.policy import DiagnosisPolicy
 from estimators.diagnosis.removed_error import without_named_rivals
 from estimators.diagnosis.step import Step
-from estimators.inference.simulation_residual import SimulationResidual
+from estimators.inference.simulation_residual import SimulationResidual, percent
 from estimators.misspecification.adequacy import AdequacyTest
 
 _SHOWN = 3  # of what was not fitted, by name
@@ -24,7 +24,7 @@ def found_by_simulation(before: SimulationError, after: SimulationError) -> str:
     force, torque = before.random
     return (
         " This is what simulations select, as predictions one sample ahead do not tell: random forces stand in for the physics"
-        f" there ({100 * force:.2g} % of the rms force and {100 * torque:.2g} % of the rms torque in one sample). The"
+        f" there ({percent(force)} of the rms force and {percent(torque)} of the rms torque in one sample). The"
         f" error of the simulation falls from {before.error[farthest]:,.3g} to {after.error[farthest]:,.3g} times the noise"
         f" ({farthest})."
     )
@@ -53,5 +53,5 @@ def untried(candidates: Sequence[Candidate], left: Sequence[AdequacyTest], polic
     )
     if not large:
         return ""
-    shown = " and ".join(f"{c.id} ({c.chi_square:.0f}, the alarm is at {policy.alarm:.0f})" for c in large[:_SHOWN])
-    return f" Not fitted so far, and not ruled out beside what is named: {shown}; a diagnosis of the mended model asks for it."
+    shown = ", ".join(f"{c.id} ({c.chi_square:.0f}, the alarm is at {policy.alarm:.0f})" for c in large[:_SHOWN])
+    return f" Not fitted so far, and not ruled out beside what is named: {shown}; a diagnosis of the mended model asks for these."

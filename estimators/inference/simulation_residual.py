@@ -86,7 +86,7 @@ class SimulationResidual:
             "unexplained": "Nothing explains the error of the simulation",
         }[self.cause]
         if not self.noise_known:
-            return f"{said}: the simulation misses {_percent(self.signal_fraction)} of the motion ({self.channel})"
+            return f"{said}: the simulation misses {percent(self.signal_fraction)} of the motion ({self.channel})"
         return f"{said}: {self.ratio:.2g} times the noise ({self.channel})"
 
 
@@ -198,7 +198,7 @@ def simulation_residual(
     def said(cause: Cause, channel: str) -> SimulationResidual:
         fraction = error[channel] / signal[channel]
         simulation = f"the simulation with {', '.join(added)}" if added else "the simulation"
-        misses = f"{simulation} is {_percent(fraction)} of the motion away from the recording ({channel})"
+        misses = f"{simulation} is {percent(fraction)} of the motion away from the recording ({channel})"
         if noise_known and channel not in unknown:
             misses += f", {error[channel]:.2g} times the known noise"
         words = _words(cause, misses, shaken.get(channel, nothing), random, suspect, seconds)
@@ -225,7 +225,8 @@ def simulation_residual(
     return said("too few data" if suspect else "shaken", farthest)
 
 
-def _percent(fraction: float) -> str:
+def percent(fraction: float) -> str:
+    """Return a fraction in percent, with two digits where it is small."""
     return f"{100 * fraction:.0f} %" if fraction >= 0.1 else f"{100 * fraction:.2g} %"
 
 
@@ -239,7 +240,7 @@ def _words(
 ) -> str:
     if cause == "noise":
         return ""
-    size = f"{100 * random[0]:.2g} % of the rms force and {100 * random[1]:.2g} % of the rms torque in one sample"
+    size = f"{percent(random[0])} of the rms force and {percent(random[1])} of the rms torque in one sample"
     if cause == "stand-in":
         return (
             f"Although predictions one sample ahead are at the noise, {misses}. Random forces stand in for the physics there"

@@ -66,7 +66,9 @@ def solve_bounded(
             if best is None:
                 raise
             # A parameter taken off its bound makes the model diverge, as beside another that has run away.
-            return best._replace(pulled=best.pulled or tuple(_names(whole, (*before, *held))))
+            return best._replace(
+                pulled=best.pulled or tuple(_names(whole, [place for place in before if place not in held]))
+            )
         unknowns = solved.unknowns
         full = solved.factor
         if held:

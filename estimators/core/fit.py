@@ -222,11 +222,9 @@ class Fit(ModelFit):
             said += f" still promise {promised:.2g} in log-likelihood: estimates may lie several of their deviations "
             said += "beside the best."
             said += " Begin elsewhere (starts), or hold it against est.prediction_error_nonlinear." if rest else ""
-        elif self.result == RESULTS.steps_exhausted and promised > 0:
-            said += (
-                f" The slopes promise {promised:.2g} in log-likelihood, so that the best lies within {np.sqrt(2 * promised):.1g} of"
-                " their deviations."
-            )
+        elif self.result == RESULTS.steps_exhausted and promised > 0 and not far and not self.weights:
+            apart = np.ceil(10 * np.sqrt(2 * promised)) / 10
+            said += f" By their slopes the best is likelier by {promised:.2g} only, and lies within {apart:.1f} of the deviations."
         if far:
             anew = " in pieces of long experiments that begin anew, more in a whole one" if self.in_pieces else ""
             said += (

@@ -70,7 +70,7 @@ def chosen(
 
 
 def is_at_its_edge(laboratory: Laboratory, effect: str, model: FittedModel, policy: DiagnosisPolicy) -> bool:
-    """Return whether an added effect has become a simpler one that it contains, by a shape far below a sensor's noise.
+    """Return whether an added effect has become a simpler one that it contains, by a shape well below a sensor's noise (`edge`).
 
     Bristles that yield within a tenth of a sensor's noise are dry friction, which a simulation follows more smoothly so; what is
     missing beside it may ask for that.
@@ -80,7 +80,7 @@ def is_at_its_edge(laboratory: Laboratory, effect: str, model: FittedModel, poli
         return False
     parameter, channel = edge
     size = abs(model.values.get(f"{effect}.{parameter}", (math.inf, 0.0))[0])
-    return size < policy.left * laboratory.facts.noise.get(channel, 0.0)
+    return size < policy.edge * laboratory.facts.noise.get(channel, 0.0)
 
 
 def alone(

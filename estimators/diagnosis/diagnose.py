@@ -253,14 +253,15 @@ def _explanation(told: Diagnosis, found: Judgement, setting: Setting, *, thoroug
     text = words(
         told.verdict, told.effects, told.candidates, steps, told.tests, told.left, told.removed, told.curves, told.latent,
         told.places, told.lines, told.simulation, told.policy, told.consequence, found.detectable,
-        told.floor, told.misfit, told.no_effect, told.broken_off,
+        told.floor, told.misfit, told.no_effect,
     )  # fmt: skip
     if told.simulation is not None and further and not steps:
         text += without_the_physics(further, told.simulation)
     if told.by_simulation and told.evidence is not None:
         known = told.evidence.simulations
         text += found_by_simulation(known[found.selection.base.number], known[found.final.number])
-        text += untried(told.candidates, told.left, told.policy)
+        fitted = {effect for (_, effect), errors in told.evidence.simulated.items() if errors}
+        text += untried(told.candidates, fitted, told.left, told.policy)
     if steps and further:
         text += not_named(further, told.left, setting.samples)
     alarms = alarming(found.selection.findings.scores, told.policy.critical)

@@ -59,7 +59,6 @@ def words(
     floor: str = AT_NOISE,
     misfit: str = "the misfit",
     no_effect: str = "no effect of the catalogue",
-    broken_off: Collection[str] = (),
 ) -> str:
     """Describe in a paragraph what is missing, how big, where it shows, how sure, and what would make it surer."""
     if verdict == "adequate":
@@ -112,14 +111,14 @@ def words(
         fraction += f" The error falls by {_fall(consequence)}."
     if verdict == "missing":
         return f"Missing: {text}.{fraction}{shown} The intervals do not count that the effect was selected."
-    alike, would_tell = _alike(steps, broken_off)
+    alike, would_tell = _alike(steps)
     return f"Ambiguous: {alike}. The best fit: {text}.{fraction}{shown}{would_tell}"
 
 
-def _alike(steps: Sequence[Step], broken_off: Collection[str]) -> tuple[str, str]:
+def _alike(steps: Sequence[Step]) -> tuple[str, str]:
     """Say what is not told from each step, by the data or as the time was over before, and what would tell them apart."""
-    told = [(step.id, [i for i in step.rivals if i not in broken_off]) for step in steps]
-    late = [(step.id, [i for i in step.rivals if i in broken_off]) for step in steps]
+    told = [(step.id, [i for i in step.rivals if i not in step.late]) for step in steps]
+    late = [(step.id, step.late) for step in steps]
     apart = "; ".join(f"{i} or {', '.join(rivals)}" for i, rivals in told if rivals)
     untried = "; ".join(f"{', '.join(rivals)} against {i}" for i, rivals in late if rivals)
     parts = [f"the data cannot tell {apart} apart"] if apart else []

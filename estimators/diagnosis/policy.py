@@ -7,14 +7,14 @@ from estimators.inference.simulation_residual import SimulationLimits
 from estimators.misspecification.findings import CriticalValues
 from estimators.prediction_error.colour_limits import ColourLimits
 
-VERSION = 14
+VERSION = 15
 """Of the standard policy: counts up when a threshold comes, goes or changes."""
 
 _PROTOTYPE = "prototype study of 42 cases a setting"
 _ABLATION = "ablation of 379 recordings (docs/method.md)"
 _UNSTUDIED = "set when the rule was added; never studied by itself"
 _FRACTIONS = (
-    "removed", "static", "close", "chance", "level", "known", "consequence", "colour_little", "unfollowed",
+    "removed", "static", "close", "chance", "level", "known", "consequence", "edge", "colour_little", "unfollowed",
 )  # fmt: skip
 
 
@@ -62,6 +62,12 @@ class DiagnosisPolicy:
     )
     replacements: int = _threshold(
         2, "candidates at most that are refitted in the place of the first of several effects", _UNSTUDIED
+    )
+    edge: float = _threshold(
+        0.1,
+        "times the noise of the sensor that would show it, below which a shape is at its edge, and the law the simpler one that it"
+        " contains",
+        "bristles of a seventieth of a count were named where dry friction is larger one way; never studied by itself",
     )
     consequence: float = _threshold(
         0.01,

@@ -48,15 +48,16 @@ def with_replacement(
         answered.add(model.added[-1])
         if sequence and named(sequence, tests, samples, policy)[1] == len(steps):
             sequences[model.added[-1]] = sequence
-    if became := set(sequences).intersection(_became(laboratory, steps, policy)):
+    if set(sequences).intersection(_became(laboratory, steps, policy)):
         # It is one of these by now, whatever it gains: bristles that beside the later effects yield by nothing are dry friction.
-        sequences = {effect: sequence for effect, sequence in sequences.items() if effect in became}
+        del sequences[first.id]
     gains = {effect: bic_gain(samples, base, sequence[-1].model) for effect, sequence in sequences.items()}
     best = max(gains, key=lambda effect: gains[effect])
     alike = [effect for effect in sequences if effect != best and gains[best] - gains[effect] < policy.bic_gain]
     # What could not be asked stays a rival.
-    unanswered = [effect for effect in first.rivals if effect not in answered]
-    begin = dataclasses.replace(sequences[best][0], rivals=(*alike, *unanswered))
+    unanswered = [effect for effect in first.rivals if effect not in answered and effect != best]
+    late = tuple(effect for effect in unanswered if effect in first.late)
+    begin = dataclasses.replace(sequences[best][0], rivals=(*alike, *unanswered), late=late)
     return [begin, *sequences[best][1:]]
 
 

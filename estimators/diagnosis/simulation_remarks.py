@@ -1,6 +1,6 @@
 """What is said where simulations, and not predictions one sample ahead, decide what is named."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.evidence import SimulationError
@@ -41,16 +41,23 @@ def without_the_physics(steps: Sequence[Step], simulation: SimulationResidual) -
     )
 
 
-def untried(candidates: Sequence[Candidate], left: Sequence[AdequacyTest], policy: DiagnosisPolicy) -> str:
-    """Name what is as large as an alarm and was not fitted beside what is named, where that leaves something; nothing elsewhere.
+def untried(
+    candidates: Sequence[Candidate], fitted: Collection[str], left: Sequence[AdequacyTest], policy: DiagnosisPolicy
+) -> str:
+    """Name what is as large as an alarm and was not fitted, where what is named leaves something; nothing elsewhere.
 
     Simulations do not try what acts by contact, whose hits no descent follows.
+
+    Args:
+        candidates: of the diagnosis.
+        fitted: ids of those that were fitted by simulation.
+        left: tests of the model with what is named.
+        policy: the thresholds.
     """
     if not any(test.rejects for test in left):
         return ""
-    large = sorted(
-        (c for c in candidates if not c.refitted and c.chi_square >= policy.alarm), key=lambda c: -c.chi_square
-    )
+    never = [c for c in candidates if not c.refitted and c.id not in fitted]
+    large = sorted((c for c in never if c.chi_square >= policy.alarm), key=lambda c: -c.chi_square)
     if not large:
         return ""
     shown = ", ".join(f"{c.id} ({c.chi_square:.0f}, the alarm is at {policy.alarm:.0f})" for c in large[:_SHOWN])

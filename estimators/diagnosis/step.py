@@ -19,6 +19,7 @@ class Step:
         model: the model with it.
         left: the tests of the model with it.
         amplitudes: names of its parameters that make its size.
+        late: those of the rivals that were not fitted in its place before the time was over.
     """
 
     id: str
@@ -29,3 +30,4 @@ class Step:
     model: FittedModel
     left: tuple[AdequacyTest, ...]
     amplitudes: tuple[str, ...] = ()
+    late: tuple[str, ...] = ()

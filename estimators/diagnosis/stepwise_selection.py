@@ -315,8 +315,10 @@ def _next_step(
     if step is None or left is None:
         return None
     # Whatever was not fitted in time may do as well.
-    rivals = (*step.rivals, *(i for i in laboratory.unfitted(now) if i not in (step.id, *step.rivals)))
-    return dataclasses.replace(step, left=adequacy_tests(left, policy.critical), rivals=rivals)
+    late = tuple(i for i in laboratory.unfitted(now) if i not in (step.id, *step.rivals))
+    return dataclasses.replace(
+        step, left=adequacy_tests(left, policy.critical), rivals=(*step.rivals, *late), late=late
+    )
 
 
 def _beside(laboratory: Laboratory, now: FittedModel, seen: Findings, policy: DiagnosisPolicy) -> list[Score]:

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from estimators.core.drawing import draw
 from estimators.linear.model import LinearModel
 from estimators.linear.outlier import FOLLOWED, Outlier
-from estimators.linear.step_change import values_in_words
+from estimators.linear.step_change import step_in_words, values_in_words
 from rtac_jax.renamed import renamed
 
 _DETERMINED = 0.5  # standard deviation over value
@@ -202,8 +202,11 @@ class Equality:
             place = self.names.index(name)
             trend = self.best_trend(name)
             unit = "" if self.units[place] == "1" else f" {self.units[place]}"
-            if trend is None:
-                each, std = self.values[:, place], self.std[:, place]
+            each, std = self.values[:, place], self.std[:, place]
+            step = step_in_words(self.conditions, each, std) if name in self.varying else ""
+            if step and (trend is None or trend.covariate not in _MOTION):
+                said.append(f"{name[0].upper()}{name[1:]} {step}.")
+            elif trend is None:
                 how = values_in_words(self.conditions, each, std) if name in self.varying else ""
                 said.append(f"{name[0].upper()}{name[1:]} {how or 'scatters, with nothing that was looked at'}.")
             else:

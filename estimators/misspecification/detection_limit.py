@@ -18,8 +18,13 @@ _ROUNDS = 2
 
 
 def is_testable(s: Screened, limit: float, most: float) -> bool:
-    """Return whether the data could show a candidate, from its detection limit, below the largest size that it may have."""
-    return bool(np.isfinite(limit) and limit < largest_size(s.instance, main_amplitude(s), most))
+    """Return whether the data could show a candidate, from its detection limit, below `most` times its plausible size."""
+    return bool(np.isfinite(limit) and limit < most * abs(_plausible(s)))
+
+
+def may_be_gross(s: Screened, limit: float) -> bool:
+    """Return whether a candidate may be as large as its detection limit, however little is plausible."""
+    return bool(np.isfinite(limit) and limit < declarations(s.instance)[main_amplitude(s)].largest)
 
 
 def largest_size(instance: Effect, amplitude: str, most: float) -> float:

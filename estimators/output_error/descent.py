@@ -145,11 +145,13 @@ class Descent:
         end = None
         if given and np.all(deviation < np.maximum(_NEAR_NOISE * noise, _NEAR_MOTION * motion_of(self.data))):
             begun = self._simulated(model, space, unknowns, substeps)
-            end = self._ended(model, space, unknowns, substeps, noise, best, most=_UNLED_STEPS)
+            end = self._ended(model, space, unknowns, substeps, noise, best, most=_UNLED_STEPS if led else None)
             if not led:
                 return end
             if not end.solved.converged and not end.is_far(noise):
-                end = self._weighted(model, space, end.solved.unknowns, substeps, noise, end.deviation, best)
+                end = self._weighted(
+                    end.model, end.space, end.solved.unknowns, end.substeps, noise, end.deviation, best
+                )
                 self.followed.append((begun, end))
             if end.solved.converged:
                 return end
@@ -157,11 +159,11 @@ class Descent:
         if guided is None:
             return end
         ends = [] if end is None else [end]
-        reached = [guided] if end is None else [guided, end.solved.unknowns]
-        lost = len(parts) == 1 and all(self._is_lost(model, space, one, substeps, noise) for one in reached)
+        lost = len(parts) == 1 and self._is_lost(model, space, guided, substeps, noise)
+        lost = lost and all(self._end_is_lost(one, noise) for one in ends)
         with contextlib.suppress(FloatingPointError):  # where a filter predicts, no simulation need stay
             ends.append(self._ended(model, space, guided, substeps, noise, best))
-        if led and lost and all(self._is_lost(model, space, one.solved.unknowns, substeps, noise) for one in ends):
+        if led and lost and all(self._end_is_lost(one, noise) for one in ends):
             short = self._begun_short(model, space, guided, substeps, noise, best)
             ends += [] if short is None else [short]
         return min(ends or [self._ended(model, space, unknowns, substeps, noise, best)], key=lambda one: one.cost)
@@ -208,6 +210,10 @@ class Descent:
                 unknowns, arguments, tolerance=1e-2, gain=_GUIDANCE, most=min(_STAGE, self.steps)
             ).unknowns
         return unknowns
+
+    def _end_is_lost(self, end: DescentEnd, noise: Float[np.ndarray, " output"]) -> bool:
+        # Another start's end has a space of its own, in whose scales its unknowns are.
+        return self._is_lost(end.model, end.space, end.solved.unknowns, end.substeps, noise)
 
     def _begun_short(
         self, model: RTAC, space: Space, unknowns: Unknowns, substeps: int, noise: np.ndarray, best: float

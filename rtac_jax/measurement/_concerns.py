@@ -21,9 +21,9 @@ SAMPLES_PER_PERIOD = 20
 OUTLIER_SIGMAS = 10
 OUTLIER_WINDOW = 51
 MOVING_SIGMAS = 2  # times the noise from which on a channel moves: three quarters of its power are motion
-_INPUT_NOISE = (
-    0.2  # of the current that drives other experiments, which one that is noise and drives nothing stays below
-)
+# Of a current that looks like noise: its rms over that of those that drive (a shunt and a 12-bit converter leave some percent), its
+# mean in deviations of a mean, and its levels (a random binary sequence has two, quantised noise of a converter seldom fewer).
+_SMALL_CURRENT, _CHANCE_OF_MEAN, _FEW_LEVELS = 0.1, 5.0, 3
 # From the median of absolute values to the standard deviation, for Gaussian noise.
 MEDIAN_TO_STD = 1.4826
 # Ratio of stated noise: where half of the samples have either, equal weights make deviations larger by 8 %.
@@ -44,29 +44,38 @@ def concerns(recording: Recording) -> list[str]:
 
 
 def _noise_of_inputs(recording: Recording) -> dict[str, float]:
-    """Return the rms of what is noise in the current of experiments that nothing drives, by name, where it was measured [A].
+    """Return the rms of a current that looks like the noise of a measured one, by name of an experiment that is not forced [A].
 
-    It is where a sample tells next to nothing of the one after it, and all of it is small beside what drives others.
+    It does where its mean is what chance leaves of it, a sample tells next to nothing of the one after it, it has many levels, and
+    all of it is small beside what drives forced experiments.
     """
     currents = {e.name: e.inputs["current"].values for e in recording if "current" in e.inputs}
-    size = {name: float(np.std(values)) for name, values in currents.items()}
-    least = _INPUT_NOISE * max((size[e.name] for e in recording if e.kind == "forced" and e.name in size), default=0.0)
+    size = {name: float(np.sqrt(np.mean(values**2))) for name, values in currents.items()}
+    most = _SMALL_CURRENT * max((size[e.name] for e in recording if e.kind == "forced" and e.name in size), default=0.0)
     return {
         e.name: size[e.name]
         for e in recording
         if e.kind != "forced"
-        and 0.0 < size.get(e.name, 0.0) <= least
-        # Independent samples differ by the root of two times their deviation.
-        and float(np.std(np.diff(currents[e.name]))) > size[e.name]
+        and 0.0 < size.get(e.name, 0.0) <= most
+        and _looks_like_noise(currents[e.name], size[e.name])
     }
 
 
+def _looks_like_noise(values: Float64[np.ndarray, " sample"], size: float) -> bool:
+    """Return whether samples scatter about zero with no memory and on many levels, as a random binary sequence does not."""
+    # The mean of n independent samples is their deviation over the root of n; neighbours differ by the root of two times it.
+    about_zero = abs(float(np.mean(values))) <= _CHANCE_OF_MEAN * size / np.sqrt(len(values))
+    return about_zero and float(np.std(np.diff(values))) > size and len(np.unique(values)) > _FEW_LEVELS
+
+
 def _of_noisy_inputs(noisy: dict[str, float]) -> str:
+    """Return what is to be done about currents that look like noise."""
     size = float(np.sqrt(np.mean(np.square(list(noisy.values())))))
     return (
-        f"{_listed(list(noisy))}: the current is noise of {size:.2g} A rms, as where it is measured. An input with noise shakes the"
-        " model as a random torque would, and a fit by simulation, which knows none, ends beside the truth: give the command, where"
-        " the current follows it, or take the estimates of the prediction error (est.prediction_error_nonlinear, rtac fit)."
+        f"{_listed(list(noisy))}: the current looks like noise of {size:.2g} A rms, as where it is measured; if it was played, set"
+        " the kind to forced. An input with noise shakes the model as a random torque would, and a fit by simulation, which knows"
+        " none, ends beside the truth: give the command, where the current follows it, or take the estimates of the prediction"
+        " error (est.prediction_error_nonlinear, rtac fit)."
     )
 
 

@@ -94,9 +94,11 @@ def test_it_is_said_why_simulations_select_and_how_far_the_error_falls() -> None
 def test_what_was_as_large_as_an_alarm_and_not_tried_is_named(excess: float, refitted: bool, named: bool) -> None:
     backlash = candidate("backlash", 400.0, refitted=refitted)
     left = (AdequacyTest("static force", 0.0 if excess > 0 else 0.5, excess, 0.002, ""),)
-    said = untried([candidate("lvdt_gain", 2.0), backlash], left, STANDARD)
+    several = [candidate("lvdt_gain", 2.0), candidate("encoder_lag", 890.0), backlash]
+    said = untried(several, {"encoder_lag"}, left, STANDARD)
     assert ("backlash (409, the alarm is at 20)" in said) == named
     assert "lvdt_gain" not in said
+    assert "encoder_lag" not in said, "a simulation was fitted with it"
     assert bool(said) == named
 
 

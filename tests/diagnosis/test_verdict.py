@@ -157,7 +157,7 @@ def test_a_parameter_that_is_fixed_is_told_without_a_deviation() -> None:
 
 
 @pytest.mark.parametrize(
-    ("broken_off", "said", "decided"),
+    ("late", "said", "decided"),
     [
         ((), "the data cannot tell a or b, c apart.", True),
         (
@@ -169,12 +169,12 @@ def test_a_parameter_that_is_fixed_is_told_without_a_deviation() -> None:
     ],
 )
 def test_what_was_not_held_against_the_best_in_time_is_not_said_to_be_like_it(
-    broken_off: tuple[str, ...], said: str, decided: bool
+    late: tuple[str, ...], said: str, decided: bool
 ) -> None:
     one = Candidate("a", 500.0, 509.0, 0.0, 0.01, "N", True, refitted=True)
     text = words(
-        "ambiguous", [one], [one], [step("a", 500.0, 0.0, ("b", "c"))], (found(600.0),), (), 1.0, [], [], [], [],
-        broken_off=broken_off,
+        "ambiguous", [one], [one], [dataclasses.replace(step("a", 500.0, 0.0, ("b", "c")), late=late)], (found(600.0),), (), 1.0,
+        [], [], [], [],
     )  # fmt: skip
     assert said in text
     assert ("An experiment that separates them" in text) == decided

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from estimators.linear.step_change import values_in_words
+from estimators.linear.step_change import step_in_words, values_in_words
 
 NAMES = ("e1", "e2", "e3", "e4", "e5", "e6")
 
@@ -20,9 +20,15 @@ NAMES = ("e1", "e2", "e3", "e4", "e5", "e6")
     ],
 )  # fmt: skip
 def test_a_step_is_told_from_scatter(values: tuple[float, ...], said: str) -> None:
-    told = values_in_words(NAMES, np.array(values), np.full(6, 0.1))
+    given = NAMES, np.array(values), np.full(6, 0.1)
+    told = step_in_words(*given) or values_in_words(*given)
     assert told.startswith(said)
     assert bool(told) == bool(said)
+
+
+def test_values_along_a_line_are_no_step() -> None:
+    for count in (4, 6, 20):
+        assert step_in_words([f"e{n}" for n in range(count)], np.arange(float(count)), np.full(count, 0.1)) == ""
 
 
 def test_of_many_values_the_ends_are_told() -> None:

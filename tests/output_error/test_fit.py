@@ -87,7 +87,9 @@ def test_a_fit_that_a_kink_stopped_says_so(noisy_fit: est.Fit) -> None:
     nearly = dataclasses.replace(
         stopped, result=est.RESULTS.steps_exhausted, statistics={**stopped.statistics, "promised": 0.06}
     )
-    assert "so that the best lies within 0.3 of their deviations" in nearly.outcome
+    assert "By their slopes the best is likelier by 0.06 only, and lies within 0.4 of the deviations." in nearly.outcome
+    far = dataclasses.replace(nearly, residual_std={c: 40.0 * s for c, s in nearly.noise.items()})
+    assert "By their slopes" not in far.outcome
 
 
 @pytest.mark.slow

@@ -234,12 +234,25 @@ def test_an_encoder_that_is_zeroed_at_every_start_is_a_concern():
         assert any("zeroed at every start" in c for c in concerns(recording)) == said
 
 
-@pytest.mark.parametrize(("noise", "smooth", "silent"), [(5e-3, False, True), (0.3, False, False), (5e-3, True, False)])
-def test_the_noise_of_a_measured_current_drives_nothing_and_is_told(noise: float, smooth: bool, silent: bool) -> None:
-    values = noise * (np.sin(0.02 * np.arange(len(T))) if smooth else np.random.default_rng(3).standard_normal(len(T)))
+WHITE = np.random.default_rng(3).standard_normal(len(T))
+
+
+@pytest.mark.parametrize(
+    ("values", "noise"),
+    [
+        (5e-3 * WHITE, True),
+        (0.3 * WHITE, False),
+        (5e-3 * np.sin(0.02 * np.arange(len(T))), False),
+        (0.03 + 5e-3 * WHITE, False),
+        (5e-3 * np.sign(WHITE), False),
+    ],
+    ids=["noise", "a drive", "a sine", "noise about what drives", "a random binary drive"],
+)
+def test_the_noise_of_a_measured_current_is_told_for_what_it_is(values: np.ndarray, noise: bool) -> None:
     decay = free()
     measured = replace(decay, inputs={"current": replace(forced().inputs["current"], values=values)})
-    driven = replace(forced(), name="driven")
-    said = concerns(Recording((driven, measured)))
-    assert any("the current is noise of 0.005 A rms" in one for one in said) == silent
-    assert any("set its kind to forced" in one for one in said) == (not silent)
+    said = concerns(Recording((replace(forced(), name="driven"), measured)))
+    assert any("the current looks like noise of 0.005 A rms" in one for one in said) == noise
+    assert any("has an input that is not zero; set its kind to forced" in one for one in said) == (not noise)
+    alone = concerns(Recording((measured,)))
+    assert any("set its kind to forced" in one for one in alone), "nothing tells how large a current drives this rig"

@@ -22,8 +22,8 @@ WORTH_ASKING = 3.0  # residual over noise, as far as that is known, from which i
 _OWN_PARAMETERS = 4  # those that scatter most, each of which is tried with a value for each experiment
 _STEPS = 30  # of these fits: the one that follows converges in a few
 _MOST = 0.5  # of the differences, which an experiment must take with it to be asked alone
-# What fits of single experiments may leave, over what the common fit does, for a parameter to be asked: 0.08 at a spring that lost
-# 3 %, with constants that are 1 % off. Named is only what then follows all experiments to the noise.
+# What fits of single experiments may leave, over what the common fit does, for a parameter to be asked: 0.09 where a spring had
+# lost 3 % and the common fit was too far off for them to come to their ends. Named is only what then follows all to the noise.
 _NEXT_TO_NOTHING = 0.1
 _FITS_OF_OTHERS = 2  # experiments that are asked alone at most
 
@@ -61,7 +61,6 @@ def differing(
     # One parameter explains no more than all of them do, by one step and in fits of single experiments, and the fits that ask are
     # dear.
     large = found.chi_square > BEYOND_ONE_STEP * sum(fit.statistics["samples"].values())
-    # Constants that are a little off are held in fits of single experiments, and estimated in those that follow.
     followed = all(
         ratio <= max(FOLLOWED, _NEXT_TO_NOTHING * fit.residual_std[c] / noise[c]) for c, ratio in usual.items()
     )

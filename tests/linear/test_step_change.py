@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from estimators.linear.homogeneity_test import Equality, trend_of
 from estimators.linear.step_change import step_in_words, values_in_words
 
 NAMES = ("e1", "e2", "e3", "e4", "e5", "e6")
@@ -40,3 +41,19 @@ def test_of_many_values_the_ends_are_told() -> None:
         or "scatters, from" in told
     )
     assert f"in run_{np.argmin(values)} to" in told
+
+
+@pytest.mark.parametrize(("covariate", "said"), [("time", "changes once, from 212 up to e5"), ("input", "drifts with")])
+def test_a_step_half_way_is_no_drift_with_time(covariate: str, said: str) -> None:
+    """Of twelve experiments time explains three quarters of it, far beyond chance; what goes with the motion is told as before."""
+    each = np.repeat([212.0, 206.0], 6) + 0.01 * np.arange(12)
+    std, order = np.full((12, 1), 0.1), np.arange(12.0)
+    trend = trend_of(covariate, order, each, np.diag(std[:, 0] ** -2.0))
+    assert trend.p_value < 1e-3
+    found = Equality(
+        names=("spring_stiffness",), units=("N/m",), conditions=tuple(f"e{n}" for n in range(12)), values=each[:, None], std=std,
+        common=np.array([209.0]), common_std=np.array([0.03]), chi_square=1e4, freedom=11, p_value=0.0, p_values=np.zeros(1),
+        trends=((trend,),), covariates={covariate: order}, left_out=(), level=0.01, varying=("spring_stiffness",), explained=1.0,
+        suffices=True,
+    )  # fmt: skip
+    assert f"Spring_stiffness {said}" in found.verdict

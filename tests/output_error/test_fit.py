@@ -4,6 +4,7 @@ import dataclasses
 import re
 import subprocess
 import sys
+import types
 
 import jax.numpy as jnp
 import numpy as np
@@ -18,7 +19,8 @@ from estimators.core.fisher_information import information
 from estimators.core.initial_state import space_of
 from estimators.core.jacobian_factor import Arguments, factor
 from estimators.core.residual import diagonal_whitener
-from estimators.output_error.descent import Descent
+from estimators.output_error import descent
+from estimators.output_error.descent import Descent, DescentEnd
 from estimators.prediction_error.ekf import filtered
 from rtac_jax import virtual_rig
 from rtac_jax.effects import CATALOGUE
@@ -90,6 +92,38 @@ def test_a_fit_that_a_kink_stopped_says_so(noisy_fit: est.Fit) -> None:
     assert "By their slopes the best is likelier by 0.06 only, and lies within 0.4 of the deviations." in nearly.outcome
     far = dataclasses.replace(nearly, residual_std={c: 40.0 * s for c, s in nearly.noise.items()})
     assert "By their slopes" not in far.outcome
+
+
+@pytest.mark.parametrize("led", [True, False])
+def test_where_models_are_only_ranked_no_predictions_lead(
+    noisy_fit: est.Fit, noisy: rtac.Recording, led: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = []
+    monkeypatch.setattr(Descent, "_guided", lambda *_: asked.append(1))
+    monkeypatch.setattr(descent, "_NEAR_NOISE", 0.0)  # or else it would be near enough to need no predictions
+    monkeypatch.setattr(descent, "_NEAR_MOTION", 10.0)
+    monkeypatch.setattr(descent, "_UNLED_STEPS", 1)
+    values = {n: 1.3 * float(noisy_fit.model[n]) for n in ("cart_coulomb.level", "cart_viscous.coefficient")}
+    found = est.output_error(
+        noisy_fit.model.with_values(values), noisy, from_model=True, steps=1, led=led, progress=False
+    )
+    assert found.result == est.RESULTS.steps_exhausted
+    assert bool(asked) == led
+    assert led or found.statistics["steps"] <= 2
+
+
+@pytest.mark.parametrize(("apart", "same"), [(0.25, True), (0.35, False)])
+def test_a_start_is_known_by_what_the_end_of_another_left(apart: float, same: bool) -> None:
+    """Or by the noise, where that is more; a channel that nobody measured tells nothing."""
+    end = DescentEnd.__new__(DescentEnd)
+    object.__setattr__(end, "deviation", np.array([1e-4, 1.0, 2e-2]))
+    begun, present = np.zeros((5, 3, 2)), np.ones((5, 3, 2))
+    present[:, 1] = 0.0
+    run = Descent.__new__(Descent)
+    run.data, run.followed = types.SimpleNamespace(present=present), [(begun, end)]
+    other = begun + apart * np.array([1e-4, 0.0, 2e-2])[:, None]
+    assert (run._followed(other, np.array([1e-5, 1.0, 1e-3])) is end) == same
+    assert run._followed(other, np.array([2e-4, 1.0, 4e-2])) is end
 
 
 @pytest.mark.slow

@@ -101,3 +101,30 @@ def test_a_spring_that_hardens_is_no_parameter_that_differs() -> None:
     assert fit.farthest > 3.0
     found = differing(fit, recording)
     assert found is None or not found.is_of_the_rig
+
+
+@pytest.mark.parametrize(("fraction", "asked"), [(0.08, True), (0.15, False)])
+def test_fits_of_single_experiments_need_not_end_at_the_noise_where_the_common_one_is_far_from_it(
+    fit: est.Fit, softening: rtac.Recording, monkeypatch: pytest.MonkeyPatch, fraction: float, asked: bool
+) -> None:
+    """They begin at the common fit, and may not have come to their ends; what is named must follow all experiments to the noise."""
+    left = {channel: fraction * ratio for channel, ratio in fit.residual_over_noise.items()}
+    assert left["cart_position"] > 1.3
+    by_itself = dataclasses.replace(
+        est.constancy(fit, softening), over_noise={"cart_position": 44.7}, median_over_noise=left,
+        varying=("eccentric_moment",),
+    )  # fmt: skip
+    monkeypatch.setattr(differing_experiments, "constancy", lambda *_: by_itself)
+    tried = []
+
+    def refused(model: rtac.RTAC, *_: Any, **__: Any) -> est.Fit:
+        tried.append(model)
+        raise est.DivergedError("that is enough.")
+
+    monkeypatch.setattr(differing_experiments, "_suspects", lambda *_: [])
+    monkeypatch.setattr(differing_experiments, "output_error", refused)
+    assert differing(fit, softening) is None
+    own = [model for model in tried if "spring_stiffness" in model.per_experiment]
+    assert bool(own) == asked
+    for model in own:  # begun where each experiment by itself has it
+        assert np.asarray(model["spring_stiffness"]) == pytest.approx(STIFFNESS, rel=0.02)

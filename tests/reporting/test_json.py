@@ -18,6 +18,7 @@ from estimators.core.fit import Fit
 from estimators.core.results import RESULTS
 from estimators.linear.homogeneity_test import Equality
 from estimators.linear.outlier import Outlier
+from estimators.plots.improvement import finding
 from estimators.reporting.diagnosis_summary import of_diagnosis
 from estimators.reporting.html import write_json
 from estimators.reporting.report import report_dict
@@ -116,5 +117,9 @@ def test_where_one_parameter_differs_between_experiments_it_is_one_set_for_all_t
     bullets = of_diagnosis(loop, loop.train, loop.validation, file="rig.h5")
     assert bullets.found.endswith("; torque_constant differs between experiments.")
     assert bullets.next.startswith("Give each experiment a value of its own (model.each_experiment('torque_constant'))")
+    assert finding(loop).startswith(
+        "Experiments differ in torque_constant: with one value for all the held-out error of"
+    )
     far = dataclasses.replace(loop, constancy=dataclasses.replace(alike, over_noise={"arm_angle": 1.4}))
+    assert finding(far).startswith("No effect could be added: the held-out error of")
     assert "The model fails, and no effect" in far.headline

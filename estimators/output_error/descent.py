@@ -46,8 +46,7 @@ _TURNED = 0.95
 # Steps by the simulation from values that were given, after which one that is still far from the data is led by predictions.
 _UNLED_STEPS = 20
 # Parts of the data that are simulated first, each longer, where the simulation of all of an experiment leaves _NEAR_MOTION of its
-# motion, as where an arm turns over: of twelve such fits four met the data without these, and all with them. They are left out
-# where the descent without them comes to leave less.
+# motion, as where an arm turns over: of twelve such fits four met the data without these, and all with them.
 _PARTS = (16, 4, 2)
 # A start whose short predictions stay this many times worse than another's is given up.
 _HOPELESS = 5.0
@@ -160,13 +159,21 @@ class Descent:
             return end
         ends = [] if end is None else [end]
         lost = len(parts) == 1 and self._is_lost(model, space, guided, substeps, noise)
-        lost = lost and all(self._end_is_lost(one, noise) for one in ends)
-        with contextlib.suppress(FloatingPointError):  # where a filter predicts, no simulation need stay
+        # Another start's end has a space of its own, in whose scales its unknowns are.
+        lost = lost and all(
+            self._is_lost(one.model, one.space, one.solved.unknowns, one.substeps, noise) for one in ends
+        )
+        if led and lost and (short := self._begun_short(model, space, guided, substeps, noise, best)) is not None:
+            if np.all(short.deviation < _NEAR_NOISE * noise):
+                return short
+            ends.append(short)
+        try:
             ends.append(self._ended(model, space, guided, substeps, noise, best))
-        if led and lost and all(self._end_is_lost(one, noise) for one in ends):
-            short = self._begun_short(model, space, guided, substeps, noise, best)
-            ends += [] if short is None else [short]
-        return min(ends or [self._ended(model, space, unknowns, substeps, noise, best)], key=lambda one: one.cost)
+        except FloatingPointError:
+            # Where a filter predicts, no simulation need stay.
+            if not ends:
+                ends.append(self._ended(model, space, unknowns, substeps, noise, best))
+        return min(ends, key=lambda one: one.cost)
 
     def _is_lost(
         self, model: RTAC, space: Space, unknowns: Unknowns, substeps: int, noise: Float[np.ndarray, " output"]
@@ -210,10 +217,6 @@ class Descent:
                 unknowns, arguments, tolerance=1e-2, gain=_GUIDANCE, most=min(_STAGE, self.steps)
             ).unknowns
         return unknowns
-
-    def _end_is_lost(self, end: DescentEnd, noise: Float[np.ndarray, " output"]) -> bool:
-        # Another start's end has a space of its own, in whose scales its unknowns are.
-        return self._is_lost(end.model, end.space, end.solved.unknowns, end.substeps, noise)
 
     def _begun_short(
         self, model: RTAC, space: Space, unknowns: Unknowns, substeps: int, noise: np.ndarray, best: float

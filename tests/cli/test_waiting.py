@@ -17,7 +17,7 @@ def job(samples: int) -> Job:
 
 
 def test_a_long_one_is_announced(capsys: pytest.CaptureFixture[str]) -> None:
-    assert job(25_000).time_for(None) == 900.0
+    assert job(25_000).time_for(None) == 1200.0
     said = capsys.readouterr().err
     assert "25,000 samples" in said
     assert "some 5 minutes" in said
@@ -26,7 +26,7 @@ def test_a_long_one_is_announced(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_a_short_one_is_not(capsys: pytest.CaptureFixture[str]) -> None:
-    assert job(2_000).time_for(None) == 300.0
+    assert job(2_000).time_for(None) == 400.0
     assert capsys.readouterr().err == ""
 
 

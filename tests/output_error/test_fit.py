@@ -100,7 +100,7 @@ def test_where_models_are_only_ranked_no_predictions_lead(
 ) -> None:
     asked = []
     monkeypatch.setattr(Descent, "_guided", lambda *_: asked.append(1))
-    monkeypatch.setattr(descent, "_NEAR_NOISE", 0.0)  # or else it would be near enough to need no predictions
+    monkeypatch.setattr(descent, "_NEAR_NOISE", 1.02)  # or else it would be near enough to need no predictions
     monkeypatch.setattr(descent, "_NEAR_MOTION", 10.0)
     monkeypatch.setattr(descent, "_UNLED_STEPS", 1)
     values = {n: 1.3 * float(noisy_fit.model[n]) for n in ("cart_coulomb.level", "cart_viscous.coefficient")}

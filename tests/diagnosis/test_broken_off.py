@@ -82,6 +82,9 @@ def test_with_enough_time_the_offset_is_named(whole):
     found, asked = whole
     assert [c.id for c in found.added] == ["current_offset"]
     assert found.final.model["current_offset.offset"] == pytest.approx(OFFSET, rel=0.02)
+    # By the motor constant beside the offset: that of the model without it is off by more than the digits that are told.
+    assert float(found.fits[0].model["torque_constant"]) < 0.99 * TORQUE_CONSTANT
+    assert f"dry friction that is {OFFSET * TORQUE_CONSTANT:.3g} N m more one way" in found.diagnoses[0].explanation
     assert not found.broken_off
     assert asked > 30
     assert report_dict(found)["broken_off"] is False
@@ -127,4 +130,4 @@ def test_what_was_not_fitted_in_time_is_a_rival_of_what_was():
         search.late = late
         ((found,), _) = improvements(search, search.base, search.rejects(search.base), STANDARD)
         assert found.id == "cubic_spring"
-        assert found.rivals == late[:1]
+        assert found.rivals == found.late == late[:1]

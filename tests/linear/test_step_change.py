@@ -32,6 +32,14 @@ def test_values_along_a_line_are_no_step() -> None:
         assert step_in_words([f"e{n}" for n in range(count)], np.arange(float(count)), np.full(count, 0.1)) == ""
 
 
+@pytest.mark.parametrize(("count", "most"), [(4, 0.03), (5, 0.015), (6, 0.005), (8, 0.001)])
+def test_scatter_is_seldom_taken_for_a_step(count: int, most: float) -> None:
+    random = np.random.default_rng(0)
+    names, std = [f"e{n}" for n in range(count)], np.full(count, 1e-3)
+    told = [bool(step_in_words(names, random.standard_normal(count), std)) for _ in range(4000)]
+    assert np.mean(told) <= most
+
+
 def test_of_many_values_the_ends_are_told() -> None:
     names = [f"run_{n}" for n in range(12)]
     values = 200.0 + 5.0 * np.sin(2.0 * np.arange(12.0))

@@ -45,7 +45,7 @@ from estimators.diagnosis.workers import Workers
 from estimators.inference.shaken_simulation import unfollowed
 from estimators.inference.simulation_residual import judged_channels
 from estimators.misspecification.candidate_screening import Screened, by_statistic, correlations
-from estimators.misspecification.detection_limit import is_testable, may_be_gross
+from estimators.misspecification.detection_limit import may_show
 from estimators.misspecification.equation_screening import Explained
 from estimators.misspecification.findings import Findings, Score
 from estimators.validation.vuong_test import by_stretch
@@ -107,8 +107,7 @@ class LiveLaboratory:
         found = _detectability(setting, base, best)
         self.base = self._record(setting, base, tested)
         self._detectable = {self.base.number: found}
-        limits, most = found.limits, setting.policy.testable
-        shown = {i for i, s in best.items() if is_testable(s, limits[i], most) or may_be_gross(s, limits[i])}
+        shown = {i for i, s in best.items() if may_show(s, found.limits[i], setting.policy.testable)}
         blind = [i for i, s in best.items() if not s.instance.acts_by_contact and i not in shown]
         self.facts = dataclasses.replace(self.facts, untestable=tuple(sorted(blind)))
 

@@ -55,7 +55,7 @@ def with_replacement(
     best = max(gains, key=lambda effect: gains[effect])
     alike = [effect for effect in sequences if effect != best and gains[best] - gains[effect] < policy.bic_gain]
     # What could not be asked stays a rival.
-    unanswered = [effect for effect in first.rivals if effect not in answered and effect != best]
+    unanswered = [effect for effect in first.rivals if effect not in answered]
     late = tuple(effect for effect in unanswered if effect in first.late)
     begin = dataclasses.replace(sequences[best][0], rivals=(*alike, *unanswered), late=late)
     return [begin, *sequences[best][1:]]

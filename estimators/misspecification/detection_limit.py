@@ -22,9 +22,9 @@ def is_testable(s: Screened, limit: float, most: float) -> bool:
     return bool(np.isfinite(limit) and limit < most * abs(_plausible(s)))
 
 
-def may_be_gross(s: Screened, limit: float) -> bool:
-    """Return whether a candidate may be as large as its detection limit, however little is plausible."""
-    return bool(np.isfinite(limit) and limit < declarations(s.instance)[main_amplitude(s)].largest)
+def may_show(s: Screened, limit: float, most: float) -> bool:
+    """Return whether a candidate may be as large as its detection limit: testable, or gross however little is plausible."""
+    return bool(np.isfinite(limit) and limit < largest_size(s.instance, main_amplitude(s), most))
 
 
 def largest_size(instance: Effect, amplitude: str, most: float) -> float:

@@ -290,3 +290,21 @@ def test_what_was_released_and_ends_no_better_is_pulled_no_longer(fitted, monkey
     monkeypatch.setattr(_bounds, "_on_bounds", lambda *_: ({}, next(inside)))
     found = solve_bounded(problem.unknowns, problem.arguments)
     assert (found.cost, bool(found.pulled)) == (100.0, pulled)
+
+
+def test_where_what_was_released_diverges_it_is_named_and_what_stays_held_is_not(fitted, monkeypatch):
+    recording, fit = fitted
+    problem = at_fit(fit, recording)
+    best = solve_bounded(problem.unknowns, problem.arguments)
+    turns = iter([best, best])
+    belong = iter([({0: -1.0, 1: -1.0}, {}), ({1: -1.0}, {})])
+
+    def solved(*_, **__):
+        if (found := next(turns, None)) is None:
+            raise FloatingPointError
+        return found
+
+    monkeypatch.setattr(_bounds, "solve", solved)
+    monkeypatch.setattr(_bounds, "_on_bounds", lambda *_: next(belong))
+    space = problem.arguments.space
+    assert solve_bounded(problem.unknowns, problem.arguments).pulled == (space.names[int(space.active[0])],)

@@ -14,7 +14,7 @@ from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
 from estimators.diagnosis.stepwise_selection import improvements
 from estimators.misspecification.adequacy import adequacy_tests
 from estimators.misspecification.candidate_screening import Screened
-from estimators.misspecification.detection_limit import is_testable, may_be_gross
+from estimators.misspecification.detection_limit import is_testable, may_show
 from estimators.misspecification.findings import Findings
 from rtac_jax.effects import CubicSpring, GravityTilt
 
@@ -107,6 +107,8 @@ def test_the_policy_decides_what_the_data_can_show() -> None:
     found = Screened("cubic_spring", spring, ("stiffness",), np.zeros(1), 0.0, 1.0, np.array([50.0]), np.ones((3, 1)))
     assert is_testable(found, 50.0, STANDARD.testable)
     assert not is_testable(found, 50.0, 20.0)
+    assert may_show(found, 50.0, STANDARD.testable)
+    assert not may_show(found, 50.0, 20.0)
 
 
 def test_what_may_be_gross_is_tried_beyond_its_plausible_size() -> None:
@@ -116,8 +118,8 @@ def test_what_may_be_gross_is_tried_beyond_its_plausible_size() -> None:
         "gravity_tilt", tilt, ("along", "across"), np.zeros(2), 0.0, 1.0, np.full(2, 0.302), np.ones((3, 2))
     )
     assert STANDARD.testable * 0.01 < 0.302
-    assert may_be_gross(found, 0.302)
-    assert not may_be_gross(found, 11.0)
+    assert may_show(found, 0.302, STANDARD.testable)
+    assert not may_show(found, 11.0, STANDARD.testable)
     assert not is_testable(found, 0.302, STANDARD.testable), "no size that is told to be found from there on"
 
 

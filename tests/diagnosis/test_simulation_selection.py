@@ -3,11 +3,15 @@
 import dataclasses
 from collections.abc import Mapping, Sequence
 
+import numpy as np
 import pytest
 from known_search import Known, force, known, sized
 from made_up_results import candidate
 
-from estimators.diagnosis import simulation_selection
+from estimators.core.fisher_information import information_of
+from estimators.core.fit import Fit
+from estimators.core.results import RESULTS
+from estimators.diagnosis import simulated_fits, simulation_selection
 from estimators.diagnosis.evidence import FittedModel, SimulationError
 from estimators.diagnosis.laboratory import Way
 from estimators.diagnosis.policy import STANDARD
@@ -15,7 +19,10 @@ from estimators.diagnosis.selection import Selection
 from estimators.diagnosis.simulation_remarks import found_by_simulation, untried
 from estimators.diagnosis.verdict import decide
 from estimators.misspecification.adequacy import AdequacyTest
+from estimators.misspecification.candidate_screening import Screened
 from estimators.misspecification.findings import Findings, Score
+from rtac_jax import RTAC
+from rtac_jax.effects import GravityTilt
 
 # Of a positioning axis whose encoder has next to no noise: errors of fitted simulations over it.
 ERRORS = known(
@@ -252,3 +259,12 @@ def test_effects_that_leave_as_much_are_rivals() -> None:
     laboratory = Axis(known(base=33_154.0, encoder_lag=33_154.0, arm_coulomb=80.0, current_offset=81.0))
     found = decide(laboratory, STANDARD, thorough=True)
     assert (found.verdict, found.rivals) == ("ambiguous", {"arm_coulomb": ("current_offset",)})
+
+
+@pytest.mark.parametrize(("across", "plausible"), [(3.8, True), (11.0, False)])
+def test_a_simulation_may_end_at_a_gross_size_where_the_declaration_admits_it(across: float, plausible: bool) -> None:
+    tilt = GravityTilt(0.01, 0.01)
+    asked = Screened("gravity_tilt", tilt, ("along", "across"), np.zeros(2), 0.0, 1.0, np.ones(2), np.ones((3, 2)))
+    known = information_of(np.eye(1), ("total_mass",), np.ones(1))
+    fit = Fit(RTAC.paper() + GravityTilt(0.0, across), RESULTS.successful, known, {}, {}, {}, ("a",), {})
+    assert simulated_fits._plausible(fit, asked, STANDARD) == plausible

@@ -90,6 +90,8 @@ def test_a_fit_that_a_kink_stopped_says_so(noisy_fit: est.Fit) -> None:
     assert "By their slopes the best is likelier by 0.06 only, and lies within 0.4 of the deviations." in nearly.outcome
     far = dataclasses.replace(nearly, residual_std={c: 40.0 * s for c, s in nearly.noise.items()})
     assert "By their slopes" not in far.outcome
+    robust = dataclasses.replace(nearly, weights={"free_1": np.ones((2, 3))})
+    assert "By their slopes" not in robust.outcome, "its weights would move, too"
 
 
 @pytest.mark.parametrize("led", [True, False])
@@ -108,6 +110,10 @@ def test_where_models_are_only_ranked_no_predictions_lead(
     assert found.result == est.RESULTS.steps_exhausted
     assert bool(asked) == led
     assert led or found.statistics["steps"] <= 2
+    further = est.output_error(
+        noisy_fit.model.with_values(values), noisy, from_model=True, steps=3, led=False, progress=False
+    )
+    assert further.statistics["steps"] > 2, "the steps that were allowed, and not those before predictions lead"
 
 
 @pytest.mark.parametrize(("apart", "same"), [(0.25, True), (0.35, False)])

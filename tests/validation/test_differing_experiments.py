@@ -103,13 +103,28 @@ def test_a_spring_that_hardens_is_no_parameter_that_differs() -> None:
     assert found is None or not found.is_of_the_rig
 
 
-@pytest.mark.parametrize(("fraction", "asked"), [(0.08, True), (0.15, False)])
+def test_where_no_experiment_was_fitted_by_itself_a_parameter_begins_at_the_common_fit(
+    fit: est.Fit, softening: rtac.Recording
+) -> None:
+    found = est.constancy(fit, softening)
+    place = found.names.index("spring_stiffness")
+    alone = differing_experiments._begun(fit, dataclasses.replace(found, median_over_noise={}), place)
+    assert np.ptp(np.asarray(alone["spring_stiffness"])) == 0.0
+    assert float(alone["torque_constant"]) == float(fit.model["torque_constant"])
+
+
+@pytest.mark.parametrize(("fraction", "coloured", "asked"), [(0.08, 1.0, True), (0.15, 1.0, False), (0.15, 2.0, False)])
 def test_fits_of_single_experiments_need_not_end_at_the_noise_where_the_common_one_is_far_from_it(
-    fit: est.Fit, softening: rtac.Recording, monkeypatch: pytest.MonkeyPatch, fraction: float, asked: bool
+    fit: est.Fit,
+    softening: rtac.Recording,
+    monkeypatch: pytest.MonkeyPatch,
+    fraction: float,
+    coloured: float,
+    asked: bool,
 ) -> None:
     """They begin at the common fit, and may not have come to their ends; what is named must follow all experiments to the noise."""
     left = {channel: fraction * ratio for channel, ratio in fit.residual_over_noise.items()}
-    assert left["cart_position"] > 1.3
+    assert max(left.values()) / coloured > 1.3
     by_itself = dataclasses.replace(
         est.constancy(fit, softening), over_noise={"cart_position": 44.7}, median_over_noise=left,
         varying=("eccentric_moment",),
@@ -123,7 +138,7 @@ def test_fits_of_single_experiments_need_not_end_at_the_noise_where_the_common_o
 
     monkeypatch.setattr(differing_experiments, "_suspects", lambda *_: [])
     monkeypatch.setattr(differing_experiments, "output_error", refused)
-    assert differing(fit, softening) is None
+    assert differing(fit, softening, coloured={c: coloured * size for c, size in fit.noise.items()}) is None
     own = [model for model in tried if "spring_stiffness" in model.per_experiment]
     assert bool(own) == asked
     for model in own:  # begun where each experiment by itself has it

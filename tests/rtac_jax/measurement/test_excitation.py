@@ -244,9 +244,10 @@ WHITE = np.random.default_rng(3).standard_normal(len(T))
         (0.3 * WHITE, False),
         (5e-3 * np.sin(0.02 * np.arange(len(T))), False),
         (0.03 + 5e-3 * WHITE, False),
+        (2e-3 + 5e-3 * WHITE, False),
         (5e-3 * np.sign(WHITE), False),
     ],
-    ids=["noise", "a drive", "a sine", "noise about what drives", "a random binary drive"],
+    ids=["noise", "a drive", "a sine", "noise about what drives", "noise about an offset", "a random binary drive"],
 )
 def test_the_noise_of_a_measured_current_is_told_for_what_it_is(values: np.ndarray, noise: bool) -> None:
     decay = free()

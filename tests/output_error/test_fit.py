@@ -4,7 +4,6 @@ import dataclasses
 import re
 import subprocess
 import sys
-import types
 from typing import Any
 
 import jax.numpy as jnp
@@ -120,20 +119,6 @@ def test_where_models_are_only_ranked_no_predictions_lead(
     assert led or found.statistics["steps"] <= 2
     # The first descent from the values: in the steps that were allowed, or in the few before predictions lead.
     assert mosts[0] == (1 if led else None)
-
-
-@pytest.mark.parametrize(("apart", "same"), [(0.25, True), (0.35, False)])
-def test_a_start_is_known_by_what_the_end_of_another_left(apart: float, same: bool) -> None:
-    """Or by the noise, where that is more; a channel that nobody measured tells nothing."""
-    end = DescentEnd.__new__(DescentEnd)
-    object.__setattr__(end, "deviation", np.array([1e-4, 1.0, 2e-2]))
-    begun, present = np.zeros((5, 3, 2)), np.ones((5, 3, 2))
-    present[:, 1] = 0.0
-    run = Descent.__new__(Descent)
-    run.data, run.followed = types.SimpleNamespace(present=present), [(begun, end)]
-    other = begun + apart * np.array([1e-4, 0.0, 2e-2])[:, None]
-    assert (run._followed(other, np.array([1e-5, 1.0, 1e-3])) is end) == same
-    assert run._followed(other, np.array([2e-4, 1.0, 4e-2])) is end
 
 
 @pytest.mark.slow

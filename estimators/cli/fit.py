@@ -44,7 +44,10 @@ def fit(
     out: Out = None,
     json: Json = None,
 ) -> None:
-    """Fit by closed form, output error and prediction error side by side, with standard deviations, and test their agreement."""
+    """Fit by closed form, output error and prediction error side by side, with standard deviations, and test their agreement.
+
+    What is saved is the fit that is recommended.
+    """
     with job(file, validation, out, json, save) as work:
         import estimators as est
         from estimators.core.piecewise_triangle import LONG
@@ -82,7 +85,7 @@ def fit(
         )
         discounted = _discounted(found) if robust else ""
         work.say(work.remark, f"{first}\n{advice.sentence}", table, criteria, found.outcome, discounted, errors)
-        work.save(found, save)
+        work.save(predicted if predicted is not None and advice.estimator == "prediction error" else found, save)
         content = _report.fit_dict(
             found, train=trained, validation=tested, seconds=work.seconds, beside=known, advice=advice
         )

@@ -182,8 +182,9 @@ def _advice(found: Any, work: Job) -> Any:
 
     if found.predicted:
         return None
-    predicted = None
-    if found.diagnoses[-1].verdict == "adequate" and found.final.farthest > FAR and not found.broken_off:
+    predicted = found.by_predictions
+    asked = predicted is None and not found.broken_off
+    if asked and found.diagnoses[-1].verdict == "adequate" and found.final.farthest > FAR:
         try:
             predicted = est.prediction_error_nonlinear(found.final.model, work.train, from_model=True)
         except (ValueError, est.DivergedError) as error:

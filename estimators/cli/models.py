@@ -30,13 +30,13 @@ def loaded(path: Path, effects: Path | None = None, option: str = "--model") -> 
 
 
 def model_or_fit(path: Path, effects: Path | None = None) -> Any:
-    """Return the model or the fit that a file holds; of an improvement the last fit."""
+    """Return the model or the fit that a file holds; of an improvement the last fit, or the model by predictions beside it."""
     import estimators as est
     from rtac_jax import RTAC
 
     found = loaded(path, effects)
     if isinstance(found, est.Improvement):
-        return found.final
+        return found.final if found.by_predictions is None else found.by_predictions.model
     if isinstance(found, est.Fit | RTAC):
         return found
     if isinstance(found, est.PredictorFit | est.ClosedForm):

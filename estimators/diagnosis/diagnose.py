@@ -58,7 +58,7 @@ from estimators.diagnosis.selection import Selection, by_size
 from estimators.diagnosis.setting import Setting, effect_of, setting_of
 from estimators.diagnosis.simulation_remarks import found_by_simulation, untried, without_the_physics
 from estimators.diagnosis.testability import stood_for
-from estimators.diagnosis.verdict import Judgement, decide, judge
+from estimators.diagnosis.verdict import Judgement, decide, is_of_the_current, judge
 from estimators.diagnosis.workers import Workers
 from estimators.diagnosis.wrong_constant import doubt
 from estimators.inference.simulation_residual import random_forces_are_large
@@ -293,7 +293,8 @@ def _explanation(told: Diagnosis, found: Judgement, setting: Setting, *, thoroug
     ):  # or else random forces may stand for what is still missing
         random = found.final.random
         large = random_forces_are_large(random, float(setting.samples_per_radian), told.policy.simulation)
-        text += shaken(*random, setting.left_out, large=large)
+        known = told.evidence is not None and is_of_the_current(told.evidence.facts, random, told.policy)
+        text += shaken(*random, setting.left_out, large=large, of_the_current=known)
     if told.broken_off:
         text += out_of_time(told.broken_off, {c.id for c in told.candidates if c.refitted})
     if setting.assumed:

@@ -138,6 +138,8 @@ class Facts:
         unfollowed: rms error of the diagnosed fit's simulation over the rms of the motion, of the channel where it is most.
         origins: names of the experiments that what was filtered is, or is a piece of, in its order; empty in evidence of an earlier
             version.
+        current_noise: random torque in one sample that the noise of a measured current is, as a fraction of the rms torque; zero
+            where nothing shows any.
     """
 
     samples: int
@@ -152,6 +154,17 @@ class Facts:
     untestable: tuple[str, ...] = ()
     unfollowed: float = 0.0
     origins: tuple[str, ...] = ()
+    current_noise: float = 0.0
+
+    def current_noise_explains(self, random: tuple[float, float], *, force: float, times: float) -> bool:
+        """Return whether the noise of a measured current explains the random forces that a predictor asks for.
+
+        Args:
+            random: force and torque in one sample, as fractions of the rms forces.
+            force: the same, up to which a random force on the cart is next to nothing.
+            times: power of the torque over that of the noise, up to which the noise explains it.
+        """
+        return self.current_noise > 0.0 and random[0] < force and random[1] ** 2 <= times * self.current_noise**2
 
     def origin(self, place: int) -> str:
         """Return the name of the experiment that the one at this place is, or is a piece of."""

@@ -262,7 +262,9 @@ def floor_of(random: float, simulated: float) -> str:
     return AT_NOISE
 
 
-def shaken(random_force: float, random_torque: float, left_out: float, *, large: bool = False) -> str:
+def shaken(
+    random_force: float, random_torque: float, left_out: float, *, large: bool = False, of_the_current: bool = False
+) -> str:
     """Say what random forces mean for the verdict and for the fit that follows; nothing where they are small.
 
     Args:
@@ -270,6 +272,7 @@ def shaken(random_force: float, random_torque: float, left_out: float, *, large:
         random_torque: in one sample, as a fraction of the rms motor torque.
         left_out: fraction of the samples that are stick-slip ambiguous.
         large: whether they are no small disturbance any more, by `random_forces_are_large`.
+        of_the_current: whether the noise of a measured current is a random torque of that size.
     """
     said = ""
     if left_out > _LEFT_OUT:
@@ -285,6 +288,8 @@ def shaken(random_force: float, random_torque: float, left_out: float, *, large:
             "the rig is shaken hard, or they hide what is missing, as parts that hit each other, for which stated limits do not"
             " hold beside such forces"
         )
+    if of_the_current:
+        stand = "as much as the noise of the measured current is, so that nothing need shake the rig"
     return said + (
         f" The predictor asks for random forces even so ({100 * random_force:.1f} % of the rms force in one sample,"
         f" {100 * random_torque:.1f} % of the rms torque): {stand}. A simulation cannot follow them: est.prediction_error_nonlinear"

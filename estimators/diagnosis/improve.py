@@ -117,5 +117,6 @@ def improve(
         hum=hum,
         broken_off=loop.out_of_time or ended.out_of_time or any(d.broken_off for d in diagnoses),
         not_added=loop.not_added,
+        by_predictions=ended.by_predictions,
         doubtful=doubtful(loop.last.fit, loop.followed, added) if loop.last.way == "simulated" else (),
     )

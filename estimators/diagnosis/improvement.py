@@ -22,6 +22,7 @@ from estimators.diagnosis.model_extension import PredictedGain
 from estimators.diagnosis.removed_error import Verdict
 from estimators.linear.homogeneity_test import Equality
 from estimators.linear.outlier import rounded
+from estimators.prediction_error.fit import PredictorFit
 from estimators.validation.simulation_error import Comparison
 from rtac_jax.effects.formula_force import FormulaForce
 from rtac_jax.measurement import Hum, hum_subtracted
@@ -62,6 +63,8 @@ class Improvement(Result):
         not_added: ids of what the last diagnosis names, and what was not fitted before the time was over.
         doubtful: ids of added effects that the last fit, by simulation, does not tell from nothing.
         hum: of the mains, which was subtracted first.
+        by_predictions: the last model fitted by predictions one sample ahead, where nothing is missing and random forces lead its
+            simulation astray: estimates to take in place of those of `final`; None elsewhere.
     """
 
     fits: tuple[Fit, ...]
@@ -84,6 +87,7 @@ class Improvement(Result):
     not_added: tuple[str, ...] = ()
     doubtful: tuple[str, ...] = ()
     hum: tuple[Hum, ...] = ()
+    by_predictions: PredictorFit | None = None
 
     foreseen = renamed("foreseen", "predicted_gains")
 
@@ -121,12 +125,18 @@ class Improvement(Result):
             )
         if self.final.result in _UNFINISHED:
             said.append(f"The last model: {self.final.outcome}")
-        else:
+        elif not self._shaken:
             said.extend(self.final.moved_constants)
         if self.diagnoses[-1].verdict == "adequate" and not self._drifts and (strays := self._astray):
             said.append(strays)
         told = [hum_subtracted(self.hum), *said, self.stopped, "" if self.learned is None else str(self.learned)]
         return " ".join(one for one in told if one)
+
+    @property
+    def _shaken(self) -> bool:
+        """Return whether random forces lead the last simulation astray, so that no constant is judged by its estimates."""
+        found = self.diagnoses[-1].simulation
+        return found is not None and found.cause == "shaken"
 
     @property
     def _drifts(self) -> bool:

@@ -361,6 +361,7 @@ def facts_of(setting: Setting, fit: Fit) -> Facts:
         effects={i: traits(effect) for i, effect in setting.classes.items()},
         unfollowed=unfollowed(fit, setting.data, setting.policy.simulation),
         origins=tuple(whole[e.name] for e in setting.experiments),
+        current_noise=setting.current_noise,
     )
 
 

@@ -3,7 +3,7 @@
 import dataclasses
 
 from estimators.core.deadline import OutOfTimeError
-from estimators.core.fit import FAR
+from estimators.core.fit import FAR, Fit
 from estimators.core.results import DivergedError, NotIdentifiableError
 from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.improvement_loop import Loop
@@ -11,7 +11,7 @@ from estimators.diagnosis.learned_force import LearnedForce
 from estimators.diagnosis.model_extension import falls_clearly, misfit
 from estimators.linear.homogeneity_test import Equality
 from estimators.output_error.fit import output_error
-from estimators.prediction_error.fit import prediction_error_nonlinear
+from estimators.prediction_error.fit import PredictorFit, prediction_error_nonlinear
 from estimators.validation.differing_experiments import WORTH_ASKING
 from estimators.validation.simulation_error import compare
 
@@ -25,6 +25,7 @@ class LoopEnd:
         nearest, learned: the last resort of its last model, if there is one.
         differs: what differs between experiments; None where they do not.
         out_of_time: whether the deadline that is kept was over before all was asked.
+        led: a fit of a model by predictions, from which no fit by simulation serves better than the one it is beside.
     """
 
     loop: Loop
@@ -32,6 +33,14 @@ class LoopEnd:
     learned: LearnedForce | None = None
     differs: Equality | None = None
     out_of_time: bool = False
+    led: tuple[Fit, PredictorFit] | None = None
+
+    @property
+    def by_predictions(self) -> PredictorFit | None:
+        """Return the fit of the last model by predictions one sample ahead, where its simulation strays; None elsewhere."""
+        if self.led is None or self.led[0] is not self.loop.last.fit or self.led[0].farthest <= FAR:
+            return None
+        return self.led[1]
 
 
 def end_of(loop: Loop, *, last_resort: bool) -> LoopEnd:
@@ -52,34 +61,43 @@ def end_of(loop: Loop, *, last_resort: bool) -> LoopEnd:
 
 def _look_again(end: LoopEnd) -> None:
     """Fit what simulates far off from elsewhere, or with a runner-up, leave out what others supersede, and try simpler laws."""
-    lead_by_predictions(end.loop)
+    led = lead_by_predictions(end.loop)
+    end.led = None if led is None else (end.loop.last.fit, led)
     end.loop = end.loop.with_runner_up() or end.loop
     end.loop.drop_superseded()
     end.loop = end.loop.with_simpler_law() or end.loop
 
 
-def lead_by_predictions(loop: Loop) -> None:
+def lead_by_predictions(loop: Loop) -> PredictorFit | None:
     """Fit the last model anew from where predictions one sample ahead lead, if it is adequate to these and simulates far off.
 
     Its fit by simulation may have ended in another minimum. Kept where most of the held-out error falls.
+
+    Returns:
+        the fit by predictions, where no fit by simulation from there serves better; None elsewhere, and where none was asked.
     """
     last = loop.last
     far = max(e.rms_over_noise for e in last.tested.errors.values()) > FAR
     adequate = loop.diagnoses[-1].verdict == "adequate"
     if not far or not loop.all_simulated or not adequate or loop.deadline.over:
-        return
+        return None
     try:
         led = prediction_error_nonlinear(last.fit.model, loop.train, from_model=True, progress=loop.progress)
+    except (NotIdentifiableError, DivergedError, FloatingPointError):
+        return None
+    try:
         fit = output_error(led.model, loop.train, from_model=True, progress=loop.progress)
         tested = compare(fit, loop.held_out, labels=[last.tested.label]).models[0]
     except (NotIdentifiableError, DivergedError, FloatingPointError):
-        return
-    if not fit.lost and misfit(tested) <= (1 - loop.policy.static) * misfit(last.tested):
-        loop.steps[-1] = loop.steps[-1][0], dataclasses.replace(last, fit=fit, tested=tested)
-        loop.stopped = (
-            f"The last model is fitted again from where predictions lead: the held-out experiments were left at "
-            f"{misfit(last.tested):.3g} times the noise, and are at {misfit(tested):.3g}. {loop.stopped}"
-        )
+        return led
+    if fit.lost or misfit(tested) > (1 - loop.policy.static) * misfit(last.tested):
+        return led
+    loop.steps[-1] = loop.steps[-1][0], dataclasses.replace(last, fit=fit, tested=tested)
+    loop.stopped = (
+        f"The last model is fitted again from where predictions lead: the held-out experiments were left at "
+        f"{misfit(last.tested):.3g} times the noise, and are at {misfit(tested):.3g}. {loop.stopped}"
+    )
+    return None
 
 
 def _resort(end: LoopEnd, *, last_resort: bool) -> None:

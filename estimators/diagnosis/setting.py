@@ -78,6 +78,12 @@ class Setting:
         scales = scales_of(self.model, self.experiments)
         return 1.0 / (scales.frequency * scales.sample_time)
 
+    @property
+    def current_noise(self) -> float:
+        """Return the random torque in one sample that the noise of a measured current is, as a fraction of the rms torque."""
+        torque = scales_of(self.model, self.experiments).torque
+        return float(np.mean(np.asarray(self.model["torque_constant"]))) * self.recording.current_noise() / torque
+
     def stretches(self) -> np.ndarray:
         """Return for every sample and experiment the number of the second that it belongs to."""
         return stretches(self.data)

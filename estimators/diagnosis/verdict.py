@@ -4,7 +4,7 @@ import dataclasses
 import math
 from collections.abc import Sequence
 
-from estimators.diagnosis.evidence import Evidence, FittedModel
+from estimators.diagnosis.evidence import Evidence, Facts, FittedModel
 from estimators.diagnosis.laboratory import Archive, Laboratory
 from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
 from estimators.diagnosis.removed_error import Verdict, without_named_rivals
@@ -159,6 +159,8 @@ def _of_base(laboratory: Laboratory, found: Selection, policy: DiagnosisPolicy) 
         if not alarming(scores, critical)
         else []
     )
+    if is_of_the_current(laboratory.facts, found.base.random, policy):
+        few = []  # what is known to act needs no effect that would explain it too
     loudest = max(few, key=lambda s: s.statistic, default=None)
     suspect = "" if loudest is None else f"{loudest.id} ({loudest.statistic:.0f}, the alarm is at {critical.alarm:.0f})"
     return _residual(laboratory, found.base, policy, suspect)
@@ -204,7 +206,13 @@ def _residual(
         error.error, error.shaken, error.signal, random=error.random, suspect=suspect, seconds=facts.seconds,
         samples_per_radian=facts.samples_per_radian, experiments=facts.experiments, noise_known=facts.noise_known,
         unknown=error.unknown, added=model.added, limits=policy.simulation,
+        of_the_current=is_of_the_current(facts, error.random, policy),
     )  # fmt: skip
     # A fit that ended elsewhere than at the best, or a motion that no simulation can follow, is no failing of the model: where no
     # noise is known, random forces in place of its own are.
     return found if facts.noise_known or found.cause == "stand-in" else None
+
+
+def is_of_the_current(facts: Facts, random: tuple[float, float], policy: DiagnosisPolicy) -> bool:
+    """Return whether random forces are the noise of a measured current."""
+    return facts.current_noise_explains(random, force=policy.gross_random, times=policy.simulation.beyond)

@@ -157,6 +157,7 @@ def simulation_residual(
     noise_known: bool = True,
     unknown: Collection[str] = (),
     added: Sequence[str] = (),
+    of_the_current: bool = False,
     limits: SimulationLimits = STANDARD,
 ) -> SimulationResidual:
     """Judge the simulation error of a fit.
@@ -182,6 +183,7 @@ def simulation_residual(
         noise_known: whether the noise of any channel is known apart from a fit.
         unknown: channels of which it is not, where it is of others.
         added: ids of the effects that the model has beside those of the fit that is diagnosed.
+        of_the_current: whether the noise of a measured current is a random torque of the size that the predictor asks for.
         limits: the thresholds.
     """
     nothing = float("nan")
@@ -201,9 +203,10 @@ def simulation_residual(
         misses = f"{simulation} is {percent(fraction)} of the motion away from the recording ({channel})"
         if noise_known and channel not in unknown:
             misses += f", {error[channel]:.2g} times the known noise"
-        words = _words(cause, misses, shaken.get(channel, nothing), random, suspect, seconds)
+        by = shaken.get(channel, nothing)
+        words = _words(cause, misses, by, random, suspect, seconds, of_the_current=of_the_current)
         return SimulationResidual(
-            cause, channel, error[channel], shaken.get(channel, nothing), fraction, *random, words,
+            cause, channel, error[channel], by, fraction, *random, words,
             noise_known and channel not in unknown,
         )  # fmt: skip
 
@@ -237,6 +240,8 @@ def _words(
     random: tuple[float, float],
     suspect: str,
     seconds: int,
+    *,
+    of_the_current: bool,
 ) -> str:
     if cause == "noise":
         return ""
@@ -259,7 +264,10 @@ def _words(
             f"Too few data: {misses}. Random forces ({size}) would explain that, and so might {suspect}; {seconds} s of data are"
             " too few to tell a random force from a missing effect."
         )
+    why = "the rig is shaken, or they hide what is smaller"
+    if of_the_current:
+        why = "the measured current has noise that shakes the model as much, so nothing else need be"
     return (
         f"One sample ahead nothing is missing. Even so, {misses}, as random forces of the size that the predictions ask for would"
-        f" leave it ({shaken:.2g} times the noise; {size}): the rig is shaken, or they hide what is smaller."
+        f" leave it ({shaken:.2g} times the noise; {size}): {why}."
     )

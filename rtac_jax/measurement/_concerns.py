@@ -10,6 +10,7 @@ from rtac_jax.arguments import checked_arguments
 
 from ._channel_checks import channel_concerns, rest_concerns, unit_concerns
 from ._experiment import Experiment
+from ._input_noise import current_noise, noise_level
 from ._momentary_faults import momentary_faults, resolution
 from ._recording import POSITIVE, Recording
 from ._signal import OUTPUTS, Signal
@@ -21,9 +22,6 @@ SAMPLES_PER_PERIOD = 20
 OUTLIER_SIGMAS = 10
 OUTLIER_WINDOW = 51
 MOVING_SIGMAS = 2  # times the noise from which on a channel moves: three quarters of its power are motion
-# Of a current that looks like noise: its rms over that of those that drive (a shunt and a 12-bit converter leave some percent), its
-# mean in deviations of a mean, and its levels (a random binary sequence has two, quantised noise of a converter seldom fewer).
-_SMALL_CURRENT, _CHANCE_OF_MEAN, _FEW_LEVELS = 0.1, 5.0, 3
 # From the median of absolute values to the standard deviation, for Gaussian noise.
 MEDIAN_TO_STD = 1.4826
 # Ratio of stated noise: where half of the samples have either, equal weights make deviations larger by 8 %.
@@ -34,7 +32,7 @@ UNEQUAL_NOISE = 1.5
 def concerns(recording: Recording) -> list[str]:
     """Return what looks wrong with `recording`, one sentence each; empty when nothing does."""
     with np.errstate(all="ignore"):
-        noisy = _noise_of_inputs(recording)
+        noisy = current_noise(recording.experiments)
 
         def of(experiment: Experiment) -> Iterator[str]:
             return _about_experiment(experiment, silent=experiment.name in noisy)
@@ -43,37 +41,12 @@ def concerns(recording: Recording) -> list[str]:
         return several if not noisy else [*several, _of_noisy_inputs(noisy)]
 
 
-def _noise_of_inputs(recording: Recording) -> dict[str, float]:
-    """Return the rms of a current that looks like the noise of a measured one, by name of an experiment that is not forced [A].
-
-    It does where its mean is what chance leaves of it, a sample tells next to nothing of the one after it, it has many levels, and
-    all of it is small beside what drives forced experiments.
-    """
-    currents = {e.name: e.inputs["current"].values for e in recording if "current" in e.inputs}
-    size = {name: float(np.sqrt(np.mean(values**2))) for name, values in currents.items()}
-    most = _SMALL_CURRENT * max((size[e.name] for e in recording if e.kind == "forced" and e.name in size), default=0.0)
-    return {
-        e.name: size[e.name]
-        for e in recording
-        if e.kind != "forced"
-        and 0.0 < size.get(e.name, 0.0) <= most
-        and _looks_like_noise(currents[e.name], size[e.name])
-    }
-
-
-def _looks_like_noise(values: Float64[np.ndarray, " sample"], size: float) -> bool:
-    """Return whether samples scatter about zero with no memory and on many levels, as a random binary sequence does not."""
-    # The mean of n independent samples is their deviation over the root of n; neighbours differ by the root of two times it.
-    about_zero = abs(float(np.mean(values))) <= _CHANCE_OF_MEAN * size / np.sqrt(len(values))
-    return about_zero and float(np.std(np.diff(values))) > size and len(np.unique(values)) > _FEW_LEVELS
-
-
 def _of_noisy_inputs(noisy: dict[str, float]) -> str:
     """Return what is to be done about currents that look like noise."""
-    size = float(np.sqrt(np.mean(np.square(list(noisy.values())))))
     return (
-        f"{_listed(list(noisy))}: the current looks like noise of {size:.2g} A rms, as where it is measured; if it was played, set"
-        " the kind to forced. An input with noise shakes the model as a random torque would, and a fit by simulation, which knows"
+        f"{_listed(list(noisy))}: the current looks like noise of {noise_level(noisy):.2g} A rms, as where it is measured; if"
+        " it was played, set the kind to forced. An input with noise shakes the model as a random torque would, and a fit by"
+        " simulation, which knows"
         " none, ends beside the truth: give the command, where the current follows it, or take the estimates of the prediction"
         " error (est.prediction_error_nonlinear, rtac fit)."
     )

@@ -16,6 +16,7 @@ from ._errors import RecordingError
 from ._experiment import Experiment
 from ._hum import Hum, without_hum
 from ._info import describe
+from ._input_noise import current_noise, noise_level
 from ._signal import finite, positive, rebuild
 
 POSITIVE = ("total_mass", "arm_inertia", "spring_stiffness", "torque_constant", "eccentric_moment")
@@ -282,6 +283,14 @@ class Recording:
         """
         found, experiments = self._parted
         return replace(self, experiments=experiments) if found else self
+
+    def current_noise(self) -> float:
+        """Return the standard deviation of a measured current's noise, as experiments show it that nothing drives [A].
+
+        Zero where the current is a command, or no such experiment was recorded. It shakes a model as a random torque would: each
+        sample by `torque_constant` times as much.
+        """
+        return noise_level(current_noise(self.experiments))
 
     @cached_property
     def _parted(self) -> tuple[tuple[Hum, ...], tuple[Experiment, ...]]:

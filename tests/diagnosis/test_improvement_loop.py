@@ -319,11 +319,16 @@ def test_a_fit_that_ended_far_off_is_led_by_predictions(
     loop.steps.append((("encoder_lag",), fitted(6e-3, 1e-5, error)))
     loop.diagnoses = [made_up_results.diagnosis(verdict)]
     led = fitted(5e-3, 1e-5, left)
-    monkeypatch.setattr(loop_end, "prediction_error_nonlinear", lambda *_, **__: led.fit)
+    predicted = made(est.PredictorFit, model=led.fit.model)
+    monkeypatch.setattr(loop_end, "prediction_error_nonlinear", lambda *_, **__: predicted)
     monkeypatch.setattr(loop_end, "output_error", lambda *_, **__: led.fit)
     monkeypatch.setattr(loop_end, "compare", lambda *_, **__: made(est.Comparison, models=(led.tested,)))
-    loop_end.lead_by_predictions(loop)
+    beside = loop_end.lead_by_predictions(loop)
     assert (loop.last.fit is led.fit) == taken
+    asked = error > 10.0 and verdict == "adequate"
+    assert (beside is predicted) == (asked and not taken), (
+        "estimates by predictions are kept where no simulation serves better"
+    )
     assert loop.steps[-1][0] == ("encoder_lag",)
 
 

@@ -286,7 +286,9 @@ def _ranges(setting: Setting) -> dict[str, tuple[float, float]]:
         return [e.outputs[channel].values for e in setting.experiments if channel in e.outputs]
 
     scales = scales_of(setting.model, setting.experiments)
-    reach = 2.5 * scales.velocity if outputs("cart_position") else 0.0
+    # Of a swing the largest speed is the largest deflection times the frequency: a decay is several times as fast as the rms.
+    deflections = [np.abs(values - np.nanmedian(values)) for values in outputs("cart_position")]
+    reach = scales.frequency * between(deflections)[1]
     arm = any(e.arm == "free" for e in setting.experiments)
     return {
         "cart_position": between(outputs("cart_position")),

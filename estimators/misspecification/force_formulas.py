@@ -19,7 +19,7 @@ _TOLD = 2.0  # standard deviations from zero that every coefficient has to be
 _NEARLY = 0.9  # of what the best formula gains, from which a simpler one is told, too
 _SEEN = 1e-6  # information on a term, relative to the largest, below which the model's own parameters explain it
 _ALIKE = 0.9999  # correlation of two terms from which they are one
-_SHAPES = (0.05, 0.1, 0.2, 0.4, 0.8)  # scales of saturations, over the range of the variable
+_SHAPES = (0.05, 0.1, 0.2, 0.4, 0.8)  # scales of saturations and peaks, over the range of the variable
 _PERIODS = (
     0.25,
     0.35,
@@ -77,7 +77,7 @@ class Formula:
 def formulas_of(
     port: str, variable: str, at: Float[np.ndarray, " knot"], evidence: CurveEvidence, slow: float, *, most: int = 5
 ) -> list[Formula]:
-    """Propose sums of powers, signs, saturations, sines and cosines for a missing force, the best first.
+    """Propose sums of powers, signs, saturations, peaks, sines and cosines for a missing force, the best first.
 
     All subsets of up to three terms are regressed on the curve, weighted by the inverse of its covariance, which is singular
     where the model's own parameters explain a shape: what these take up of a term costs nothing and tells nothing.
@@ -157,7 +157,7 @@ def _library(variable: str, at: np.ndarray, slow: float, information: np.ndarray
     base, level = variable.split(",")[0], "," in variable
     found = [(Term("power", n), 1.0) for n in range(6)] + [(Term("odd", n), 1.0) for n in (2, 4)]
     found += [] if level else [(Term("sign"), 1.0)]
-    found += [(Term("saturation"), fraction * span) for fraction in _SHAPES]
+    found += [(Term(kind), fraction * span) for kind in ("saturation", "peak") for fraction in _SHAPES]
     if base == "arm_angle":
         found += [(Term(kind, n), 1.0) for kind in ("sine", "cosine") for n in range(1, _TURN_NUMBERS + 1)]
     else:

@@ -12,14 +12,17 @@ from rtac_jax.effects.spline_force import PORT_UNITS, PORTS, VARIABLE_UNITS, VAR
 from rtac_jax.parameters import parameter
 
 _SYMBOLS = {"cart_position": "q", "cart_velocity": "q'", "arm_angle": "θ", "arm_velocity": "θ'", "current": "i"}
-_SHAPED = ("saturation", "sine", "cosine")
+_SHAPED = ("saturation", "peak", "sine", "cosine")
+_SCALED = ("saturation", "peak")  # by a scale; the others by a wave number
 
 
 class Term(NamedTuple):
     """One term of a formula.
 
     Attributes:
-        kind: "power" for x^number, "odd" for x |x|^(number - 1), "sign", "saturation" for tanh(x / scale), "sine" or "cosine".
+        kind: "power" for x^number, "odd" for x |x|^(number - 1), "sign", "saturation" for tanh(x / scale), "peak" for
+            x / (1 + (x / scale)^2), which is largest at the scale and falls beyond, as an eddy-current brake does (Smythe, Trans.
+            AIEE 61 (1942)), "sine" or "cosine".
         number: exponent; of a sine or cosine the wave number where it is a whole number of periods in a turn, or 0 where
             the wave number is a parameter.
     """
@@ -37,7 +40,7 @@ class Term(NamedTuple):
 
         Args:
             x: the variable, SI units.
-            shape: scale of a saturation [unit of x] or wave number [1/unit of x].
+            shape: scale of a saturation or peak [unit of x], or wave number [1/unit of x].
             slow: below which a sign fades [unit of x].
             xp: `numpy` or `jax.numpy`.
         """
@@ -49,6 +52,8 @@ class Term(NamedTuple):
             return x / xp.sqrt(x * x + slow * slow)
         if self.kind == "saturation":
             return xp.tanh(x / shape)
+        if self.kind == "peak":
+            return x / (1.0 + (x / shape) ** 2)
         return (xp.sin if self.kind == "sine" else xp.cos)((self.number or shape) * x)
 
     def text(self, symbol: str, place: int) -> str:
@@ -61,6 +66,8 @@ class Term(NamedTuple):
             return f"sign({symbol})"
         if self.kind == "saturation":
             return f"tanh({symbol} / s_{place})"
+        if self.kind == "peak":
+            return f"{symbol} / (1 + ({symbol} / s_{place})^2)"
         inner = symbol if self.number == 1 else f"{self.number} {symbol}" if self.number else f"k_{place} {symbol}"
         return f"{'sin' if self.kind == 'sine' else 'cos'}({inner})"
 
@@ -120,17 +127,17 @@ def formula_class(port: str, variable: str, terms: tuple[Term, ...], slow: float
     each = f"({unit})" if "/" in unit else unit
     fields: dict[str, Any] = {}
     for place, term in enumerate(terms, 1):
-        power = term.number if term.kind in ("power", "odd") else 0
+        power = term.number if term.kind in ("power", "odd") else int(term.kind == "peak")
         per = "" if not power else f"/{each}" if power == 1 else f"/{each}^{power}"
         fields[f"coefficient_{place}"] = parameter(
             symbol=f"c_{place}", unit=PORT_UNITS[port] + per, meaning=f"coefficient of {term.text(symbol, place) or '1'}",
             null=0.0, plausible=1.0,
         )  # fmt: skip
         if term.shaped:
-            saturates = term.kind == "saturation"
+            scaled = term.kind in _SCALED
             fields[f"shape_{place}"] = parameter(
-                symbol=f"{'s' if saturates else 'k'}_{place}", unit=unit if saturates else f"rad/{each}",
-                meaning="scale" if saturates else "wave number", bounds=(0.0, np.inf), plausible=1.0,
+                symbol=f"{'s' if scaled else 'k'}_{place}", unit=unit if scaled else f"rad/{each}",
+                meaning="scale" if scaled else "wave number", bounds=(0.0, np.inf), plausible=1.0,
             )  # fmt: skip
     against = "" if "," not in variable else f" × (-sign({_SYMBOLS[base]}'))"
     equation = " + ".join(f"c_{n} {term.text(symbol, n)}".strip() for n, term in enumerate(terms, 1))

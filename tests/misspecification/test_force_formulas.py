@@ -73,6 +73,18 @@ def test_a_drag_that_saturates_is_read_as_a_saturation():
     assert best.parameters[f"shape_{place}"].value == pytest.approx(0.03, rel=0.25)
 
 
+def test_a_brake_whose_force_falls_beyond_its_critical_speed_is_read_as_a_peak():
+    """-1.6 v / (1 + (v / 0.05 m/s)^2): an eddy-current brake, largest at 0.05 m/s, beside the linear damper."""
+    at, known = evidence(lambda q, v: -1.6 * v / (1 + (v / 0.05) ** 2), 1, seed=5, push=0.4)
+    best = formulas_of("cart", "cart_velocity", at, known, 1e-4)[0]
+    assert best.effect.terms == (Term("peak"),)
+    shown = best.parameters
+    assert (shown["coefficient_1"].unit, shown["shape_1"].unit) == ("N/(m/s)", "m/s")
+    assert shown["coefficient_1"].value == pytest.approx(-1.6, rel=0.15)
+    assert shown["shape_1"].value == pytest.approx(0.05, rel=0.25)
+    assert "q' / (1 + (q' / (" in best.text
+
+
 def test_two_powers_are_read_as_two_powers_with_their_units():
     """A spring that is harder on one side, and at the fifth power: -40 N/m^2 of q^2 and -2e8 N/m^5 of q^5."""
     at, known = evidence(lambda q, v: -600.0 * q**2 - 3e8 * q**5, 0, seed=3)

@@ -82,6 +82,7 @@ def diagnose(
     policy: DiagnosisPolicy = STANDARD,
     within: float | None = None,
     progress: bool = True,
+    laws_first: bool = False,
 ) -> Diagnosis:
     """Say which effects the model of a fit leaves out, or that none is, or that the data cannot say.
 
@@ -96,6 +97,8 @@ def diagnose(
             is of what was until then, and says so; the rest is for holding what is named against a simulation. By default
             the diagnosis goes on to its end. What the same seconds suffice for differs from machine to machine.
         progress: show how far it is, as `core.progress.Progress` does.
+        laws_first: do not look again at what raised no alarm where a force of one variable explains nearly all that is missing, and
+            no effect does: a law may be read off it (`curves[0].formulas()`), as `improve` does. `awaits_law` tells.
 
     Raises:
         ValueError: nothing that was fitted is in the recording, no candidate is left, or one is declared so that it cannot be
@@ -117,9 +120,13 @@ def diagnose(
     # Whatever deadline whoever asks keeps: refits alone are broken off.
     with Deadline().kept(), Progress("diagnose", show=progress) as shown:
         part = enough_of(fit, recording, policy)
-        told = _diagnosed(fit, part, candidates, classes, policy, shown, deadline, thorough=thorough)
+        told = _diagnosed(
+            fit, part, candidates, classes, policy, shown, deadline, thorough=thorough, laws_first=laws_first
+        )
         if part is not recording and not told.additions and not deadline.over:
-            told = _diagnosed(fit, recording, candidates, classes, policy, shown, deadline, thorough=thorough)
+            told = _diagnosed(
+                fit, recording, candidates, classes, policy, shown, deadline, thorough=thorough, laws_first=laws_first
+            )
         elif part is not recording:
             told = dataclasses.replace(
                 told, explanation=told.explanation + of_part(sum(e.samples for e in moving(part)))
@@ -137,6 +144,7 @@ def _diagnosed(
     deadline: Deadline,
     *,
     thorough: bool,
+    laws_first: bool,
 ) -> Diagnosis:
     """Diagnose a fit by the recording that it was fitted to, or by a part of it."""
     setting = setting_of(fit, recording, classes, shown, policy)
@@ -147,8 +155,8 @@ def _diagnosed(
         )
     with warnings.catch_warnings():  # what threads do to the filters at the same time ends here
         laboratory = _begun(setting, fit, Workers(), deadline, whole=candidates is None)
-        decide(laboratory, policy, thorough=thorough)
-        evidence = laboratory.evidence(thorough=thorough)
+        decide(laboratory, policy, thorough=thorough, laws_first=laws_first)
+        evidence = laboratory.evidence(thorough=thorough, laws_first=laws_first)
     shown.at("diagnose: verdict")
     unshown = [c for c in classes if c.id not in setting.absent and not stood_for(c, setting.experiments)]
     told = _told(laboratory, evidence, judge(evidence, policy), unshown, fit)
@@ -233,6 +241,7 @@ def _told(
         rounded=rounded(setting.experiments, laboratory.facts.noise),
         values={name: float(value) for name, value in final.values.items()},
         broken_off=laboratory.broken_off,
+        awaits_law=found.selection.static,
     )
     return dataclasses.replace(told, explanation=_explanation(told, found, setting, thorough=evidence.thorough))
 
@@ -285,7 +294,9 @@ def _explanation(told: Diagnosis, found: Judgement, setting: Setting, *, thoroug
         text += (
             f" The intervals of {', '.join(struck)} may be far too narrow: they leave out when parts hit each other."
         )
-    if told.verdict == "unknown" and told.simulation is None and not thorough:
+    if told.awaits_law:
+        text += " As that explains nearly all, what raised no alarm was not tried: a law may be read off it."
+    elif told.verdict == "unknown" and told.simulation is None and not thorough:
         text += " This was a quick diagnosis: a thorough one also tries what raised no alarm."
     vetoed = told.simulation is not None and told.simulation.vetoes
     if not vetoed and not any(

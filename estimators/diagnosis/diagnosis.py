@@ -56,6 +56,8 @@ class Diagnosis(Result):
         rounded: quantisation step of the channels whose noise is next to nothing but rounding, SI units.
         values: of all parameters that the predictor with the additions estimates, SI units.
         broken_off: what was asked and not computed, as the time that was given was over: candidates by id, and what else.
+        awaits_law: whether a force of one variable explains nearly all that is missing, and what raised no alarm was not looked at
+            again for that (`laws_first`).
     """
 
     verdict: Verdict
@@ -84,6 +86,7 @@ class Diagnosis(Result):
     rounded: Mapping[str, float] = dataclasses.field(default_factory=dict)
     values: Mapping[str, float] = dataclasses.field(default_factory=dict)
     broken_off: tuple[str, ...] = ()
+    awaits_law: bool = False
 
     @property
     def misfit(self) -> str:

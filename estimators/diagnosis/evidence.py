@@ -194,6 +194,7 @@ class Evidence:
             of the candidate; empty where it cannot be fitted.
         broken_off: what was asked and not computed, as the time that was given was over: candidates by id, and what else.
         unfitted: the candidates among it whose refits beside a model were broken off, by the number of that model.
+        laws_first: whether nothing more was looked for where a force of one variable explains what is missing.
     """
 
     facts: Facts
@@ -211,6 +212,7 @@ class Evidence:
     simulated: Mapping[tuple[int, str], Mapping[str, float]] = dataclasses.field(default_factory=dict)
     broken_off: tuple[str, ...] = ()
     unfitted: Mapping[int, tuple[str, ...]] = dataclasses.field(default_factory=dict)
+    laws_first: bool = False
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write the evidence to a file (JSON, with NaN and Infinity as numbers), aside first, and renamed once it is whole.

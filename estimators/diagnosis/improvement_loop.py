@@ -56,6 +56,7 @@ class Loop:
         deadline: after which nothing is diagnosed any more, and only what is named already is added.
         out_of_time: whether it ended for that.
         not_added: ids of what is named, and what was not fitted before.
+        law_asked: the last fit beside which a law was looked for, and what came of it.
     """
 
     train: Recording
@@ -74,6 +75,7 @@ class Loop:
     deadline: Deadline = dataclasses.field(default_factory=Deadline)
     out_of_time: bool = False
     not_added: tuple[str, ...] = ()
+    law_asked: "tuple[Fit, Loop | None] | None" = None
 
     @property
     def last(self) -> Added:
@@ -103,7 +105,9 @@ class Loop:
             released = self.last.fit.model.release(*parameters_of(self.last.fit.model, self.held))
             base = dataclasses.replace(self.last.fit, model=released)
             try:
-                found = self._diagnosed(base, self.candidates, thorough=self.thorough)
+                found = self._diagnosed(
+                    base, self.candidates, thorough=self.thorough, laws_first=self.candidates is None
+                )
             except DivergedError as error:
                 if not self.diagnoses:
                     raise
@@ -113,6 +117,11 @@ class Loop:
             self.diagnosed.append(len(self.steps) - 1)
             if self._add_beyond_catalogue(base, found):
                 continue
+            if found.awaits_law:
+                if (further := self.with_law()) is not None and further.ended_adequate:
+                    vars(self).update(vars(further))
+                    return
+                found = self.diagnoses[-1] = self._diagnosed(base, self.candidates, thorough=self.thorough)
             if not found.additions:
                 enough = found.verdict == "adequate"
                 why = "nothing more is missing" if enough else f"{found.no_effect} explains what is missing"
@@ -123,10 +132,12 @@ class Loop:
             if not self.stopped and not offered(self.last.fit.model, self.candidates):
                 self.stopped = "Stopped: every candidate was added."
 
-    def _diagnosed(self, base: Fit, candidates: Sequence[type[Effect]] | None, *, thorough: bool) -> Diagnosis:
+    def _diagnosed(
+        self, base: Fit, candidates: Sequence[type[Effect]] | None, *, thorough: bool, laws_first: bool = False
+    ) -> Diagnosis:
         return diagnose(
             base, self.train, candidates=candidates, thorough=thorough, policy=self.policy, within=self.deadline.within,
-            progress=self.progress,
+            progress=self.progress, laws_first=laws_first,
         )  # fmt: skip
 
     def _add_beyond_catalogue(self, base: Fit, found: Diagnosis) -> bool:
@@ -224,14 +235,8 @@ class Loop:
     def nearest(self) -> tuple[Added, Candidate] | None:
         """Return the model with the effect that explains most of what the last diagnosis cannot name, if it serves."""
         return add_nearest(
-            self.last,
-            self.diagnoses[-1],
-            self._classes,
-            self.train,
-            self.held_out,
-            policy=self.policy,
-            progress=self.progress,
-        )
+            self.last, self.diagnoses[-1], self._classes, self.train, self.held_out, policy=self.policy, progress=self.progress
+        )  # fmt: skip
 
     def with_nearest(self, step: Added, nearest: Candidate) -> "Loop | None":
         """Return the loop that goes on with the nearest effect in the model, where that ends at an adequate one; None elsewhere.
@@ -263,14 +268,15 @@ class Loop:
         curve, _ = static_force(found.curves, found.tests, self.policy)
         if curve is None or found.stands_in or found.drift or not self.all_simulated:
             return None
+        if self.law_asked is not None and self.law_asked[0] is self.last.fit:
+            return self.law_asked[1]
         read = read_law(
             self.last, self.added, curve, self.train, self.held_out, policy=self.policy, progress=self.progress
         )
-        if read is None:
-            return None
-        further = self._going_on(read)
-        followed = all(at_noise(e.rms_over_noise) for e in further.last.tested.errors.values())
-        return further if followed or further.ended_adequate else None
+        further = None if read is None else self._going_on(read)
+        serves = further is not None and (further.ended_adequate or further.follows)
+        self.law_asked = self.last.fit, further if serves else None
+        return self.law_asked[1]
 
     def with_simpler_law(self) -> "Loop | None":
         """Return the loop that goes on with a law of fewer parameters in the place of a force, where that ends adequate as well.
@@ -284,6 +290,11 @@ class Loop:
         )
         further = None if read is None else self._going_on(read)
         return further if further is not None and further.ended_adequate else None
+
+    @property
+    def follows(self) -> bool:
+        """Return whether the last model follows the held-out experiments to the noise."""
+        return all(at_noise(e.rms_over_noise) for e in self.last.tested.errors.values())
 
     @property
     def ended_adequate(self) -> bool:

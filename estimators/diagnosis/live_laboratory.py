@@ -242,11 +242,12 @@ class LiveLaboratory:
         self.tested(model)
         return self._detectable[model.number]
 
-    def evidence(self, *, thorough: bool) -> Evidence:
+    def evidence(self, *, thorough: bool, laws_first: bool) -> Evidence:
         """Return everything that was computed so far.
 
         Args:
             thorough: whether what raised no alarm was looked at again.
+            laws_first: whether that was left off where a force of one variable explains what is missing.
         """
         with contextlib.suppress(ArithmeticError):  # cheap, and any policy may ask for it
             self.simulation(self.base)
@@ -254,6 +255,7 @@ class LiveLaboratory:
         return Evidence(
             facts=self.facts,
             thorough=thorough,
+            laws_first=laws_first,
             models=tuple(self._models),
             coloured=None if coloured is None else coloured.number,
             colour_asked=bool(self._coloured),

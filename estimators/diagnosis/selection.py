@@ -28,6 +28,7 @@ class Selection:
             empty.
         confirmed: of an effect that raised no alarm, how many experiments confirm it, and of how many; else empty.
         hid: whether the steps were looked for behind large random forces, whose place they take.
+        static: whether a force of one variable explains what is missing, so that nothing more was looked for.
     """
 
     base: FittedModel
@@ -38,6 +39,7 @@ class Selection:
     simulated: tuple[float, ...] = ()
     confirmed: tuple[int, ...] = ()
     hid: bool = False
+    static: bool = False
 
     def named(self, samples: int, policy: DiagnosisPolicy) -> tuple[Verdict, int, float]:
         """Return the verdict, the number of steps that it names, and the fraction of the error that they remove."""

@@ -17,8 +17,10 @@ from estimators.inference.simulation_residual import follows_nothing
 from estimators.misspecification.adequacy import (
     adequacy_tests,
     alarming,
+    excess_of,
     overshadowing,
     rejecting,
+    significant,
     suspects,
 )
 from estimators.misspecification.findings import Findings, Score
@@ -43,19 +45,22 @@ class _Look:
     single: bool = False
 
 
-def select(laboratory: Laboratory, policy: DiagnosisPolicy, *, thorough: bool) -> Selection:
+def select(laboratory: Laboratory, policy: DiagnosisPolicy, *, thorough: bool, laws_first: bool = False) -> Selection:
     """Select the effects that improve the base model, with coloured noise where the data ask for it.
 
     Args:
         laboratory: that computes, or knows, what is asked.
         policy: the thresholds.
         thorough: look again at what raised no alarm, where the misfit would stay unknown.
+        laws_first: look for nothing more where a force of one variable explains it (`is_static`).
     """
     if gross(laboratory, policy):
         by_equations = explaining_equations(laboratory, policy)
         if by_equations.named(laboratory.facts.samples, policy)[1]:
             return by_equations
     found = _selected(laboratory, laboratory.base, policy)
+    if laws_first and is_static(laboratory, found, policy):
+        return dataclasses.replace(found, static=True)
     simulated = selected_by_simulation(laboratory, found, policy)
     if simulated is not None:
         return simulated
@@ -67,6 +72,22 @@ def select(laboratory: Laboratory, policy: DiagnosisPolicy, *, thorough: bool) -
         if coloured is not None and coloured.log_likelihood > final.log_likelihood:
             found = _selected(laboratory, coloured, policy)
     return second_looks(laboratory, found, policy) if thorough else found
+
+
+def is_static(laboratory: Laboratory, found: Selection, policy: DiagnosisPolicy) -> bool:
+    """Return whether a force of one variable explains nearly all that is missing, no candidate does, and none is left to ask.
+
+    Where the noise is not known it may be what is missing.
+    """
+    facts, scores = laboratory.facts, found.findings.scores
+    if not facts.rest or found.named(facts.samples, policy)[0] != "unknown":
+        return False
+    test = next((test for test in rejecting(found.tests) if test.test == "static force"), None)
+    several = () if test is None else significant(found.findings.curves, test.level)
+    most = max((curve.excess for curve in several), default=0.0)
+    speaking = alarming(scores, policy.critical) or suspects(scores, found.tests, policy.critical)
+    asked = all(s.id in found.tried for s in speaking)
+    return asked and 0.0 < (1.0 - policy.left) * excess_of(found.tests) <= most
 
 
 def gross(laboratory: Laboratory, policy: DiagnosisPolicy) -> bool:

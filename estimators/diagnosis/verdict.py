@@ -95,7 +95,7 @@ def judge(evidence: Evidence, policy: DiagnosisPolicy = STANDARD) -> Judgement:
         policy: the thresholds.
     """
     archive = Archive(evidence)
-    found = decide(archive, policy, thorough=evidence.thorough)
+    found = decide(archive, policy, thorough=evidence.thorough, laws_first=evidence.laws_first)
     # Evidence of an earlier version was computed by the standard values of what has become a threshold since.
     changed = [
         f"{what} with another {name}"
@@ -106,15 +106,16 @@ def judge(evidence: Evidence, policy: DiagnosisPolicy = STANDARD) -> Judgement:
     return dataclasses.replace(found, incomplete=(*archive.missing, *changed))
 
 
-def decide(laboratory: Laboratory, policy: DiagnosisPolicy, *, thorough: bool) -> Judgement:
+def decide(laboratory: Laboratory, policy: DiagnosisPolicy, *, thorough: bool, laws_first: bool = False) -> Judgement:
     """Select effects, name those that remove nearly everything, and hold that against the error of a simulation.
 
     Args:
         laboratory: that computes, or knows, what is asked.
         policy: the thresholds.
         thorough: look again at what raised no alarm, where the misfit would stay unknown.
+        laws_first: look for nothing more where a force of one variable explains it.
     """
-    found = select(laboratory, policy, thorough=thorough)
+    found = select(laboratory, policy, thorough=thorough, laws_first=laws_first)
     verdict, count, removed = found.named(laboratory.facts.samples, policy)
     simulation = None
     if verdict == "adequate":

@@ -8,17 +8,16 @@ from typing import Any
 import made_up_results
 import numpy as np
 import pytest
+from made_up_loop import added, made, new_loop
 
 import estimators as est
 import rtac_jax as rtac
 from estimators.core.deadline import Deadline
-from estimators.core.fisher_information import Information, information_of
+from estimators.core.fisher_information import Information
 from estimators.core.fit import Parameter
-from estimators.core.results import RESULTS
 from estimators.diagnosis import improvement_loop, loop_end
 from estimators.diagnosis.improvement_loop import Loop
 from estimators.diagnosis.model_extension import Added
-from estimators.diagnosis.policy import STANDARD
 from estimators.diagnosis.read_law import ReadLaw
 from estimators.inference.simulation_residual import SimulationResidual
 from estimators.misspecification.adequacy import AdequacyTest
@@ -28,21 +27,6 @@ from rtac_jax.effects.one_sided_spring import OneSidedSpring
 
 NEAREST = made_up_results.candidate("input_delay", 564.0, error_reduction=0.68)
 BESIDE = made_up_results.candidate("arm_coulomb", 900.0)
-
-
-def made(cls: Any, **values: Any) -> Any:
-    """Return a record with some of its values."""
-    found = object.__new__(cls)
-    values.setdefault("values", {})
-    for name, value in values.items():
-        object.__setattr__(found, name, value)
-    return found
-
-
-def added(model: rtac.RTAC) -> Added:
-    known = information_of(np.eye(1), ("total_mass",), np.ones(1))
-    fit = est.Fit(model, RESULTS.successful, known, {}, {}, {}, (), {})
-    return made(Added, fit=fit, tested=None, way="simulated")
 
 
 @pytest.fixture
@@ -66,11 +50,6 @@ def loop(monkeypatch: pytest.MonkeyPatch) -> Loop:
 
 def extended(before: est.Fit, tested: Any, several: Sequence[Effect], *_: Any, **__: Any) -> Added:
     return added(reduce(rtac.RTAC.__add__, several, before.model))
-
-
-def new_loop(most: int = 4) -> Loop:
-    nothing = made(rtac.Recording)
-    return Loop(nothing, nothing, None, most, True, STANDARD, False, [((), added(rtac.RTAC.paper()))])
 
 
 def test_what_hides_behind_the_nearest_effect_is_found(loop: Loop) -> None:

@@ -40,9 +40,9 @@ def refused(result, status, *words):
         assert word in result.stderr
 
 
-def reported(command, file, out: Path):
+def reported(command, file, out: Path, *options):
     """What a command on a file says, the folder of its report, and its JSON, which must hold no NaN."""
-    result = call(command, file, "--out", out / "new", "--json", out / "result.json")
+    result = call(command, file, "--out", out / "new", "--json", out / "result.json", *options)
     assert result.exit_code == 0, result.output
     return result, out / "new", json.loads((out / "result.json").read_text(), parse_constant=pytest.fail)
 

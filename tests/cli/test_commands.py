@@ -61,6 +61,8 @@ def ran(file, tmp_path_factory):
             fits, (diagnosis,), (0,), diagnosis.effects, "missing", *sides, (), False, (), "Stopped.", 1.0
         )
 
+    saved = tmp_path_factory.mktemp("saved")
+    found["saved"] = saved
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(estimators.diagnosis.candidate_set, "CATALOGUE", {name: CATALOGUE[name] for name in TRIED})
         patch.setattr(estimators, "output_error", once("output_error"))
@@ -68,9 +70,9 @@ def ran(file, tmp_path_factory):
         patch.setattr(estimators, "improve", loop)
         patch.setattr(estimators, "agreement", functools.partial(estimators.agreement, draws=40))
         for command in COMMANDS:
-            found[command] = reported(command, file, tmp_path_factory.mktemp(command))
+            options = ("--save", saved / "fit.h5") if command == "fit" else ()
+            found[command] = reported(command, file, tmp_path_factory.mktemp(command), *options)
 
-        saved = tmp_path_factory.mktemp("saved")
         for (name, _), fit in kept.items():
             if name == "output_error":
                 fit.save(saved / f"{'mended' if 'flexible_mode' in fit.model else 'base'}.h5")
@@ -220,6 +222,11 @@ def test_fit_recommends_one_estimate_and_shows_all_deviations_in_its_report(ran)
     assert (
         "Recommended: prediction error, with the standard deviation for a coloured residual or independent"
         in result.stdout
+    )
+    kept = est.load(ran["saved"] / "fit.h5")
+    assert isinstance(kept, est.PredictorFit), "what is recommended is kept"
+    assert {n: p.value for n, p in kept.parameters.items()} == pytest.approx(
+        {n: p["value"] for n, p in advice["parameters"].items()}
     )
     assert content["criteria"]["bic"] > content["criteria"]["aic"]
     assert f"AIC {content['criteria']['aic']:.1f}" in result.stdout

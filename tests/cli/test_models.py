@@ -87,6 +87,19 @@ def test_another_model_is_fitted_from_its_values(work, fitted, tmp_path, other):
     assert "The model of it.h5 was fitted to this recording, from its values on." in work.remark
 
 
+def test_of_an_improvement_that_random_forces_lead_astray_the_model_by_predictions_counts(tmp_path):
+    from made_up_loop import made
+    from made_up_results import improvement
+
+    predicted = made(est.PredictorFit, model=MODEL.with_values({"spring_stiffness": 140.0}))
+    whole = dataclasses.replace(improvement(), by_predictions=predicted)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(models, "loaded", lambda *_: whole)
+        assert float(models.model_or_fit(tmp_path / "it.h5")["spring_stiffness"]) == 140.0
+        patch.setattr(models, "loaded", lambda *_: dataclasses.replace(whole, by_predictions=None))
+        assert models.model_or_fit(tmp_path / "it.h5") is whole.final
+
+
 def test_experiments_that_a_judged_fit_has_seen_are_named(tmp_path, monkeypatch):
     recording().save(tmp_path / "rig.h5")
     fit_of(recording()["forced_2"]).save(tmp_path / "greedy.h5")

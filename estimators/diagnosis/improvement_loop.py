@@ -24,11 +24,8 @@ from estimators.diagnosis.model_extension import (
 )
 from estimators.diagnosis.nearest_effect import add_nearest
 from estimators.diagnosis.policy import DiagnosisPolicy
-from estimators.diagnosis.read_law import ReadLaw, read_law, simpler_law
+from estimators.diagnosis.read_law import ReadLaw, other_law, read_law, simpler_law
 from estimators.diagnosis.runner_up import runner_up
-from estimators.linear.homogeneity_test import Equality
-from estimators.validation.differing_experiments import WORTH_ASKING, differing, may_show_alone
-from estimators.validation.simulation_error import compare
 from rtac_jax.effects import CATALOGUE, Effect, SplineForce
 from rtac_jax.effects.one_sided_spring import GROSS
 from rtac_jax.measurement import Recording
@@ -198,33 +195,6 @@ class Loop:
         self.added += [known[i] for i in ids]
         return None
 
-    def without_outlier(self, *, least: float = WORTH_ASKING, leave: bool = True) -> Equality | None:
-        """Return what differs between experiments; fit without the one that does alone, if that serves.
-
-        It does where nothing is named, that experiment cannot be the one that alone shows what the model lacks
-        (`may_show_alone`), and the held-out experiments do not lose by it.
-
-        Args:
-            least: residual over noise of the last fit, from which it is asked; by default several times the noise.
-            leave: fit without the one; else it is only told.
-        """
-        found = differing(self.last.fit, self.train, least=least, coloured=self.diagnoses[-1].coloured)
-        one = None if found is None else found.outlying
-        if one is None or not one.decisive or one.fit is None:
-            return found
-        label = (
-            f"without {one.name}"
-            if self.last.tested.label == "base"
-            else f"{self.last.tested.label}, without {one.name}"
-        )
-        tested = compare(one.fit, self.held_out, labels=[label]).models[0]
-        # What was named may rest on that experiment.
-        named = self.added or self.diagnoses[-1].additions
-        if leave and not named and not may_show_alone(self.train, one) and misfit(tested) <= misfit(self.last.tested):
-            self.steps.append(((), Added(one.fit, tested, "held" if self.last.way == "held" else "simulated")))
-            self.left_out = one.name
-        return found
-
     def copied(self) -> "Loop":
         """Return a loop that goes on from here by itself."""
         several = (list(x) for x in (self.steps, self.diagnoses, self.diagnosed, self.added))
@@ -308,7 +278,18 @@ class Loop:
         further.added = read.among(self.added)
         further.stopped = ""
         further.run()
-        further.stopped = f"{read.said(self.last.tested)} {further.stopped}"
+        # With what else was missing in the model, another law may tell.
+        if not further.ended_adequate and further.added[-1].id != read.law.id and not further.deadline.over:
+            other = other_law(
+                read, further.last, further.added, self.train, self.held_out, policy=self.policy, progress=self.progress
+            )
+            if other is not None:
+                further.steps.append(((other.law.id,), other.step))
+                further.added, further.stopped = other.among(further.added), ""
+                further.run()
+                read = other._replace(given_up=read.given_up)
+        last = further.last if read.law.id in further.last.fit.model else read.step
+        further.stopped = f"{read.said(self.last.tested, last)} {further.stopped}"
         return further
 
     def _is_gone(self, candidate: Candidate) -> bool:

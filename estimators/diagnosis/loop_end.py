@@ -8,11 +8,11 @@ from estimators.core.results import DivergedError, NotIdentifiableError
 from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.improvement_loop import Loop
 from estimators.diagnosis.learned_force import LearnedForce
-from estimators.diagnosis.model_extension import falls_clearly, misfit
+from estimators.diagnosis.model_extension import Added, falls_clearly, misfit
 from estimators.linear.homogeneity_test import Equality
 from estimators.output_error.fit import output_error
 from estimators.prediction_error.fit import PredictorFit, prediction_error_nonlinear
-from estimators.validation.differing_experiments import WORTH_ASKING
+from estimators.validation.differing_experiments import WORTH_ASKING, differing, may_show_alone
 from estimators.validation.simulation_error import compare
 
 
@@ -107,7 +107,7 @@ def _resort(end: LoopEnd, *, last_resort: bool) -> None:
     whole = loop.copied()
     # One that differs is left out only where all that may explain it was asked.
     leave = not loop.diagnoses[-1].broken_off
-    end.differs = loop.without_outlier(least=0.0 if unknown else WORTH_ASKING, leave=leave)
+    end.differs = without_outlier(loop, least=0.0 if unknown else WORTH_ASKING, leave=leave)
     if last_resort and unknown and loop.left_out is not None:
         # Unless a last resort that is learned from all serves held-out experiments better: then it alone may show what is missing.
         try:
@@ -117,7 +117,7 @@ def _resort(end: LoopEnd, *, last_resort: bool) -> None:
             raise
         if falls_clearly(loop.last.tested, whole.last.tested, loop.policy):
             end.loop, (end.nearest, end.learned) = whole, resort
-            end.differs = whole.without_outlier(leave=False)
+            end.differs = without_outlier(whole, leave=False)
     elif last_resort and unknown and end.differs is not None and end.differs.is_of_the_rig:
         return  # no law that holds in all of them makes up for that
     elif last_resort and unknown:
@@ -132,4 +132,31 @@ def _resort(end: LoopEnd, *, last_resort: bool) -> None:
             # What a last resort learned from all of them explains is no fault of one.
             kept = end.differs if end.differs is not None and end.differs.outlying is None else None
             end.differs = None
-            end.differs = end.loop.without_outlier(leave=False) or kept
+            end.differs = without_outlier(end.loop, leave=False) or kept
+
+
+def without_outlier(loop: Loop, *, least: float = WORTH_ASKING, leave: bool = True) -> Equality | None:
+    """Return what differs between experiments; fit without the one that does alone, if that serves.
+
+    It does where nothing is named, that experiment cannot be the one that alone shows what the model lacks
+    (`may_show_alone`), and the held-out experiments do not lose by it.
+
+    Args:
+        loop: that has run.
+        least: residual over noise of the last fit, from which it is asked; by default several times the noise.
+        leave: fit without the one; else it is only told.
+    """
+    found = differing(loop.last.fit, loop.train, least=least, coloured=loop.diagnoses[-1].coloured)
+    one = None if found is None else found.outlying
+    if one is None or not one.decisive or one.fit is None:
+        return found
+    label = (
+        f"without {one.name}" if loop.last.tested.label == "base" else f"{loop.last.tested.label}, without {one.name}"
+    )
+    tested = compare(one.fit, loop.held_out, labels=[label]).models[0]
+    # What was named may rest on that experiment.
+    named = loop.added or loop.diagnoses[-1].additions
+    if leave and not named and not may_show_alone(loop.train, one) and misfit(tested) <= misfit(loop.last.tested):
+        loop.steps.append(((), Added(one.fit, tested, "held" if loop.last.way == "held" else "simulated")))
+        loop.left_out = one.name
+    return found

@@ -27,25 +27,34 @@ class ReadLaw(NamedTuple):
     Attributes:
         step: the model with it.
         law: what it is, as a candidate.
-        text: the law, with its values and units as the model has them.
+        formula: the law as it was read.
         given_up: ids of the effects whose place it takes.
+        curve: off which it was read.
+        others: laws that describe the same curve.
     """
 
     step: Added
     law: Candidate
-    text: str
+    formula: Formula
     given_up: tuple[str, ...]
+    curve: ForceCurve
+    others: tuple[Formula, ...] = ()
 
     def among(self, added: Sequence[Candidate]) -> list[Candidate]:
         """Return what was added with the law in the place of what it takes."""
         return [*(c for c in added if c.id not in self.given_up), self.law]
 
-    def said(self, before: Compared) -> str:
-        """Return what it is, what became of other effects, and how far the error falls from that of the model before."""
+    def said(self, before: Compared, last: Added) -> str:
+        """Return what it is, what became of other effects, and how far the error falls.
+
+        Args:
+            before: the model without it, against the held-out experiments.
+            last: the model with it and all that was added since.
+        """
         place = f"takes the place of {', '.join(self.given_up)}" if self.given_up else "is added"
         return (
-            f"{self.text} is a law read off the missing force, in no catalogue, and {place}: the held-out experiments were left at "
-            f"{misfit(before):.3g} times the noise, and are at {misfit(self.step.tested):.3g}."
+            f"{_text(last, self.formula)} is a law read off the missing force, in no catalogue, and {place}: the held-out"
+            f" experiments were left at {misfit(before):.3g} times the noise, and are at {misfit(last.tested):.3g}."
         )
 
 
@@ -112,12 +121,41 @@ def _fitted(
         label = "+ " + ", ".join([*kept, formula.effect.id])
         step = extended_without(last, given_up, [formula.effect], label, train, held_out, progress=progress)
         if step is not None and is_sure(step.fit, formula.effect.id):
-            found.append(ReadLaw(step, _candidate(formula, curve), _text(step, formula), given_up))
+            others = tuple(one for one in formulas if one is not formula)
+            found.append(ReadLaw(step, _candidate(formula, curve), formula, given_up, curve, others))
     return found
 
 
 def _falls(before: Added, after: Added, policy: DiagnosisPolicy) -> bool:
     return misfit(after.tested) <= (1 - policy.fall) * misfit(before.tested)
+
+
+def other_law(
+    read: ReadLaw,
+    last: Added,
+    added: Sequence[Candidate],
+    train: Recording,
+    held_out: Recording,
+    *,
+    policy: DiagnosisPolicy,
+    progress: bool,
+) -> ReadLaw | None:
+    """Return another law of the same curve that does clearly better beside what was added since; None where none does.
+
+    Beside a model that lacks something else as well several laws may do equally badly.
+
+    Args:
+        read: the law in the model.
+        last: the model, with all that was added.
+        added: these effects, and the law.
+        train: the recording that is fitted.
+        held_out: the recording that validates.
+        policy: the thresholds.
+        progress: show bars.
+    """
+    fitted = _fitted(last, added, read.curve, read.others, (read.law.id,), train, held_out, progress=progress)
+    best = min(fitted, key=lambda law: misfit(law.step.tested), default=None)
+    return best if best is not None and _falls(last, best.step, policy) else None
 
 
 def simpler_law(

@@ -16,17 +16,20 @@ from estimators.core.deadline import Deadline
 from estimators.core.fisher_information import Information
 from estimators.core.fit import Parameter
 from estimators.diagnosis import improvement_loop, loop_end
+from estimators.diagnosis import read_law as read_law_module
 from estimators.diagnosis.improvement_loop import Loop
 from estimators.diagnosis.model_extension import Added
 from estimators.diagnosis.read_law import ReadLaw
 from estimators.inference.simulation_residual import SimulationResidual
 from estimators.misspecification.adequacy import AdequacyTest
+from estimators.misspecification.force_formulas import Formula
 from rtac_jax import virtual_rig
 from rtac_jax.effects import CATALOGUE, ArmCoulomb, CurrentLag, Effect, EncoderLag, InputDelay
 from rtac_jax.effects.one_sided_spring import OneSidedSpring
 
 NEAREST = made_up_results.candidate("input_delay", 564.0, error_reduction=0.68)
 BESIDE = made_up_results.candidate("arm_coulomb", 900.0)
+CURVE = made_up_results.curve("cart", "cart_position", 0.01)
 
 
 @pytest.fixture
@@ -192,12 +195,11 @@ def test_a_law_stays_where_nothing_more_is_missing_or_it_follows_to_the_noise(
 
     def read(_: Added, added: Sequence[Any], *__: Any, **___: Any) -> ReadLaw:
         asked.append(tuple(c.id for c in added))
-        return ReadLaw(with_it, law, "force on the cart [N] = (-2e+09 N/m^5) q^5", ("end_stop",))
+        return ReadLaw(with_it, law, made(Formula), ("end_stop",), CURVE)
 
-    monkeypatch.setattr(
-        improvement_loop, "static_force", lambda *_: (made_up_results.curve("cart", "cart_position", 0.01), True)
-    )
+    monkeypatch.setattr(improvement_loop, "static_force", lambda *_: (CURVE, True))
     monkeypatch.setattr(improvement_loop, "read_law", read)
+    monkeypatch.setattr(read_law_module, "_text", lambda *_: "a force")
     monkeypatch.setattr(Loop, "_diagnosed", lambda *_, **__: made_up_results.diagnosis(verdict))
     further = loop.with_law()
     assert asked == ([] if cause else [("end_stop", "current_lag")])
@@ -230,8 +232,13 @@ def test_a_simpler_law_stays_where_the_model_with_it_is_adequate_too(
     loop.diagnoses = [made_up_results.diagnosis("missing"), made_up_results.diagnosis(before)]
     law = made_up_results.candidate("law_of_cart_position_power5", 90.0)
     found = ReadLaw(
-        dataclasses.replace(last, tested=made_up_results.compared("+ law", 1.0)), law, "a force", ("end_stop",)
+        dataclasses.replace(last, tested=made_up_results.compared("+ law", 1.0)),
+        law,
+        made(Formula),
+        ("end_stop",),
+        CURVE,
     )
+    monkeypatch.setattr(read_law_module, "_text", lambda *_: "a force")
     monkeypatch.setattr(improvement_loop, "simpler_law", lambda *_, **__: found if read else None)
     monkeypatch.setattr(Loop, "_diagnosed", lambda *_, **__: made_up_results.diagnosis(after))
     further = loop.with_simpler_law()

@@ -10,12 +10,13 @@ from known_search import Known, force, known, sized
 from made_up_loop import made, new_loop
 
 import estimators as est
-from estimators.diagnosis import improvement_loop
+from estimators.diagnosis import improvement_loop, read_law
 from estimators.diagnosis.evidence import FittedModel
 from estimators.diagnosis.improvement_loop import Loop
 from estimators.diagnosis.policy import STANDARD
 from estimators.diagnosis.stepwise_selection import select
 from estimators.misspecification.findings import Findings, Score
+from estimators.misspecification.force_formulas import Formula
 
 
 class Static(Known):
@@ -117,3 +118,46 @@ def test_a_law_is_looked_for_once(monkeypatch: pytest.MonkeyPatch) -> None:
     loop.steps.append(((), made(type(loop.last), fit=dataclasses.replace(loop.last.fit), tested=None, way="simulated")))
     assert loop.with_law() is None
     assert len(count) == 2, "beside another fit it is asked again"
+
+
+@pytest.mark.parametrize(
+    ("beside", "after_first", "better", "asked"),
+    [
+        (True, "unknown", True, True),
+        (True, "unknown", False, True),
+        (True, "adequate", True, False),
+        (False, "unknown", True, False),
+    ],
+    ids=["another does better", "none does", "the first will do", "nothing was added beside it"],
+)
+def test_beside_what_was_added_since_another_law_may_tell(
+    monkeypatch: pytest.MonkeyPatch, beside: bool, after_first: str, better: bool, asked: bool
+) -> None:
+    """As a drive that saturates smoothly, of whose law the cube is the first term beside friction that nobody has named."""
+    loop, laws = new_loop(), [made_up_results.candidate(name, 90.0) for name in ("law_cube", "law_saturation")]
+    friction, curve = made_up_results.candidate("cart_stribeck", 50.0), made_up_results.curve("arm", "current", 0.01)
+    step = dataclasses.replace(loop.last, tested=made_up_results.compared("+ law", 2.0))
+    loop.steps = [((), dataclasses.replace(step, tested=made_up_results.compared("base", 7.0)))]
+    first, second = (
+        read_law.ReadLaw(step, law, made(Formula), given, curve)
+        for law, given in zip(laws, ((), ("law_cube",)), strict=True)
+    )
+    runs: list[list[str]] = []
+
+    def run(one: Loop) -> None:
+        runs.append([c.id for c in one.added])
+        if beside and len(runs) == 1:
+            one.added.append(friction)
+        one.diagnoses.append(made_up_results.diagnosis(after_first if len(runs) == 1 else "adequate"))
+        one.stopped = "Stopped."
+
+    tried: list[int] = []
+    monkeypatch.setattr(improvement_loop, "other_law", lambda *_, **__: tried.append(1) or (second if better else None))
+    monkeypatch.setattr(read_law, "_text", lambda *_: "a force")
+    monkeypatch.setattr(Loop, "run", run)
+    further = loop._going_on(first)
+    assert bool(tried) == asked
+    ended = ["cart_stribeck", "law_saturation"] if asked and better else ["law_cube", *(["cart_stribeck"] * beside)]
+    assert [c.id for c in further.added] == ended
+    assert further.ended_adequate == (after_first == "adequate" or (asked and better))
+    assert further.stopped.startswith("a force is a law read off the missing force, in no catalogue, and is added:")

@@ -12,8 +12,8 @@ import estimators as est
 import rtac_jax as rtac
 from estimators.core.fisher_information import information_of
 from estimators.core.results import RESULTS
-from estimators.diagnosis import improvement_loop
-from estimators.diagnosis.loop_end import end_of
+from estimators.diagnosis import improvement_loop, loop_end
+from estimators.diagnosis.loop_end import end_of, without_outlier
 from estimators.diagnosis.model_extension import Added
 from estimators.diagnosis.policy import STANDARD
 from estimators.linear.homogeneity_test import Equality, Trend
@@ -145,8 +145,8 @@ def loop(monkeypatch):
         ),
         outlying=dataclasses.replace(ONE, fit=others),
     )  # fmt: skip
-    monkeypatch.setattr(improvement_loop, "differing", lambda *_, **__: found)
-    monkeypatch.setattr(improvement_loop, "compare", lambda *_, **__: Comparison((compared("without d", 1.0),)))
+    monkeypatch.setattr(loop_end, "differing", lambda *_, **__: found)
+    monkeypatch.setattr(loop_end, "compare", lambda *_, **__: Comparison((compared("without d", 1.0),)))
     nothing = dataclasses.replace(diagnosis("unknown"), effects=(), additions=())
     first = Added(dataclasses.replace(others, experiments=("a", "b", "c", "d")), compared("base", 9.0), "simulated")
     return improvement_loop.Loop(
@@ -161,7 +161,7 @@ def decay(name, size):
 
 
 def test_it_is_left_out_where_nothing_is_named_and_the_held_out_ones_do_not_lose(loop):
-    assert loop.without_outlier().outlying.name == "d"
+    assert without_outlier(loop).outlying.name == "d"
     assert loop.left_out == "d"
     assert loop.last.tested.label == "without d"
     assert [e.name for e in loop.followed] == ["a", "b", "c"]
@@ -176,11 +176,11 @@ def test_it_is_told_and_not_left_out_where_it_may_show_an_effect(loop, monkeypat
     named = dataclasses.replace(loop.diagnoses[0], additions=(CubicSpring(5e4),))
     for change in ({"train": far}, {"diagnoses": [named]}, {"added": [diagnosis("missing").effects[0]]}):
         other = dataclasses.replace(loop, **change)
-        assert other.without_outlier().outlying.name == "d"
+        assert without_outlier(other).outlying.name == "d"
         assert (other.left_out, len(other.steps)) == (None, 1), change
-    assert loop.without_outlier(leave=False) is not None
-    monkeypatch.setattr(improvement_loop, "compare", lambda *_, **__: Comparison((compared("without d", 9.5),)))
-    assert loop.without_outlier().outlying.name == "d"
+    assert without_outlier(loop, leave=False) is not None
+    monkeypatch.setattr(loop_end, "compare", lambda *_, **__: Comparison((compared("without d", 9.5),)))
+    assert without_outlier(loop).outlying.name == "d"
     assert (loop.left_out, len(loop.steps)) == (None, 1)
 
 
@@ -243,7 +243,7 @@ def test_no_last_resort_takes_the_place_of_a_parameter_that_differs(loop, monkey
     )  # fmt: skip
     assert differs.decisive
     asked = []
-    monkeypatch.setattr(improvement_loop, "differing", lambda *_, **__: differs)
+    monkeypatch.setattr(loop_end, "differing", lambda *_, **__: differs)
     monkeypatch.setattr(improvement_loop.Loop, "nearest", lambda _: None)
     monkeypatch.setattr(improvement_loop.Loop, "last_resort", lambda *_: asked.append(1) or (None, None))
     found = end_of(loop, last_resort=True)

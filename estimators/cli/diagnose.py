@@ -37,7 +37,8 @@ def diagnose(
         found = est.diagnose(base, work.train, candidates=candidates, thorough=not quick, within=seconds)
         with Deadline(None if seconds is None else (1 - SEARCHING) * seconds).kept():
             fits, labels = _refitted(work, base, found)
-        trained, tested = work.compared(fits, labels)
+        colour = found.coloured if found.verdict == "adequate" else {}
+        trained, tested = (one if one is None else one.with_noise(colour) for one in work.compared(fits, labels))
         table, errors = _tables.candidate_table(found), _tables.error_table(trained, tested)
         planned = None if found.broken_off else plan_next(work, base, found, candidates)
         work.save(found, save)

@@ -191,5 +191,6 @@ def _advice(found: Any, work: Job) -> Any:
             work.note(f"No prediction error: {error}")
     spread = est.covariances(found.final, work.train)
     advice = est.recommended(found.final, found.train.models[-1], predicted=predicted, spread=spread)
-    adequate = found.diagnoses[-1].verdict == "adequate" and at_noise(found.final.farthest)
+    last = max((e.rms_over_noise for e in found.train.models[-1].errors.values()), default=found.final.farthest)
+    adequate = found.diagnoses[-1].verdict == "adequate" and at_noise(last)
     return dataclasses.replace(advice, adequate=adequate, diagnosed=found.diagnosed[-1] == len(found.fits) - 1)

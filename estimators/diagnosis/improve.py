@@ -92,6 +92,8 @@ def improve(
     tested = [step.tested for _, step in steps]
     labels = [model.label for model in tested]
     said = diagnoses[-1].verdict
+    # Of a model that fails it may stand for what is missing.
+    colour = diagnoses[-1].coloured if said == "adequate" else {}
     verdict: Verdict = "unknown" if said in ("missing", "ambiguous") else said
     if loop.not_added:
         verdict = said
@@ -103,8 +105,8 @@ def improve(
         diagnosed=tuple(loop.diagnosed),
         added=tuple(added),
         verdict=verdict,
-        train=compare(fits, loop.followed, labels=labels),
-        validation=Comparison(tuple(tested)),
+        train=compare(fits, loop.followed, labels=labels).with_noise(colour),
+        validation=Comparison(tuple(tested)).with_noise(colour),
         held=loop.held,
         predicted=steps[-1][1].way == "predicted",
         predicted_gains=tuple(step.predicted_gain for _, step in steps if step.predicted_gain is not None),

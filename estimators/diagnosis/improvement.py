@@ -212,14 +212,10 @@ class Improvement(Result):
 
     @property
     def _but(self) -> str:
-        """Return what an adequate model's simulation leaves of held-out experiments, where that is no noise; else nothing.
-
-        Coloured noise that was assumed is more than the white noise that errors are held against.
-        """
+        """Return what an adequate model's simulation leaves of held-out experiments, where that is no noise; else nothing."""
         trained, tested = self.train.models[-1].errors, self.validation.models[-1].errors
-        white = [c for c in tested if c not in self.diagnoses[-1].coloured]
-        worst = max((tested[c].rms_over_noise for c in white), default=0.0)
-        beyond = not at_noise(worst) and all(at_noise(trained[c].rms_over_noise) for c in white if c in trained)
+        worst = max((e.rms_over_noise for e in tested.values()), default=0.0)
+        beyond = not at_noise(worst) and all(at_noise(trained[c].rms_over_noise) for c in tested if c in trained)
         if not self._astray and not beyond:
             return ""
         worst = max(e.rms_over_noise for e in tested.values()) if self._astray else worst

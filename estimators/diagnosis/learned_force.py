@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from estimators.core.fit import Fit
 from estimators.diagnosis.diagnosis import Diagnosis
+from estimators.diagnosis.missing_force import shared_with
 from estimators.diagnosis.model_extension import Added, add_effects, misfit
 from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
 from estimators.diagnosis.read_law import LAWS
@@ -19,15 +20,6 @@ from rtac_jax.effects.spline_force import PORT_UNITS, VARIABLE_UNITS
 from rtac_jax.measurement import Recording
 
 LABEL = "+ learned force"
-_SLOPES = {
-    ("cart", "cart_position"): "spring_stiffness",
-    ("cart", "cart_velocity"): "cart_viscous",
-    ("cart", "cart_position, against the motion"): "cart_coulomb",
-    ("arm", "arm_angle, against the motion"): "arm_coulomb",
-    ("arm", "arm_velocity"): "arm_viscous",
-    ("arm", "current"): "torque_constant",
-}
-"""Parameters and effects that act along the same variable as a learned force, so that only both together are known."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -171,8 +163,5 @@ def _described(step: Added, curve: ForceCurve) -> LearnedForce:
         std = np.sqrt(np.einsum("sk,st,tk->k", shapes, covariance, shapes))
     laws = tuple(law.text for law in curve.formulas(most=LAWS)) if curve.evidence is not None else ()
     outside = {name: fraction for name, (_, fraction) in step.tested.beyond.items()}
-    shares = _SLOPES.get((curve.port, curve.variable), "")
-    estimated = any(name.split(".")[0] == shares for name in step.fit.model.free)
-    return LearnedForce(
-        curve.port, curve.variable, curve.at, amounts @ shapes, std, outside, laws, shares if estimated else ""
-    )
+    shares = shared_with(curve.port, curve.variable, step.fit.model)
+    return LearnedForce(curve.port, curve.variable, curve.at, amounts @ shapes, std, outside, laws, shares)

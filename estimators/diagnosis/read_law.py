@@ -8,7 +8,7 @@ from estimators.core.fit import Fit
 from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.diagnosis import Diagnosis
 from estimators.diagnosis.explanation import at_noise
-from estimators.diagnosis.missing_force import static_force
+from estimators.diagnosis.missing_force import shared_with, static_force
 from estimators.diagnosis.model_extension import Added, extended_without, is_sure, misfit
 from estimators.diagnosis.policy import DiagnosisPolicy
 from estimators.misspecification.force_formulas import Formula, formula_text
@@ -52,9 +52,11 @@ class ReadLaw(NamedTuple):
             last: the model with it and all that was added since.
         """
         place = f"takes the place of {', '.join(self.given_up)}" if self.given_up else "is added"
+        beside = shared_with(self.curve.port, self.curve.variable, last.fit.model)
+        both = f" It and {beside} act along the same variable: take neither without the other." if beside else ""
         return (
             f"{_text(last, self.formula)} is a law read off the missing force, in no catalogue, and {place}: the held-out"
-            f" experiments were left at {misfit(before):.3g} times the noise, and are at {misfit(last.tested):.3g}."
+            f" experiments were left at {misfit(before):.3g} times the noise, and are at {misfit(last.tested):.3g}.{both}"
         )
 
 

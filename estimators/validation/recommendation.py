@@ -58,18 +58,18 @@ class Recommendation(Result):
             )
         if not self.sound and self.adequate:
             said += (
-                " A residual is coloured though nothing is found missing, which no deviation counts: by how a sensor is rounded, or"
-                " by what is too small to be named."
+                " A residual is coloured though nothing is found missing: by noise that a sensor has itself, by how it is rounded,"
+                " or by what is too small to be named, which no deviation counts."
             )
         elif not self.sound and self.diagnosed:
             said += (
-                " A residual is coloured, which no deviation counts: by what the diagnosis names and a fit does not follow, by what"
-                " it does not name, or by random forces."
+                " A residual is coloured: by noise that a sensor has itself, or by what no deviation counts, as what the diagnosis"
+                " names and a fit does not follow, what it does not name, or random forces."
             )
         elif not self.sound:
             said += (
-                " A residual is coloured, so something may be missing, which no deviation counts; est.diagnose tells whether it "
-                "can be named."
+                " A residual is coloured: by noise that a sensor has itself, or as something is missing, which no deviation counts;"
+                " est.diagnose tells whether it can be named."
             )
         return " ".join([said, *self.moved])
 

@@ -115,6 +115,21 @@ class Comparison(Result):
             "they are white is not asked, and each holds the error of the state from which it was made."
         )
 
+    def with_noise(self, levels: Mapping[str, float]) -> "Comparison":
+        """Return the same beside noise of some channels that is at least so large.
+
+        Without a record at rest the noise is that of fast changes, and a sensor whose errors are slow has more.
+
+        Args:
+            levels: standard deviation by channel [its unit].
+        """
+
+        def louder(one: Compared) -> Compared:
+            traces = (dataclasses.replace(t, noise=max(t.noise, levels.get(t.channel, 0.0))) for t in one.traces)
+            return dataclasses.replace(one, traces=tuple(traces))
+
+        return dataclasses.replace(self, models=tuple(map(louder, self.models))) if levels else self
+
     def overview(self) -> Overview:
         """Return the error of every model in every channel."""
         rows = [

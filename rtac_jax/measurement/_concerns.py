@@ -1,6 +1,6 @@
 """Concerns about a recording. Every judgement is a guess from the data; nothing is changed by it."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 
 import numpy as np
 import scipy.ndimage
@@ -32,10 +32,10 @@ UNEQUAL_NOISE = 1.5
 def concerns(recording: Recording) -> list[str]:
     """Return what looks wrong with `recording`, one sentence each; empty when nothing does."""
     with np.errstate(all="ignore"):
-        noisy = current_noise(recording.experiments)
+        noisy, counting = current_noise(recording.experiments), _counting(recording)
 
         def of(experiment: Experiment) -> Iterator[str]:
-            return _about_experiment(experiment, silent=experiment.name in noisy)
+            return _about_experiment(experiment, silent=experiment.name in noisy, counting=counting)
 
         several = [*_about_recording(recording), *contradictions(recording), *_by_sentence(recording, of)]
         return several if not noisy else [*several, _of_noisy_inputs(noisy)]
@@ -133,8 +133,20 @@ def _stated_levels(recording: Recording) -> dict[str, dict[str, float]]:
     return {name: levels for name, levels in found.items() if name not in resting}
 
 
-def _about_experiment(experiment: Experiment, *, silent: bool) -> Iterator[str]:
-    """Yield what looks wrong with an experiment; `silent` says that its current is nothing but noise."""
+def _counting(recording: Recording) -> set[str]:
+    """Return the outputs that move in steps, as an encoder's: constant is what they are at rest."""
+    moving = [(name, signal) for e in recording if e.kind != "rest" for name, signal in e.outputs.items()]
+    return {name for name, signal in moving if resolution(signal.values[~np.isnan(signal.values)]) > 0}
+
+
+def _about_experiment(experiment: Experiment, *, silent: bool, counting: Collection[str]) -> Iterator[str]:
+    """Yield what looks wrong with an experiment.
+
+    Args:
+        experiment: at rest or moving.
+        silent: whether its current is nothing but noise.
+        counting: outputs that move in steps.
+    """
     driven = {name for name, signal in experiment.inputs.items() if signal.values.any()}
     at_rest, locked, clamped = (
         experiment.kind == "rest",
@@ -161,7 +173,8 @@ def _about_experiment(experiment: Experiment, *, silent: bool) -> Iterator[str]:
     if experiment.samples < SHORT_SAMPLES:
         yield f"it has fewer than {SHORT_SAMPLES} samples, which is little to fit; record for longer."
     for name, signal in experiment.outputs.items():
-        yield from (f"{name} {sentence}" for sentence in _about_output(signal, at_rest, _held(name, experiment)))
+        about = _about_output(signal, at_rest, _held(name, experiment), counts=name in counting)
+        yield from (f"{name} {sentence}" for sentence in about)
         if not at_rest and not _held(name, experiment) and name != "arm_angle" and _moves(signal.values):
             yield from (f"{name} {sentence}" for sentence in _about_sampling(signal, experiment))
 
@@ -185,20 +198,22 @@ def _held(name: str, experiment: Experiment) -> bool:
     return experiment.cart == "clamped" if name == "cart_position" else experiment.arm == "locked"
 
 
-def _about_output(signal: Signal, at_rest: bool, held: bool) -> Iterator[str]:
+def _about_output(signal: Signal, at_rest: bool, held: bool, *, counts: bool) -> Iterator[str]:
     missing = np.isnan(signal.values)
     if missing.any():
         yield f"has {100 * missing.mean():.2g} % of its samples missing."
     values = signal.values[~missing]
     spread = float(np.ptp(values))
     if spread == 0:
-        if held or at_rest:
+        if (held or at_rest) and not counts:
             yield ("is exactly constant, so it says nothing about the noise; check that the sensor was connected.")
         return
     step = _level_distance(values, spread)
     noise = signal.noise_std or _noise_level(values)
     if step is not None and step > 2 * noise:
-        yield (f"is quantised in steps of {step:.3g} {signal.unit}, coarse next to its noise; use a finer range.")
+        yield (
+            f"is quantised in steps of {step:.3g} {signal.unit}, coarse next to its noise; use a finer range or more counts."
+        )
     if not (at_rest or held) and _clipped(values):
         yield (
             "stays repeatedly at exactly its largest or smallest value, as if clipped; widen the range of the sensor."

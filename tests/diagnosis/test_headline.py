@@ -108,12 +108,13 @@ def test_held_out_experiments_beyond_the_noise_are_told_of_a_model_that_follows_
     steps, fitted, coloured, said
 ):
     """Of noise that is coloured, or where the fitted ones are as far, it is no news."""
-    last = dataclasses.replace(diagnosis("adequate"), coloured=dict.fromkeys(coloured, 0.1))
-    found = looped(*(NAMED, last)[2 - steps :], steps=steps)
+    found = looped(*(NAMED, diagnosis("adequate"))[2 - steps :], steps=steps)
+    levels = dict.fromkeys(coloured, 0.1)
     several = [compared(model.label, 1.5) for model in found.validation.models]
     beyond = [dataclasses.replace(m, traces=tuple(t for t in m.traces if t.channel == "arm_velocity")) for m in several]
     trained = Comparison(tuple(compared(model.label, fitted) for model in several))
-    found = dataclasses.replace(found, train=trained, validation=Comparison(tuple(beyond)))
+    tested = Comparison(tuple(beyond))
+    found = dataclasses.replace(found, train=trained.with_noise(levels), validation=tested.with_noise(levels))
     assert ("; of the held-out experiments its simulation leaves 1.61 times the noise." in found.headline) == said
     assert "adequate" in found.headline
 

@@ -250,7 +250,9 @@ def test_a_law_takes_the_place_of_forces_on_the_same_part_and_of_nothing_else(
     assert found.law.parameters
     assert found.among(added) == [*(added[1:] if given_up else added), found.law]
     said = "takes the place of end_stop" if given_up else "is added"
-    assert f"in no catalogue, and {said}: the held-out experiments were left at" in found.said(before.tested, found.step)
+    assert f"in no catalogue, and {said}: the held-out experiments were left at" in found.said(
+        before.tested, found.step
+    )
     assert module.read_law(before, added, curve, nothing, nothing, policy=STANDARD, progress=False) is None
     bare = dataclasses.replace(curve, evidence=None)
     assert module.read_law(before, added, bare, nothing, nothing, policy=STANDARD, progress=False) is None

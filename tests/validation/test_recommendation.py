@@ -67,7 +67,7 @@ def test_a_constant_that_predictions_take_far_from_what_was_measured_is_told(std
 
 COLOURED = {
     (True, True): "though nothing is found missing",
-    (False, True): "by what it does not name, or by random forces",
+    (False, True): "what it does not name, or random forces",
     (False, False): "est.diagnose tells whether it can be named",
 }
 
@@ -102,7 +102,7 @@ def test_where_nothing_is_white_the_larger_robust_deviation_is_given_and_the_rea
     assert ["spring_stiffness", "132.6", "0.3", "N/m"] in [line.split() for line in lines]
     assert ["total_mass", "1.23", "fixed", "kg"] in [line.split() for line in lines]
     assert lines[-1] == found.sentence
-    assert "something may be missing" in found.sentence
+    assert "or as something is missing, which no deviation counts" in found.sentence
     assert "no estimate is right" not in found.sentence
     assert "spring_stiffness" in found._repr_html_()
 

@@ -8,6 +8,7 @@ from small_experiments import DECAY, DT, T, forced, free, noise, rest, spoilt
 
 from rtac_jax.measurement import (
     Recording,
+    Signal,
     central_difference,
     chirp,
     concerns,
@@ -133,6 +134,17 @@ def test_a_good_recording_has_one_small_fault():
         "still: arm_velocity is exactly constant, so it says nothing about the noise; check that the sensor "
         "was connected."
     ]
+
+
+@pytest.mark.parametrize("counts", [True, False])
+def test_a_sensor_that_moves_in_steps_is_constant_at_rest(counts: bool) -> None:
+    """An encoder; one that moves smoothly and is constant at rest was not connected there."""
+    step = 1.5e-3 if counts else 1e-12
+    turning = replace(forced(arm_angle=np.round(0.3 * np.sin(3 * T) / step) * step), name="driven")
+    angle = Signal(np.full(rest().samples, 0.7), "rad")
+    still = replace(rest("still"), outputs={**rest().outputs, "arm_angle": angle})
+    said = concerns(Recording((turning, still)))
+    assert any("still: arm_angle is exactly constant" in one for one in said) != counts
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
 from estimators.diagnosis.removed_error import Verdict, fraction_removed
 from estimators.diagnosis.step import Step
 from estimators.diagnosis.verdict import Consequence
-from estimators.inference.simulation_residual import SimulationResidual, judged_channels
+from estimators.inference.simulation_residual import SHAKEN, SimulationResidual, judged_channels
 from estimators.misspecification.adequacy import AdequacyTest
 from estimators.misspecification.line_classes import LineClass
 from estimators.misspecification.residual_maps import Place
@@ -36,7 +36,6 @@ OF_A_DRIFT = (
 _LISTED = 6  # of what was not asked, by name
 _NEARLY_ALL = 0.9  # fraction of the misfit whose removal asks why the verdict is unknown even so
 _LEFT_OUT = 0.02  # fraction of the samples from which it is worth a word that they do not count
-SHAKEN = 1e-2  # fraction of the rms forces from which random forces in one sample are worth a word
 _STRAYED = 3.0  # rms of what a simulation leaves over the noise, from which it is worth a word
 
 

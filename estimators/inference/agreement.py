@@ -12,7 +12,7 @@ from estimators.core.data import CHANNELS
 from estimators.core.drawing import draw
 from estimators.core.fit import FAR
 from estimators.inference.assumptions import assumed
-from estimators.inference.simulation_residual import SimulationResidual
+from estimators.inference.simulation_residual import SHAKEN, SimulationResidual
 
 Vector = Float[np.ndarray, " quantity"]
 _BROKEN_BY = 4  # effects that are named with an assumption, the likeliest ones
@@ -117,12 +117,18 @@ class Agreement:
         return tuple(dict.fromkeys(effect for _, effects in self._assumptions() for effect in effects))
 
     @property
+    def _calm(self) -> bool:
+        """Return whether random forces are known to be next to nothing, so that nothing hides behind them."""
+        found = self.simulation
+        return found is not None and max(found.random_force, found.random_torque) < SHAKEN
+
+    @property
     def verdict(self) -> str:
         """Return the verdict in words: whether they agree, which assumption fails, and what to look at next."""
         smallest = self.worst.p_value
         if not self.rejected:
             chance = f"differences as large as these come about by chance (p = {smallest:.2g})."
-            hides = _HIDES if "prediction error" in self.labels else ""
+            hides = _HIDES if "prediction error" in self.labels and not self._calm else ""
             words = self.simulation.words if self.simulation is not None else ""
             if self.simulation is not None and self.simulation.vetoes:
                 return f"No two disagree: {chance} That confirms nothing. {words}{hides or _ASK}"

@@ -39,6 +39,8 @@ class SimulationLimits:
 
 
 STANDARD = SimulationLimits()
+SHAKEN = 1e-2
+"""Fraction of the rms forces from which random forces in one sample are worth a word."""
 # Times the noise of the fastest changes that no sensor wanders by: one whose noise is correlated over a thousand samples does.
 _NO_SENSOR = 30.0
 

@@ -1,5 +1,6 @@
 """The missing effect: the candidates beside each other, and the missing force as a curve and in time."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -54,7 +55,7 @@ def plot_diagnosis(diagnosis: Diagnosis, *, recording: Recording | None = None) 
     top = rows[0].subgridspec(max(beside, 1), 2 if beside else 1, width_ratios=[1.15, 1] if beside else [1])
     _bars(figure.add_subplot(top[:, 0]), diagnosis, wide=not beside)
     # One scale for all, so that one sees which variable the force depends on.
-    reach = max((_reach(curve) for curve in (*always, other) if curve is not None), default=1.0)
+    reach = _reach([curve for curve in (*always, other) if curve is not None])
     if latent is not None:
         _in_time(figure.add_subplot(top[0, 1]), latent, recording)
     if other is not None:
@@ -245,13 +246,21 @@ def _in_time(axes: Any, latent: LatentForce, recording: Recording | None) -> Non
     axes.legend(fontsize=7, loc="best")
 
 
-def _reach(curve: ForceCurve) -> float:
-    """Return the largest force with its band.
+def _reach(curves: Sequence[ForceCurve]) -> float:
+    """Return the largest force with its band that any curve tells from nothing; of all of them where none tells one.
 
-    At the ends of its range a variable is seldom, and a band there is too wide to show.
+    At the ends of its range a variable is seldom, and a band there is too wide to show; so is that of a curve whose slope is the
+    model's own.
     """
-    sound = curve.std <= 6 * np.median(curve.std[np.isfinite(curve.std)])
-    return float(np.max(np.abs(curve.force[sound]) + 2 * curve.std[sound], initial=0.0)) or 1.0
+
+    def largest(curve: ForceCurve, *, told: bool) -> float:
+        shown = curve.std <= 6 * np.median(curve.std[np.isfinite(curve.std)])
+        if told:
+            shown &= np.abs(curve.force) > 2 * curve.std
+        return float(np.max(np.abs(curve.force[shown]) + 2 * curve.std[shown], initial=0.0))
+
+    tried = (max((largest(curve, told=told) for curve in curves), default=0.0) for told in (True, False))
+    return next((reach for reach in tried if reach > 0), 1.0)
 
 
 def _curve(axes: Any, curve: ForceCurve, diagnosis: Diagnosis, reach: float, *, narrow: bool, keyed: bool) -> None:

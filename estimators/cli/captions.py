@@ -33,7 +33,7 @@ def without_limits(explanation: str) -> str:
 
 
 def shown(figures: dict[str, Any], **captions: str) -> list[Any]:
-    """Return figures with their captions, in the order of the captions."""
+    """Return figures with their captions, in the order of the captions; of what was not drawn none."""
     from estimators.reporting.html import Shown
 
-    return [Shown(figures[name], caption) for name, caption in captions.items()]
+    return [Shown(figures[name], caption) for name, caption in captions.items() if name in figures]

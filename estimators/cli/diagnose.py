@@ -38,7 +38,8 @@ def diagnose(
         with Deadline(None if seconds is None else (1 - SEARCHING) * seconds).kept():
             fits, labels = _refitted(work, base, found)
         colour = found.coloured if found.verdict == "adequate" else {}
-        trained, tested = (one if one is None else one.with_noise(colour) for one in work.compared(fits, labels))
+        trained, tested = work.compared(fits, labels)
+        trained, tested = trained.with_noise(colour), None if tested is None else tested.with_noise(colour)
         table, errors = _tables.candidate_table(found), _tables.error_table(trained, tested)
         planned = None if found.broken_off else plan_next(work, base, found, candidates)
         work.save(found, save)
@@ -68,12 +69,13 @@ def diagnose(
 
             figures = {
                 "diagnosis": plot_diagnosis(found, recording=work.train),
-                "where": plot_where(found),
                 "confusion": plot_confusion(found),
                 "bands": plot_bands(tested or trained, coloured=found.coloured),
                 "comparison": plot_comparison(tested or trained),
                 "residuals": plot_residuals(trained.models[0]),
             }
+            if found.places:
+                figures["where"] = plot_where(found)
             captions = {
                 "diagnosis": DIAGNOSIS,
                 "where": WHERE,

@@ -71,7 +71,7 @@ def fit(
         predicted, agreed = None, None
         if longest < _TOO_LONG:
             predicted, agreed = _side_by_side(work, closed, found)
-        spread = est.covariances(found, work.train)
+        spread = work.spread(found)
         if (differences := differing(found, work.train)) is not None:
             work.note(differences.differences)
         trained, tested = work.compared(found)

@@ -135,7 +135,8 @@ def improved(
     for number, diagnosis in enumerate(found.diagnoses, 1):
         figures[f"diagnosis_{number}"] = plot_diagnosis(diagnosis, recording=work.train)
         captions[f"diagnosis_{number}"] = f"Diagnosis {number}. {DIAGNOSIS}"
-    figures["where"], captions["where"] = plot_where(found.diagnoses[0]), f"{WHERE} First diagnosis."
+    if found.diagnoses[0].places:
+        figures["where"], captions["where"] = plot_where(found.diagnoses[0]), f"{WHERE} First diagnosis."
     figures["confusion"] = plot_confusion(found.diagnoses[0])
     captions["confusion"] = f"{CONFUSION} First diagnosis."
     figures["bands"] = plot_bands(found.validation, coloured=found.diagnoses[-1].coloured)
@@ -189,7 +190,7 @@ def _advice(found: Any, work: Job) -> Any:
             predicted = est.prediction_error_nonlinear(found.final.model, work.train, from_model=True)
         except (ValueError, est.DivergedError) as error:
             work.note(f"No prediction error: {error}")
-    spread = est.covariances(found.final, work.train)
+    spread = work.spread(found.final)
     advice = est.recommended(found.final, found.train.models[-1], predicted=predicted, spread=spread)
     last = max((e.rms_over_noise for e in found.train.models[-1].errors.values()), default=found.final.farthest)
     adequate = found.diagnoses[-1].verdict == "adequate" and at_noise(last)

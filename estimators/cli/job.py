@@ -136,10 +136,21 @@ class Job:
         """Fit the training part by output error; begun at the model's values only, where they are those of a fit."""
         import estimators as est
 
-        options = {"robust": True} if robust else {}
+        options: dict[str, Any] = {"robust": True} if robust else {}
         self.note_doubts()
         with self.explaining():
             return est.output_error(model, self.train, from_model=from_model, **options)
+
+    def spread(self, fit: Any) -> Any:
+        """Return the covariances of a fit to the training part; None, with a note, where it ended at parameters that are free."""
+        import estimators as est
+        from estimators.core.results import NotIdentifiableError
+
+        try:
+            return est.covariances(fit, self.train)
+        except NotIdentifiableError as error:
+            self.note(f"No {error}")
+            return None
 
     def note_doubts(self) -> None:
         """Note what contradicts itself or the equations of motion, which a fit would turn into confident numbers."""

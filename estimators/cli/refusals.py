@@ -12,6 +12,11 @@ from estimators.cli.environment import reason
 
 NOT_POSSIBLE, WRONG_USE, INTERRUPTED = 1, 2, 130
 
+SINGULAR = (
+    "the model follows so little of the recording that nothing can be computed beside it ({}): look at what rtac info says of"
+    " signs, units and constants, or begin with another model (--model) or fewer parameters (--fix)."
+)
+
 _shown = {"tracebacks": False}
 
 
@@ -19,6 +24,8 @@ _shown = {"tracebacks": False}
 def answering() -> Iterator[None]:
     """Turn what may go wrong with data or files into one sentence and an exit status."""
     # Deferred, so that the help comes up without them.
+    import numpy as np
+
     from estimators.core.results import DivergedError
     from rtac_jax.configuration import require_platform
     from rtac_jax.measurement import RecordingError
@@ -31,6 +38,8 @@ def answering() -> Iterator[None]:
         yield
     except (RecordingError, OSError) as error:
         stop(WRONG_USE, _sentence(error))
+    except np.linalg.LinAlgError as error:
+        stop(NOT_POSSIBLE, SINGULAR.format(_sentence(error)))
     except (ValueError, DivergedError, ArithmeticError) as error:
         stop(NOT_POSSIBLE, _sentence(error))
     except KeyboardInterrupt:

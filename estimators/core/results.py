@@ -1,6 +1,7 @@
 """Outcomes of numerical methods: a sentence that says what happened and what to try."""
 
 import equinox as eqx
+import numpy as np
 
 
 class RESULTS(eqx.Enumeration):
@@ -44,3 +45,7 @@ class TooLargeError(ValueError):
 
 class DivergedError(ArithmeticError):
     """A model that left all bounds; the message says where and what to try."""
+
+
+FAILURES = (NotIdentifiableError, DivergedError, FloatingPointError, np.linalg.LinAlgError)
+"""What a fit that comes to nothing ends with; the last where a model follows so little that a matrix is singular."""

@@ -21,9 +21,11 @@ from estimators.diagnosis.diagnosis import Diagnosis
 from estimators.diagnosis.evidence import Evidence
 from estimators.diagnosis.explanation import (
     OF_A_DRIFT,
+    OF_A_LIKELY_DRIFT,
     OF_A_LINE,
     OF_ROUNDING,
     SHAKEN,
+    STILL,
     not_named,
     of_part,
     out_of_time,
@@ -204,7 +206,8 @@ def _told(
     beside = {c: ratio / max(coloured.get(c, 0.0) / fit.noise[c], 1.0) for c, ratio in fit.residual_over_noise.items()}
     tested = laboratory.tested(found.selection.base)
     stood = found.simulation is None or not found.simulation.vetoes
-    latent = latent_of(setting, base) if found.verdict == "unknown" and stood else ()
+    silent = laboratory.facts.silent
+    latent = latent_of(setting, base) if found.verdict == "unknown" and stood and not silent else ()
     candidates = _candidates(laboratory, found)
     candidates += [_not_testable(c, float(np.log(setting.samples))) for c in unshown]
     groups = [(step.id, *step.rivals) for step in found.steps]
@@ -259,6 +262,8 @@ def _extents(experiments: Sequence[Experiment]) -> dict[str, tuple[float, float]
 def _explanation(told: Diagnosis, found: Judgement, setting: Setting, *, thorough: bool) -> str:
     """Return the verdict in plain words, with what it rests on and what would make it surer."""
     steps, further = found.steps, found.further
+    if told.silent:
+        return f"Unknown: {told.silent[0].lower()}{told.silent[1:]}. {STILL}"
     text = words(
         told.verdict, told.effects, told.candidates, steps, told.tests, told.left, told.removed, told.curves, told.latent,
         told.places, told.lines, told.simulation, told.policy, told.consequence, found.detectable,
@@ -285,6 +290,8 @@ def _explanation(told: Diagnosis, found: Judgement, setting: Setting, *, thoroug
         text += OF_ROUNDING.format(told.simulated, " and ".join(told.rounded))
     if told.drift:
         text += OF_A_DRIFT
+    elif told.likely_drift:
+        text += OF_A_LIKELY_DRIFT
     # What a remark computes of other parameters is to be of where they ended, and not of the model that fails.
     ended = setting.model.with_values({n: v for n, v in told.values.items() if n in setting.model.parameters})
     text += "".join(f" {remark}" for effect in told.additions if (remark := effect.remark(ended.body)))

@@ -99,6 +99,16 @@ class Diagnosis(Result):
         return self.simulation is not None and self.simulation.cause == "stand-in"
 
     @property
+    def silent(self) -> str:
+        """Return that the recording says nothing of what the model lacks, in words, where that is so; empty elsewhere."""
+        if self.verdict != "unknown" or self.evidence is None or not self.evidence.facts.silent:
+            return ""
+        return (
+            f"These data say nothing of what the model lacks: {100 * self.evidence.facts.left_out:.0f} % of the samples do not"
+            " count, as the cart or the arm all but rests there, and no effect of any plausible size would show"
+        )
+
+    @property
     def line_alone(self) -> str:
         """Return the words of the test that rejects, where that is of a spectral line and the simulation is at the noise."""
         rejecting = [test for test in self.tests if test.rejects]
@@ -123,11 +133,20 @@ class Diagnosis(Result):
 
         What grows with the amplitude, as a spring that hardens, changes in free decays with the time as well.
         """
+        return self._drift(self.policy.left)
+
+    @property
+    def likely_drift(self) -> str:
+        """Return the words of the test of drift, where it finds more than any other that rejects, but not all."""
+        return "" if self.drift else self._drift(1.0)
+
+    def _drift(self, most: float) -> str:
+        """Return the words of the test of drift, where any other finds this fraction of what it does at most."""
         if self.verdict != "unknown":
             return ""
         found = next((test for test in self.left if test.test == "drift" and test.rejects), None)
         others = excess_of([test for test in self.left if test.test != "drift"])
-        return "" if found is None or others > self.policy.left * found.excess else found.words
+        return "" if found is None or others > most * found.excess else found.words
 
     @property
     def no_effect(self) -> str:

@@ -156,6 +156,12 @@ class Facts:
     origins: tuple[str, ...] = ()
     current_noise: float = 0.0
 
+    @property
+    def silent(self) -> bool:
+        """Return whether hardly a sample counts, as where a rig rests, and no effect could be shown."""
+        shown = (i for i, traits in self.effects.items() if not traits.contact and i not in self.untestable)
+        return self.left_out > 0.5 and bool(self.effects) and next(shown, None) is None
+
     def current_noise_explains(self, random: tuple[float, float], *, force: float, times: float) -> bool:
         """Return whether the noise of a measured current explains the random forces that a predictor asks for.
 

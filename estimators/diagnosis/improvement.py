@@ -234,6 +234,8 @@ class Improvement(Result):
         whole = "it" if self.nearest is None else "all of it"
         if not self.added:
             last = self.diagnoses[-1]
+            if last.silent:
+                return f"{last.silent}."
             if line := last.line_alone:
                 return (
                     f"The model follows the recording to {last.simulated:.2f} times the noise, and only a line speaks against it, "

@@ -122,7 +122,9 @@ class Loop:
             if not found.additions:
                 enough = found.verdict == "adequate"
                 why = "nothing more is missing" if enough else f"{found.no_effect} explains what is missing"
-                if found.simulation is not None and found.simulation.vetoes:
+                if found.silent:
+                    why = "these data tell nothing"
+                elif found.simulation is not None and found.simulation.vetoes:
                     why = "no test names what the simulation's error comes from"
                 self.stopped = f"Stopped: {why}."
             self._add(found)

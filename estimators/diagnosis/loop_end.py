@@ -4,7 +4,7 @@ import dataclasses
 
 from estimators.core.deadline import OutOfTimeError
 from estimators.core.fit import FAR, Fit
-from estimators.core.results import DivergedError, NotIdentifiableError
+from estimators.core.results import FAILURES
 from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.improvement_loop import Loop
 from estimators.diagnosis.learned_force import LearnedForce
@@ -51,6 +51,8 @@ def end_of(loop: Loop, *, last_resort: bool) -> LoopEnd:
         last_resort: add the nearest effect or a learned force where the verdict is unknown.
     """
     end = LoopEnd(loop)
+    if loop.diagnoses[-1].silent:
+        return end
     try:
         _look_again(end)
         _resort(end, last_resort=last_resort)
@@ -83,12 +85,12 @@ def lead_by_predictions(loop: Loop) -> PredictorFit | None:
         return None
     try:
         led = prediction_error_nonlinear(last.fit.model, loop.train, from_model=True, progress=loop.progress)
-    except (NotIdentifiableError, DivergedError, FloatingPointError):
+    except FAILURES:
         return None
     try:
         fit = output_error(led.model, loop.train, from_model=True, progress=loop.progress)
         tested = compare(fit, loop.held_out, labels=[last.tested.label]).models[0]
-    except (NotIdentifiableError, DivergedError, FloatingPointError):
+    except FAILURES:
         return led
     if fit.lost or misfit(tested) > (1 - loop.policy.static) * misfit(last.tested):
         return led

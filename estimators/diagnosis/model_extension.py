@@ -4,14 +4,14 @@ import contextlib
 import dataclasses
 from collections.abc import Mapping, Sequence
 from functools import reduce
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from estimators.core.data import CHANNELS, mark_of
 from estimators.core.deadline import Deadline
 from estimators.core.fit import FAR, Fit
-from estimators.core.results import RESULTS, DivergedError, NotIdentifiableError
+from estimators.core.results import FAILURES, RESULTS, DivergedError, NotIdentifiableError
 from estimators.core.step_size import accurate_substeps
 from estimators.diagnosis.gross_effects import begun_by_equations, placed_inside
 from estimators.diagnosis.held_estimates import counting_held
@@ -77,6 +77,13 @@ class Added:
     predicted_gain: PredictedGain | None = None
 
 
+class _Begin(NamedTuple):
+    """Values of a model at which a fit begins, and states at the start by experiment; None for what the first samples show."""
+
+    model: RTAC
+    start: Mapping[str, np.ndarray] | None = None
+
+
 def add_effects(
     before: Fit,
     tested: Compared,
@@ -113,7 +120,7 @@ def add_effects(
     ids, names = [effect.id for effect in several], ", ".join(effect.id for effect in several)
     known = {**before.held, **deviations}
     extended = begun_by_equations(before, reduce(RTAC.__add__, several, before.model), train, policy)
-    begins = [extended]
+    begins = [_Begin(extended)]
     if values is not None and before.farthest > FAR:
         begins = _nearest_first([extended, placed_inside(extended, values)], train)
     bases = [Added(before, tested, "simulated")]
@@ -127,12 +134,14 @@ def add_effects(
                 bases.append(Added(base, compare(base, held_out).models[0], way))
                 fit = _predicted(extended, before, train, progress=progress)
             else:
-                fit = _fitted(begins if way == "simulated" else [holding(extended, ids)], train, progress=progress)
+                held = [_Begin(holding(extended, ids))]
+                fit = _fitted(begins if way == "simulated" else held, train, progress=progress)
                 fit = counting_held(fit, train, known)
             with Deadline().kept():  # what is fitted is compared
                 test = compare(fit, held_out, labels=[label]).models[0]
-        except (NotIdentifiableError, DivergedError, FloatingPointError) as error:
-            reasons.append(f"Stopped: with {names} the model could not be fitted: {error}")
+        except FAILURES as error:
+            said = str(error) if not isinstance(error, np.linalg.LinAlgError) else "it follows next to nothing."
+            reasons.append(f"Stopped: with {names} the model could not be fitted: {said}")
             continue
         steps.append(Added(fit, test, way))
         if falls_clearly(min((one.tested for one in bases), key=misfit), test, policy, way):
@@ -140,39 +149,44 @@ def add_effects(
         reasons.append(f"Stopped: with {names} the held-out error would not fall.")
     if not steps or len(ways) < len(WAYS):
         return reasons[0]
-    return _by_predictions(names, bases, steps, train, held_out, policy) or (
+    try:
+        by_predictions = _by_predictions(names, bases, steps, train, held_out, policy)
+    except np.linalg.LinAlgError:  # of a model that follows next to nothing
+        return reasons[0]
+    return by_predictions or (
         f"{reasons[0]} Held at the estimate of the diagnosis, or fitted by predictions one sample ahead, it would not help "
         "clearly either, and predictions are no better with it."
     )
 
 
-def _nearest_first(several: Sequence[RTAC], train: Recording) -> list[RTAC]:
-    """Return models by how well their simulations follow a recording, the best first."""
+def _nearest_first(several: Sequence[RTAC], train: Recording) -> list[_Begin]:
+    """Return models by how well their simulations follow a recording, the best first, with the states at the start that do."""
 
-    def left(model: RTAC) -> float:
+    def simulated(model: RTAC) -> tuple[float, _Begin]:
         try:
-            return misfit(compare(model, train).models[0])
+            compared = compare(model, train).models[0]
         except DivergedError:
-            return np.inf
+            return np.inf, _Begin(model)
+        return misfit(compared), _Begin(model, compared.start)
 
-    return sorted(several, key=left)
+    return [begin for _, begin in sorted(map(simulated, several), key=lambda found: found[0])]
 
 
-def _fitted(begins: Sequence[RTAC], train: Recording, *, progress: bool) -> Fit:
+def _fitted(begins: Sequence[_Begin], train: Recording, *, progress: bool) -> Fit:
     """Return the fit by simulation from the first of one or more models from which there is one.
 
     Raises:
         NotIdentifiableError, DivergedError, FloatingPointError: from none there is; what the last says.
     """
     *others, last = begins
-    for model in others:
-        with contextlib.suppress(NotIdentifiableError, DivergedError, FloatingPointError):
-            return _determined(model, train, progress=progress)
+    for begin in others:
+        with contextlib.suppress(*FAILURES):
+            return _determined(begin, train, progress=progress)
     return _determined(last, train, progress=progress)
 
 
-def _determined(model: RTAC, train: Recording, *, progress: bool) -> Fit:
-    fit = output_error(model, train, from_model=True, progress=progress)
+def _determined(begin: _Begin, train: Recording, *, progress: bool) -> Fit:
+    fit = output_error(begin.model, train, from_model=True, start=begin.start, progress=progress)
     if fit.lost:
         raise NotIdentifiableError(fit.outcome)
     return fit
@@ -197,7 +211,7 @@ def extended_without(
         model = reduce(RTAC.__add__, several, last.fit.model.without(*given_up))
         fit = output_error(model, train, from_model=True, progress=progress)
         return None if fit.lost else Added(fit, compare(fit, held_out, labels=[label]).models[0], "simulated")
-    except (NotIdentifiableError, DivergedError, FloatingPointError):
+    except FAILURES:
         return None
 
 

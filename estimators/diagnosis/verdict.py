@@ -118,6 +118,8 @@ def decide(laboratory: Laboratory, policy: DiagnosisPolicy, *, thorough: bool, l
     found = select(laboratory, policy, thorough=thorough, laws_first=laws_first)
     verdict, count, removed = found.named(laboratory.facts.samples, policy)
     simulation = None
+    if verdict == "adequate" and laboratory.facts.silent:
+        return Judgement("unknown", (), tuple(found.steps), removed, found.tests, None, found)
     if verdict == "adequate":
         simulation = _of_base(laboratory, found, policy)
     elif count:

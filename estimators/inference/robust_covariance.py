@@ -14,6 +14,7 @@ from estimators.core.fit import Fit
 from estimators.core.linearisation import Problem, Rows, at_fit, rows_at
 from estimators.core.long_run_covariance import long_run_covariance
 from estimators.core.result_base import Result
+from estimators.core.results import RESULTS, NotIdentifiableError
 from rtac_jax import require_configured
 from rtac_jax.arguments import checked_arguments
 from rtac_jax.measurement import Recording
@@ -93,6 +94,7 @@ def covariances(fit: Fit, recording: Recording) -> Covariances:
 
     Raises:
         ValueError: the recording is not the one that was fitted.
+        NotIdentifiableError: where the fit ended the data leave parameters free.
 
     Source: Newey and West, Econometrica 55 (1987); Andrews, Econometrica 59 (1991); Bell and McCaffrey, Survey
     Methodology 28 (2002).
@@ -142,7 +144,10 @@ def _coloured(rows: Rows, problem: Problem) -> tuple[Matrix, Matrix, float]:
     A stretch has as many samples as lags are summed; how many that is, is chosen for each sample time by itself.
     """
     scores = np.einsum("sokp,sok->ksp", rows.jacobian, rows.residual)
-    bread = np.linalg.inv(rows.gauss_newton)
+    try:
+        bread = np.linalg.inv(rows.gauss_newton)
+    except np.linalg.LinAlgError:
+        raise NotIdentifiableError(f"covariances: {RESULTS[RESULTS.undetermined]}") from None
     meat = np.zeros(rows.gauss_newton.shape)
     independent = 0.0
     interval = np.array([e.sample_time for e in problem.experiments])

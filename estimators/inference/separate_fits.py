@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 from estimators.core.data import CHANNELS
 from estimators.core.fit import Fit
 from estimators.core.linearisation import Problem, problem_of, rows_at
-from estimators.core.results import DivergedError, NotIdentifiableError
+from estimators.core.results import FAILURES
 from estimators.output_error.fit import output_error
 from rtac_jax import RTAC
 from rtac_jax.measurement import Experiment, Recording
@@ -79,7 +79,7 @@ def about_own(fit: Fit, problem: Problem, recording: Recording, names: Sequence[
         alone = Recording((experiment, *rest), recording.rig)
         try:
             own.append(output_error(model, alone, from_model=True, progress=False))
-        except (NotIdentifiableError, DivergedError, FloatingPointError):
+        except FAILURES:
             return None
     return _pooled(fit, own, problem.experiments, names, common, size)
 

@@ -111,7 +111,10 @@ class Descent:
     nearest: float = np.inf
     followed: list[tuple[np.ndarray, DescentEnd]] = dataclasses.field(default_factory=list)
 
-    def descend(self, model: RTAC, *, best: float, given: bool = False, led: bool = True) -> DescentEnd | None:
+    def descend(
+        self, model: RTAC, *, best: float, given: bool = False, led: bool = True,
+        start: Mapping[str, np.ndarray] | None = None,
+    ) -> DescentEnd | None:  # fmt: skip
         """Descend from predictions with strong correction to the free simulation; None where that leads nowhere.
 
         Where the guided start simulates what that of an earlier descent did, the rest would be the same: its end is returned.
@@ -122,8 +125,10 @@ class Descent:
             given: whether somebody gave these values, and did not find them in closed form.
             led: whether predictions lead on where the steps from values that were given end before the descent does, and short
                 parts of the data where these lead to no simulation that follows.
+            start: states at the start by experiment; by default what the first samples show.
         """
-        space = space_of(model, self.experiments, free=[n for n in model.free if n not in model.per_experiment])
+        free = [n for n in model.free if n not in model.per_experiment]
+        space = space_of(model, self.experiments, free=free, start=start)
         unknowns = space.unconstrained(off_bounds=OFF_BOUNDS)
         noise = np.array([self.levels.get(channel, 1.0) for channel in CHANNELS])
         scales = scales_of(model, self.experiments)

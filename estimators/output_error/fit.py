@@ -3,7 +3,7 @@
 import contextlib
 import dataclasses
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import jax.numpy as jnp
 import numpy as np
@@ -42,6 +42,7 @@ def output_error(
     tolerance: float = 1e-6,
     steps: int = 60,
     from_model: bool = False,
+    start: Mapping[str, np.ndarray] | None = None,
     led: bool = True,
     robust: bool = False,
     progress: bool = True,
@@ -62,6 +63,8 @@ def output_error(
         tolerance: relative change at which the optimiser stops.
         steps: optimiser steps in each stage.
         from_model: begin at the model's values only, as after adding an effect to a model that was fitted.
+        start: states beside the model's values to begin at, by experiment, as `Compared.start` has them; by default what the first
+            samples show.
         led: let predictions lead on where the model's values are near the data and `steps` end before the descent does, and short
             parts of the data where these do not; False where models are only ranked.
         robust: let samples that lie too far off for noise, as spikes and dropouts do, count for little, and list them; see
@@ -100,12 +103,14 @@ def output_error(
         run = Descent(data, experiments, levels, tolerance, steps, shown)
         ends: list[tuple[str, DescentEnd]] = []
         failures = []
-        for name, start in candidates:
+        for name, begin in candidates:
             shown.at(f"output error from {name}")
+            given = begin is model
             try:
                 end = run.descend(
-                    start, best=min((end.cost for _, end in ends), default=np.inf), given=start is model, led=led
-                )
+                    begin, best=min((end.cost for _, end in ends), default=np.inf), given=given, led=led,
+                    start=start if given else None,
+                )  # fmt: skip
                 if end is not None:
                     ends.append((name, end))
             except FloatingPointError as error:

@@ -211,7 +211,9 @@ def _moved(here: _Scored, damping: float) -> Float[np.ndarray, " noise"]:
     free = np.flatnonzero(~((at <= low) & (slope > 0) | (at >= high) & (slope < 0)))
     information = here.information
     inner = information[free][:, free]
-    damped = inner + damping * np.diag(np.diagonal(inner)) + 1e-9 * np.trace(information) * np.eye(len(free))
+    # Where nothing counts, as where a body may always rest, nothing is known of any noise.
+    least = 1e-9 * np.trace(information) + np.finfo(float).eps
+    damped = inner + damping * np.diag(np.diagonal(inner)) + least * np.eye(len(free))
     move = np.zeros_like(at)
     move[free] = np.clip(-np.linalg.solve(damped, slope[free]), -_FAR, _FAR)
     return np.clip(at + move, low, high)

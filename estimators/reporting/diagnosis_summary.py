@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from estimators.core.fit import FAR, Parameter
 from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.diagnosis import Diagnosis
+from estimators.diagnosis.explanation import STILL
 from estimators.diagnosis.improvement import Improvement
 from estimators.reporting.html import Bullets
 from estimators.reporting.largest_error import largest, largest_error
@@ -140,6 +141,7 @@ def _found(told: _Told) -> str:
             f"{inside}. But these data cannot tell {alike}, which may be it as well",
         ),
         (verdict == "ambiguous", f"One of a group is missing, and these data cannot tell which: {named}"),
+        (bool(last.silent), last.silent),
         (bool(last.drift), f"The model fails as where a parameter drifts{way}: {last.drift}"),
         (bool(last.line_alone), f"Only a line speaks against the model{way}: {last.line_alone}"),
         (bool(last.rounding), f"What speaks against the model may be rounding{way}: {last.rounding}"),
@@ -212,7 +214,8 @@ def _with_model(told: _Told, file: str, *, far: bool) -> str:
             f"rtac improve {shlex.quote(file)}, which adds it and goes on." if loop is None else _WITH_IT,
         ),
         (verdict == "ambiguous", _SEPARATE),
-        (bool(last.drift), _SETTLE),
+        (bool(last.silent), STILL),
+        (bool(last.drift or last.likely_drift), _SETTLE),
         (bool(told.varying), own),
         (loop is not None and loop.broken_off, _MORE_TIME),
         (True, _LOOK),

@@ -60,7 +60,9 @@ def differing(
         found = dataclasses.replace(found, outlying=apart[0])
     # One parameter explains no more than all of them do, by one step and in fits of single experiments, and the fits that ask are
     # dear.
-    large = found.chi_square > BEYOND_ONE_STEP * sum(fit.statistics["samples"].values())
+    # A fit by predictions, or one with something held, has no count of its own.
+    values = [s.values for e in moving(recording) for c, s in e.outputs.items() if c in fit.noise]
+    large = found.chi_square > BEYOND_ONE_STEP * sum(int(np.sum(np.isfinite(one))) for one in values)
     followed = all(
         ratio <= max(FOLLOWED, _NEXT_TO_NOTHING * fit.residual_std[c] / noise[c]) for c, ratio in usual.items()
     )

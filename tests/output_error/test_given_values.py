@@ -3,6 +3,7 @@
 import dataclasses
 from typing import Any
 
+import numpy as np
 import pytest
 
 import estimators as est
@@ -53,3 +54,24 @@ def test_a_fit_that_crept_far_from_the_data_says_so(monkeypatch: pytest.MonkeyPa
     assert set(beyond) == {10.0}
     assert "only crept on, far from the data; ask est.diagnose" in fit.outcome
     assert "came to rest" not in fit.outcome
+
+
+def test_states_that_are_given_are_where_the_fit_begins(monkeypatch: pytest.MonkeyPatch) -> None:
+    """From values of the model alone: what is found in closed form begins at the first samples."""
+    recording = virtual_rig.record(
+        virtual_rig.Rig(), virtual_rig.standard_plans(seed=3, duration=2.0, free=2, forced=0, rest=0), seed=3
+    )
+    model = rtac.RTAC.from_rig(recording)
+    states = {e.name: np.array([0.01, 0.02, 0.3, 0.0]) for e in recording}
+    original, begun = descent.space_of, []
+
+    def spied(*given: Any, **options: Any) -> Any:
+        begun.append(original(*given, **options))
+        return begun[-1]
+
+    monkeypatch.setattr(descent, "space_of", spied)
+    est.output_error(model, recording, from_model=True, start=states, steps=1, progress=False)
+    np.testing.assert_array_equal(np.asarray(begun[0].start).T, np.stack(list(states.values())))
+    begun.clear()
+    est.output_error(model, recording, start=states, steps=1, progress=False)
+    assert [np.allclose(np.asarray(space.start)[1], 0.02) for space in begun[:2]] == [False, True]

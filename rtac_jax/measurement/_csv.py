@@ -1,9 +1,10 @@
 """Text files with a header row: import with an explicit channel mapping, and what a rig can play."""
 
 import csv
+import itertools
 import math
 import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import TypeVar
 
 import numpy as np
@@ -16,6 +17,12 @@ from ._experiment import Experiment
 from .atomic_write import replacing
 
 Read = TypeVar("Read")
+_ENCODINGS = (
+    "utf-8-sig",
+    "cp1252",
+)  # the first drops the mark that spreadsheets put at the start; the other is what loggers write
+_PREAMBLE = 100  # rows in which the names of the columns are looked for
+_MARKS = {",": "comma", ".": "point"}
 
 
 def read(
@@ -26,13 +33,16 @@ def read(
 
 
 def csv_header(path: str | os.PathLike[str], delimiter: str = ",") -> list[str]:
-    """Return the names in the first row of a text file.
+    """Return the names of the columns of a text file: in its first row, or below what a logger writes above them.
 
     Raises:
         FileNotFoundError: there is no such file.
         RecordingError: it is no text file, or the delimiter is not one character.
     """
-    return _opened(path, delimiter, lambda rows: [cell.strip() for cell in next(iter(rows), [])])
+    try:
+        return _opened(path, delimiter, lambda rows: _begun(rows, delimiter)[1])
+    except RecordingError as error:
+        raise RecordingError(f"{os.fspath(path)}: {error}") from error.__cause__
 
 
 def write(path: str | os.PathLike[str], recording: Contents) -> None:
@@ -64,29 +74,57 @@ def _opened(path: str | os.PathLike[str], delimiter: str, read: Callable[[Iterab
         raise FileNotFoundError(f"{os.fspath(path)}: there is no such file; check the path.")
     if not (isinstance(delimiter, str) and len(delimiter) == 1 and delimiter not in '"\r\n'):
         raise RecordingError(f"delimiter: is {delimiter!r}; give one character, as ',' or ';'.")
-    try:
-        # utf-8-sig drops the mark that spreadsheets put at the start, which would become part of the first
-        # name.
-        with open(path, newline="", encoding="utf-8-sig") as file:
-            return read(csv.reader(file, delimiter=delimiter))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise RecordingError(f"this is not a readable text file ({error}); save it as CSV in UTF-8.") from error
+    for encoding in _ENCODINGS:
+        try:
+            with open(path, newline="", encoding=encoding) as file:
+                if "\0" in file.read(4096):
+                    raise csv.Error("it holds zero bytes")
+                file.seek(0)
+                return read(csv.reader(file, delimiter=delimiter))
+        except UnicodeDecodeError as error:
+            reason: Exception = error
+        except (OSError, csv.Error) as error:
+            reason = error
+            break
+    raise RecordingError(f"this is not a readable text file ({reason}); save it as CSV in UTF-8.") from reason
+
+
+def _begun(rows: Iterable[list[str]], delimiter: str) -> tuple[int, list[str], Iterator[tuple[int, list[str]]]]:
+    """Return the number of the row with the names of the columns, these names, and what comes below with its row numbers.
+
+    It is the first row with as many cells as the numbers below, none empty if there is such a one: a logger may write about itself
+    above, and units below.
+    """
+    numbered = enumerate(rows, start=1)
+    above: list[tuple[int, list[str]]] = []
+    for row, cells in itertools.islice(numbered, _PREAMBLE):
+        above.append((row, [cell.strip() for cell in cells]))
+        if row > 1 and _is_numbers(above[-1][1], delimiter):
+            wide = [(row, names) for row, names in above[:-1] if len(names) == len(cells)]
+            named = next((found for found in wide if all(found[1])), wide[0] if wide else above[0])
+            return *named, itertools.chain(above[-1:], numbered)
+    first = above[0] if above else (1, [])
+    return *first, itertools.chain(above[1:], numbered)
+
+
+def _is_numbers(cells: list[str], delimiter: str) -> bool:
+    """Return whether most cells of a row that are not empty are numbers."""
+    told = [cell for cell in cells if cell]
+    return sum(_value(cell, delimiter) is not None for cell in told) > len(told) / 2
 
 
 def _parse(rows: Iterable[list[str]], names: list[str], delimiter: str) -> dict[str, Float64[np.ndarray, " sample"]]:
-    numbered = enumerate(rows, start=1)
-    _, header = next(numbered, (1, []))
-    header = [cell.strip() for cell in header]
+    first, header, numbered = _begun(rows, delimiter)
     for name in names:
         if header.count(name) != 1:
             often = "does not occur" if name not in header else "occurs more than once"
             raise RecordingError(
-                f"row 1: the column {name!r} {often} in the header ({', '.join(header)}); name the columns "
-                f"in the first row and separate them by {delimiter!r}."
+                f"row {first}: the column {name!r} {often} in the header ({', '.join(header)}); name the columns "
+                f"in one row above the numbers and separate them by {delimiter!r}."
             )
     places = [header.index(name) for name in names]
     columns: dict[str, list[float]] = {name: [] for name in names}
-    blank = None
+    blank, marks = None, {}
     for row, cells in numbered:
         if not cells:
             blank = row
@@ -97,20 +135,31 @@ def _parse(rows: Iterable[list[str]], names: list[str], delimiter: str) -> dict[
         if len(cells) != len(header):
             raise RecordingError(f"row {row}: has {len(cells)} cells, but the header has {len(header)}; mend the row.")
         for name, place in zip(names, places, strict=True):
-            columns[name].append(_number(cells[place], row, name))
+            columns[name].append(_number(cells[place], row, name, delimiter))
+            marks |= {mark: row for mark in _MARKS if mark in cells[place]}
+            if len(marks) > 1:
+                told = " and ".join(f"a decimal {_MARKS[mark]} in row {at}" for mark, at in marks.items())
+                raise RecordingError(f"column {name!r}: numbers have {told}; write all of them with a point.")
     return {name: np.array(values, dtype=np.float64) for name, values in columns.items()}
 
 
-def _number(cell: str, row: int, name: str) -> float:
+def _number(cell: str, row: int, name: str, delimiter: str) -> float:
     cell = cell.strip()
     if not cell:
         return math.nan
-    try:
-        # Python reads 1_5 as fifteen; in a file it is a slip.
-        if "_" not in cell:
-            return float(cell)
-    except ValueError:
-        pass
+    if (value := _value(cell, delimiter)) is not None:
+        return value
     raise RecordingError(
         f"row {row}, column {name!r}: {cell!r} is not a number; write it with a decimal point, or leave the cell empty."
     )
+
+
+def _value(cell: str, delimiter: str) -> float | None:
+    """Return the number in a cell, with a decimal comma where that separates no columns; None where it holds none."""
+    if delimiter != "," and cell.count(",") == 1 and "." not in cell:
+        cell = cell.replace(",", ".")
+    try:
+        # Python reads 1_5 as fifteen; in a file it is a slip.
+        return None if "_" in cell else float(cell)
+    except ValueError:
+        return None

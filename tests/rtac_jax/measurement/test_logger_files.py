@@ -1,0 +1,72 @@
+"""Text files as loggers and spreadsheets of other countries write them: decimal commas, words above the names, other encodings."""
+
+import numpy as np
+import pytest
+
+from rtac_jax.measurement import Recording, RecordingError, csv_header
+
+NAMES, UNITS = "t;i;x", "s;A;mm"
+NUMBERS = [(f"{0.01 * n:.2f}", f"{0.1 * (n % 3):.1f}", f"{1.5 * n:.1f}") for n in range(10)]
+ROWS = [";".join(row) for row in NUMBERS]
+COMMAS = [row.replace(".", ",") for row in ROWS]
+ABOVE = ["Messung am Prüfstand", "Logger 5;SN 123;"]
+
+
+def read(path, **options):
+    channels = {"current": "i", "cart_position": "x"}
+    told = {"delimiter": ";", "time": "t", "units": {"cart_position": "mm"}, **options}
+    return Recording.from_csv(path, channels=channels, kind="forced", **told)["run"]
+
+
+@pytest.mark.parametrize(
+    ("rows", "encoding"),
+    [
+        ([NAMES, *ROWS], "utf-8"),
+        ([NAMES, *COMMAS], "utf-8"),
+        ([*ABOVE, "", NAMES, *ROWS], "utf-8"),
+        ([*ABOVE, NAMES, UNITS, *COMMAS], "cp1252"),
+        (["Rate;100 Hz;", NAMES, *ROWS], "utf-8-sig"),
+    ],
+    ids=["plain", "decimal comma", "words above", "words above, units below, Latin letters", "a mark at the start"],
+)
+def test_what_a_logger_writes_is_read(tmp_path, rows, encoding):
+    path = tmp_path / "run.csv"
+    path.write_text("\n".join(rows), encoding=encoding)
+    assert csv_header(path, ";") == ["t", "i", "x"]
+    found = read(path)
+    assert found.sample_time == pytest.approx(0.01)
+    np.testing.assert_allclose(found.outputs["cart_position"].values, 1.5e-3 * np.arange(10.0), rtol=1e-12)
+    np.testing.assert_allclose(found.inputs["current"].values, 0.1 * (np.arange(10) % 3), rtol=1e-12)
+
+
+def test_a_comma_that_separates_columns_is_no_decimal_comma(tmp_path):
+    path = tmp_path / "run.csv"
+    path.write_text("\n".join([NAMES.replace(";", ","), *(row.replace(";", ",") for row in ROWS)]))
+    assert read(path, delimiter=",").samples == 10
+
+
+@pytest.mark.parametrize(
+    ("rows", "message"),
+    [
+        ([NAMES, *ROWS[:5], *COMMAS[5:]], "a decimal point in row . and a decimal comma in row 7; write all of them with a point"),
+        ([NAMES, *ROWS[:5], "0.05;1,234.5;3", *ROWS[6:]], "row 7, column 'i': '1,234.5' is not a number"),
+        ([*ABOVE, NAMES, *ROWS[:5], "0.05;much;3", *ROWS[6:]], "row 9, column 'i': 'much' is not a number"),
+        ([*ABOVE, NAMES.replace("x", "y"), *ROWS], r"row 3: the column 'x' does not occur in the header \(t, i, y\)"),
+        ([NAMES, "0.00;nothing;0.0", *ROWS[1:]], "row 2, column 'i': 'nothing' is not a number"),
+    ],
+    ids=["both marks", "thousands", "no number below", "another name", "no number in the first row"],
+)  # fmt: skip
+def test_the_place_of_what_is_wrong_is_that_in_the_file(tmp_path, rows, message):
+    path = tmp_path / "run.csv"
+    path.write_text("\n".join(rows), encoding="utf-8")
+    with pytest.raises(RecordingError, match=message):
+        read(path)
+
+
+def test_what_is_no_text_is_refused_by_the_name_of_the_file(tmp_path):
+    path = tmp_path / "run.csv"
+    path.write_text("\n".join([NAMES, *ROWS]), encoding="utf-16")
+    with pytest.raises(RecordingError, match=r"run.csv: .*not a readable text file .*zero bytes"):
+        read(path)
+    with pytest.raises(RecordingError, match=r"run.csv: .*not a readable text file"):
+        csv_header(path, ";")

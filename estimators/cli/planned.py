@@ -8,11 +8,14 @@ from estimators.cli.job import Job
 def plan_next(work: Job, base: Any, found: Any, candidates: Any) -> Any:
     """Plan the experiment that would tell the effects of an ambiguous diagnosis apart.
 
-    None where none is needed or feasible, or would tell them apart.
+    None where none is needed or feasible, or would tell them apart, as where one of them is a wrong constant.
     """
-    if found.verdict != "ambiguous":
-        return None
     import estimators as est
+    from estimators.diagnosis.wrong_constant import names_a_constant
+
+    alike = [i for c in found.effects if c.confusable_with for i in (c.id, *c.confusable_with)]
+    if found.verdict != "ambiguous" or names_a_constant(alike):
+        return None
 
     try:
         planned = est.next_experiment(base, work.train, found, candidates=candidates, held_out=work.held_out)

@@ -10,6 +10,7 @@ from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
 from estimators.diagnosis.removed_error import Verdict, fraction_removed
 from estimators.diagnosis.step import Step
 from estimators.diagnosis.verdict import Consequence
+from estimators.diagnosis.wrong_constant import names_a_constant
 from estimators.inference.simulation_residual import SHAKEN, SimulationResidual, judged_channels
 from estimators.misspecification.adequacy import AdequacyTest
 from estimators.misspecification.line_classes import LineClass
@@ -128,8 +129,10 @@ def _alike(steps: Sequence[Step]) -> tuple[str, str]:
     untried = "; ".join(f"{', '.join(rivals)} against {i}" for i, rivals in late if rivals)
     parts = [f"the data cannot tell {apart} apart"] if apart else []
     parts += [f"the time was over before all were held against each other, {untried}"] if untried else []
+    group = [i for one, rivals in told if rivals for i in (one, *rivals)]
+    decides = bool(apart) and not names_a_constant(group)
     return ", and ".join(parts), (
-        " An experiment that separates them may decide (est.next_experiment)." if apart else ""
+        " An experiment that separates them may decide (est.next_experiment)." if decides else ""
     )
 
 

@@ -20,6 +20,7 @@ from estimators.diagnosis.explanation import at_noise
 from estimators.diagnosis.learned_force import LearnedForce
 from estimators.diagnosis.model_extension import PredictedGain
 from estimators.diagnosis.removed_error import Verdict
+from estimators.diagnosis.wrong_constant import stands_for
 from estimators.linear.homogeneity_test import Equality
 from estimators.linear.outlier import rounded
 from estimators.prediction_error.fit import PredictorFit
@@ -290,7 +291,8 @@ class Improvement(Result):
         first, last = (self.validation.models[place] for place in (0, len(self.fits) - 1 - after))
         counted = 0 if self.predicted_gains else len(self.added)
         little = of_little_service(first, last, counted, self.diagnoses[0].policy.fall)
-        return f"{start}; {end}.{rivals}{little}{not_told_from_nothing(self.doubtful)}"
+        constants = stands_for([i for c in self.added for i in (c.id, *c.confusable_with)], self.base.model)
+        return f"{start}; {end}.{rivals}{little}{not_told_from_nothing(self.doubtful)}{constants}"
 
     @property
     def _in_time(self) -> str:

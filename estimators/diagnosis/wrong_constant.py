@@ -1,6 +1,6 @@
 """Wrong constants as candidates of a diagnosis, beside the effects that look like them."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from rtac_jax import RTAC
 from rtac_jax.effects import Effect
@@ -43,6 +43,26 @@ def doubt(ids: Sequence[str], model: RTAC) -> str:
     return (
         f" Wrong constant: {' or '.join(names)} is taken as exact and need not be. If nothing else tells it apart, no motion of"
         f" the rig will: measure it again, or state how sure it is ({stds} in /rig), and ask again."
+    )
+
+
+def names_a_constant(ids: Iterable[str]) -> bool:
+    """Return whether a wrong constant is among effects, by id: from what looks like it no motion of the rig tells it apart."""
+    return any(i in _OF for i in ids)
+
+
+def stands_for(ids: Sequence[str], model: RTAC) -> str:
+    """Say which constants a candidate stands for that is named; nothing where that is the one of its name.
+
+    Args:
+        ids: of the effects that are named.
+        model: that was diagnosed.
+    """
+    named = next((i for i in ids if i in _OF), None)
+    if named is None or _held(model) != list(_RATIO):
+        return ""
+    return (
+        f" {named} stands for an error of {' or of '.join(_RATIO)}, which no motion tells apart: weigh the cart again."
     )
 
 

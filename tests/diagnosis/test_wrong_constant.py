@@ -3,13 +3,17 @@
 import dataclasses
 from functools import reduce
 
+import made_up_results
 import numpy as np
 import pytest
 
 import estimators as est
 import rtac_jax as rtac
 from estimators.diagnosis.candidate_set import offered
-from estimators.diagnosis.wrong_constant import doubt
+from estimators.diagnosis.evidence import FittedModel
+from estimators.diagnosis.explanation import words
+from estimators.diagnosis.step import Step
+from estimators.diagnosis.wrong_constant import doubt, names_a_constant, stands_for
 from rtac_jax import virtual_rig
 from rtac_jax.effects import CATALOGUE, Effect
 from rtac_jax.effects.wrong_constant import WRONG_CONSTANTS, WrongArmInertia, WrongTotalMass
@@ -128,3 +132,32 @@ def test_constants_of_a_bifilar_test(stated: bool) -> None:
     else:
         assert found.verdict in ("ambiguous", "adequate"), found
         assert {c.id for c in found.effects} in (ALIKE, set()), found
+
+
+def test_the_headline_says_what_a_wrong_inertia_stands_for() -> None:
+    """With mass and inertia alone exact their ratio is all that shows; the group's name holds one of them only."""
+    model = rtac.RTAC.paper().release(
+        "total_mass", "arm_inertia", "spring_stiffness", "torque_constant", "eccentric_moment"
+    )
+    model = model.fix("total_mass", "arm_inertia")
+    said = stands_for(["lvdt_gain", "wrong_arm_inertia"], model)
+    assert said.startswith(" wrong_arm_inertia stands for an error of total_mass or of arm_inertia")
+    assert stands_for(["lvdt_gain"], model) == ""
+    assert stands_for(["wrong_arm_inertia"], model.fix("spring_stiffness")) == "", (
+        "there each has a candidate of its own"
+    )
+    added = (made_up_results.candidate("wrong_arm_inertia", 900.0, confusable_with=("lvdt_gain",)),)
+    found = made_up_results.improvement(2)
+    base = dataclasses.replace(found.fits[0], model=model)
+    assert said in dataclasses.replace(found, added=added, fits=(base, *found.fits[1:])).headline
+
+
+@pytest.mark.parametrize(("rival", "decides"), [("cubic_spring", True), ("wrong_arm_inertia", False)])
+def test_no_experiment_is_promised_to_tell_a_wrong_constant(rival: str, decides: bool) -> None:
+    assert names_a_constant(["lvdt_gain", rival]) is not decides
+    blank = FittedModel(1, ("lvdt_gain",), 1, 0.0)
+    step = Step("lvdt_gain", (rival,), 500.0, 500.0, 250.0, blank, ())
+    several = [made_up_results.candidate(name, 500.0) for name in ("lvdt_gain", rival)]
+    text = words("ambiguous", several, several, [step], (), (), 0.99, [], [], [], [])
+    assert "cannot tell lvdt_gain or" in text
+    assert ("est.next_experiment" in text) is decides

@@ -195,6 +195,10 @@ def _initial_angle(experiment: Experiment) -> Iterator[str]:
             return
         if abs(start) > np.pi and abs(first - np.deg2rad(start)) < _ANGLE_REACH:
             yield "initial_arm_angle agrees with the first arm_angle only if it is in degrees; multiply it by 0.01745."
+        elif abs(np.deg2rad(first) - start) < _ANGLE_REACH:
+            yield "arm_angle begins at initial_arm_angle only if it is in degrees; multiply arm_angle by 0.01745."
+        elif abs(first + start) < _ANGLE_REACH:
+            yield "arm_angle begins at minus initial_arm_angle, as of a sensor that counts the other way; multiply one by -1."
         else:
             yield f"initial_arm_angle is {start:.3g} rad, but arm_angle begins at {first:.3g} rad; correct one of the two."
     elif abs(start) > 2 * np.pi:

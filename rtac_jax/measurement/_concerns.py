@@ -104,6 +104,11 @@ def _about_recording(recording: Recording) -> Iterator[str]:
             f"Hum of the mains is in {' and '.join(map(str, hum))}: shield the sensor. The command line and est.improve subtract "
             "it; other calls take it for noise, or for what is missing, unless they are given recording.without_hum()."
         )
+    if _never_moves(recording, "cart_position"):
+        yield (
+            "cart_position is no louder in any experiment than at rest: dry friction holds the cart, so nothing can be learned of"
+            " it; drive it harder, or record a decay from far off."
+        )
     if zeroed := _zeroed(recording):
         yield (
             f"arm_angle begins at exactly 0 in {_listed(zeroed)}, as where an incremental encoder is zeroed at every start; unless "
@@ -112,6 +117,17 @@ def _about_recording(recording: Recording) -> Iterator[str]:
         )
     if all(experiment.kind == "rest" for experiment in recording):
         yield "All experiments are at rest, so there is nothing to fit; record free or forced ones."
+
+
+def _never_moves(recording: Recording, name: str) -> bool:
+    """Return whether an output was recorded at rest, and no experiment shows more than that."""
+    loudest: dict[bool, float] = {}
+    for experiment in recording:
+        signal = experiment.outputs.get(name)
+        if signal is not None and not _held(name, experiment):
+            rests = experiment.kind == "rest"
+            loudest[rests] = max(loudest.get(rests, 0.0), float(np.nanstd(signal.values)))
+    return len(loudest) == 2 and loudest[False] <= MOVING_SIGMAS * loudest[True]
 
 
 def _zeroed(recording: Recording) -> list[str]:

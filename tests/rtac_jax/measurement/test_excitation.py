@@ -236,6 +236,30 @@ def test_faults_among_counts_are_still_seen():
     assert any("one and the same value for 5" in c for c in concerns(Recording((free(arm_angle=held),))))
 
 
+@pytest.mark.parametrize(("size", "still"), [(1.0, True), (10.0, False)])
+def test_a_cart_that_no_experiment_moves_is_a_concern(size: float, still: bool) -> None:
+    driven = forced(cart_position=size * noise(3))
+    said = concerns(Recording((driven, rest())))
+    assert any("dry friction holds the cart" in one for one in said) is still
+    assert not any("dry friction holds" in one for one in concerns(Recording((driven,)))), "nothing tells the noise"
+
+
+@pytest.mark.parametrize(
+    ("begins", "said"),
+    [
+        (0.4, ""),
+        (-0.4, "arm_angle begins at minus initial_arm_angle"),
+        (np.rad2deg(0.4), "arm_angle begins at initial_arm_angle only if it is in degrees"),
+        (1.3, "correct one of the two"),
+    ],
+)
+def test_what_is_wrong_with_the_angle_at_the_start_is_said_once_for_all_experiments(begins: float, said: str) -> None:
+    several = [replace(free(name, arm_angle=begins + 0.01 * T), initial_arm_angle=0.4) for name in ("a", "b")]
+    told = [one for one in concerns(Recording(several)) if "initial_arm_angle" in one]
+    assert len(told) == bool(said)
+    assert all(one.startswith("a, b: ") and said in one for one in told)
+
+
 def test_an_encoder_that_is_zeroed_at_every_start_is_a_concern():
     def turned(name, by):
         angle = np.floor((0.3 * np.sin(3 * T) + by) / 1e-3) * 1e-3

@@ -130,7 +130,7 @@ def table_1(found: ClosedForm) -> str:
     others = tuple((found.model.parameters[n].meaning.capitalize(), n) for n in found.estimates)
     for title, name in dict.fromkeys((*places, *(o for o in others if o[1] not in dict((b, a) for a, b in places)))):
         declared = found.model.parameters[name]
-        rows.append([title, declared.symbol, f"{float(np.mean(np.asarray(found.model[name]))):.5g}", declared.unit])
+        rows.append([title, declared.symbol, f"{_value(found, name):.5g}", declared.unit])
     parts.append(f"(c) parameters of the rig, from all experiments together\n{_table(rows)}")
     return "\n\n".join(
         [
@@ -143,6 +143,14 @@ def table_1(found: ClosedForm) -> str:
             _rule(found),
         ]
     )
+
+
+def _value(found: ClosedForm, name: str) -> float:
+    """Return an estimate, or the model's value where there is none; one beyond its bounds, which no model can have, as it is."""
+    own = float(np.mean(np.asarray(found.model[name])))
+    estimate = found.estimates[name].pooled if name in found.estimates else own
+    low, high = found.model.parameters[name].bounds
+    return estimate if estimate <= low or estimate >= high else own
 
 
 def _disregarded(found: ClosedForm) -> list[str]:

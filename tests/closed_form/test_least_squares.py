@@ -269,6 +269,17 @@ def test_the_printout_says_that_v_and_d_are_biased_and_shows_the_weak_form(quiet
     assert weak.weak is None
 
 
+@pytest.mark.parametrize(("pooled", "shown"), [(-3.25, "-3.25"), (0.0, "0"), (np.nan, None)])
+def test_an_estimate_that_no_model_can_have_stands_in_the_table_as_it_is(
+    as_in_paper: est.ClosedForm, pooled: float, shown: str | None
+) -> None:
+    """In place of the model's own stiffness, which nobody estimated."""
+    odd = dataclasses.replace(as_in_paper.estimates["torque_constant"], pooled=pooled, unit="N/m")
+    found = dataclasses.replace(as_in_paper, estimates={**as_in_paper.estimates, "spring_stiffness": odd})
+    (row,) = [line for line in str(found).splitlines() if line.startswith("Spring stiffness")]
+    assert row.split()[-2] == (shown or f"{float(found.model['spring_stiffness']):.5g}")
+
+
 def test_table_1_as_a_picture(as_in_paper: est.ClosedForm) -> None:
     figure = as_in_paper.plot()
     assert "paper's rule of 30 %" in figure.get_suptitle()

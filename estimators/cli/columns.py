@@ -57,7 +57,7 @@ class Columns:
         if other is not None:
             stop(
                 WRONG_USE,
-                f"{file}: its first row has one column, {header[0]!r}; give --delimiter {_DELIMITERS[other]}.",
+                f"{file}: the row that should name its columns has one, {header[0]!r}; give --delimiter {_DELIMITERS[other]}.",
             )
         there = f"; the columns of {file.name} are {', '.join(header)}" if header else ""
         if not asked:

@@ -7,7 +7,7 @@ import typer
 
 from estimators.cli.captions import shown
 from estimators.cli.job import Job, job
-from estimators.cli.models import model_or_fit, seen
+from estimators.cli.models import recommended_fit, seen
 from estimators.cli.options import Effects, File, Json, Out, Validation
 from estimators.cli.refusals import WRONG_USE, stop
 from estimators.validation.trace import colour_of
@@ -104,7 +104,7 @@ def _judged(work: Job, models: list[Path] | None, effects: Path | None) -> tuple
         labels = [str(path) for path in models]
     if len(set(labels)) < len(labels):
         stop(WRONG_USE, "--model: names a file twice; give each once.")
-    fits = [model_or_fit(path, effects) for path in models]
+    fits = [recommended_fit(path, effects) for path in models]
     if work.held_out is not None:
         for label, fit in zip(labels, fits, strict=True):
             if known := seen(fit, work.held_out):

@@ -46,6 +46,16 @@ def model_or_fit(path: Path, effects: Path | None = None) -> Any:
     )
 
 
+def recommended_fit(path: Path, effects: Path | None = None) -> Any:
+    """Return the model or the fit that a file holds, as it is; of an improvement the fit by predictions, or the last one."""
+    import estimators as est
+
+    found = loaded(path, effects)
+    if isinstance(found, est.Improvement) and found.by_predictions is not None:
+        return found.by_predictions
+    return found if isinstance(found, est.PredictorFit) else model_or_fit(path, effects)
+
+
 def start_model(work: Job, path: Path | None, effects: Path | None = None, fix: str | None = None) -> Any:
     """Return the model to begin with: that of a file, or the paper's with the constants of the recording.
 
@@ -107,8 +117,11 @@ def fitted_to(fit: Any, recording: Any) -> bool:
 
 def seen(fit: Any, recording: Any) -> list[str]:
     """Return the names of the experiments in a recording that a fit was made of; none for a model."""
+    import estimators as est
     from estimators.core.data import is_among, mark_of, moving, pieces
 
+    if isinstance(fit, est.PredictorFit):  # which knows them by name only
+        return [e.name for e in pieces(moving(recording)) if e.name in fit.experiments]
     marks = getattr(fit, "marks", {})
     several = pieces([e for e in moving(recording) if is_among(e, marks)])
     return [e.name for e in several if marks.get(e.name) == mark_of(e)]

@@ -8,13 +8,13 @@ from estimators.cli.job import Job
 def plan_next(work: Job, base: Any, found: Any, candidates: Any) -> Any:
     """Plan the experiment that would tell the effects of an ambiguous diagnosis apart.
 
-    None where none is needed or feasible, or would tell them apart, as where one of them is a wrong constant.
+    None where none is needed or feasible, or none would tell them apart, as an effect and a wrong constant.
     """
     import estimators as est
-    from estimators.diagnosis.wrong_constant import names_a_constant
+    from estimators.diagnosis.wrong_constant import without_constants
 
-    alike = [i for c in found.effects if c.confusable_with for i in (c.id, *c.confusable_with)]
-    if found.verdict != "ambiguous" or names_a_constant(alike):
+    groups = [(c.id, *c.confusable_with) for c in found.effects if c.confusable_with]
+    if found.verdict != "ambiguous" or not any(map(without_constants, groups)):
         return None
 
     try:

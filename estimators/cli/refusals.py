@@ -13,8 +13,8 @@ from estimators.cli.environment import reason
 NOT_POSSIBLE, WRONG_USE, INTERRUPTED = 1, 2, 130
 
 SINGULAR = (
-    "the model follows so little of the recording that nothing can be computed beside it ({}): look at what rtac info says of"
-    " signs, units and constants, or begin with another model (--model) or fewer parameters (--fix)."
+    "what was asked cannot be computed ({}): the recording leaves something undetermined, or the model follows next to nothing of"
+    " it; look at what rtac info says of signs, units and constants."
 )
 
 _shown = {"tracebacks": False}

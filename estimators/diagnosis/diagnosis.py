@@ -103,6 +103,8 @@ class Diagnosis(Result):
         """Return that the recording says nothing of what the model lacks, in words, where that is so; empty elsewhere."""
         if self.verdict != "unknown" or self.evidence is None or not self.evidence.facts.silent:
             return ""
+        if any(test.rejects for test in self.tests):
+            return ""
         return (
             f"These data say nothing of what the model lacks: {100 * self.evidence.facts.left_out:.0f} % of the samples do not"
             " count, as the cart or the arm all but rests there, and no effect of any plausible size would show"
@@ -137,8 +139,8 @@ class Diagnosis(Result):
 
     @property
     def likely_drift(self) -> str:
-        """Return the words of the test of drift, where it finds more than any other that rejects, but not all."""
-        return "" if self.drift else self._drift(1.0)
+        """Return the words of the test of drift, where any other finds half of what it does at most, but not next to nothing."""
+        return "" if self.drift else self._drift(self.policy.static)
 
     def _drift(self, most: float) -> str:
         """Return the words of the test of drift, where any other finds this fraction of what it does at most."""

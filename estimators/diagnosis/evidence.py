@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from estimators.core.undetermined import UNDETERMINED
+from estimators.inference.simulation_residual import is_current_noise
 from estimators.misspecification.findings import Findings, Score
 
 FORMAT, VERSION = "rtac-evidence", 1
@@ -158,9 +159,9 @@ class Facts:
 
     @property
     def silent(self) -> bool:
-        """Return whether hardly a sample counts, as where a rig rests, and no effect could be shown."""
-        shown = (i for i, traits in self.effects.items() if not traits.contact and i not in self.untestable)
-        return self.left_out > 0.5 and bool(self.effects) and next(shown, None) is None
+        """Return whether most samples do not count, as where a rig rests, and no effect that was asked for could be shown."""
+        asked = {i for i, traits in self.effects.items() if not traits.contact}
+        return self.left_out > 0.5 and bool(asked) and asked <= set(self.untestable)
 
     def current_noise_explains(self, random: tuple[float, float], *, force: float, times: float) -> bool:
         """Return whether the noise of a measured current explains the random forces that a predictor asks for.
@@ -170,7 +171,7 @@ class Facts:
             force: the same, up to which a random force on the cart is next to nothing.
             times: power of the torque over that of the noise, up to which the noise explains it.
         """
-        return self.current_noise > 0.0 and random[0] < force and random[1] ** 2 <= times * self.current_noise**2
+        return is_current_noise(random, self.current_noise, force=force, times=times)
 
     def origin(self, place: int) -> str:
         """Return the name of the experiment that the one at this place is, or is a piece of."""

@@ -10,7 +10,7 @@ from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
 from estimators.diagnosis.removed_error import Verdict, fraction_removed
 from estimators.diagnosis.step import Step
 from estimators.diagnosis.verdict import Consequence
-from estimators.diagnosis.wrong_constant import names_a_constant
+from estimators.diagnosis.wrong_constant import without_constants
 from estimators.inference.simulation_residual import SHAKEN, SimulationResidual, judged_channels
 from estimators.misspecification.adequacy import AdequacyTest
 from estimators.misspecification.line_classes import LineClass
@@ -36,8 +36,8 @@ OF_A_DRIFT = (
     " before it is recorded, or fit shorter experiments and hold them against each other (est.constancy)."
 )
 OF_A_LIKELY_DRIFT = (
-    " Most of it is as where a parameter changes while an experiment lasts, as friction of a drive that warms up, though not at an"
-    " even rate; in decays, what grows with the amplitude looks like that, too. Let the rig run before it is recorded, or hold"
+    " Most of it is as where a parameter changes while an experiment lasts, as friction of a drive that warms up; in decays, what"
+    " grows with the amplitude looks like that, too. Let the rig run before it is recorded, or hold"
     " shorter experiments against each other (est.constancy)."
 )
 _LISTED = 6  # of what was not asked, by name
@@ -129,8 +129,7 @@ def _alike(steps: Sequence[Step]) -> tuple[str, str]:
     untried = "; ".join(f"{', '.join(rivals)} against {i}" for i, rivals in late if rivals)
     parts = [f"the data cannot tell {apart} apart"] if apart else []
     parts += [f"the time was over before all were held against each other, {untried}"] if untried else []
-    group = [i for one, rivals in told if rivals for i in (one, *rivals)]
-    decides = bool(apart) and not names_a_constant(group)
+    decides = any(without_constants([one, *rivals]) for one, rivals in told if rivals)
     return ", and ".join(parts), (
         " An experiment that separates them may decide (est.next_experiment)." if decides else ""
     )
@@ -297,7 +296,7 @@ def shaken(
             " hold beside such forces"
         )
     if of_the_current:
-        stand = "as much as the noise of the measured current is, so that nothing need shake the rig"
+        stand = "no more than the noise of the measured current is, so that nothing need shake the rig"
     return said + (
         f" The predictor asks for random forces even so ({100 * random_force:.1f} % of the rms force in one sample,"
         f" {100 * random_torque:.1f} % of the rms torque): {stand}. A simulation cannot follow them: est.prediction_error_nonlinear"

@@ -80,7 +80,18 @@ def improve(
         other.submit(compile_diagnosis, model, train, candidates)
         base = output_error(model, train, progress=progress)
         first = Added(base, compare(base, held_out, labels=["base"]).models[0], "simulated")
-    loop = Loop(train, held_out, candidates, most, thorough, policy, progress, [((), first)], deadline=deadline)
+    loop = Loop(
+        train,
+        held_out,
+        candidates,
+        most,
+        thorough,
+        policy,
+        progress,
+        [((), first)],
+        deadline=deadline,
+        laws=learned_force,
+    )
     loop.run()
     with deadline.prolonged(PROLONGED).kept():
         ended = end_of(loop, last_resort=learned_force)

@@ -1,5 +1,6 @@
 """The loop from the base model on: diagnose, add what is named, fit again, and, at the end, last resorts."""
 
+import contextlib
 import dataclasses
 from collections.abc import Sequence
 
@@ -54,6 +55,7 @@ class Loop:
         out_of_time: whether it ended for that.
         not_added: ids of what is named, and what was not fitted before.
         law_asked: the last fit beside which a law was looked for, and what came of it.
+        laws: whether laws that are read off a missing force may be added.
     """
 
     train: Recording
@@ -73,6 +75,12 @@ class Loop:
     out_of_time: bool = False
     not_added: tuple[str, ...] = ()
     law_asked: "tuple[Fit, Loop | None] | None" = None
+    laws: bool = True
+
+    @property
+    def _wants_laws(self) -> bool:
+        """Return whether a law may be read off a missing force before what raised no alarm is looked at again."""
+        return self.laws and self.candidates is None and len(self.added) < self.most and not self.deadline.over
 
     @property
     def last(self) -> Added:
@@ -102,9 +110,7 @@ class Loop:
             released = self.last.fit.model.release(*parameters_of(self.last.fit.model, self.held))
             base = dataclasses.replace(self.last.fit, model=released)
             try:
-                found = self._diagnosed(
-                    base, self.candidates, thorough=self.thorough, laws_first=self.candidates is None
-                )
+                found = self._diagnosed(base, self.candidates, thorough=self.thorough, laws_first=self._wants_laws)
             except DivergedError as error:
                 if not self.diagnoses:
                     raise
@@ -115,10 +121,13 @@ class Loop:
             if self._add_beyond_catalogue(base, found):
                 continue
             if found.awaits_law:
-                if (further := self.with_law()) is not None and further.ended_adequate:
-                    vars(self).update(vars(further))
-                    return
-                found = self.diagnoses[-1] = self._diagnosed(base, self.candidates, thorough=self.thorough)
+                with self.deadline.prolonged(PROLONGED).kept(), contextlib.suppress(OutOfTimeError):
+                    if (further := self.with_law()) is not None and further.ended_adequate:
+                        vars(self).update(vars(further))
+                        return
+                if not self.deadline.over:
+                    with contextlib.suppress(DivergedError):
+                        found = self.diagnoses[-1] = self._diagnosed(base, self.candidates, thorough=self.thorough)
             if not found.additions:
                 enough = found.verdict == "adequate"
                 why = "nothing more is missing" if enough else f"{found.no_effect} explains what is missing"
@@ -281,10 +290,13 @@ class Loop:
         further.stopped = ""
         further.run()
         # With what else was missing in the model, another law may tell.
-        if not further.ended_adequate and further.added[-1].id != read.law.id and not further.deadline.over:
-            other = other_law(
-                read, further.last, further.added, self.train, self.held_out, policy=self.policy, progress=self.progress
-            )
+        if not further.ended_adequate and further.added[-1].id != read.law.id and further.all_simulated:
+            other = None
+            with contextlib.suppress(OutOfTimeError):
+                other = other_law(
+                    read, further.last, further.added, self.train, self.held_out, policy=self.policy,
+                    progress=self.progress,
+                )  # fmt: skip
             if other is not None:
                 further.steps.append(((other.law.id,), other.step))
                 further.added, further.stopped = other.among(further.added), ""

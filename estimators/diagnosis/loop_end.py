@@ -9,6 +9,7 @@ from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.improvement_loop import Loop
 from estimators.diagnosis.learned_force import LearnedForce
 from estimators.diagnosis.model_extension import Added, falls_clearly, misfit
+from estimators.diagnosis.verdict import is_of_the_current
 from estimators.linear.homogeneity_test import Equality
 from estimators.output_error.fit import output_error
 from estimators.prediction_error.fit import PredictorFit, prediction_error_nonlinear
@@ -38,9 +39,9 @@ class LoopEnd:
     @property
     def by_predictions(self) -> PredictorFit | None:
         """Return the fit of the last model by predictions one sample ahead, where its simulation strays; None elsewhere."""
-        if self.led is None or self.led[0] is not self.loop.last.fit or self.led[0].farthest <= FAR:
+        if self.led is None or self.led[0] is not self.loop.last.fit:
             return None
-        return self.led[1]
+        return self.led[1] if self.led[0].farthest > FAR or _of_the_current(self.loop) else None
 
 
 def end_of(loop: Loop, *, last_resort: bool) -> LoopEnd:
@@ -70,6 +71,15 @@ def _look_again(end: LoopEnd) -> None:
     end.loop = end.loop.with_simpler_law() or end.loop
 
 
+def _of_the_current(loop: Loop) -> bool:
+    """Return whether the noise of a measured current leads the last simulation astray, as far as it does."""
+    told = loop.diagnoses[-1]
+    found = told.simulation
+    if found is None or found.cause != "shaken" or told.evidence is None:
+        return False
+    return is_of_the_current(told.evidence.facts, (found.random_force, found.random_torque), loop.policy)
+
+
 def lead_by_predictions(loop: Loop) -> PredictorFit | None:
     """Fit the last model anew from where predictions one sample ahead lead, if it is adequate to these and simulates far off.
 
@@ -79,7 +89,7 @@ def lead_by_predictions(loop: Loop) -> PredictorFit | None:
         the fit by predictions, where no fit by simulation from there serves better; None elsewhere, and where none was asked.
     """
     last = loop.last
-    far = max(e.rms_over_noise for e in last.tested.errors.values()) > FAR
+    far = max(e.rms_over_noise for e in last.tested.errors.values()) > FAR or _of_the_current(loop)
     adequate = loop.diagnoses[-1].verdict == "adequate"
     if not far or not loop.all_simulated or not adequate or loop.deadline.over:
         return None

@@ -82,11 +82,11 @@ def fit_base(setting: Setting) -> Refit:
     free = tuple(shared(setting.model))
     try:
         return fitted(setting, (), model_with(setting, []), free, None, {})
-    except FloatingPointError:
+    except (FloatingPointError, np.linalg.LinAlgError):
         model = with_colours(starting_values(setting.model, setting.recording), setting.colours)
     try:
         return fitted(setting, (), model, free, None, {})
-    except FloatingPointError as error:
+    except (FloatingPointError, np.linalg.LinAlgError) as error:
         own = [effect.id for effect in setting.model.effects if effect.states]
         without = f" Diagnose it without what has states of its own: {', '.join(own)} (model.without)." if own else ""
         raise DivergedError(
@@ -136,10 +136,10 @@ def refit_thoroughly(setting: Setting, before: Refit, s: Screened) -> Refit:
         ArithmeticError: the model diverges, or leaves parameters free, in both.
     """
     filtered = other = None
-    with contextlib.suppress(ArithmeticError):
+    with contextlib.suppress(ArithmeticError, np.linalg.LinAlgError):
         filtered = refit_with(setting, before, s)
     contact = setting.classes[s.id].acts_by_contact
-    with contextlib.suppress(ArithmeticError):
+    with contextlib.suppress(ArithmeticError, np.linalg.LinAlgError):
         other = refit_by_trial(setting, before, s) if contact else refit_by_simulation(setting, before, s, filtered)
     refits = [refit for refit in (filtered, other) if refit is not None]
     if not refits:
@@ -172,10 +172,10 @@ def refit_by_simulation(setting: Setting, before: Refit, s: Screened, filtered: 
         begins.append(begins[0].with_values(known))
     simulated: list[Fit] = []
     for begin in begins:
-        with contextlib.suppress(ArithmeticError, NotIdentifiableError):
+        with contextlib.suppress(ArithmeticError, np.linalg.LinAlgError, NotIdentifiableError):
             simulated.append(output_error(begin, setting.recording, from_model=True, progress=False))
     for found in sorted(simulated, key=lambda found: found.statistics["cost"]):
-        with contextlib.suppress(ArithmeticError):
+        with contextlib.suppress(ArithmeticError, np.linalg.LinAlgError):
             return from_simulation(setting, before, added, model, free, found)
     raise FloatingPointError(f"with {s.id} the model diverges in a simulation.")
 
@@ -256,7 +256,7 @@ def extended_simulation(setting: Setting, fit: Fit, final: Refit) -> SimulationE
     base = [name for name in extended.free if name.split(".")[0] not in final.added]
     # What the data leave free, as the torque constant of an arm that its drive never turns, is held where the predictor has it.
     for model in (extended, extended.fix(*base)):
-        with contextlib.suppress(ArithmeticError, NotIdentifiableError):
+        with contextlib.suppress(ArithmeticError, np.linalg.LinAlgError, NotIdentifiableError):
             simulated = output_error(model, setting.recording, from_model=True, progress=False)
             return simulation_error(setting, simulated, final)
     return simulation_error(setting, fit, final)
@@ -265,7 +265,7 @@ def extended_simulation(setting: Setting, fit: Fit, final: Refit) -> SimulationE
 def _refit_or_none(setting: Setting, before: Refit, s: Screened | Explained, way: Way) -> Refit | None:
     """Fit a model with one candidate more; None if the model diverges with it, or the time is over."""
     setting.progress.at(f"diagnose: refit with {s.id}")
-    with contextlib.suppress(ArithmeticError, NotIdentifiableError, OutOfTimeError):
+    with contextlib.suppress(ArithmeticError, np.linalg.LinAlgError, NotIdentifiableError, OutOfTimeError):
         require_time()
         if isinstance(s, Explained):
             return refit_from_equations(setting, before, s)

@@ -50,7 +50,7 @@ class SimulatedFits:
         """Fit the simulation with a candidate to its end, by number of the model before and id; None where none could be begun."""
         begun = self._with.get((number, effect))
         if begun is not None:
-            with contextlib.suppress(ArithmeticError, NotIdentifiableError, OutOfTimeError):
+            with contextlib.suppress(ArithmeticError, np.linalg.LinAlgError, NotIdentifiableError, OutOfTimeError):
                 require_time()
                 done = output_error(begun.model, setting.recording, from_model=True, progress=False)
                 begun = begun if done.lost else done
@@ -60,7 +60,7 @@ class SimulatedFits:
         """Return the predictor that is fitted from where a simulation with a candidate ended; None where it diverges there."""
         setting.progress.at(f"diagnose: refit with {s.id}")
         model, free, added = beginning(setting, before, s)
-        with contextlib.suppress(ArithmeticError, OutOfTimeError):
+        with contextlib.suppress(ArithmeticError, np.linalg.LinAlgError, OutOfTimeError):
             return from_simulation(setting, before, added, model, free, fit)
         return None
 
@@ -82,7 +82,7 @@ def _simulated_with(setting: Setting, fit: Fit, before: Refit, s: Screened | Exp
     begin = (setting.model if fit.lost else fit.model) + effect
     if isinstance(s, Explained):
         begin = placed_inside(begin, {name: value for name, value in s.values.items() if name in begin.free})
-    with contextlib.suppress(ArithmeticError, NotIdentifiableError, OutOfTimeError):
+    with contextlib.suppress(ArithmeticError, np.linalg.LinAlgError, NotIdentifiableError, OutOfTimeError):
         require_time()
         found = output_error(begin, setting.recording, from_model=True, steps=_STEPS, led=False, progress=False)
         sound = not found.lost and np.all(np.isfinite(list(found.residual_std.values())))

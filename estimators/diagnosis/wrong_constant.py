@@ -46,9 +46,9 @@ def doubt(ids: Sequence[str], model: RTAC) -> str:
     )
 
 
-def names_a_constant(ids: Iterable[str]) -> bool:
-    """Return whether a wrong constant is among effects, by id: from what looks like it no motion of the rig tells it apart."""
-    return any(i in _OF for i in ids)
+def without_constants(group: Iterable[str]) -> bool:
+    """Return whether two effects of a group that look alike, by id, are no wrong constants, so that an experiment may tell them."""
+    return sum(i not in _OF for i in group) > 1
 
 
 def stands_for(ids: Sequence[str], model: RTAC) -> str:

@@ -118,9 +118,9 @@ class Agreement:
 
     @property
     def _calm(self) -> bool:
-        """Return whether random forces are known to be next to nothing, so that nothing hides behind them."""
+        """Return whether random forces are next to nothing, or noise of a measured current, so that nothing hides behind them."""
         found = self.simulation
-        return found is not None and max(found.random_force, found.random_torque) < SHAKEN
+        return found is not None and (found.of_the_current or max(found.random_force, found.random_torque) < SHAKEN)
 
     @property
     def verdict(self) -> str:

@@ -24,6 +24,7 @@ from estimators.inference.estimates import MODAL, Estimator, Result, estimator_o
 from estimators.inference.shaken_simulation import shaken_by
 from estimators.inference.simulation_residual import (
     SimulationResidual,
+    is_current_noise,
     judged_channels,
     of_unknown_noise,
     simulation_residual,
@@ -194,6 +195,7 @@ def _simulation(fit: Fit, recording: Recording, predictors: Sequence[PredictorFi
         deviation = {c: float(left[row]) / fit.noise[c] for c, row in rows.items()}
     signal = motion_of(data)
     scales = scales_of(fit.model, problem.experiments)
+    torque = float(np.mean(np.asarray(fit.model["torque_constant"])))  # by an ampere
     return simulation_residual(
         {c: fit.residual_std[c] / fit.noise[c] for c in rows},
         deviation,
@@ -203,6 +205,7 @@ def _simulation(fit: Fit, recording: Recording, predictors: Sequence[PredictorFi
         experiments=len(problem.experiments),
         noise_known=judged_channels(fit.residual_std, recording)[1],
         unknown=of_unknown_noise(fit.residual_std, recording),
+        of_the_current=is_current_noise(random, torque * recording.current_noise() / scales.torque),
     )
 
 

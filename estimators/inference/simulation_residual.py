@@ -60,6 +60,7 @@ class SimulationResidual:
         random_force, random_torque: in one sample, as fractions of the rms forces; NaN if not known.
         words: what is known, as one or two sentences; empty for "noise".
         noise_known: whether the channel's noise is known apart from any fit; else it is that of the fastest changes.
+        of_the_current: whether the noise of a measured current is a random torque of that size.
     """
 
     cause: Cause
@@ -71,6 +72,7 @@ class SimulationResidual:
     random_torque: float
     words: str
     noise_known: bool = True
+    of_the_current: bool = False
 
     @property
     def vetoes(self) -> bool:
@@ -117,6 +119,20 @@ def of_unknown_noise(residual_std: Mapping[str, float], recording: "Recording") 
     """Return the channels whose noise nobody knows, where that of others is known."""
     judged, _ = judged_channels(residual_std, recording)
     return tuple(channel for channel in residual_std if channel not in judged)
+
+
+def is_current_noise(
+    random: tuple[float, float], noise: float, *, force: float = SHAKEN, times: float = STANDARD.beyond
+) -> bool:
+    """Return whether the noise of a measured current explains the random forces that a predictor asks for.
+
+    Args:
+        random: force and torque in one sample, as fractions of the rms forces; False if NaN.
+        noise: the random torque that the noise of the current is, as the same fraction; zero where nothing shows any.
+        force: fraction up to which a random force on the cart is next to nothing.
+        times: power of the torque over that of the noise, up to which the noise explains it.
+    """
+    return noise > 0.0 and random[0] < force and random[1] ** 2 <= times * noise**2
 
 
 def random_forces_are_large(
@@ -209,7 +225,7 @@ def simulation_residual(
         words = _words(cause, misses, by, random, suspect, seconds, of_the_current=of_the_current)
         return SimulationResidual(
             cause, channel, error[channel], by, fraction, *random, words,
-            noise_known and channel not in unknown,
+            noise_known and channel not in unknown, of_the_current,
         )  # fmt: skip
 
     poorest = max(away, key=lambda c: away[c] / signal[c], default="")

@@ -215,9 +215,10 @@ def _with_model(told: _Told, file: str, *, far: bool) -> str:
         ),
         (verdict == "ambiguous", _SEPARATE),
         (bool(last.silent), STILL),
-        (bool(last.drift or last.likely_drift), _SETTLE),
+        (bool(last.drift), _SETTLE),
         (bool(told.varying), own),
         (loop is not None and loop.broken_off, _MORE_TIME),
+        (bool(last.likely_drift), _SETTLE),
         (True, _LOOK),
     )
 

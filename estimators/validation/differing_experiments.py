@@ -8,7 +8,7 @@ import numpy as np
 
 from estimators.core.data import moving
 from estimators.core.fit import Fit
-from estimators.core.results import DivergedError, NotIdentifiableError
+from estimators.core.results import FAILURES, DivergedError, NotIdentifiableError
 from estimators.inference.constancy import BEYOND_ONE_STEP, constancy
 from estimators.inference.varying_parameters import ENOUGH, NEXT_TO_ALL
 from estimators.linear.homogeneity_test import Equality, trend_of, varying
@@ -89,7 +89,7 @@ def _with_own_parameter(fit: Fit, recording: Recording, found: Equality, noise: 
     following: dict[int, tuple[Fit, dict[str, float]]] = {}
     for place in np.argsort(-scatter)[:_OWN_PARAMETERS]:
         own = _begun(fit, found, int(place))
-        with contextlib.suppress(ArithmeticError, NotIdentifiableError, DivergedError):
+        with contextlib.suppress(ArithmeticError, *FAILURES):
             one = output_error(own, recording, from_model=True, steps=_STEPS, progress=False)
             over = {channel: size / noise[channel] for channel, size in one.residual_std.items()}
             if max(over.values()) <= FOLLOWED:

@@ -4,6 +4,7 @@ import csv
 import itertools
 import math
 import os
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import TypeVar
 
@@ -23,6 +24,7 @@ _ENCODINGS = (
 )  # the first drops the mark that spreadsheets put at the start; the other is what loggers write
 _PREAMBLE = 100  # rows in which the names of the columns are looked for
 _MARKS = {",": "comma", ".": "point"}
+_THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2},\d{3}")
 
 
 def read(
@@ -40,7 +42,7 @@ def csv_header(path: str | os.PathLike[str], delimiter: str = ",") -> list[str]:
         RecordingError: it is no text file, or the delimiter is not one character.
     """
     try:
-        return _opened(path, delimiter, lambda rows: _begun(rows, delimiter)[1])
+        return _opened(path, delimiter, lambda rows: _names(rows, delimiter))
     except RecordingError as error:
         raise RecordingError(f"{os.fspath(path)}: {error}") from error.__cause__
 
@@ -74,6 +76,7 @@ def _opened(path: str | os.PathLike[str], delimiter: str, read: Callable[[Iterab
         raise FileNotFoundError(f"{os.fspath(path)}: there is no such file; check the path.")
     if not (isinstance(delimiter, str) and len(delimiter) == 1 and delimiter not in '"\r\n'):
         raise RecordingError(f"delimiter: is {delimiter!r}; give one character, as ',' or ';'.")
+    reason: Exception = ValueError(path)
     for encoding in _ENCODINGS:
         try:
             with open(path, newline="", encoding=encoding) as file:
@@ -82,29 +85,24 @@ def _opened(path: str | os.PathLike[str], delimiter: str, read: Callable[[Iterab
                 file.seek(0)
                 return read(csv.reader(file, delimiter=delimiter))
         except UnicodeDecodeError as error:
-            reason: Exception = error
+            reason = error
         except (OSError, csv.Error) as error:
             reason = error
             break
     raise RecordingError(f"this is not a readable text file ({reason}); save it as CSV in UTF-8.") from reason
 
 
-def _begun(rows: Iterable[list[str]], delimiter: str) -> tuple[int, list[str], Iterator[tuple[int, list[str]]]]:
-    """Return the number of the row with the names of the columns, these names, and what comes below with its row numbers.
+def _names(rows: Iterable[list[str]], delimiter: str) -> list[str]:
+    """Return the names of the columns, as far as a file tells them.
 
-    It is the first row with as many cells as the numbers below, none empty if there is such a one: a logger may write about itself
-    above, and units below.
+    They are the first row above the numbers with as many cells as these and none that is empty or a number: a logger may write
+    about itself above, and units below. It is the first row of all where there is none.
     """
-    numbered = enumerate(rows, start=1)
-    above: list[tuple[int, list[str]]] = []
-    for row, cells in itertools.islice(numbered, _PREAMBLE):
-        above.append((row, [cell.strip() for cell in cells]))
-        if row > 1 and _is_numbers(above[-1][1], delimiter):
-            wide = [(row, names) for row, names in above[:-1] if len(names) == len(cells)]
-            named = next((found for found in wide if all(found[1])), wide[0] if wide else above[0])
-            return *named, itertools.chain(above[-1:], numbered)
-    first = above[0] if above else (1, [])
-    return *first, itertools.chain(above[1:], numbered)
+    above = [[cell.strip() for cell in cells] for cells in itertools.islice(rows, _PREAMBLE)]
+    numbers = next((cells for cells in above[1:] if _is_numbers(cells, delimiter)), [])
+    wide = [cells for cells in above[: above.index(numbers)] if len(cells) == len(numbers)] if numbers else []
+    named = (cells for cells in wide if all(cells) and all(_value(cell, delimiter) is None for cell in cells))
+    return next(named, above[0] if above else [])
 
 
 def _is_numbers(cells: list[str], delimiter: str) -> bool:
@@ -114,33 +112,93 @@ def _is_numbers(cells: list[str], delimiter: str) -> bool:
 
 
 def _parse(rows: Iterable[list[str]], names: list[str], delimiter: str) -> dict[str, Float64[np.ndarray, " sample"]]:
-    first, header, numbered = _begun(rows, delimiter)
-    for name in names:
-        if header.count(name) != 1:
-            often = "does not occur" if name not in header else "occurs more than once"
-            raise RecordingError(
-                f"row {first}: the column {name!r} {often} in the header ({', '.join(header)}); name the columns "
-                f"in one row above the numbers and separate them by {delimiter!r}."
-            )
+    numbered = enumerate(rows, start=1)
+    header, numbered = _header(numbered, names, delimiter)
     places = [header.index(name) for name in names]
     columns: dict[str, list[float]] = {name: [] for name in names}
-    blank, marks = None, {}
+    marks = {name: _Marks() for name in names}
+    blank, begun = None, False
     for row, cells in numbered:
         if not cells:
             blank = row
             continue
         # Blank lines at the end are harmless; one in the middle may be a missing sample.
-        if blank is not None:
+        if blank is not None and begun:
             raise RecordingError(f"row {blank}: is empty; remove it, or write nan for missing samples.")
         if len(cells) != len(header):
             raise RecordingError(f"row {row}: has {len(cells)} cells, but the header has {len(header)}; mend the row.")
-        for name, place in zip(names, places, strict=True):
-            columns[name].append(_number(cells[place], row, name, delimiter))
-            marks |= {mark: row for mark in _MARKS if mark in cells[place]}
-            if len(marks) > 1:
-                told = " and ".join(f"a decimal {_MARKS[mark]} in row {at}" for mark, at in marks.items())
-                raise RecordingError(f"column {name!r}: numbers have {told}; write all of them with a point.")
+        wanted = [cells[place].strip() for place in places]
+        if not begun and any(wanted) and all(_value(cell, delimiter) is None for cell in wanted if cell):
+            continue  # units below the names
+        begun = True
+        for name, cell in zip(names, wanted, strict=True):
+            columns[name].append(_number(cell, row, name, delimiter))
+            marks[name].note(cell, row, name)
+    for name, seen in marks.items():
+        seen.require_decimals(name)
     return {name: np.array(values, dtype=np.float64) for name, values in columns.items()}
+
+
+def _header(
+    numbered: Iterator[tuple[int, list[str]]], names: list[str], delimiter: str
+) -> tuple[list[str], Iterator[tuple[int, list[str]]]]:
+    """Return the row that holds the names of the columns, and what comes below with its row numbers.
+
+    Raises:
+        RecordingError: none of the first rows holds them, once each; of the first one it says which is missing.
+    """
+    first: list[str] = []
+    for row, cells in itertools.islice(numbered, _PREAMBLE):
+        header = [cell.strip() for cell in cells]
+        first = first or header
+        if all(header.count(name) == 1 for name in names):
+            return header, numbered
+        if row > 1 and header and all(_value(cell, delimiter) is not None for cell in header):
+            break
+    for name in names:
+        if first.count(name) != 1:
+            often = "does not occur" if name not in first else "occurs more than once"
+            raise RecordingError(
+                f"row 1: the column {name!r} {often} in the header ({', '.join(first)}); name the columns in one row above the"
+                f" numbers and separate them by {delimiter!r}."
+            )
+    raise RecordingError("the file is empty.")
+
+
+class _Marks:
+    """The decimal marks of one column, with the rows in which they were seen first."""
+
+    def __init__(self) -> None:
+        self.rows: dict[str, int] = {}
+        self.plain, self.thousands = False, True
+
+    def note(self, cell: str, row: int, name: str) -> None:
+        """Note the mark of a number.
+
+        Raises:
+            RecordingError: the column has a decimal point and a decimal comma.
+        """
+        mark = next((mark for mark in _MARKS if mark in cell), None)
+        if mark is None:
+            self.plain |= bool(cell)
+            return
+        self.rows.setdefault(mark, row)
+        self.thousands &= mark == "," and _THOUSANDS.fullmatch(cell) is not None
+        if len(self.rows) > 1:
+            told = " and ".join(f"a decimal {_MARKS[mark]} in row {at}" for mark, at in self.rows.items())
+            raise RecordingError(f"column {name!r}: numbers have {told}; write all of them with a point.")
+
+    def require_decimals(self, name: str) -> None:
+        """Refuse whole numbers beside commas that may as well set off their thousands.
+
+        Raises:
+            RecordingError: every comma stands before three digits.
+        """
+        if "," in self.rows and self.plain and self.thousands:
+            raise RecordingError(
+                f"column {name!r}: the comma in row {self.rows[',']} may set off thousands; write numbers without it, or with a"
+                " decimal point."
+            )
 
 
 def _number(cell: str, row: int, name: str, delimiter: str) -> float:

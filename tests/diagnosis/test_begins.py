@@ -70,4 +70,4 @@ def test_the_command_line_says_what_to_do_about_it(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(Recording, "load", staticmethod(singular))
     path = tmp_path / "rig.h5"
     path.write_text("")
-    refused(call("info", path), 1, "follows so little of the recording", "look at what rtac info says of signs")
+    refused(call("info", path), 1, "what was asked cannot be computed (Singular matrix)", "look at what rtac info says")

@@ -62,7 +62,15 @@ def test_it_explains_what_leads_the_simulation_astray_and_predictions_are_what_i
     assert abs(stiffness.value - TRUTH["spring_stiffness"]) > 4 * stiffness.std, (
         "a simulation knows no noise of the current"
     )
-    assert "stated standard deviations" not in found.ending, "no constant is held against what goes astray"
+    assert found._shaken
+    stated = dataclasses.replace(recording, rig={"total_mass": 1.8}, rig_std={"total_mass": 0.01})
+    weighed = rtac.RTAC.from_rig(stated).with_values({"total_mass": 1.5})
+    moved = dataclasses.replace(found.final, model=weighed, result=est.RESULTS.successful)
+    assert len(moved.moved_constants) == 1
+    constant = dataclasses.replace(found, fits=(*found.fits[:-1], moved))
+    assert "stated standard deviations" not in constant.ending, "no constant is held against what goes astray"
+    calm = dataclasses.replace(constant, diagnoses=(*found.diagnoses[:-1], dataclasses.replace(told, simulation=None)))
+    assert "stated standard deviations" in calm.ending
 
 
 @pytest.mark.parametrize(

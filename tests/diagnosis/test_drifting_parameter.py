@@ -72,7 +72,7 @@ def test_where_a_force_that_holds_at_all_times_explains_some_of_it_no_drift_is_t
     """What grows with the amplitude, as a spring that hardens, changes in free decays with the time as well."""
     found = improved.diagnoses[-1]
     drift = next(test for test in found.left if test.test == "drift")
-    for fraction, told, likely in ((0.05, True, False), (0.5, False, True), (1.1, False, False)):
+    for fraction, told, likely in ((0.05, True, False), (0.4, False, True), (0.6, False, False)):
         force = AdequacyTest("static force", 1e-9, fraction * drift.excess, 0.002, "a force on the arm")
         beside = dataclasses.replace(found, left=(*found.left, force))
         assert bool(beside.drift) is told

@@ -26,8 +26,16 @@ def read(path, **options):
         ([*ABOVE, "", NAMES, *ROWS], "utf-8"),
         ([*ABOVE, NAMES, UNITS, *COMMAS], "cp1252"),
         (["Rate;100 Hz;", NAMES, *ROWS], "utf-8-sig"),
+        (["Serial;12345;7", NAMES, *ROWS], "utf-8"),
     ],
-    ids=["plain", "decimal comma", "words above", "words above, units below, Latin letters", "a mark at the start"],
+    ids=[
+        "plain",
+        "decimal comma",
+        "words above",
+        "words above, units below, Latin letters",
+        "a mark at the start",
+        "as wide",
+    ],
 )
 def test_what_a_logger_writes_is_read(tmp_path, rows, encoding):
     path = tmp_path / "run.csv"
@@ -51,16 +59,42 @@ def test_a_comma_that_separates_columns_is_no_decimal_comma(tmp_path):
         ([NAMES, *ROWS[:5], *COMMAS[5:]], "a decimal point in row . and a decimal comma in row 7; write all of them with a point"),
         ([NAMES, *ROWS[:5], "0.05;1,234.5;3", *ROWS[6:]], "row 7, column 'i': '1,234.5' is not a number"),
         ([*ABOVE, NAMES, *ROWS[:5], "0.05;much;3", *ROWS[6:]], "row 9, column 'i': 'much' is not a number"),
-        ([*ABOVE, NAMES.replace("x", "y"), *ROWS], r"row 3: the column 'x' does not occur in the header \(t, i, y\)"),
+        ([NAMES.replace("x", "y"), *ROWS], r"row 1: the column 'x' does not occur in the header \(t, i, y\)"),
         ([NAMES, "0.00;nothing;0.0", *ROWS[1:]], "row 2, column 'i': 'nothing' is not a number"),
+        ([NAMES, "0.00;999;0.0", "0.01;1,001;1.5", "0.02;7;3.0"], "column 'i': the comma in row 3 may set off thousands"),
     ],
-    ids=["both marks", "thousands", "no number below", "another name", "no number in the first row"],
+    ids=["both marks", "point and comma", "no number below", "another name", "no number in the first row", "thousands"],
 )  # fmt: skip
 def test_the_place_of_what_is_wrong_is_that_in_the_file(tmp_path, rows, message):
     path = tmp_path / "run.csv"
     path.write_text("\n".join(rows), encoding="utf-8")
     with pytest.raises(RecordingError, match=message):
         read(path)
+
+
+def test_a_first_sample_is_no_unit(tmp_path):
+    """Missing where all cells that are asked for are empty; of columns that nobody asks for nothing matters."""
+    path = tmp_path / "run.csv"
+    rows = [f"{NAMES};a;b", ";;;;", *(f"{0.01 * n:.2f};{n % 3};{n};run;ok" for n in range(1, 10))]
+    path.write_text("\n".join(rows))
+    found = Recording.from_csv(
+        path,
+        channels={"cart_position": "x"},
+        kind="free",
+        delimiter=";",
+        sample_time=0.01,
+        units={"cart_position": "mm"},
+    )["run"]
+    assert found.samples == 10
+    assert np.isnan(found.outputs["cart_position"].values[0])
+
+
+def test_columns_may_have_marks_of_their_own(tmp_path):
+    """Times that a program wrote, and a voltage that another one did."""
+    path = tmp_path / "run.csv"
+    mixed = [f"{t};{i};{x}" for t, i, x in ((t, i.replace(".", ","), x) for t, i, x in NUMBERS)]
+    path.write_text("\n".join([NAMES, *mixed]))
+    np.testing.assert_allclose(read(path).inputs["current"].values, 0.1 * (np.arange(10) % 3), rtol=1e-12)
 
 
 def test_what_is_no_text_is_refused_by_the_name_of_the_file(tmp_path):

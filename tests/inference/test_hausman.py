@@ -178,7 +178,11 @@ def test_four_ways_agree_on_a_clean_rig(four: Agreement) -> None:
     assert four.labels == ("closed form", "output error", "prediction error", "linear prediction error")
     assert len(four.pairs) == 6
     assert not four.rejected, four
-    assert four.verdict.endswith("est.diagnose tells the two apart.")
+    assert "random forces" not in four.verdict, "nothing hides behind what is next to nothing"
+    assert four.simulation is not None
+    for change, hides in (({"random_torque": 0.02}, True), ({"random_torque": 0.02, "of_the_current": True}, False)):
+        beside = dataclasses.replace(four, simulation=dataclasses.replace(four.simulation, **change))
+        assert beside.verdict.endswith("est.diagnose tells the two apart.") is hides
     frequency = four.names.index("natural frequency")
     stiffness = four.names.index("spring_stiffness")
     # The linear fit sees the arm's reaction and dry friction as frequency and damping; the replicates know by how much.

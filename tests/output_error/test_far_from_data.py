@@ -39,9 +39,9 @@ def unfinished(end, times):
 def test_one_that_did_not_end_goes_on_only_near_the_data(monkeypatch, recording, model, times, descents):
     begun, known = [], Descent.descend
 
-    def descended(self, start, **options):
-        begun.append(start)
-        return unfinished(known(self, start, **options), times)
+    def descended(self, begin, **options):
+        begun.append(begin)
+        return unfinished(known(self, begin, **options), times)
 
     monkeypatch.setattr(Descent, "descend", descended)
     est.output_error(model, recording, from_model=True, progress=False)

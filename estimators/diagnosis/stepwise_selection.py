@@ -75,7 +75,7 @@ def select(laboratory: Laboratory, policy: DiagnosisPolicy, *, thorough: bool, l
 
 
 def is_static(laboratory: Laboratory, found: Selection, policy: DiagnosisPolicy) -> bool:
-    """Return whether a force of one variable explains nearly all that is missing, no candidate does, and none is left to ask.
+    """Return whether a force of one variable explains nearly all that is missing, no candidate does, and none half of it unasked.
 
     Where the noise is not known it may be what is missing.
     """
@@ -86,7 +86,7 @@ def is_static(laboratory: Laboratory, found: Selection, policy: DiagnosisPolicy)
     several = () if test is None else significant(found.findings.curves, test.level)
     most = max((curve.excess for curve in several), default=0.0)
     speaking = alarming(scores, policy.critical) or suspects(scores, found.tests, policy.critical)
-    asked = all(s.id in found.tried for s in speaking)
+    asked = all(s.id in found.tried for s in speaking if s.statistic >= policy.static * most)
     return asked and 0.0 < (1.0 - policy.left) * excess_of(found.tests) <= most
 
 

@@ -20,12 +20,12 @@ from estimators.diagnosis.choice import bic_gain, gain, held_out_gain
 from estimators.diagnosis.diagnosis import Diagnosis
 from estimators.diagnosis.evidence import Evidence
 from estimators.diagnosis.explanation import (
+    MOVE_IT,
     OF_A_DRIFT,
     OF_A_LIKELY_DRIFT,
     OF_A_LINE,
     OF_ROUNDING,
     SHAKEN,
-    STILL,
     not_named,
     of_part,
     out_of_time,
@@ -263,7 +263,7 @@ def _explanation(told: Diagnosis, found: Judgement, setting: Setting, *, thoroug
     """Return the verdict in plain words, with what it rests on and what would make it surer."""
     steps, further = found.steps, found.further
     if told.silent:
-        return f"Unknown: {told.silent[0].lower()}{told.silent[1:]}. {STILL}"
+        return f"Unknown: {told.silent[0].lower()}{told.silent[1:]}. {MOVE_IT}"
     text = words(
         told.verdict, told.effects, told.candidates, steps, told.tests, told.left, told.removed, told.curves, told.latent,
         told.places, told.lines, told.simulation, told.policy, told.consequence, found.detectable,

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 from estimators.core.undetermined import UNDETERMINED
-from estimators.inference.simulation_residual import is_current_noise
 from estimators.misspecification.findings import Findings, Score
 
 FORMAT, VERSION = "rtac-evidence", 1
@@ -162,16 +161,6 @@ class Facts:
         """Return whether most samples do not count, as where a rig rests, and no effect that was asked for could be shown."""
         asked = {i for i, traits in self.effects.items() if not traits.contact}
         return self.left_out > 0.5 and bool(asked) and asked <= set(self.untestable)
-
-    def current_noise_explains(self, random: tuple[float, float], *, force: float, times: float) -> bool:
-        """Return whether the noise of a measured current explains the random forces that a predictor asks for.
-
-        Args:
-            random: force and torque in one sample, as fractions of the rms forces.
-            force: the same, up to which a random force on the cart is next to nothing.
-            times: power of the torque over that of the noise, up to which the noise explains it.
-        """
-        return is_current_noise(random, self.current_noise, force=force, times=times)
 
     def origin(self, place: int) -> str:
         """Return the name of the experiment that the one at this place is, or is a piece of."""

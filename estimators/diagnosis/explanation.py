@@ -30,7 +30,7 @@ OF_ROUNDING = (
     " Its simulation is left at {:.2f} times the noise, which is next to nothing but the rounding of {}; the tests take that for"
     " random noise, which it is not where a sensor moves slowly, so it may be all that they reject: record with a finer range."
 )
-STILL = "Drive the rig so hard that cart and arm move, or record a decay from far off."
+MOVE_IT = "Drive the rig so hard that cart and arm move, or record a decay from far off."
 OF_A_DRIFT = (
     " It is as where a parameter changes while an experiment lasts, as friction of a drive that warms up: let the rig run"
     " before it is recorded, or fit shorter experiments and hold them against each other (est.constancy)."

@@ -13,6 +13,7 @@ from estimators.diagnosis.step import Step
 from estimators.diagnosis.stepwise_selection import gross, select
 from estimators.inference.simulation_residual import (
     SimulationResidual,
+    is_current_noise,
     random_forces_are_large,
     simulation_residual,
 )
@@ -218,4 +219,4 @@ def _residual(
 
 def is_of_the_current(facts: Facts, random: tuple[float, float], policy: DiagnosisPolicy) -> bool:
     """Return whether random forces are the noise of a measured current."""
-    return facts.current_noise_explains(random, force=policy.gross_random, times=policy.simulation.beyond)
+    return is_current_noise(random, facts.current_noise, force=policy.gross_random, times=policy.simulation.beyond)

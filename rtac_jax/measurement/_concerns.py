@@ -35,7 +35,7 @@ def concerns(recording: Recording) -> list[str]:
         noisy, counting = current_noise(recording.experiments), _counting(recording)
 
         def of(experiment: Experiment) -> Iterator[str]:
-            return _about_experiment(experiment, silent=experiment.name in noisy, counting=counting)
+            return _about_experiment(experiment, only_noise=experiment.name in noisy, counting=counting)
 
         several = [*_about_recording(recording), *contradictions(recording), *_by_sentence(recording, of)]
         return several if not noisy else [*several, _of_noisy_inputs(noisy)]
@@ -155,12 +155,12 @@ def _counting(recording: Recording) -> set[str]:
     return {name for name, signal in moving if resolution(signal.values[~np.isnan(signal.values)]) > 0}
 
 
-def _about_experiment(experiment: Experiment, *, silent: bool, counting: Collection[str]) -> Iterator[str]:
+def _about_experiment(experiment: Experiment, *, only_noise: bool, counting: Collection[str]) -> Iterator[str]:
     """Yield what looks wrong with an experiment.
 
     Args:
         experiment: at rest or moving.
-        silent: whether its current is nothing but noise.
+        only_noise: whether its current is nothing but noise.
         counting: outputs that move in steps.
     """
     driven = {name for name, signal in experiment.inputs.items() if signal.values.any()}
@@ -169,7 +169,7 @@ def _about_experiment(experiment: Experiment, *, silent: bool, counting: Collect
         experiment.arm == "locked",
         experiment.cart == "clamped",
     )
-    if driven and experiment.kind != "forced" and not (silent and driven == {"current"}):
+    if driven and experiment.kind != "forced" and not (only_noise and driven == {"current"}):
         yield (f"an experiment of kind {experiment.kind} has an input that is not zero; set its kind to forced.")
     if not at_rest and locked and clamped:
         yield "arm and cart are both held, so it says nothing about the rig; use kind rest, or leave it out."

@@ -3,11 +3,12 @@
 import dataclasses
 import zlib
 from types import SimpleNamespace
-from typing import Any, TypeVar
+from typing import Any
 
 import made_up_results
 import numpy as np
 import pytest
+from made_up_loop import made
 
 import estimators as est
 import rtac_jax as rtac
@@ -30,15 +31,6 @@ SAMPLES = 1000
 CANDIDATE = est.Candidate(
     id="cubic_spring", score=100.0, chi_square=109.0, p_value=1e-9, detection_limit=1.0, unit="N/m^3", testable=True
 )
-Kind = TypeVar("Kind")
-
-
-def made(cls: type[Kind], **parts: Any) -> Kind:
-    """An object of which these parts are known only."""
-    found = cls.__new__(cls)
-    for name, part in parts.items():
-        object.__setattr__(found, name, part)
-    return found
 
 
 def fit_of(model: rtac.RTAC, names: tuple[str, ...], **statistics: Any) -> est.Fit:

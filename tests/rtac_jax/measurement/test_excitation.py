@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy.signal
 from small_experiments import DECAY, DT, T, forced, free, noise, rest, spoilt
 
 from rtac_jax.measurement import (
@@ -258,6 +259,20 @@ def test_what_is_wrong_with_the_angle_at_the_start_is_said_once_for_all_experime
     told = [one for one in concerns(Recording(several)) if "initial_arm_angle" in one]
     assert len(told) == bool(said)
     assert all(one.startswith("a, b: ") and said in one for one in told)
+
+
+@pytest.mark.parametrize(("memory", "told"), [(0.0, 0.99), (0.3, 0.99), (0.7, 0.0), (0.95, 0.0)])
+def test_how_often_a_current_is_taken_for_noise(memory: float, told: float) -> None:
+    """Of 400 draws each, autoregressive of the first order: nearly all of what forgets at once, none of what lasts."""
+    random, count = np.random.default_rng(11), 0
+    for _ in range(400):
+        samples = int(random.integers(400, 2000))
+        values = scipy.signal.lfilter([1.0], [1.0, -memory], random.standard_normal(samples))
+        decay = free(cart_position=np.cos(np.arange(samples)))
+        current = replace(forced().inputs["current"], values=5e-3 * values / np.std(values))
+        still = replace(decay, inputs={"current": current})
+        count += Recording((replace(forced(), name="driven"), still)).current_noise() > 0.0
+    assert count >= 400 * told if told else count == 0
 
 
 def test_an_encoder_that_is_zeroed_at_every_start_is_a_concern():

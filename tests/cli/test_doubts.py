@@ -82,6 +82,16 @@ def test_a_cart_without_a_sensor_is_said_beside_the_result(clean):
     assert last == "No prediction error: they are free."
 
 
+def test_deviations_that_cannot_be_had_are_a_note(clean, monkeypatch):
+    def free(*_):
+        raise estimators.NotIdentifiableError("covariances: they are free.")
+
+    monkeypatch.setattr(estimators, "covariances", free)
+    work = Job("rig.h5", clean, None, None, None, 0.0)
+    assert work.spread("a fit") is None
+    assert work.remark.splitlines()[-1] == "No covariances: they are free."
+
+
 def test_a_fit_that_fails_names_the_doubt(file, monkeypatch):
     def failing(*_, **__):
         raise estimators.NotIdentifiableError("It leaves all free.")

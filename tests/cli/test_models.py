@@ -100,6 +100,14 @@ def test_of_an_improvement_that_random_forces_lead_astray_the_model_by_predictio
         assert models.model_or_fit(tmp_path / "it.h5") is whole.final
 
 
+def test_a_fit_by_predictions_knows_its_experiments_by_name():
+    from made_up_loop import made
+
+    predicted = made(est.PredictorFit, model=MODEL, experiments=("forced", "somewhere else"))
+    assert models.seen(predicted, recording()) == ["forced"]
+    assert models.seen(MODEL, recording()) == []
+
+
 def test_experiments_that_a_judged_fit_has_seen_are_named(tmp_path, monkeypatch):
     recording().save(tmp_path / "rig.h5")
     fit_of(recording()["forced_2"]).save(tmp_path / "greedy.h5")

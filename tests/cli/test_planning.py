@@ -11,6 +11,8 @@ from small_experiments import forced, free, rest
 
 import estimators as est
 import rtac_jax as rtac
+from estimators.cli.job import Job
+from estimators.cli.planned import plan_next
 from rtac_jax.measurement import Plan, Recording
 
 PAIR = ("flexible_mode", "cubic_spring")
@@ -149,3 +151,17 @@ def test_limits_are_named_and_what_is_open_no_more_is_said(file, asked, monkeypa
     assert told not in result.stdout
     monkeypatch.setattr(est, "next_experiment", settled)
     assert told in call("next-experiment", file).stdout
+
+
+@pytest.mark.parametrize(("rival", "planned_for"), [("cubic_spring", True), ("wrong_arm_inertia", False)])
+def test_nothing_is_planned_that_would_tell_a_wrong_constant(monkeypatch, rival, planned_for):
+    effects = tuple(
+        dataclasses.replace(c, id=i, confusable_with=(other,))
+        for c, i, other in zip(diagnosis("ambiguous").effects, ("lvdt_gain", rival), (rival, "lvdt_gain"), strict=False)
+    )
+    asked = []
+    monkeypatch.setattr(est, "next_experiment", lambda *_, **__: asked.append(1) or planned())
+    work = Job("rig.h5", Recording((free(), forced(), rest())), None, None, None, 0.0)
+    found = plan_next(work, "a fit", dataclasses.replace(diagnosis("ambiguous"), effects=effects), None)
+    assert (found is not None) is planned_for
+    assert bool(asked) is planned_for

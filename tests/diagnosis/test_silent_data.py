@@ -10,6 +10,7 @@ import estimators as est
 import rtac_jax as rtac
 from estimators.diagnosis import improvement_loop, loop_end
 from estimators.diagnosis.evidence import EffectTraits, Facts
+from estimators.misspecification.adequacy import AdequacyTest
 from estimators.plots import plot_diagnosis
 from estimators.plots.improvement import finding
 from estimators.reporting.diagnosis_summary import of_diagnosis
@@ -55,6 +56,17 @@ def test_pictures_and_report_say_so(silent: est.Diagnosis) -> None:
     bullets = str(of_diagnosis(improved, improved.train, improved.validation, file="rig.h5", estimates=None, doubts=()))
     assert "These data say nothing" in bullets
     assert "Drive the rig so hard" in bullets
+
+
+def test_where_a_test_rejects_the_data_are_not_silent(silent: est.Diagnosis) -> None:
+    line = AdequacyTest("spectral line", 1e-9, 400.0, 2e-3, "a line at 50 Hz")
+    assert dataclasses.replace(silent, tests=(line,)).silent == ""
+
+
+def test_a_picture_of_what_was_added_is_not_silent(silent: est.Diagnosis) -> None:
+    found = dataclasses.replace(made_up_results.improvement(2), diagnoses=(silent,), diagnosed=(0,))
+    assert found.added
+    assert "hardly a sample" not in finding(found)
 
 
 def test_the_loop_ends_there(silent: est.Diagnosis, monkeypatch: pytest.MonkeyPatch) -> None:

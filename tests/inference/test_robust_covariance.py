@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable, Iterable, Mapping
+from typing import Any
 
 import numpy as np
 import pytest
@@ -331,3 +332,16 @@ def test_profile_refuses_what_was_not_estimated(recording: rtac.Recording, fit: 
     other = virtual_rig.record(virtual_rig.Rig(), [dataclasses.replace(plans()[0], name="other")], seed=0)
     with pytest.raises(ValueError, match="give the recording that was fitted"):
         profile(fit, other, "spring_stiffness")
+
+
+def test_where_the_data_leave_parameters_free_there_are_no_deviations(
+    recording: rtac.Recording, fit: est.Fit, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As where a model follows nothing: `rtac improve` gives its report without them."""
+
+    def singular(*_: Any) -> Any:
+        raise np.linalg.LinAlgError("Singular matrix")
+
+    monkeypatch.setattr(np.linalg, "inv", singular)
+    with pytest.raises(est.NotIdentifiableError, match="covariances: The data leave combinations of parameters free"):
+        covariances(fit, recording)

@@ -18,6 +18,7 @@ from made_up_results import (
     alike,
     candidate,
     compared,
+    curve,
     diagnosis,
     improvement,
     latent,
@@ -38,7 +39,7 @@ from estimators.plots import (
 )
 from estimators.plots.bands import band_errors
 from estimators.plots.confusion import confusable
-from estimators.plots.diagnosis import finding
+from estimators.plots.diagnosis import _reach, finding
 from estimators.plots.style import title
 from estimators.validation.simulation_error import Compared, Comparison, Trace
 from rtac_jax import RTAC
@@ -372,3 +373,12 @@ def test_the_experiment_is_drawn_that_the_last_model_follows_worst_where_it_is_f
     found = dataclasses.replace(improvement(2), validation=Comparison((before, after)))
     titles = [axes.get_title(loc="left") for axes in plot_improvement(found).axes]
     assert any(title.startswith(f"held out: {shown}:") for title in titles), titles
+
+
+def test_curves_are_scaled_to_what_the_data_tell_from_nothing():
+    """A band as wide as that of a slope that the model estimates itself would make a flat line of all others."""
+    told, vague = curve("cart", "cart_position", 0.01), curve("cart", "cart_velocity", 0.1)
+    vague = dataclasses.replace(vague, std=np.full(12, 0.7))
+    assert _reach([told, vague]) == pytest.approx(0.05 + 2 * 0.004)
+    assert _reach([vague]) == pytest.approx(0.05 + 2 * 0.7)
+    assert _reach([]) == 1.0

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from estimators.core.compilation import make_room
-from estimators.core.data import fitted_part, moving
+from estimators.core.data import Data, fitted_part, moving, pieces
 from estimators.core.deadline import Deadline
 from estimators.core.fit import Fit
 from estimators.core.progress import Progress
@@ -36,7 +36,7 @@ from estimators.diagnosis.explanation import (
     without_alarm,
     words,
 )
-from estimators.diagnosis.gross_effects import enough_of, is_gross, offering_gross
+from estimators.diagnosis.gross_effects import is_gross, offering_gross
 from estimators.diagnosis.innovation_tests import (
     latent_of,
     lines_of,
@@ -46,6 +46,7 @@ from estimators.diagnosis.innovation_tests import (
 )
 from estimators.diagnosis.live_laboratory import LiveLaboratory
 from estimators.diagnosis.noise_colour import assumed_noise, recoloured
+from estimators.diagnosis.part_of_samples import enough_of, part_of, suffices
 from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
 from estimators.diagnosis.refitting import (
     compile_base,
@@ -63,6 +64,7 @@ from estimators.diagnosis.testability import stood_for
 from estimators.diagnosis.verdict import Judgement, decide, is_of_the_current, judge
 from estimators.diagnosis.workers import Workers
 from estimators.diagnosis.wrong_constant import doubt
+from estimators.inference.shaken_simulation import unfollowed
 from estimators.inference.simulation_residual import random_forces_are_large
 from estimators.misspecification.adequacy import alarming, excess_of, p_by_chance
 from estimators.misspecification.detection_limit import is_testable, main_amplitude
@@ -125,14 +127,14 @@ def diagnose(
         told = _diagnosed(
             fit, part, candidates, classes, policy, shown, deadline, thorough=thorough, laws_first=laws_first
         )
-        if part is not recording and not told.additions and not deadline.over:
+        gross = unfollowed(fit, Data.of(pieces(moving(recording))), policy.simulation) > policy.unfollowed
+        if part is not recording and not suffices(told, gross=gross) and not deadline.over:
             told = _diagnosed(
                 fit, recording, candidates, classes, policy, shown, deadline, thorough=thorough, laws_first=laws_first
             )
         elif part is not recording:
-            told = dataclasses.replace(
-                told, explanation=told.explanation + of_part(sum(e.samples for e in moving(part)))
-            )
+            looked_at = sum(e.samples for e in moving(part))
+            told = dataclasses.replace(told, explanation=told.explanation + of_part(looked_at, gross=gross))
     return dataclasses.replace(told, seconds=time.perf_counter() - began)
 
 
@@ -324,8 +326,11 @@ def _explanation(told: Diagnosis, found: Judgement, setting: Setting, *, thoroug
 
 
 def compile_diagnosis(model: RTAC, recording: Recording, candidates: Sequence[type[Effect]] | None) -> None:
-    """Compile what `diagnose` will run first; for a thread beside the one that fits the model."""
-    compile_for(model, recording, offered(model, candidates))
+    """Compile what `diagnose` will run first; for a thread beside the one that fits the model.
+
+    Of a long recording that is a part, unless the fit ends at the noise.
+    """
+    compile_for(model, part_of(recording), offered(model, candidates))
 
 
 def _not_testable(c: type[Effect], price: float) -> Candidate:

@@ -159,14 +159,16 @@ def _size(one: Parameter) -> str:
     return f"{one.value:.4g} +- {one.std:.2g}{unit}" if one.std > 0 else f"{one.value:.4g}{unit}, fixed"
 
 
-def of_part(samples: int) -> str:
-    """Say that only a part of the samples was looked at, as the fit follows nothing.
+def of_part(samples: int, *, gross: bool) -> str:
+    """Say that only a part of the samples was looked at, as what is missing shows in it.
 
     Args:
         samples: that were looked at.
+        gross: whether the fit follows nothing; else it misses more than the sensors do.
     """
+    why = "follows nothing" if gross else "misses more than the sensors do"
     return (
-        f" As the fit follows nothing, {samples:,} samples of all experiments were looked at, which show what dominates; detection"
+        f" As the fit {why}, {samples:,} samples of all experiments were looked at, which show what dominates; detection"
         " limits are theirs. A diagnosis of the model with what is named looks at all."
     )
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from estimators.closed_form.fit import starting_values
 from estimators.closed_form.motion_regression import motion_regression
-from estimators.core.data import Data, motion_of, moving, origins, pieces
+from estimators.core.data import Data, moving, pieces
 from estimators.core.fit import Fit
 from estimators.core.initial_state import scales_of
 from estimators.core.sensor_noise import noise_levels
@@ -21,13 +21,10 @@ from estimators.misspecification.equation_screening import Explained, explained_
 from rtac_jax import RTAC
 from rtac_jax.effects import Effect
 from rtac_jax.effects.one_sided_spring import GROSS
-from rtac_jax.measurement import Experiment, Recording
+from rtac_jax.measurement import Recording
 
-_ENOUGH = 16_000  # samples of all experiments together that a gross effect is looked for in
-_LEAST = 1_000  # of each of many experiments
 _INERTIAS = 4.0 ** np.arange(8)  # of the least that a rigid body can have, which are tried where nobody knows the arm's
 _FINER = 4.0 ** np.array([-0.6, -0.3, 0.3, 0.6])
-_LIVELY = 0.5  # rms of a beginning over that of the whole, from which on it shows as much
 
 
 def is_gross(setting: Setting, fit: Fit, base: Refit) -> bool:
@@ -41,40 +38,6 @@ def is_gross(setting: Setting, fit: Fit, base: Refit) -> bool:
     random = (float(base.predictor.random_force), float(base.predictor.random_torque))
     limits = setting.policy.simulation
     return follows_nothing(unfollowed(fit, setting.data, limits), random, float(setting.samples_per_radian), limits)
-
-
-def enough_of(fit: Fit, recording: Recording, policy: DiagnosisPolicy) -> Recording:
-    """Return a part of every experiment where the fit follows nothing and they show as much motion, or else the recording.
-
-    What dominates the motion shows in a part of many samples as well, and every refit takes as long as there are samples. What is
-    small beside it is for the diagnosis of the model with it, which sees them all.
-
-    Args:
-        fit: that is diagnosed.
-        recording: that it was fitted to.
-        policy: the thresholds.
-    """
-    whole = moving(recording)
-    several = pieces(whole)
-    data = Data.of(several)
-    if sum(e.samples for e in several) < 2 * _ENOUGH or unfollowed(fit, data, policy.simulation) <= policy.unfollowed:
-        return recording
-    samples = max(_ENOUGH // len(whole), _LEAST)
-    origin = origins(whole)
-    found = [_part([e for e in several if origin[e.name] == one.name], samples) for one in whole]
-    part = [e for beginnings in found for e in beginnings]
-    if np.any(motion_of(Data.of(part)) < _LIVELY * motion_of(data)):
-        return recording
-    rest = [e for e in recording.experiments if e.kind == "rest"]
-    return dataclasses.replace(recording, experiments=(*part, *rest))
-
-
-def _part(several: Sequence[Experiment], samples: int) -> list[Experiment]:
-    """Return the beginning of an experiment, or those of its pieces, from first to last, that have about as many samples."""
-    if len(several) > 1:
-        count = min(max(samples // several[0].samples, 1), len(several))
-        return [several[place] for place in np.linspace(0, len(several) - 1, count).astype(int)]
-    return [several[0].cut(0, min(samples, several[0].samples), several[0].name)]
 
 
 def offering_gross(setting: Setting) -> Setting:

@@ -1,26 +1,22 @@
 """Gross effects, hidden in the independent virtual rig, are named although the fit of the base model follows nothing."""
 
 import dataclasses
-import importlib
 import math
 from typing import Any
 
-import numpy as np
 import pytest
-from made_up_results import FIT, diagnosis
 
 import estimators as est
 import rtac_jax as rtac
 from estimators.core.data import Data, moving, pieces
 from estimators.core.progress import Progress
-from estimators.diagnosis.gross_effects import enough_of, placed_inside, screened_by_equations
+from estimators.diagnosis.gross_effects import placed_inside, screened_by_equations
 from estimators.diagnosis.policy import STANDARD
 from estimators.diagnosis.setting import set_up
 from estimators.inference.shaken_simulation import unfollowed
 from rtac_jax import virtual_rig
 from rtac_jax.effects import CATALOGUE, Effect
 
-diagnose = importlib.import_module("estimators.diagnosis.diagnose")  # a function of that name hides it
 RIG = virtual_rig.Rig().drawn(100)
 # What the rig hides, the rms of the current, the arm's speed at the start, and a size that should come out.
 HIDDEN: dict[str, tuple[dict[str, Any], float, float, tuple[str, float]]] = {
@@ -77,46 +73,6 @@ def test_the_loop_mends_a_model_that_followed_nothing() -> None:
     assert all(error.rms_over_noise < 1.3 for error in errors.values()), found
 
 
-def locked(count: int, samples: int, *, from_sample: int = 0) -> rtac.Recording:
-    """Carts that swing by 10 mm, after some samples in which they hardly do."""
-    number = np.arange(samples)
-    position = np.where(number < from_sample, 1e-4, 1e-2) * np.cos(0.05 * number)
-    several = [
-        rtac.Experiment.of(f"run_{n}", kind="free", sample_time=0.005, arm="locked", cart_position=position + 1e-6 * n)
-        for n in range(count)
-    ]
-    return rtac.Recording(several, {"total_mass": 1.5})
-
-
-def left_of(recording: rtac.Recording, fraction: float) -> est.Fit:
-    """A fit that leaves so much of the motion."""
-    rms = float(np.mean([np.std(e.outputs["cart_position"].values) for e in recording]))
-    return dataclasses.replace(FIT, residual_std={"cart_position": fraction * rms}, noise={"cart_position": 1e-6})
-
-
-@pytest.mark.parametrize(
-    ("recording", "left", "looked_at"),
-    [
-        (locked(5, 8000), 0.9, 16_000),
-        (locked(2, 20_000), 0.9, 16_000),  # in pieces
-        (locked(20, 2000), 0.9, 20_000),  # a thousand of each at least
-        (locked(5, 8000), 0.1, None),  # it follows
-        (locked(3, 8000), 0.9, None),  # few anyway
-        (locked(5, 8000, from_sample=7000), 0.9, None),  # the beginnings show nothing
-    ],
-)
-def test_a_part_is_looked_at_where_the_fit_follows_nothing(
-    recording: rtac.Recording, left: float, looked_at: int | None
-) -> None:
-    part = enough_of(left_of(recording, left), recording, STANDARD)
-    if looked_at is None:
-        assert part is recording
-        return
-    assert sum(e.samples for e in part) == pytest.approx(looked_at, rel=0.05)
-    known = {e.name for e in pieces(moving(recording))}
-    assert {e.name for e in pieces(moving(part))} <= known  # their starts are those of the fit
-
-
 def test_an_inertia_that_nobody_gave_is_found_beside_what_is_missing() -> None:
     """A fit that follows nothing runs away with it: to a ten-millionth, of a crane's pendulum."""
     recording = recorded("gravity_tilt")
@@ -144,21 +100,3 @@ def test_what_is_fixed_on_a_bound_stays_there() -> None:
     assert float(placed["gravity_tilt.zeroed"]) == 0.0
     assert float(placed["gravity_tilt.along"]) == 0.02
     assert float(placed["cart_coulomb.level"]) > 0.0
-
-
-@pytest.mark.parametrize("named", [True, False])
-def test_all_samples_are_looked_at_where_a_part_names_nothing(named: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    whole, part = locked(1, 2000), locked(1, 500)
-    looked_at: list[rtac.Recording] = []
-
-    def diagnosed(fit: est.Fit, recording: rtac.Recording, *_: Any, **__: Any) -> est.Diagnosis:
-        looked_at.append(recording)
-        found = diagnosis("missing" if named else "unknown")
-        return dataclasses.replace(found, additions=(CATALOGUE["cubic_spring"](1.0),) if named else ())
-
-    monkeypatch.setattr(diagnose, "enough_of", lambda *_: part)
-    monkeypatch.setattr(diagnose, "_diagnosed", diagnosed)
-    fit = dataclasses.replace(FIT, experiments=("run_0",), model=rtac.RTAC.from_rig(whole))
-    found = est.diagnose(fit, whole, progress=False)
-    assert looked_at == ([part] if named else [part, whole])
-    assert ("500 samples of all experiments were looked at" in found.explanation) == named

@@ -1,0 +1,118 @@
+"""Of a long recording whose fit is far from the noise a part is looked at, if that tells what is missing."""
+
+import dataclasses
+import importlib
+from typing import Any
+
+import numpy as np
+import pytest
+from made_up_results import FIT, candidate, diagnosis
+
+import estimators as est
+import rtac_jax as rtac
+from estimators.core.data import moving, pieces
+from estimators.diagnosis.part_of_samples import enough_of, suffices
+from estimators.diagnosis.policy import STANDARD
+from rtac_jax import virtual_rig
+from rtac_jax.effects import CATALOGUE
+
+diagnose = importlib.import_module("estimators.diagnosis.diagnose")  # a function of that name hides it
+NOISE = 1e-6
+
+
+def locked(count: int, samples: int, *, from_sample: int = 0) -> rtac.Recording:
+    """Carts that swing by 10 mm, after some samples in which they hardly do."""
+    number = np.arange(samples)
+    position = np.where(number < from_sample, 1e-4, 1e-2) * np.cos(0.05 * number)
+    several = [
+        rtac.Experiment.of(f"run_{n}", kind="free", sample_time=0.005, arm="locked", cart_position=position + 1e-6 * n)
+        for n in range(count)
+    ]
+    return rtac.Recording(several, {"total_mass": 1.5})
+
+
+def left_of(recording: rtac.Recording, fraction: float) -> est.Fit:
+    """A fit that leaves so much of the motion."""
+    rms = float(np.mean([np.std(e.outputs["cart_position"].values) for e in recording]))
+    return dataclasses.replace(FIT, residual_std={"cart_position": fraction * rms}, noise={"cart_position": NOISE})
+
+
+@pytest.mark.parametrize(
+    ("recording", "left", "looked_at"),
+    [
+        (locked(5, 8000), 0.9, 16_000),
+        (locked(2, 20_000), 0.9, 16_000),  # in pieces
+        (locked(20, 2000), 0.9, 20_000),  # a thousand of each at least
+        (locked(5, 8000), 0.1, 16_000),  # it follows, a thousand times the noise away
+        (locked(5, 8000), 1e-4, None),  # at the noise
+        (locked(3, 8000), 0.9, None),  # few anyway
+        (locked(5, 8000, from_sample=7000), 0.9, None),  # the beginnings show nothing
+    ],
+)
+def test_a_part_is_looked_at_where_the_fit_misses_more_than_the_sensors_do(
+    recording: rtac.Recording, left: float, looked_at: int | None
+) -> None:
+    part = enough_of(left_of(recording, left), recording, STANDARD)
+    if looked_at is None:
+        assert part is recording
+        return
+    assert sum(e.samples for e in part) == pytest.approx(looked_at, rel=0.05)
+    known = {e.name for e in pieces(moving(recording))}
+    assert {e.name for e in pieces(moving(part))} <= known  # their starts are those of the fit
+
+
+def told(verdict: Any, *, rival: bool = False) -> est.Diagnosis:
+    """A diagnosis that names a cubic spring, if it names anything."""
+    if verdict in ("adequate", "unknown"):
+        return diagnosis(verdict)
+    named = candidate("cubic_spring", 50.0, confusable_with=("quadratic_spring",) if rival else ())
+    return dataclasses.replace(diagnosis(verdict), effects=(named,), additions=(CATALOGUE["cubic_spring"](1.0),))
+
+
+@pytest.mark.parametrize(
+    ("left", "found", "whole_too"),
+    [
+        (0.9, told("ambiguous", rival=True), False),  # nothing is followed: anything brings it nearer
+        (0.9, told("unknown"), True),
+        (0.1, told("missing"), False),
+        (0.1, told("missing", rival=True), True),
+        (0.1, told("ambiguous", rival=True), True),
+        (0.1, told("adequate"), True),
+    ],
+)
+def test_all_samples_are_looked_at_where_a_part_does_not_tell(
+    left: float, found: est.Diagnosis, whole_too: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = locked(5, 8000)
+    looked_at: list[int] = []
+
+    def diagnosed(fit: est.Fit, recording: rtac.Recording, *_: Any, **__: Any) -> est.Diagnosis:
+        looked_at.append(sum(e.samples for e in recording))
+        return found
+
+    monkeypatch.setattr(diagnose, "_diagnosed", diagnosed)
+    names = tuple(e.name for e in whole)
+    fit = dataclasses.replace(left_of(whole, left), experiments=names, model=rtac.RTAC.from_rig(whole))
+    said = est.diagnose(fit, whole, progress=False).explanation
+    assert looked_at == ([16_000, 40_000] if whole_too else [16_000])
+    assert ("16,000 samples of all experiments were looked at" in said) == (not whole_too)
+    assert ("follows nothing" in said) == (left == 0.9 and not whole_too)
+    assert ("misses more than the sensors do" in said) == (left == 0.1 and not whole_too)
+    assert suffices(found, gross=left == 0.9) == (not whole_too)
+
+
+def test_a_part_names_what_is_hidden_with_its_size() -> None:
+    """Decays of an independent rig whose arm is locked; the truth is within what the part says of itself."""
+    rig = dataclasses.replace(virtual_rig.Rig(), cubic_spring=2e4)
+    plans = virtual_rig.standard_plans(seed=3, sample_time=0.002, duration=14.0, free=5, forced=0, rest=1)
+    recording = virtual_rig.record(rig, plans, seed=4)
+    assert sum(e.samples for e in moving(recording)) > 32_000
+    fit = est.output_error(rtac.RTAC.from_rig(recording), recording, progress=False)
+    few = [CATALOGUE[n] for n in ("cubic_spring", "quadratic_spring", "cart_quadratic_drag", "lvdt_nonlinearity")]
+    found = est.diagnose(fit, recording, candidates=few, progress=False)
+    assert (found.verdict, [c.id for c in found.effects]) == ("missing", ["cubic_spring"]), found
+    assert "16,000 samples of all experiments were looked at" in found.explanation
+    estimate = found.effects[0].parameters["stiffness"]
+    assert abs(estimate.value - 2e4) < 3 * estimate.std < 0.1 * 2e4
+    assert found.evidence is not None
+    assert found.evidence.facts.samples < 16_000 * 1.1

@@ -4,6 +4,7 @@ import dataclasses
 import time
 import warnings
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,9 +15,8 @@ from estimators.core.fit import Fit
 from estimators.core.progress import Progress
 from estimators.core.sensor_noise import rounded
 from estimators.core.threads import one_blas_thread
-from estimators.diagnosis.candidate import Candidate
+from estimators.diagnosis.candidate_results import candidates_of, not_testable
 from estimators.diagnosis.candidate_set import offered
-from estimators.diagnosis.choice import bic_gain, gain, held_out_gain
 from estimators.diagnosis.diagnosis import Diagnosis
 from estimators.diagnosis.evidence import Evidence
 from estimators.diagnosis.explanation import (
@@ -46,18 +46,15 @@ from estimators.diagnosis.innovation_tests import (
 )
 from estimators.diagnosis.live_laboratory import LiveLaboratory
 from estimators.diagnosis.noise_colour import assumed_noise, recoloured
-from estimators.diagnosis.part_of_samples import enough_of, part_of, suffices
+from estimators.diagnosis.part_of_samples import enough_of, part_of, removed_of_all, suffices
 from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
 from estimators.diagnosis.refitting import (
     compile_base,
     compile_for,
     fit_base,
-    parameters_of,
     trusting,
     with_predictive_steps,
 )
-from estimators.diagnosis.removed_error import floor
-from estimators.diagnosis.selection import Selection, by_size
 from estimators.diagnosis.setting import Setting, effect_of, setting_of
 from estimators.diagnosis.simulation_remarks import found_by_simulation, untried, without_the_physics
 from estimators.diagnosis.testability import stood_for
@@ -66,13 +63,11 @@ from estimators.diagnosis.workers import Workers
 from estimators.diagnosis.wrong_constant import doubt
 from estimators.inference.shaken_simulation import unfollowed
 from estimators.inference.simulation_residual import random_forces_are_large
-from estimators.misspecification.adequacy import alarming, excess_of, p_by_chance
-from estimators.misspecification.detection_limit import is_testable, main_amplitude
+from estimators.misspecification.adequacy import alarming
 from rtac_jax import RTAC, require_configured
 from rtac_jax.arguments import checked_arguments
 from rtac_jax.effects import Effect
 from rtac_jax.measurement import OUTPUTS, Experiment, Recording
-from rtac_jax.parameters import declarations
 
 
 @checked_arguments
@@ -124,18 +119,38 @@ def diagnose(
     # Whatever deadline whoever asks keeps: refits alone are broken off.
     with Deadline().kept(), Progress("diagnose", show=progress) as shown:
         part = enough_of(fit, recording, policy)
-        told = _diagnosed(
-            fit, part, candidates, classes, policy, shown, deadline, thorough=thorough, laws_first=laws_first
-        )
-        gross = unfollowed(fit, Data.of(pieces(moving(recording))), policy.simulation) > policy.unfollowed
-        if part is not recording and not suffices(told, gross=gross) and not deadline.over:
-            told = _diagnosed(
-                fit, recording, candidates, classes, policy, shown, deadline, thorough=thorough, laws_first=laws_first
+
+        def looked(at: Recording) -> _Looked:
+            return _diagnosed(
+                fit, at, candidates, classes, policy, shown, deadline, thorough=thorough, laws_first=laws_first
             )
-        elif part is not recording:
-            looked_at = sum(e.samples for e in moving(part))
-            told = dataclasses.replace(told, explanation=told.explanation + of_part(looked_at, gross=gross))
+
+        first = looked(part)
+        told = first.told
+        if part is not recording:
+            gross = unfollowed(fit, Data.of(pieces(moving(recording))), policy.simulation) > policy.unfollowed
+            if deadline.over or suffices(told, lambda: first.removed_of_all(fit, recording), policy, gross=gross):
+                looked_at = sum(e.samples for e in moving(part))
+                told = dataclasses.replace(told, explanation=told.explanation + of_part(looked_at, gross=gross))
+            else:
+                del first  # what it computed takes as much memory again
+                told = looked(recording).told
     return dataclasses.replace(told, seconds=time.perf_counter() - began)
+
+
+class _Looked(NamedTuple):
+    """A diagnosis, and what it was made of."""
+
+    told: Diagnosis
+    laboratory: LiveLaboratory
+    found: Judgement
+
+    def removed_of_all(self, fit: Fit, recording: Recording) -> float:
+        """Return what it removes of what is wrong in all samples, if it is of a part; nothing where simulations told it."""
+        if self.found.selection.simulated:
+            return 0.0
+        setting, final = self.laboratory.computed(self.found.final)
+        return removed_of_all(setting, final, self.found.steps, fit, recording)
 
 
 def _diagnosed(
@@ -149,7 +164,7 @@ def _diagnosed(
     *,
     thorough: bool,
     laws_first: bool,
-) -> Diagnosis:
+) -> _Looked:
     """Diagnose a fit by the recording that it was fitted to, or by a part of it."""
     setting = setting_of(fit, recording, classes, shown, policy)
     # Where some are in the model already, as in the loop, its other tests are still worth asking.
@@ -163,14 +178,15 @@ def _diagnosed(
         evidence = laboratory.evidence(thorough=thorough, laws_first=laws_first)
     shown.at("diagnose: verdict")
     unshown = [c for c in classes if c.id not in setting.absent and not stood_for(c, setting.experiments)]
-    told = _told(laboratory, evidence, judge(evidence, policy), unshown, fit)
+    found = judge(evidence, policy)
+    told = _told(laboratory, evidence, found, unshown, fit)
     facts = evidence.facts
     unexplained = told.simulation is not None and told.simulation.cause == "unexplained"
     unasked = told.verdict == "adequate" and not facts.noise_known
     if (unexplained or unasked) and max(told.random_force, told.random_torque) < SHAKEN:  # or else they are the reason
         said = strayed(fit.residual_std, fit.noise, recording, unfollowed=facts.unfollowed, poor=policy.simulation.poor)
         told = dataclasses.replace(told, explanation=told.explanation + said)
-    return told
+    return _Looked(told, laboratory, found)
 
 
 def _begun(setting: Setting, fit: Fit, workers: Workers, deadline: Deadline, *, whole: bool) -> LiveLaboratory:
@@ -210,8 +226,8 @@ def _told(
     stood = found.simulation is None or not found.simulation.vetoes
     silent = laboratory.facts.silent
     latent = latent_of(setting, base) if found.verdict == "unknown" and stood and not silent else ()
-    candidates = _candidates(laboratory, found)
-    candidates += [_not_testable(c, float(np.log(setting.samples))) for c in unshown]
+    candidates = candidates_of(laboratory, found)
+    candidates += [not_testable(c, float(np.log(setting.samples))) for c in unshown]
     groups = [(step.id, *step.rivals) for step in found.steps]
     by_id = {c.id: c for c in candidates}
     _, final = laboratory.computed(found.final)
@@ -331,68 +347,3 @@ def compile_diagnosis(model: RTAC, recording: Recording, candidates: Sequence[ty
     Of a long recording that is a part, unless the fit ends at the noise.
     """
     compile_for(model, part_of(recording), offered(model, candidates))
-
-
-def _not_testable(c: type[Effect], price: float) -> Candidate:
-    """Return a candidate that gains nothing, whatever its size."""
-    names = c.amplitudes()
-    return Candidate(
-        id=c.id, score=-len(names) * price, chi_square=0.0, p_value=1.0, detection_limit=float("inf"),
-        unit=declarations(c)[names[0]].unit, testable=False,
-    )  # fmt: skip
-
-
-def _candidates(laboratory: LiveLaboratory, found: Judgement) -> list[Candidate]:
-    """Return all candidates, those that improved the model first."""
-    selection, samples, policy = found.selection, laboratory.facts.samples, laboratory.policy
-    screened = laboratory.tested(selection.base).screened
-    price = float(np.log(samples))
-    best = {s.id: s for s in by_size(screened, price)}
-    detectable = laboratory.detectability(selection.base)
-    most = _most(selection, samples)
-    within = set(found.effects)
-    shown = within.union(*found.rivals.values())
-    several: list[Candidate] = []
-    for s in best.values():
-        first, limit = main_amplitude(s), detectable.limits[s.id]
-        c = Candidate(
-            id=s.id,
-            score=s.statistic - len(s.amplitudes) * price,
-            chi_square=s.statistic,
-            p_value=p_by_chance(s, len(screened)),
-            detection_limit=limit,
-            unit=declarations(s.instance)[first].unit,
-            # What acts by contact, or random forces stand for, shows once the filter follows it.
-            testable=is_testable(s, limit, policy.testable) or s.id in shown,
-            correlation=detectable.correlations[s.id],
-        )
-        if s.id in selection.tried:
-            before, model = selection.tried[s.id]
-            _, last = laboratory.computed(found.final if s.id in within else model)
-            start = selection.base
-            removed = np.exp(-2 * gain(start, before) / samples) - np.exp(-2 * gain(start, model) / samples)
-            c = dataclasses.replace(
-                c,
-                refitted=True,
-                bic_gain=bic_gain(samples, before, model),
-                held_out_gain=held_out_gain(laboratory, before, model, policy),
-                error_reduction=float(np.clip(removed / most, 0.0, 1.0)) if most > 0 else 0.0,
-                parameters=parameters_of(s.id, last),
-            )
-        several.append(c)
-    order = {step.id: place for place, step in enumerate(selection.steps)}
-    several.sort(key=lambda c: (order.get(c.id, len(order)), -c.bic_gain if c.refitted else 0.0, -c.score))
-    return several
-
-
-def _most(selection: Selection, samples: int) -> float:
-    """Return the fraction of the base model's squared prediction error that is known to be avoidable."""
-    base = selection.base
-    single = [gain(base, model) for before, model in selection.tried.values() if before.number == base.number]
-    least = [
-        np.exp(-2 * max(single, default=0.0) / samples),
-        1 - min(excess_of(selection.tests) / samples, 1.0),
-    ]
-    if selection.steps:
-        least.append(floor(selection.steps, samples))
-    return float(1 - min(least))

@@ -1,7 +1,7 @@
 """A part of the samples of a long recording, which shows what a fit misses by more than the noise as well as all of them."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -9,7 +9,12 @@ from estimators.core.data import Data, motion_of, moving, origins, pieces
 from estimators.core.fit import Fit
 from estimators.diagnosis.diagnosis import Diagnosis
 from estimators.diagnosis.policy import DiagnosisPolicy
+from estimators.diagnosis.refit import Refit
+from estimators.diagnosis.removed_error import removed_beside
+from estimators.diagnosis.setting import Setting, begun, set_up, space_for
+from estimators.diagnosis.step import Step
 from estimators.inference.shaken_simulation import unfollowed
+from estimators.prediction_error.filter_pass import run_filter
 from rtac_jax.measurement import Experiment, Recording
 
 # Samples of all experiments together. What takes a hundredth off the rms error (`DiagnosisPolicy.consequence`) scores 320 in them,
@@ -54,16 +59,43 @@ def enough_of(fit: Fit, recording: Recording, policy: DiagnosisPolicy) -> Record
     return part
 
 
-def suffices(told: Diagnosis, *, gross: bool) -> bool:
+def suffices(told: Diagnosis, all_removed: Callable[[], float], policy: DiagnosisPolicy, *, gross: bool) -> bool:
     """Return whether a diagnosis of a part need not be asked of all samples.
 
     Args:
         told: the diagnosis of the part.
+        all_removed: gives what is removed of what is wrong in all samples by what it names; see `removed_of_all`.
+        policy: the thresholds.
         gross: whether the fit follows nothing. Then any effect that is added brings it nearer; else the part has to explain
-            everything by effects that it tells from all others.
+            everything by effects that it tells from all others, and that explain all samples, too.
     """
+    if gross or not told.additions:
+        return bool(told.additions)
     plain = told.verdict == "missing" and not any(c.confusable_with for c in told.effects)
-    return bool(told.additions) and (gross or plain)
+    return plain and all_removed() >= policy.removed
+
+
+def removed_of_all(setting: Setting, final: Refit, steps: Sequence[Step], fit: Fit, recording: Recording) -> float:
+    """Return the fraction of the excess squared prediction error that steps remove of all samples, as far as a part tells.
+
+    The predictor of the part, with all its estimates and noise, is run along the whole recording. What its innovations have
+    there beyond their own variance is left.
+
+    Args:
+        setting: of the diagnosis of the part.
+        final: the predictor of the model with what was named.
+        steps: that were named.
+        fit: that is diagnosed.
+        recording: that it was fitted to.
+    """
+    model = final.model.with_values(final.values)
+    whole = set_up(model, recording, [], fit.start, int(setting.substeps), setting.progress, setting.policy)
+    space = begun(space_for(whole, model, final.free), model, {})
+    physical, prior = (space.values, space.each_values, space.start), setting.prior.starting(space)
+    passed = run_filter(model, whole.data, space, physical, prior, final.predictor.noise, setting.substeps)
+    counted = np.asarray(whole.data.counted) * (1.0 - np.asarray(passed.shaken))[:, None]
+    left = float(np.sum(np.asarray(passed.innovations) ** 2 * counted) / np.sum(counted))
+    return removed_beside(steps, setting.samples, left) if np.isfinite(left) else 0.0
 
 
 def _beginning(several: Sequence[Experiment], samples: int) -> list[Experiment]:

@@ -62,6 +62,18 @@ def fraction_removed(steps: Sequence[Step], samples: int) -> float:
     return (1 - after) / (1 - floor(steps, samples))
 
 
+def removed_beside(steps: Sequence[Step], samples: int, left: float) -> float:
+    """Return the fraction of the excess that steps remove, if so much is left in place of what the tests still find.
+
+    Args:
+        steps: of the selection.
+        samples: that it was made of.
+        left: mean square of the innovations of the model with them, where 1 is their own variance.
+    """
+    after = math.exp(-sum(step.gain for step in steps) / samples)
+    return (1 - after) / (1 - after / max(left, 1.0))
+
+
 def floor(steps: Sequence[Step], samples: int) -> float:
     """Return the squared prediction error that would be left if what the tests still find were explained too.
 

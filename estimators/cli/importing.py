@@ -75,6 +75,13 @@ def import_files(
             "--unwrap", help="Take jumps of whole turns out of arm_angle, as of an encoder that begins again."
         ),
     ] = False,
+    mend: Annotated[
+        bool,
+        typer.Option(
+            "--mend",
+            help="Put rows that a logger lost back as missing samples, and make clipped samples, dropouts and spikes missing.",
+        ),
+    ] = False,
     intersample: Annotated[
         Pairs, option("NAME=zoh|foh|bl", "What an input does between samples; held (zoh) by default.")
     ] = None,
@@ -109,7 +116,7 @@ def import_files(
             "scale": {n: _number("--scale", n, v) for n, v in _pairs("--scale", scale).items()},
             "noise_std": {n: _number("--noise", n, v) for n, v in _pairs("--noise", noise).items()},
             "intersample": _pairs("--intersample", intersample),
-            "remove_mean": remove_mean or (), "unwrap": unwrap, "arm": arm, "cart": cart, "start": start, "stop": end,
+            "remove_mean": remove_mean or (), "unwrap": unwrap, "mend": mend, "arm": arm, "cart": cart, "start": start, "stop": end,
             "rig": {n: _number("--rig", n, v) for n, v in _pairs("--rig", rig).items()},
         }  # fmt: skip
         asked = _pairs("--channel", channel)
@@ -122,7 +129,7 @@ def import_files(
         told = iter(zip(kinds, names, angles, strict=True))
         for file in sources:
             if file not in foreign:
-                parts.append(Recording.load(file))
+                parts.append(Recording.load(file).mended() if mend else Recording.load(file))
                 understood.append(f"{file}: a recording; its experiments come along as they are.")
                 continue
             what, called, at = next(told)

@@ -25,7 +25,7 @@ from rtac_jax.arguments import checked_arguments
 from rtac_jax.measurement import Experiment, Recording, Signal, moving_at_rest
 
 # What is undone must take nine tenths of the squared residual beyond the noise away, the fraction of the misfit from which on an
-# effect explains it in a diagnosis (`DiagnosisPolicy`), to be called the mistake.
+# effect explains it in a diagnosis (`DiagnosisPolicy`), to be called the mistake; and leave no more than that of the motion.
 EXPLAINS = 0.1
 # Times the noise from which on a residual is looked into: what weak noise and 2,000 samples leave of clean recordings is below 2.
 SUSPICIOUS = 3.0
@@ -38,6 +38,9 @@ LEVEL = 9.81 * np.sin(np.deg2rad(2.0))
 _SEARCHED = 4
 _SURE = 3.0  # times what is asked of all, from which on two experiments settle that a mistake does not explain them
 _OFFSET = "offset of cart_position"
+_PULLED = (
+    "; where it has none, gravity on a slide or a spring that is stiffer on one side does it, which est.diagnose names"
+)
 _PROMISING = 0.7  # of the residual, below which a coarse delay is refined: the root of a half
 
 
@@ -167,7 +170,10 @@ class _Search:
             if few is not None and few.residual > _SURE * enough:
                 return few.residual
             solution = self._all_undone(mistake, names)
-            return np.inf if solution is None else solution.residual
+            # What leaves most of the motion itself unexplained is no mistake that is undone.
+            if solution is None or solution.residual**2 > EXPLAINS * solution.motion**2:
+                return np.inf
+            return solution.residual
 
         best = _likeliest(_scored(score, ("cart_position", "arm_velocity", "current"), as_recorded), as_recorded)
         if best is None or best[2] > enough:
@@ -217,14 +223,10 @@ class _Search:
             return None
         # The equation is q'' + k/(M+m) (q - offset) = 0, so the constant is less the offset's fraction of the spring.
         off = -push / by["spring"]
-        return Inconsistency(
+        return self._offset(
             None,
-            _OFFSET,
-            (),
-            self.agreed.residual,
-            self.agreed.residual,
             f"all experiments: the cart moves around {1e3 * off:.3g} mm instead of 0, further than a plane 2 degrees off level "
-            f"would bring it: cart_position has an offset; {_taken_off(off)}.",
+            f"would bring it: cart_position has an offset; {_taken_off(off)}{_PULLED}.",
         )
 
     def of_single(self) -> list[Inconsistency]:
@@ -233,12 +235,10 @@ class _Search:
         usual = float(np.median([self.agreed.each[name] for name in self.inside]))
         worst = max(self.agreed.each[name] for name in self.inside)
         limit = SUSPICIOUS * max(usual, 1.0)
-        outside = [name for name in self.systems if name not in self.inside]
-        for name in outside:
+        for name in [name for name in self.systems if name not in self.inside]:
             if residual_of(self.systems[name], self.agreed.coefficients) < limit:
                 continue
-            own = self._of(name, SUSPICIOUS * max(worst, 1.0))
-            if own is not None:
+            if (own := self._of(name, SUSPICIOUS * max(worst, 1.0))) is not None:
                 found.append(own)
         seen = {one.experiment for one in found}
         return found + [own for name in self.experiments if name not in seen and (own := self._off_equilibrium(name))]
@@ -249,15 +249,14 @@ class _Search:
         off = distance_from_equilibrium(self.experiments[name], by)
         if off is None:
             return None
-        return Inconsistency(
+        return self._offset(
             name,
-            _OFFSET,
-            (),
-            self.agreed.residual,
-            self.agreed.residual,
             f"experiment {name}: its cart moves around a place {1e3 * off:.3g} mm from where the spring of the others is at rest, "
             f"further than dry friction can hold it: cart_position has an offset; {_taken_off(off)}.",
         )
+
+    def _offset(self, name: str | None, sentence: str) -> Inconsistency:
+        return Inconsistency(name, _OFFSET, (), self.agreed.residual, self.agreed.residual, sentence)
 
     def _of(self, name: str, enough: float) -> Inconsistency | None:
         experiment = self.experiments[name]
@@ -266,7 +265,8 @@ class _Search:
         def score(mistake: Mistake) -> float:
             changed = mistake.undo(experiment) if mistake.single else None
             rows = None if changed is None else rows_of(changed, self._own_levels(changed))
-            return np.inf if rows is None else self._beside(placed(rows, self.known))
+            left = np.inf if rows is None else self._beside(placed(rows, self.known))
+            return left if rows is not None and left**2 <= EXPLAINS * rows.motion**2 else np.inf
 
         scores = _scored(score, ("cart_position", "arm_velocity", "arm_angle", "current"), as_recorded)
         if (offset := self._without_offset(name)) is not None:

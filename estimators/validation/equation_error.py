@@ -39,11 +39,13 @@ class Rows:
         name: of the experiment.
         matrix: by coefficient; the columns of known coefficients are zero.
         target: what the columns have to explain.
+        motion: rms of the accelerations, or of a force that is known, whichever is larger.
     """
 
     name: str
     matrix: Float[np.ndarray, "row coefficient"]
     target: Float[np.ndarray, " row"]
+    motion: float = 0.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -109,20 +111,25 @@ def rows_of(experiment: Experiment, levels: Mapping[str, float]) -> Rows | None:
         return None
     matrix, target = (np.concatenate(column) for column in zip(*parts, strict=True))
     good = np.isfinite(target) & np.all(np.isfinite(matrix), axis=1)
-    return Rows(experiment.name, matrix[good], target[good]) if good.any() else None
+    return Rows(experiment.name, matrix[good], target[good], _rms(target[good])) if good.any() else None
 
 
 def placed(rows: Rows, known: Known) -> Rows:
     """Return the rows with what is known taken out: coefficients, and that swing and reaction go together."""
-    matrix, target, place = rows.matrix.copy(), rows.target, COEFFICIENTS.index
+    matrix, target, motion, place = rows.matrix.copy(), rows.target, rows.motion, COEFFICIENTS.index
     if known.tie is not None:
         # me / J is me / M times M / J: one unknown for both equations.
         matrix[:, place("swing")] += matrix[:, place("reaction")] / known.tie
         matrix[:, place("reaction")] = 0.0
     for name, value in known.fixed.items():
         target = target - value * matrix[:, place(name)]
+        motion = max(motion, value * _rms(matrix[:, place(name)]))
         matrix[:, place(name)] = 0.0
-    return Rows(rows.name, matrix, target)
+    return Rows(rows.name, matrix, target, motion)
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
 
 
 def _cart(terms: Terms) -> tuple[np.ndarray, np.ndarray]:
@@ -168,12 +175,14 @@ class Solution:
         each: what they leave of each experiment, in standard deviations of the noise.
         squares: sum of the squares of the rows that count.
         rows: how many count.
+        motion: root mean square of the motion of all that count; see `Rows`.
     """
 
     coefficients: Float[np.ndarray, " coefficient"]
     each: Mapping[str, float]
     squares: float
     rows: int
+    motion: float = 0.0
 
     @property
     def residual(self) -> float:
@@ -197,12 +206,14 @@ def solve(systems: Sequence[Rows]) -> Solution:
         coefficients = _nonnegative(np.concatenate(triangles))
         if turn < _CONCENTRATIONS - 1:
             kept = [_best(s, coefficients) for s in systems]
-    each, squares = {}, 0.0
+    each, squares, motion = {}, 0.0, 0.0
     for s, rows in zip(systems, kept, strict=True):
+        motion += len(rows) * s.motion**2
         left = float(np.sum((s.target[rows] - s.matrix[rows] @ coefficients) ** 2))
         each[s.name] = gaussian(left, len(rows))
         squares += left
-    return Solution(coefficients, each, squares, sum(len(rows) for rows in kept))
+    count = sum(len(rows) for rows in kept)
+    return Solution(coefficients, each, squares, count, float(np.sqrt(motion / count)))
 
 
 def residual_of(system: Rows, coefficients: Float[np.ndarray, " coefficient"]) -> float:

@@ -10,6 +10,7 @@ from jaxtyping import Float64
 
 from ._errors import RecordingError
 from ._experiment import Experiment
+from ._mending import mended, places_of_rows, with_rows
 from ._signal import INPUTS, OUTPUTS, finite, positive
 from ._stated_unit import FACTORS, ending_unit, name_and_unit, usual_spelling
 
@@ -32,6 +33,8 @@ class ImportOptions(TypedDict, total=False):
         start, stop: samples that are taken, from `start` up to but without `stop`.
         remove_mean: channels that lose their mean over these.
         unwrap: take jumps of whole turns out of arm_angle, as of an encoder that begins again after a turn.
+        mend: put rows that a logger lost, as the times tell, back as missing samples (inputs hold what they were), and make samples
+            missing that are no measurement; see `Recording.mended`.
         rig: constants, each with an optional `NAME_std`, as in `Recording`.
         intersample, noise_std, initial_arm_angle, initial_arm_angle_std, arm, cart: as in `Experiment.of`.
     """
@@ -45,6 +48,7 @@ class ImportOptions(TypedDict, total=False):
     stop: int | None
     remove_mean: Collection[str]
     unwrap: bool
+    mend: bool
     rig: Mapping[str, float] | None
     intersample: str | Mapping[str, str]
     noise_std: Mapping[str, float] | None
@@ -115,6 +119,7 @@ def assemble(
     scale: Mapping[str, float] | None = None,
     remove_mean: Collection[str] = (),
     unwrap: bool = False,
+    mend: bool = False,
     start: int = 0,
     stop: int | None = None,
     **conditions: Any,
@@ -143,8 +148,13 @@ def assemble(
         signals[channel] = values
     if time is not None:
         seconds = columns[time][start:stop] * _factor("time", time, units or {}, {})
-        sample_time = uniform_step(seconds, time, start)
-    return Experiment.of(name, sample_time=sample_time, **signals, **conditions)  # pyright: ignore[reportArgumentType] - `of` checks them
+        places = places_of_rows(seconds)
+        if places is not None and mend:
+            signals, sample_time = with_rows(signals, places), float((seconds[-1] - seconds[0]) / places[-1])
+        else:
+            sample_time = uniform_step(seconds, time, start, lost=places is not None)
+    found = Experiment.of(name, sample_time=sample_time, **signals, **conditions)  # pyright: ignore[reportArgumentType] - `of` checks them
+    return mended(found) if mend else found
 
 
 def _unwrapped(values: Float64[np.ndarray, " sample"], beginning: float | None) -> Float64[np.ndarray, " sample"]:
@@ -158,8 +168,14 @@ def _unwrapped(values: Float64[np.ndarray, " sample"], beginning: float | None) 
     return whole - 2 * np.pi * turns
 
 
-def uniform_step(times: Float64[np.ndarray, " sample"], column: str, offset: int) -> float:
+def uniform_step(times: Float64[np.ndarray, " sample"], column: str, offset: int, *, lost: bool = False) -> float:
     """Return the common distance of `times` [s].
+
+    Args:
+        times: of all rows.
+        column: their name.
+        offset: index of the first.
+        lost: whether rows that are missing explain why they are not uniform.
 
     Raises:
         RecordingError: the times are not uniform; names the index (plus `offset`) that is farthest off.
@@ -177,10 +193,12 @@ def uniform_step(times: Float64[np.ndarray, " sample"], column: str, offset: int
     rounded = np.max(np.abs(times - times[0] - mean * np.arange(len(times)))) < ROUNDED * mean
     if uneven.any() and not rounded:
         index = int(np.argmax(uneven))
+        mend = "resample the data, cut at the gap, or give sample_time if the times are only rounded"
+        if lost:
+            mend = "rows are missing there: put them back as missing samples (mend=True, --mend of rtac import), or cut at the gap"
         raise RecordingError(
             f"{column}, index {index + 1 + offset}: the step is {steps[index]:.9g} s and elsewhere "
-            f"{typical:.9g} s; resample the data, cut at the gap, or give sample_time if the times are only "
-            "rounded."
+            f"{typical:.9g} s; {mend}."
         )
     return float((times[-1] - times[0]) / len(steps))
 

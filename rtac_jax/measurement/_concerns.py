@@ -230,10 +230,6 @@ def _about_output(signal: Signal, at_rest: bool, held: bool, *, counts: bool) ->
         yield (
             f"is quantised in steps of {step:.3g} {signal.unit}, coarse next to its noise; use a finer range or more counts."
         )
-    if not (at_rest or held) and _clipped(values):
-        yield (
-            "stays repeatedly at exactly its largest or smallest value, as if clipped; widen the range of the sensor."
-        )
     spikes = _spikes(values, max(resolution(values), 1e-9 * spread))
     if len(spikes):
         where = np.flatnonzero(~missing)[spikes[0]]
@@ -273,19 +269,6 @@ def _noise_level(values: Float64[np.ndarray, " sample"]) -> float:
     # level.
     bend = np.sort(np.abs(np.diff(values, 2)))
     return float(np.sqrt(np.mean(bend[: max(1, len(bend) * 99 // 100)] ** 2) / 6))
-
-
-def _clipped(values: Float64[np.ndarray, " sample"]) -> bool:
-    for extreme in (values.max(), values.min()):
-        there = np.concatenate(([False], values == extreme, [False])).astype(np.int8)
-        edges = np.flatnonzero(np.diff(there))
-        runs = edges[1::2] - edges[::2]
-        # Held once before release is no clipping, and a quantised peak also fills the level below.
-        distinct = values[values != extreme]
-        following = np.count_nonzero(values == (distinct.max() if extreme == values.max() else distinct.min()))
-        if np.count_nonzero(runs >= 3) >= 2 and runs.sum() > 0.01 * len(values) and runs.sum() > 5 * following:
-            return True
-    return False
 
 
 def _spikes(values: Float64[np.ndarray, " sample"], floor: float) -> np.ndarray:

@@ -1,4 +1,7 @@
-"""Faults of a channel that last for a moment: dropouts, lost samples, and spikes of several samples. No model is needed."""
+"""Faults of a channel that last for a moment: dropouts, the end of a range, lost samples, and spikes of several samples.
+
+No model is needed.
+"""
 
 from collections.abc import Iterator
 
@@ -22,6 +25,8 @@ _SLOPE_SAMPLES = 13  # neighbouring steps whose median is the slope
 MEDIAN_TO_STD = 1.4826
 # Levels by which a slow signal that is quantised comes to a value and leaves it: a step of two is no jump.
 _QUIET_LEVELS = 2.5
+_FEW_LEVELS = 10.0  # of a quantised signal, whose extremes are no end of a range
+_MENDED = "make these samples missing (rtac import --mend, Recording.mended, or NaN)"
 
 
 def momentary_faults(name: str, signal: Signal) -> Iterator[str]:
@@ -45,7 +50,12 @@ def momentary_faults(name: str, signal: Signal) -> Iterator[str]:
         more = f", and {len(runs) - 1} times more" if len(runs) > 1 else ""
         yield (
             f"is exactly {what} for {last - first} samples from sample {present[first]} on{more}, as when the sensor "
-            "or the logger drops out; replace these samples by NaN."
+            f"or the logger drops out; {_MENDED}."
+        )
+    if (ends := clipped(values)).any():
+        yield (
+            f"stays at exactly its largest or smallest value for {np.count_nonzero(ends)} samples, {values.min():.4g} and "
+            f"{values.max():.4g} {signal.unit}, as where the range of the sensor ends; {_MENDED}, and widen the range."
         )
     steps = np.diff(values)
     excess, limit = _excess_of_steps(values, present, inside)
@@ -73,6 +83,43 @@ def momentary_faults(name: str, signal: Signal) -> Iterator[str]:
                 f"jumps by {size:.3g} {signal.unit} at sample {present[place] + 1}{more}, which nothing that has mass can, so "
                 "samples were lost there; cut the experiment in two (Experiment.cut)."
             )
+
+
+def faulty(name: str, values: Values) -> np.ndarray:
+    """Return whether each sample of an output that moves is clipped, dropped out, or part of a spike that no motion is.
+
+    Args:
+        name: of the channel; a spike of a velocity may be an impact.
+        values: of the channel, which may have gaps.
+    """
+    present = np.flatnonzero(~np.isnan(values))
+    found = np.zeros(len(values), dtype=bool)
+    known = values[present]
+    if len(known) <= 2 * _SLOPE_SAMPLES or np.ptp(known) == 0:
+        return found
+    found[present] = clipped(known)
+    for first, last in dropouts(known):
+        found[present[first:last]] = True
+    if name != "arm_velocity":
+        found[spikes(values)] = True
+    return found
+
+
+def clipped(values: Values) -> np.ndarray:
+    """Return whether each sample is at an extreme at which the values stay again and again, as at the end of a sensor's range."""
+    found = np.zeros(len(values), dtype=bool)
+    if np.ptp(values) < _FEW_LEVELS * resolution(values):
+        return found
+    for extreme in (values.max(), values.min()):
+        here = values == extreme
+        edges = np.flatnonzero(np.diff(np.concatenate(([False], here, [False])).astype(np.int8)))
+        runs = edges[1::2] - edges[::2]
+        # Held once before release is no clipping, and a quantised peak also fills the level below.
+        distinct = values[~here]
+        following = np.count_nonzero(values == (distinct.max() if extreme == values.max() else distinct.min()))
+        if np.count_nonzero(runs >= 3) >= 2 and runs.sum() > 0.01 * len(values) and runs.sum() > 5 * following:
+            found |= here
+    return found
 
 
 def resolution(values: Values) -> float:
@@ -137,13 +184,19 @@ def dropouts(values: Values) -> list[tuple[int, int]]:
     for first, last in zip(firsts[long], lasts[long], strict=True):
         if last - first < needed or last - first == len(values):
             continue
+        # A dropout is come to or left by a jump beside the steps on that side: a cart that friction lets go makes larger ones soon.
         before, after = values[max(first - _NEARBY // 2, 0) : first], values[last : last + _NEARBY // 2]
-        nearby = np.abs(np.concatenate([np.diff(before), np.diff(after)]))
-        usual_step = MEDIAN_TO_STD * float(np.median(nearby)) if len(nearby) else np.inf
-        ends = [abs(float(x)) for x in (*(values[first] - before[-1:]), *(after[:1] - values[first]))]
-        if last - first >= certain or max(ends, default=0.0) > max(0.5 * _SIGMAS * usual_step, quiet):
+        sides = ((values[first] - before[-1:], before), (after[:1] - values[first], after))
+        if last - first >= certain or any(
+            np.any(np.abs(jump) > max(0.5 * _SIGMAS * _usual_step(side), quiet)) for jump, side in sides
+        ):
             found.append((int(first), int(last)))
     return found
+
+
+def _usual_step(side: Values) -> float:
+    """Return the standard deviation of Gaussian steps with the median of these; infinite where there are none."""
+    return MEDIAN_TO_STD * float(np.median(np.abs(np.diff(side)))) if len(side) > 1 else np.inf
 
 
 def _unchanged_by_noise(values: Values) -> float:

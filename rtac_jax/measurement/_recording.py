@@ -17,6 +17,7 @@ from ._experiment import Experiment
 from ._hum import Hum, without_hum
 from ._info import describe
 from ._input_noise import current_noise, noise_level
+from ._mending import mended
 from ._signal import finite, positive, rebuild
 
 POSITIVE = ("total_mass", "arm_inertia", "spring_stiffness", "torque_constant", "eccentric_moment")
@@ -286,6 +287,15 @@ class Recording:
         """
         found, experiments = self._parted
         return replace(self, experiments=experiments) if found else self
+
+    def mended(self) -> "Recording":
+        """Return the recording whose samples that are no measurement are missing.
+
+        These are what stays at the end of a sensor's range, one and the same value as when a sensor or logger drops out, and spikes
+        of up to three samples in a position or an angle; `rtac.concerns` names them. Keep spikes where parts of the rig hit each
+        other there.
+        """
+        return replace(self, experiments=tuple(map(mended, self.experiments)))
 
     def current_noise(self) -> float:
         """Return the standard deviation of a measured current's noise, as experiments show it that nothing drives [A].

@@ -1,0 +1,63 @@
+"""Mending of what loggers lose: rows that are missing between others, and samples that are no measurement."""
+
+import dataclasses
+from collections.abc import Mapping
+
+import numpy as np
+from jaxtyping import Float64
+
+from ._experiment import Experiment
+from ._momentary_faults import faulty
+from ._signal import INPUTS
+
+Values = Float64[np.ndarray, " sample"]
+
+_OFF = 0.02  # of a step, by which the times of rows that remain may be off the clock: ten times what rounding makes
+_MOST = 0.1  # of all rows, that may be lost
+
+
+def mended(experiment: Experiment) -> Experiment:
+    """Return an experiment whose clipped samples, dropouts and spikes are missing; the same where there are none, or at rest."""
+    if experiment.kind == "rest":
+        return experiment
+    outputs = {}
+    for name, signal in experiment.outputs.items():
+        fixed = experiment.cart == "clamped" if name == "cart_position" else experiment.arm == "locked"
+        bad = np.zeros(len(signal.values), dtype=bool) if fixed else faulty(name, signal.values)
+        left = np.where(bad, np.nan, signal.values)
+        outputs[name] = dataclasses.replace(signal, values=left) if bad.any() else signal
+    if all(outputs[name] is signal for name, signal in experiment.outputs.items()):
+        return experiment
+    return dataclasses.replace(experiment, outputs=outputs)
+
+
+def places_of_rows(times: Values) -> np.ndarray | None:
+    """Return the places of rows on a uniform clock of which some are lost; None where their times are not on one.
+
+    Args:
+        times: of the rows that there are [s], rising.
+    """
+    steps = np.diff(times)
+    if not len(steps) or not np.all(steps > 0):
+        return None
+    places = np.concatenate([[0], np.cumsum(np.round(steps / np.median(steps)))]).astype(np.int64)
+    lost = int(places[-1]) + 1 - len(times)
+    if not 0 < lost <= _MOST * len(times):
+        return None
+    step = (times[-1] - times[0]) / places[-1]
+    return places if np.max(np.abs(times - times[0] - step * places)) < _OFF * step else None
+
+
+def with_rows(signals: Mapping[str, Values], places: np.ndarray) -> dict[str, Values]:
+    """Return channels with the rows that were lost: outputs are missing there, and inputs hold what they were.
+
+    Args:
+        signals: by channel, of the rows that there are.
+        places: of these among all.
+    """
+    at = np.arange(int(places[-1]) + 1)
+    before = np.searchsorted(places, at, side="right") - 1
+    return {
+        channel: values[before] if channel in INPUTS else np.where(places[before] == at, values[before], np.nan)
+        for channel, values in signals.items()
+    }

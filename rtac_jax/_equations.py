@@ -55,7 +55,7 @@ def derivative(
     body = model.body
     own = model.own_states(state)
     rates: dict[str, tuple[Any, ...]] = {}
-    motion = Motion(position, velocity, angle, arm_velocity, sine, cosine, current, body)
+    motion = Motion(position, velocity, angle, arm_velocity, sine, cosine, current, body, force=force)
     if since is not None:
         motion = since.seen_from(motion)
 

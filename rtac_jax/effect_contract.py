@@ -42,6 +42,7 @@ TYPICAL = Scales(
     frequency=10.4,
     mass=1.23,
     sample_time=5e-3,
+    applied_force=0.3,
 )
 # One trajectory for each element; not 1, so that a reduction over all of them shows.
 TRAJECTORIES = (3, 4)

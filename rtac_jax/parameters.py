@@ -33,6 +33,7 @@ class Scales:
         frequency: the cart's natural frequency [rad/s].
         mass: total mass [kg].
         sample_time: shortest sample time [s].
+        applied_force: rms recorded force on the cart [N]; next to nothing where there is none.
     """
 
     position: float
@@ -44,6 +45,7 @@ class Scales:
     frequency: float
     mass: float
     sample_time: float
+    applied_force: float = 1e-9
 
 
 Plausible = Callable[[Scales], "float | tuple[float, ...]"]

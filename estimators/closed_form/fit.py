@@ -16,11 +16,12 @@ from estimators.core.sensor_noise import noise_levels
 from rtac_jax import RTAC
 from rtac_jax.arguments import checked_arguments
 from rtac_jax.effect_contract import require_working_model
-from rtac_jax.measurement import Experiment, Recording
+from rtac_jax.measurement import Experiment, Recording, resolution
 
 _TURNS = 4
 _DRY = "cart_coulomb.level"
 _NEAR = 0.05  # of the rms velocity, below which the sign of a filtered velocity is wrong
+_FEW_COUNTS = 10.0  # of an encoder, below which a cart is held and its reading tells no motion
 _LOST = "experiment {}: nobody measured where the arm begins, and it moves too little to show it."
 AS_IN_PAPER: Mapping[str, Any] = {"weighting": "none", "near_zero": 0.0}
 """Options of `least_squares` that leave out what the paper does not write of: weights, and samples where the cart hardly moves."""
@@ -97,6 +98,15 @@ def starting_values(model: RTAC, recording: Recording) -> RTAC:
     return closed_form(model, moving, noise_levels(recording.experiments), options).model
 
 
+def _is_held(experiment: Experiment) -> bool:
+    """Return whether dry friction holds the cart all along, so that a count more or less is all that its encoder shows."""
+    if "cart_position" not in experiment.outputs:
+        return False
+    values = experiment.outputs["cart_position"].values
+    known = values[np.isfinite(values)]
+    return bool(np.ptp(known) < _FEW_COUNTS * resolution(known))
+
+
 def closed_form(
     model: RTAC,
     experiments: Sequence[Experiment],
@@ -130,6 +140,7 @@ def closed_form(
                 skipped |= {e.name: _LOST.format(e.name) for e in alike if e.name in lost}
         experiments = [e for e in experiments if e.name not in skipped]
     used: dict[str, float] = {}
+    held = {e.name for e in experiments if _is_held(e)}
 
     def terms(model: RTAC) -> list[Terms]:
         dry = float(model[_DRY]) / float(model["total_mass"]) if _DRY in model.parameters else 0.0
@@ -159,8 +170,9 @@ def closed_form(
     for turn in range(2 if settled else _TURNS if options.weak or options.reaction else 1):
         if options.weak and turn in (1, 2) and not settled:
             ready = terms(model)
-        pushed = any(t.pushed for t in ready)
-        free = [t for t in ready if np.any(t.cart["spring"]) and not t.driven and t.pushed == pushed]
+        sliding = [t for t in ready if np.any(t.cart["spring"]) and not t.driven and t.name not in held]
+        pushed = any(t.pushed for t in sliding)
+        free = [t for t in sliding if t.pushed == pushed]
         forced = [t for t in ready if t.driven and t.has_arm and t.arm_free]
         model, ratios, estimates = free_stage(
             model, free, pushed=pushed, reaction=options.reaction, acceleration=options.weak

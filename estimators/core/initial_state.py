@@ -173,7 +173,7 @@ def scales_of(model: RTAC, experiments: Sequence[Experiment]) -> Scales:
         plausible = frequency if any(e.arm == "free" for e in moving) else 0.0
         arm_velocity = max(float(np.sqrt(np.mean([np.mean(r**2) for r in rates]))) if rates else plausible, 1e-9)
     current = rms("inputs", "current", 1e-9)
-    driven = rms("inputs", "disturbance_force", 0.0)
+    applied = rms("inputs", "disturbance_force", 1e-9)
     # Of a parameter that each experiment has for itself the mean.
     body = {name: float(np.mean(np.asarray(model[name]))) for name in _SCALED}
     return Scales(
@@ -181,11 +181,12 @@ def scales_of(model: RTAC, experiments: Sequence[Experiment]) -> Scales:
         velocity=position * frequency,
         arm_velocity=arm_velocity,
         current=current,
-        force=max(body["spring_stiffness"] * position, driven),
+        force=max(body["spring_stiffness"] * position, applied),
         torque=max(body["torque_constant"] * current, body["arm_inertia"] * arm_velocity * frequency),
         frequency=frequency,
         mass=body["total_mass"],
         sample_time=min(e.sample_time for e in moving),
+        applied_force=applied,
     )
 
 

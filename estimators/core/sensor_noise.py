@@ -79,21 +79,26 @@ def rounded(experiments: Sequence[Experiment], levels: Mapping[str, float]) -> d
         experiments: that hold them.
         levels: noise of each channel, SI units.
     """
-    steps = {
-        channel: _least_step(
-            e.outputs[channel].values for e in experiments if channel in e.outputs and e.kind != "rest"
-        )
-        for channel in levels
-    }
     found = {}
-    for channel, step in steps.items():
+    for channel, step in only_rounding(experiments, levels).items():
         moves = [
             np.abs(np.diff(e.outputs[channel].values)) for e in experiments if channel in e.outputs and e.kind != "rest"
         ]
-        slow = step > 0.0 and float(np.nanmedian(np.concatenate(moves))) < _SLOW * step
-        if slow and levels[channel] < _ROUNDING * step / np.sqrt(12.0):
+        if float(np.nanmedian(np.concatenate(moves))) < _SLOW * step:
             found[channel] = step
     return found
+
+
+def only_rounding(experiments: Sequence[Experiment], levels: Mapping[str, float]) -> dict[str, float]:
+    """Return the quantisation steps of channels that have next to no noise but rounding, SI units.
+
+    Args:
+        experiments: that hold them.
+        levels: noise of each channel, SI units.
+    """
+    moving = [e for e in experiments if e.kind != "rest"]
+    steps = {c: _least_step(e.outputs[c].values for e in moving if c in e.outputs) for c in levels}
+    return {c: step for c, step in steps.items() if step > 0.0 and levels[c] < _ROUNDING * step / np.sqrt(12.0)}
 
 
 def _least_step(several: Iterable[Values]) -> float:

@@ -12,6 +12,7 @@ from estimators.core.data import CHANNELS, motion_of
 from estimators.core.fit import Fit
 from estimators.core.initial_state import scales_of
 from estimators.core.residual import start_rows
+from estimators.core.sensor_noise import noise_levels, only_rounding
 from estimators.core.threads import at_once
 from estimators.diagnosis.evidence import SimulationError
 from estimators.diagnosis.refit import Refit, Tested
@@ -104,7 +105,8 @@ def run_tests(setting: Setting, refit: Refit, ahead: Ahead | None = None) -> Tes
         probed, error, basis, setting.experiments, frequency=scales.frequency, stiffness=stiffness
     )  # fmt: skip
     whitened, present = _counted(setting, refit)
-    line = spectral_line(whitened, present, setting.experiments)
+    alone = only_rounding(setting.experiments, noise_levels(setting.recording.experiments))
+    line = spectral_line(whitened, present, setting.experiments, alone)
     repeats = repeat_test(whitened, present, setting.experiments)
     findings = Findings(
         scores_of(screened),

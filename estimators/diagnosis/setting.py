@@ -74,9 +74,11 @@ class Setting:
 
     @property
     def samples_per_radian(self) -> float:
-        """Samples in a radian of the cart's natural swing, over which random forces average."""
+        """Samples in a radian of the cart's swing, or of what shows most if that is faster; random forces average over it."""
         scales = scales_of(self.model, self.experiments)
-        return 1.0 / (scales.frequency * scales.sample_time)
+        # A drive that is slow beside the spring shows most, and is not what random forces have to shake.
+        natural = float(np.mean(np.asarray(self.model.body.natural_frequency())))
+        return 1.0 / (max(scales.frequency, natural) * scales.sample_time)
 
     @property
     def current_noise(self) -> float:

@@ -30,6 +30,8 @@ def can_show(effect: type[Effect], experiments: Sequence[Experiment]) -> bool:
         return bool(driven)
     if effect.port == "actuator":
         return "current" in driven and arm
+    if effect.port == "force drive":
+        return "disturbance_force" in driven and cart
     if effect.port == "sensor":
         return arm or effect.needs_channel != "arm_velocity"
     if effect.port in ("arm", "arm and cart"):  # beside a locked arm the latter is another effect of the cart's

@@ -1,7 +1,7 @@
 """Spectral line test: a vibration in the innovations that neither the input nor the state explains."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 from scipy.ndimage import median_filter
@@ -17,11 +17,12 @@ _AROUND = 31  # lines whose median tells how strong the noise is there
 _FREEDOM = 20
 _THERE = 0.5  # fraction of an experiment's samples that must count
 _ALIKE = 0.9  # fraction of the longest's samples from which on experiments are cut to one length, and little is lost
+_WINDOW = 3.0  # bins of a spectrum of one side that the noise in a Hann window's line comes from, of half as many as samples
 _BLIND = 8  # lowest lines, where transients of the start end up
 
 
 def spectral_line(
-    innovations: np.ndarray, present: np.ndarray, experiments: Sequence[Experiment]
+    innovations: np.ndarray, present: np.ndarray, experiments: Sequence[Experiment], rounded: Collection[str] = ()
 ) -> SpectralLine | None:
     """Return the strongest line over all experiments together; None where they are too short.
 
@@ -31,6 +32,8 @@ def spectral_line(
         innovations: [sample output experiment].
         present: 1 where measured.
         experiments: in the order of the innovations.
+        rounded: channels that have next to no noise but rounding. That of a steady motion is a line itself, so one that has less
+            power than all their noise is none.
 
     Source: Fisher, Proceedings of the Royal Society A 125 (1929), with a local estimate of the noise.
     """
@@ -55,6 +58,8 @@ def spectral_line(
             ratio = power / middle
             peak = int(np.argmax(ratio))
             tried += len(ratio)
+            if channel in rounded and _WINDOW * ratio[peak] < length:
+                continue
             p_value = float(fisher.sf(ratio[peak], 2 * n, _FREEDOM * n))
             if best is None or p_value < best.p_value:
                 frequency = 2 * np.pi * (peak + _BLIND) / (length * interval)

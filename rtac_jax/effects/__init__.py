@@ -20,6 +20,7 @@ from rtac_jax.effects.between_samples import InputDelay, InputHold
 from rtac_jax.effects.cart_friction import CartCoulomb, CartQuadraticDrag, CartStribeck, CartViscous
 from rtac_jax.effects.cogging import Cogging, SecondCogging, TorqueRipple
 from rtac_jax.effects.flexible_mode import FlexibleMode
+from rtac_jax.effects.force_drive import ForceDeadZone, ForceDelay, ForceLag, ForceSaturation
 from rtac_jax.effects.gravity_tilt import GravityTilt
 from rtac_jax.effects.hysteretic_spring import HystereticSpring
 from rtac_jax.effects.presliding import ArmPresliding, CartPresliding
@@ -70,6 +71,10 @@ CATALOGUE: dict[str, type[Effect]] = {
         FlexibleShaft,
         InputHold,
         InputDelay,
+        ForceDelay,
+        ForceLag,
+        ForceSaturation,
+        ForceDeadZone,
         Saturation,
         CurrentLag,
         CurrentOffset,
@@ -137,7 +142,11 @@ __all__ = [
     "FlexibleMode",
     "FlexibleShaft",
     "Force",
+    "ForceDeadZone",
+    "ForceDelay",
+    "ForceLag",
     "ForceOffset",
+    "ForceSaturation",
     "GravityTilt",
     "HystereticSpring",
     "Impact",

@@ -24,7 +24,7 @@ Pieces = Float[Array, "sample _ experiment"]
 """An input as one polynomial for each interval between samples."""
 
 
-PORTS = ("cart", "arm", "arm and cart", "actuator", "input", "sensor")
+PORTS = ("cart", "arm", "arm and cart", "actuator", "force drive", "input", "sensor")
 """Parts of the rig on which an effect acts."""
 
 
@@ -44,6 +44,7 @@ class Motion(NamedTuple):
         step: its length [s].
         last: the current at its end [A].
         cart_acceleration, arm_acceleration: [m/s^2, rad/s^2]; known to sensors only.
+        force: the recorded force on the cart [N]; known to forces only.
     """
 
     cart_position: Any
@@ -60,6 +61,7 @@ class Motion(NamedTuple):
     last: Any = 0.0
     cart_acceleration: Any = 0.0
     arm_acceleration: Any = 0.0
+    force: Any = 0.0
 
 
 class Outputs(NamedTuple):
@@ -77,8 +79,9 @@ class Effect(eqx.Module):
         id: the name in the catalogue.
         equation: the formula, in plain text.
         source: where it comes from.
-        port: the part of the rig on which it acts: "cart", "arm", "arm and cart", "actuator" (the current), "input" (any input) or
-            "sensor". An effect on a part that never moves, or is never driven, cannot be seen.
+        port: the part of the rig on which it acts: "cart", "arm", "arm and cart", "actuator" (the current), "force drive" (the
+            recorded force), "input" (any input) or "sensor". An effect on a part that never moves, or is never driven, cannot be
+            seen.
         needs_channel: name of the output without which it cannot be seen either, as that of a sensor; None if there is none.
         undriven: whether a diagnosis offers it only where no current drives the motor, since another effect is the same elsewhere.
         only_beside: ids of effects that a model must have before a diagnosis looks for it, as it is one of them elsewhere.

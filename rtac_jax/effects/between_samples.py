@@ -95,32 +95,35 @@ class InputDelay(Input):
         return "Sensors that are all late by as much, as behind filters that are alike, are the same as input_delay."
 
     def transform(self, coefficients: Pieces, channel: str, sample_time: Any) -> Pieces:
-        if channel != "current":
-            return coefficients
-        count, powers = coefficients.shape[:2]
-        shift = jnp.minimum(self.delay / sample_time, count)
-        whole = jnp.floor(shift)
-        part = shift - whole
-        first = jnp.zeros_like(coefficients[:1]).at[:, 0].set(coefficients[:1, 0])
-        rows = jnp.concatenate([first, coefficients])
-        place = jnp.arange(count)[:, None] - whole.astype(int) + 1
-
-        def shifted(of: Any) -> tuple[Any, Any]:
-            """Return the pieces that an interval sees of the last whole sample before, and of the one before that."""
-            now, late = (jnp.clip(at, 0, count)[:, None, :] for at in (place, place - 1))
-            return jnp.take_along_axis(of, now, axis=0), jnp.take_along_axis(of, late, axis=0)
-
-        now, late = shifted(rows)
-        before, after = _moments(part, 0.0, 1.0 - part, powers), _moments(1.0 - part, part, 0.0, powers)
-        lines = _projected(before, late) + _projected(after, now)
-        if powers <= _KEPT:
-            return lines
-        curved = rows.at[:, :_KEPT].add(-_projected(_moments(jnp.ones_like(part), 0.0, 0.0, powers), rows))
-        now, late = shifted(curved)
-        return (part * late + (1.0 - part) * now).at[:, :_KEPT].add(lines)
+        return delayed(coefficients, self.delay, sample_time) if channel == "current" else coefficients
 
     def dead_time(self) -> Any:
         return self.delay
+
+
+def delayed(coefficients: Pieces, delay: Any, sample_time: Any) -> Pieces:
+    """Return an input that comes later, as `InputDelay` says."""
+    count, powers = coefficients.shape[:2]
+    shift = jnp.minimum(delay / sample_time, count)
+    whole = jnp.floor(shift)
+    part = shift - whole
+    first = jnp.zeros_like(coefficients[:1]).at[:, 0].set(coefficients[:1, 0])
+    rows = jnp.concatenate([first, coefficients])
+    place = jnp.arange(count)[:, None] - whole.astype(int) + 1
+
+    def shifted(of: Any) -> tuple[Any, Any]:
+        """Return the pieces that an interval sees of the last whole sample before, and of the one before that."""
+        now, late = (jnp.clip(at, 0, count)[:, None, :] for at in (place, place - 1))
+        return jnp.take_along_axis(of, now, axis=0), jnp.take_along_axis(of, late, axis=0)
+
+    now, late = shifted(rows)
+    before, after = _moments(part, 0.0, 1.0 - part, powers), _moments(1.0 - part, part, 0.0, powers)
+    lines = _projected(before, late) + _projected(after, now)
+    if powers <= _KEPT:
+        return lines
+    curved = rows.at[:, :_KEPT].add(-_projected(_moments(jnp.ones_like(part), 0.0, 0.0, powers), rows))
+    now, late = shifted(curved)
+    return (part * late + (1.0 - part) * now).at[:, :_KEPT].add(lines)
 
 
 def _projected(moments: Any, pieces: Any) -> Any:

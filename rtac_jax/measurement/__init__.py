@@ -21,7 +21,7 @@ from ._filter import central_difference, filled, zero_phase_lowpass
 from ._hdf5 import DESIGNED, guarded_by_digest, holds_measurements
 from ._hum import Hum, hum_subtracted
 from ._info import describe
-from ._momentary_faults import spikes
+from ._momentary_faults import resolution, spikes
 from ._recording import Recording
 from ._signal import INPUTS, OUTPUTS, Signal
 from ._stated_unit import FACTORS, ending_unit, name_and_unit, usual_spelling
@@ -58,6 +58,7 @@ __all__ = [
     "name_and_unit",
     "positive_negative",
     "prbs",
+    "resolution",
     "spikes",
     "square_wave",
     "steps",

@@ -79,6 +79,12 @@ def _motor(rig: Rig, current: np.ndarray) -> np.ndarray:
     return rig.torque_constant * current / (1 + rig.torque_droop * abs(current))
 
 
+def _pushed(rig: Rig, force: np.ndarray) -> np.ndarray:
+    """Return the force on the cart [N] for what its drive is asked for."""
+    force = np.clip(force, -rig.force_saturation, rig.force_saturation)
+    return np.sign(force) * np.maximum(abs(force) - rig.force_dead_zone, 0.0)
+
+
 def _charge(values: np.ndarray, hold: str, period: float, times: np.ndarray) -> np.ndarray:
     """Return the integral of an input from the beginning to each of the times; before the beginning it was zero."""
     knots = period * np.arange(values.size + 1)
@@ -95,20 +101,23 @@ def _late_drives(jobs: Sequence[Job], period: float, substeps: int) -> np.ndarra
     fine = step * np.arange(samples * substeps + 1)
     mean = np.zeros((samples * substeps, 2, len(jobs)))
     for b, (rig, plan, _) in enumerate(jobs):
-        for row, values, delay in ((0, plan.disturbance_force, 0.0), (1, plan.current, rig.input_delay)):
+        for row, values, delay in ((0, plan.disturbance_force, rig.force_delay), (1, plan.current, rig.input_delay)):
             if values is not None:
                 mean[:, row, b] = np.diff(_charge(np.asarray(values, float), plan.hold, period, fine - delay)) / step
         mean[:, 1, b] = np.clip(mean[:, 1, b], -rig.saturation, rig.saturation)
-    lag = np.array([rig.current_lag for rig, _, _ in jobs])
+    lag = np.array([[rig.force_lag for rig, _, _ in jobs], [rig.current_lag for rig, _, _ in jobs]])
     if lag.any():
         decay = np.where(lag > 0, np.exp(-step / np.maximum(lag, 1e-300)), 0.0)
         weight = (1 - decay) * lag / step
-        state = np.zeros(len(jobs))
-        for row in mean[:, 1]:
+        # A force that is played at the beginning was played before; a current was not.
+        begin = [0.0 if plan.disturbance_force is None else plan.disturbance_force[0] for _, plan, _ in jobs]
+        state = np.stack([np.asarray(begin, float), np.zeros(len(jobs))])
+        for row in mean:
             gap = state - row
             state = row + gap * decay
             row += gap * weight
     for b, (rig, _, _) in enumerate(jobs):
+        mean[:, 0, b] = _pushed(rig, mean[:, 0, b])
         mean[:, 1, b] = _motor(rig, mean[:, 1, b])
     return mean
 
@@ -206,10 +215,10 @@ def _integrate(jobs: Sequence[Job], longest: float) -> list[Track]:
         if plan.current is not None:
             command[:, b] = np.clip(plan.current, -rigs[b].saturation, rigs[b].saturation)
         if plan.disturbance_force is not None:
-            force[:, b] = plan.disturbance_force
+            force[:, b] = _pushed(rigs[b], np.asarray(plan.disturbance_force, float))
     held = np.stack([force, np.stack([_motor(rig, command[:, b]) for b, rig in enumerate(rigs)], axis=1)], axis=1)
     held *= step
-    late = [b for b, (rig, plan, _) in enumerate(jobs) if rig.input_delay or rig.current_lag or plan.hold != "zoh"]
+    late = [b for b, (rig, plan, _) in enumerate(jobs) if rig.drives_late or plan.hold != "zoh"]
     late_impulse = step * _late_drives([jobs[b] for b in late], period, substeps) if late else None
     holds = max(1, round(period / _HOLD))
     shaken = _random_impulses(jobs, holds, samples, period, step)

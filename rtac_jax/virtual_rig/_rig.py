@@ -37,6 +37,7 @@ _POSITIVE = (
     "friction_reference",
     "maxwell_damping",
     "saturation",
+    "force_saturation",
     "end_stop_travel",
     "lvdt_gain",
     "tacho_gain",
@@ -71,6 +72,9 @@ _NOT_NEGATIVE = (
     "current_lag",
     "input_delay",
     "dead_zone",
+    "force_delay",
+    "force_lag",
+    "force_dead_zone",
     "backlash",
     "shaft_damping",
     "tacho_lag",
@@ -208,6 +212,14 @@ class Rig:
     """Added to the current [A]."""
     dead_zone: float = 0.0
     """delta [A]: no torque below it, and i - delta sgn(i) beyond."""
+    force_delay: float = 0.0
+    """Transport delay of the disturbance force [s]."""
+    force_lag: float = 0.0
+    """Time constant of the disturbance force [s]; it begins in equilibrium."""
+    force_saturation: float = math.inf
+    """Limit of what is left of the disturbance force then [N]."""
+    force_dead_zone: float = 0.0
+    """delta [N]: no force below it, and F - delta sgn(F) beyond; it comes last."""
     torque_droop: float = 0.0
     """[1/A]: the torque constant falls by the factor 1 / (1 + droop |i|)."""
 
@@ -307,7 +319,7 @@ class Rig:
             if entry.name in ("encoder", "quantisation_bits"):
                 continue
             value = getattr(self, entry.name)
-            infinite = entry.name in ("saturation", "end_stop_travel", "shaft_stiffness") and value == math.inf
+            infinite = entry.name in ("saturation", "force_saturation", "end_stop_travel", "shaft_stiffness") and value == math.inf
             if not (math.isfinite(value) or infinite):
                 raise ValueError(f"Rig.{entry.name} is {value!r}; it must be finite.")
         for name in _POSITIVE:
@@ -331,6 +343,11 @@ class Rig:
     def apart(self) -> bool:
         """Return whether rotor and arm turn against each other."""
         return self.backlash > 0 or math.isfinite(self.shaft_stiffness)
+
+    @property
+    def drives_late(self) -> bool:
+        """Return whether current or force come later than they are asked for."""
+        return any(x > 0 for x in (self.input_delay, self.current_lag, self.force_delay, self.force_lag))
 
     @property
     def lone_arm_inertia(self) -> float:

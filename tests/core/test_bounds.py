@@ -182,7 +182,7 @@ def test_a_profile_begins_off_a_bound(fitted):
 
 SCALES = Scales(
     position=0.01, velocity=0.1, arm_velocity=10.0, current=0.3, force=1.3, torque=0.03, frequency=10.4, mass=1.23,
-    sample_time=0.005,
+    sample_time=0.005, applied_force=0.2,
 )  # fmt: skip
 # Of these the stop is touched, and the amplifier at its limit, in the short runs below.
 TIGHT = {
@@ -210,7 +210,7 @@ def on_their_bounds():
                 yield pytest.param(found[len(found) // 2], name, id=which, marks=marks)
 
 
-UNSEEN = {"saturation.inverse_limit"}  # without any slope at its null
+UNSEEN = {"saturation.inverse_limit", "force_saturation.inverse_limit"}  # without any slope at its null
 
 
 @pytest.mark.slow
@@ -218,6 +218,9 @@ UNSEEN = {"saturation.inverse_limit"}  # without any slope at its null
 def test_every_parameter_of_the_catalogue_leaves_its_bound(effect, name):
     """From the model's own simulation: what counts here is the way from the bound to the truth, not the physics."""
     plans = virtual_rig.standard_plans(seed=1, duration=1.5, free=1, forced=1)
+    if effect.port == "force drive":
+        force = 0.3 * np.sin(9.0 * plans[1].sample_time * np.arange(plans[1].samples))
+        plans = (*plans, dataclasses.replace(plans[1], name="pushed", disturbance_force=force))
     recording = virtual_rig.record(virtual_rig.Rig(encoder=True), plans, seed=2)
     model = rtac.RTAC.from_rig(recording).with_values({"cart_coulomb.level": 0.02})
     model = model if any(e.id == effect.id for e in model.effects) else model + effect

@@ -48,6 +48,10 @@ NAMES = frozenset(
         "current_lag",
         "input_delay",
         "saturation",
+        "force_delay",
+        "force_lag",
+        "force_saturation",
+        "force_dead_zone",
         "dead_zone",
         "current_offset",
         "torque_droop",
@@ -70,7 +74,7 @@ NAMES = frozenset(
 )
 """Names that the catalogue may use."""
 
-PORTS = frozenset({"cart", "arm", "arm and cart", "actuator", "input", "sensor"})
+PORTS = frozenset({"cart", "arm", "arm and cart", "actuator", "force drive", "input", "sensor"})
 """Parts of the rig by which a diagnosis decides whether an effect could be seen."""
 
 SAMPLES, SAMPLE_TIME = 400, 0.005
@@ -120,6 +124,7 @@ def scales() -> Scales:
         frequency=float(body.natural_frequency()),
         mass=float(body.total_mass),
         sample_time=SAMPLE_TIME,
+        applied_force=rms(EXPERIMENT.inputs["disturbance_force"].values),
     )
 
 

@@ -73,6 +73,10 @@ CASES: dict[str, tuple[dict[str, float], Effect]] = {
     "current_offset": ({"current_offset": 0.02}, effects.CurrentOffset(0.02)),
     "dead_zone": ({"dead_zone": 0.03}, effects.DeadZone(0.03)),
     "torque_droop": ({"torque_droop": 0.2}, effects.TorqueDroop(0.2)),
+    "force_delay": ({"force_delay": 0.0083}, effects.ForceDelay(0.0083)),
+    "force_lag": ({"force_lag": 0.007}, effects.ForceLag(0.007)),
+    "force_saturation": ({"force_saturation": 0.2}, effects.ForceSaturation(5.0)),
+    "force_dead_zone": ({"force_dead_zone": 0.03}, effects.ForceDeadZone(0.03)),
     "tacho_gain": ({"tacho_gain": 1.03}, effects.TachoGain(0.03)),
     "tacho_ripple": (
         {"tacho_ripple": 0.02, "tacho_ripple_order": 3.0, "tacho_ripple_phase": 0.4},
@@ -105,7 +109,7 @@ NO_FIELD = {
         "encoder_ripple.sine", "encoder_ripple.cosine",
     ),
     "the rig has a factor": ("tacho_gain.error", "lvdt_gain.error", "encoder_gain.error"),
-    "the rig has the limit": ("saturation.inverse_limit",),
+    "the rig has the limit": ("saturation.inverse_limit", "force_saturation.inverse_limit"),
     "the rig has the angle": ("cable_spring.torque",),
     "the rig has the current": ("torque_offset.offset",),
     "the rig has a stiffness and a viscous damping": (

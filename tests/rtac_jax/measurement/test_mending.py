@@ -59,7 +59,10 @@ def test_spikes_become_missing_in_a_position_only() -> None:
 def test_a_cart_that_friction_holds_and_lets_go_is_measured(level: float) -> None:
     """By an encoder: a decay comes to rest, and a force lets the cart hop to another place and rest again."""
     time = STEP * np.arange(2500)
-    swinging, hop = np.minimum(time, 1.25), np.clip((time - 2.0) / 0.03, 0.0, 1.0)  # it comes to rest where it turns round
+    swinging, hop = (
+        np.minimum(time, 1.25),
+        np.clip((time - 2.0) / 0.03, 0.0, 1.0),
+    )  # it comes to rest where it turns round
     moved = 0.01 * np.exp(-3.0 * swinging) * np.cos(4 * np.pi * swinging) + 300 * level * (1 - np.cos(np.pi * hop))
     held = recording(np.round(moved / level) * level)
     assert not any("drops out" in sentence for sentence in concerns(held))

@@ -1,5 +1,7 @@
 """The virtual rig's effects, sensors, plans and draws, and what its recordings hold."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -38,6 +40,10 @@ EFFECTS = [
     {"current_offset": 0.005},
     {"dead_zone": 0.01},
     {"torque_droop": 0.2},
+    {"force_delay": 0.004},
+    {"force_lag": 0.005},
+    {"force_saturation": 0.1},
+    {"force_dead_zone": 0.03},
     {"tacho_bias": 0.2},
     {"tacho_gain": 1.03},
     {"tacho_lag": 0.01},
@@ -62,6 +68,8 @@ EFFECTS = [
     {"one_sided_spring": 30.0},
 ]
 SHOWING = standard_plans(seed=2, duration=4.0, free=1, forced=1, rest=0)
+PUSH = 0.15 * np.sin(9.0 * SHOWING[0].sample_time * np.arange(SHOWING[0].samples))
+SHOWING = (*SHOWING, replace(SHOWING[0], name="pushed", kind="forced", disturbance_force=PUSH))
 
 
 @pytest.fixture(scope="module")

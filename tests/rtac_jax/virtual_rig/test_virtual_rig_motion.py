@@ -274,6 +274,26 @@ def test_current_lag_and_delay_on_a_clamped_cart():
     np.testing.assert_allclose(dead.arm_velocity, 0.5 * push * time, atol=1e-9)
 
 
+def test_a_force_comes_late_and_not_whole():
+    rig = Rig(cart_viscous=0.0, cart_coulomb=0.0, spring_stiffness=1e-9)
+    time, push = 0.01 * np.arange(50), 0.1 / rig.total_mass
+    force = np.full(50, 0.1)
+    plan = Plan("step", "forced", 0.5, 0.01, disturbance_force=force, arm="locked")
+    late = move(replace(rig, force_delay=0.0123), plan)
+    np.testing.assert_allclose(late.position, 0.5 * push * np.maximum(time - 0.0123, 0) ** 2, atol=1e-7)
+    limited = move(replace(rig, force_saturation=0.05), plan)
+    np.testing.assert_allclose(limited.position, 0.25 * push * time**2, atol=1e-9)
+    dead = move(replace(rig, force_dead_zone=0.04, force_saturation=0.09), plan)
+    np.testing.assert_allclose(dead.position, 0.25 * push * time**2, atol=1e-9)
+    force[:10] = 0.0
+    slow, since = (
+        move(replace(rig, force_lag=0.02), replace(plan, disturbance_force=force)),
+        np.maximum(time - 0.1, 0.0),
+    )
+    behind = 0.5 * since**2 - 0.02 * since + 0.02**2 * (1 - np.exp(-since / 0.02))
+    np.testing.assert_allclose(slow.position, push * behind, atol=1e-7)
+
+
 def test_sensor_lag_follows_a_ramp_late():
     rig = Rig(arm_viscous_positive=0.0, arm_viscous_negative=0.0, tacho_lag=0.03)
     track = move(rig, Plan("step", "forced", 1.0, 0.01, np.full(100, 0.1), cart="clamped"))

@@ -122,6 +122,8 @@ class RTAC(eqx.Module):
 
     def __add__(self, effect: Effect) -> "RTAC":
         """Return the model with one effect more, at its place in the catalogue's order; one that is not in it comes last."""
+        if effect is None:
+            raise TypeError("nothing is to be added: `best` of a diagnosis that names no effect is None.")
         if not isinstance(effect, Effect):
             return NotImplemented
         if not isinstance(getattr(effect, "id", None), str):

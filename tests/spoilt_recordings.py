@@ -123,6 +123,7 @@ OF_CHANNELS = {
     "position in mm": (channel(POSITION, times(1e3)), "cart_position fits when it is taken to be in mm"),
     "velocity in deg/s": (channel(VELOCITY, times(180 / np.pi)), "arm_velocity fits when it is taken to be in deg/s"),
     "velocity in rpm": (channel(VELOCITY, times(30 / np.pi)), "arm_velocity fits when it is taken to be in rpm"),
+    "velocity no rpm": (channel(VELOCITY, times(np.pi / 30)), "taken to have been in rad/s, and was read as rpm"),
     "sign of position": (channel(POSITION, np.negative), "cart_position fits with the sign swapped"),
     "sign of velocity": (channel(VELOCITY, np.negative), "arm_velocity fits with the sign swapped"),
     "sign of current": (channel(CURRENT, np.negative), "current fits with the sign swapped"),

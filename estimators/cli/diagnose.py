@@ -37,7 +37,7 @@ def diagnose(
         found = est.diagnose(base, work.train, candidates=candidates, thorough=not quick, within=seconds)
         with Deadline(None if seconds is None else (1 - SEARCHING) * seconds).kept():
             fits, labels = _refitted(work, base, found)
-        colour = found.coloured if found.verdict == "adequate" else {}
+        colour = found.colour_told
         trained, tested = work.compared(fits, labels)
         trained, tested = trained.with_noise(colour), None if tested is None else tested.with_noise(colour)
         table, errors = _tables.candidate_table(found), _tables.error_table(trained, tested)

@@ -49,5 +49,6 @@ def best_starts(several: list[Unknowns], arguments: Arguments, *, worth: float =
 def squares(unknowns: Unknowns, arguments: Arguments) -> Float[np.ndarray, " experiment"]:
     """Return the sum of squares that a simulation leaves of each experiment, in units of the noise; infinite if it diverges."""
     error, known = (np.asarray(part) for part in plain_residual(unknowns, arguments))
-    found = np.sum(error**2, axis=(0, 1)) + np.sum(known**2, axis=0)
+    with np.errstate(over="ignore"):  # what diverges is infinite then
+        found = np.sum(error**2, axis=(0, 1)) + np.sum(known**2, axis=0)
     return np.where(np.isfinite(found), found, np.inf)

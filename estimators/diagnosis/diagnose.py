@@ -291,7 +291,7 @@ def _explanation(told: Diagnosis, found: Judgement, setting: Setting, *, thoroug
         text += without_the_physics(further, told.simulation)
     if told.by_simulation and told.evidence is not None:
         known = told.evidence.simulations
-        text += found_by_simulation(known[found.selection.base.number], known[found.final.number])
+        text += found_by_simulation(known[found.selection.base.number], known[found.final.number], told.coloured)
         fitted = {effect for (_, effect), errors in told.evidence.simulated.items() if errors}
         text += untried(told.candidates, fitted, told.left, told.policy)
     if steps and further:

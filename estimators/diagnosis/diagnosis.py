@@ -111,6 +111,14 @@ class Diagnosis(Result):
         )
 
     @property
+    def colour_told(self) -> Mapping[str, float]:
+        """Return the coloured noise that errors are held against: where nothing is missing, or what rejects may be a sensor's.
+
+        Of a model that fails it may stand for what is missing.
+        """
+        return self.coloured if self.verdict == "adequate" or self.line_alone or self.rounding else {}
+
+    @property
     def line_alone(self) -> str:
         """Return the words of the test that rejects, where that is of a spectral line and the simulation is at the noise."""
         rejecting = [test for test in self.tests if test.rejects]

@@ -367,7 +367,7 @@ def _unknown(
     if curve is not None:
         static = f" It depends most on {curve.variable} ({curve.port})."
     elif rejected:
-        static = " No static function of position, velocity, angle or current explains most of it."
+        static = " What a static function of position, velocity, angle or current explains is less than half of it."
     else:
         static = " What is missing is no static function of position, velocity, angle or current."
     telling = min(lines, key=lambda line: line.p_value, default=None)

@@ -103,8 +103,7 @@ def improve(
     tested = [step.tested for _, step in steps]
     labels = [model.label for model in tested]
     said = diagnoses[-1].verdict
-    # Of a model that fails it may stand for what is missing.
-    colour = diagnoses[-1].coloured if said == "adequate" else {}
+    colour = diagnoses[-1].colour_told
     verdict: Verdict = "unknown" if said in ("missing", "ambiguous") else said
     if loop.not_added:
         verdict = said

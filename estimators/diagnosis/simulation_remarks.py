@@ -1,6 +1,6 @@
 """What is said where simulations, and not predictions one sample ahead, decide what is named."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.evidence import SimulationError
@@ -9,23 +9,30 @@ from estimators.diagnosis.removed_error import without_named_rivals
 from estimators.diagnosis.step import Step
 from estimators.inference.simulation_residual import SimulationResidual, percent
 from estimators.misspecification.adequacy import AdequacyTest
+from rtac_jax.measurement import OUTPUTS
 
 _SHOWN = 3  # of what was not fitted, by name
 
 
-def found_by_simulation(before: SimulationError, after: SimulationError) -> str:
+def found_by_simulation(before: SimulationError, after: SimulationError, coloured: Mapping[str, float]) -> str:
     """Say why effects were selected by simulation, and how far its error falls with them.
 
     Args:
         before: the simulation of the fit that is diagnosed, beside its predictor.
         after: that with the effects.
+        coloured: noise that was assumed, of which errors are multiples, by channel [its unit].
     """
     farthest = max(before.error, key=lambda channel: before.error[channel])
     force, torque = before.random
+    noise = (
+        f"the coloured noise, of {coloured[farthest]:.2g} {OUTPUTS[farthest]} rms"
+        if farthest in coloured
+        else "the noise"
+    )
     return (
         " This is what simulations select, as predictions one sample ahead do not tell: random forces stand in for the physics"
         f" there ({percent(force)} of the rms force and {percent(torque)} of the rms torque in one sample). The"
-        f" error of the simulation falls from {before.error[farthest]:,.3g} to {after.error[farthest]:,.3g} times the noise"
+        f" error of the simulation falls from {before.error[farthest]:,.3g} to {after.error[farthest]:,.3g} times {noise}"
         f" ({farthest})."
     )
 

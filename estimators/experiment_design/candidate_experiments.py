@@ -21,7 +21,6 @@ _SWINGS = (0.5, 1.5)  # rad, of the arm under a square wave or a chirp
 _SQUARES = (0.5, 1.0, 1.6, 3.0, 6.0)  # Hz
 _BANDS = ((0.3, 3.0), (1.0, 8.0), (3.0, 20.0))  # Hz
 _LEAD = 0.1  # s without current at the beginning
-_CHANNELS = ("cart_position", "arm_velocity")
 _SPEEDS = (4.0, 12.0, 30.0)  # rad/s, at which friction balances a steady current
 
 
@@ -127,7 +126,14 @@ def _cut(waves: Sequence[tuple[str, np.ndarray]], largest: float) -> list[tuple[
     return found
 
 
-def feasible(model: RTAC, plans: Sequence[Plan], limits: Limits, *, lower: bool) -> Feasible:
+def held_alike(plans: Sequence[Plan], experiments: Sequence[Experiment]) -> list[Plan]:
+    """Return plans whose cart is clamped where it was in all experiments, less decays, in which nothing is left to move then."""
+    if not all(e.cart == "clamped" for e in experiments if e.kind != "rest"):
+        return list(plans)
+    return [dataclasses.replace(p, cart="clamped", initial_position=0.0) for p in plans if p.kind != "free"]
+
+
+def feasible(model: RTAC, plans: Sequence[Plan], limits: Limits, *, lower: bool, channels: Sequence[str]) -> Feasible:
     """Return the plans that stay within the limits on the model.
 
     Args:
@@ -135,6 +141,7 @@ def feasible(model: RTAC, plans: Sequence[Plan], limits: Limits, *, lower: bool)
         plans: to choose from.
         limits: of travel, torque, speed and current.
         lower: whether currents may be lowered until they do.
+        channels: that are recorded, of which one has to show something.
     """
     plans, asked = list(plans), {plan.name: plan for plan in plans}
     refused: dict[str, str] = {}
@@ -150,7 +157,7 @@ def feasible(model: RTAC, plans: Sequence[Plan], limits: Limits, *, lower: bool)
             pull = 0.0 if plan.current is None else float(np.max(np.abs(plan.current))) / largest
             worst = max(reach, speed, pull) if np.isfinite(reach + speed) else np.inf
             if worst <= 1 + 1e-9:
-                if not _shows(plan, shown[plan.name], _CHANNELS):
+                if not _shows(plan, shown[plan.name], channels):
                     refused[plan.name] = f"{plan.name}: too weak to move anything against friction"
                 continue
             what = "travel" if worst == reach else "torque or current" if worst == pull else "speed of the arm"

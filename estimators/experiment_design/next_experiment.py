@@ -13,7 +13,7 @@ from estimators.core.data import moving
 from estimators.core.drawing import draw
 from estimators.core.fit import Fit
 from estimators.diagnosis.diagnosis import Diagnosis
-from estimators.experiment_design.candidate_experiments import Limits, default_plans, feasible, predicted
+from estimators.experiment_design.candidate_experiments import Limits, default_plans, feasible, held_alike, predicted
 from estimators.experiment_design.hypotheses import contest_of
 from estimators.experiment_design.t_optimality import separations
 from rtac_jax import require_configured
@@ -276,12 +276,13 @@ def next_experiment(
         longest = min(max(e.samples * e.sample_time for e in experiments), 20.0)
         plans = default_plans(contest.truth, limits, sample_time=interval, duration=duration or longest)
         taken = {e.name for part in (recording, held_out) if part is not None for e in part.experiments}
+        plans = held_alike(plans, experiments)
         plans = [dataclasses.replace(p, name=f"{p.name}, once more") if p.name in taken else p for p in plans]
     _require_plans(plans, [e.name for e in experiments])
-    possible = feasible(contest.truth, plans, limits, lower=not own)
+    channels = [c for c in OUTPUTS if any(c in e.outputs for e in experiments)]
+    possible = feasible(contest.truth, plans, limits, lower=not own, channels=channels)
     if not possible.plans:
         raise ValueError("plans: no experiment keeps to the limits: " + "; ".join(possible.refused[:3]) + ".")
-    channels = [c for c in OUTPUTS if any(c in e.outputs for e in experiments)]
     planned = [predicted(plan, shown, channels) for plan, shown in zip(possible.plans, possible.shown, strict=True)]
     spared = [] if held_out is None else [e for e in held_out.experiments if e.kind != "rest"]
     already, with_each = separations(contest, experiments, possible.plans, [*planned, *spared])

@@ -20,7 +20,7 @@ from estimators.validation.equation_error import (
     usable,
 )
 from estimators.validation.equilibrium import distance_from_equilibrium
-from estimators.validation.mistakes import COARSE, DELAYS, Mistake, delays, usual_mistakes
+from estimators.validation.mistakes import COARSE, DELAYS, Mistake, delays, is_blurred, usual_mistakes
 from rtac_jax.arguments import checked_arguments
 from rtac_jax.measurement import Experiment, Recording, Signal, moving_at_rest
 
@@ -390,10 +390,8 @@ def _likeliest(
     # Below the noise one is as good as the other.
     floored = [(mistake, max(score, 1.0)) for mistake, score in scores]
     least = min((score for _, score in floored), default=np.inf)
-    if not least <= _explained(as_recorded):
-        return None
     alike = [mistake for mistake, score in floored if score <= ALIKE * least]
-    return alike[0], alike[1:], least
+    return None if not least <= _explained(as_recorded) or is_blurred(alike) else (alike[0], alike[1:], least)
 
 
 def _or(alike: Sequence[Mistake]) -> str:

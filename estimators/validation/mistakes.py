@@ -2,7 +2,7 @@
 
 import contextlib
 import dataclasses
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -14,6 +14,7 @@ Rig = Mapping[str, float]
 # Numbers of samples by which a channel may be late. Fewer are a lag of a sensor or a drive, ten milliseconds at the usual rates,
 # which is an effect of the catalogue; more are an eighth of the cart's period, and look like another sign or another experiment.
 DELAYS = (3, 4, 5, 6, 7, 8, 9, 10, 12, 14, 16)
+_SHARP = 2  # samples, the distance of those that are tried of the longer ones
 COARSE = (4, 8, 13)  # those that are tried first: one of them is within three samples of each of the others
 
 
@@ -30,6 +31,7 @@ class Mistake:
         single: whether one experiment alone may have it.
         every: whether all experiments may have it and the equations of motion show it.
         scale: what a channel, by name, is multiplied by to undo it; None where it is no unit.
+        samples: by which a channel comes late; zero where it is no delay.
     """
 
     id: str
@@ -40,6 +42,14 @@ class Mistake:
     single: bool = True
     every: bool = True
     scale: tuple[str, float] | None = None
+    samples: int = 0
+
+
+def is_blurred(alike: Sequence[Mistake]) -> bool:
+    """Return whether a delay explains as well as others by several samples: two clocks are off by one number of them."""
+    return alike[0].samples != 0 and any(
+        m.samples != 0 and abs(m.samples - alike[0].samples) > _SHARP for m in alike[1:]
+    )
 
 
 def usual_mistakes() -> list[Mistake]:
@@ -57,6 +67,7 @@ def delays(channel: str, counts: tuple[int, ...]) -> Iterator[Mistake]:
             f"shift {channel} by {-samples} samples against the other channels, or synchronise the loggers; where they are "
             "synchronous something lags, which est.diagnose names",
             lambda e, samples=samples: _with(e, channel, lambda x: _shifted(x, -samples)),
+            samples=samples,
         )
 
 
@@ -93,6 +104,14 @@ def _units() -> Iterator[Mistake]:
             f"multiply {channel} by {factor:.4g}, or give its unit on reading",
             lambda e, channel=channel, factor=factor: _with(e, channel, lambda x: factor * x),
             scale=(channel, factor),
+        )
+    for heading, factor in (("rpm", 30 / np.pi), ("deg/s", 180 / np.pi)):
+        yield Mistake(
+            f"arm_velocity no {heading}",
+            f"arm_velocity fits when it is taken to have been in rad/s, and was read as {heading}",
+            f"multiply arm_velocity by {factor:.4g}, or read it as rad/s",
+            lambda e, factor=factor: _with(e, "arm_velocity", lambda x: factor * x),
+            scale=("arm_velocity", factor),
         )
     for channel, unit in (("current", "mA"), ("disturbance_force", "mN")):
         # In all experiments alike it is a torque constant, or a mass, that is unusual but possible.

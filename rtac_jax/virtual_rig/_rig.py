@@ -319,7 +319,10 @@ class Rig:
             if entry.name in ("encoder", "quantisation_bits"):
                 continue
             value = getattr(self, entry.name)
-            infinite = entry.name in ("saturation", "force_saturation", "end_stop_travel", "shaft_stiffness") and value == math.inf
+            infinite = (
+                entry.name in ("saturation", "force_saturation", "end_stop_travel", "shaft_stiffness")
+                and value == math.inf
+            )
             if not (math.isfinite(value) or infinite):
                 raise ValueError(f"Rig.{entry.name} is {value!r}; it must be finite.")
         for name in _POSITIVE:

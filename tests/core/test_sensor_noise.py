@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import rtac_jax as rtac
-from estimators.core.sensor_noise import noise_levels, quantisation_step, rounded, spectral_floor
+from estimators.core.sensor_noise import noise_levels, only_rounding, quantisation_step, rounded, spectral_floor
 from estimators.inference.simulation_residual import known_noise
 
 MISSING = {
@@ -126,6 +126,8 @@ def test_rounding_that_is_no_random_noise_is_told() -> None:
         one = [rtac.Experiment.of("a", kind="free", sample_time=0.005, cart_position=recorded)]
         found = rounded(one, noise_levels(one))
         assert found == ({"cart_position": pytest.approx(1e-3)} if name == "slow" else {}), name
+        alone = only_rounding(one, noise_levels(one))
+        assert name == "fast" or alone == found, name  # rounding that is passed fast is nearly white, as noise is
 
 
 def test_a_moving_record_that_reads_one_value_tells_no_noise() -> None:

@@ -89,10 +89,13 @@ def test_what_a_simulation_shows_overrules_what_predictions_name() -> None:
 
 def test_it_is_said_why_simulations_select_and_how_far_the_error_falls() -> None:
     before = SimulationError({"arm_angle": 33_154.0}, {"arm_angle": 1.0}, {"arm_angle": 4e5}, (0.02, 0.5))
-    said = found_by_simulation(before, dataclasses.replace(before, error={"arm_angle": 65.0}))
+    after = dataclasses.replace(before, error={"arm_angle": 65.0})
+    said = found_by_simulation(before, after, {})
     assert "This is what simulations select" in said
     assert "(2 % of the rms force and 50 % of the rms torque in one sample)" in said
     assert "falls from 3.32e+04 to 65 times the noise (arm_angle)" in said
+    coloured = found_by_simulation(before, after, {"arm_angle": 2e-3})
+    assert "to 65 times the coloured noise, of 0.002 rad rms (arm_angle)" in coloured
 
 
 @pytest.mark.parametrize(

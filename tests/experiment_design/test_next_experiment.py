@@ -10,12 +10,13 @@ import pytest
 
 import estimators as est
 import rtac_jax as rtac
-from estimators.experiment_design.candidate_experiments import Limits, default_plans, feasible
+from estimators.experiment_design.candidate_experiments import Limits, default_plans, feasible, held_alike
 from estimators.experiment_design.next_experiment import ENOUGH
 from rtac_jax import virtual_rig
 from rtac_jax.effects import CATALOGUE, Effect
 
 TRAVEL, TORQUE, SPEED = 0.015, 0.1, 55.0
+CHANNELS = ("cart_position", "arm_velocity")
 # What the rig hides, and what it is taken for.
 PAIRS = {
     "input_delay": (dict(input_delay=0.006), "current_lag"),
@@ -212,7 +213,7 @@ def test_a_limit_of_the_current_cuts_what_is_planned_and_the_names_say_so() -> N
     assert len(plans) < len(free)  # squares that were larger than that are one
     currents = [(plan.start, plan.current.tobytes()) for plan in plans if plan.current is not None]
     assert len(set(currents)) == len(currents)
-    found = feasible(model, plans, limits, lower=True)
+    found = feasible(model, plans, limits, lower=True, channels=CHANNELS)
     assert all(np.max(np.abs(plan.current)) <= 0.3 for plan in found.plans if plan.current is not None)
     assert any("lowered to" in plan.name for plan in found.plans)
     forced = [plan for plan in found.plans if plan.current is not None]
@@ -220,6 +221,30 @@ def test_a_limit_of_the_current_cuts_what_is_planned_and_the_names_say_so() -> N
         if one.start == other.start:
             apart = np.max(np.abs(one.current - other.current)) / np.max(np.abs(other.current))
             assert apart > 0.02, (one.name, other.name)
+
+
+def test_a_cart_that_is_clamped_everywhere_stays_so_and_no_decay_is_planned() -> None:
+    """Of a rig that shows the arm's speed alone a decay of the cart would show nothing, and was refused as an empty experiment."""
+    model, limits = rtac.RTAC.paper(), Limits(TRAVEL, TORQUE, SPEED)
+    plans = default_plans(model, limits, sample_time=0.005, duration=2.0)
+    moving = [
+        rtac.Experiment.of(
+            "a",
+            kind="forced",
+            sample_time=0.005,
+            arm_velocity=np.sin(np.arange(99.0)),
+            current=np.ones(99),
+            cart="clamped",
+        )
+    ]
+    held = held_alike(plans, moving)
+    assert {p.kind for p in held} == {"forced"}
+    assert {p.cart for p in held} == {"clamped"}
+    assert held_alike(plans, [*moving, dataclasses.replace(moving[0], cart="free")]) == plans
+    locked = [dataclasses.replace(p, arm="locked") for p in plans if p.kind == "free"]
+    seen, unseen = (feasible(model, locked, limits, lower=False, channels=[c]) for c in CHANNELS)
+    assert (len(seen.plans), len(unseen.plans)) == (len(locked), 0)
+    assert all("too weak to move anything" in why for why in unseen.refused)
 
 
 def test_what_cannot_be_planned_is_refused(delayed: Case) -> None:

@@ -32,6 +32,7 @@ EFFECTS: dict[str, Case] = {
     "force_offset": Case({"force_offset": 0.03}),
     "flexible_mode": Case({"flexible_mass": 0.08, "flexible_frequency": 37.4, "flexible_damping": 0.03}),
     "cart_quadratic_drag": Case({"cart_quadratic_drag": 2.0}),
+    "cart_asymmetric_friction": Case({"cart_asymmetry": 0.15}),
     "cart_stribeck": Case({"cart_stribeck": 0.02, "cart_stribeck_velocity": 0.01}),
     "hysteretic_spring": Case({"hysteresis_stiffness": 20.0, "hysteresis_yield": 1e-3}),
     # Bearings whose dry friction is all of it by bristles.
@@ -116,6 +117,7 @@ LIMITS: dict[str, tuple[str, Callable[[float], float]]] = {
     "cubic_spring": ("cubic_spring", _itself),
     "quadratic_spring": ("quadratic_spring", _itself),
     "cart_quadratic_drag": ("cart_quadratic_drag", _itself),
+    "cart_asymmetric_friction": ("cart_asymmetry", _itself),
     "arm_coulomb": ("arm_coulomb", _itself),
     "arm_quadratic_drag": ("arm_quadratic_drag", _itself),
     "current_lag": ("current_lag", _itself),

@@ -12,7 +12,15 @@ _LINEAR_SPRING = (
 )
 _CART_FRICTION = (
     "the cart's friction is viscous and dry only",
-    ("cart_quadratic_drag", "cart_stribeck", "cart_presliding", "hysteretic_spring", "flexible_mode", "cubic_spring"),
+    (
+        "cart_quadratic_drag",
+        "cart_stribeck",
+        "cart_asymmetric_friction",
+        "cart_presliding",
+        "hysteretic_spring",
+        "flexible_mode",
+        "cubic_spring",
+    ),
 )
 _ARM_FRICTION = (
     "the arm's friction is viscous, with one coefficient for each direction",

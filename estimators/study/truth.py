@@ -34,6 +34,7 @@ EFFECT_FIELD: Mapping[str, str] = {
     "cart_stribeck.velocity": "cart_stribeck_velocity",
     "cart_presliding.level": "cart_presliding",
     "cart_presliding.displacement": "cart_presliding_yield",
+    "cart_asymmetric_friction.coefficient": "cart_asymmetry",
     "cart_quadratic_drag.coefficient": "cart_quadratic_drag",
     "cubic_spring.stiffness": "cubic_spring",
     "quadratic_spring.stiffness": "quadratic_spring",

@@ -17,7 +17,13 @@ from rtac_jax.effects._interface import (
 from rtac_jax.effects.actuator import CurrentLag, CurrentOffset, DeadZone, Saturation, TorqueDroop
 from rtac_jax.effects.arm_friction import ArmCoulomb, ArmQuadraticDrag, ArmStribeck, ArmViscous
 from rtac_jax.effects.between_samples import InputDelay, InputHold
-from rtac_jax.effects.cart_friction import CartCoulomb, CartQuadraticDrag, CartStribeck, CartViscous
+from rtac_jax.effects.cart_friction import (
+    CartAsymmetricFriction,
+    CartCoulomb,
+    CartQuadraticDrag,
+    CartStribeck,
+    CartViscous,
+)
 from rtac_jax.effects.cogging import Cogging, SecondCogging, TorqueRipple
 from rtac_jax.effects.flexible_mode import FlexibleMode
 from rtac_jax.effects.force_drive import ForceDeadZone, ForceDelay, ForceLag, ForceSaturation
@@ -49,6 +55,7 @@ CATALOGUE: dict[str, type[Effect]] = {
         CartCoulomb,
         CartStribeck,
         CartPresliding,
+        CartAsymmetricFriction,
         CartQuadraticDrag,
         CubicSpring,
         QuadraticSpring,
@@ -121,6 +128,7 @@ __all__ = [
     "ArmViscous",
     "Backlash",
     "CableSpring",
+    "CartAsymmetricFriction",
     "CartCoulomb",
     "CartPresliding",
     "CartQuadraticDrag",

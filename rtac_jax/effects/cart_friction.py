@@ -1,4 +1,4 @@
-"""Friction on the cart: viscous and Coulomb (the paper's), Stribeck and quadratic drag."""
+"""Friction on the cart: viscous and Coulomb (the paper's), Stribeck, by direction, and quadratic drag."""
 
 from typing import Any, ClassVar
 
@@ -65,6 +65,29 @@ class CartStribeck(DryFriction):
 
     def levels(self, motion: Motion, own: States) -> tuple[Any, Any]:
         return self.level * jnp.exp(-((motion.cart_velocity / self.velocity) ** 2)), 0.0
+
+
+class CartAsymmetricFriction(Force):
+    """Viscous friction of the cart that is larger one way than the other, as of a screw or a belt; by half of the difference.
+
+    Dry friction that differs by direction is `force_offset` beside `cart_coulomb` while the cart slides.
+    """
+
+    id: ClassVar[str] = "cart_asymmetric_friction"
+    equation: ClassVar[str] = "-a |q'|"
+    source: ClassVar[str] = (
+        "Armstrong, Dupont and Canudas de Wit, Automatica 30 (1994), section 2; of the arm: paper, section 4.1"
+    )
+    port: ClassVar[str] = "cart"
+    nature: ClassVar[str] = "source"  # by itself; beside `cart_viscous` it takes energy out both ways
+
+    coefficient: Scalar = parameter(
+        symbol="a", unit="N s/m", meaning="half of what the viscous friction is larger forwards than backwards", null=0.0,
+        plausible=lambda s: 0.02 * s.force / s.velocity,
+    )  # fmt: skip
+
+    def force(self, motion: Motion, own: States) -> tuple[Any, Any]:
+        return -self.coefficient * jnp.abs(motion.cart_velocity), 0.0
 
 
 class CartQuadraticDrag(Force):

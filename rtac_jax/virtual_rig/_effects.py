@@ -153,6 +153,18 @@ def quadratic_drag(batch: Batch) -> Act | None:
     return act
 
 
+def asymmetry(batch: Batch) -> Act | None:
+    """Build the viscous friction of the cart by which one way differs from the other."""
+    if batch.rows("cart_asymmetry") is None:
+        return None
+    drag = batch.step * batch.column("cart_asymmetry")
+
+    def act() -> None:
+        batch.impulse[0] -= drag * abs(batch.predicted[0])
+
+    return act
+
+
 def end_stop(batch: Batch) -> Act | None:
     """Build the elastic stops at both ends of the travel."""
     rows = batch.rows("end_stop_travel", null=np.inf)
@@ -351,6 +363,7 @@ BUILDERS = (
     bristles,
     flexible_mode,
     quadratic_drag,
+    asymmetry,
     end_stop,
     gravity,
     cogging,

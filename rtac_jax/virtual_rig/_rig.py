@@ -142,6 +142,8 @@ class Rig:
     """Its damping ratio [1]."""
     cart_quadratic_drag: float = 0.0
     """c [N s^2/m^2]: force -c |q'| q'."""
+    cart_asymmetry: float = 0.0
+    """a [N s/m]: force -a |q'|."""
     cart_stribeck: float = 0.0
     """f [N]: the friction bound grows by f exp(-(q'/v_s)^2)."""
     cart_stribeck_velocity: float = 0.005

@@ -34,6 +34,7 @@ HIDDEN = {
         dict(torque_ripple=0.04, torque_ripple_order=6.0, torque_ripple_phase=0.0),
         {"sine": 0.04, "cosine": 0.0, "harmonic": 6.0},
     ),
+    "cart_asymmetric_friction": (dict(cart_asymmetry=0.15), {"coefficient": 0.15}),
 }
 # One is named in every run of the tests, among a few; of the whole catalogue one by `rtac demo` and one by the README. The others
 # take half a minute each.

@@ -26,6 +26,7 @@ NAMES = frozenset(
         "cart_stribeck",
         "cart_presliding",
         "cart_quadratic_drag",
+        "cart_asymmetric_friction",
         "cubic_spring",
         "quadratic_spring",
         "hysteretic_spring",

@@ -36,6 +36,7 @@ CASES: dict[str, tuple[dict[str, float], Effect]] = {
     "cart_coulomb": ({"cart_coulomb": 0.03}, effects.CartCoulomb(0.03)),
     "cart_stribeck": ({"cart_stribeck": 0.04}, effects.CartStribeck(0.04, 0.005)),
     "cart_quadratic_drag": ({"cart_quadratic_drag": 3.0}, effects.CartQuadraticDrag(3.0)),
+    "cart_asymmetric_friction": ({"cart_asymmetry": 0.4}, effects.CartAsymmetricFriction(0.4)),
     "cubic_spring": ({"cubic_spring": 2e5}, effects.CubicSpring(2e5)),
     "quadratic_spring": ({"quadratic_spring": 900.0}, effects.QuadraticSpring(900.0)),
     "hysteretic_spring": ({"hysteresis_stiffness": 30.0}, effects.HystereticSpring(30.0, 1e-3)),

@@ -21,6 +21,7 @@ EFFECTS = [
     {"arm_presliding": 5e-4},
     {"flexible_mass": 0.2},
     {"cart_quadratic_drag": 2.0},
+    {"cart_asymmetry": 0.3},
     {"cart_stribeck": 0.03},
     {"end_stop_travel": 0.009},
     {"arm_coulomb": 5e-4},

@@ -55,6 +55,7 @@ def reference(rig: Rig, plan: Plan) -> np.ndarray:
         pull += 2 * rig.flexible_damping * rig.flexible_frequency * (speed - body_speed)
         cart = me * arm_speed**2 * np.sin(theta) - rig.spring_stiffness * q - rig.cart_viscous * speed + f
         cart -= rig.cubic_spring * q**3 + rig.quadratic_spring * q**2 + body * pull
+        cart -= rig.cart_asymmetry * abs(speed)
         cart -= rig.cart_quadratic_drag * abs(speed) * speed + rig.maxwell_stiffness * (q - inner)
         cart -= rig.hysteresis_stiffness * z + rig.one_sided_spring * max(q, 0.0)
         cart -= rig.cart_presliding * bristles[0] / rig.cart_presliding_yield
@@ -106,6 +107,7 @@ def test_forced_motion_agrees_with_another_integrator_to_second_order():
 SMOOTH = {
     "springs": {"cubic_spring": 2e5, "quadratic_spring": 900.0},
     "flexible": {"flexible_mass": 0.25, "flexible_damping": 0.05},
+    "asymmetric friction": {"cart_asymmetry": 0.4},
     "drag": {"cart_quadratic_drag": 3.0, "arm_quadratic_drag": 6e-6},
     "tilt": {"tilt_along": 0.01, "tilt_across": 0.03},
     "second cogging": {"cogging_torque": 1e-3, "second_cogging_torque": 2e-3, "second_cogging_phase": 0.4},

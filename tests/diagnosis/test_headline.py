@@ -231,6 +231,19 @@ def test_what_rounding_may_do_is_no_failure_of_the_model(simulated, rounded, tol
         ) == told
 
 
+def test_errors_are_held_against_the_coloured_noise_where_the_words_are():
+    """Words said 1.02 times the noise, and the table beside them eight times that of the fastest changes."""
+    coloured, line = {"cart_position": 3e-6}, AdequacyTest("spectral line", 1e-9, 67.0, 2e-3, "a line", alarmed=True)
+    told = {
+        verdict: dataclasses.replace(diagnosis(verdict), coloured=coloured, simulated=1.02)
+        for verdict in ("adequate", "unknown")
+    }
+    assert told["adequate"].colour_told == coloured
+    assert told["unknown"].colour_told == {}  # it may stand for what is missing
+    assert dataclasses.replace(told["unknown"], tests=(line,)).colour_told == coloured
+    assert dataclasses.replace(told["unknown"], tests=(line,), simulated=8.0).colour_told == {}
+
+
 @pytest.mark.parametrize("steps", [1, 2])
 def test_a_drift_is_told_of_the_base_model_and_of_the_mended_one(steps):
     drift = AdequacyTest("drift", 1e-9, 400.0, 2e-3, "arm_viscous.positive that changes would explain 400")

@@ -120,7 +120,7 @@ class RTAC(eqx.Module):
 
     # -- composition -------------------------------------------------------------------------------------------------
 
-    def __add__(self, effect: Effect) -> "RTAC":
+    def __add__(self, effect: Effect | None) -> "RTAC":
         """Return the model with one effect more, at its place in the catalogue's order; one that is not in it comes last."""
         if effect is None:
             raise TypeError("nothing is to be added: `best` of a diagnosis that names no effect is None.")

@@ -75,10 +75,10 @@ def test_what_is_added_takes_its_place_in_the_order_of_the_catalogue():
 
 
 def test_only_effects_can_be_added():
-    with pytest.raises(TypeError, match="unsupported operand"):
+    with pytest.raises(TypeError):
         RTAC.paper() + 1.0
     with pytest.raises(TypeError, match="`best` of a diagnosis that names no effect is None"):
-        RTAC.paper() + None  # type: ignore[operator]
+        RTAC.paper() + None
 
 
 def test_without_takes_away_effect_and_its_marks():

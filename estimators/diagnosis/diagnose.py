@@ -119,22 +119,24 @@ def diagnose(
     # Whatever deadline whoever asks keeps: refits alone are broken off.
     with Deadline().kept(), Progress("diagnose", show=progress) as shown:
         part = enough_of(fit, recording, policy)
+        cut = part is not recording
+        gross = cut and unfollowed(fit, Data.of(pieces(moving(recording))), policy.simulation) > policy.unfollowed
 
-        def looked(at: Recording) -> _Looked:
+        def looked(at: Recording, *, twice: bool) -> _Looked:
             return _diagnosed(
-                fit, at, candidates, classes, policy, shown, deadline, thorough=thorough, laws_first=laws_first
+                fit, at, candidates, classes, policy, shown, deadline, thorough=twice, laws_first=laws_first
             )
 
-        first = looked(part)
+        # What a part does not tell at once is better asked of all samples than of it again.
+        first = looked(part, twice=thorough and (gross or not cut))
         told = first.told
-        if part is not recording:
-            gross = unfollowed(fit, Data.of(pieces(moving(recording))), policy.simulation) > policy.unfollowed
+        if cut:
             if deadline.over or suffices(told, lambda: first.removed_of_all(fit, recording), policy, gross=gross):
                 looked_at = sum(e.samples for e in moving(part))
                 told = dataclasses.replace(told, explanation=told.explanation + of_part(looked_at, gross=gross))
             else:
                 del first  # what it computed takes as much memory again
-                told = looked(recording).told
+                told = looked(recording, twice=thorough).told
     return dataclasses.replace(told, seconds=time.perf_counter() - began)
 
 

@@ -87,9 +87,11 @@ def test_all_samples_are_looked_at_where_a_part_does_not_tell(
 ) -> None:
     whole = locked(5, 8000)
     looked_at: list[int] = []
+    twice: list[bool] = []
 
-    def diagnosed(fit: est.Fit, recording: rtac.Recording, *_: Any, **__: Any) -> Any:
+    def diagnosed(fit: est.Fit, recording: rtac.Recording, *_: Any, **known: Any) -> Any:
         looked_at.append(sum(e.samples for e in recording))
+        twice.append(known["thorough"])
         return SimpleNamespace(told=found, removed_of_all=lambda *_: removed)
 
     monkeypatch.setattr(diagnose, "_diagnosed", diagnosed)
@@ -97,6 +99,7 @@ def test_all_samples_are_looked_at_where_a_part_does_not_tell(
     fit = dataclasses.replace(left_of(whole, left), experiments=names, model=rtac.RTAC.from_rig(whole))
     said = est.diagnose(fit, whole, progress=False).explanation
     assert looked_at == ([16_000, 40_000] if whole_too else [16_000])
+    assert twice == [left == 0.9, True][: len(looked_at)]  # what a part does not tell at once all samples are asked
     assert ("16,000 samples of all experiments were looked at" in said) == (not whole_too)
     assert ("follows nothing" in said) == (left == 0.9 and not whole_too)
     assert ("misses more than the sensors do" in said) == (left == 0.1 and not whole_too)

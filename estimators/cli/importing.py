@@ -130,7 +130,9 @@ def import_files(
         for file in sources:
             if file not in foreign:
                 parts.append(Recording.load(file).mended() if mend else Recording.load(file))
-                understood.append(f"{file}: a recording; its experiments come along as they are.")
+                understood.append(
+                    f"{file}: a recording; its experiments come along {'mended' if mend else 'as they are'}."
+                )
                 continue
             what, called, at = next(told)
             columns = Columns.of(file, asked, time, sample_time, delimiter, wanted["scale"], seen)

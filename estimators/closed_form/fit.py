@@ -21,8 +21,9 @@ from rtac_jax.measurement import Experiment, Recording, resolution
 _TURNS = 4
 _DRY = "cart_coulomb.level"
 _NEAR = 0.05  # of the rms velocity, below which the sign of a filtered velocity is wrong
-_FEW_COUNTS = 10.0  # of an encoder, below which a cart is held and its reading tells no motion
+_FEW_COUNTS = 3.5  # of an encoder: one that flickers between two of them, or three, shows no motion
 _LOST = "experiment {}: nobody measured where the arm begins, and it moves too little to show it."
+_HELD = "experiment {}: dry friction holds the cart, whose encoder shows a count more or less."
 AS_IN_PAPER: Mapping[str, Any] = {"weighting": "none", "near_zero": 0.0}
 """Options of `least_squares` that leave out what the paper does not write of: weights, and samples where the cart hardly moves."""
 
@@ -141,6 +142,7 @@ def closed_form(
         experiments = [e for e in experiments if e.name not in skipped]
     used: dict[str, float] = {}
     held = {e.name for e in experiments if _is_held(e)}
+    skipped |= {e.name: _HELD.format(e.name) for e in experiments if e.name in held and e.arm == "locked"}
 
     def terms(model: RTAC) -> list[Terms]:
         dry = float(model[_DRY]) / float(model["total_mass"]) if _DRY in model.parameters else 0.0

@@ -280,14 +280,19 @@ def _current(experiment: Experiment) -> Float[np.ndarray, " sample"]:
     return np.zeros(experiment.samples) if signal is None else np.asarray(signal.values)
 
 
+def _force(experiment: Experiment) -> Float[np.ndarray, " sample"]:
+    signal = experiment.inputs.get("disturbance_force")
+    return np.zeros(experiment.samples) if signal is None else np.asarray(signal.values)
+
+
 def _joined(parts: Sequence[_Part], model: RTAC) -> Motion:
     """Return the measured motion of all experiments one after the other, as effects take it."""
     position, velocity, angle, omega = (
         jnp.asarray(np.concatenate([getattr(part.motion, name) for part in parts]))
         for name in ("position", "velocity", "angle", "turning")
     )
-    current = jnp.asarray(np.concatenate([_current(part.experiment) for part in parts]))
-    return Motion(position, velocity, angle, omega, jnp.sin(angle), jnp.cos(angle), current, model.body)
+    current, force = (jnp.asarray(np.concatenate([of(part.experiment) for part in parts])) for of in (_current, _force))
+    return Motion(position, velocity, angle, omega, jnp.sin(angle), jnp.cos(angle), current, model.body, force=force)
 
 
 def _at_rest(part: _Part, levels: Mapping[str, float]) -> Bool[np.ndarray, " sample"]:

@@ -24,6 +24,7 @@ from estimators.diagnosis.explanation import (
     OF_A_DRIFT,
     OF_A_LIKELY_DRIFT,
     OF_A_LINE,
+    OF_PART_IN_TIME,
     OF_ROUNDING,
     SHAKEN,
     not_named,
@@ -131,9 +132,11 @@ def diagnose(
         first = looked(part, twice=thorough and (gross or not cut))
         told = first.told
         if cut:
-            if deadline.over or suffices(told, lambda: first.removed_of_all(fit, recording), policy, gross=gross):
-                looked_at = sum(e.samples for e in moving(part))
+            looked_at = sum(e.samples for e in moving(part))
+            if suffices(told, lambda: first.removed_of_all(fit, recording), policy, gross=gross):
                 told = dataclasses.replace(told, explanation=told.explanation + of_part(looked_at, gross=gross))
+            elif deadline.over:
+                told = dataclasses.replace(told, explanation=told.explanation + OF_PART_IN_TIME.format(looked_at))
             else:
                 del first  # what it computed takes as much memory again
                 told = looked(recording, twice=thorough).told
@@ -348,4 +351,4 @@ def compile_diagnosis(model: RTAC, recording: Recording, candidates: Sequence[ty
 
     Of a long recording that is a part, unless the fit ends at the noise.
     """
-    compile_for(model, part_of(recording), offered(model, candidates))
+    compile_for(model, recording if model.per_experiment else part_of(recording), offered(model, candidates))

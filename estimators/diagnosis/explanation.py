@@ -159,6 +159,12 @@ def _size(one: Parameter) -> str:
     return f"{one.value:.4g} +- {one.std:.2g}{unit}" if one.std > 0 else f"{one.value:.4g}{unit}, fixed"
 
 
+OF_PART_IN_TIME = (
+    " The time was over when {:,} samples of all experiments had been looked at: what is said is of these."
+)
+"""The samples that there was time for."""
+
+
 def of_part(samples: int, *, gross: bool) -> str:
     """Say that only a part of the samples was looked at, as what is missing shows in it.
 

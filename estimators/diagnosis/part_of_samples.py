@@ -53,6 +53,8 @@ def enough_of(fit: Fit, recording: Recording, policy: DiagnosisPolicy) -> Record
         recording: that it was fitted to.
         policy: the thresholds.
     """
+    if fit.model.per_experiment:  # values that belong to the experiments of the fit, as they were cut there
+        return recording
     part = part_of(recording)
     if part is recording or unfollowed(fit, Data.of(pieces(moving(recording))), policy.simulation) == 0.0:
         return recording
@@ -95,6 +97,8 @@ def removed_of_all(setting: Setting, final: Refit, steps: Sequence[Step], fit: F
     passed = run_filter(model, whole.data, space, physical, prior, final.predictor.noise, setting.substeps)
     counted = np.asarray(whole.data.counted) * (1.0 - np.asarray(passed.shaken))[:, None]
     left = float(np.sum(np.asarray(passed.innovations) ** 2 * counted) / np.sum(counted))
+    # The noise is known from the part only: a standard deviation of what chance makes of the two variances is no misfit.
+    left -= float(np.sqrt(2.0 / setting.samples + 2.0 / np.sum(counted)))
     return removed_beside(steps, setting.samples, left) if np.isfinite(left) else 0.0
 
 

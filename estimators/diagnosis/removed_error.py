@@ -71,7 +71,7 @@ def removed_beside(steps: Sequence[Step], samples: int, left: float) -> float:
         left: mean square of the innovations of the model with them, where 1 is their own variance.
     """
     after = math.exp(-sum(step.gain for step in steps) / samples)
-    return (1 - after) / (1 - after / max(left, 1.0))
+    return (1 - after) / (1 - after / max(left, 1.0)) if after < 1 else 0.0
 
 
 def floor(steps: Sequence[Step], samples: int) -> float:

@@ -17,9 +17,8 @@ _AROUND = 31  # lines whose median tells how strong the noise is there
 _FREEDOM = 20
 _THERE = 0.5  # fraction of an experiment's samples that must count
 _ALIKE = 0.9  # fraction of the longest's samples from which on experiments are cut to one length, and little is lost
-_WINDOW = (
-    3.0  # bins of a spectrum of one side that the noise in a Hann window's line comes from, of half as many as samples
-)
+# Bins that the noise in a line of a Hann window comes from, over the half of a spectrum.
+_WINDOW = 3.0
 _BLIND = 8  # lowest lines, where transients of the start end up
 
 

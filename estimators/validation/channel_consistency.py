@@ -269,7 +269,8 @@ class _Search:
             return left if rows is not None and left**2 <= EXPLAINS * rows.motion**2 else np.inf
 
         scores = _scored(score, ("cart_position", "arm_velocity", "arm_angle", "current"), as_recorded)
-        if (offset := self._without_offset(name)) is not None:
+        offset = self._without_offset(name)
+        if offset is not None and offset[1] ** 2 <= EXPLAINS * self.systems[name].motion ** 2:
             scores.append(offset)
         best = _likeliest([score for score in scores if score[1] <= enough], as_recorded)
         if best is None:

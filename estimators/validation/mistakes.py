@@ -31,7 +31,7 @@ class Mistake:
         single: whether one experiment alone may have it.
         every: whether all experiments may have it and the equations of motion show it.
         scale: what a channel, by name, is multiplied by to undo it; None where it is no unit.
-        samples: by which a channel comes late; zero where it is no delay.
+        channel, samples: that comes late by so many of them; empty and zero where it is no delay.
     """
 
     id: str
@@ -42,14 +42,15 @@ class Mistake:
     single: bool = True
     every: bool = True
     scale: tuple[str, float] | None = None
+    channel: str = ""
     samples: int = 0
 
 
 def is_blurred(alike: Sequence[Mistake]) -> bool:
-    """Return whether a delay explains as well as others by several samples: two clocks are off by one number of them."""
-    return alike[0].samples != 0 and any(
-        m.samples != 0 and abs(m.samples - alike[0].samples) > _SHARP for m in alike[1:]
-    )
+    """Return whether a delay explains as well as others of its channel by several samples: a clock is off by one number of them."""
+    first = alike[0]
+    same = [m for m in alike[1:] if m.samples and first.samples and m.channel == first.channel]
+    return any(abs(m.samples - first.samples) > _SHARP for m in same)
 
 
 def usual_mistakes() -> list[Mistake]:
@@ -67,6 +68,7 @@ def delays(channel: str, counts: tuple[int, ...]) -> Iterator[Mistake]:
             f"shift {channel} by {-samples} samples against the other channels, or synchronise the loggers; where they are "
             "synchronous something lags, which est.diagnose names",
             lambda e, samples=samples: _with(e, channel, lambda x: _shifted(x, -samples)),
+            channel=channel,
             samples=samples,
         )
 

@@ -126,6 +126,15 @@ def delayed(coefficients: Pieces, delay: Any, sample_time: Any) -> Pieces:
     return (part * late + (1.0 - part) * now).at[:, :_KEPT].add(lines)
 
 
+def straightened(coefficients: Pieces) -> Pieces:
+    """Return the straight line with the same mean and the same first moment in every interval."""
+    powers = coefficients.shape[1]
+    if powers <= _KEPT:
+        return jnp.pad(coefficients, ((0, 0), (0, _KEPT - powers), (0, 0)))
+    whole = jnp.ones(coefficients.shape[2])
+    return _projected(_moments(whole, 0.0, 0.0, powers), coefficients)
+
+
 def _projected(moments: Any, pieces: Any) -> Any:
     """Return the sum over the powers of the pieces of what each of them contributes: [interval, power, experiment]."""
     return jnp.einsum("kpe,spe->ske", moments, pieces)

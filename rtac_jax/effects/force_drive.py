@@ -9,7 +9,7 @@ import numpy as np
 from rtac_jax._rigid_body import RigidBody
 from rtac_jax.effects._interface import Force, Input, Motion, Pieces, States
 from rtac_jax.effects._lag import averaged, behind
-from rtac_jax.effects.between_samples import delayed
+from rtac_jax.effects.between_samples import delayed, straightened
 from rtac_jax.parameters import Scalar, parameter
 
 _TAO = "Tao and Kokotovic, Adaptive Control of Systems with Actuator and Sensor Nonlinearities (1996)"
@@ -79,8 +79,8 @@ class ForceDelay(Input):
 class ForceLag(Input):
     """A first-order lag of the force behind its command, which is in equilibrium where a record begins.
 
-    The command is taken as straight over an interval, for which the lag is exact; what of it is curved there goes along. The force
-    in an interval is the straight line with the same mean and the same first moment.
+    The command is taken as the straight line over an interval that has its mean and its first moment, for which the lag is exact;
+    what else of it is curved there goes along. So is the force in an interval.
     """
 
     id: ClassVar[str] = "force_lag"
@@ -100,8 +100,8 @@ class ForceLag(Input):
     def transform(self, coefficients: Pieces, channel: str, sample_time: Any) -> Pieces:
         if channel != "force":
             return coefficients
-        ratio = self.time_constant / sample_time
-        first, last = coefficients[:, 0], jnp.sum(coefficients, axis=1)
+        ratio, line = self.time_constant / sample_time, straightened(coefficients)
+        first, last = line[:, 0], line[:, 0] + line[:, 1]
 
         def onward(force: Any, row: Any) -> tuple[Any, Any]:
             begin, end = row

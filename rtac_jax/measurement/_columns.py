@@ -33,8 +33,8 @@ class ImportOptions(TypedDict, total=False):
         start, stop: samples that are taken, from `start` up to but without `stop`.
         remove_mean: channels that lose their mean over these.
         unwrap: take jumps of whole turns out of arm_angle, as of an encoder that begins again after a turn.
-        mend: put rows that a logger lost, as the times tell, back as missing samples (inputs hold what they were), and make samples
-            missing that are no measurement; see `Recording.mended`.
+        mend: put rows that a logger lost, as the times tell, back as missing samples (inputs run on), and make samples missing that
+            are no measurement; see `Recording.mended`.
         rig: constants, each with an optional `NAME_std`, as in `Recording`.
         intersample, noise_std, initial_arm_angle, initial_arm_angle_std, arm, cart: as in `Experiment.of`.
     """
@@ -150,7 +150,10 @@ def assemble(
         seconds = columns[time][start:stop] * _factor("time", time, units or {}, {})
         places = places_of_rows(seconds)
         if places is not None and mend:
-            signals, sample_time = with_rows(signals, places), float((seconds[-1] - seconds[0]) / places[-1])
+            between = conditions.get("intersample", "zoh")
+            held = [c for c in channels if (between if isinstance(between, str) else between.get(c, "zoh")) == "zoh"]
+            signals = with_rows(signals, places, held=held)
+            sample_time = float((seconds[-1] - seconds[0]) / places[-1])
         else:
             sample_time = uniform_step(seconds, time, start, lost=places is not None)
     found = Experiment.of(name, sample_time=sample_time, **signals, **conditions)  # pyright: ignore[reportArgumentType] - `of` checks them
@@ -195,7 +198,10 @@ def uniform_step(times: Float64[np.ndarray, " sample"], column: str, offset: int
         index = int(np.argmax(uneven))
         mend = "resample the data, cut at the gap, or give sample_time if the times are only rounded"
         if lost:
-            mend = "rows are missing there: put them back as missing samples (mend=True, --mend of rtac import), or cut at the gap"
+            mend = (
+                "rows are missing there: put them back as missing samples (mend=True, --mend of rtac import), cut at the gap, or"
+                " give sample_time if the times are only rounded"
+            )
         raise RecordingError(
             f"{column}, index {index + 1 + offset}: the step is {steps[index]:.9g} s and elsewhere "
             f"{typical:.9g} s; {mend}."

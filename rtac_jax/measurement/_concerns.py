@@ -124,7 +124,7 @@ def _never_moves(recording: Recording, name: str) -> bool:
     loudest: dict[bool, float] = {}
     for experiment in recording:
         signal = experiment.outputs.get(name)
-        if signal is not None and not _held(name, experiment):
+        if signal is not None and not experiment.holds(name):
             rests = experiment.kind == "rest"
             loudest[rests] = max(loudest.get(rests, 0.0), float(np.nanstd(signal.values)))
     return len(loudest) == 2 and loudest[False] <= MOVING_SIGMAS * loudest[True]
@@ -175,7 +175,7 @@ def _about_experiment(experiment: Experiment, *, only_noise: bool, counting: Col
         yield "arm and cart are both held, so it says nothing about the rig; use kind rest, or leave it out."
     elif experiment.kind == "forced" and locked and driven == {"current"}:
         yield "the current cannot move a locked arm, so it cannot be used as forced; set its kind to free."
-    elif not at_rest and all(_held(name, experiment) for name in experiment.outputs):
+    elif not at_rest and all(experiment.holds(name) for name in experiment.outputs):
         yield "only what is held was measured, so it cannot be used; leave it out."
     if not at_rest and not clamped and "cart_position" not in experiment.outputs:
         yield (
@@ -189,9 +189,9 @@ def _about_experiment(experiment: Experiment, *, only_noise: bool, counting: Col
     if experiment.samples < SHORT_SAMPLES:
         yield f"it has fewer than {SHORT_SAMPLES} samples, which is little to fit; record for longer."
     for name, signal in experiment.outputs.items():
-        about = _about_output(signal, at_rest, _held(name, experiment), counts=name in counting)
+        about = _about_output(signal, at_rest, experiment.holds(name), counts=name in counting)
         yield from (f"{name} {sentence}" for sentence in about)
-        if not at_rest and not _held(name, experiment) and name != "arm_angle" and _moves(signal.values):
+        if not at_rest and not experiment.holds(name) and name != "arm_angle" and _moves(signal.values):
             yield from (f"{name} {sentence}" for sentence in _about_sampling(signal, experiment))
 
 
@@ -200,7 +200,7 @@ def _contradictions_of(experiment: Experiment) -> Iterator[str]:
         return
     yield from channel_concerns(experiment)
     for name, signal in experiment.outputs.items():
-        if not _held(name, experiment):
+        if not experiment.holds(name):
             yield from (f"{name} {sentence}" for sentence in momentary_faults(name, signal))
 
 
@@ -208,10 +208,6 @@ def _moves(values: Float64[np.ndarray, " sample"]) -> bool:
     """Return whether a channel shows more than noise, whose spectrum has no frequency that dominates."""
     present = values[~np.isnan(values)]
     return float(np.std(present)) > MOVING_SIGMAS * _noise_level(present)
-
-
-def _held(name: str, experiment: Experiment) -> bool:
-    return experiment.cart == "clamped" if name == "cart_position" else experiment.arm == "locked"
 
 
 def _about_output(signal: Signal, at_rest: bool, held: bool, *, counts: bool) -> Iterator[str]:

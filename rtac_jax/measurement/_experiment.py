@@ -86,10 +86,8 @@ class Experiment:
         for name, signal in self.inputs.items():
             check_input(f"{place}/inputs/{name}", signal, INPUTS[name])
         for name, signal in self.outputs.items():
-            held = (self.cart == "clamped") if name == "cart_position" else (self.arm == "locked")
-            check_output(
-                f"{place}/outputs/{name}", signal, OUTPUTS[name], still=held or self.part or self.kind == "rest"
-            )
+            still = self.holds(name) or self.part or self.kind == "rest"
+            check_output(f"{place}/outputs/{name}", signal, OUTPUTS[name], still=still)
         if self.kind == "forced" and not self.part and not any(signal.values.any() for signal in self.inputs.values()):
             raise RecordingError(
                 f"{place}/inputs: a forced experiment needs an input that is not zero throughout; give "
@@ -196,6 +194,10 @@ class Experiment:
     def duration(self) -> float:
         """N times the sample time [s]."""
         return self.samples * self.sample_time
+
+    def holds(self, channel: str) -> bool:
+        """Return whether an output cannot move, as arm or cart is held."""
+        return self.cart == "clamped" if channel == "cart_position" else self.arm == "locked"
 
     def cut(self, start: int, stop: int, name: str | None = None, *, kind: str | None = None) -> "Experiment":
         """Return samples `start` to `stop` (exclusive) as an experiment of its own.

@@ -1,18 +1,19 @@
 """Mending of what loggers lose: rows that are missing between others, and samples that are no measurement."""
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 import numpy as np
 from jaxtyping import Float64
 
 from ._experiment import Experiment
-from ._momentary_faults import faulty
+from ._momentary_faults import faulty, resolution
 from ._signal import INPUTS
 
 Values = Float64[np.ndarray, " sample"]
 
 _OFF = 0.02  # of a step, by which the times of rows that remain may be off the clock: ten times what rounding makes
+_TICK = 0.6  # of what times are rounded to, half of which rounding takes them off
 _MOST = 0.1  # of all rows, that may be lost
 
 
@@ -22,8 +23,7 @@ def mended(experiment: Experiment) -> Experiment:
         return experiment
     outputs = {}
     for name, signal in experiment.outputs.items():
-        fixed = experiment.cart == "clamped" if name == "cart_position" else experiment.arm == "locked"
-        bad = np.zeros(len(signal.values), dtype=bool) if fixed else faulty(name, signal.values)
+        bad = np.zeros(len(signal.values), dtype=bool) if experiment.holds(name) else faulty(name, signal.values)
         left = np.where(bad, np.nan, signal.values)
         outputs[name] = dataclasses.replace(signal, values=left) if bad.any() else signal
     if all(outputs[name] is signal for name, signal in experiment.outputs.items()):
@@ -33,6 +33,8 @@ def mended(experiment: Experiment) -> Experiment:
 
 def places_of_rows(times: Values) -> np.ndarray | None:
     """Return the places of rows on a uniform clock of which some are lost; None where their times are not on one.
+
+    Times that are rounded as coarsely as the clock ticks skip one now and then, at even distances, where nothing is lost.
 
     Args:
         times: of the rows that there are [s], rising.
@@ -44,20 +46,35 @@ def places_of_rows(times: Values) -> np.ndarray | None:
     lost = int(places[-1]) + 1 - len(times)
     if not 0 < lost <= _MOST * len(times):
         return None
+    if _is_rounded(times):
+        return None
     step = (times[-1] - times[0]) / places[-1]
     return places if np.max(np.abs(times - times[0] - step * places)) < _OFF * step else None
 
 
-def with_rows(signals: Mapping[str, Values], places: np.ndarray) -> dict[str, Values]:
-    """Return channels with the rows that were lost: outputs are missing there, and inputs hold what they were.
+def with_rows(signals: Mapping[str, Values], places: np.ndarray, *, held: Collection[str]) -> dict[str, Values]:
+    """Return channels with the rows that were lost: outputs are missing there, and inputs run on from row to row.
 
     Args:
         signals: by channel, of the rows that there are.
         places: of these among all.
+        held: inputs that stay what they are until the next sample; others go straight to it.
     """
     at = np.arange(int(places[-1]) + 1)
     before = np.searchsorted(places, at, side="right") - 1
-    return {
-        channel: values[before] if channel in INPUTS else np.where(places[before] == at, values[before], np.nan)
-        for channel, values in signals.items()
-    }
+
+    def whole(channel: str, values: Values) -> Values:
+        if channel not in INPUTS:
+            return np.where(places[before] == at, values[before], np.nan)
+        return values[before] if channel in held else np.interp(at, places, values)
+
+    return {channel: whole(channel, values) for channel, values in signals.items()}
+
+
+def _is_rounded(times: Values) -> bool:
+    """Return whether a uniform clock and the rounding of its times explain them all."""
+    number = np.arange(len(times))
+    slope, first = np.polynomial.polynomial.polyfit(number, times - times[0], 1)[::-1]
+    off = np.max(np.abs(times - times[0] - first - slope * number))
+    several = np.count_nonzero(np.diff(times) > 1.5 * np.median(np.diff(times))) > 1  # one alone is a row as likely
+    return bool(several and off <= _TICK * resolution(times))

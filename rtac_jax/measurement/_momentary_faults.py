@@ -53,16 +53,17 @@ def momentary_faults(name: str, signal: Signal) -> Iterator[str]:
             f"or the logger drops out; {_MENDED}."
         )
     if (ends := clipped(values)).any():
+        where = " and ".join(f"{x:.4g}" for x in np.unique(values[ends]))
         yield (
-            f"stays at exactly its largest or smallest value for {np.count_nonzero(ends)} samples, {values.min():.4g} and "
-            f"{values.max():.4g} {signal.unit}, as where the range of the sensor ends; {_MENDED}, and widen the range."
+            f"stays at exactly {where} {signal.unit} for {np.count_nonzero(ends)} samples, as where the range of the sensor ends;"
+            f" {_MENDED}, and widen the range."
         )
     steps = np.diff(values)
     excess, limit = _excess_of_steps(values, present, inside)
     spikes = _spikes(excess, limit, narrowest=2)
     if spikes:
         yield (
-            f"has {len(spikes)} spikes of two or three samples, the first at sample {present[spikes[0][0]]}; replace them by NaN, "
+            f"has {len(spikes)} spikes of two or three samples, the first at sample {present[spikes[0][0]]}; {_MENDED}, "
             "or fit with robust=True; keep them where parts of the rig hit each other then."
         )
     if name == "arm_velocity":
@@ -106,14 +107,25 @@ def faulty(name: str, values: Values) -> np.ndarray:
 
 
 def clipped(values: Values) -> np.ndarray:
-    """Return whether each sample is at an extreme at which the values stay again and again, as at the end of a sensor's range."""
+    """Return whether each sample is at an extreme at which the values stay again and again, as at the end of a sensor's range.
+
+    They come to the end of a range and leave it as fast as they move beside it. A cart that comes to rest there slows down.
+    """
     found = np.zeros(len(values), dtype=bool)
-    if np.ptp(values) < _FEW_LEVELS * resolution(values):
+    level = resolution(values)
+    if np.ptp(values) < _FEW_LEVELS * level:
         return found
+    steps = np.abs(np.diff(values))
+    slow = max(_QUIET_LEVELS * level, _SIGMAS / 2 * float(np.median(_scatter_of_steps(values, np.diff(values)))))
     for extreme in (values.max(), values.min()):
         here = values == extreme
         edges = np.flatnonzero(np.diff(np.concatenate(([False], here, [False])).astype(np.int8)))
-        runs = edges[1::2] - edges[::2]
+        # The last step to it may be cut short by the end, so that the one before tells, and so after it.
+        fast = [
+            first >= 2 and last + 1 < len(values) and min(steps[first - 2], steps[last]) > slow
+            for first, last in zip(edges[::2], edges[1::2], strict=True)
+        ]
+        runs = (edges[1::2] - edges[::2])[fast]
         # Held once before release is no clipping, and a quantised peak also fills the level below.
         distinct = values[~here]
         following = np.count_nonzero(values == (distinct.max() if extreme == values.max() else distinct.min()))

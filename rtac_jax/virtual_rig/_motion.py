@@ -103,13 +103,15 @@ def _late_drives(jobs: Sequence[Job], period: float, substeps: int) -> np.ndarra
     for b, (rig, plan, _) in enumerate(jobs):
         for row, values, delay in ((0, plan.disturbance_force, rig.force_delay), (1, plan.current, rig.input_delay)):
             if values is not None:
-                mean[:, row, b] = np.diff(_charge(np.asarray(values, float), plan.hold, period, fine - delay)) / step
+                charge = _charge(np.asarray(values, float), plan.hold, period, fine - delay)
+                if row == 0:  # a force that is played at the beginning was played before; a current was not
+                    charge += values[0] * np.minimum(fine - delay, 0.0)
+                mean[:, row, b] = np.diff(charge) / step
         mean[:, 1, b] = np.clip(mean[:, 1, b], -rig.saturation, rig.saturation)
     lag = np.array([[rig.force_lag for rig, _, _ in jobs], [rig.current_lag for rig, _, _ in jobs]])
     if lag.any():
         decay = np.where(lag > 0, np.exp(-step / np.maximum(lag, 1e-300)), 0.0)
         weight = (1 - decay) * lag / step
-        # A force that is played at the beginning was played before; a current was not.
         begin = [0.0 if plan.disturbance_force is None else plan.disturbance_force[0] for _, plan, _ in jobs]
         state = np.stack([np.asarray(begin, float), np.zeros(len(jobs))])
         for row in mean:

@@ -215,7 +215,7 @@ class Rig:
     dead_zone: float = 0.0
     """delta [A]: no torque below it, and i - delta sgn(i) beyond."""
     force_delay: float = 0.0
-    """Transport delay of the disturbance force [s]."""
+    """Transport delay of the disturbance force [s]; before the beginning it was what it is there."""
     force_lag: float = 0.0
     """Time constant of the disturbance force [s]; it begins in equilibrium."""
     force_saturation: float = math.inf

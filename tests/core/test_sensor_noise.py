@@ -127,7 +127,14 @@ def test_rounding_that_is_no_random_noise_is_told() -> None:
         found = rounded(one, noise_levels(one))
         assert found == ({"cart_position": pytest.approx(1e-3)} if name == "slow" else {}), name
         alone = only_rounding(one, noise_levels(one))
-        assert name == "fast" or alone == found, name  # rounding that is passed fast is nearly white, as noise is
+        assert name == "fast" or alone == found, name
+    time = 0.001 * np.arange(4000)
+    quick = 1e-3 * np.round(0.05 * np.sin(80 * time) / 1e-3)
+    one = [rtac.Experiment.of("a", kind="free", sample_time=0.001, cart_position=quick)]
+    assert (rounded(one, noise_levels(one)), only_rounding(one, noise_levels(one))) == (
+        {},
+        {"cart_position": pytest.approx(1e-3)},
+    )
 
 
 def test_a_moving_record_that_reads_one_value_tells_no_noise() -> None:

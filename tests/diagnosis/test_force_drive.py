@@ -8,7 +8,10 @@ import pytest
 
 import estimators as est
 import rtac_jax as rtac
+from estimators.closed_form.motion_regression import motion_regression
+from estimators.core.data import moving, pieces
 from estimators.core.progress import Progress
+from estimators.core.sensor_noise import noise_levels
 from estimators.diagnosis.setting import set_up
 from rtac_jax import virtual_rig
 from rtac_jax.effects import CATALOGUE
@@ -57,6 +60,19 @@ def test_what_the_drive_does_to_the_force_is_named_with_its_size(name: str) -> N
     estimate = named[name].parameters[parameter]
     assert estimate.value == pytest.approx(truth, abs=4 * estimate.std)
     assert estimate.std < 0.05 * truth
+
+
+def test_the_equations_of_motion_see_what_the_drive_delivers() -> None:
+    recording = recorded({"force_saturation": 1.5})
+    levels = noise_levels(recording.experiments)
+    model = rtac.RTAC.from_rig(recording)
+    stiffness = []
+    for several in (model, model + CATALOGUE["force_saturation"](1 / 1.5)):
+        equations = motion_regression(several, pieces(moving(recording)), levels)
+        assert equations is not None
+        stiffness.append(equations.solved().values["spring_stiffness"])
+    assert stiffness[1] == pytest.approx(390.0, rel=0.01)
+    assert abs(stiffness[0] / 390.0 - 1) > 0.05
 
 
 def test_without_a_force_none_of_them_is_asked() -> None:

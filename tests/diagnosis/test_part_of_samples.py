@@ -12,8 +12,11 @@ from made_up_results import FIT, candidate, diagnosis
 import estimators as est
 import rtac_jax as rtac
 from estimators.core.data import moving, pieces
+from estimators.diagnosis.evidence import FittedModel
 from estimators.diagnosis.part_of_samples import enough_of
 from estimators.diagnosis.policy import STANDARD
+from estimators.diagnosis.removed_error import removed_beside
+from estimators.diagnosis.step import Step
 from rtac_jax import virtual_rig
 from rtac_jax.effects import CATALOGUE
 
@@ -58,6 +61,8 @@ def test_a_part_is_looked_at_where_the_fit_misses_more_than_the_sensors_do(
         assert part is recording
         return
     assert sum(e.samples for e in part) == pytest.approx(looked_at, rel=0.05)
+    each = dataclasses.replace(FIT.model, per_experiment=frozenset({"cart_coulomb.level"}))
+    assert enough_of(dataclasses.replace(left_of(recording, left), model=each), recording, STANDARD) is recording
     known = {e.name for e in pieces(moving(recording))}
     assert {e.name for e in pieces(moving(part))} <= known  # their starts are those of the fit
 
@@ -128,6 +133,30 @@ def test_a_part_names_what_is_hidden_with_its_size(decays: rtac.Recording) -> No
     assert abs(estimate.value - 2e4) < 3 * estimate.std < 0.1 * 2e4
     assert found.evidence is not None
     assert found.evidence.facts.samples < 32_000
+
+
+def test_where_the_time_is_over_the_part_is_all_that_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = locked(5, 8000)
+
+    def diagnosed(*_: Any, **__: Any) -> Any:
+        return SimpleNamespace(told=told("adequate"), removed_of_all=lambda *_: 1.0)
+
+    monkeypatch.setattr(diagnose, "_diagnosed", diagnosed)
+    fit = dataclasses.replace(
+        left_of(whole, 0.1), experiments=tuple(e.name for e in whole), model=rtac.RTAC.from_rig(whole)
+    )
+    said = est.diagnose(fit, whole, within=0.0, progress=False).explanation
+    assert "The time was over when 16,000 samples of all experiments had been looked at" in said
+    assert "looks at all" not in said
+
+
+@pytest.mark.parametrize(
+    ("gain", "left", "removed"), [(0.0, 0.9, 0.0), (-5.0, 1.0, 0.0), (70.0, 0.99, 1.0), (70.0, 2.0, 0.668)]
+)
+def test_what_is_removed_beside_what_is_left(gain: float, left: float, removed: float) -> None:
+    """Of 100 samples; a gain of 70 leaves half of the squares."""
+    step = Step("cubic_spring", (), gain, gain, gain, FittedModel(1, ("cubic_spring",), 1, 0.0), ())
+    assert removed_beside([step], 100, left) == pytest.approx(removed, abs=2e-3)
 
 
 def test_what_only_the_rest_shows_asks_for_all_samples(decays: rtac.Recording, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -310,6 +310,24 @@ def test_delay_of_a_curved_input_follows_its_curve_and_without_delay_is_nothing(
     assert apart(run(BARE + effects.InputDelay(0.0083), curved), truth) < 5e-6 < apart(plain, truth)
 
 
+@pytest.mark.parametrize("hold", ["foh", "bl"])
+@pytest.mark.parametrize("name", ["force_delay", "force_lag"])
+def test_a_force_that_comes_late_does_so_with_its_curve(name, hold):
+    late = {"force_delay": effects.ForceDelay(0.0083), "force_lag": effects.ForceLag(0.02)}[name]
+    swift = 0.3 * np.sin(60 * TIME)  # twenty samples a period
+    given = Experiment.of(
+        "a", kind="forced", sample_time=SAMPLE_TIME, disturbance_force=swift, cart_position=TIME, intersample=hold
+    )
+
+    def run(model):
+        found = simulate(model, [given], start={"a": START}, substeps=1)["a"]
+        return np.stack([getattr(found, name) for name in CHANNELS])
+
+    size = {"force_delay": 0.0083, "force_lag": 0.02}[name]
+    truth = extrapolated([({name: size}, replace(PLAN, current=None, disturbance_force=swift, intersample=hold))])[0]
+    assert apart(run(BARE + late), truth) < 6e-5 < 0.01 * apart(run(BARE), truth)
+
+
 @pytest.mark.slow
 def test_delay_does_not_depend_on_how_many_powers_an_input_is_written_with():
     """A held current beside a band-limited one in another experiment, or behind another hold that is absent."""

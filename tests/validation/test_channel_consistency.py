@@ -139,6 +139,27 @@ def test_channels_of_one_experiment_are_held_against_each_other_without_a_fit(re
     assert not any(words in sentence for sentence in concerns(recordings[1]))
 
 
+@pytest.mark.parametrize("samples", [5, 8])
+def test_a_late_current_of_a_clamped_motor_is_named_beside_its_mirror(samples):
+    """Of two channels one is late as the other is early, which is one clock, and not several numbers of samples."""
+    time = 0.002 * np.arange(2500)
+    current = 0.08 * np.sin(9 * time) + 0.06 * np.sin(23 * time + 1)
+    plans = [
+        virtual_rig.Plan(
+            f"run_{n}", "forced", 5.0, 0.002, current * (1 + 0.2 * n), cart="clamped", initial_angle=0.3 * n
+        )
+        for n in range(3)
+    ]
+    made = virtual_rig.record(
+        virtual_rig.Rig(velocity_noise=0.005), [*plans, virtual_rig.Plan("rest", "rest", 2.0, 0.002)], seed=1
+    )
+    late = everywhere(made, lambda e: changed(e, "current", lambda x: np.roll(x, samples)) if e.kind == "forced" else e)
+    (found,) = est.channel_consistency(late).found
+    assert found.mistake == f"arm_velocity -{samples} samples"
+    assert found.alike == (f"current +{samples} samples",)
+    assert found.after < 1.5 < found.before
+
+
 def test_swapped_velocity_and_angle_are_named(recordings):
     found = est.channel_consistency(in_one(recordings[1], FORCED, swapped(VELOCITY, "arm_angle")))
     assert "arm_velocity and arm_angle fit when they are swapped" in found.concerns[0]

@@ -166,7 +166,7 @@ def test_a_sensor_that_moves_in_steps_is_constant_at_rest(counts: bool) -> None:
             free(cart_position=np.sin(300 * T)),
             "cart_position is sampled fewer than 20 times in a period of its",
         ),
-        (free(cart_position=np.clip(DECAY, -0.01, 0.01)), "cart_position stays repeatedly at exactly"),
+        (free(cart_position=np.clip(DECAY, -0.01, 0.01)), "cart_position stays at exactly -0.01 and 0.01 m"),
         (
             free(cart_position=np.round(DECAY / 2e-4) * 2e-4),
             "cart_position is quantised in steps of 0.0002 m",

@@ -38,6 +38,24 @@ def test_what_lies_beyond_a_range_becomes_missing_and_nothing_else() -> None:
     np.testing.assert_array_equal(position_of(clipped.mended())[~beyond], whole[~beyond])
 
 
+def test_only_the_end_that_is_reached_is_named() -> None:
+    (said,) = [s for s in concerns(recording(np.minimum(swing(), 0.015))) if "range of the sensor" in s]
+    assert "stays at exactly 0.015 m for " in said
+
+
+def test_a_cart_that_dwells_at_its_largest_deflection_is_measured() -> None:
+    """An overdamped cart that a square wave pushes to and fro comes to rest at one and the same count each time."""
+    time = STEP * np.arange(4000)
+    target = 0.01 * np.sign(np.sin(2.1 * time + 0.1))
+    place, position = 0.0, np.zeros(len(time))
+    for n, there in enumerate(target):
+        place += (there - place) * STEP / 0.15
+        position[n] = place
+    dwelling = recording(np.round(position / 1e-5) * 1e-5)
+    assert np.count_nonzero(position_of(dwelling) == np.max(position_of(dwelling))) > 200
+    assert dwelling.mended()["run"] is dwelling["run"]
+
+
 @pytest.mark.parametrize("kept", ["zero", "last"])
 def test_a_dropout_becomes_missing(kept: str) -> None:
     values = swing()
@@ -112,6 +130,31 @@ def test_rows_that_are_lost_are_put_back_as_missing(tmp_path: Path) -> None:
     np.testing.assert_allclose(position[kept], whole[kept, 1], rtol=1e-7)
     np.testing.assert_array_equal(force[kept], whole[kept, 2])
     np.testing.assert_array_equal(force[lost], whole[[99, 99, 99, 332], 2])
+
+
+def test_a_measured_input_goes_straight_over_lost_rows(tmp_path: Path) -> None:
+    whole = rows_of()
+    whole[:, 2] = np.arange(len(whole))
+    path = write(tmp_path / "run.csv", np.delete(whole, [100, 101], axis=0))
+    channels = {"cart_position": "x", "disturbance_force": "F"}
+    for between, expected in (("bl", [100.0, 101.0]), ("zoh", [99.0, 99.0])):
+        found = rtac.Recording.from_csv(
+            path, channels=channels, kind="forced", time="t", arm="locked", intersample=between, mend=True
+        )["run"]
+        np.testing.assert_allclose(found.inputs["disturbance_force"].values[100:102], expected)
+
+
+@pytest.mark.parametrize(("rate", "digits"), [(960, 3), (980, 3), (995, 3), (97, 2), (333, 3)])
+def test_times_that_are_rounded_lose_no_rows(rate: int, digits: int) -> None:
+    """A clock that ticks a little slower than its times are written skips one of these at even distances."""
+    assert places_of_rows(np.round(np.arange(1500) / rate, digits)) is None
+
+
+def test_rows_are_lost_from_times_in_whole_milliseconds() -> None:
+    times = 1e-3 * np.delete(np.arange(1500), [200, 201, 900, 1203])
+    found = places_of_rows(times)
+    assert found is not None
+    np.testing.assert_array_equal(np.setdiff1d(np.arange(1500), found), [200, 201, 900, 1203])
 
 
 def test_times_that_are_on_no_clock_are_refused_with_mend_too(tmp_path: Path) -> None:

@@ -118,8 +118,6 @@ class RTAC(eqx.Module):
             model = cls(model.body, model.effects, priors=priors)
         return model.with_values(known).fix(*(fixed & set(declared_of(model))))
 
-    # -- composition -------------------------------------------------------------------------------------------------
-
     def __add__(self, effect: Effect | None) -> "RTAC":
         """Return the model with one effect more, at its place in the catalogue's order; one that is not in it comes last."""
         if effect is None:

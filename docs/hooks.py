@@ -17,6 +17,7 @@ PORTS = {
     "arm": "On the arm",
     "input": "On how the inputs run between samples",
     "actuator": "Between the recorded current and the motor",
+    "force": "Between the recorded force and the cart",
     "sensor": "Between the motion and what is recorded",
 }
 INTRODUCTION = """# Effects

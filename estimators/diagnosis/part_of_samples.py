@@ -4,6 +4,7 @@ import dataclasses
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from jaxtyping import Float
 
 from estimators.core.data import Data, motion_of, moving, origins, pieces
 from estimators.core.fit import Fit
@@ -95,11 +96,31 @@ def removed_of_all(setting: Setting, final: Refit, steps: Sequence[Step], fit: F
     space = begun(space_for(whole, model, final.free), model, {})
     physical, prior = (space.values, space.each_values, space.start), setting.prior.starting(space)
     passed = run_filter(model, whole.data, space, physical, prior, final.predictor.noise, setting.substeps)
-    counted = np.asarray(whole.data.counted) * (1.0 - np.asarray(passed.shaken))[:, None]
-    left = float(np.sum(np.asarray(passed.innovations) ** 2 * counted) / np.sum(counted))
-    # The noise is known from the part only: a standard deviation of what chance makes of the two variances is no misfit.
-    left -= float(np.sqrt(2.0 / setting.samples + 2.0 / np.sum(counted)))
+    given = (passed.innovations, whole.data.counted, passed.shaken)
+    left = left_beyond_chance(*map(np.asarray, given), samples=setting.samples)
     return removed_beside(steps, setting.samples, left) if np.isfinite(left) else 0.0
+
+
+def left_beyond_chance(
+    innovations: Float[np.ndarray, "sample output experiment"],
+    counted: Float[np.ndarray, "sample output experiment"],
+    shaken: Float[np.ndarray, "sample experiment"],
+    *,
+    samples: int,
+) -> float:
+    """Return the mean square of innovations in their own standard deviation, less what chance makes of it.
+
+    The noise is known from a part only: a standard deviation of what the scatter of both variances makes is no misfit.
+
+    Args:
+        innovations: of all samples.
+        counted: 1 where they count.
+        shaken: 1 where neither rest nor motion of the model is to be believed, and they do not.
+        samples: number of those that the noise was estimated from.
+    """
+    there = counted * (1.0 - shaken)[:, None]
+    mean = float(np.sum(innovations**2 * there) / np.sum(there))
+    return mean - float(np.sqrt(2.0 / samples + 2.0 / np.sum(there)))
 
 
 def _beginning(several: Sequence[Experiment], samples: int) -> list[Experiment]:

@@ -13,7 +13,7 @@ import estimators as est
 import rtac_jax as rtac
 from estimators.core.data import moving, pieces
 from estimators.diagnosis.evidence import FittedModel
-from estimators.diagnosis.part_of_samples import enough_of
+from estimators.diagnosis.part_of_samples import enough_of, left_beyond_chance
 from estimators.diagnosis.policy import STANDARD
 from estimators.diagnosis.removed_error import removed_beside
 from estimators.diagnosis.step import Step
@@ -157,6 +157,27 @@ def test_what_is_removed_beside_what_is_left(gain: float, left: float, removed: 
     """Of 100 samples; a gain of 70 leaves half of the squares."""
     step = Step("cubic_spring", (), gain, gain, gain, FittedModel(1, ("cubic_spring",), 1, 0.0), ())
     assert removed_beside([step], 100, left) == pytest.approx(removed, abs=2e-3)
+
+
+def test_what_is_left_counts_neither_chance_nor_what_is_shaken() -> None:
+    random = np.random.default_rng(8)
+    innovations = random.normal(size=(5000, 2, 3))
+    counted, shaken = np.ones_like(innovations), np.zeros((5000, 3))
+    counted[:, 1, 2] = 0.0
+    innovations[:, 1, 2] = 100.0  # was not measured
+    shaken[:50] = 1.0
+    innovations[:50] = 100.0
+    left = left_beyond_chance(innovations, counted, shaken, samples=8000)
+    mean = float(np.mean(np.concatenate([innovations[50:, 0].ravel(), innovations[50:, 1, :2].ravel()]) ** 2))
+    assert left == pytest.approx(mean - np.sqrt(2 / 8000 + 2 / (5 * 4950)), abs=1e-12)
+    assert mean == pytest.approx(1.0, abs=0.03)
+
+
+def test_what_simulations_named_is_asked_of_all_samples() -> None:
+    """Their steps gain in squares of a simulation, which say nothing of predictions."""
+    whole = locked(5, 8000)
+    looked: Any = diagnose._Looked(None, None, SimpleNamespace(selection=SimpleNamespace(simulated=True)))
+    assert looked.removed_of_all(left_of(whole, 0.1), whole) == 0.0
 
 
 def test_what_only_the_rest_shows_asks_for_all_samples(decays: rtac.Recording, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -314,7 +314,7 @@ def test_delay_of_a_curved_input_follows_its_curve_and_without_delay_is_nothing(
 @pytest.mark.parametrize("name", ["force_delay", "force_lag"])
 def test_a_force_that_comes_late_does_so_with_its_curve(name, hold):
     late = {"force_delay": effects.ForceDelay(0.0083), "force_lag": effects.ForceLag(0.02)}[name]
-    swift = 0.3 * np.sin(60 * TIME)  # twenty samples a period
+    swift = 0.3 * np.sin(60 * TIME + 0.7)  # twenty samples a period, and not from zero
     given = Experiment.of(
         "a", kind="forced", sample_time=SAMPLE_TIME, disturbance_force=swift, cart_position=TIME, intersample=hold
     )

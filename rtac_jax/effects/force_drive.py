@@ -107,7 +107,7 @@ class ForceLag(Input):
             begin, end = row
             return end + behind(force - begin, ratio, end - begin), force - begin
 
-        _, by = jax.lax.scan(onward, first[0], (first, last))
+        _, by = jax.lax.scan(onward, coefficients[0, 0], (first, last))
         early, late = (averaged(by, ratio, last - first, elapsed) for elapsed in (0.0, 1.0))
         wide = jnp.pad(coefficients, ((0, 0), (0, max(2 - coefficients.shape[1], 0)), (0, 0)))
         return wide.at[:, 0].add(early).at[:, 1].add(late - early)

@@ -275,13 +275,9 @@ def _both(part: _Part, cart: str | Rows | None, arm: str | Rows | None) -> list[
     return [first[terms.sliding][:: part.thinned], (last if seen else last[:0])[:: part.thinned]]
 
 
-def _current(experiment: Experiment) -> Float[np.ndarray, " sample"]:
-    signal = experiment.inputs.get("current")
-    return np.zeros(experiment.samples) if signal is None else np.asarray(signal.values)
-
-
-def _force(experiment: Experiment) -> Float[np.ndarray, " sample"]:
-    signal = experiment.inputs.get("disturbance_force")
+def _input(experiment: Experiment, channel: str) -> Float[np.ndarray, " sample"]:
+    """Return an input; zeros where there is none."""
+    signal = experiment.inputs.get(channel)
     return np.zeros(experiment.samples) if signal is None else np.asarray(signal.values)
 
 
@@ -291,7 +287,10 @@ def _joined(parts: Sequence[_Part], model: RTAC) -> Motion:
         jnp.asarray(np.concatenate([getattr(part.motion, name) for part in parts]))
         for name in ("position", "velocity", "angle", "turning")
     )
-    current, force = (jnp.asarray(np.concatenate([of(part.experiment) for part in parts])) for of in (_current, _force))
+    current, force = (
+        jnp.asarray(np.concatenate([_input(part.experiment, channel) for part in parts]))
+        for channel in ("current", "disturbance_force")
+    )
     return Motion(position, velocity, angle, omega, jnp.sin(angle), jnp.cos(angle), current, model.body, force=force)
 
 

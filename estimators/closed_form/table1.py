@@ -130,7 +130,7 @@ def table_1(found: ClosedForm) -> str:
     others = tuple((found.model.parameters[n].meaning.capitalize(), n) for n in found.estimates)
     for title, name in dict.fromkeys((*places, *(o for o in others if o[1] not in dict((b, a) for a, b in places)))):
         declared = found.model.parameters[name]
-        told = name in found.estimates or found.ratios or name in found.assumed or name in found.model.fixed
+        told = bool(found.ratios) or name in {*found.estimates, *found.assumed, *found.model.fixed}
         rows.append([title, declared.symbol, f"{_value(found, name):.5g}" if told else "not told", declared.unit])
     parts.append(f"(c) parameters of the rig, from all experiments together\n{_table(rows)}")
     return "\n\n".join(

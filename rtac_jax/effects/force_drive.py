@@ -13,7 +13,6 @@ from rtac_jax.effects.between_samples import delayed, straightened
 from rtac_jax.parameters import Scalar, parameter
 
 _TAO = "Tao and Kokotovic, Adaptive Control of Systems with Actuator and Sensor Nonlinearities (1996)"
-_SENSORS = "Sensors that are all late by as much are the same as {}: what follows the force late and what shows the motion late"
 
 
 class ForceSaturation(Force):
@@ -70,7 +69,7 @@ class ForceDelay(Input):
 
     def remark(self, body: RigidBody) -> str:
         del body
-        return f"{_SENSORS.format(self.id)}."
+        return "Sensors that are all late by as much are the same as force_delay."
 
     def transform(self, coefficients: Pieces, channel: str, sample_time: Any) -> Pieces:
         return delayed(coefficients, self.delay, sample_time) if channel == "force" else coefficients
@@ -95,7 +94,7 @@ class ForceLag(Input):
 
     def remark(self, body: RigidBody) -> str:
         del body
-        return f"{_SENSORS.format(self.id)}, all but."
+        return "Sensors that all lag by as much are nearly the same as force_lag."
 
     def transform(self, coefficients: Pieces, channel: str, sample_time: Any) -> Pieces:
         if channel != "force":

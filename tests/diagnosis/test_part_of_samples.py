@@ -173,6 +173,17 @@ def test_what_is_left_counts_neither_chance_nor_what_is_shaken() -> None:
     assert mean == pytest.approx(1.0, abs=0.03)
 
 
+def test_chance_leaves_something_in_one_of_six() -> None:
+    """Noise whose size is known from 4,000 samples, and innovations of 20,000: beyond one deviation in 16 % of all draws."""
+    random = np.random.default_rng(9)
+    counted, shaken = np.ones((20_000, 1, 1)), np.zeros((20_000, 1))
+    left = []
+    for _ in range(400):
+        size = np.sqrt(np.mean(random.normal(size=4000) ** 2))
+        left.append(left_beyond_chance(random.normal(size=(20_000, 1, 1)) / size, counted, shaken, samples=4000))
+    assert 0.10 < np.mean(np.array(left) > 1.0) < 0.22  # three deviations of 400 draws to either side
+
+
 def test_what_simulations_named_is_asked_of_all_samples() -> None:
     """Their steps gain in squares of a simulation, which say nothing of predictions."""
     whole = locked(5, 8000)

@@ -24,8 +24,8 @@ from spoilt_recordings import (
 
 import estimators as est
 import rtac_jax as rtac
-from estimators.validation.channel_consistency import _Search
-from estimators.validation.mistakes import usual_mistakes
+from estimators.validation.channel_consistency import _likeliest, _Search
+from estimators.validation.mistakes import delays, usual_mistakes
 from rtac_jax import virtual_rig
 from rtac_jax.measurement import concerns, moving_at_rest
 
@@ -158,6 +158,18 @@ def test_a_late_current_of_a_clamped_motor_is_named_beside_its_mirror(samples):
     assert found.mistake == f"arm_velocity -{samples} samples"
     assert found.alike == (f"current +{samples} samples",)
     assert found.after < 1.5 < found.before
+
+
+@pytest.mark.parametrize(
+    ("other", "of", "named"),
+    [(14, POSITION, True), (16, POSITION, False), (-12, VELOCITY, True), (-16, VELOCITY, True)],
+)
+def test_a_delay_that_several_numbers_of_samples_explain_is_none(other, of, named):
+    """Friction that the equations lack looks like a cart that comes 13 samples early, or 16."""
+    late = {m.samples: m for m in delays(POSITION, (12, 14, 16))}
+    beside = next(m for m in delays(of, (abs(other),)) if m.samples == other)
+    found = _likeliest([(late[12], 1.5), (beside, 1.6)], 30.0)
+    assert (found is not None) == named
 
 
 def test_swapped_velocity_and_angle_are_named(recordings):

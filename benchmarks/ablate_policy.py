@@ -5,6 +5,8 @@
     python benchmarks/ablate_policy.py DIR HARD
     python benchmarks/ablate_policy.py DIR HARD --verdicts     # every recording with its verdict, and what changes it
 
+Folders of other protocols below DIR are judged with it.
+
 A verdict is better or worse than before against what the rig hides: the right name is best, then it among rivals, more
 than it or a part of it, "unknown", "adequate", and last a wrong name. Evidence holds the refits that the standard policy
 asked for; "incomplete" counts the recordings in which a rule switched off asks for one that was never computed, and the
@@ -22,8 +24,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 from unittest import mock
 
-from diagnosis_cases import HARD_WORDS, KINDS, kind_of, outcome
-from diagnosis_evidence import as_result, evidence_in
+from diagnosis_cases import HARD_WORDS, KINDS, kind_of
+from diagnosis_evidence import Recorded, evidence_of_protocols, worth_of
 
 from estimators.diagnosis import stepwise_selection, verdict
 from estimators.diagnosis.evidence import Evidence, FittedModel
@@ -94,10 +96,17 @@ def without_look(name: str) -> Judge:
     return with_patch(stepwise_selection, name, lambda *found: dataclasses.replace(look(*found), ranked=[], near=[]))
 
 
+def _without_facts(**changed: Any) -> Judge:
+    def told(evidence: Evidence) -> Told:
+        return by_policy()(dataclasses.replace(evidence, facts=dataclasses.replace(evidence.facts, **changed)))
+
+    return told
+
+
 def _without_traits(trait: str, value: object) -> Judge:
     def told(evidence: Evidence) -> Told:
         effects = {i: dataclasses.replace(t, **{trait: value}) for i, t in evidence.facts.effects.items()}
-        return by_policy()(dataclasses.replace(evidence, facts=dataclasses.replace(evidence.facts, effects=effects)))
+        return _without_facts(effects=effects)(evidence)
 
     return told
 
@@ -117,7 +126,8 @@ _OFF: dict[str, dict[str, float]] = {
     "simulation_poor: of a poor simulation (never)": {"simulation_poor": math.inf},
     "random_large: random forces in place of physics (never)": {"random_large": math.inf},
     "level: no test of adequacy rejects (0)": {"level": 0.0},
-    "gross_random: what is named beside a poor fit must be followed (never)": {"gross_random": math.inf},
+    "edge: a shape below a sensor's noise is the simpler law (never)": {"edge": 0.0},
+    "confirming: what every experiment confirms (never)": {"confirming": 1_000_000},
 }
 
 
@@ -134,6 +144,25 @@ def rules() -> dict[str, Judge]:
     found["what overshadows the alarms is tried"] = with_patch(stepwise_selection, "overshadowing", lambda *_: [])
     found["second look: large, but at a few instants"] = without_look("unalarmed")
     found["second look: what random forces may hide"] = without_look("hidden")
+    found["second look: what random forces stand for"] = with_patch(
+        stepwise_selection, "behind_random_forces", lambda _, selected, __: selected
+    )
+    found["what is named beside a fit that follows nothing must be followed"] = with_patch(
+        verdict, "_unfollowing", lambda *_: None
+    )
+    found["selection by simulation where that is far"] = with_patch(
+        stepwise_selection, "selected_by_simulation", lambda *_: None
+    )
+    found["gross fits are screened by the equations of motion"] = with_patch(
+        stepwise_selection, "gross", lambda *_: False
+    )
+    found["the first effect may be replaced"] = with_patch(
+        stepwise_selection, "with_replacement", lambda _, __, steps, *___: list(steps)
+    )
+    found["testable: what the data cannot show is passed over (never)"] = _without_facts(untestable=())
+    found["what is presupposed comes first"] = _without_traits("presupposes", ())
+    found["what resembles the first is refitted"] = _without_traits("resembles", ())
+    found["a simpler law is preferred to one that contains it"] = _without_traits("contains", ())
     found["contacts are tried however little they show"] = _without_traits("contact", False)
     found["a shape that ran away gives way"] = with_patch(FittedModel, "leaves_free", lambda *_: False)
     found["too few data: a suspect vetoes"] = with_patch(verdict, "few_for", lambda *_: False)
@@ -213,14 +242,14 @@ def error(before: FittedModel, after: FittedModel) -> float:
 # -- tables -----------------------------------------------------------------------------------------------------------
 
 
-def worth(name: str, told: Told) -> int:
+def worth(of: Recorded, told: Told) -> int:
     """How good a verdict is against what the rig hides; more is better."""
-    said = outcome(as_result(name, *told[:3]))
-    order = _ORDER[kind_of(name)]
+    said = worth_of(of.name, *told[:3], protocol=of.protocol)
+    order = _ORDER[kind_of(of.name)]
     return order.index(said) if said in order else 0
 
 
-def ablation(kept: dict[tuple[str, int], Evidence]) -> str:
+def ablation(kept: dict[Recorded, Evidence]) -> str:
     """Markdown: of every rule switched off, how many verdicts change, for better or worse."""
     before = {key: by_policy()(one) for key, one in kept.items()}
     lines = [
@@ -235,7 +264,7 @@ def ablation(kept: dict[tuple[str, int], Evidence]) -> str:
             counts["incomplete"] += now.incomplete
             if now[:3] != before[key][:3]:
                 counts["changed"] += 1
-                counts[["worse", "better", "as good"][_sign(worth(key[0], now) - worth(key[0], before[key]))]] += 1
+                counts[["worse", "better", "as good"][_sign(worth(key, now) - worth(key, before[key]))]] += 1
         cells = " | ".join(str(counts[c] or "") for c in ("changed", "better", "worse", "as good", "incomplete"))
         lines.append(f"| {name} | {cells} |")
     return "\n".join(lines)
@@ -245,21 +274,25 @@ def _sign(difference: int) -> int:
     return 0 if difference < 0 else 1 if difference > 0 else 2
 
 
-def rates(kept: dict[tuple[str, int], Evidence], told: Judge) -> str:
+def rates(kept: dict[Recorded, Evidence], told: Judge) -> str:
     """One line a kind of case: how often each outcome came."""
     counts: dict[str, collections.Counter[str]] = collections.defaultdict(collections.Counter)
-    for (name, _), evidence in kept.items():
-        counts[kind_of(name)][outcome(as_result(name, *told(evidence)[:3]))] += 1
+    for of, evidence in kept.items():
+        counts[kind_of(of.name)][worth_of(of.name, *told(evidence)[:3], protocol=of.protocol)] += 1
     return "\n".join(f"{kind}: {dict(several)}" for kind, several in counts.items())
 
 
-def verdicts(kept: dict[tuple[str, int], Evidence]) -> Iterator[str]:
+def verdicts(kept: dict[Recorded, Evidence]) -> Iterator[str]:
     """One line a recording: its verdict, and the rules without which it changes."""
     several = rules()
-    for (name, draw), evidence in kept.items():
+    for of, evidence in kept.items():
         before = by_policy()(evidence)
-        changing = [rule for rule, told in several.items() if told(evidence)[:3] != before[:3]]
-        yield f"draw {draw}, {name}: {before.verdict} {list(before.effects)} {before.rivals}; changed by: {'; '.join(changing)}"
+        said = worth_of(of.name, *before[:3], protocol=of.protocol)
+        changing = []
+        for rule, told in several.items():
+            if (now := told(evidence))[:3] != before[:3]:
+                changing.append(f"{rule} ({worth_of(of.name, *now[:3], protocol=of.protocol)})")
+        yield f"{of.protocol}, draw {of.draw}, {of.name}: {said}, {before.verdict} {list(before.effects)} {before.rivals}; changed by: {'; '.join(changing)}"
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -268,7 +301,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("directory", type=Path, nargs="+")
     parser.add_argument("--verdicts", action="store_true", help="list every recording")
     options = parser.parse_args(arguments)
-    kept = {key: one for directory in options.directory for key, one in evidence_in(directory).items()}
+    kept = {key: one for directory in options.directory for key, one in evidence_of_protocols(directory).items()}
     assert kept, f"no evidence in {', '.join(map(str, options.directory))}"
     print(ablation(kept))
     print("\nstandard policy\n" + rates(kept, by_policy()))

@@ -6,7 +6,7 @@ import time
 import zlib
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from diagnosis_cases import KINDS, Case, cases, drawn, kind_of, outcome
 from diagnosis_hard_cases import HARD, HardCase, recording_of
@@ -71,13 +71,12 @@ def by_protocol(directory: Path) -> str:
         f"| protocol | hidden | recordings | {' | '.join(columns)} | named instead |",
         "|---" * (len(columns) + 4) + "|",
     ]
-    for protocol, chosen in PROTOCOLS.items():
+    for protocol in PROTOCOLS:
         counts: dict[str, collections.Counter[str]] = collections.defaultdict(collections.Counter)
         wrong: dict[str, list[str]] = collections.defaultdict(list)
         for (name, _), evidence in evidence_in(folder_of(directory, protocol)).items():
             found = judge(evidence)
-            told = as_result(name, found.verdict, found.effects, found.rivals)
-            said = outcome(told, chosen.also, chosen.stands_for)
+            said = worth_of(name, found.verdict, found.effects, found.rivals, protocol=protocol)
             counts[kind_of(name)][said] += 1
             if said in ("wrong", "right and more"):
                 wrong[kind_of(name)].append(f"{', '.join(found.effects)} for {name}")
@@ -101,6 +100,31 @@ def evidence_in(directory: Path) -> dict[tuple[str, int], Evidence]:
         for path in sorted(directory.glob("*.json"))
         if path.name[3:] in known
     }
+
+
+class Recorded(NamedTuple):
+    """What was recorded: a case of a draw by a protocol."""
+
+    name: str
+    draw: int
+    protocol: str = "usual"
+
+
+def evidence_of_protocols(directory: Path) -> dict[Recorded, Evidence]:
+    """All evidence that is kept in a folder and in those of other protocols below it."""
+    return {
+        Recorded(name, draw, protocol): one
+        for protocol in PROTOCOLS
+        for (name, draw), one in evidence_in(folder_of(directory, protocol)).items()
+    }
+
+
+def worth_of(
+    name: str, verdict: str, effects: Sequence[str], rivals: dict[str, tuple[str, ...]], *, protocol: str = "usual"
+) -> str:
+    """The outcome of a judgement against what is hidden in a case, and by the protocol itself."""
+    chosen = PROTOCOLS[protocol]
+    return outcome(as_result(name, verdict, effects, rivals), chosen.also, chosen.stands_for)
 
 
 def as_result(name: str, verdict: str, effects: Sequence[str], rivals: dict[str, tuple[str, ...]]) -> dict[str, Any]:

@@ -70,17 +70,18 @@ def chosen(
 
 
 def is_at_its_edge(laboratory: Laboratory, effect: str, model: FittedModel, policy: DiagnosisPolicy) -> bool:
-    """Return whether an added effect has become a simpler one that it contains, by a shape well below a sensor's noise (`edge`).
+    """Return whether an added effect has become a simpler one that it contains, by a shape that the data do not show.
 
-    Bristles that yield within a tenth of a sensor's noise are dry friction, which a simulation follows more smoothly so; what is
-    missing beside it may ask for that.
+    Bristles that yield within a tenth of a sensor's noise (`edge`), or within the first sample after a turn, are dry friction,
+    which a simulation follows more smoothly so; what is missing beside it, or random forces, may ask for that.
     """
     edge = laboratory.facts.effects[effect].edge
     if not edge:
         return False
     parameter, channel = edge
     size = abs(model.values.get(f"{effect}.{parameter}", (math.inf, 0.0))[0])
-    return size < policy.edge * laboratory.facts.noise.get(channel, 0.0)
+    facts = laboratory.facts
+    return size < max(policy.edge * facts.noise.get(channel, 0.0), facts.travel.get(channel, 0.0))
 
 
 def alone(

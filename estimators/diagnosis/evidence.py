@@ -22,7 +22,8 @@ class EffectTraits:
     Attributes:
         contact: whether it acts by contact.
         contains: ids of effects that it contains.
-        edge: a parameter and an output, far below whose noise the effect is what it contains; empty if there is none.
+        edge: a parameter and an output, far below whose noise, or below whose travel, the effect is what it contains; empty if
+            there is none.
         presupposes: ids of effects beside which it stands.
         resembles: ids of effects that change the motion as it does, whatever their size.
     """
@@ -140,6 +141,8 @@ class Facts:
             version.
         current_noise: random torque in one sample that the noise of a measured current is, as a fraction of the rms torque; zero
             where nothing shows any.
+        travel: way in one sample from rest under the rms force or torque, by output, SI units; empty in evidence of an earlier
+            version.
     """
 
     samples: int
@@ -155,6 +158,7 @@ class Facts:
     unfollowed: float = 0.0
     origins: tuple[str, ...] = ()
     current_noise: float = 0.0
+    travel: Mapping[str, float] = dataclasses.field(default_factory=dict)
 
     @property
     def silent(self) -> bool:

@@ -364,6 +364,7 @@ def facts_of(setting: Setting, fit: Fit) -> Facts:
         unfollowed=unfollowed(fit, setting.data, setting.policy.simulation),
         origins=tuple(whole[e.name] for e in setting.experiments),
         current_noise=setting.current_noise,
+        travel=setting.travel,
     )
 
 

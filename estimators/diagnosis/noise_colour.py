@@ -47,7 +47,7 @@ def recoloured(setting: Setting, base: Refit) -> tuple[Setting, Refit]:
 
     first = setting.colours
     best, gained = likeliest_colours(first, likelihood)
-    if not gained >= setting.policy.colour_mended:
+    if not gained > 0.0:
         return setting, base
     trial = dataclasses.replace(setting, colours=capped(best))
     model = model_with(trial, []).with_values(kept)

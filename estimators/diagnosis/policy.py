@@ -7,7 +7,7 @@ from estimators.inference.simulation_residual import SimulationLimits
 from estimators.misspecification.findings import CriticalValues
 from estimators.prediction_error.colour_limits import ColourLimits
 
-VERSION = 15
+VERSION = 16
 """Of the standard policy: counts up when a threshold comes, goes or changes."""
 
 _PROTOTYPE = "prototype study of 42 cases a setting"
@@ -38,7 +38,8 @@ class DiagnosisPolicy:
     removed: float = _threshold(
         0.9,
         "fraction of the misfit that the named effects must remove; the rest is the size, two standard deviations added, under"
-        " which what an effect presupposes is ruled out beside it",
+        " which what an effect presupposes is ruled out beside it, and the noise's part of a simulation's rms error under which that"
+        " is far from the data, so that, beside random forces, effects are selected by simulation too",
         f"{_PROTOTYPE}: it refused three effects outside the catalogue",
     )
     static: float = _threshold(
@@ -53,15 +54,14 @@ class DiagnosisPolicy:
         " from the best, and rest records do not speak against a colour",
         "Kass and Raftery, JASA 90 (1995): very strong evidence",
     )
-    refits: int = _threshold(4, "candidates refitted at least", _PROTOTYPE)
+    refits: int = _threshold(
+        4, "candidates refitted at least, and at most in the place of the first of several effects", _PROTOTYPE
+    )
     close: float = _threshold(
         0.3,
         "fraction of the best score within which a candidate is refitted too, and of the first effect's gain in BIC within which"
         " one may replace it",
         _PROTOTYPE,
-    )
-    replacements: int = _threshold(
-        2, "candidates at most that are refitted in the place of the first of several effects", _UNSTUDIED
     )
     edge: float = _threshold(
         0.1,
@@ -71,8 +71,10 @@ class DiagnosisPolicy:
     )
     consequence: float = _threshold(
         0.01,
-        "fraction of the error, predicted or simulated, that named effects must take off to be of consequence",
-        "with enough data every model is wrong; never studied by itself",
+        "fraction of the error, predicted or simulated, that named effects must take off to be of consequence, and of the rms force"
+        " or torque that random ones must have in one sample: where a fit follows nothing, or is far from the data, a simulation says"
+        " then whether what is named is right",
+        "with enough data every model is wrong. Of random forces: right names left 1e-5, what stood in for others 0.1 to 0.8",
     )
     effects: int = _threshold(
         3,
@@ -106,11 +108,6 @@ class DiagnosisPolicy:
         "fraction of coloured noise that is left out of account",
         _UNSTUDIED,
     )
-    colour_mended: float = _threshold(
-        0.5,
-        "gain in log-likelihood for which the colour of the rest records is changed",
-        _UNSTUDIED,
-    )
     fall: float = _threshold(
         0.05,
         "fraction by which an effect must lower the held-out error of simulation to be kept by `est.improve`",
@@ -142,22 +139,11 @@ class DiagnosisPolicy:
         " sample, from which it is asked what they hide, as parts that hit each other",
         "set between shaken rigs (0.005 to 0.01) and recordings with signs or units wrong (0.1 to 0.4)",
     )
-    simulation_far: float = _threshold(
-        10.0,
-        "rms simulation error over the noise from which, beside random forces, effects are selected by simulation too",
-        "a positioning axis that was named wrongly was left at 33,154; never studied by itself",
-    )
     unfollowed: float = _threshold(
         SimulationLimits.unfollowed,
         "rms simulation error of the fit over the rms of the motion from which it follows nothing, so that effects are screened by"
         " the equations of motion too",
         "moderate effects of the study 0.20 at most in 56 of 58 recordings (draws 201 and 202), gross ones 0.31 to 0.94",
-    )
-    gross_random: float = _threshold(
-        0.01,
-        "random force or torque in one sample, over the rms, from which what is named beside a fit that follows nothing must be"
-        " followed by a simulation too, and effects are selected by simulation where it is far from the data",
-        "right names left 1e-5, what stood in for others 0.1 to 0.8; never studied by itself",
     )
 
     confirming: int = _threshold(
@@ -189,6 +175,11 @@ class DiagnosisPolicy:
     def left(self) -> float:
         """Return the fraction that may be left of what is ruled out."""
         return 1.0 - self.removed
+
+    @property
+    def far(self) -> float:
+        """Return the rms simulation error over the noise from which the noise is no more of it than may be `left`."""
+        return 1.0 / self.left if self.left else float("inf")
 
     @property
     def colour(self) -> ColourLimits:

@@ -84,7 +84,7 @@ def _candidates(
     became = [effect for effect in _became(laboratory, steps, policy) if effect in gains]
     apart = [effect for effect in simplest if effect not in effects[first.id].contains]
     ordered = [*became, *sorted(apart, key=lambda effect: -gains[effect])]
-    return [tried[effect][1] for effect in ordered[: policy.replacements]]
+    return [tried[effect][1] for effect in ordered[: policy.refits]]
 
 
 def _became(laboratory: Laboratory, steps: Sequence[Step], policy: DiagnosisPolicy) -> tuple[str, ...]:

@@ -86,6 +86,14 @@ class Setting:
         torque = scales_of(self.model, self.experiments).torque
         return float(np.mean(np.asarray(self.model["torque_constant"]))) * self.recording.current_noise() / torque
 
+    @property
+    def travel(self) -> dict[str, float]:
+        """Return how far cart and arm get in one sample from rest under the rms force and torque, by output [m, rad]."""
+        scales = scales_of(self.model, self.experiments)
+        inertia = float(np.mean(np.asarray(self.model["arm_inertia"])))
+        half = 0.5 * scales.sample_time**2
+        return {"cart_position": half * scales.force / scales.mass, "arm_angle": half * scales.torque / inertia}
+
     def stretches(self) -> np.ndarray:
         """Return for every sample and experiment the number of the second that it belongs to."""
         return stretches(self.data)

@@ -32,7 +32,7 @@ def selected_by_simulation(laboratory: Laboratory, found: Selection, policy: Dia
 
     Source: Miller, Subset Selection in Regression (2002), chapter 3, for forward selection.
     """
-    if max(found.base.random) < policy.gross_random or (base := _far(laboratory, found.base, policy)) is None:
+    if max(found.base.random) < policy.consequence or (base := _far(laboratory, found.base, policy)) is None:
         return None
     named = found.named_model(laboratory.facts.samples, policy)
     # The simulation with what is named costs a fit, and is asked last.
@@ -49,7 +49,7 @@ def selected_by_simulation(laboratory: Laboratory, found: Selection, policy: Dia
 def _far(laboratory: Laboratory, model: FittedModel, policy: DiagnosisPolicy) -> SimulationError | None:
     """Return the error of a model's simulation where that is far from the data; None elsewhere."""
     found = laboratory.simulation(model)
-    return found if found is not None and max(found.error.values(), default=0.0) > policy.simulation_far else None
+    return found if found is not None and max(found.error.values(), default=0.0) > policy.far else None
 
 
 def _is_doubtful(laboratory: Laboratory, found: Selection, named: FittedModel, policy: DiagnosisPolicy) -> bool:
@@ -167,7 +167,7 @@ def _best(
 
 def _excess(error: Mapping[str, float], base: Mapping[str, float], policy: DiagnosisPolicy) -> float:
     """Return what is left of the base model's squared error beyond the noise, of all channels; infinite where one is lost."""
-    if any(error[c] > max(policy.simulation_far, 2 * before) for c, before in base.items()):
+    if any(error[c] > max(policy.far, 2 * before) for c, before in base.items()):
         return math.inf
     before = sum(max(e * e - 1, 0.0) for e in base.values())
     left = sum(max(error[c] * error[c] - 1, 0.0) for c in base)

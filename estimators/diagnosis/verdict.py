@@ -20,7 +20,7 @@ from estimators.inference.simulation_residual import (
 from estimators.misspecification.adequacy import AdequacyTest, alarming, few_for
 
 _COMPUTED = {
-    "noise": ("colour_little", "colour_mended"),
+    "noise": ("colour_little",),
     "candidates": ("testable",),
 }
 """Thresholds that the evidence was computed by, and what of it."""
@@ -194,7 +194,7 @@ def _unfollowing(laboratory: Laboratory, final: FittedModel, policy: DiagnosisPo
     Returns:
         None where there are next to no random forces, or the simulation follows as far as they let it.
     """
-    if max(final.random) < policy.gross_random:
+    if max(final.random) < policy.consequence:
         return None
     found = _residual(laboratory, final, policy, "")
     return found if found is not None and found.vetoes else None
@@ -219,4 +219,4 @@ def _residual(
 
 def is_of_the_current(facts: Facts, random: tuple[float, float], policy: DiagnosisPolicy) -> bool:
     """Return whether random forces are the noise of a measured current."""
-    return is_current_noise(random, facts.current_noise, force=policy.gross_random, times=policy.simulation.beyond)
+    return is_current_noise(random, facts.current_noise, force=policy.consequence, times=policy.simulation.beyond)

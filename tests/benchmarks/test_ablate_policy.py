@@ -36,7 +36,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_rule_switched_off_is_counted_where_it_changes_a_verdict(ablate_policy: ModuleType, folder: Path) -> None:
-    table = ablate_policy.ablation(ablate_policy.evidence_in(folder))
+    table = ablate_policy.ablation(ablate_policy.evidence_of_protocols(folder))
     rows = {
         cells[1].strip(): [c.strip() for c in cells[2:-1]] for cells in (line.split("|") for line in table.splitlines())
     }
@@ -47,14 +47,14 @@ def test_a_rule_switched_off_is_counted_where_it_changes_a_verdict(ablate_policy
 
 
 def test_the_kinds_of_case_are_told_apart(ablate_policy: ModuleType, folder: Path) -> None:
-    said = ablate_policy.rates(ablate_policy.evidence_in(folder), ablate_policy.by_policy())
+    said = ablate_policy.rates(ablate_policy.evidence_of_protocols(folder), ablate_policy.by_policy())
     assert set(said.splitlines()) == {
         "effects: {'right': 1}", "pairs: {'right': 1}", "outside: {'unknown': 1}", "nothing: {'adequate': 1}",
     }  # fmt: skip
 
 
 def test_one_currency_judges_the_same_evidence(ablate_policy: ModuleType, folder: Path) -> None:
-    kept = ablate_policy.evidence_in(folder)
-    told = {name: ablate_policy.one_currency(2.0)(evidence) for (name, _), evidence in kept.items()}
+    kept = ablate_policy.evidence_of_protocols(folder)
+    told = {name: ablate_policy.one_currency(2.0)(evidence) for (name, *_), evidence in kept.items()}
     assert told["nothing, white noise"].verdict == "adequate"
     assert told["tacho_ripple"].effects == ("tacho_ripple",)

@@ -197,16 +197,16 @@ def test_what_overshadows_the_alarms_is_chosen_where_it_gains_most() -> None:
     assert steps[0].id == "lvdt_lag"
 
 
-@pytest.mark.parametrize(("angle", "named"), [(1.7e-6, "arm_coulomb"), (1e-3, "arm_presliding")])
-def test_bristles_that_yield_within_a_hundredth_of_the_sensors_noise_are_dry_friction(angle: float, named: str) -> None:
-    """Though they fit better by far: what dry friction does at once a simulation follows more smoothly so."""
+@pytest.mark.parametrize(("angle", "named"), [(1.5e-5, "arm_coulomb"), (1e-3, "arm_presliding")])
+def test_bristles_that_yield_within_the_first_sample_are_dry_friction(angle: float, named: str) -> None:
+    """Though they fit better by far, and nobody measured the angle: the rms torque moves the arm by 1.9e-4 rad in a sample."""
     search = Known(known(base=-1000.0, arm_coulomb=-900.0, arm_presliding=-800.0))
-    search.facts = dataclasses.replace(search.facts, noise={"arm_angle": 1.8e-3})
+    search.facts = dataclasses.replace(search.facts, travel={"arm_angle": 1.9e-4})
     search.values = {"arm_presliding.angle": (angle, 5e-7)}
     tried = {name: (screened(name), search.model(name)) for name in ("arm_coulomb", "arm_presliding")}
     found = chosen(search, search.base, tried, STANDARD)
     assert found is not None
     assert found.id == named
-    search.facts = dataclasses.replace(search.facts, noise={})
+    search.facts = dataclasses.replace(search.facts, travel={})
     assert (other := chosen(search, search.base, tried, STANDARD)) is not None
-    assert other.id == "arm_presliding"  # of an angle that nobody measured nothing is known
+    assert other.id == "arm_presliding"  # as in evidence of an earlier version, which does not know it

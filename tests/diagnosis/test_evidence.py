@@ -131,8 +131,8 @@ def test_a_policy_that_asks_for_what_was_not_computed_says_so() -> None:
     assert est.judge(evidence).incomplete == ()
     found = est.judge(evidence, dataclasses.replace(STANDARD, alarm=0.1, chance=1.0))
     assert any("refit of" in missing for missing in found.incomplete)
-    colour = est.judge(evidence, dataclasses.replace(STANDARD, colour_mended=1.0))
-    assert colour.incomplete == ("noise with another colour_mended",)
+    colour = est.judge(evidence, dataclasses.replace(STANDARD, colour_little=0.5))
+    assert colour.incomplete == ("noise with another colour_little",)
     shown = est.judge(evidence, dataclasses.replace(STANDARD, testable=5.0))
     assert shown.incomplete == ("candidates with another testable",)
 

@@ -235,11 +235,15 @@ def test_a_rival_that_falls_behind_is_none_any_more():
     assert selected(search)[0] == {"gravity_tilt": set(), "tacho_ripple": set()}
 
 
-def test_the_best_two_runners_up_are_asked():
+@pytest.mark.parametrize(
+    ("refits", "runners_up"), [(4, ("end_stop", "lvdt_offset", "force_offset")), (2, ("end_stop", "lvdt_offset"))]
+)
+def test_as_many_runners_up_are_asked_as_candidates_of_a_step_the_best_first(refits, runners_up):
     search = Search(TILT | known(end_stop=-5040.0, end_stop__tacho_ripple=-2500.0), first=(*FIRST, "end_stop"))
-    selected(search)
+    policy = dataclasses.replace(STANDARD, refits=refits)
+    improvements(search, search.base, search.rejects(search.base), policy)
     again = [effects for effects in search.asked if effects[-1] == "tacho_ripple" and len(effects) == 2]
-    assert again == [(effect, "tacho_ripple") for effect in ("gravity_tilt", "end_stop", "lvdt_offset")]
+    assert again == [(effect, "tacho_ripple") for effect in ("gravity_tilt", *runners_up)]
 
 
 def test_what_a_later_effect_presupposes_stays():

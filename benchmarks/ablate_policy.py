@@ -292,7 +292,8 @@ def verdicts(kept: dict[Recorded, Evidence]) -> Iterator[str]:
         for rule, told in several.items():
             if (now := told(evidence))[:3] != before[:3]:
                 changing.append(f"{rule} ({worth_of(of.name, *now[:3], protocol=of.protocol)})")
-        yield f"{of.protocol}, draw {of.draw}, {of.name}: {said}, {before.verdict} {list(before.effects)} {before.rivals}; changed by: {'; '.join(changing)}"
+        named = f"{before.verdict} {list(before.effects)} {before.rivals}"
+        yield f"{of.protocol}, draw {of.draw}, {of.name}: {said}, {named}; changed by: {'; '.join(changing)}"
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -38,8 +38,8 @@ class DiagnosisPolicy:
     removed: float = _threshold(
         0.9,
         "fraction of the misfit that the named effects must remove; the rest is the size, two standard deviations added, under"
-        " which what an effect presupposes is ruled out beside it, and the noise's part of a simulation's rms error under which that"
-        " is far from the data, so that, beside random forces, effects are selected by simulation too",
+        " which what an effect presupposes is ruled out beside it, and the noise's part of a simulation's rms error under which"
+        " that is far from the data, so that, beside random forces, effects are selected by simulation too",
         f"{_PROTOTYPE}: it refused three effects outside the catalogue",
     )
     static: float = _threshold(
@@ -72,8 +72,8 @@ class DiagnosisPolicy:
     consequence: float = _threshold(
         0.01,
         "fraction of the error, predicted or simulated, that named effects must take off to be of consequence, and of the rms force"
-        " or torque that random ones must have in one sample: where a fit follows nothing, or is far from the data, a simulation says"
-        " then whether what is named is right",
+        " or torque that random ones must have in one sample: where a fit follows nothing, or is far from the data, a simulation"
+        " says then whether what is named is right",
         "with enough data every model is wrong. Of random forces: right names left 1e-5, what stood in for others 0.1 to 0.8",
     )
     effects: int = _threshold(

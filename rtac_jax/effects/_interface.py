@@ -89,7 +89,7 @@ class Effect(eqx.Module):
         contains: ids of simpler effects that it becomes at the edge of its shape. Where the data cannot tell it from one of
             them, that one is named.
         edge: a parameter of its shape that is zero at that edge, and the output of the same unit: well below the noise of that
-            output, or below the way in one sample from rest, the effect is the one that it contains. None if it has no such parameter.
+            output, or below the way in one sample from rest, the effect is the one that it contains. None if it has none.
         presupposes: ids of effects beside which it stands on a rig: a law of its own only where the data rule those out, as
             Stribeck friction is what dry friction has more of near rest.
         resembles: ids of effects that change the motion as it does, whatever their size, so that they are refitted

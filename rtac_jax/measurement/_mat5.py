@@ -1,4 +1,4 @@
-"""Numeric variables of MAT files of version 5, read with nothing but bounds-checked slices.
+"""Numbers in variables and structures of MAT files of version 5, read with nothing but bounds-checked slices.
 
 SciPy's reader trusts the tags of a file: a damaged one can end the process. Of the format (MathWorks, "MAT-File Level 5
 File Format") this reads what a recording needs, and names the rest.
@@ -14,6 +14,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from ._errors import RecordingError
+from ._hdf5 import MOST_EXPANSION, SLACK_BYTES
 
 Order = Literal["<", ">"]
 
@@ -23,7 +24,8 @@ VERSION = 0x0100
 INT8, INT32, UINT32, MATRIX, COMPRESSED = 1, 5, 6, 14, 15
 NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 # Array classes; those with a type hold numbers.
-CLASSES = {1: "cell", 2: "struct", 3: "object", 4: "char", 5: "sparse", 16: "function", 17: "opaque"}
+CLASSES = {1: "cell", 2: "struct", 3: "object", 4: "char", 5: "sparse", 16: "function", 17: "object"}
+OPAQUE = 17  # as a timeseries or a table; it states no shape
 NUMERIC = {
     6: ("double", "f8"), 7: ("single", "f4"), 8: ("int8", "i1"), 9: ("uint8", "u1"), 10: ("int16", "i2"),
     11: ("uint16", "u2"), 12: ("int32", "i4"), 13: ("uint32", "u4"), 14: ("int64", "i8"), 15: ("uint64", "u8"),
@@ -59,6 +61,9 @@ class Variable(NamedTuple):
     body: memoryview
     packed: bool
     at: int
+
+
+_EMPTY = Variable("", "empty array", (0, 0), complex=False, dtype="", body=memoryview(b""), packed=False, at=0)
 
 
 class Mat5:
@@ -97,6 +102,46 @@ class Mat5:
             ) from error
         return real.reshape(variable.shape, order="F")
 
+    def names(self, variable: Variable) -> list[str]:
+        """Return the names of the fields of a structure that has one element or more; none of what is no structure."""
+        if variable.label != "struct" or not math.prod(variable.shape):
+            return []
+        return list(self.fields(variable, 0))
+
+    def fields(self, variable: Variable, number: int) -> dict[str, Variable]:
+        """Return the fields of one element of a structure, or of a structure array.
+
+        Args:
+            variable: that holds it.
+            number: of the element, from 0; there is one of it.
+
+        Raises:
+            RecordingError: the structure is damaged.
+        """
+        try:
+            most = MOST_EXPANSION * len(variable.body) + SLACK_BYTES
+            body = _unpacked(variable.body, most, whole=True) if variable.packed else variable.body
+            width, at = self._element(body, variable.at, INT32)
+            (length,) = self._unpack("i", width, 0)
+            listed, at = self._element(body, at, INT8)
+            if length < 1 or len(listed) % length:
+                raise Damaged("names of fields of another length than is declared")
+            names = [_text(listed[begin : begin + length]) for begin in range(0, len(listed), length)]
+            found: dict[str, Variable] = {}
+            for place in range((number + 1) * len(names)):
+                kind, element, at = self._any_element(body, at)
+                if kind != MATRIX:
+                    raise Damaged("a field is no variable")
+                if place >= number * len(names):
+                    name = names[place % len(names)]
+                    head = self._head(kind, element)
+                    found[name] = (_EMPTY if head is None else head)._replace(name=name)
+        except (Damaged, zlib.error) as error:
+            raise RecordingError(
+                f"{variable.name}: the MAT file is damaged or not complete there; copy or save it again."
+            ) from error
+        return found
+
     def _elements(self, content: memoryview) -> Iterator[tuple[int, memoryview]]:
         at = HEADER_BYTES
         while at < len(content):
@@ -118,6 +163,11 @@ class Mat5:
         if not len(element):
             return None
         flags, after = self._element(element, 0, UINT32)
+        if len(flags) == 8 and self._unpack("II", flags, 0)[0] & 0xFF == OPAQUE:
+            name, _ = self._element(element, after, INT8)
+            return Variable(
+                _text(name), CLASSES[OPAQUE], (1, 1), complex=False, dtype="", body=body, packed=packed, at=0
+            )
         shape, after = self._element(element, after, INT32)
         name, after = self._element(element, after, INT8)
         if len(flags) != 8 or len(shape) < 8 or len(shape) % 4:

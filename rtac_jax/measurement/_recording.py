@@ -133,8 +133,9 @@ class Recording:
     ) -> "Recording":
         """Import a recording of one experiment from the variables of a MAT file (v5 or v7.3).
 
-        `channels` maps channels to variables, as in `{"disturbance_force": "V1", "cart_position": "V2"}`; each
-        variable is a vector. Either `sample_time` [s] or `time`, the variable with the times, is given. The other
+        `channels` maps channels to variables, as in `{"disturbance_force": "V1", "cart_position": "V2"}`; each is a vector, or
+        names one as in MATLAB: the field of a structure (`out.x`, `scope.signals(2).values`), a column (`log(:,3)`) or a row
+        (`ans(2,:)`) of a matrix. Either `sample_time` [s] or `time`, the variable with the times, is given. The other
         options are those of `ImportOptions`.
 
         Raises `FileNotFoundError`, or `RecordingError` naming the variable, option or sample that is wrong.

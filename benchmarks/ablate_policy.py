@@ -218,7 +218,7 @@ def one_currency(times: float) -> Judge:
 
 
 def anything(evidence: Evidence, model: FittedModel) -> float:
-    """What the strongest force of unknown origin would gain in the log-likelihood; 0 where no test rejects."""
+    """Return what the strongest force of unknown origin would gain in the log-likelihood; 0 where no test rejects."""
     tests = adequacy_tests(evidence.findings.get(model.number, Findings()), STANDARD.critical)
     return 0.5 * excess_of(tests)
 
@@ -243,7 +243,7 @@ def error(before: FittedModel, after: FittedModel) -> float:
 
 
 def worth(of: Recorded, told: Told) -> int:
-    """How good a verdict is against what the rig hides; more is better."""
+    """Return how good a verdict is against what the rig hides; more is better."""
     said = worth_of(of.name, *told[:3], protocol=of.protocol)
     order = _ORDER[kind_of(of.name)]
     return order.index(said) if said in order else 0

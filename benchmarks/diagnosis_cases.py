@@ -178,7 +178,7 @@ def kind_of(name: str) -> str:
 
 
 def outcome(result: dict, also: Sequence[str] = (), stands_for: Mapping[str, str] | None = None) -> str:
-    """What the verdict was worth, as in `est.study`, where the rig has what is hidden and these effects.
+    """Return the worth of a verdict, as in `est.study`, where the rig has what is hidden and these effects.
 
     An effect that another stands for is to be named by that one.
     """

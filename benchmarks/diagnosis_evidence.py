@@ -60,7 +60,7 @@ def _evidence(recording: rtac.Recording) -> Evidence:
 
 
 def folder_of(directory: Path, protocol: str) -> Path:
-    """Where the evidence of a protocol is kept; of the usual one, beside the others' folders."""
+    """Return the folder of a protocol's evidence; of the usual one, that which holds the others' folders."""
     return directory if protocol == "usual" else directory / protocol.replace(", ", "_").replace(" ", "_")
 
 
@@ -87,12 +87,12 @@ def by_protocol(directory: Path) -> str:
 
 
 def evidence_path(directory: Path, name: str, draw: int) -> Path:
-    """Where the evidence of one recording is kept."""
+    """Return the file of one recording's evidence."""
     return directory / f"{draw:03d} {name.replace(':', '')}.json".replace(" ", "_")
 
 
 def evidence_in(directory: Path) -> dict[tuple[str, int], Evidence]:
-    """All evidence that is kept, by case and draw."""
+    """Return all evidence that is kept, by case and draw."""
     known = {evidence_path(directory, name, 0).name[3:]: name for members in KINDS.values() for name in members}
     known |= {evidence_path(directory, name, 0).name[3:]: name for members in HARD.values() for name in members}
     return {
@@ -103,7 +103,7 @@ def evidence_in(directory: Path) -> dict[tuple[str, int], Evidence]:
 
 
 class Recorded(NamedTuple):
-    """What was recorded: a case of a draw by a protocol."""
+    """A recording: the case of a draw by a protocol."""
 
     name: str
     draw: int
@@ -111,7 +111,7 @@ class Recorded(NamedTuple):
 
 
 def evidence_of_protocols(directory: Path) -> dict[Recorded, Evidence]:
-    """All evidence that is kept in a folder and in those of other protocols below it."""
+    """Return all evidence that is kept in a folder and in those of other protocols below it."""
     return {
         Recorded(name, draw, protocol): one
         for protocol in PROTOCOLS
@@ -122,11 +122,11 @@ def evidence_of_protocols(directory: Path) -> dict[Recorded, Evidence]:
 def worth_of(
     name: str, verdict: str, effects: Sequence[str], rivals: dict[str, tuple[str, ...]], *, protocol: str = "usual"
 ) -> str:
-    """The outcome of a judgement against what is hidden in a case, and by the protocol itself."""
+    """Return the outcome of a judgement against what is hidden in a case, and by the protocol itself."""
     chosen = PROTOCOLS[protocol]
     return outcome(as_result(name, verdict, effects, rivals), chosen.also, chosen.stands_for)
 
 
 def as_result(name: str, verdict: str, effects: Sequence[str], rivals: dict[str, tuple[str, ...]]) -> dict[str, Any]:
-    """What `outcome` asks of a judgement."""
+    """Return a judgement as `outcome` asks for it."""
     return {"case": name, "verdict": verdict, "steps": list(effects), "groups": rivals}

@@ -108,5 +108,5 @@ HARD: Mapping[str, dict[str, HardCase]] = {
 
 
 def recording_of(case: HardCase, seed: int, draw: int) -> rtac.Recording:
-    """What is recorded of a hard case; of an odd draw the rig is shaken."""
+    """Record a hard case; of an odd draw the rig is shaken."""
     return case.made(drawn(case, seed, draw), seed)

@@ -1,4 +1,4 @@
-"""What is told of every candidate: its score, its detection limit, and what a refit with it gained."""
+"""The results of every candidate: its score, its detection limit, and what a refit with it gained."""
 
 import dataclasses
 

@@ -1,4 +1,4 @@
-"""What is said where simulations, and not predictions one sample ahead, decide what is named."""
+"""Remarks of a diagnosis where simulations, and not predictions one sample ahead, decide what is named."""
 
 from collections.abc import Collection, Mapping, Sequence
 

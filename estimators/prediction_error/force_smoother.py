@@ -116,7 +116,7 @@ class _Update(NamedTuple):
 
 
 class _Filtered(NamedTuple):
-    """What a filter knows at every sample, and what a smoother needs to go back.
+    """The states and covariances of a filter at every sample, with what a smoother needs to go back.
 
     Attributes:
         mean, spread: of the states after all outputs of the sample.

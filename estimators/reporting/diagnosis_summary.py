@@ -60,7 +60,7 @@ def of_diagnosis(
 
 @dataclasses.dataclass(frozen=True)
 class _Told:
-    """What the bullets ask of a diagnosis, or of a loop.
+    """The facts of a diagnosis, or of a loop, that the bullets ask for.
 
     Attributes:
         verdict: of it.

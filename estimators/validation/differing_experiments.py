@@ -1,4 +1,4 @@
-"""What differs between the experiments that a fit does not follow together: one parameter, or one experiment alone."""
+"""The difference between experiments that a fit does not follow together: one parameter, or one experiment alone."""
 
 import contextlib
 import dataclasses

@@ -24,7 +24,7 @@ class Field(NamedTuple):
 
 
 class Address(NamedTuple):
-    """Where a vector stands in a MAT file, as `scope.signals(2).values`, `log(:,3)` or `ans(2,:)`.
+    """The place of a vector in a MAT file, as `scope.signals(2).values`, `log(:,3)` or `ans(2,:)`.
 
     Attributes:
         fields: the variable and the fields below it.

@@ -75,6 +75,8 @@ _ASSUMES: dict[str, tuple[str, tuple[str, ...]]] = {
     "arm_viscous.negative": _ARM_FRICTION,
 }
 """By name: the assumption in words, and ids of effects, the likeliest first."""
+_FORCE = ("force_delay", "force_lag", "force_saturation", "force_dead_zone")
+_BY_FORCE = ("spring_stiffness", "natural frequency", "cart_viscous.coefficient", "damping ratio", "cart_coulomb.level")
 
 
 def assumed(name: str, channels: Collection[str]) -> tuple[str, tuple[str, ...]] | None:
@@ -82,12 +84,15 @@ def assumed(name: str, channels: Collection[str]) -> tuple[str, tuple[str, ...]]
 
     Args:
         name: of the quantity.
-        channels: that were recorded; effects of a sensor that the rig does not have are left out.
+        channels: that were recorded; effects of a sensor that the rig does not have, and of a force that nobody applies, are left
+            out.
     """
     if name not in _ASSUMES:
         return None
     words, effects = _ASSUMES[name]
     if words == _INTEGRATED and ("arm_angle" in channels or "arm_velocity" not in channels):
         words = _LEVEL
+    if name in _BY_FORCE and "disturbance_force" in channels:
+        words, effects = f"{words}, and the applied force acts as it was recorded", (*effects, *_FORCE)
     needs = {effect: CATALOGUE[effect].needs_channel for effect in effects}
     return words, tuple(effect for effect, channel in needs.items() if channel is None or channel in channels)

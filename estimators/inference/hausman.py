@@ -33,7 +33,7 @@ from estimators.linear.fit import LinearModels
 from estimators.prediction_error.fit import PredictorFit
 from rtac_jax import RTAC, require_configured
 from rtac_jax.arguments import checked_arguments
-from rtac_jax.measurement import Recording
+from rtac_jax.measurement import INPUTS, Recording
 
 _DRAWS, _FEW = 80, 32  # replicates, of experiments that are short or long
 _SHARED = 1e-3  # fraction of an estimate's own deviation within which two are the same, whatever the model
@@ -169,7 +169,7 @@ def agreement(
     simulation = _simulation(fits[0], recording, predictors) if fits else None
     return Agreement(
         names, units, said, asks, values, spread, pairs, level, draws, bool(predictors), misfit, simulation,
-        tuple(c for c in CHANNELS if any(c in e.outputs for e in recording)),
+        tuple(c for c in (*CHANNELS, *INPUTS) if any(c in {**e.outputs, **e.inputs} for e in recording)),
     )  # fmt: skip
 
 

@@ -30,6 +30,10 @@ def test_verdict_names_the_assumption_that_fails() -> None:
     assert "torque is proportional" not in one.verdict
     assert "both for each moment and for the whole" in one.verdict
     assert one.suspects[0] == "cubic_spring"
+    assert not [effect for effect in one.suspects if effect.startswith("force_")]
+    driven = dataclasses.replace(one, channels=("cart_position", "disturbance_force"))
+    assert "and the applied force acts as it was recorded" in driven.verdict
+    assert driven.suspects[-4:] == ("force_delay", "force_lag", "force_saturation", "force_dead_zone")
 
 
 def agreed(p_values: tuple[float, ...], *, std: float = 0.01) -> Agreement:

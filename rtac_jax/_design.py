@@ -89,7 +89,12 @@ def design_excitation(
     if len(waves) != len(initial_angles):
         raise ValueError(f"current: has {len(waves)} rows for {len(initial_angles)} initial_angles; give one for each.")
     count = waves.shape[1]
-    period = 2 * np.pi / float(np.asarray(model.body.natural_frequency()))
+    natural = float(np.asarray(model.body.natural_frequency()))
+    if not natural > 0:
+        raise ValueError(
+            "the model has no spring (spring_stiffness = 0), so nothing brings the cart back; plan its moves."
+        )
+    period = 2 * np.pi / natural
     longer = np.pad(waves, ((0, 0), (0, int(np.ceil(_AFTER * period / sample_time)))))
     scale = min(1.0, torque_limit / (float(np.asarray(model["torque_constant"])) * float(np.max(np.abs(current)))))
     for _ in range(_MOST_TRIES):

@@ -45,7 +45,10 @@ class RigidBody(eqx.Module):
     def __check_init__(self) -> None:
         for name in ("total_mass", "arm_inertia", "spring_stiffness", "torque_constant"):
             value = getattr(self, name)
-            if _is_concrete(value) and not np.all(np.asarray(value) > 0):
+            # A slide has no spring.
+            if _is_concrete(value) and not np.all(
+                (np.asarray(value) > 0) | (name == "spring_stiffness") & (value == 0)
+            ):
                 raise ValueError(f"{name} is {np.asarray(value)}, but must be positive.")
         values = (self.total_mass, self.arm_inertia, self.eccentric_moment)
         if all(_is_concrete(value) for value in values) and not np.all(
@@ -55,6 +58,13 @@ class RigidBody(eqx.Module):
                 f"eccentric_moment is {np.asarray(self.eccentric_moment)}, but its square must be below "
                 "total_mass times arm_inertia, or the mass matrix is not positive definite."
             )
+
+    @classmethod
+    def as_fitted(cls, **values: Any) -> "RigidBody":
+        """Return a body with values that are not checked, as a fit of a model that lacks something may end at."""
+        made = cls(**dict.fromkeys(values, 1.0) | {"eccentric_moment": 0.0})
+        names = list(values)
+        return eqx.tree_at(lambda body: [getattr(body, name) for name in names], made, [values[name] for name in names])
 
     def coupling(self) -> Any:
         """Return epsilon = m e / sqrt((I+m e^2)(M+m)), equation (3); no unit."""

@@ -145,11 +145,15 @@ def equation_4(model: RTAC, *, arm_angle: float = 0.0, rate: float = 1.0) -> ct.
         rate: normalised time per unit of the result's time, 1 for the paper's own.
 
     Raises:
-        ValueError: the angle is not finite or the rate is not positive.
+        ValueError: the angle is not finite, the rate is not positive, or the model has no spring.
     """
     if not (np.isfinite(arm_angle) and np.isfinite(rate) and rate > 0):
         raise ValueError(f"arm_angle is {arm_angle} and rate is {rate}; give a finite angle and a positive rate.")
     body = model.body
+    if not float(body.spring_stiffness) > 0:
+        raise ValueError(
+            "the model has no spring (spring_stiffness = 0), whose period is the normalised time of equation (4)."
+        )
     viscous = float(model["cart_viscous.coefficient"]) if "cart_viscous" in model else 0.0
     coupling = float(body.coupling()) * np.cos(arm_angle)
     damping = viscous / float(jnp.sqrt(body.spring_stiffness * body.total_mass))

@@ -85,6 +85,9 @@ def improved(
     extended = len(found.validation.models) > 1
     if found.settled:
         work.withdraw_inconsistencies()
+    for comparison in (found.train, found.validation):
+        if comparison.diverging:
+            work.say(comparison.diverging)
     errors = _tables.error_table(found.train, found.validation)
     advice = _advice(found, work)
     own = advice.parameters if advice is not None and advice.estimator == "output error" else None

@@ -192,8 +192,13 @@ class Job:
         """Compare fits with the training part and with what was held out, or None; predicting some samples ahead, if asked."""
         import estimators as est
 
-        tested = None if self.held_out is None else est.compare(fits, self.held_out, labels=labels, ahead=ahead)
-        return est.compare(fits, self.train, labels=labels, ahead=ahead), tested
+        options: Any = {"labels": labels, "ahead": ahead, "hold_diverging": True}
+        tested = None if self.held_out is None else est.compare(fits, self.held_out, **options)
+        trained = est.compare(fits, self.train, **options)
+        for comparison in (trained, tested):
+            if comparison is not None and comparison.diverging:
+                self.say(comparison.diverging)
+        return trained, tested
 
     @contextmanager
     def explaining(self) -> Iterator[None]:

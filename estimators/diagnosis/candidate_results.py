@@ -70,7 +70,9 @@ def candidates_of(laboratory: LiveLaboratory, found: Judgement) -> list[Candidat
 
 
 def _most(selection: Selection, samples: int) -> float:
-    """Return the fraction of the base model's squared prediction error that is known to be avoidable."""
+    """Return the fraction of the base model's squared prediction error that is known to be avoidable; 0 where nothing rejects."""
+    if not selection.steps and not any(test.rejects for test in selection.tests):
+        return 0.0
     base = selection.base
     single = [gain(base, model) for before, model in selection.tried.values() if before.number == base.number]
     least = [

@@ -3,7 +3,7 @@
 import dataclasses
 import time
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -15,6 +15,7 @@ from estimators.core.fit import Fit
 from estimators.core.progress import Progress
 from estimators.core.sensor_noise import rounded
 from estimators.core.threads import one_blas_thread
+from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.candidate_results import candidates_of, not_testable
 from estimators.diagnosis.candidate_set import offered
 from estimators.diagnosis.diagnosis import Diagnosis
@@ -57,7 +58,7 @@ from estimators.diagnosis.refitting import (
     with_predictive_steps,
 )
 from estimators.diagnosis.setting import Setting, effect_of, setting_of
-from estimators.diagnosis.simulation_remarks import found_by_simulation, untried, without_the_physics
+from estimators.diagnosis.simulation_remarks import found_by_simulation, of_nearest, untried, without_the_physics
 from estimators.diagnosis.testability import stood_for
 from estimators.diagnosis.verdict import Judgement, decide, is_of_the_current, judge
 from estimators.diagnosis.workers import Workers
@@ -268,8 +269,21 @@ def _told(
         values={name: float(value) for name, value in final.values.items()},
         broken_off=laboratory.broken_off,
         awaits_law=found.selection.static,
+        nearest_simulated=_nearest_simulated(laboratory, found, by_id),
     )
     return dataclasses.replace(told, explanation=_explanation(told, found, setting, thorough=evidence.thorough))
+
+
+def _nearest_simulated(
+    laboratory: LiveLaboratory, found: Judgement, candidates: Mapping[str, Candidate]
+) -> tuple[Candidate, ...]:
+    """Return the candidates with which a simulation that fails leaves least, the nearest first; none where one is named."""
+    if found.steps or found.simulation is None or found.simulation.cause != "unexplained":
+        return ()
+    return tuple(
+        dataclasses.replace(candidates[effect], error_reduction=removed, parameters=parameters)
+        for effect, removed, parameters in laboratory.nearest_simulated(found.selection.base)
+    )
 
 
 def _extents(experiments: Sequence[Experiment]) -> dict[str, tuple[float, float]]:
@@ -294,6 +308,7 @@ def _explanation(told: Diagnosis, found: Judgement, setting: Setting, *, thoroug
     )  # fmt: skip
     if told.simulation is not None and further and not steps:
         text += without_the_physics(further, told.simulation)
+    text += of_nearest(told.nearest_simulated)
     if told.by_simulation and told.evidence is not None:
         known = told.evidence.simulations
         text += found_by_simulation(known[found.selection.base.number], known[found.final.number], told.coloured)

@@ -58,6 +58,8 @@ class Diagnosis(Result):
         broken_off: what was asked and not computed, as the time that was given was over: candidates by id, and what else.
         awaits_law: whether a force of one variable explains nearly all that is missing, and what raised no alarm was not looked at
             again for that (`laws_first`).
+        nearest_simulated: where nothing is named although the simulation fails, the candidates that take most of its squared error
+            beyond the noise off (`error_reduction`), as simulations with them estimate them, the nearest first.
     """
 
     verdict: Verdict
@@ -87,6 +89,7 @@ class Diagnosis(Result):
     values: Mapping[str, float] = dataclasses.field(default_factory=dict)
     broken_off: tuple[str, ...] = ()
     awaits_law: bool = False
+    nearest_simulated: tuple[Candidate, ...] = ()
 
     @property
     def misfit(self) -> str:

@@ -79,7 +79,7 @@ def improve(
     with ThreadPoolExecutor(1) as other:
         other.submit(compile_diagnosis, model, train, candidates)
         base = output_error(model, train, progress=progress)
-        first = Added(base, compare(base, held_out, labels=["base"]).models[0], "simulated")
+        first = Added(base, compare(base, held_out, labels=["base"], hold_diverging=True).models[0], "simulated")
     loop = Loop(
         train,
         held_out,
@@ -115,7 +115,7 @@ def improve(
         diagnosed=tuple(loop.diagnosed),
         added=tuple(added),
         verdict=verdict,
-        train=compare(fits, loop.followed, labels=labels).with_noise(colour),
+        train=compare(fits, loop.followed, labels=labels, hold_diverging=True).with_noise(colour),
         validation=Comparison(tuple(tested)).with_noise(colour),
         held=loop.held,
         predicted=steps[-1][1].way == "predicted",

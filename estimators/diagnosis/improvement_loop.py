@@ -5,7 +5,7 @@ import dataclasses
 from collections.abc import Sequence
 
 from estimators.core.deadline import PROLONGED, Deadline, OutOfTimeError
-from estimators.core.fit import Fit
+from estimators.core.fit import FAR, Fit
 from estimators.core.results import DivergedError
 from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.candidate_set import offered
@@ -320,22 +320,26 @@ class Loop:
         return all(step.way == "simulated" and step.predicted_gain is None for _, step in self.steps)
 
     def drop_superseded(self) -> None:
-        """Leave out what was added and of which little is left beside the others, if nothing is lost by it."""
-        for candidate in self.added[:-1]:
+        """Leave out what was added and of which little is left beside the others, or which the held-out experiments refuse."""
+        for candidate in self.added if len(self.added) > 1 else []:
             last, others = self.last, [c for c in self.added if c is not candidate]
             needed = any(candidate.id in effect.only_beside for effect in last.fit.model.effects)
-            if not self.all_simulated or needed or self.deadline.over or not self._is_gone(candidate):
+            gone, far = self._is_gone(candidate), max(e.rms_over_noise for e in last.tested.errors.values()) > FAR
+            if not self.all_simulated or needed or self.deadline.over or not (gone or far) or not others:
                 continue
             step = extended_without(
                 last, [candidate.id], [], "+ " + ", ".join(c.id for c in others), self.train, self.held_out,
                 progress=self.progress,
             )  # fmt: skip
-            if step is None or misfit(step.tested) > max((1 + self.policy.fall) * misfit(last.tested), 1.0):
+            refused = step is not None and misfit(step.tested) <= (1 - self.policy.fall) * misfit(last.tested)
+            lost = step is None or misfit(step.tested) > max((1 + self.policy.fall) * misfit(last.tested), 1.0)
+            if step is None or not (refused or (gone and not lost)):
                 continue
             self.steps[-1] = tuple(i for i in self.steps[-1][0] if i != candidate.id), step
             self.added = others
             beside = ", ".join(c.id for c in others)
-            self.stopped = f"{candidate.id} is left out again: beside {beside} nothing is left of it. {self.stopped}"
+            why = "the held-out error falls without it" if refused else "nothing is left of it"
+            self.stopped = f"{candidate.id} is left out again: beside {beside} {why}. {self.stopped}"
 
     def with_runner_up(self) -> "Loop | None":
         """Return the loop that goes on with a runner-up in the place of what was added, where simulations ask for it.

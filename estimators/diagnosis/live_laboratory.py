@@ -9,7 +9,7 @@ import numpy as np
 
 from estimators.core.data import moving, origins
 from estimators.core.deadline import PROLONGED, Deadline, OutOfTimeError
-from estimators.core.fit import Fit
+from estimators.core.fit import Fit, Parameter
 from estimators.diagnosis.evidence import (
     EffectTraits,
     Evidence,
@@ -41,6 +41,7 @@ from estimators.diagnosis.refitting import (
 )
 from estimators.diagnosis.setting import Setting
 from estimators.diagnosis.simulated_fits import SimulatedFits
+from estimators.diagnosis.simulation_selection import excess_left
 from estimators.diagnosis.workers import Workers
 from estimators.inference.shaken_simulation import unfollowed
 from estimators.inference.simulation_residual import judged_channels
@@ -221,6 +222,19 @@ class LiveLaboratory:
         found = {effect: errors for effect, errors in found.items() if errors}
         self._note_time(before, several, found)
         return found
+
+    def nearest_simulated(self, before: FittedModel) -> list[tuple[str, float, dict[str, Parameter]]]:
+        """Return the candidates that take most of the squared error of a model's simulation beyond the noise off.
+
+        With what each takes off, and its parameters, in the order of that.
+        """
+        base, fits = self.simulation(before).error, self._simulated.with_one(before.number)
+        left = {i: excess_left(fit.residual_over_noise, base, self.policy) for i, fit in fits.items()}
+        near = sorted((i for i in left if left[i] <= 1 - self.policy.static), key=lambda i: left[i])
+        return [
+            (i, 1 - left[i], {n.split(".")[1]: p for n, p in fits[i].parameters.items() if n.split(".")[0] == i})
+            for i in near
+        ]
 
     def computed(self, model: FittedModel) -> tuple[Setting, Refit]:
         """Return what a record stands for, and what made it."""

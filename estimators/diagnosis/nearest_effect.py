@@ -11,9 +11,13 @@ from rtac_jax.measurement import Recording
 from rtac_jax.parameters import declarations
 
 
-def nearest_of(found: Diagnosis) -> Candidate | None:
-    """Return the candidate that removes most of the misfit, of those that explain most of it; None where none does."""
-    return max((c for c in found.candidates if c.explains_most), key=lambda c: c.error_reduction, default=None)
+def nearest_of(found: Diagnosis) -> tuple[Candidate, ...]:
+    """Return the candidate that removes most of the misfit, of those that explain most of it; none where none does.
+
+    Where predictions one sample ahead miss nothing, those that take most of the simulation's squared error off.
+    """
+    explaining = [c for c in found.candidates if c.explains_most]
+    return found.nearest_simulated or tuple(sorted(explaining, key=lambda c: -c.error_reduction)[:1])
 
 
 def add_nearest(
@@ -28,6 +32,8 @@ def add_nearest(
 ) -> tuple[Added, Candidate] | None:
     """Return the model with the nearest effect, if the error of the held-out experiments clearly falls with it.
 
+    Of several that with which it falls most.
+
     Args:
         last: the model without it, against the held-out experiments.
         found: the diagnosis of that model, with a verdict that is unknown.
@@ -37,8 +43,22 @@ def add_nearest(
         policy: the thresholds by which it is kept.
         progress: show bars.
     """
-    nearest = nearest_of(found)
-    if nearest is None or nearest.id not in classes or nearest.id in last.fit.model:
+    several = nearest_of(found)[: policy.refits]
+    served = [_with_one(last, near, classes, train, held_out, policy, progress=progress) for near in several]
+    return min((one for one in served if one is not None), key=lambda one: misfit(one[0].tested), default=None)
+
+
+def _with_one(
+    last: Added,
+    nearest: Candidate,
+    classes: Mapping[str, type[Effect]],
+    train: Recording,
+    held_out: Recording,
+    policy: DiagnosisPolicy,
+    *,
+    progress: bool,
+) -> tuple[Added, Candidate] | None:
+    if nearest.id not in classes or nearest.id in last.fit.model:
         return None
     cls = classes[nearest.id]
     if not set(declarations(cls)) <= set(nearest.parameters):

@@ -190,7 +190,7 @@ class DiagnosisPolicy:
     def simulation(self) -> SimulationLimits:
         """Return the thresholds of the simulation's error."""
         return SimulationLimits(
-            self.simulation_noise, self.simulation_poor, self.random_large, self.chance, self.unfollowed
+            self.simulation_noise, self.simulation_poor, self.random_large, self.chance, self.unfollowed, self.left
         )
 
     @property

@@ -46,6 +46,10 @@ class SimulatedFits:
             self._with[number, s.id] = found
             self.errors[number, s.id] = {} if found is None else found.residual_over_noise
 
+    def with_one(self, number: int) -> dict[str, Fit]:
+        """Return the fits with one candidate beside a model, by its number, as far as there are any, by id of the candidate."""
+        return {effect: fit for (before, effect), fit in self._with.items() if before == number and fit is not None}
+
     def finish(self, number: int, effect: str, setting: Setting) -> Fit | None:
         """Fit the simulation with a candidate to its end, by number of the model before and id; None where none could be begun."""
         begun = self._with.get((number, effect))

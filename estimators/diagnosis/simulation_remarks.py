@@ -37,6 +37,22 @@ def found_by_simulation(before: SimulationError, after: SimulationError, coloure
     )
 
 
+def of_nearest(near: Sequence[Candidate]) -> str:
+    """Say which effects take most of the error of a simulation off that nothing explains, and how much; nothing of none."""
+    if not near:
+        return ""
+
+    def said(one: Candidate) -> str:
+        size = ", ".join(
+            f"{name} = {p.value:.4g} +- {p.std:.2g} {p.unit}".removesuffix(" 1") for name, p in one.parameters.items()
+        )
+        return f"{one.id} ({size}) {100 * one.error_reduction:.0f} %"
+
+    return (
+        f" Off the squared error of the simulation beyond the noise take most: {', '.join(map(said, near[:_SHOWN]))}."
+    )
+
+
 def without_the_physics(steps: Sequence[Step], simulation: SimulationResidual) -> str:
     """Return what the predictions speak for where a simulation with it does not follow, so that it is not named."""
     names = " and ".join(" or ".join([step.id, *step.rivals]) for step in without_named_rivals(steps))

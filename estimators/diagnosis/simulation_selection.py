@@ -39,7 +39,7 @@ def selected_by_simulation(laboratory: Laboratory, found: Selection, policy: Dia
     if not _is_doubtful(laboratory, found, named, policy) or (reached := _far(laboratory, named, policy)) is None:
         return None
     laboratory.say("simulations")
-    enough = policy.left * min(_excess(reached.error, base.error, policy), 1.0)
+    enough = policy.left * min(excess_left(reached.error, base.error, policy), 1.0)
     steps, left, tried = _steps(laboratory, found, base.error, enough, policy)
     simulated = dataclasses.replace(found, steps=steps, simulated=left, tried=found.tried | tried)
     count = simulated.named(laboratory.facts.samples, policy)[1]
@@ -86,7 +86,7 @@ def _steps(
     while len(steps) < policy.effects:
         asked = _asked(laboratory, now, policy)
         errors = laboratory.simulation_errors(now, list(asked.values()))
-        remaining = {i: _excess(error, base, policy) for i, error in errors.items()}
+        remaining = {i: excess_left(error, base, policy) for i, error in errors.items()}
         good = [i for i, one in remaining.items() if one <= left[-1] * (1 - policy.static)]
         taken = _taken(laboratory, now, asked, remaining, good, policy)
         if taken is None:
@@ -165,7 +165,7 @@ def _best(
     return best, [i for i in alike(best) if i != best and i not in larger]
 
 
-def _excess(error: Mapping[str, float], base: Mapping[str, float], policy: DiagnosisPolicy) -> float:
+def excess_left(error: Mapping[str, float], base: Mapping[str, float], policy: DiagnosisPolicy) -> float:
     """Return what is left of the base model's squared error beyond the noise, of all channels; infinite where one is lost."""
     if any(error[c] > max(policy.far, 2 * before) for c, before in base.items()):
         return math.inf

@@ -197,7 +197,8 @@ def _unfollowing(laboratory: Laboratory, final: FittedModel, policy: DiagnosisPo
     if max(final.random) < policy.consequence:
         return None
     found = _residual(laboratory, final, policy, "")
-    return found if found is not None and found.vetoes else None
+    # What is missing beside what is named, and random forces stand for, is for the next diagnosis.
+    return found if found is not None and found.vetoes and not found.overstated else None
 
 
 def _residual(
@@ -214,7 +215,7 @@ def _residual(
     )  # fmt: skip
     # A fit that ended elsewhere than at the best, or a motion that no simulation can follow, is no failing of the model: where no
     # noise is known, random forces in place of its own are.
-    return found if facts.noise_known or found.cause == "stand-in" else None
+    return found if facts.noise_known or found.cause == "stand-in" or found.overstated else None
 
 
 def is_of_the_current(facts: Facts, random: tuple[float, float], policy: DiagnosisPolicy) -> bool:

@@ -29,6 +29,8 @@ class SimulationLimits:
             it makes it cautious.
         unfollowed: rms error over the rms of the motion from which a simulation follows nothing. Moderate effects of the study
             reached 0.20 in 56 of 58 recordings (draws 201 and 202), gross ones 0.31 to 0.94.
+        left: rms error over that which the random forces would leave, of all channels, below which such forces cannot act: a fit
+            takes up a part of what they do, and left 0.25 or more of every shaken rig with nothing hidden (draw 161).
     """
 
     beyond: float = 2.0
@@ -36,6 +38,7 @@ class SimulationLimits:
     large: float = 0.05
     level: float = 2e-3
     unfollowed: float = 0.25
+    left: float = 0.1
 
 
 STANDARD = SimulationLimits()
@@ -78,6 +81,11 @@ class SimulationResidual:
     def vetoes(self) -> bool:
         """Return whether no model may be called adequate, and no agreement a confirmation, with such an error."""
         return self.cause not in ("noise", "shaken")
+
+    @property
+    def overstated(self) -> bool:
+        """Return whether the random forces that the predictions ask for would leave so much more that they cannot act."""
+        return self.cause == "unexplained" and self.shaken_ratio > self.ratio
 
     @property
     def headline(self) -> str:
@@ -181,13 +189,13 @@ def simulation_residual(
     """Judge the simulation error of a fit.
 
     In this order: within the noise; random forces that take the place of the model's own, where they are large and the
-    simulation is poor; more than random forces explain; an effect of the catalogue that would explain it too, and that so few
-    data cannot confirm; random forces.
+    simulation is poor; more than random forces explain, or so much less that they cannot act; an effect of the catalogue that
+    would explain it too, and that so few data cannot confirm; random forces.
 
     Where no noise is known apart from a fit, that of the fastest changes stands for it, which is less than there is where sensors
-    wander slowly. Only a poor simulation is judged then, or one that is left at thirty times that, which no usual sensor makes. So
-    it is of a channel whose noise nobody
-    knows beside others that are known: it tells only of random forces in place of the model's own.
+    wander slowly. Only a poor simulation is judged then, or one that is left at thirty times that, which no usual sensor makes, or
+    at ten times that where the random forces would leave ten times more. So it is of a channel whose noise nobody knows beside
+    others that are known: it tells only of random forces in place of the model's own.
 
     Args:
         error: rms over the noise, by channel.
@@ -209,7 +217,12 @@ def simulation_residual(
         c: ratio
         for c, ratio in error.items()
         if ratio**2 > limits.beyond
-        and ((noise_known and c not in unknown) or ratio > limits.poor * signal[c] or ratio > _NO_SENSOR)
+        and (
+            (noise_known and c not in unknown)
+            or ratio > limits.poor * signal[c]
+            or ratio > _NO_SENSOR
+            or (1.0 / limits.left < ratio < limits.left * shaken.get(c, 0.0) and not of_the_current)
+        )
     }
     beyond = {c: ratio for c, ratio in away.items() if c not in unknown}
     if not error or not (away or noise_known):
@@ -222,7 +235,7 @@ def simulation_residual(
         if noise_known and channel not in unknown:
             misses += f", {error[channel]:.2g} times the known noise"
         by = shaken.get(channel, nothing)
-        words = _words(cause, misses, by, random, suspect, seconds, of_the_current=of_the_current)
+        words = _words(cause, misses, error[channel], by, random, suspect, seconds, of_the_current=of_the_current)
         return SimulationResidual(
             cause, channel, error[channel], by, fraction, *random, words,
             noise_known and channel not in unknown, of_the_current,
@@ -243,7 +256,16 @@ def simulation_residual(
     least = max(beyond, key=lambda c: beyond[c] / shaken.get(c, nothing) if c in shaken else float("inf"))
     if least not in shaken or not beyond[least] ** 2 <= scatter * shaken[least] ** 2:
         return said("unexplained", least)
+    if not of_the_current and _fraction_left(beyond, shaken) < limits.left:
+        return said("unexplained", farthest)
     return said("too few data" if suspect else "shaken", farthest)
+
+
+def _fraction_left(error: Mapping[str, float], shaken: Mapping[str, float]) -> float:
+    """Return the rms error of a simulation over that which random forces would leave, of all channels beyond the noise together."""
+    both = [c for c in error if c in shaken]
+    would = sum(shaken[c] ** 2 for c in both)
+    return (sum(error[c] ** 2 for c in both) / would) ** 0.5 if would > 0 else float("inf")
 
 
 def percent(fraction: float) -> str:
@@ -254,6 +276,7 @@ def percent(fraction: float) -> str:
 def _words(
     cause: Cause,
     misses: str,
+    ratio: float,
     shaken: float,
     random: tuple[float, float],
     suspect: str,
@@ -273,10 +296,13 @@ def _words(
     if cause == "unexplained":
         if shaken != shaken:  # NaN
             return f"Unexplained: {misses}, and nothing says how much of that random forces would explain."
-        return (
-            f"Unexplained: {misses}. The random forces that the predictions ask for ({size}) would leave {shaken:.2g} times the"
-            " noise, so they do not explain it."
-        )
+        would = f"The random forces that the predictions ask for ({size}) would leave {shaken:.2g} times the noise"
+        if shaken > ratio:
+            return (
+                f"Unexplained: {misses}. {would}, far more, so no such forces act: they stand for what is missing and acts slowly,"
+                " or for a sensor whose noise is correlated."
+            )
+        return f"Unexplained: {misses}. {would}, so they do not explain it."
     if cause == "too few data":
         return (
             f"Too few data: {misses}. Random forces ({size}) would explain that, and so might {suspect}; {seconds} s of data are"

@@ -24,6 +24,7 @@ class AllEstimates:
         predicted: prediction error.
         agreed: all held against each other.
         spread: covariances of the fit that hold for a coloured residual.
+        whole: whether cart and arm of the rig move, as those of Table 1 do.
     """
 
     closed: ClosedForm
@@ -31,13 +32,15 @@ class AllEstimates:
     predicted: PredictorFit | None = None
     agreed: Agreement | None = None
     spread: Covariances | None = None
+    whole: bool = True
 
 
 def fit_table(known: AllEstimates) -> str:
     """Format closed form, output error and prediction error side by side, with standard deviations and differences.
 
     Returns:
-        One table, the verdict, the combinations that the data determine worst, and Table 1 of the closed form.
+        One table, the verdict, the combinations that the data determine worst, and Table 1 of the closed form where the whole rig
+        moves.
     """
     rows, predicted, closed = _rows(known), known.predicted, known.closed
     parts = ["\n".join(aligned(rows, right=range(2, len(rows[0]))))]
@@ -52,7 +55,7 @@ def fit_table(known: AllEstimates) -> str:
         parts.append("\n".join(weak))
     if skipped := [f"The closed form could not use {name}: {why}" for name, why in closed.skipped.items()]:
         parts.append("\n".join(skipped))
-    return "\n\n".join([*parts, f"Table 1 of these data\n{closed}"])
+    return "\n\n".join([*parts, f"Table 1 of these data\n{closed}"] if known.whole else parts)
 
 
 def estimates_table(known: AllEstimates) -> Table:

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from estimators.core.sensor_noise import noise_levels, spectral_floor
+from estimators.validation.arm_kinematics import is_contradicted
 from estimators.validation.equation_error import (
     COEFFICIENTS,
     Known,
@@ -19,7 +20,7 @@ from estimators.validation.equation_error import (
     solve,
     usable,
 )
-from estimators.validation.equilibrium import distance_from_equilibrium
+from estimators.validation.equilibrium import distance_from_equilibrium, is_held
 from estimators.validation.mistakes import COARSE, DELAYS, Mistake, delays, is_blurred, usual_mistakes
 from rtac_jax.arguments import checked_arguments
 from rtac_jax.measurement import Experiment, Recording, Signal, moving_at_rest
@@ -158,7 +159,6 @@ class _Search:
         as_recorded = solve([self.systems[name] for name in names]).residual
         if as_recorded < SUSPICIOUS:
             return None
-
         # Leaving out a few must not do better.
         enough = min(ALIKE * max(self.agreed.residual, 1.0), _explained(as_recorded))
 
@@ -219,7 +219,8 @@ class _Search:
         """Return that the cart moves around another place than zero, further off than a tilted plane can bring it."""
         by = dict(zip(COEFFICIENTS, self.agreed.coefficients, strict=True)) | dict(self.known.fixed)
         push = by["offset"] - by["against_offset"]
-        if by["spring"] <= 0 or abs(push) < LEVEL:
+        longest = max(e.sample_time * e.samples for e in self.experiments.values())
+        if by["spring"] <= 0 or abs(push) < LEVEL or not is_held(by["spring"], longest):
             return None
         # The equation is q'' + k/(M+m) (q - offset) = 0, so the constant is less the offset's fraction of the spring.
         off = -push / by["spring"]
@@ -263,8 +264,8 @@ class _Search:
         as_recorded = self._beside(self.systems[name])
 
         def score(mistake: Mistake) -> float:
-            changed = mistake.undo(experiment) if mistake.single else None
-            rows = None if changed is None else rows_of(changed, self._own_levels(changed))
+            changed = _undone(experiment, mistake) if mistake.single else experiment
+            rows = None if changed is experiment else rows_of(changed, self._own_levels(changed))
             left = np.inf if rows is None else self._beside(placed(rows, self.known))
             return left if rows is not None and left**2 <= EXPLAINS * rows.motion**2 else np.inf
 
@@ -343,7 +344,6 @@ class _Search:
 
 
 def _taken_off(off: float) -> str:
-    """Say how an offset of the cart's position is mended."""
     how = f"subtract {off:.4g} m from" if off > 0 else f"add {-off:.4g} m to"
     return f"{how} cart_position, or read it from where the spring is at rest"
 
@@ -353,8 +353,9 @@ def _signal(experiment: Experiment, channel: str) -> Signal | None:
 
 
 def _undone(experiment: Experiment, mistake: Mistake) -> Experiment:
+    """Return an experiment without a mistake; as it is where it cannot have it, as angle and velocity of the arm tell."""
     changed = mistake.undo(experiment)
-    return experiment if changed is None else changed
+    return experiment if changed is None or is_contradicted(experiment, changed, EXPLAINS) else changed
 
 
 def _scored(

@@ -29,7 +29,7 @@ def distance_from_equilibrium(experiment: Experiment, coefficients: Mapping[str,
     position = experiment.outputs["cart_position"].values
     known = np.isfinite(position)
     time = experiment.sample_time * np.count_nonzero(known)
-    if time * np.sqrt(spring) < 4 * np.pi:  # two periods, or the mean is that of a moment
+    if not is_held(spring, time):
         return None
     pushed = sum(float(np.mean(s.values)) for n, s in experiment.inputs.items() if n == "disturbance_force")
     balance = (coefficients["push"] * pushed - coefficients["offset"] + coefficients["against_offset"]) / spring
@@ -42,6 +42,16 @@ def distance_from_equilibrium(experiment: Experiment, coefficients: Mapping[str,
         + coefficients["viscous"] / spring * abs(float(position[known][-1] - position[known][0])) / time
     )  # fmt: skip
     return off if abs(off) > _SLACK * allowed + _ONE_SIDED * amplitude else None
+
+
+def is_held(spring: float, time: float) -> bool:
+    """Return whether a spring swings twice in a time, so that a mean tells where it rests; a slide has none.
+
+    Args:
+        spring: its stiffness over the mass [1/s^2].
+        time: of the experiment [s].
+    """
+    return bool(time * np.sqrt(spring) >= 4 * np.pi)
 
 
 def _fastest(experiment: Experiment) -> float:

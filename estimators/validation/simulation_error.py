@@ -8,21 +8,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from estimators.core.data import CHANNELS, Data, mark_of, moving
+from estimators.core.data import CHANNELS, mark_of, moving
 from estimators.core.drawing import draw
 from estimators.core.fit import Fit
 from estimators.core.information_criteria import InformationCriteria
-from estimators.core.initial_state import space_of, without_angle
-from estimators.core.jacobian_factor import Arguments, plain_residual
-from estimators.core.parameter_space import Space, Unknowns
-from estimators.core.residual import diagonal_whitener, no_gain
+from estimators.core.initial_state import without_angle
 from estimators.core.result_base import Result
-from estimators.core.results import DivergedError
 from estimators.core.sensor_noise import noise_levels, stated_levels
-from estimators.core.start_search import searched
-from estimators.core.step_size import accurate_substeps
 from estimators.prediction_error.fit import PredictorFit
 from estimators.validation.extrapolation import beyond
+from estimators.validation.free_simulation import HELD, LONG, Fitted, simulated_freely
 from estimators.validation.prediction_ahead import ahead_of, known_from
 from estimators.validation.trace import Trace
 from rtac_jax import RTAC, require_configured
@@ -30,15 +25,6 @@ from rtac_jax.arguments import checked_arguments
 from rtac_jax.effect_contract import require_working_model
 from rtac_jax.measurement import Experiment, Recording
 from rtac_jax.overview import Overview
-
-# Longer experiments without memory of their start take it from their beginning alone.
-_LONG, _BEGINNING = 8192, 2048
-_OVER = (
-    8  # times that experiments are simulated over and over at most, which costs less than compiling for their number
-)
-_LOST = 1e100  # an output beyond this has left all bounds, and its square would overflow
-
-Fitted = Fit | PredictorFit | RTAC
 
 
 @dataclasses.dataclass(frozen=True)
@@ -62,6 +48,7 @@ class Compared:
         beyond: experiments in which a learned force of the model is asked beyond its range; the variable, and at which fraction
             of the samples.
         criteria: AIC, BIC and FPE of the fit, on what it was fitted to; None where no fit was given.
+        diverging: experiments in which the model leaves all bounds, and after how long [s]; see `compare`.
     """
 
     label: str
@@ -70,6 +57,7 @@ class Compared:
     start: Mapping[str, Float[np.ndarray, " state"]]
     beyond: Mapping[str, tuple[str, float]]
     criteria: InformationCriteria | None = None
+    diverging: Mapping[str, float] = dataclasses.field(default_factory=dict)
 
     @property
     def errors(self) -> dict[str, ChannelError]:
@@ -115,6 +103,14 @@ class Comparison(Result):
             "they are white is not asked, and each holds the error of the state from which it was made."
         )
 
+    @property
+    def diverging(self) -> str:
+        """Say which models leave all bounds in which experiments; empty where none does."""
+        several = [(one.label, *where) for one in self.models for where in one.diverging.items()]
+        said = ", ".join(f"{label} after {seconds:.3g} s of {name}" for label, name, seconds in several)
+        much = f"its error there is that of {HELD:.0f} times the largest measured value"
+        return f"A model diverges ({said}): {much}, so that the others can be held against it." if several else ""
+
     def with_noise(self, levels: Mapping[str, float]) -> "Comparison":
         """Return the same beside noise of some channels that is at least so large.
 
@@ -142,7 +138,8 @@ class Comparison(Result):
         return Overview(title, ("model", "channel", "fit [%]", "rms [SI]", "rms over noise"), rows)
 
     def __str__(self) -> str:
-        lines = [] if self.ahead is None else [self.several_ahead or "Predictions one sample ahead."]
+        lines = [self.diverging] if self.diverging else []
+        lines += [] if self.ahead is None else [self.several_ahead or "Predictions one sample ahead."]
         asked = not self.several_ahead
         lines += [
             f"{'model':18s} {'experiment':16s} {'channel':14s} {'fit':>8s} {'rms':>10s} {'rms/noise':>10s}"
@@ -181,6 +178,7 @@ def compare(
     labels: Sequence[str] | None = None,
     start_samples: int | None = None,
     ahead: int | None = None,
+    hold_diverging: bool = False,
 ) -> Comparison:
     """Simulate models freely, or predict some samples ahead, and hold them against a recording.
 
@@ -195,11 +193,13 @@ def compare(
         start_samples: use only so many samples to set the start, and leave them out of the error; by default the whole
             experiment sets its start, or its beginning where it is very long and the arm cannot wander.
         ahead: predict so many samples ahead instead; the first so many of an experiment do not count.
+        hold_diverging: hold the outputs of a model that leaves all bounds in a free simulation at ten times the largest measured
+            value, as of a first model that lacks something, in place of refusing it.
 
     Raises:
         ValueError: nothing moves in the recording, a model's value is no number, the labels do not fit, `ahead` is not positive,
             or it or `start_samples` leaves no sample of an experiment.
-        DivergedError: a model leaves all bounds in an experiment; the message names both.
+        DivergedError: a model leaves all bounds in an experiment, and is not held; the message names both.
     """
     require_configured()
     if ahead is not None and ahead < 1:
@@ -222,7 +222,16 @@ def compare(
         levels |= {c: s for c, s in fitted.noise.items() if c in levels}
     return Comparison(
         tuple(
-            _compare_one(fit, label, experiments, levels, stated_levels(recording.experiments), start_samples, ahead)
+            _compare_one(
+                fit,
+                label,
+                experiments,
+                levels,
+                stated_levels(recording.experiments),
+                start_samples,
+                ahead,
+                {} if hold_diverging else None,
+            )
             for fit, label in zip(several, names, strict=True)
         ),
         ahead,
@@ -261,6 +270,7 @@ def _compare_one(
     stated: Mapping[tuple[str, str], float],
     start_samples: int | None,
     ahead: int | None,
+    lost: dict[str, float] | None,
 ) -> Compared:
     model = fit if isinstance(fit, RTAC) else fit.model
     known = None
@@ -270,19 +280,19 @@ def _compare_one(
     each = {n: jnp.mean(model[n]) for n in model.per_experiment}
     model = model.with_values(each)
     # Padding short experiments to the length of a very long one would cost more than going one by one.
-    apart = any(e.samples > _LONG for e in experiments)
+    apart = any(e.samples > LONG for e in experiments)
     groups = [[e] for e in experiments] if apart else [list(experiments)]
     traces: list[Trace] = []
     starts: dict[str, np.ndarray] = {}
     far: dict[str, tuple[str, float]] = {}
     for group in groups:
         if ahead is None:
-            simulated, start, used = _simulated(model, label, group, levels, known, start_samples, fit)
+            simulated, start, used = simulated_freely(model, label, group, levels, known, start_samples, fit, lost)
         else:
-            lost = without_angle(group)
-            begun = {e.name: known[e.name] for e in lost if known is not None and e.name in known}
-            if unknown := [e for e in lost if e.name not in begun]:
-                begun |= _simulated(model, label, unknown, levels, None, start_samples, fit)[1]
+            unmeasured = without_angle(group)
+            begun = {e.name: known[e.name] for e in unmeasured if known is not None and e.name in known}
+            if unknown := [e for e in unmeasured if e.name not in begun]:
+                begun |= simulated_freely(model, label, unknown, levels, None, start_samples, fit)[1]
             predictor = fit if isinstance(fit, PredictorFit) else None
             simulated, start = ahead_of(model, group, levels, ahead=ahead, fit=predictor, starts=begun)
             used = max(ahead, start_samples or 0)
@@ -306,95 +316,4 @@ def _compare_one(
                     )
                 )
     criteria = None if isinstance(fit, RTAC) else fit.criteria
-    return Compared(label, model, tuple(traces), starts, far, criteria)
-
-
-def _substeps(fit: Fitted) -> int | None:
-    # Predictions need fewer than a simulation.
-    return int(fit.statistics["substeps"]) if isinstance(fit, Fit) else None
-
-
-def _simulated(
-    model: RTAC,
-    label: str,
-    experiments: Sequence[Experiment],
-    levels: Mapping[str, float],
-    known: Mapping[str, np.ndarray] | None,
-    start_samples: int | None,
-    fit: Fitted,
-) -> tuple[np.ndarray, dict[str, np.ndarray], int]:
-    """Return the outputs with the best start, the starts, and the sample from which on the error counts."""
-    asked, experiments = experiments, _as_many_as(fit, experiments)
-    space = _with_places(fit, space_of(model, experiments, free=[], start=known))
-    unknowns, substeps = space.unconstrained(), _substeps(fit)
-    noise = np.array([levels.get(channel, 1.0) for channel in CHANNELS])
-    window = start_samples
-    longest = max(e.samples for e in experiments)
-    if window is None and longest > _LONG and all(e.arm == "locked" or "arm_angle" in e.outputs for e in experiments):
-        window = _BEGINNING
-    beginning = list(experiments)
-    if window is not None:
-        beginning = [e.cut(0, min(window, e.samples), e.name) for e in experiments]
-    data = Data.of(beginning)
-    steps = substeps or accurate_substeps(model, data, space, unknowns, noise)
-    # A gain of zeros, as in a fit, so that both run the same compiled function.
-    arguments = Arguments(model, data, space, diagonal_whitener(noise, data), no_gain(model, data), steps)
-    fitted = known is not None and start_samples is None and all(e.name in known for e in experiments)
-    fitted = fitted and not model.per_experiment
-    everything = data if beginning == list(experiments) else Data.of(experiments)
-    whole = dataclasses.replace(
-        arguments,
-        data=everything,
-        whitener=diagonal_whitener(np.ones(3), everything),
-        gain=no_gain(model, everything),
-    )
-    if not fitted:
-        found = searched(unknowns, arguments)
-        if found is None:
-            _outputs(unknowns, whole, label, experiments)  # says where
-            raise DivergedError(f"the model {label!r} diverges from every start that was tried; check its parameters.")
-        unknowns = found
-    simulated = _outputs(unknowns, whole, label, experiments)
-    missing = np.asarray(everything.present) == 0
-    if missing.any():
-        simulated = np.where(missing, np.nan, simulated)
-    states = np.asarray(space.physical(unknowns)[2])
-    starts = {e.name: states[:, i] for i, e in enumerate(asked)}
-    return simulated[..., : len(asked)], starts, start_samples or 0
-
-
-def _as_many_as(fit: Fitted, experiments: Sequence[Experiment]) -> list[Experiment]:
-    """Return the experiments, over and over until there are as many as were fitted: what the fit compiled serves them too."""
-    several = list(experiments)
-    if isinstance(fit, RTAC) or not len(several) < len(fit.experiments) <= _OVER * len(several):
-        return several
-    return [several[n % len(several)] for n in range(len(fit.experiments))]
-
-
-def _with_places(fit: Fitted, space: Space) -> Space:
-    """Return the space of the starts with places past the end for the parameters that the fit estimated, for the same reason."""
-    if isinstance(fit, RTAC):
-        return space
-    count = sum(name not in fit.model.per_experiment for name in fit.model.free)
-    return dataclasses.replace(space, active=jnp.full(count, len(space.names), dtype=int))
-
-
-def _outputs(unknowns: Unknowns, arguments: Arguments, label: str, experiments: Sequence[Experiment]) -> np.ndarray:
-    """Return the model's outputs in these experiments.
-
-    Raises:
-        DivergedError: it leaves all bounds in one of them.
-    """
-    error, _ = plain_residual(unknowns, arguments)
-    simulated = np.asarray(arguments.data.values) - np.asarray(error)
-    # A comparison with NaN is false, so NaN counts as lost too.
-    lost = (np.asarray(arguments.data.present) > 0) & ~(np.abs(simulated) < _LOST)
-    for column, experiment in enumerate(experiments):
-        if lost[..., column].any():
-            instant = experiment.sample_time * float(np.argmax(lost[..., column].any(axis=1)))
-            raise DivergedError(
-                f"experiment {experiment.name}: the model {label!r} diverges {instant:.3g} s after the start and cannot be "
-                "compared; fit it to this rig again (est.output_error), or check the sign and unit of the parameter last "
-                "changed."
-            )
-    return simulated
+    return Compared(label, model, tuple(traces), starts, far, criteria, lost or {})

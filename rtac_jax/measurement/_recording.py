@@ -68,7 +68,8 @@ class Recording:
                 continue
             if not isinstance(name, str) or not name.isidentifier():
                 raise RecordingError(f"/rig: a constant is named {name!r}; use the name of a parameter of the model.")
-            check = positive if name in POSITIVE else finite
+            slide = name == "spring_stiffness" and value == 0  # which has no spring
+            check = positive if name in POSITIVE and not slide else finite
             rig[name] = check(f"/rig/{name}", value, "the constant")
         object.__setattr__(self, "rig", MappingProxyType(rig))
         spread = {name: _deviation(name, value, rig) for name, value in (dict(self.rig_std) | stated).items()}

@@ -10,6 +10,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from rtac_jax._rigid_body import RigidBody
 from rtac_jax.configuration import require_configured
 from rtac_jax.effects import CATALOGUE, Effect
 from rtac_jax.effects.formula_force import Term, formula_class
@@ -160,7 +161,7 @@ class Decoder:
             )
         decoded = {name: self.decode(value) for name, value in fields.items()}
         try:
-            return record(**decoded)
+            return record.as_fitted(**decoded) if record is RigidBody else record(**decoded)
         except (TypeError, ValueError, ArithmeticError) as error:
             raise ResultFileError(
                 f"holds a {record.__name__} that cannot be made here ({error}){self._other}."

@@ -60,10 +60,15 @@ def test_one_that_does_not_help_is_not_added(
 
 @pytest.mark.parametrize("changes", [{"error_reduction": 0.4}, {"refitted": False}, {"bic_gain": -1.0}])
 def test_what_explains_less_than_half_or_could_not_be_fitted_is_none(changes: dict[str, object]) -> None:
-    assert nearest_of(unknown(candidate(**changes))) is None
-    chosen = nearest_of(unknown(candidate(**changes), candidate(id="other", error_reduction=0.6)))
-    assert chosen is not None
+    assert nearest_of(unknown(candidate(**changes))) == ()
+    (chosen,) = nearest_of(unknown(candidate(**changes), candidate(id="other", error_reduction=0.6)))
     assert chosen.id == "other"
+
+
+def test_what_simulations_speak_for_is_asked_where_predictions_miss_nothing() -> None:
+    simulated = candidate(id="arm_coulomb", refitted=False, error_reduction=0.7)
+    found = dataclasses.replace(unknown(candidate()), nearest_simulated=(simulated,))
+    assert nearest_of(found) == (simulated,)
 
 
 def test_the_picture_and_the_bullets_call_it_likely() -> None:

@@ -52,6 +52,15 @@ def test_within_twice_the_power_of_the_noise_nothing_is_said() -> None:
     assert judged(1.5, 1.0, experiments=30).cause == "unexplained"
 
 
+def test_random_forces_that_would_leave_ten_times_more_do_not_act() -> None:
+    found = judged(17.0, 350.0, signal=2000.0)
+    assert found.cause == "unexplained"
+    assert found.overstated
+    assert "would leave 3.5e+02 times the noise, far more, so no such forces act" in found.words
+    assert judged(17.0, 120.0, signal=2000.0).cause == "shaken"
+    assert not judged(17.0, 2.0, signal=2000.0).overstated
+
+
 def test_modest_random_forces_that_would_leave_as_much_explain_it() -> None:
     found = judged(4.0, 5.0)
     assert found.cause == "shaken"

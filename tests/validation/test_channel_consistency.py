@@ -24,6 +24,7 @@ from spoilt_recordings import (
 
 import estimators as est
 import rtac_jax as rtac
+from estimators.validation import arm_kinematics
 from estimators.validation.channel_consistency import _likeliest, _Search
 from estimators.validation.mistakes import delays, usual_mistakes
 from rtac_jax import virtual_rig
@@ -342,3 +343,24 @@ def test_hum_of_the_mains_is_no_motion_at_rest(frequency, told):
     said = [one for one in concerns(recording) if any(way in one for way in ways)]
     assert [way for way in ways if way in " ".join(said)] == [told]
     assert len(said) == 1
+
+
+def test_angle_and_velocity_that_agree_are_not_taken_for_swapped_or_wrong(recordings) -> None:
+    """A controller may make a current look like the velocity, and a pendulum's gravity, missing in the equations, does the rest."""
+    e = next(one for one in recordings[1] if one.kind == "forced")
+    sign = e.outputs["arm_velocity"]
+    as_velocity = dataclasses.replace(e.inputs["current"], values=0.01 * sign.values)
+    controlled = dataclasses.replace(e, inputs={**e.inputs, "current": as_velocity})
+    by_id = {mistake.id: mistake for mistake in usual_mistakes()}
+    for name in (
+        "current and arm_velocity swapped", "sign of arm_velocity", "sign of arm_angle", "arm_velocity in rpm"
+    ):  # fmt: skip
+        undone = by_id[name].undo(controlled)
+        assert undone is not None
+        assert arm_kinematics.is_contradicted(controlled, undone, 0.1), name
+    backwards = dataclasses.replace(
+        e, outputs={**e.outputs, "arm_velocity": dataclasses.replace(sign, values=-sign.values)}
+    )
+    assert not arm_kinematics.is_contradicted(backwards, e, 0.1)
+    alone = dataclasses.replace(e, outputs={"arm_velocity": sign})
+    assert arm_kinematics.velocity_error(alone) is None

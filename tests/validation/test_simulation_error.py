@@ -14,6 +14,7 @@ from estimators.core.initial_rest import at_rest, best_starts, squares
 from estimators.core.initial_state import space_of
 from estimators.core.jacobian_factor import Arguments, _factors, _residual
 from estimators.core.residual import diagonal_whitener, no_gain
+from estimators.core.results import DivergedError
 from estimators.validation import simulation_error
 from estimators.validation.simulation_error import Trace
 from rtac_jax import virtual_rig
@@ -178,3 +179,23 @@ def test_it_says_where_a_learned_force_leaves_its_range(swings: rtac.Recording, 
     assert f"of forced_1 {name} lies beyond the range of the learned force" in str(half)
     assert "forced_1" not in whole.models[0].beyond
     assert f"of forced_1 {name}" not in str(whole)
+
+
+def test_a_model_that_diverges_is_held_where_that_is_asked() -> None:
+    """As the first model of a loop may, in an experiment that it was not fitted to: an inverted spring runs away."""
+    plans = virtual_rig.standard_plans(seed=5, duration=3.0, free=1, forced=1, rest=0)
+    recording = virtual_rig.record(virtual_rig.Rig(), plans, seed=6)
+    wrong = rtac.RTAC.from_rig(recording).with_values({"spring_stiffness": -1e6})
+    with pytest.raises(DivergedError, match="diverges"):
+        est.compare(wrong, recording)
+    found = est.compare(
+        [rtac.RTAC.from_rig(recording), wrong], recording, labels=["right", "wrong"], hold_diverging=True
+    )
+    right, held = found.models
+    assert not right.diverging
+    assert set(held.diverging) == {trace.experiment for trace in held.traces}
+    for trace in held.traces:
+        assert np.max(np.abs(trace.simulated)) <= 10.0 * np.max(np.abs(trace.measured)) * (1 + 1e-12)
+    assert all(held.errors[c].rms > right.errors[c].rms for c in held.errors)
+    assert "A model diverges (wrong after" in found.diverging
+    assert found.diverging in str(found)

@@ -250,3 +250,13 @@ def test_the_old_name_of_a_field_is_no_field(record, old, new):
     assert new in names
     assert old not in names
     assert isinstance(getattr(found, old), property)
+
+
+@pytest.mark.parametrize("values", [{"spring_stiffness": 0.0}, {"arm_inertia": 7.7e-5, "eccentric_moment": 0.338}])
+def test_a_model_is_loaded_with_whatever_a_fit_ended_at(tmp_path, values):
+    """A slide has no spring, and a first model that lacks gravity may end at an inertia that no body of such a moment has."""
+    model = rtac.RTAC.paper().with_values(values)
+    model.save(tmp_path / "x.h5")
+    found = rtac.load(tmp_path / "x.h5")
+    assert {name: float(found[name]) for name in values} == values
+    assert str(found) == str(model)

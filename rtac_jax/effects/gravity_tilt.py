@@ -54,5 +54,7 @@ class GravityTilt(Force):
         swing = float(np.max(np.abs(body.eccentric_moment)))
         return (
             f"gravity_tilt of {steepest:.3g} is no sine: what is known is its product with eccentric_moment, which the model has "
-            f"at {swing:.3g} kg m, a torque of {swing * STANDARD_GRAVITY * steepest:.3g} N m. Give eccentric_moment in /rig."
+            f"at {swing:.3g} kg m, a torque of {swing * STANDARD_GRAVITY * steepest:.3g} N m. Where the arm's plane is vertical, "
+            f"eccentric_moment is {swing * steepest:.3g} kg m: give it in /rig, or, if another is given there, doubt that, or what "
+            "fixes the torque's scale."
         )

@@ -48,7 +48,7 @@ from estimators.diagnosis.innovation_tests import (
 )
 from estimators.diagnosis.live_laboratory import LiveLaboratory
 from estimators.diagnosis.noise_colour import assumed_noise, recoloured
-from estimators.diagnosis.part_of_samples import enough_of, part_of, removed_of_all, suffices
+from estimators.diagnosis.part_of_samples import enough_of, is_told_by_more, part_of, removed_of_all, suffices
 from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
 from estimators.diagnosis.refitting import (
     compile_base,
@@ -134,7 +134,9 @@ def diagnose(
         told = first.told
         if cut:
             looked_at = sum(e.samples for e in moving(part))
-            if suffices(told, lambda: first.removed_of_all(fit, recording), policy, gross=gross):
+            times = sum(e.samples for e in moving(recording)) / looked_at
+            apart = first.told_by_more(times)
+            if suffices(told, lambda: first.removed_of_all(fit, recording), policy, gross=gross, told_by_more=apart):
                 told = dataclasses.replace(told, explanation=told.explanation + of_part(looked_at, gross=gross))
             elif deadline.over:
                 told = dataclasses.replace(told, explanation=told.explanation + OF_PART_IN_TIME.format(looked_at))
@@ -150,6 +152,13 @@ class _Looked(NamedTuple):
     told: Diagnosis
     laboratory: LiveLaboratory
     found: Judgement
+
+    def told_by_more(self, times: float) -> bool:
+        """Return whether so many times the samples would tell effects apart that are named together."""
+        if self.found.selection.simulated:
+            return any(step.rivals for step in self.found.steps)
+        facts = self.laboratory.facts
+        return is_told_by_more(self.found.selection, self.found.steps, facts.samples, times, self.laboratory.policy)
 
     def removed_of_all(self, fit: Fit, recording: Recording) -> float:
         """Return what it removes of what is wrong in all samples, if it is of a part; nothing where simulations told it."""

@@ -8,10 +8,12 @@ from jaxtyping import Float
 
 from estimators.core.data import Data, motion_of, moving, origins, pieces
 from estimators.core.fit import Fit
+from estimators.diagnosis.choice import gain
 from estimators.diagnosis.diagnosis import Diagnosis
 from estimators.diagnosis.policy import DiagnosisPolicy
 from estimators.diagnosis.refit import Refit
 from estimators.diagnosis.removed_error import removed_beside
+from estimators.diagnosis.selection import Selection
 from estimators.diagnosis.setting import Setting, begun, set_up, space_for
 from estimators.diagnosis.step import Step
 from estimators.inference.shaken_simulation import unfollowed
@@ -62,7 +64,9 @@ def enough_of(fit: Fit, recording: Recording, policy: DiagnosisPolicy) -> Record
     return part
 
 
-def suffices(told: Diagnosis, all_removed: Callable[[], float], policy: DiagnosisPolicy, *, gross: bool) -> bool:
+def suffices(
+    told: Diagnosis, all_removed: Callable[[], float], policy: DiagnosisPolicy, *, gross: bool, told_by_more: bool
+) -> bool:
     """Return whether a diagnosis of a part need not be asked of all samples.
 
     Args:
@@ -70,12 +74,38 @@ def suffices(told: Diagnosis, all_removed: Callable[[], float], policy: Diagnosi
         all_removed: gives what is removed of what is wrong in all samples by what it names; see `removed_of_all`.
         policy: the thresholds.
         gross: whether the fit follows nothing. Then any effect that is added brings it nearer; else the part has to explain
-            everything by effects that it tells from all others, and that explain all samples, too.
+            everything by effects that explain all samples, too, and that it tells from all others as well as all samples would.
+        told_by_more: whether all samples would tell effects apart that the part does not; see `is_told_by_more`.
     """
     if gross or not told.additions:
         return bool(told.additions)
-    plain = told.verdict == "missing" and not any(c.confusable_with for c in told.effects)
-    return plain and all_removed() >= policy.removed
+    return not told_by_more and all_removed() >= policy.removed
+
+
+def is_told_by_more(
+    selection: Selection, steps: Sequence[Step], samples: int, times: float, policy: DiagnosisPolicy
+) -> bool:
+    """Return whether so many times the samples would tell a step from one of its rivals: likelihoods differ in proportion to them.
+
+    Args:
+        selection: that was made of a part.
+        steps: that it names.
+        samples: of the part.
+        times: as many samples there are.
+        policy: the thresholds.
+    """
+    before = selection.base
+    for step in steps:
+        for rival in step.rivals:
+            known = selection.tried.get(rival)
+            if known is not None and known[0].number == before.number:
+                apart = 2 * (gain(before, step.model) - gain(*known))
+                if times * abs(apart) > policy.bic_gain + abs(known[1].parameters - step.model.parameters) * np.log(
+                    samples
+                ):
+                    return True
+        before = step.model
+    return False
 
 
 def removed_of_all(setting: Setting, final: Refit, steps: Sequence[Step], fit: Fit, recording: Recording) -> float:

@@ -7,16 +7,20 @@ from typing import Any
 
 import numpy as np
 import pytest
+from known_search import Known, known, screened
 from made_up_results import FIT, candidate, diagnosis
 
 import estimators as est
 import rtac_jax as rtac
 from estimators.core.data import moving, pieces
+from estimators.diagnosis.choice import chosen
 from estimators.diagnosis.evidence import FittedModel
-from estimators.diagnosis.part_of_samples import enough_of, left_beyond_chance
+from estimators.diagnosis.part_of_samples import enough_of, is_told_by_more, left_beyond_chance
 from estimators.diagnosis.policy import STANDARD
 from estimators.diagnosis.removed_error import removed_beside
+from estimators.diagnosis.selection import Selection
 from estimators.diagnosis.step import Step
+from estimators.misspecification.findings import Findings
 from rtac_jax import virtual_rig
 from rtac_jax.effects import CATALOGUE
 
@@ -76,19 +80,25 @@ def told(verdict: Any, *, rival: bool = False) -> est.Diagnosis:
 
 
 @pytest.mark.parametrize(
-    ("left", "found", "removed", "whole_too"),
+    ("left", "found", "removed", "by_more", "whole_too"),
     [
-        (0.9, told("ambiguous", rival=True), 0.0, False),  # nothing is followed: anything brings it nearer
-        (0.9, told("unknown"), 1.0, True),
-        (0.1, told("missing"), STANDARD.removed, False),
-        (0.1, told("missing"), 0.99 * STANDARD.removed, True),  # it does not explain the rest
-        (0.1, told("missing", rival=True), 1.0, True),
-        (0.1, told("ambiguous", rival=True), 1.0, True),
-        (0.1, told("adequate"), 1.0, True),
+        (0.9, told("ambiguous", rival=True), 0.0, True, False),  # nothing is followed: anything brings it nearer
+        (0.9, told("unknown"), 1.0, False, True),
+        (0.1, told("missing"), STANDARD.removed, False, False),
+        (0.1, told("missing"), 0.99 * STANDARD.removed, False, True),  # it does not explain the rest
+        (0.1, told("ambiguous", rival=True), 1.0, True, True),
+        (
+            0.1,
+            told("ambiguous", rival=True),
+            1.0,
+            False,
+            False,
+        ),  # no samples tell an offset of a force from one of a sensor
+        (0.1, told("adequate"), 1.0, False, True),
     ],
 )
 def test_all_samples_are_looked_at_where_a_part_does_not_tell(
-    left: float, found: est.Diagnosis, removed: float, whole_too: bool, monkeypatch: pytest.MonkeyPatch
+    left: float, found: est.Diagnosis, removed: float, by_more: bool, whole_too: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole = locked(5, 8000)
     looked_at: list[int] = []
@@ -97,7 +107,7 @@ def test_all_samples_are_looked_at_where_a_part_does_not_tell(
     def diagnosed(fit: est.Fit, recording: rtac.Recording, *_: Any, **known: Any) -> Any:
         looked_at.append(sum(e.samples for e in recording))
         twice.append(known["thorough"])
-        return SimpleNamespace(told=found, removed_of_all=lambda *_: removed)
+        return SimpleNamespace(told=found, removed_of_all=lambda *_: removed, told_by_more=lambda times: by_more)
 
     monkeypatch.setattr(diagnose, "_diagnosed", diagnosed)
     names = tuple(e.name for e in whole)
@@ -108,6 +118,22 @@ def test_all_samples_are_looked_at_where_a_part_does_not_tell(
     assert ("16,000 samples of all experiments were looked at" in said) == (not whole_too)
     assert ("follows nothing" in said) == (left == 0.9 and not whole_too)
     assert ("misses more than the sensors do" in said) == (left == 0.1 and not whole_too)
+
+
+@pytest.mark.parametrize(
+    ("lag", "times", "by_more"), [(999.0, 4.0, False), (999.0, 6.0, True), (996.0, 1.2, False), (996.0, 1.5, True)]
+)
+def test_more_samples_tell_what_their_likelihoods_would(lag: float, times: float, by_more: bool) -> None:
+    """In proportion: 2 and 8 in twice the log-likelihood of a part, where 10 are told."""
+    search = Known(known(base=0.0, cubic_spring=1000.0, lvdt_lag=lag))
+    step = chosen(
+        search, search.base, {i: (screened(i), search.model(i)) for i in ("cubic_spring", "lvdt_lag")}, STANDARD
+    )
+    assert step is not None
+    assert step.rivals == ("lvdt_lag",)
+    tried = {i: (search.base, search.model(i)) for i in ("cubic_spring", "lvdt_lag")}
+    selection = Selection(search.base, Findings(), (), [step], tried)
+    assert is_told_by_more(selection, [step], 10_000, times, STANDARD) == by_more
 
 
 @pytest.fixture(scope="module")
@@ -139,7 +165,9 @@ def test_where_the_time_is_over_the_part_is_all_that_is_told(monkeypatch: pytest
     whole = locked(5, 8000)
 
     def diagnosed(*_: Any, **__: Any) -> Any:
-        return SimpleNamespace(told=told("adequate"), removed_of_all=lambda *_: 1.0)
+        return SimpleNamespace(
+            told=told("adequate"), removed_of_all=lambda *_: 1.0, told_by_more=lambda times: times < 1
+        )
 
     monkeypatch.setattr(diagnose, "_diagnosed", diagnosed)
     fit = dataclasses.replace(

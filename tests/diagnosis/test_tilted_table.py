@@ -56,7 +56,10 @@ def test_a_tilt_steeper_than_a_wall_says_what_is_known_instead() -> None:
     """Of an arm alone only its torque of gravity shows, and the paper's eccentric moment may be far from its own."""
     body = rtac.RTAC.paper().body
     steep = CATALOGUE["gravity_tilt"](along=0.0, across=43.3).remark(body)
-    assert "a torque of 0.45 N m. Where the arm's plane is vertical, eccentric_moment is 0.0459 kg m: give it in /rig" in steep
+    assert (
+        "a torque of 0.45 N m. Where the arm's plane is vertical, eccentric_moment is 0.0459 kg m: give it in /rig"
+        in steep
+    )
     assert steep.startswith("gravity_tilt of 43.3 is no sine")
     assert CATALOGUE["gravity_tilt"](along=0.0, across=1.0).remark(body) == ""
 

@@ -112,7 +112,7 @@ def _without_traits(trait: str, value: object) -> Judge:
 
 
 _OFF: dict[str, dict[str, float]] = {
-    "removed: nearly everything must go (0)": {"removed": 0.0},
+    "removed: nearly everything must go, and noise be little of a far simulation (0)": {"removed": 0.0},
     "bic_gain (0)": {"bic_gain": 0.0},
     "refits: candidates refitted at least (1)": {"refits": 1},
     "close: refitted beside the first (0)": {"close": 0.0},
@@ -121,12 +121,12 @@ _OFF: dict[str, dict[str, float]] = {
     "chance: scatter over seconds (1)": {"chance": 1.0},
     "known: held-out gain where others know of the effect (0)": {"known": 0.0},
     "held-out gain must be positive (known 1)": {"known": 1.0},
-    "consequence: effects must take something off the error (0)": {"consequence": 0.0},
+    "consequence: effects must take something off the error, random forces be some (0)": {"consequence": 0.0},
     "simulation_noise: the simulation's error is asked (never)": {"simulation_noise": math.inf},
     "simulation_poor: of a poor simulation (never)": {"simulation_poor": math.inf},
     "random_large: random forces in place of physics (never)": {"random_large": math.inf},
     "level: no test of adequacy rejects (0)": {"level": 0.0},
-    "edge: a shape below a sensor's noise is the simpler law (never)": {"edge": 0.0},
+    "edge: a shape well below a sensor's noise is the simpler law (never)": {"edge": 0.0},
     "confirming: what every experiment confirms (never)": {"confirming": 1_000_000},
 }
 

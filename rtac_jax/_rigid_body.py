@@ -18,7 +18,8 @@ class RigidBody(eqx.Module):
     (I+m e^2) theta'' = -m e q'' cos theta + K_m i                            (2)
 
     Raises:
-        ValueError: a mass, an inertia or a stiffness is not positive, or the mass matrix is not positive definite.
+        ValueError: a mass, an inertia or a motor constant is not positive, the stiffness is negative, or the mass matrix is not
+            positive definite.
     """
 
     total_mass: Scalar = parameter(
@@ -61,10 +62,19 @@ class RigidBody(eqx.Module):
 
     @classmethod
     def as_fitted(cls, **values: Any) -> "RigidBody":
-        """Return a body with values that are not checked, as a fit of a model that lacks something may end at."""
-        made = cls(**dict.fromkeys(values, 1.0) | {"eccentric_moment": 0.0})
-        names = list(values)
-        return eqx.tree_at(lambda body: [getattr(body, name) for name in names], made, [values[name] for name in names])
+        """Return a body whose eccentric moment may be larger than its inertia allows, as a fit where something is missing ends.
+
+        Args:
+            values: of all parameters.
+
+        Raises:
+            TypeError: one is missing.
+            ValueError: a mass, an inertia or a stiffness is not positive, or the moment is no finite number.
+        """
+        moment = values.pop("eccentric_moment", None)
+        if moment is None or not np.all(np.isfinite(np.asarray(moment, dtype=float))):
+            raise ValueError(f"eccentric_moment is {moment}, but must be finite.")
+        return eqx.tree_at(lambda body: body.eccentric_moment, cls(**values, eccentric_moment=0.0), moment)
 
     def coupling(self) -> Any:
         """Return epsilon = m e / sqrt((I+m e^2)(M+m)), equation (3); no unit."""

@@ -157,8 +157,13 @@ class _Looked(NamedTuple):
         """Return whether so many times the samples would tell effects apart that are named together."""
         if self.found.selection.simulated:
             return any(step.rivals for step in self.found.steps)
-        facts = self.laboratory.facts
-        return is_told_by_more(self.found.selection, self.found.steps, facts.samples, times, self.laboratory.policy)
+        evidence = self.laboratory.evidence(thorough=False)
+        models = {model.number: model for model in evidence.models}
+        refits = {(r.before, r.effect): models[r.after] for r in evidence.refits if r.after is not None}
+        return is_told_by_more(
+            self.found.selection.base, self.found.steps, refits, self.laboratory.policy,
+            samples=self.laboratory.facts.samples, times=times,
+        )  # fmt: skip
 
     def removed_of_all(self, fit: Fit, recording: Recording) -> float:
         """Return what it removes of what is wrong in all samples, if it is of a part; nothing where simulations told it."""

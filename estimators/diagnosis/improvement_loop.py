@@ -5,7 +5,7 @@ import dataclasses
 from collections.abc import Sequence
 
 from estimators.core.deadline import PROLONGED, Deadline, OutOfTimeError
-from estimators.core.fit import FAR, Fit
+from estimators.core.fit import Fit
 from estimators.core.results import DivergedError
 from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.candidate_set import offered
@@ -18,8 +18,6 @@ from estimators.diagnosis.model_extension import (
     WAYS,
     Added,
     add_effects,
-    extended_without,
-    is_sure,
     misfit,
     parameters_of,
 )
@@ -110,7 +108,7 @@ class Loop:
             released = self.last.fit.model.release(*parameters_of(self.last.fit.model, self.held))
             base = dataclasses.replace(self.last.fit, model=released)
             try:
-                found = self._diagnosed(base, self.candidates, thorough=self.thorough, laws_first=self._wants_laws)
+                found = self.diagnosed_again(base, self.candidates, thorough=self.thorough, laws_first=self._wants_laws)
             except DivergedError as error:
                 if not self.diagnoses:
                     raise
@@ -127,7 +125,7 @@ class Loop:
                         return
                 if not self.deadline.over:
                     with contextlib.suppress(DivergedError):
-                        found = self.diagnoses[-1] = self._diagnosed(base, self.candidates, thorough=self.thorough)
+                        found = self.diagnoses[-1] = self.diagnosed_again(base, self.candidates, thorough=self.thorough)
             if not found.additions:
                 enough = found.verdict == "adequate"
                 why = "nothing more is missing" if enough else f"{found.no_effect} explains what is missing"
@@ -140,9 +138,10 @@ class Loop:
             if not self.stopped and not offered(self.last.fit.model, self.candidates):
                 self.stopped = "Stopped: every candidate was added."
 
-    def _diagnosed(
+    def diagnosed_again(
         self, base: Fit, candidates: Sequence[type[Effect]] | None, *, thorough: bool, laws_first: bool = False
     ) -> Diagnosis:
+        """Diagnose a fit of the recording that is fitted, by the options of the loop."""
         return diagnose(
             base, self.train, candidates=candidates, thorough=thorough, policy=self.policy, within=self.deadline.within,
             progress=self.progress, laws_first=laws_first,
@@ -162,7 +161,7 @@ class Loop:
         if not classes or curve is None or (curve.port, curve.variable) != ("cart", "cart_position"):
             return False
         try:
-            other = self._diagnosed(base, classes, thorough=False)
+            other = self.diagnosed_again(base, classes, thorough=False)
         except DivergedError:
             return False
         if not other.additions or self._extend_by(other.additions, other) is not None:
@@ -306,40 +305,10 @@ class Loop:
         further.stopped = f"{read.said(self.last.tested, last)} {further.stopped}"
         return further
 
-    def _is_gone(self, candidate: Candidate) -> bool:
-        """Return whether the last fit leaves little of an effect: next to nothing of its size when it was named, or of any."""
-        if not is_sure(self.last.fit, candidate.id):
-            return True
-        names = next(effect for effect in self.last.fit.model.effects if effect.id == candidate.id).amplitudes()
-        sizes = [(self.last.fit.parameters[f"{candidate.id}.{n}"].value, candidate.parameters[n].value) for n in names]
-        return all(abs(now) <= self.policy.left * abs(named) for now, named in sizes)
-
     @property
     def all_simulated(self) -> bool:
         """Return whether simulations chose all that was added: what predictions keep is not judged by simulations."""
         return all(step.way == "simulated" and step.predicted_gain is None for _, step in self.steps)
-
-    def drop_superseded(self) -> None:
-        """Leave out what was added and of which little is left beside the others, or which the held-out experiments refuse."""
-        for candidate in self.added if len(self.added) > 1 else []:
-            last, others = self.last, [c for c in self.added if c is not candidate]
-            needed = any(candidate.id in effect.only_beside for effect in last.fit.model.effects)
-            gone, far = self._is_gone(candidate), max(e.rms_over_noise for e in last.tested.errors.values()) > FAR
-            if not self.all_simulated or needed or self.deadline.over or not (gone or far) or not others:
-                continue
-            step = extended_without(
-                last, [candidate.id], [], "+ " + ", ".join(c.id for c in others), self.train, self.held_out,
-                progress=self.progress,
-            )  # fmt: skip
-            refused = step is not None and misfit(step.tested) <= (1 - self.policy.fall) * misfit(last.tested)
-            lost = step is None or misfit(step.tested) > max((1 + self.policy.fall) * misfit(last.tested), 1.0)
-            if step is None or not (refused or (gone and not lost)):
-                continue
-            self.steps[-1] = tuple(i for i in self.steps[-1][0] if i != candidate.id), step
-            self.added = others
-            beside = ", ".join(c.id for c in others)
-            why = "the held-out error falls without it" if refused else "nothing is left of it"
-            self.stopped = f"{candidate.id} is left out again: beside {beside} {why}. {self.stopped}"
 
     def with_runner_up(self) -> "Loop | None":
         """Return the loop that goes on with a runner-up in the place of what was added, where simulations ask for it.

@@ -1,14 +1,15 @@
 """The end of the loop: what was added is looked at again, and where the verdict is unknown, last resorts are tried."""
 
+import contextlib
 import dataclasses
 
 from estimators.core.deadline import OutOfTimeError
 from estimators.core.fit import FAR, Fit
-from estimators.core.results import FAILURES
+from estimators.core.results import FAILURES, DivergedError
 from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.improvement_loop import Loop
 from estimators.diagnosis.learned_force import LearnedForce
-from estimators.diagnosis.model_extension import Added, falls_clearly, misfit
+from estimators.diagnosis.model_extension import Added, extended_without, falls_clearly, is_sure, misfit
 from estimators.diagnosis.verdict import is_of_the_current
 from estimators.linear.homogeneity_test import Equality
 from estimators.output_error.fit import output_error
@@ -67,7 +68,7 @@ def _look_again(end: LoopEnd) -> None:
     led = lead_by_predictions(end.loop)
     end.led = None if led is None else (end.loop.last.fit, led)
     end.loop = end.loop.with_runner_up() or end.loop
-    end.loop.drop_superseded()
+    drop_superseded(end.loop)
     end.loop = end.loop.with_simpler_law() or end.loop
 
 
@@ -172,3 +173,44 @@ def without_outlier(loop: Loop, *, least: float = WORTH_ASKING, leave: bool = Tr
         loop.steps.append(((), Added(one.fit, tested, "held" if loop.last.way == "held" else "simulated")))
         loop.left_out = one.name
     return found
+
+
+def drop_superseded(loop: Loop) -> None:
+    """Leave out what was added and of which little is left beside the others, or which the held-out experiments refuse.
+
+    The latter is asked of what was added at once, where the simulation of held-out experiments stays far off.
+    """
+    for candidate in tuple(loop.added) if len(loop.added) > 1 else ():
+        last, others, together = loop.last, [c for c in loop.added if c is not candidate], loop.steps[-1][0]
+        needed = any(candidate.id in effect.only_beside for effect in last.fit.model.effects)
+        far = max(e.rms_over_noise for e in last.tested.errors.values()) > FAR and len(together) > 1
+        gone = candidate is not loop.added[-1] and _is_gone(loop, candidate)
+        if needed or not (gone or (far and candidate.id in together)) or not loop.all_simulated or loop.deadline.over:
+            continue
+        step = extended_without(
+            last, [candidate.id], [], "+ " + ", ".join(c.id for c in others), loop.train, loop.held_out,
+            progress=loop.progress,
+        )  # fmt: skip
+        left = float("inf") if step is None else misfit(step.tested)
+        refused = left <= (1 - loop.policy.fall) * misfit(last.tested)
+        lost = left > max((1 + loop.policy.fall) * misfit(last.tested), 1.0)
+        if step is None or not (refused or (gone and not lost)):
+            continue
+        loop.steps[-1], loop.added = (tuple(i for i in together if i != candidate.id), step), others
+        why = "the held-out error falls without it" if refused else "nothing is left of it"
+        loop.stopped = (
+            f"{candidate.id} is left out again: beside {', '.join(c.id for c in others)} {why}. {loop.stopped}"
+        )
+        if refused:  # the last diagnosis is to be of the model that is left
+            with contextlib.suppress(DivergedError):
+                loop.diagnoses.append(loop.diagnosed_again(step.fit, loop.candidates, thorough=False))
+                loop.diagnosed.append(len(loop.steps) - 1)
+
+
+def _is_gone(loop: Loop, candidate: Candidate) -> bool:
+    """Return whether the last fit leaves little of an effect: next to nothing of its size when it was named, or of any."""
+    if not is_sure(loop.last.fit, candidate.id):
+        return True
+    names = next(effect for effect in loop.last.fit.model.effects if effect.id == candidate.id).amplitudes()
+    sizes = [(loop.last.fit.parameters[f"{candidate.id}.{n}"].value, candidate.parameters[n].value) for n in names]
+    return all(abs(now) <= loop.policy.left * abs(named) for now, named in sizes)

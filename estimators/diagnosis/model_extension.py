@@ -131,7 +131,7 @@ def add_effects(
             if way == "predicted":
                 # The model without the effect is fitted so too, or the effect would be credited with what the estimator does.
                 base = _predicted(before.model, before, train, progress=progress)
-                bases.append(Added(base, compare(base, held_out).models[0], way))
+                bases.append(Added(base, compare(base, held_out, hold_diverging=True).models[0], way))
                 fit = _predicted(extended, before, train, progress=progress)
             else:
                 held = [_Begin(holding(extended, ids))]

@@ -12,12 +12,13 @@ from rtac_jax.parameters import declarations
 
 
 def nearest_of(found: Diagnosis) -> tuple[Candidate, ...]:
-    """Return the candidate that removes most of the misfit, of those that explain most of it; none where none does.
+    """Return what comes nearest: what takes most of the simulation's squared error off, and what removes most of the misfit.
 
-    Where predictions one sample ahead miss nothing, those that take most of the simulation's squared error off.
+    Of the latter the first of those that explain most of it; none where none does.
     """
-    explaining = [c for c in found.candidates if c.explains_most]
-    return found.nearest_simulated or tuple(sorted(explaining, key=lambda c: -c.error_reduction)[:1])
+    explaining = sorted((c for c in found.candidates if c.explains_most), key=lambda c: -c.error_reduction)[:1]
+    known = {c.id for c in found.nearest_simulated}
+    return (*found.nearest_simulated, *(c for c in explaining if c.id not in known))
 
 
 def add_nearest(

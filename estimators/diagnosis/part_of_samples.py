@@ -1,19 +1,18 @@
 """A part of the samples of a long recording, which shows what a fit misses by more than the noise as well as all of them."""
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Float
 
 from estimators.core.data import Data, motion_of, moving, origins, pieces
 from estimators.core.fit import Fit
-from estimators.diagnosis.choice import gain
 from estimators.diagnosis.diagnosis import Diagnosis
+from estimators.diagnosis.evidence import FittedModel
 from estimators.diagnosis.policy import DiagnosisPolicy
 from estimators.diagnosis.refit import Refit
 from estimators.diagnosis.removed_error import removed_beside
-from estimators.diagnosis.selection import Selection
 from estimators.diagnosis.setting import Setting, begun, set_up, space_for
 from estimators.diagnosis.step import Step
 from estimators.inference.shaken_simulation import unfollowed
@@ -83,27 +82,36 @@ def suffices(
 
 
 def is_told_by_more(
-    selection: Selection, steps: Sequence[Step], samples: int, times: float, policy: DiagnosisPolicy
+    base: FittedModel,
+    steps: Sequence[Step],
+    refits: Mapping[tuple[int, str], FittedModel],
+    policy: DiagnosisPolicy,
+    *,
+    samples: int,
+    times: float,
 ) -> bool:
     """Return whether so many times the samples would tell a step from one of its rivals: likelihoods differ in proportion to them.
 
+    Where a rival's refit beside a step is not known, all samples have to tell.
+
     Args:
-        selection: that was made of a part.
-        steps: that it names.
+        base: the model before the first step.
+        steps: that a part names.
+        refits: models with one effect more, by number of the model before and id of the effect.
+        policy: the thresholds.
         samples: of the part.
         times: as many samples there are.
-        policy: the thresholds.
     """
-    before = selection.base
+    before = base
     for step in steps:
         for rival in step.rivals:
-            known = selection.tried.get(rival)
-            if known is not None and known[0].number == before.number:
-                apart = 2 * (gain(before, step.model) - gain(*known))
-                if times * abs(apart) > policy.bic_gain + abs(known[1].parameters - step.model.parameters) * np.log(
-                    samples
-                ):
-                    return True
+            known = refits.get((before.number, rival))
+            if known is None:
+                return True
+            more = step.model.parameters - known.parameters
+            apart = 2 * (step.model.log_likelihood - known.log_likelihood)
+            if abs(times * apart - more * np.log(times * samples)) > policy.bic_gain:
+                return True
         before = step.model
     return False
 

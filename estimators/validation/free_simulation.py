@@ -147,7 +147,8 @@ def _outputs(
                 "changed."
             )
         held[experiment.name] = instant
-        most = HELD * np.max(np.where(present[..., column], np.abs(measured[..., column]), 0.0), axis=0)
+        largest = np.max(np.where(present[..., column], np.abs(measured[..., column]), 0.0), axis=0)
+        most = HELD * np.where(largest > 0, largest, 1.0)
         own = np.nan_to_num(simulated[..., column], nan=np.inf, posinf=np.inf)
         simulated[..., column] = np.clip(own, -most, most)
     return simulated

@@ -108,8 +108,8 @@ class Comparison(Result):
         """Say which models leave all bounds in which experiments; empty where none does."""
         several = [(one.label, *where) for one in self.models for where in one.diverging.items()]
         said = ", ".join(f"{label} after {seconds:.3g} s of {name}" for label, name, seconds in several)
-        much = f"its error there is that of {HELD:.0f} times the largest measured value"
-        return f"A model diverges ({said}): {much}, so that the others can be held against it." if several else ""
+        much = f"its outputs are held there at {HELD:.0f} times the largest measured value"
+        return f"A model diverges ({said}): {much}, so that others can be compared with it." if several else ""
 
     def with_noise(self, levels: Mapping[str, float]) -> "Comparison":
         """Return the same beside noise of some channels that is at least so large.
@@ -292,7 +292,7 @@ def _compare_one(
             unmeasured = without_angle(group)
             begun = {e.name: known[e.name] for e in unmeasured if known is not None and e.name in known}
             if unknown := [e for e in unmeasured if e.name not in begun]:
-                begun |= simulated_freely(model, label, unknown, levels, None, start_samples, fit)[1]
+                begun |= simulated_freely(model, label, unknown, levels, None, start_samples, fit, lost)[1]
             predictor = fit if isinstance(fit, PredictorFit) else None
             simulated, start = ahead_of(model, group, levels, ahead=ahead, fit=predictor, starts=begun)
             used = max(ahead, start_samples or 0)

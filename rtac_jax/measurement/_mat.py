@@ -77,6 +77,7 @@ def _stored(parent: Any, key: str, structure: Field | None, name: str, file: h5p
         found = parent[key]
         # A field of a structure array is a list of references, one for each element.
         several = isinstance(found, h5py.Dataset) and h5py.check_ref_dtype(found.dtype) is h5py.Reference
+        several = several and "MATLAB_class" not in found.attrs  # a cell array is one of references too
         count = int(found.size) if several else 1
         if structure is None or (structure.number < count and not several):
             return found

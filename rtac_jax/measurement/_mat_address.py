@@ -42,7 +42,9 @@ class Address(NamedTuple):
         match = _ADDRESS.match(text.strip())
         steps = [] if match is None else [_FIELD.match(step) for step in match["path"].strip().split(".")]
         fields = tuple(Field(step["name"], int(step["number"] or 1) - 1) for step in steps if step is not None)
-        if match is None or len(fields) < len(steps):
+        # An element of a structure array has fields; of one number of a vector nobody asks.
+        last = next(reversed(steps), None)
+        if match is None or len(fields) < len(steps) or (last is not None and last["number"]):
             return cls((Field(text, 0),))
         if match["column"]:
             return cls(fields, 1, int(match["column"]) - 1)

@@ -200,7 +200,7 @@ def test_a_law_stays_where_nothing_more_is_missing_or_it_follows_to_the_noise(
     monkeypatch.setattr(improvement_loop, "static_force", lambda *_: (CURVE, True))
     monkeypatch.setattr(improvement_loop, "read_law", read)
     monkeypatch.setattr(read_law_module, "_text", lambda *_: "a force")
-    monkeypatch.setattr(Loop, "_diagnosed", lambda *_, **__: made_up_results.diagnosis(verdict))
+    monkeypatch.setattr(Loop, "diagnosed_again", lambda *_, **__: made_up_results.diagnosis(verdict))
     further = loop.with_law()
     assert asked == ([] if cause else [("end_stop", "current_lag")])
     assert [c.id for c in loop.added] == ["end_stop", "current_lag"]
@@ -240,7 +240,7 @@ def test_a_simpler_law_stays_where_the_model_with_it_is_adequate_too(
     )
     monkeypatch.setattr(read_law_module, "_text", lambda *_: "a force")
     monkeypatch.setattr(improvement_loop, "simpler_law", lambda *_, **__: found if read else None)
-    monkeypatch.setattr(Loop, "_diagnosed", lambda *_, **__: made_up_results.diagnosis(after))
+    monkeypatch.setattr(Loop, "diagnosed_again", lambda *_, **__: made_up_results.diagnosis(after))
     further = loop.with_simpler_law()
     assert (further is not None) == taken
     if further is not None:
@@ -282,11 +282,36 @@ def test_what_nothing_is_left_of_beside_what_was_added_later_goes(
         tested = None if left is None else made_up_results.compared(label, left)
         return None if tested is None else dataclasses.replace(last, tested=tested)
 
-    monkeypatch.setattr(improvement_loop, "extended_without", without)
-    loop.drop_superseded()
+    monkeypatch.setattr(loop_end, "extended_without", without)
+    loop_end.drop_superseded(loop)
     assert [c.id for c in loop.added] == (["current_lag"] if dropped else ["encoder_lag", "current_lag"])
     assert loop.steps[-1][0] == (("current_lag",) if dropped else ("encoder_lag", "current_lag"))
     assert loop.stopped.startswith("encoder_lag is left out again") == dropped
+
+
+@pytest.mark.parametrize(("error", "left", "dropped"), [(63.0, 50.0, True), (63.0, 62.0, False), (8.0, 5.0, False)])
+def test_what_was_added_at_once_and_held_out_experiments_refuse_goes(
+    monkeypatch: pytest.MonkeyPatch, error: float, left: float, dropped: bool
+) -> None:
+    """Where they stay far off: a dead zone beside gravity made them worse. What is left is diagnosed again."""
+    loop = new_loop()
+    loop.steps.append((("encoder_lag", "current_lag"), fitted(8e-3, 1e-5, error)))
+    named = {"time_constant": Parameter(8e-3, 1e-5, "s")}
+    loop.added = [made_up_results.candidate(name, 50.0, parameters=named) for name in ("encoder_lag", "current_lag")]
+
+    def without(
+        last: Added, given_up: Sequence[str], several: Sequence[Effect], label: str, *_: Any, **__: Any
+    ) -> Added:
+        worse = given_up == ["current_lag"]
+        return dataclasses.replace(last, tested=made_up_results.compared(label, 2 * error if worse else left))
+
+    monkeypatch.setattr(loop_end, "extended_without", without)
+    monkeypatch.setattr(Loop, "diagnosed_again", lambda *_, **__: made_up_results.diagnosis("unknown"))
+    before = len(loop.diagnoses)
+    loop_end.drop_superseded(loop)
+    assert [c.id for c in loop.added] == (["current_lag"] if dropped else ["encoder_lag", "current_lag"])
+    assert len(loop.diagnoses) == before + dropped
+    assert ("the held-out error falls without it" in loop.stopped) == dropped
 
 
 @pytest.mark.parametrize(

@@ -68,7 +68,8 @@ def test_what_explains_less_than_half_or_could_not_be_fitted_is_none(changes: di
 def test_what_simulations_speak_for_is_asked_where_predictions_miss_nothing() -> None:
     simulated = candidate(id="arm_coulomb", refitted=False, error_reduction=0.7)
     found = dataclasses.replace(unknown(candidate()), nearest_simulated=(simulated,))
-    assert nearest_of(found) == (simulated,)
+    assert nearest_of(found) == (simulated, candidate())
+    assert nearest_of(dataclasses.replace(found, candidates=())) == (simulated,)
 
 
 def test_the_picture_and_the_bullets_call_it_likely() -> None:

@@ -18,9 +18,7 @@ from estimators.diagnosis.evidence import FittedModel
 from estimators.diagnosis.part_of_samples import enough_of, is_told_by_more, left_beyond_chance
 from estimators.diagnosis.policy import STANDARD
 from estimators.diagnosis.removed_error import removed_beside
-from estimators.diagnosis.selection import Selection
 from estimators.diagnosis.step import Step
-from estimators.misspecification.findings import Findings
 from rtac_jax import virtual_rig
 from rtac_jax.effects import CATALOGUE
 
@@ -131,9 +129,15 @@ def test_more_samples_tell_what_their_likelihoods_would(lag: float, times: float
     )
     assert step is not None
     assert step.rivals == ("lvdt_lag",)
-    tried = {i: (search.base, search.model(i)) for i in ("cubic_spring", "lvdt_lag")}
-    selection = Selection(search.base, Findings(), (), [step], tried)
-    assert is_told_by_more(selection, [step], 10_000, times, STANDARD) == by_more
+    refits = {(search.base.number, i): search.model(i) for i in ("cubic_spring", "lvdt_lag")}
+    asked: Any = {"samples": 10_000, "times": times}
+    assert is_told_by_more(search.base, [step], refits, STANDARD, **asked) == by_more
+    second = dataclasses.replace(step, rivals=())
+    later = {(step.model.number, "lvdt_lag"): search.model("lvdt_lag")}
+    assert is_told_by_more(search.base, [second, step], later, STANDARD, **asked) == by_more
+    assert is_told_by_more(
+        search.base, [second, step], refits, STANDARD, **asked
+    )  # it was fitted beside another model only
 
 
 @pytest.fixture(scope="module")

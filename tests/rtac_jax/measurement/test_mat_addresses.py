@@ -57,6 +57,8 @@ def version_7_3(path: Path) -> None:
         targets = [write(file, f"#refs#/{name}", values) for name, values in (("a", CURRENT), ("b", POSITION))]
         references = np.array([[target.ref] for target in targets], dtype=h5py.ref_dtype)
         signals.create_dataset("values", data=references, dtype=h5py.ref_dtype)
+        cells = out.create_dataset("cells", data=references, dtype=h5py.ref_dtype)
+        cells.attrs["MATLAB_class"] = np.bytes_("cell")
         write(file, "log", HELD["log"])
         write(file, "ans", HELD["ans"])
     path.write_bytes(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM" + path.read_bytes()[128:])
@@ -104,11 +106,23 @@ def test_an_address_of_nothing_is_told_what_there_is(tmp_path: Path, version: st
     path = written(tmp_path / "run.mat", version)
     if version == "7.3":
         said = re.sub("out, scope, log, ans", "ans, log, out, scope", said).replace(
-            r"out\.time, out\.current", r"out\.cart, out\.current, out\.time"
+            r"out\.time, out\.current", r"out\.cart, out\.cells, out\.current, out\.time"
         )
-        said = said.replace("time, current", "cart, current, time")
+        said = said.replace("time, current", "cart, cells, current, time")
     with pytest.raises(RecordingError, match=said):
         read(path, "log(:,1)", name, "log(:,3)")
+
+
+@pytest.mark.parametrize("version", ["6", "7", "7.3"])
+@pytest.mark.parametrize("name", ["out.current(2)", "log(5)"])
+def test_an_element_of_a_vector_is_no_channel(tmp_path: Path, version: str, name: str) -> None:
+    with pytest.raises(RecordingError, match="there is no such variable"):
+        read(written(tmp_path / "run.mat", version), "log(:,1)", name, "log(:,3)")
+
+
+def test_a_cell_array_of_version_7_3_is_no_structure_array(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match=r"out\.cells: is a MATLAB cell"):
+        read(written(tmp_path / "run.mat", "7.3"), "log(:,1)", "out.cells", "log(:,3)")
 
 
 def test_a_field_without_samples_is_refused(tmp_path: Path) -> None:

@@ -157,7 +157,7 @@ class _Looked(NamedTuple):
         """Return whether so many times the samples would tell effects apart that are named together."""
         if self.found.selection.simulated:
             return any(step.rivals for step in self.found.steps)
-        evidence = self.laboratory.evidence(thorough=False)
+        evidence = self.laboratory.evidence(thorough=False, laws_first=False)
         models = {model.number: model for model in evidence.models}
         refits = {(r.before, r.effect): models[r.after] for r in evidence.refits if r.after is not None}
         return is_told_by_more(

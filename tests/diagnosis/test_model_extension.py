@@ -162,7 +162,10 @@ def looped(
         none = np.zeros((SAMPLES, 1))
         return OneStepAhead(gain + chance, seconds, {"cart_position": error}, (none, none))
 
-    def compared(fits: Any, *_: Any, labels: tuple[str, ...] = ("base",)) -> est.Comparison:
+    def compared(
+        fits: Any, *_: Any, labels: tuple[str, ...] = ("base",), hold_diverging: bool = False
+    ) -> est.Comparison:
+        del hold_diverging
         several = fits if isinstance(fits, list) else [fits]
         error = [
             {"cart_position": SimpleNamespace(rms_over_noise=f.statistics["error"], fit_percent=90.0)} for f in several
@@ -263,7 +266,7 @@ def test_a_fit_by_predictions_tells_its_likelihood_and_calls_nothing_a_cost(monk
         statistics={"substeps": 2, "seconds": 1.0},
     )  # fmt: skip
     monkeypatch.setattr(_add_effect, "prediction_error_nonlinear", lambda *_, **__: predicted)
-    monkeypatch.setattr(_add_effect, "compare", lambda *_: est.Comparison((made(Known, known={}, start={}),)))
+    monkeypatch.setattr(_add_effect, "compare", lambda *_, **__: est.Comparison((made(Known, known={}, start={}),)))
     monkeypatch.setattr(_add_effect, "_simulation_steps", lambda *_: 4)
     found = _add_effect._predicted(model, before, rtac.Recording((experiment,)), progress=False)
     assert found.statistics["log_likelihood"] == 1234.0

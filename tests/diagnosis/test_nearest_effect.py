@@ -14,7 +14,8 @@ from estimators.core.fit import Parameter
 from estimators.diagnosis import nearest_effect
 from estimators.diagnosis.model_extension import Added
 from estimators.diagnosis.nearest_effect import nearest_of
-from rtac_jax.effects import CubicSpring
+from rtac_jax.effects import CATALOGUE, CubicSpring, Effect
+from rtac_jax.parameters import declarations
 
 RECORDING = rtac.Recording((forced(),), {"total_mass": 1.23, "arm_inertia": 9.5e-5})
 MODEL = rtac.RTAC.paper()
@@ -29,6 +30,10 @@ def candidate(**changes: object) -> est.Candidate:
     told = {"id": "cubic_spring", "testable": True, "refitted": True, "bic_gain": 50.0, "error_reduction": 0.8}
     told["parameters"] = {"stiffness": Parameter(7e4, 1e3, "N/m^3")}
     return dataclasses.replace(OTHERS[0], **(told | changes))
+
+
+def of_any_size(effect: type[Effect]) -> dict[str, Parameter]:
+    return {name: Parameter(1e-2, 1e-4, "1") for name in declarations(effect)}
 
 
 def unknown(*candidates: est.Candidate) -> est.Diagnosis:
@@ -78,3 +83,22 @@ def test_the_picture_and_the_bullets_call_it_likely() -> None:
     )
     labels = [text.get_text() for text in found.plot().axes[0].get_xticklabels()]
     assert labels[-1] == "+ cubic_spring, likely"
+
+
+def test_of_several_that_simulations_speak_for_held_out_experiments_choose(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first takes most off what was fitted, and leaves the held-out experiments worse; none is taken that does not serve."""
+    left = {"dead_zone": 70.0, "arm_coulomb": 36.0, "arm_stribeck": 38.0}
+    several = tuple(candidate(id=name, parameters=of_any_size(CATALOGUE[name])) for name in left)
+    found = dataclasses.replace(unknown(), candidates=(), nearest_simulated=several)
+    before = Added(FIT, compared("base", 63.0), "simulated")
+
+    def tried(last: object, tested: object, effects: list[Effect], *_: object, **__: object) -> Added:
+        return Added(FIT, compared("with it", left[effects[0].id]), "simulated")
+
+    monkeypatch.setattr(nearest_effect, "add_effects", tried)
+    monkeypatch.setattr(nearest_effect, "is_sure", lambda *_: True)
+    taken = nearest_effect.add_nearest(before, found, CATALOGUE, RECORDING, RECORDING, progress=False)
+    assert taken is not None
+    assert taken[1].id == "arm_coulomb"
+    left.update(arm_coulomb=62.0, arm_stribeck=64.0)
+    assert nearest_effect.add_nearest(before, found, CATALOGUE, RECORDING, RECORDING, progress=False) is None

@@ -165,3 +165,8 @@ def test_many_plants_at_once_are_what_each_is_alone():
         alone = linearise(model.with_values({name: one[i] for name, one in values.items()}), drive="current")
         for several, one in zip(together, (alone.A, alone.B, alone.C), strict=True):
             np.testing.assert_allclose(several[i], np.asarray(one), rtol=1e-12, atol=1e-12)
+
+
+def test_a_slide_has_no_normalised_time() -> None:
+    with pytest.raises(ValueError, match="no spring"):
+        equation_4(RTAC.paper().with_values({"spring_stiffness": 0.0}))

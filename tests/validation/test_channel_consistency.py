@@ -364,3 +364,22 @@ def test_angle_and_velocity_that_agree_are_not_taken_for_swapped_or_wrong(record
     assert not arm_kinematics.is_contradicted(backwards, e, 0.1)
     alone = dataclasses.replace(e, outputs={"arm_velocity": sign})
     assert arm_kinematics.velocity_error(alone) is None
+
+
+def test_a_slide_is_anywhere() -> None:
+    """Half a metre from zero, and without a spring: no offset is told where the rig says that it has none."""
+    time = 0.005 * np.arange(800)
+    position = 0.45 + 0.01 * np.sin(3 * time) + 1e-6 * np.random.default_rng(0).standard_normal(time.size)
+    run = rtac.Experiment.of(
+        "run",
+        kind="forced",
+        sample_time=0.005,
+        disturbance_force=np.cos(3 * time),
+        cart_position=position,
+        arm="locked",
+    )
+    known = {"total_mass": 6.28}
+    assert any("it has an offset" in said for said in concerns(rtac.Recording((run,), known)))
+    slide = rtac.Recording((run,), known | {"spring_stiffness": 0.0})
+    assert not any("offset" in said for said in [*concerns(slide), *est.channel_consistency(slide).concerns])
+    assert float(rtac.RTAC.from_rig(slide)["spring_stiffness"]) == 0.0

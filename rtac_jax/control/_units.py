@@ -48,7 +48,7 @@ class Units:
         radians.
 
         Raises:
-            ValueError: the model is a batch of plants.
+            ValueError: the model is a batch of plants, or has no spring.
         """
         names = ("total_mass", "arm_inertia", "spring_stiffness")
         if any(np.ndim(model[name]) for name in names):
@@ -56,6 +56,10 @@ class Units:
                 "the plants of a batch differ in their scales; give the units for which the controller was made."
             )
         mass, inertia, stiffness = (float(model[name]) for name in names)
+        if not stiffness > 0:
+            raise ValueError(
+                "the model has no spring (spring_stiffness = 0), so equation (3) has no scale of torque; give units."
+            )
         return cls(float(np.sqrt(mass / inertia)), mass / (stiffness * inertia))
 
     def __str__(self) -> str:

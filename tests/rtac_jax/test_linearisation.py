@@ -167,6 +167,8 @@ def test_many_plants_at_once_are_what_each_is_alone():
             np.testing.assert_allclose(several[i], np.asarray(one), rtol=1e-12, atol=1e-12)
 
 
-def test_a_slide_has_no_normalised_time() -> None:
-    with pytest.raises(ValueError, match="no spring"):
-        equation_4(RTAC.paper().with_values({"spring_stiffness": 0.0}))
+def test_a_slide_has_no_normalised_time_or_torque() -> None:
+    slide = RTAC.paper().with_values({"spring_stiffness": 0.0})
+    for scaled in (equation_4, Units.nondimensional):
+        with pytest.raises(ValueError, match="no spring"):
+            scaled(slide)

@@ -111,6 +111,7 @@ def one(name: str, draw: int, case: Case) -> dict[str, object]:
         "shaken": bool(draw % 2),
         "verdict": found.verdict,
         "effects": [c.id for c in found.effects],
+        "detectable": [c.id for c in found.detectable],
         "steps": [effect.id for effect in found.additions],
         "groups": {c.id: c.confusable_with for c in found.effects},
         "removed": found.removed,
@@ -198,7 +199,11 @@ def run(path: Path, draws: range, kinds: Sequence[str], only: str, part: tuple[i
         done[name, draw] = result
         with path.open("a") as file:
             file.write(json.dumps(result) + "\n")
-        print(f"draw {draw}, {name}: {result['verdict']} {result['effects']}, {result['seconds']:.0f} s", flush=True)
+        shown = f", detectable {result['detectable']}" if result.get("detectable") else ""
+        print(
+            f"draw {draw}, {name}: {result['verdict']} {result['effects']}{shown}, {result['seconds']:.0f} s",
+            flush=True,
+        )
 
 
 def read(path: Path) -> list[dict]:

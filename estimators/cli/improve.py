@@ -86,8 +86,8 @@ def improved(
     if found.settled:
         work.withdraw_inconsistencies()
     for comparison in (found.train, found.validation):
-        if comparison.diverging:
-            work.say(comparison.diverging)
+        if comparison.divergence:
+            work.say(comparison.divergence)
     errors = _tables.error_table(found.train, found.validation)
     advice = _advice(found, work)
     own = advice.parameters if advice is not None and advice.estimator == "output error" else None

@@ -196,8 +196,8 @@ class Job:
         tested = None if self.held_out is None else est.compare(fits, self.held_out, **options)
         trained = est.compare(fits, self.train, **options)
         for comparison in (trained, tested):
-            if comparison is not None and comparison.diverging:
-                self.say(comparison.diverging)
+            if comparison is not None and comparison.divergence:
+                self.say(comparison.divergence)
         return trained, tested
 
     @contextmanager

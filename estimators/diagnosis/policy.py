@@ -39,7 +39,8 @@ class DiagnosisPolicy:
         0.9,
         "fraction of the misfit that the named effects must remove; the rest is the size, two standard deviations added, under"
         " which what an effect presupposes is ruled out beside it, and the noise's part of a simulation's rms error under which"
-        " that is far from the data, so that, beside random forces, effects are selected by simulation too",
+        " that is far from the data, so that, beside random forces, effects are selected by simulation too; and of the rms error"
+        " that random forces would leave, under which they cannot act",
         f"{_PROTOTYPE}: it refused three effects outside the catalogue",
     )
     static: float = _threshold(

@@ -24,7 +24,7 @@ class AllEstimates:
         predicted: prediction error.
         agreed: all held against each other.
         spread: covariances of the fit that hold for a coloured residual.
-        whole: whether cart and arm of the rig move, as those of Table 1 do.
+        both_move: whether cart and arm of the rig move, as those of Table 1 do.
     """
 
     closed: ClosedForm
@@ -32,7 +32,7 @@ class AllEstimates:
     predicted: PredictorFit | None = None
     agreed: Agreement | None = None
     spread: Covariances | None = None
-    whole: bool = True
+    both_move: bool = True
 
 
 def fit_table(known: AllEstimates) -> str:
@@ -55,7 +55,7 @@ def fit_table(known: AllEstimates) -> str:
         parts.append("\n".join(weak))
     if skipped := [f"The closed form could not use {name}: {why}" for name, why in closed.skipped.items()]:
         parts.append("\n".join(skipped))
-    return "\n\n".join([*parts, f"Table 1 of these data\n{closed}"] if known.whole else parts)
+    return "\n\n".join([*parts, f"Table 1 of these data\n{closed}"] if known.both_move else parts)
 
 
 def estimates_table(known: AllEstimates) -> Table:

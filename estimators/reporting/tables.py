@@ -53,7 +53,7 @@ def error_table(train: Comparison, validation: Comparison | None) -> Table:
     header = ["data", "channel [unit]", "fit [%]", "rms [unit]", "rms/noise [1]"]
     header += ["fit after [%]", "rms after [unit]", "rms/noise after [1]"] if two else []
     what = "free simulation" if train.ahead is None else f"predictions {train.ahead} sample(s) ahead"
-    lost = " ".join(c.diverging for c in (train, validation) if c is not None and c.diverging)
+    lost = " ".join(c.divergence for c in (train, validation) if c is not None and c.divergence)
     return Table(tuple(header), tuple(rows), f"Error of {what}; the noise is that of the sensor. {lost}".rstrip())
 
 

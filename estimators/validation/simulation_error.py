@@ -104,7 +104,7 @@ class Comparison(Result):
         )
 
     @property
-    def diverging(self) -> str:
+    def divergence(self) -> str:
         """Say which models leave all bounds in which experiments; empty where none does."""
         several = [(one.label, *where) for one in self.models for where in one.diverging.items()]
         said = ", ".join(f"{label} after {seconds:.3g} s of {name}" for label, name, seconds in several)
@@ -138,7 +138,7 @@ class Comparison(Result):
         return Overview(title, ("model", "channel", "fit [%]", "rms [SI]", "rms over noise"), rows)
 
     def __str__(self) -> str:
-        lines = [self.diverging] if self.diverging else []
+        lines = [self.divergence] if self.divergence else []
         lines += [] if self.ahead is None else [self.several_ahead or "Predictions one sample ahead."]
         asked = not self.several_ahead
         lines += [

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from known_search import Known, force, known, screened, sized
 
+from estimators.diagnosis import candidate_results
 from estimators.diagnosis.choice import chosen
 from estimators.diagnosis.evidence import FittedModel
 from estimators.diagnosis.policy import STANDARD
@@ -210,3 +211,13 @@ def test_bristles_that_yield_within_the_first_sample_are_dry_friction(angle: flo
     search.facts = dataclasses.replace(search.facts, travel={})
     assert (other := chosen(search, search.base, tried, STANDARD)) is not None
     assert other.id == "arm_presliding"  # as in evidence of an earlier version, which does not know it
+
+
+@pytest.mark.parametrize(("excess", "avoidable"), [(0.0, False), (400.0, True)])
+def test_where_nothing_rejects_there_is_nothing_to_explain(excess: float, avoidable: bool) -> None:
+    """A refit that gains next to nothing explained 100 % of that."""
+    search = Known(known(base=0.0, backlash=6.0))
+    tests = adequacy_tests(Findings((), (force(excess),) if excess else ()), STANDARD.critical)
+    assert any(test.rejects for test in tests) == avoidable
+    selection = Selection(search.base, Findings(), tests, [], {"backlash": (search.base, search.model("backlash"))})
+    assert (candidate_results._most(selection, 10_000) > 0) == avoidable

@@ -306,7 +306,7 @@ def test_one_table_says_it_all(clean: rtac.Recording) -> None:
     closed = est.least_squares(rtac.RTAC.from_rig(clean), clean, weak=True)
     fit = est.output_error(closed.model, clean, from_model=True, progress=False)
     plain = fit_table(AllEstimates(closed, fit))
-    assert "Table 1" not in fit_table(AllEstimates(closed, fit, whole=False))  # of a rig of which a body is held
+    assert "Table 1" not in fit_table(AllEstimates(closed, fit, both_move=False))  # of a rig of which a body is held
     text = fit_table(
         AllEstimates(closed, fit, agreed=agreement([closed, fit], clean, draws=30), spread=covariances(fit, clean))
     )

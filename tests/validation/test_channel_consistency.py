@@ -25,7 +25,7 @@ from spoilt_recordings import (
 import estimators as est
 import rtac_jax as rtac
 from estimators.validation import arm_kinematics
-from estimators.validation.channel_consistency import _likeliest, _Search
+from estimators.validation.channel_consistency import _likeliest, _Search, _undone
 from estimators.validation.mistakes import delays, usual_mistakes
 from rtac_jax import virtual_rig
 from rtac_jax.measurement import concerns, moving_at_rest
@@ -358,6 +358,7 @@ def test_angle_and_velocity_that_agree_are_not_taken_for_swapped_or_wrong(record
         undone = by_id[name].undo(controlled)
         assert undone is not None
         assert arm_kinematics.is_contradicted(controlled, undone, 0.1), name
+        assert _undone(controlled, by_id[name]) is controlled  # so it explains nothing
     backwards = dataclasses.replace(
         e, outputs={**e.outputs, "arm_velocity": dataclasses.replace(sign, values=-sign.values)}
     )

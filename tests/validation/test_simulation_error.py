@@ -197,5 +197,5 @@ def test_a_model_that_diverges_is_held_where_that_is_asked() -> None:
     for trace in held.traces:
         assert np.max(np.abs(trace.simulated)) <= 10.0 * np.max(np.abs(trace.measured)) * (1 + 1e-12)
     assert all(held.errors[c].rms > right.errors[c].rms for c in held.errors)
-    assert "A model diverges (wrong after" in found.diverging
-    assert found.diverging in str(found)
+    assert "A model diverges (wrong after" in found.divergence
+    assert found.divergence in str(found)

@@ -134,3 +134,35 @@ def test_ordinary_diagnoses_are_not_asked_for_a_simulation_of_what_they_name() -
     laboratory = Gross(unfollowed=0.2)
     laboratory.left_over = 0.1
     assert decide(laboratory, STANDARD, thorough=True).verdict == "missing"
+
+
+@pytest.mark.parametrize(("shaken", "verdict"), [(600.0, "missing"), (20.0, "unknown")])
+def test_what_random_forces_stand_for_beside_what_is_named_is_for_the_next_diagnosis(
+    shaken: float, verdict: str
+) -> None:
+    """Of a pendulum gravity was named while friction was missing; forces that explain too little refuse a name."""
+
+    class Beside(Gross):
+        left_over = 0.1
+
+        def simulation(self, model: FittedModel) -> SimulationError:
+            return SimulationError(
+                {"arm_velocity": 50.0}, {"arm_velocity": shaken}, {"arm_velocity": 2000.0}, (0.0, self.left_over)
+            )
+
+    assert decide(Beside(), STANDARD, thorough=True).verdict == verdict
+
+
+@pytest.mark.parametrize(("shaken", "verdict"), [(400.0, "unknown"), (40.0, "adequate")])
+def test_random_forces_that_cannot_act_leave_nothing_adequate_though_nobody_knows_the_noise(
+    shaken: float, verdict: str
+) -> None:
+    class Shaken(Known):
+        def simulation(self, model: FittedModel) -> SimulationError:
+            return SimulationError({"arm_angle": 20.0}, {"arm_angle": shaken}, {"arm_angle": 2000.0}, (0.0, 0.2))
+
+    laboratory = Shaken(LIKELIHOOD)
+    assert not laboratory.facts.noise_known
+    found = decide(laboratory, STANDARD, thorough=False)
+    assert found.verdict == verdict
+    assert (found.simulation is not None and found.simulation.overstated) == (verdict == "unknown")

@@ -26,6 +26,7 @@ import estimators as est
 import rtac_jax as rtac
 from estimators.validation import arm_kinematics
 from estimators.validation.channel_consistency import _likeliest, _Search, _undone
+from estimators.validation.equilibrium import is_held
 from estimators.validation.mistakes import delays, usual_mistakes
 from rtac_jax import virtual_rig
 from rtac_jax.measurement import concerns, moving_at_rest
@@ -384,3 +385,9 @@ def test_a_slide_is_anywhere() -> None:
     slide = rtac.Recording((run,), known | {"spring_stiffness": 0.0})
     assert not any("offset" in said for said in [*concerns(slide), *est.channel_consistency(slide).concerns])
     assert float(rtac.RTAC.from_rig(slide)["spring_stiffness"]) == 0.0
+
+
+@pytest.mark.parametrize(("spring", "time", "held"), [(110.0, 4.0, True), (3.6, 1.5, False), (0.0, 100.0, False)])
+def test_what_does_not_swing_twice_is_held_nowhere(spring: float, time: float, held: bool) -> None:
+    """The paper's cart in four seconds, and a slide whose estimate of a stiffness is next to nothing."""
+    assert is_held(spring, time) == held

@@ -75,7 +75,7 @@ class Known:
         gain = self.gains.get(effect, 1.0)
         return HeldOut((gain,), (0.0 if gain != gain else 1.0,))
 
-    def coloured(self) -> FittedModel | None:
+    def coloured(self, beside: FittedModel) -> FittedModel | None:
         return None
 
     def simulation(self, model: FittedModel) -> SimulationError | None:

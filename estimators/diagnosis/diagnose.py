@@ -4,7 +4,6 @@ import dataclasses
 import time
 import warnings
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
 
 import numpy as np
 
@@ -48,7 +47,7 @@ from estimators.diagnosis.innovation_tests import (
 )
 from estimators.diagnosis.live_laboratory import LiveLaboratory
 from estimators.diagnosis.noise_colour import assumed_noise, recoloured
-from estimators.diagnosis.part_of_samples import enough_of, is_told_by_more, part_of, removed_of_all, suffices
+from estimators.diagnosis.part_of_samples import Looked, enough_of, part_of, suffices
 from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
 from estimators.diagnosis.refitting import (
     compile_base,
@@ -124,53 +123,26 @@ def diagnose(
         cut = part is not recording
         gross = cut and unfollowed(fit, Data.of(pieces(moving(recording))), policy.simulation) > policy.unfollowed
 
-        def looked(at: Recording, *, twice: bool) -> _Looked:
+        def looked(at: Recording) -> Looked:
             return _diagnosed(
-                fit, at, candidates, classes, policy, shown, deadline, thorough=twice, laws_first=laws_first
+                fit, at, candidates, classes, policy, shown, deadline, thorough=thorough, laws_first=laws_first
             )
 
-        # What a part does not tell at once is better asked of all samples than of it again.
-        first = looked(part, twice=thorough and (gross or not cut))
+        first = looked(part)
         told = first.told
         if cut:
             looked_at = sum(e.samples for e in moving(part))
             times = sum(e.samples for e in moving(recording)) / looked_at
-            apart = first.told_by_more(times)
-            if suffices(told, lambda: first.removed_of_all(fit, recording), policy, gross=gross, told_by_more=apart):
-                told = dataclasses.replace(told, explanation=told.explanation + of_part(looked_at, gross=gross))
+            if suffices(first, fit, recording, times=times, gross=gross):
+                told = dataclasses.replace(
+                    told, explanation=told.explanation + of_part(looked_at, gross=gross, named=bool(told.additions))
+                )
             elif deadline.over:
                 told = dataclasses.replace(told, explanation=told.explanation + OF_PART_IN_TIME.format(looked_at))
             else:
                 del first  # what it computed takes as much memory again
-                told = looked(recording, twice=thorough).told
+                told = looked(recording).told
     return dataclasses.replace(told, seconds=time.perf_counter() - began)
-
-
-class _Looked(NamedTuple):
-    """A diagnosis, and what it was made of."""
-
-    told: Diagnosis
-    laboratory: LiveLaboratory
-    found: Judgement
-
-    def told_by_more(self, times: float) -> bool:
-        """Return whether so many times the samples would tell effects apart that are named together."""
-        if self.found.selection.simulated:
-            return any(step.rivals for step in self.found.steps)
-        evidence = self.laboratory.evidence(thorough=False, laws_first=False)
-        models = {model.number: model for model in evidence.models}
-        refits = {(r.before, r.effect): models[r.after] for r in evidence.refits if r.after is not None}
-        return is_told_by_more(
-            self.found.selection.base, self.found.steps, refits, self.laboratory.policy,
-            samples=self.laboratory.facts.samples, times=times,
-        )  # fmt: skip
-
-    def removed_of_all(self, fit: Fit, recording: Recording) -> float:
-        """Return what it removes of what is wrong in all samples, if it is of a part; nothing where simulations told it."""
-        if self.found.selection.simulated:
-            return 0.0
-        setting, final = self.laboratory.computed(self.found.final)
-        return removed_of_all(setting, final, self.found.steps, fit, recording)
 
 
 def _diagnosed(
@@ -184,7 +156,7 @@ def _diagnosed(
     *,
     thorough: bool,
     laws_first: bool,
-) -> _Looked:
+) -> Looked:
     """Diagnose a fit by the recording that it was fitted to, or by a part of it."""
     setting = setting_of(fit, recording, classes, shown, policy)
     # Where some are in the model already, as in the loop, its other tests are still worth asking.
@@ -206,7 +178,7 @@ def _diagnosed(
     if (unexplained or unasked) and max(told.random_force, told.random_torque) < SHAKEN:  # or else they are the reason
         said = strayed(fit.residual_std, fit.noise, recording, unfollowed=facts.unfollowed, poor=policy.simulation.poor)
         told = dataclasses.replace(told, explanation=told.explanation + said)
-    return _Looked(told, laboratory, found)
+    return Looked(told, laboratory, found)
 
 
 def _begun(setting: Setting, fit: Fit, workers: Workers, deadline: Deadline, *, whole: bool) -> LiveLaboratory:

@@ -165,18 +165,18 @@ OF_PART_IN_TIME = (
 """The samples that there was time for."""
 
 
-def of_part(samples: int, *, gross: bool) -> str:
+def of_part(samples: int, *, gross: bool, named: bool) -> str:
     """Say that only a part of the samples was looked at, as what is missing shows in it.
 
     Args:
         samples: that were looked at.
         gross: whether the fit follows nothing; else it misses more than the sensors do.
+        named: whether they tell what is missing; else all samples show no more than they do.
     """
     why = "follows nothing" if gross else "misses more than the sensors do"
-    return (
-        f" As the fit {why}, {samples:,} samples of all experiments were looked at, which show what dominates; detection"
-        " limits are theirs. A diagnosis of the model with what is named looks at all."
-    )
+    shown = "which show what dominates" if named else "and all show no more than these"
+    last = " What is smaller is for a diagnosis of the model with what is named." if named else ""
+    return f" As the fit {why}, {samples:,} samples of all experiments were looked at, {shown}; detection limits are theirs.{last}"
 
 
 def not_named(further: Sequence[Step], left: Sequence[AdequacyTest], samples: int) -> str:

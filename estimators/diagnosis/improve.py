@@ -5,12 +5,14 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 from estimators.core.deadline import PROLONGED, Deadline
+from estimators.core.fit import Fit
 from estimators.core.threads import one_blas_thread
 from estimators.diagnosis.caveats import doubtful
 from estimators.diagnosis.diagnose import compile_diagnosis
 from estimators.diagnosis.improvement import Improvement
 from estimators.diagnosis.improvement_loop import OUT_OF_TIME, Loop
 from estimators.diagnosis.loop_end import end_of
+from estimators.diagnosis.loop_on_part import loop_from_part
 from estimators.diagnosis.model_extension import Added
 from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
 from estimators.diagnosis.removed_error import Verdict
@@ -78,20 +80,17 @@ def improve(
     train, held_out = recording.split(validation)
     with ThreadPoolExecutor(1) as other:
         other.submit(compile_diagnosis, model, train, candidates)
-        base = output_error(model, train, progress=progress)
-        first = Added(base, compare(base, held_out, labels=["base"], hold_diverging=True).models[0], "simulated")
-    loop = Loop(
-        train,
-        held_out,
-        candidates,
-        most,
-        thorough,
-        policy,
-        progress,
-        [((), first)],
-        deadline=deadline,
-        laws=learned_force,
-    )
+
+        def loop_of(fitted: Recording, base: Fit) -> Loop:
+            tested = compare(base, held_out, labels=["base"], hold_diverging=True).models[0]
+            return Loop(
+                fitted, held_out, candidates, most, thorough, policy, progress,
+                [((), Added(base, tested, "simulated"))], deadline=deadline, laws=learned_force,
+            )  # fmt: skip
+
+        loop = loop_from_part(model, train, loop_of, policy, progress=progress)
+        if loop is None:
+            loop = loop_of(train, output_error(model, train, progress=progress))
     loop.run()
     with deadline.prolonged(PROLONGED).kept():
         ended = end_of(loop, last_resort=learned_force)

@@ -59,8 +59,8 @@ class Laboratory(Protocol):
         """Return what an effect gains where it was not estimated."""
         ...
 
-    def coloured(self) -> FittedModel | None:
-        """Return the base model with coloured noise, if the data are likelier with it."""
+    def coloured(self, beside: FittedModel) -> FittedModel | None:
+        """Return the base model with coloured noise, if the data are likelier with it, and may be than with another model."""
         ...
 
     def simulation(self, model: FittedModel) -> SimulationError | None:
@@ -130,8 +130,8 @@ class Archive:
             self._note(f"held-out gain of the model with {_named(after)}")
         return self._evidence.held_out.get(key, HeldOut((), ()))
 
-    def coloured(self) -> FittedModel | None:
-        """Return the base model with coloured noise, if the data are likelier with it."""
+    def coloured(self, beside: FittedModel) -> FittedModel | None:
+        """Return the base model with coloured noise, if the data are likelier with it, and may be than with another model."""
         if not self._evidence.colour_asked:
             self._note("base model with coloured noise")
         return None if self._evidence.coloured is None else self._models[self._evidence.coloured]

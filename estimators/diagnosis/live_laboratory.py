@@ -182,14 +182,14 @@ class LiveLaboratory:
             self._held_out[key] = held_out_gains(refit, self.computed(after)[1])
         return self._held_out[key]
 
-    def coloured(self) -> FittedModel | None:
-        """Return the base model with coloured noise, if the data are likelier with it."""
+    def coloured(self, beside: FittedModel) -> FittedModel | None:
+        """Return the base model with coloured noise, if the data are likelier with it, and may be than with another model."""
         if not self._coloured and self._deadline.over:
             self._broken_off.add("the colour of the noise")
             return None
         if not self._coloured:
             setting, base = self.computed(self.base)
-            other = coloured(setting, base, self._workers)
+            other = coloured(setting, base, self._workers, beside.log_likelihood)
             if other is None:
                 self._coloured = [None]
             else:

@@ -14,6 +14,9 @@ from estimators.prediction_error.coloured_noise import Colours, ColourStates, ca
 from estimators.prediction_error.noise_estimation import fit_noise
 
 _CORRELATION_TIMES = (1.5, 4.0, 10.0, 25.0)  # correlation times of sensor noise that are tried, in samples
+_FITTED = (
+    4.0  # times as much, at most, that a colour gains once it and the physics beside it are fitted; twice was seen
+)
 _CREDIBLE = 3.0  # noise over what fast changes show, from which coloured noise is not believed without a record at rest
 _QUIETER = 6.0  # by how much in the logarithm of their variance random forces are lowered for that
 
@@ -55,10 +58,16 @@ def recoloured(setting: Setting, base: Refit) -> tuple[Setting, Refit]:
     return (trial, refit) if refit.predictor.log_likelihood > base.predictor.log_likelihood else (setting, base)
 
 
-def coloured(setting: Setting, base: Refit, workers: Workers) -> Setting | None:
+def coloured(setting: Setting, base: Refit, workers: Workers, beside: float) -> Setting | None:
     """Return the setting with coloured sensor noise, if that makes the base model's data more likely; else None.
 
     Rest records would tell; without them the likelihood has to.
+
+    Args:
+        setting: with white noise.
+        base: the base model.
+        workers: compute side by side.
+        beside: log-likelihood of a model with effects; none is returned that stays far below it.
     """
     count = np.asarray(setting.data.present).sum(axis=(0, 2))
     times = np.unique(np.outer(np.unique(np.asarray(setting.data.excitation.sample_time)), _CORRELATION_TIMES))
@@ -70,7 +79,12 @@ def coloured(setting: Setting, base: Refit, workers: Workers) -> Setting | None:
         for trial, value in zip(trials, values, strict=True):
             if 2 * (value - likelihood) - price > setting.policy.bic_gain:
                 likelihood, best = value, trial
-    return dataclasses.replace(setting, colours=capped(best)) if best else None
+    gained = likelihood - base.predictor.log_likelihood
+    return (
+        dataclasses.replace(setting, colours=capped(best))
+        if best and gained * _FITTED >= beside - base.predictor.log_likelihood
+        else None
+    )
 
 
 def assumed_noise(setting: Setting, base: Refit, levels: Mapping[str, float]) -> dict[str, float]:

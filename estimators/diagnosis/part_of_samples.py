@@ -1,7 +1,8 @@
 """A part of the samples of a long recording, which shows what a fit misses by more than the noise as well as all of them."""
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -10,12 +11,15 @@ from estimators.core.data import Data, motion_of, moving, origins, pieces
 from estimators.core.fit import Fit
 from estimators.diagnosis.diagnosis import Diagnosis
 from estimators.diagnosis.evidence import FittedModel
+from estimators.diagnosis.live_laboratory import LiveLaboratory
 from estimators.diagnosis.policy import DiagnosisPolicy
 from estimators.diagnosis.refit import Refit
 from estimators.diagnosis.removed_error import removed_beside
 from estimators.diagnosis.setting import Setting, begun, set_up, space_for
 from estimators.diagnosis.step import Step
+from estimators.diagnosis.verdict import Judgement
 from estimators.inference.shaken_simulation import unfollowed
+from estimators.misspecification.adequacy import excess_of
 from estimators.prediction_error.filter_pass import run_filter
 from rtac_jax.measurement import Experiment, Recording
 
@@ -63,22 +67,62 @@ def enough_of(fit: Fit, recording: Recording, policy: DiagnosisPolicy) -> Record
     return part
 
 
-def suffices(
-    told: Diagnosis, all_removed: Callable[[], float], policy: DiagnosisPolicy, *, gross: bool, told_by_more: bool
-) -> bool:
+class Looked(NamedTuple):
+    """A diagnosis, and what it was made of."""
+
+    told: Diagnosis
+    laboratory: LiveLaboratory
+    found: Judgement
+
+    def told_by_more(self, times: float) -> bool:
+        """Return whether so many times the samples would tell effects apart that are named together."""
+        if self.found.selection.simulated:
+            return any(step.rivals for step in self.found.steps)
+        evidence = self.laboratory.evidence(thorough=False, laws_first=False)
+        models = {model.number: model for model in evidence.models}
+        refits = {(r.before, r.effect): models[r.after] for r in evidence.refits if r.after is not None}
+        return is_told_by_more(
+            self.found.selection.base, self.found.steps, refits, self.laboratory.policy,
+            samples=self.laboratory.facts.samples, times=times,
+        )  # fmt: skip
+
+    def left_of_all(self, fit: Fit, recording: Recording) -> float:
+        """Return the mean square that the last model of a part leaves of all samples; infinite where simulations told it."""
+        if self.found.selection.simulated:
+            return float("inf")
+        setting, final = self.laboratory.computed(self.found.final)
+        return left_of_all(setting, final, fit, recording)
+
+
+def suffices(looked: Looked, fit: Fit, recording: Recording, *, times: float, gross: bool) -> bool:
     """Return whether a diagnosis of a part need not be asked of all samples.
 
+    What it names has to explain everything by effects that explain all samples, too, and that it tells from all others as well as
+    all samples would. Where it names nothing, as no effect explains enough, that is the answer where the misfit is no small one and
+    all samples show no more: what they would tell besides is how surely no effect explains it.
+
     Args:
-        told: the diagnosis of the part.
-        all_removed: gives what is removed of what is wrong in all samples by what it names; see `removed_of_all`.
-        policy: the thresholds.
-        gross: whether the fit follows nothing. Then any effect that is added brings it nearer; else the part has to explain
-            everything by effects that explain all samples, too, and that it tells from all others as well as all samples would.
-        told_by_more: whether all samples would tell effects apart that the part does not; see `is_told_by_more`.
+        looked: the diagnosis of the part.
+        fit: that is diagnosed.
+        recording: that it was fitted to.
+        times: as many samples there are.
+        gross: whether the fit follows nothing. Then any effect that is added brings it nearer.
     """
-    if gross or not told.additions:
-        return bool(told.additions)
-    return not told_by_more and all_removed() >= policy.removed
+    told, found, policy = looked.told, looked.found, looked.laboratory.policy
+    if told.additions:
+        if gross:
+            return True
+        if looked.told_by_more(times):
+            return False
+        left = looked.left_of_all(fit, recording)
+        return (
+            bool(np.isfinite(left))
+            and removed_beside(found.steps, looked.laboratory.facts.samples, left) >= policy.removed
+        )
+    slight = 2 * policy.consequence  # of squares
+    if told.verdict != "unknown" or excess_of(found.left) < slight * looked.laboratory.facts.samples:
+        return False
+    return looked.left_of_all(fit, recording) <= 1 + slight
 
 
 def is_told_by_more(
@@ -116,16 +160,15 @@ def is_told_by_more(
     return False
 
 
-def removed_of_all(setting: Setting, final: Refit, steps: Sequence[Step], fit: Fit, recording: Recording) -> float:
-    """Return the fraction of the excess squared prediction error that steps remove of all samples, as far as a part tells.
+def left_of_all(setting: Setting, final: Refit, fit: Fit, recording: Recording) -> float:
+    """Return the mean square of the innovations of all samples in their own standard deviation, as far as a part tells.
 
-    The predictor of the part, with all its estimates and noise, is run along the whole recording. What its innovations have
-    there beyond their own variance is left.
+    The predictor of the part, with all its estimates and noise, is run along the whole recording. What chance makes of them is not
+    counted.
 
     Args:
         setting: of the diagnosis of the part.
-        final: the predictor of the model with what was named.
-        steps: that were named.
+        final: the predictor of the last model.
         fit: that is diagnosed.
         recording: that it was fitted to.
     """
@@ -135,8 +178,7 @@ def removed_of_all(setting: Setting, final: Refit, steps: Sequence[Step], fit: F
     physical, prior = (space.values, space.each_values, space.start), setting.prior.starting(space)
     passed = run_filter(model, whole.data, space, physical, prior, final.predictor.noise, setting.substeps)
     given = (passed.innovations, whole.data.counted, passed.shaken)
-    left = left_beyond_chance(*map(np.asarray, given), samples=setting.samples)
-    return removed_beside(steps, setting.samples, left) if np.isfinite(left) else 0.0
+    return left_beyond_chance(*map(np.asarray, given), samples=setting.samples)
 
 
 def left_beyond_chance(

@@ -67,8 +67,8 @@ def select(laboratory: Laboratory, policy: DiagnosisPolicy, *, thorough: bool, l
     if rejecting(found.tests) and not laboratory.facts.rest:
         # Noise that wanders makes almost every effect look useful; without rest records the likelihood must say.
         laboratory.say("colour of the noise")
-        coloured = laboratory.coloured()
         final = found.steps[-1].model if found.steps else found.base
+        coloured = laboratory.coloured(beside=final)
         if coloured is not None and coloured.log_likelihood > final.log_likelihood:
             found = _selected(laboratory, coloured, policy)
     return second_looks(laboratory, found, policy) if thorough else found

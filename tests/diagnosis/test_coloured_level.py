@@ -5,7 +5,7 @@ import pytest
 import estimators as est
 import rtac_jax as rtac
 from estimators.core.progress import Progress
-from estimators.diagnosis.noise_colour import assumed_noise, coloured
+from estimators.diagnosis.noise_colour import assumed_noise, coloured, recoloured
 from estimators.diagnosis.refitting import fit_base
 from estimators.diagnosis.setting import setting_of
 from estimators.diagnosis.workers import Workers
@@ -25,9 +25,13 @@ def test_assumed_noise_has_its_size_where_that_is_credible_beside_fast_changes(
     setting = setting_of(fit, recording, [rtac.effects.Cogging], Progress("diagnose", show=False))
     base = fit_base(setting)
     assert assumed_noise(setting, base, fit.noise) == {}  # nothing is assumed
-    with_colours = coloured(setting, base, Workers())
+    white = base.predictor.log_likelihood
+    with_colours = coloured(setting, base, Workers(), beside=white)
     assert with_colours is not None
     assert "cart_position" in with_colours.assumed
+    fitted = recoloured(with_colours, fit_base(with_colours))[1].predictor.log_likelihood
+    assert coloured(setting, base, Workers(), beside=fitted) is not None  # with what the physics gain by it in sight
+    assert coloured(setting, base, Workers(), beside=white + 5 * (fitted - white)) is None  # far behind effects
     found = assumed_noise(with_colours, fit_base(with_colours), fit.noise)
     assert bool(found) == credible
     if credible:

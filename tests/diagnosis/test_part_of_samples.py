@@ -13,12 +13,14 @@ from made_up_results import FIT, candidate, diagnosis
 import estimators as est
 import rtac_jax as rtac
 from estimators.core.data import moving, pieces
+from estimators.diagnosis import part_of_samples
 from estimators.diagnosis.choice import chosen
 from estimators.diagnosis.evidence import FittedModel
-from estimators.diagnosis.part_of_samples import enough_of, is_told_by_more, left_beyond_chance
+from estimators.diagnosis.part_of_samples import Looked, enough_of, is_told_by_more, left_beyond_chance
 from estimators.diagnosis.policy import STANDARD
 from estimators.diagnosis.removed_error import removed_beside
 from estimators.diagnosis.step import Step
+from estimators.misspecification.adequacy import AdequacyTest
 from rtac_jax import virtual_rig
 from rtac_jax.effects import CATALOGUE
 
@@ -77,45 +79,66 @@ def told(verdict: Any, *, rival: bool = False) -> est.Diagnosis:
     return dataclasses.replace(diagnosis(verdict), effects=(named,), additions=(CATALOGUE["cubic_spring"](1.0),))
 
 
+HALF = Step("cubic_spring", (), 11_090.0, 0.0, 0.0, FittedModel(1, ("cubic_spring",), 1, 0.0), ())
+"""What takes half of the squares off 16,000 samples."""
+
+
+def looked(found: est.Diagnosis, monkeypatch: pytest.MonkeyPatch, *, left: float, by_more: bool, excess: float) -> Any:
+    """What came of a part: the mean square that it leaves of all samples, and what its tests find beyond chance."""
+    monkeypatch.setattr(part_of_samples, "left_of_all", lambda *_: left)
+    monkeypatch.setattr(Looked, "told_by_more", lambda self, times: by_more)
+    tests = (AdequacyTest("named effects", 1e-9 if excess else 1.0, excess, 0.01, ""),)
+    steps = (HALF,) if found.additions else ()
+    judged = SimpleNamespace(steps=steps, left=tests, final=None, selection=SimpleNamespace(simulated=False))
+    laboratory = SimpleNamespace(
+        policy=STANDARD, facts=SimpleNamespace(samples=16_000), computed=lambda _: (None, None)
+    )
+    return Looked(found, laboratory, judged)  # type: ignore[arg-type]
+
+
 @pytest.mark.parametrize(
-    ("left", "found", "removed", "by_more", "whole_too"),
+    ("missed", "found", "left", "by_more", "excess", "whole_too"),
     [
-        (0.9, told("ambiguous", rival=True), 0.0, True, False),  # nothing is followed: anything brings it nearer
-        (0.9, told("unknown"), 1.0, False, True),
-        (0.1, told("missing"), STANDARD.removed, False, False),
-        (0.1, told("missing"), 0.99 * STANDARD.removed, False, True),  # it does not explain the rest
-        (0.1, told("ambiguous", rival=True), 1.0, True, True),
-        (
-            0.1,
-            told("ambiguous", rival=True),
-            1.0,
-            False,
-            False,
-        ),  # no samples tell an offset of a force from one of a sensor
-        (0.1, told("adequate"), 1.0, False, True),
+        (0.9, told("ambiguous", rival=True), 9.0, True, 0.0, False),  # nothing is followed: anything brings it nearer
+        (0.9, told("unknown"), 1.1, False, 400.0, True),  # the rest shows more
+        (0.1, told("missing"), 1.12, False, 0.0, False),
+        (0.1, told("missing"), 1.13, False, 0.0, True),  # a tenth of what is missing is left
+        (0.1, told("missing"), np.inf, False, 0.0, True),
+        (0.1, told("ambiguous", rival=True), 1.0, True, 0.0, True),
+        (0.1, told("ambiguous", rival=True), 1.0, False, 0.0, False),  # as an offset of a force and one of a sensor
+        (0.1, told("adequate"), 1.0, False, 0.0, True),
+        (0.1, told("unknown"), 1.01, False, 330.0, False),  # all samples would reject the same
+        (0.1, told("unknown"), 1.01, False, 310.0, True),  # what is small more samples may tell
+        (0.1, told("unknown"), 1.03, False, 330.0, True),
     ],
 )
 def test_all_samples_are_looked_at_where_a_part_does_not_tell(
-    left: float, found: est.Diagnosis, removed: float, by_more: bool, whole_too: bool, monkeypatch: pytest.MonkeyPatch
+    missed: float,
+    found: est.Diagnosis,
+    left: float,
+    by_more: bool,
+    excess: float,
+    whole_too: bool,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     whole = locked(5, 8000)
     looked_at: list[int] = []
-    twice: list[bool] = []
 
     def diagnosed(fit: est.Fit, recording: rtac.Recording, *_: Any, **known: Any) -> Any:
         looked_at.append(sum(e.samples for e in recording))
-        twice.append(known["thorough"])
-        return SimpleNamespace(told=found, removed_of_all=lambda *_: removed, told_by_more=lambda times: by_more)
+        assert known["thorough"]
+        return looked(found, monkeypatch, left=left, by_more=by_more, excess=excess)
 
     monkeypatch.setattr(diagnose, "_diagnosed", diagnosed)
     names = tuple(e.name for e in whole)
-    fit = dataclasses.replace(left_of(whole, left), experiments=names, model=rtac.RTAC.from_rig(whole))
+    fit = dataclasses.replace(left_of(whole, missed), experiments=names, model=rtac.RTAC.from_rig(whole))
     said = est.diagnose(fit, whole, progress=False).explanation
     assert looked_at == ([16_000, 40_000] if whole_too else [16_000])
-    assert twice == [left == 0.9, True][: len(looked_at)]  # what a part does not tell at once all samples are asked
     assert ("16,000 samples of all experiments were looked at" in said) == (not whole_too)
-    assert ("follows nothing" in said) == (left == 0.9 and not whole_too)
-    assert ("misses more than the sensors do" in said) == (left == 0.1 and not whole_too)
+    assert ("follows nothing" in said) == (missed == 0.9 and not whole_too)
+    assert ("misses more than the sensors do" in said) == (missed == 0.1 and not whole_too)
+    assert ("the model with what is named" in said) == (bool(found.additions) and not whole_too)
+    assert ("all show no more than these" in said) == (not found.additions and not whole_too)
 
 
 @pytest.mark.parametrize(
@@ -169,9 +192,7 @@ def test_where_the_time_is_over_the_part_is_all_that_is_told(monkeypatch: pytest
     whole = locked(5, 8000)
 
     def diagnosed(*_: Any, **__: Any) -> Any:
-        return SimpleNamespace(
-            told=told("adequate"), removed_of_all=lambda *_: 1.0, told_by_more=lambda times: times < 1
-        )
+        return looked(told("adequate"), monkeypatch, left=1.0, by_more=False, excess=0.0)
 
     monkeypatch.setattr(diagnose, "_diagnosed", diagnosed)
     fit = dataclasses.replace(
@@ -179,7 +200,7 @@ def test_where_the_time_is_over_the_part_is_all_that_is_told(monkeypatch: pytest
     )
     said = est.diagnose(fit, whole, within=0.0, progress=False).explanation
     assert "The time was over when 16,000 samples of all experiments had been looked at" in said
-    assert "looks at all" not in said
+    assert "were looked at" not in said
 
 
 @pytest.mark.parametrize(
@@ -219,8 +240,8 @@ def test_chance_leaves_something_in_one_of_six() -> None:
 def test_what_simulations_named_is_asked_of_all_samples() -> None:
     """Their steps gain in squares of a simulation, which say nothing of predictions."""
     whole = locked(5, 8000)
-    looked: Any = diagnose._Looked(None, None, SimpleNamespace(selection=SimpleNamespace(simulated=True)))
-    assert looked.removed_of_all(left_of(whole, 0.1), whole) == 0.0
+    by_simulation: Any = Looked(None, None, SimpleNamespace(selection=SimpleNamespace(simulated=True)))  # type: ignore[arg-type]
+    assert by_simulation.left_of_all(left_of(whole, 0.1), whole) == np.inf
 
 
 def test_what_only_the_rest_shows_asks_for_all_samples(decays: rtac.Recording, monkeypatch: pytest.MonkeyPatch) -> None:

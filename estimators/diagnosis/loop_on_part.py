@@ -1,0 +1,62 @@
+"""The loop over a part of a long recording, which finds what dominates before all samples are fitted."""
+
+import dataclasses
+from collections.abc import Callable
+
+from estimators.core.data import Data, moving, pieces
+from estimators.core.fit import Fit
+from estimators.core.results import FAILURES
+from estimators.diagnosis.improvement_loop import Loop
+from estimators.diagnosis.part_of_samples import part_of
+from estimators.diagnosis.policy import DiagnosisPolicy
+from estimators.inference.shaken_simulation import unfollowed
+from estimators.output_error.fit import output_error
+from estimators.validation.simulation_error import compare
+from rtac_jax import RTAC
+from rtac_jax.measurement import Recording
+
+
+def loop_from_part(
+    model: RTAC,
+    train: Recording,
+    loop_of: Callable[[Recording, Fit], Loop],
+    policy: DiagnosisPolicy,
+    *,
+    progress: bool,
+) -> Loop | None:
+    """Return the loop over all samples that begins at the model to which a part of them leads.
+
+    Fits and diagnoses of the models before are of the part. None where a part leads nowhere: the recording is not long, the part is
+    fitted to the noise, nothing that is named there serves held-out experiments by simulation, or all samples cannot be fitted
+    with it.
+
+    Args:
+        model: the base model.
+        train: the recording that is fitted.
+        loop_of: gives the loop over a recording from a fit of the base model to it.
+        policy: the thresholds.
+        progress: show bars.
+    """
+    part = part_of(train)
+    if part is train or model.per_experiment:
+        return None
+    try:
+        base = output_error(model, part, progress=progress)
+        if unfollowed(base, Data.of(pieces(moving(part))), policy.simulation) == 0.0:
+            return None
+        loop = loop_of(part, base)
+        asked = {"thorough": loop.thorough, "laws": loop.laws}
+        # What a part does not tell at once is asked after all samples were fitted.
+        loop.thorough = loop.laws = False
+        loop.run()
+        if not loop.added or not loop.all_simulated:
+            return None
+        names, last = loop.steps[-1]
+        fit = output_error(last.fit.model, train, from_model=True, progress=progress)
+        if fit.lost:
+            return None
+        tested = compare(fit, loop.held_out, labels=[last.tested.label]).models[0]
+    except FAILURES:
+        return None
+    steps = [*loop.steps[:-1], (names, dataclasses.replace(last, fit=fit, tested=tested))]
+    return dataclasses.replace(loop, train=train, steps=steps, stopped="", out_of_time=False, not_added=(), **asked)

@@ -132,14 +132,27 @@ class Job:
             typer.echo(f"rtac: {note}", err=True)
         return model
 
-    def fitted(self, model: Any, *, from_model: bool = False, robust: bool = False) -> Any:
-        """Fit the training part by output error; begun at the model's values only, where they are those of a fit."""
+    def fitted(self, model: Any, *, from_model: bool = False, robust: bool = False, unseen: bool = False) -> Any:
+        """Fit the training part by output error.
+
+        Args:
+            model: that is fitted.
+            from_model: begin at the model's values only, where they are those of a fit.
+            robust: let samples far off count for little.
+            unseen: hold what shows nowhere, as what the model lacks may be what would show it; else that is refused.
+        """
         import estimators as est
+        from estimators.output_error.fit_what_shows import fit_what_shows, held_unseen
 
         options: dict[str, Any] = {"robust": True} if robust else {}
         self.note_doubts()
         with self.explaining():
-            return est.output_error(model, self.train, from_model=from_model, **options)
+            if not unseen:
+                return est.output_error(model, self.train, from_model=from_model, **options)
+            fit = fit_what_shows(model, self.train, from_model=from_model, **options)
+        if held := held_unseen(model, fit):
+            self.note(f"{', '.join(held)}: without effect on what was measured, and held at the model's value.")
+        return fit
 
     def spread(self, fit: Any) -> Any:
         """Return the covariances of a fit to the training part; None, with a note, where it ended at parameters that are free."""

@@ -12,6 +12,7 @@ from estimators.core.results import NotIdentifiableError
 from estimators.core.undetermined import UNDETERMINED
 
 _SCALES = ("total_mass", "arm_inertia")
+_TAKES_PART = 0.2  # fraction of a direction from which on a parameter is named with it
 
 # The least that a parameter is taken to show, and the least slope of its stand-in as a fraction of its size: far below whatever
 # rounding leaves, and of squares that are still numbers. What shows nothing at all gets a deviation of 1e100 times its size.
@@ -56,7 +57,9 @@ class Information:
             if deviation < UNDETERMINED:
                 continue
             parts = [
-                (name, fraction) for name, fraction in zip(self.names, direction, strict=True) if abs(fraction) > 0.2
+                (name, fraction)
+                for name, fraction in zip(self.names, direction, strict=True)
+                if abs(fraction) > _TAKES_PART
             ]
             if all(name.split(".")[0] in beside for name, _ in parts):
                 continue
@@ -75,7 +78,7 @@ class Information:
             prefix: of the names.
         """
         taking = [
-            any(abs(s) > 0.2 for n, s in zip(self.names, d, strict=True) if n.startswith(prefix))
+            any(abs(s) > _TAKES_PART for n, s in zip(self.names, d, strict=True) if n.startswith(prefix))
             for d in self.directions
         ]
         return float(np.max(self.deviations[np.array(taking, dtype=bool)], initial=0.0)) if any(taking) else 0.0
@@ -116,8 +119,18 @@ class Information:
             known = f"Give {scales} in /rig: a known constant fixes the scale. " if scales else ""
             raise NotIdentifiableError(
                 f"The data leave {len(said)} combination(s) of parameters free: {'; '.join(said)}. {known}Fix a parameter "
-                "(model.fix, or --fix of rtac), or add an experiment that excites it."
+                "(model.fix, or --fix of rtac), or add an experiment that excites it.",
+                self._unseen(),
             )
+
+    def _unseen(self) -> tuple[str, ...]:
+        """Return the names of parameters that have no effect by themselves; none where any combination of several is free."""
+        free = [
+            np.abs(d) > _TAKES_PART for d, s in zip(self.directions, self.deviations, strict=True) if s >= UNDETERMINED
+        ]
+        if any(np.count_nonzero(one) != 1 for one in free):
+            return ()
+        return tuple(self.names[int(np.flatnonzero(one)[0])] for one in free)
 
 
 def information(factor: np.ndarray, space: Space, unknowns: Unknowns) -> Information:

@@ -36,7 +36,16 @@ STOPPED = (RESULTS.steps_exhausted, RESULTS.crept)
 
 
 class NotIdentifiableError(ValueError):
-    """Data that leave combinations of parameters free; the message names them and what would fix them."""
+    """Data that leave combinations of parameters free; the message names them and what would fix them.
+
+    Attributes:
+        unseen: names of parameters without any effect, where nothing else is free.
+    """
+
+    def __init__(self, message: str, unseen: tuple[str, ...] = ()) -> None:
+        """Say what is free."""
+        super().__init__(message)
+        self.unseen = unseen
 
 
 class TooLargeError(ValueError):

@@ -66,6 +66,7 @@ class Improvement(Result):
         hum: of the mains, which was subtracted first.
         by_predictions: the last model fitted by predictions one sample ahead, where nothing is missing and random forces lead its
             simulation astray: estimates to take in place of those of `final`; None elsewhere.
+        unseen: names of parameters that show nowhere in what the last model simulates, and are held at the first model's values.
     """
 
     fits: tuple[Fit, ...]
@@ -89,6 +90,7 @@ class Improvement(Result):
     doubtful: tuple[str, ...] = ()
     hum: tuple[Hum, ...] = ()
     by_predictions: PredictorFit | None = None
+    unseen: tuple[str, ...] = ()
 
     foreseen = renamed("foreseen", "predicted_gains")
 
@@ -119,6 +121,11 @@ class Improvement(Result):
                 0,
                 f"Held at the estimate of the diagnosis, because a fit by simulation fails or serves held-out experiments worse: "
                 f"{', '.join(self.held)}.{counted}",
+            )
+        if self.unseen:
+            verb = "shows" if len(self.unseen) == 1 else "show"
+            said.append(
+                f"{', '.join(self.unseen)} {verb} nowhere in these data, and what is said holds at the first model's values."
             )
         if self.left_out is not None:
             said.append(

@@ -18,6 +18,7 @@ from estimators.diagnosis.model_extension import (
     WAYS,
     Added,
     add_effects,
+    is_sure,
     misfit,
     parameters_of,
 )
@@ -54,6 +55,7 @@ class Loop:
         not_added: ids of what is named, and what was not fitted before.
         law_asked: the last fit beside which a law was looked for, and what came of it.
         laws: whether laws that are read off a missing force may be added.
+        unseen: parameters that the base model held, as they show nowhere in its simulation; those of the last that are still held.
     """
 
     train: Recording
@@ -74,6 +76,7 @@ class Loop:
     not_added: tuple[str, ...] = ()
     law_asked: "tuple[Fit, Loop | None] | None" = None
     laws: bool = True
+    unseen: tuple[str, ...] = ()
 
     @property
     def _wants_laws(self) -> bool:
@@ -188,21 +191,33 @@ class Loop:
         """
         known = {c.id: c for c in found.effects}
         ids = tuple(effect.id for effect in several)
+
+        def extended(before: Fit) -> Added | str:
+            return add_effects(
+                before, self.last.tested, several, "+ " + ", ".join([*(c.id for c in self.added), *ids]), self.train,
+                self.held_out, policy=self.policy, progress=self.progress,
+                deviations={f"{i}.{field}": std for i in ids for field, std in known[i].deviations.items()},
+                values=found.values, ways=WAYS if len(several) == 1 else WAYS[:1],
+            )  # fmt: skip
+
         try:
             with self.deadline.prolonged(PROLONGED).kept():
-                step = add_effects(
-                    self.last.fit, self.last.tested, several, "+ " + ", ".join([*(c.id for c in self.added), *ids]), self.train,
-                    self.held_out, policy=self.policy, progress=self.progress,
-                    deviations={f"{i}.{field}": std for i in ids for field, std in known[i].deviations.items()},
-                    values=found.values, ways=WAYS if len(several) == 1 else WAYS[:1],
-                )  # fmt: skip
+                # With what was missing the simulation may show them.
+                last = self.last.fit
+                step = extended(dataclasses.replace(last, model=last.model.release(*self.unseen)))
+                if isinstance(step, str) and self.unseen:
+                    step = extended(last)
         except OutOfTimeError:
             self.out_of_time, self.not_added = True, ids
             return OUT_OF_TIME
         if isinstance(step, str):
             return step
+        if found.by_simulation and step.way == "simulated":  # what simulations select has to show in one
+            for unsure in (i for i in ids if not is_sure(step.fit, i)):
+                return f"Stopped: fitted by simulation, {unsure} is not told from nothing."
         self.steps.append((ids, step))
         self.added += [known[i] for i in ids]
+        self.unseen = tuple(name for name in self.unseen if name in step.fit.model.fixed)
         return None
 
     def copied(self) -> "Loop":

@@ -8,6 +8,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Unpack
 
+import numpy as np
+
 from rtac_jax.overview import Overview
 
 from . import _csv, _hdf5, _mat
@@ -23,7 +25,8 @@ from ._signal import finite, positive, rebuild
 POSITIVE = ("total_mass", "arm_inertia", "spring_stiffness", "torque_constant", "eccentric_moment")
 STD = "_std"  # ends the name of a constant's standard deviation
 HOLD_OUT_EVERY = 4
-_DIVIDED = 2000  # samples from which the only experiment is cut in two
+_DIVIDED = 200  # samples from which the only experiment is cut in two
+_LIVELY = 0.5  # rms of an output in the last quarter of a decay over that of the whole, from which on it tells as much
 _WRITERS = {".h5": _hdf5.write, ".hdf5": _hdf5.write, ".csv": _csv.write}
 
 
@@ -249,8 +252,8 @@ class Recording:
         if not out:
             raise RecordingError(
                 f"/experiments: nothing can be held out of {', '.join(self.names)}, as no kind has two "
-                "experiments that do not repeat each other; name those for validation, or cut one in two "
-                "with Experiment.cut."
+                "experiments that do not repeat each other; name those for validation, or cut one in two (Experiment.cut, or "
+                "the same file imported twice, with --start and --end)."
             )
         if len(out) == len(moving):
             raise RecordingError(
@@ -262,14 +265,17 @@ class Recording:
     def divided(self) -> "Recording":
         """Return the recording with its only moving experiment cut in two, so that the last quarter of it can be held out.
 
-        It is the same where several move, and where that one is not forced or has fewer than 2,000 samples: the end of a decay
-        tells nothing.
+        It is the same where several move, where that one has fewer than 200 samples, and where it is a decay that is over by then.
         """
         moving = [experiment for experiment in self if experiment.kind != "rest"]
-        if len(moving) != 1 or moving[0].kind != "forced" or moving[0].samples < _DIVIDED:
+        if len(moving) != 1 or moving[0].samples < _DIVIDED:
             return self
         (only,) = moving
         place = only.samples - only.samples // HOLD_OUT_EVERY
+        if only.kind == "free" and not any(
+            np.nanstd(signal.values[place:]) > _LIVELY * np.nanstd(signal.values) for signal in only.outputs.values()
+        ):
+            return self
         parts = only.cut(0, place), only.cut(place, only.samples)
         rest = [experiment for experiment in self if experiment is not only]
         return replace(self, experiments=(*parts, *rest))

@@ -208,9 +208,19 @@ def test_the_last_quarter_of_an_only_forced_experiment_can_be_held_out():
     assert validation.names == ("long[1500:2000]",)
     assert divided.rig == {"total_mass": 1.0}
     assert (divided["long[0:1500]"].initial_arm_angle, divided["long[1500:2000]"].initial_arm_angle) == (0.3, None)
-    for several in ((only, free()), (free(), rest()), (only.cut(0, 1999), rest())):
+    for several in ((only, free()), (only.cut(0, 199), rest())):
         recording = Recording(several)
         assert recording.divided() is recording
+
+
+@pytest.mark.parametrize(("decay", "lively"), [(1e-3, True), (1e-2, False)])
+def test_the_last_quarter_of_an_only_decay_can_be_held_out_if_it_still_moves(decay: float, lively: bool) -> None:
+    number = np.arange(400)
+    swing = 0.3 * np.exp(-decay * number) * np.cos(0.2 * number)
+    recording = Recording((Experiment.of("swing", kind="free", sample_time=0.03, cart="clamped", arm_angle=swing),))
+    assert (recording.divided() is not recording) is lively
+    if lively:
+        assert [part.names for part in recording.divided().split()] == [("swing[0:300]",), ("swing[300:400]",)]
 
 
 def test_split_by_name_keeps_repeats_together():

@@ -20,7 +20,6 @@ from estimators.diagnosis.candidate_set import offered
 from estimators.diagnosis.diagnosis import Diagnosis
 from estimators.diagnosis.evidence import Evidence
 from estimators.diagnosis.explanation import (
-    MOVE_IT,
     OF_A_DRIFT,
     OF_A_LIKELY_DRIFT,
     OF_A_LINE,
@@ -216,7 +215,7 @@ def _told(
     beside = {c: ratio / max(coloured.get(c, 0.0) / fit.noise[c], 1.0) for c, ratio in fit.residual_over_noise.items()}
     tested = laboratory.tested(found.selection.base)
     stood = found.simulation is None or not found.simulation.vetoes
-    silent = laboratory.facts.silent
+    silent = laboratory.facts.silent or laboratory.facts.stuck
     latent = latent_of(setting, base) if found.verdict == "unknown" and stood and not silent else ()
     candidates = candidates_of(laboratory, found)
     candidates += [not_testable(c, float(np.log(setting.samples))) for c in unshown]
@@ -286,7 +285,7 @@ def _explanation(told: Diagnosis, found: Judgement, setting: Setting, *, thoroug
     """Return the verdict in plain words, with what it rests on and what would make it surer."""
     steps, further = found.steps, found.further
     if told.silent:
-        return f"Unknown: {told.silent[0].lower()}{told.silent[1:]}. {MOVE_IT}"
+        return f"Unknown: {told.silent[0].lower()}{told.silent[1:]}. {told.silent_mend}"
     text = words(
         told.verdict, told.effects, told.candidates, steps, told.tests, told.left, told.removed, told.curves, told.latent,
         told.places, told.lines, told.simulation, told.policy, told.consequence, found.detectable,

@@ -8,7 +8,7 @@ from estimators.core.drawing import draw
 from estimators.core.result_base import Result
 from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.evidence import Evidence
-from estimators.diagnosis.explanation import at_noise, floor_of
+from estimators.diagnosis.explanation import BEGIN_ELSEWHERE, MOVE_IT, at_noise, floor_of
 from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
 from estimators.diagnosis.removed_error import Verdict
 from estimators.diagnosis.verdict import Consequence
@@ -103,15 +103,29 @@ class Diagnosis(Result):
 
     @property
     def silent(self) -> str:
-        """Return that the recording says nothing of what the model lacks, in words, where that is so; empty elsewhere."""
-        if self.verdict != "unknown" or self.evidence is None or not self.evidence.facts.silent:
+        """Return that nothing can be told of what the model lacks, in words, where that is so; empty elsewhere."""
+        if self.verdict != "unknown" or self.evidence is None:
             return ""
-        if any(test.rejects for test in self.tests):
+        facts = self.evidence.facts
+        if not (facts.silent or facts.stuck) or any(test.rejects for test in self.tests):
             return ""
+        if facts.stuck:
+            return (
+                "Nothing can be told of what the model lacks: its fit rests where the rig moves, so that"
+                f" {100 * facts.left_out:.0f} % of the samples do not count, and its simulation misses"
+                f" {100 * facts.unfollowed:.0f} % of the motion"
+            )
         return (
-            f"These data say nothing of what the model lacks: {100 * self.evidence.facts.left_out:.0f} % of the samples do not"
+            f"These data say nothing of what the model lacks: {100 * facts.left_out:.0f} % of the samples do not"
             " count, as the cart or the arm all but rests there, and no effect of any plausible size would show"
         )
+
+    @property
+    def silent_mend(self) -> str:
+        """Return what to do where nothing can be told; empty elsewhere."""
+        if not self.silent or self.evidence is None:
+            return ""
+        return BEGIN_ELSEWHERE if self.evidence.facts.stuck else MOVE_IT
 
     @property
     def colour_told(self) -> Mapping[str, float]:

@@ -166,6 +166,11 @@ class Facts:
         asked = {i for i, traits in self.effects.items() if not traits.contact}
         return self.left_out > 0.5 and bool(asked) and asked <= set(self.untestable)
 
+    @property
+    def stuck(self) -> bool:
+        """Return whether most samples do not count, as the model rests there, and its simulation misses most of the motion."""
+        return self.left_out > 0.5 and self.unfollowed > 0.5
+
     def origin(self, place: int) -> str:
         """Return the name of the experiment that the one at this place is, or is a piece of."""
         return self.origins[place] if self.origins else str(place)

@@ -31,6 +31,10 @@ OF_ROUNDING = (
     " random noise, which it is not where a sensor moves slowly, so it may be all that they reject: record with a finer range."
 )
 MOVE_IT = "Drive the rig so hard that cart and arm move, or record a decay from far off."
+BEGIN_ELSEWHERE = (
+    "See what rtac info (channel_consistency) says of signs, units and offsets, and begin the fit elsewhere (starts of"
+    " est.output_error)."
+)
 OF_A_DRIFT = (
     " It is as where a parameter changes while an experiment lasts, as friction of a drive that warms up: let the rig run"
     " before it is recorded, or fit shorter experiments and hold them against each other (est.constancy)."

@@ -133,7 +133,7 @@ class Loop:
                 enough = found.verdict == "adequate"
                 why = "nothing more is missing" if enough else f"{found.no_effect} explains what is missing"
                 if found.silent:
-                    why = "these data tell nothing"
+                    why = "nothing can be told"
                 elif found.simulation is not None and found.simulation.vetoes:
                     why = "no test names what the simulation's error comes from"
                 self.stopped = f"Stopped: {why}."

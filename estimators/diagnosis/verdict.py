@@ -119,7 +119,7 @@ def decide(laboratory: Laboratory, policy: DiagnosisPolicy, *, thorough: bool, l
     found = select(laboratory, policy, thorough=thorough, laws_first=laws_first)
     verdict, count, removed = found.named(laboratory.facts.samples, policy)
     simulation = None
-    if verdict == "adequate" and laboratory.facts.silent:
+    if verdict == "adequate" and (laboratory.facts.silent or laboratory.facts.stuck):
         return Judgement("unknown", (), tuple(found.steps), removed, found.tests, None, found)
     if verdict == "adequate":
         simulation = _of_base(laboratory, found, policy)

@@ -80,7 +80,7 @@ def finding(diagnosis: Diagnosis) -> str:
             f"Nothing is missing {diagnosis.floor}{in_time}: none of {tried} candidates ({count} testable) stands out"
         )
     if diagnosis.silent:
-        return "These data say nothing of what the model lacks: hardly a sample counts, as the rig all but rests"
+        return diagnosis.silent
     if diagnosis.verdict == "unknown":
         if diagnosis.drift:
             return f"The model fails as where a parameter drifts: {diagnosis.drift.split(' would explain')[0]}"

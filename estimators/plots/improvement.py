@@ -38,7 +38,7 @@ def finding(improvement: Improvement) -> str:
     """Say in one line what was added and what it did to the held-out error of the worst channel."""
     first, last = improvement.validation.models[0].errors, improvement.validation.models[-1].errors
     if improvement.diagnoses[-1].silent and not improvement.added:
-        return "Nothing can be told: hardly a sample counts, as the rig all but rests"
+        return improvement.diagnoses[-1].silent
     channel = max(first, key=lambda c: first[c].rms_over_noise)
     before, after = first[channel].rms_over_noise, last[channel].rms_over_noise
     if len(improvement.validation.models) == 1:

@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 from estimators.core.fit import FAR, Parameter
 from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.diagnosis import Diagnosis
-from estimators.diagnosis.explanation import MOVE_IT
 from estimators.diagnosis.improvement import Improvement
 from estimators.reporting.html import Bullets
 from estimators.reporting.largest_error import largest, largest_error
@@ -214,7 +213,7 @@ def _with_model(told: _Told, file: str, *, far: bool) -> str:
             f"rtac improve {shlex.quote(file)}, which adds it and goes on." if loop is None else _WITH_IT,
         ),
         (verdict == "ambiguous", _SEPARATE),
-        (bool(last.silent), MOVE_IT),
+        (bool(last.silent), last.silent_mend),
         (bool(last.drift), _SETTLE),
         (bool(told.varying), own),
         (loop is not None and loop.broken_off, _MORE_TIME),

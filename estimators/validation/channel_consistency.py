@@ -1,12 +1,13 @@
 """Consistency of channels and experiments with the equations of motion, and the mistake that explains best why there is none."""
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 
 import numpy as np
 
 from estimators.core.sensor_noise import noise_levels, spectral_floor
 from estimators.validation.arm_kinematics import is_contradicted
+from estimators.validation.cart_offset import OFFSET, of_all, of_one, offset_of_all, taken_off
 from estimators.validation.equation_error import (
     COEFFICIENTS,
     Known,
@@ -20,7 +21,7 @@ from estimators.validation.equation_error import (
     solve,
     usable,
 )
-from estimators.validation.equilibrium import distance_from_equilibrium, is_held
+from estimators.validation.equilibrium import distance_from_equilibrium
 from estimators.validation.mistakes import COARSE, DELAYS, Mistake, delays, is_blurred, usual_mistakes
 from rtac_jax.arguments import checked_arguments
 from rtac_jax.measurement import Experiment, Recording, Signal, moving_at_rest
@@ -33,15 +34,10 @@ SUSPICIOUS = 3.0
 # Ratio of residuals below which two mistakes explain equally well: the standard deviation of the residual of 200 rows is 5 %, and
 # that of a ratio of two is 7 %.
 ALIKE = 1.15
-# A plane that is off level by two degrees shows to the eye; an offset beyond what it gives, g sin(2 deg) / (k / (M+m)), is no tilt.
-LEVEL = 9.81 * np.sin(np.deg2rad(2.0))
 # Experiments in which a mistake of all is looked for.
 _SEARCHED = 4
 _SURE = 3.0  # times what is asked of all, from which on two experiments settle that a mistake does not explain them
-_OFFSET = "offset of cart_position"
-_PULLED = (
-    "; where it has none, gravity on a slide or a spring that is stiffer on one side does it, which est.diagnose names"
-)
+_SIGNS_OF_INPUTS = ("sign of disturbance_force", "sign of current")
 _PROMISING = 0.7  # of the residual, below which a coarse delay is refined: the root of a half
 
 
@@ -125,10 +121,14 @@ def _searched(recording: Recording) -> ChannelConsistency:
     # What is wrong with all alike is undone before single ones are held against them.
     if found is not None and search.undone is not None:
         search = _Search(search.undone)
-    offset = search.common_offset()
     singles = search.of_single()
+    offsets = search.offsets({one.experiment for one in singles if one.experiment is not None})
+    if offsets and found is None and (sign := search.sign()) is not None:
+        found, offsets = sign, []
     each = {name: residual_of(rows, search.agreed.coefficients) for name, rows in search.systems.items()}
-    return ChannelConsistency(before.residual, each, tuple(one for one in (found, offset, *singles) if one is not None))
+    return ChannelConsistency(
+        before.residual, each, tuple(one for one in (found, *offsets, *singles) if one is not None)
+    )
 
 
 class _Search:
@@ -170,8 +170,8 @@ class _Search:
             if few is not None and few.residual > _SURE * enough:
                 return few.residual
             solution = self._all_undone(mistake, names)
-            # What leaves most of the motion itself unexplained is no mistake that is undone.
-            if solution is None or solution.residual**2 > EXPLAINS * solution.motion**2:
+            # What leaves most of the motion itself unexplained, or no motion beyond noise, is no mistake that is undone.
+            if solution is None or solution.residual**2 > EXPLAINS * solution.motion**2 or solution.motion < SUSPICIOUS:
                 return np.inf
             return solution.residual
 
@@ -215,20 +215,35 @@ class _Search:
         rows = [rows_of(e, levels) for e in changed]
         return None if any(r is None for r in rows) else solve([placed(r, self.known) for r in rows if r is not None])
 
-    def common_offset(self) -> Inconsistency | None:
-        """Return that the cart moves around another place than zero, further off than a tilted plane can bring it."""
-        by = dict(zip(COEFFICIENTS, self.agreed.coefficients, strict=True)) | dict(self.known.fixed)
-        push = by["offset"] - by["against_offset"]
+    @property
+    def _coefficients(self) -> dict[str, float]:
+        return dict(zip(COEFFICIENTS, self.agreed.coefficients, strict=True)) | dict(self.known.fixed)
+
+    def offsets(self, others: Collection[str]) -> list[Inconsistency]:
+        """Return around which other place than zero the carts move, of all experiments and of each besides others, by name."""
         longest = max(e.sample_time * e.samples for e in self.experiments.values())
-        if by["spring"] <= 0 or abs(push) < LEVEL or not is_held(by["spring"], longest):
-            return None
-        # The equation is q'' + k/(M+m) (q - offset) = 0, so the constant is less the offset's fraction of the spring.
-        off = -push / by["spring"]
-        return self._offset(
-            None,
-            f"all experiments: the cart moves around {1e3 * off:.3g} mm instead of 0, further than a plane 2 degrees off level "
-            f"would bring it: cart_position has an offset; {_taken_off(off)}{_PULLED}.",
-        )
+        off = offset_of_all(self._coefficients, longest)
+        found = [] if off is None else [self._offset(None, of_all(off))]
+        each = {name: e for name, e in self.experiments.items() if name not in others}
+        places = {name: distance_from_equilibrium(e, self._coefficients) for name, e in each.items()}
+        return found + [self._offset(name, of_one(name, off)) for name, off in places.items() if off is not None]
+
+    def sign(self) -> Inconsistency | None:
+        """Return that all were recorded with a sign swapped, where no cart is off its place without that, and as little is left.
+
+        A force that hardly changes is to them what an offset is.
+        """
+        before = solve(list(self.systems.values())).residual
+        for mistake in (m for m in usual_mistakes() if m.id in _SIGNS_OF_INPUTS):
+            other = _Search(self._whole(mistake))
+            after = solve(list(other.systems.values())).residual if other.systems else np.inf
+            if after <= ALIKE * max(before, 1.0) and not other.offsets(()):
+                return Inconsistency(
+                    None, mistake.id, (), before, after,
+                    f"all experiments: the cart is off the place where the spring is at rest, and is not if one mistake is undone: "
+                    f"{mistake.seen}; {mistake.mend}. As well fits where it has none: an offset of cart_position.",
+                )  # fmt: skip
+        return None
 
     def of_single(self) -> list[Inconsistency]:
         """Return what is wrong with each experiment that the others contradict."""
@@ -241,23 +256,10 @@ class _Search:
                 continue
             if (own := self._of(name, SUSPICIOUS * max(worst, 1.0))) is not None:
                 found.append(own)
-        seen = {one.experiment for one in found}
-        return found + [own for name in self.experiments if name not in seen and (own := self._off_equilibrium(name))]
-
-    def _off_equilibrium(self, name: str) -> Inconsistency | None:
-        """Return that a cart moves where its spring cannot hold it, of which the equations say nothing where it never slides."""
-        by = dict(zip(COEFFICIENTS, self.agreed.coefficients, strict=True)) | dict(self.known.fixed)
-        off = distance_from_equilibrium(self.experiments[name], by)
-        if off is None:
-            return None
-        return self._offset(
-            name,
-            f"experiment {name}: its cart moves around a place {1e3 * off:.3g} mm from where the spring of the others is at rest, "
-            f"further than dry friction can hold it: cart_position has an offset; {_taken_off(off)}.",
-        )
+        return found
 
     def _offset(self, name: str | None, sentence: str) -> Inconsistency:
-        return Inconsistency(name, _OFFSET, (), self.agreed.residual, self.agreed.residual, sentence)
+        return Inconsistency(name, OFFSET, (), self.agreed.residual, self.agreed.residual, sentence)
 
     def _of(self, name: str, enough: float) -> Inconsistency | None:
         experiment = self.experiments[name]
@@ -336,16 +338,11 @@ class _Search:
         push = float(np.median(error[of_cart] / column[of_cart]))
         off = -push / spring["spring"]
         mistake = Mistake(
-            _OFFSET,
+            OFFSET,
             f"cart_position fits when {1e3 * off:.3g} mm are taken off",
-            _taken_off(off),
+            taken_off(off),
         )
         return mistake, self._beside(dataclasses.replace(rows, target=rows.target - push * column))
-
-
-def _taken_off(off: float) -> str:
-    how = f"subtract {off:.4g} m from" if off > 0 else f"add {-off:.4g} m to"
-    return f"{how} cart_position, or read it from where the spring is at rest"
 
 
 def _signal(experiment: Experiment, channel: str) -> Signal | None:

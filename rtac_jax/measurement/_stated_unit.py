@@ -31,8 +31,8 @@ _SPELLINGS = {
     "RPM": "rpm",
 }
 _IN_BRACKETS = re.compile(r"^(?P<column>.*?)\s*\[(?P<unit>[^\[\]]*)\]$")
-# A unit at the end of a column's name, in round brackets or after an underscore.
-_AT_THE_END = re.compile(r"(?:\((?P<within>[^()]*)\)|_(?P<after>(?:m?rad|deg|rev)_s|[^_\s]+))$")
+# A unit at the end of a column's name, in round brackets, after an underscore or after "in".
+_AT_THE_END = re.compile(r"(?:\((?P<within>[^()]*)\)|(?:_| in )(?P<after>(?:m?rad|deg|rev)_s|[^_\s()]+))$")
 # After an underscore these are units less often than something else, as in "current_in" and "x_cm", the centre of mass.
 _WORDS = ("in", "rev", "cm")
 

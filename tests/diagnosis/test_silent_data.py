@@ -51,7 +51,7 @@ def test_pictures_and_report_say_so(silent: est.Diagnosis) -> None:
         made_up_results.improvement(1), diagnoses=(silent,), diagnosed=(0,), added=(), verdict="unknown"
     )
     assert improved.headline == f"{silent.silent}."
-    assert "hardly a sample counts" in finding(improved)
+    assert "97 % of the samples do not count" in finding(improved)
     assert "say nothing" in plot_diagnosis(silent).get_suptitle().replace("\n", " ")
     bullets = str(of_diagnosis(improved, improved.train, improved.validation, file="rig.h5", estimates=None, doubts=()))
     assert "These data say nothing" in bullets
@@ -66,7 +66,7 @@ def test_where_a_test_rejects_the_data_are_not_silent(silent: est.Diagnosis) -> 
 def test_a_picture_of_what_was_added_is_not_silent(silent: est.Diagnosis) -> None:
     found = dataclasses.replace(made_up_results.improvement(2), diagnoses=(silent,), diagnosed=(0,))
     assert found.added
-    assert "hardly a sample" not in finding(found)
+    assert "do not count" not in finding(found)
 
 
 def test_the_loop_ends_there(silent: est.Diagnosis, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -75,9 +75,26 @@ def test_the_loop_ends_there(silent: est.Diagnosis, monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(loop_end, "_look_again", lambda _: pytest.fail("something more was asked"))
     loop = new_loop()
     loop.run()
-    assert loop.stopped == "Stopped: these data tell nothing."
+    assert loop.stopped == "Stopped: nothing can be told."
     end = loop_end.end_of(loop, last_resort=True)
     assert (end.loop is loop, end.learned, end.nearest, end.differs) == (True, None, None, None)
+
+
+@pytest.mark.parametrize(
+    ("left_out", "unfollowed", "stuck"), [(0.99, 0.98, True), (0.99, 0.1, False), (0.3, 0.98, False)]
+)
+def test_a_fit_that_rests_where_the_rig_moves_is_not_adequate(
+    diagnosis: est.Diagnosis, left_out: float, unfollowed: float, stuck: bool
+) -> None:
+    assert diagnosis.evidence is not None
+    facts = dataclasses.replace(diagnosis.evidence.facts, left_out=left_out, unfollowed=unfollowed)
+    evidence = dataclasses.replace(diagnosis.evidence, facts=facts)
+    verdict = est.judge(evidence).verdict
+    assert verdict == ("unknown" if stuck else "adequate")
+    told = dataclasses.replace(diagnosis, evidence=evidence, verdict=verdict)
+    assert ("its fit rests where the rig moves" in told.silent) is stuck
+    assert ("98 % of the motion" in told.silent) is stuck
+    assert ("signs, units and offsets" in told.silent_mend) is stuck
 
 
 @pytest.mark.parametrize(

@@ -194,6 +194,9 @@ def test_csv(tmp_path):
         ("x [inches]", {}, 0.0254),
         ("x_cm", {}, 1.0),  # the centre of mass, rather
         ("x_rpm", {}, 1.0),  # no unit of a length
+        ("Cart_Position(mm)", {}, 1e-3),
+        ("Position in mm", {}, 1e-3),
+        ("Position in all", {}, 1.0),
         ("x [mm]", {"units": {"cart_position": "m"}}, 1.0),
         ("x [mm]", {"units": {"cart_position": "cm"}}, 1e-2),
         ("x [V]", {"scale": {"cart_position": 0.02}}, 0.02),

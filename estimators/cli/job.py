@@ -238,7 +238,7 @@ class Job:
     def _with_doubt(self, error: Exception) -> str:
         """Return what is doubtful in the recording, and the error that came of it."""
         assert self.doubts
-        return f"{self.doubts[0][0].upper()}{self.doubts[0][1:]} As it is, no fit comes of it: {error}"
+        return f"{_doubtful(self.doubts[0])} As it is, no fit comes of it: {error}"
 
     def save(self, result: Any, path: Path | None) -> None:
         """Keep a result, if a file was named."""

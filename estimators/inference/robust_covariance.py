@@ -51,7 +51,8 @@ class Covariances(Result):
 
         NaN where only one experiment shows it and there is nothing to compare.
         """
-        return dict(zip(self.names, (float(x) for x in np.sqrt(np.diagonal(getattr(self, kind)))), strict=True))
+        with np.errstate(invalid="ignore"):  # rounding of next to nothing may be negative
+            return dict(zip(self.names, (float(x) for x in np.sqrt(np.diagonal(getattr(self, kind)))), strict=True))
 
     def interval(self, kind: Kind, level: float = 0.95) -> dict[str, tuple[float, float]]:
         """Return the confidence interval of each parameter."""

@@ -23,6 +23,10 @@ def plot_confusion(diagnosis: Diagnosis) -> Picture:
     values = values.reshape(len(shown), len(shown))
     figure = picture(7.4, 5.2)
     axes = figure.subplots()
+    if not shown:
+        axes.set_axis_off()
+        title(figure, _finding(shown, values, set()))
+        return figure
     image = axes.imshow(values, cmap="Greys", vmin=0.0, vmax=1.0)
     accepted = {c.id for c in diagnosis.effects}
     labels = [f"★ {name}" if name in accepted else name for name in names]

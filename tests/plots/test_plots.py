@@ -101,6 +101,7 @@ PICTURES = {
     "confusion": lambda: plot_confusion(diagnosis(others=alike(15, 0.95))),
     "confusion of few": lambda: plot_confusion(diagnosis("adequate", others=OTHERS)),
     "confusion of one": lambda: plot_confusion(diagnosis(others=())),
+    "confusion of none": lambda: plot_confusion(dataclasses.replace(diagnosis("unknown"), effects=(), candidates=())),
     "bands of one": lambda: plot_bands(Comparison((compared("model", 12.0),))),
     "bands of two": lambda: plot_bands(Comparison((compared("base", 12.0), compared("+ mode", 0.2)))),
     "bands of coloured noise": lambda: plot_bands(

@@ -25,6 +25,7 @@ def plot_confusion(diagnosis: Diagnosis) -> Picture:
     axes = figure.subplots()
     if not shown:
         axes.set_axis_off()
+        axes.text(0.5, 0.5, "no candidate that these data could show", ha="center", fontsize=SMALL)
         title(figure, _finding(shown, values, set()))
         return figure
     image = axes.imshow(values, cmap="Greys", vmin=0.0, vmax=1.0)

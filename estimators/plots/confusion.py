@@ -10,6 +10,7 @@ from estimators.plots.style import SMALL, Picture, picture, title
 _MOST = 12
 _FEWEST = 3
 _ALIKE = 0.9  # correlation from which on two effects are hard to tell apart
+_LABEL = "Largest correlation of what two effects change [1]"
 
 
 def plot_confusion(diagnosis: Diagnosis) -> Picture:
@@ -24,7 +25,9 @@ def plot_confusion(diagnosis: Diagnosis) -> Picture:
     figure = picture(7.4, 5.2)
     axes = figure.subplots()
     if not shown:
-        axes.set_axis_off()
+        axes.set_xticks([])
+        axes.set_yticks([])
+        axes.set_xlabel(_LABEL, fontsize=SMALL)
         axes.text(0.5, 0.5, "no candidate that these data could show", ha="center", fontsize=SMALL)
         title(figure, _finding(shown, values, set()))
         return figure
@@ -42,7 +45,7 @@ def plot_confusion(diagnosis: Diagnosis) -> Picture:
             )  # fmt: skip
     axes.tick_params(length=0)
     bar = figure.colorbar(image, ax=axes, shrink=0.8)
-    bar.set_label("Largest correlation of what two effects change [1]", fontsize=SMALL)
+    bar.set_label(_LABEL, fontsize=SMALL)
     bar.ax.tick_params(labelsize=SMALL)
     title(figure, _finding(shown, values, accepted))
     return figure

@@ -39,7 +39,7 @@ class NotIdentifiableError(ValueError):
     """Data that leave combinations of parameters free; the message names them and what would fix them.
 
     Attributes:
-        unseen: names of parameters without any effect, where nothing else is free.
+        unseen: names of effects' parameters that show nowhere, where nothing else is free, and not all are.
     """
 
     def __init__(self, message: str, unseen: tuple[str, ...] = ()) -> None:

@@ -27,10 +27,10 @@ def fit_what_shows(model: RTAC, recording: Recording, **options: Any) -> Fit:
     try:
         return output_error(model, recording, **options)
     except NotIdentifiableError as error:
-        held = error.unseen
-        if not held or not all("." in name for name in held) or set(held) == set(model.free):
+        if not error.unseen:
             raise
-    return output_error(model.fix(*held), recording, **options)
+        shown = model.fix(*error.unseen)
+    return output_error(shown, recording, **options)
 
 
 def held_unseen(model: RTAC, fit: Fit) -> tuple[str, ...]:

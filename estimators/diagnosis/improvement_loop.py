@@ -141,6 +141,12 @@ class Loop:
             if not self.stopped and not offered(self.last.fit.model, self.candidates):
                 self.stopped = "Stopped: every candidate was added."
 
+    def add_first(self) -> None:
+        """Diagnose the base model, without a second look, and add what is named."""
+        self.diagnoses.append(self.diagnosed_again(self.last.fit, self.candidates, thorough=False))
+        self.diagnosed.append(len(self.steps) - 1)
+        self._add(self.diagnoses[-1])
+
     def diagnosed_again(
         self, base: Fit, candidates: Sequence[type[Effect]] | None, *, thorough: bool, laws_first: bool = False
     ) -> Diagnosis:

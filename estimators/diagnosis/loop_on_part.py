@@ -1,4 +1,4 @@
-"""The loop over a part of a long recording, which finds what dominates before all samples are fitted."""
+"""The beginning of the loop on a part of a long recording, which shows what dominates before all samples are fitted."""
 
 import dataclasses
 from collections.abc import Callable
@@ -26,9 +26,9 @@ def loop_from_part(
 ) -> Loop | None:
     """Return the loop over all samples that begins at the model to which a part of them leads.
 
-    Fits and diagnoses of the models before are of the part. None where a part leads nowhere: the recording is not long, the part is
-    fitted to the noise, nothing that is named there serves held-out experiments by simulation, or all samples cannot be fitted
-    with it.
+    The fit and the diagnosis of the base model are of the part. None where a part leads nowhere: the recording is not long, the
+    part is fitted to the noise, nothing that is named there serves held-out experiments by simulation, or all samples cannot be
+    fitted with it.
 
     Args:
         model: the base model.
@@ -45,10 +45,8 @@ def loop_from_part(
         if unfollowed(base, Data.of(pieces(moving(part))), policy.simulation) == 0.0:
             return None
         loop = loop_of(part, base)
-        asked = {"thorough": loop.thorough, "laws": loop.laws}
         # What a part does not tell at once is asked after all samples were fitted.
-        loop.thorough = loop.laws = False
-        loop.run()
+        loop.add_first()
         if not loop.added or not loop.all_simulated:
             return None
         names, last = loop.steps[-1]
@@ -59,4 +57,4 @@ def loop_from_part(
     except FAILURES:
         return None
     steps = [*loop.steps[:-1], (names, dataclasses.replace(last, fit=fit, tested=tested))]
-    return dataclasses.replace(loop, train=train, steps=steps, stopped="", out_of_time=False, not_added=(), **asked)
+    return dataclasses.replace(loop, train=train, steps=steps, stopped="", out_of_time=False, not_added=())

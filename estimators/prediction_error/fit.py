@@ -73,7 +73,8 @@ class PredictorFit(ModelFit):
         whiteness: of the innovations, by experiment and channel.
         log_likelihood: of all data, less a constant.
         experiments: names of the experiments.
-        statistics: substeps, samples, seconds, number of unknowns, and rms of the prediction errors by channel.
+        statistics: substeps, samples, their fraction of those that were measured, seconds, number of unknowns, and rms of the
+            prediction errors by channel.
         problem: that was solved, at its solution.
         prior: of the noise.
         noise_exponents: the estimated noise as `run_filter` takes it.
@@ -231,6 +232,7 @@ def prediction_error_nonlinear(
         statistics={
             "substeps": substeps,
             "samples": float(jnp.sum(data.counted)),
+            "counted": float(jnp.sum(data.counted) / jnp.sum(data.present)),
             "unknowns": number_of_unknowns(space, found.unknowns) + 2 + len(levels),  # and force, torque, sensors
             "one_step_rms": one_step_rms(found.filtered),
             "seconds": time.perf_counter() - began,

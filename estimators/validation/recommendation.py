@@ -17,10 +17,11 @@ from rtac_jax.overview import Overview, aligned
 
 RULE = (
     "The rule: output error with its plain standard deviation where its residuals are white; else prediction error, where its "
-    "innovations are, or where output error did not converge or ended where the data leave parameters free; else the larger of "
-    "the deviations for a coloured residual and for independent experiments, with output error, or, where that does not follow "
-    "the rig, with prediction error."
+    "innovations are, of more than half of the samples, or where output error did not converge or ended where the data leave "
+    "parameters free; else the larger of the deviations for a coloured residual and for independent experiments, with output "
+    "error, or, where that does not follow the rig, with prediction error."
 )
+_MOST = 0.5  # of the measured samples, that white innovations have to be of
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
@@ -113,7 +114,9 @@ def recommended(
     if spread is not None:
         kinds = {"a coloured residual": spread.std("sandwich"), "independent experiments": spread.std("clustered")}
     if predicted is not None:
-        white = _white([w.p_value for w in predicted.whiteness])
+        # Of a rig that all but rests most samples are left out, and innovations of the others say little.
+        most = predicted.statistics.get("counted", 1.0) > _MOST
+        white = most and _white([w.p_value for w in predicted.whiteness])
         if white or refused:
             deviation = f"white innovations, which it has{'' if white else f' not; output error {refused}'}"
             return Recommendation(

@@ -30,12 +30,18 @@ SPREAD = Covariances(
 )  # fmt: skip
 
 
-def predictor(p_value):
-    """Predictions whose innovations have this probability of being white."""
+def predictor(p_value, counted=1.0):
+    """Predictions whose innovations have this probability of being white, of this fraction of the samples."""
     found = object.__new__(PredictorFit)
     model = MODEL.with_values({"spring_stiffness": 130.0})
     white = Whiteness("free_1", "cart_position", 1.0, np.zeros(25), 0.1, p_value)
-    for name, value in {"model": model, "information": information(0.5, 2e-4), "whiteness": (white,)}.items():
+    known = {
+        "model": model,
+        "information": information(0.5, 2e-4),
+        "whiteness": (white,),
+        "statistics": {"counted": counted},
+    }
+    for name, value in known.items():
         object.__setattr__(found, name, value)
     return found
 
@@ -50,6 +56,12 @@ def test_a_coloured_one_by_predictions_if_these_are_white():
     found = recommended(FIT, compared("model", 5.0), predicted=predictor(0.5), spread=SPREAD)
     assert (found.estimator, found.sound) == ("prediction error", True)
     assert dataclasses.astuple(found.parameters["spring_stiffness"])[:2] == pytest.approx((130.0, 0.5))
+
+
+def test_not_if_these_are_of_a_few_samples_as_of_a_rig_that_rests():
+    found = recommended(FIT, compared("model", 5.0), predicted=predictor(0.5, counted=0.34), spread=SPREAD)
+    assert (found.estimator, found.sound) == ("output error", False)
+    assert found.parameters["spring_stiffness"].std == pytest.approx(0.3)
 
 
 @pytest.mark.parametrize(("std", "told"), [(0.5, True), (2.0, False)])

@@ -142,15 +142,15 @@ class Job:
             unseen: hold what shows nowhere, as what the model lacks may be what would show it; else that is refused.
         """
         import estimators as est
-        from estimators.output_error.fit_what_shows import fit_what_shows, held_unseen
+        from estimators.output_error.fit_what_shows import fit_what_shows
 
         options: dict[str, Any] = {"robust": True} if robust else {}
         self.note_doubts()
         with self.explaining():
             if not unseen:
                 return est.output_error(model, self.train, from_model=from_model, **options)
-            fit = fit_what_shows(model, self.train, from_model=from_model, **options)
-        if held := held_unseen(model, fit):
+            fit, held = fit_what_shows(model, self.train, by=est.output_error, from_model=from_model, **options)
+        if held:
             self.note(f"{', '.join(held)}: without effect on what was measured, and held at the model's value.")
         return fit
 

@@ -175,10 +175,10 @@ def of_part(samples: int, *, gross: bool, named: bool) -> str:
     Args:
         samples: that were looked at.
         gross: whether the fit follows nothing; else it misses more than the sensors do.
-        named: whether they tell what is missing; else all samples show no more than they do.
+        named: whether they tell what is missing; else the others show nothing that could be named beside it.
     """
     why = "follows nothing" if gross else "misses more than the sensors do"
-    shown = "which show what dominates" if named else "and all show no more than these"
+    shown = "which show what dominates" if named else "beside which the others show nothing that could be named"
     last = " What is smaller is for a diagnosis of the model with what is named." if named else ""
     return f" As the fit {why}, {samples:,} samples of all experiments were looked at, {shown}; detection limits are theirs.{last}"
 

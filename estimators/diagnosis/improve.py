@@ -16,7 +16,7 @@ from estimators.diagnosis.loop_on_part import loop_from_part
 from estimators.diagnosis.model_extension import Added
 from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
 from estimators.diagnosis.removed_error import Verdict
-from estimators.output_error.fit_what_shows import fit_what_shows, held_unseen
+from estimators.output_error.fit_what_shows import fit_what_shows
 from estimators.validation.simulation_error import Comparison, compare
 from rtac_jax import RTAC
 from rtac_jax.arguments import checked_arguments
@@ -90,9 +90,9 @@ def improve(
 
         loop = loop_from_part(model, train, loop_of, policy, progress=progress)
         if loop is None:
-            base = fit_what_shows(model, train, progress=progress)
+            base, unseen = fit_what_shows(model, train, progress=progress)
             loop = loop_of(train, base)
-            loop.unseen = held_unseen(model, base)
+            loop.unseen = unseen
     loop.run()
     with deadline.prolonged(PROLONGED).kept():
         ended = end_of(loop, last_resort=learned_force)

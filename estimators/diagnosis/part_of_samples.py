@@ -98,8 +98,8 @@ def suffices(looked: Looked, fit: Fit, recording: Recording, *, times: float, gr
     """Return whether a diagnosis of a part need not be asked of all samples.
 
     What it names has to explain everything by effects that explain all samples, too, and that it tells from all others as well as
-    all samples would. Where it names nothing, as no effect explains enough, that is the answer where the misfit is no small one and
-    all samples show no more: what they would tell besides is how surely no effect explains it.
+    all samples would. Where it names nothing, as no effect explains enough, that is the answer where the misfit is no small one,
+    and so large beside what only the rest shows that nothing that explains the rest alone would be named.
 
     Args:
         looked: the diagnosis of the part.
@@ -119,10 +119,11 @@ def suffices(looked: Looked, fit: Fit, recording: Recording, *, times: float, gr
             bool(np.isfinite(left))
             and removed_beside(found.steps, looked.laboratory.facts.samples, left) >= policy.removed
         )
-    slight = 2 * policy.consequence  # of squares
-    if told.verdict != "unknown" or excess_of(found.left) < slight * looked.laboratory.facts.samples:
+    unexplained = excess_of(found.left) / looked.laboratory.facts.samples
+    if told.verdict != "unknown" or unexplained < 2 * policy.consequence:  # of squares
         return False
-    return looked.left_of_all(fit, recording) <= 1 + slight
+    # To be named, what only the rest shows has to be nearly all that all samples leave.
+    return looked.left_of_all(fit, recording) - 1 <= policy.removed / policy.left * unexplained
 
 
 def is_told_by_more(

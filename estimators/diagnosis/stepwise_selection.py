@@ -36,6 +36,7 @@ class _Look:
         way: to refit them.
         least: gain that the first step must have, or none is taken.
         single: whether the first step alone is wanted, so that it is not judged beside later ones.
+        known: the first step of another look: where this one takes it, too, and gains no more, what follows is known.
     """
 
     ranked: Sequence[Score]
@@ -43,6 +44,12 @@ class _Look:
     way: Way
     least: float = 0.0
     single: bool = False
+    known: Step | None = None
+
+    def repeats(self, step: Step, policy: DiagnosisPolicy) -> bool:
+        """Return whether what follows a first step is known."""
+        known = self.known
+        return known is not None and step.id == known.id and step.gain <= known.gain + policy.bic_gain
 
 
 def select(laboratory: Laboratory, policy: DiagnosisPolicy, *, thorough: bool, laws_first: bool = False) -> Selection:
@@ -171,7 +178,9 @@ def second_looks(laboratory: Laboratory, found: Selection, policy: DiagnosisPoli
         return found
     for look in (unalarmed, hidden):
         laboratory.say("what raised no alarm")
-        again, more = improvements(laboratory, found.base, found.findings, policy, look(laboratory, found, policy))
+        first = found.steps[0] if found.steps else None
+        asked = dataclasses.replace(look(laboratory, found, policy), known=first)
+        again, more = improvements(laboratory, found.base, found.findings, policy, asked)
         found = dataclasses.replace(found, tried=more | found.tried)
         if named(again, found.tests, laboratory.facts.samples, policy)[1]:
             return dataclasses.replace(found, steps=again, tried=found.tried | more)
@@ -254,7 +263,9 @@ def improvements(
     first_tests = adequacy_tests(findings, policy.critical)
     for _ in range(policy.effects):
         step = _next_step(laboratory, now, seen, tried, policy, look if not steps else None)
-        if step is None or (look is not None and not steps and step.gain <= look.least):
+        if step is None:
+            break
+        if look is not None and not steps and (step.gain <= look.least or look.repeats(step, policy)):
             break
         known = tried.get(step.id)  # the first refit with it, alone if it came before what it presupposes
         if steps and known is not None and known[0].added == now.added[:-1]:

@@ -1,6 +1,7 @@
 """Output error of a model that may lack what would show some of its parameters."""
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 from estimators.core.fit import Fit
 from estimators.core.results import NotIdentifiableError
@@ -9,7 +10,16 @@ from rtac_jax import RTAC
 from rtac_jax.measurement import Recording
 
 
-def fit_what_shows(model: RTAC, recording: Recording, **options: Any) -> Fit:
+class Shown(NamedTuple):
+    """A fit, and the names of the parameters that it held as they show nowhere."""
+
+    fit: Fit
+    unseen: tuple[str, ...]
+
+
+def fit_what_shows(
+    model: RTAC, recording: Recording, *, by: Callable[..., Fit] = output_error, **options: Any
+) -> Shown:
     """Fit a model by output error with those parameters of effects held at their values that have no effect on its simulation.
 
     What the model lacks may be what would show them: without gravity a pendulum does not swing back, and friction that way is
@@ -18,21 +28,17 @@ def fit_what_shows(model: RTAC, recording: Recording, **options: Any) -> Fit:
     Args:
         model: as `output_error` takes it, and so `recording`.
         recording: with moving experiments.
-        options: of `output_error`.
+        by: output error.
+        options: of that.
 
     Raises:
         NotIdentifiableError: anything else is free, or no parameter is left.
         ValueError, DivergedError: as `output_error`.
     """
     try:
-        return output_error(model, recording, **options)
+        return Shown(by(model, recording, **options), ())
     except NotIdentifiableError as error:
         if not error.unseen:
             raise
-        shown = model.fix(*error.unseen)
-    return output_error(shown, recording, **options)
-
-
-def held_unseen(model: RTAC, fit: Fit) -> tuple[str, ...]:
-    """Return the names of the parameters of a model that its fit held as they show nowhere."""
-    return tuple(sorted(set(model.free) - set(fit.model.free)))
+        unseen = error.unseen
+    return Shown(by(model.fix(*unseen), recording, **options), tuple(sorted(unseen)))

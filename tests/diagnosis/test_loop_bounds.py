@@ -146,7 +146,7 @@ def test_errors_of_an_adequate_model_are_held_against_the_coloured_noise(
     def run(loop: Loop) -> None:
         loop.diagnoses, loop.diagnosed, loop.stopped = [told], [0], "Stopped."
 
-    monkeypatch.setattr(module, "fit_what_shows", lambda *_, **__: made_up_results.FIT)
+    monkeypatch.setattr(module, "fit_what_shows", lambda *_, **__: (made_up_results.FIT, ()))
     monkeypatch.setattr(module, "compare", lambda *_, **__: base)
     monkeypatch.setattr(module, "compile_diagnosis", lambda *_: None)
     monkeypatch.setattr(module, "end_of", lambda loop, **_: LoopEnd(loop))

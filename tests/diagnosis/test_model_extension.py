@@ -182,7 +182,11 @@ def looped(
         return made(est.Diagnosis, verdict="missing", effects=(CANDIDATE,), additions=(spring,), **shown)
 
     for module, stubs in {
-        improve: {"fit_what_shows": fitted, "compare": compared, "doubtful": lambda *_: ()},
+        improve: {
+            "fit_what_shows": lambda *a, **k: (fitted(*a, **k), ()),
+            "compare": compared,
+            "doubtful": lambda *_: (),
+        },
         improvement_loop: {"diagnose": diagnosed},
         _add_effect: {
             "output_error": fitted,

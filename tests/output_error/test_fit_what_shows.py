@@ -7,7 +7,7 @@ from scipy.integrate import solve_ivp
 import estimators as est
 import rtac_jax as rtac
 from estimators.core.results import NotIdentifiableError
-from estimators.output_error.fit_what_shows import fit_what_shows, held_unseen
+from estimators.output_error.fit_what_shows import fit_what_shows
 from rtac_jax.measurement import Experiment, Recording
 
 STEP = 2 * np.pi / 2048  # of an encoder
@@ -31,8 +31,8 @@ def test_what_shows_nowhere_is_held() -> None:
     with pytest.raises(NotIdentifiableError, match=r"est\.improve goes on without it") as refused:
         est.output_error(model, recording, progress=False)
     assert refused.value.unseen == ("arm_viscous.negative",)
-    fit = fit_what_shows(model, recording, progress=False)
-    assert held_unseen(model, fit) == ("arm_viscous.negative",)
+    fit, unseen = fit_what_shows(model, recording, progress=False)
+    assert unseen == ("arm_viscous.negative",)
     assert fit.parameters["arm_viscous.negative"].std == 0.0
     found = fit.parameters["arm_viscous.positive"]
     assert abs(found.value - 0.8) < 3 * found.std < 0.01

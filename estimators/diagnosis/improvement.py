@@ -38,7 +38,8 @@ class Improvement(Result):
     """The result of `improve`.
 
     Attributes:
-        fits: of the base model and of every model after it, in order; what one diagnosis names is added together.
+        fits: of the base model and of every model after it, in order; what one diagnosis names is added together. Of more than
+            32,000 samples the first may be of a part (`diagnosis.loop_on_part`).
         diagnoses: one for every fit that was diagnosed.
         diagnosed: the place of that fit in `fits`.
         added: the effects that were added, in order, as the diagnosis saw them.

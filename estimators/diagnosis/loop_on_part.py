@@ -47,6 +47,9 @@ def loop_from_part(
         loop = loop_of(part, base)
         # What a part does not tell at once is asked after all samples were fitted.
         loop.add_first()
+        if loop.out_of_time and not loop.added:  # what is named is told, of all samples fitted with the base model
+            ended = loop_of(train, output_error(model, train, progress=progress))
+            return dataclasses.replace(loop, train=train, steps=ended.steps)
         if not loop.added or not loop.all_simulated:
             return None
         names, last = loop.steps[-1]

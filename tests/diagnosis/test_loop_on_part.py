@@ -36,7 +36,7 @@ def locked(samples: int) -> rtac.Recording:
 
 def found(
     monkeypatch: pytest.MonkeyPatch, train: rtac.Recording, *, missed: Any = FAR, way: Any = "simulated", adds: bool = True,
-    last: est.Fit | Exception = MENDED,
+    last: est.Fit | Exception = MENDED, in_time: bool = True,
 ) -> tuple[Loop | None, list[tuple[int, bool]]]:  # fmt: skip
     """What a part leads to, and the samples of every fit with whether it began from a model's values."""
     fitted: list[tuple[int, bool]] = []
@@ -54,6 +54,8 @@ def found(
         loop.stopped = "Stopped: nothing more is missing."
         loop.diagnoses.append(made_up_results.diagnosis("unknown"))
         loop.diagnosed.append(0)
+        if not in_time:
+            loop.stopped, loop.out_of_time, loop.not_added = "Stopped: time.", True, ("cubic_spring",)
         if adds:
             loop.added.append(made_up_results.candidate("cubic_spring", 90.0))
             step = Added(dataclasses.replace(MENDED, experiments=("part",)), COMPARED, way)
@@ -104,3 +106,12 @@ def test_where_a_part_leads_nowhere_all_samples_are_begun_with(
     loop, fitted = found(monkeypatch, locked(samples), **told)
     assert loop is None
     assert len(fitted) == fits
+
+
+def test_what_is_named_too_late_is_told_beside_the_base_model_of_all_samples(monkeypatch: pytest.MonkeyPatch) -> None:
+    train = locked(8000)
+    loop, fitted = found(monkeypatch, train, adds=False, in_time=False)
+    assert loop is not None
+    assert fitted == [(16_000, False), (40_000, False)]
+    assert (loop.train is train, loop.out_of_time, loop.not_added) == (True, True, ("cubic_spring",))
+    assert (loop.stopped, len(loop.steps), len(loop.diagnoses)) == ("Stopped: time.", 1, 1)

@@ -79,7 +79,8 @@ def words(
         found = simulation.words if simulation is not None and simulation.words else f"Nothing is missing {floor}."
         if detectable and consequence is not None:
             found = _of_no_consequence(detectable, candidates, consequence)
-        return f"Adequate: {found[0].lower()}{found[1:]} An effect would have been found from: {text}.{unseen}"
+        text = f" An effect would have been found from: {text}." if text else ""
+        return f"Adequate: {found[0].lower()}{found[1:]}{text}{unseen}"
     worst = next((p for p in places if p.by == "experiment"), None)
     part = next((p for p in places if p.by != "experiment" and p.excess > 1), None)
     shown = ""

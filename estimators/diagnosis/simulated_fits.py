@@ -19,6 +19,7 @@ from estimators.misspecification.detection_limit import largest_size
 from estimators.misspecification.equation_screening import Explained
 from estimators.output_error.fit import output_error
 
+_ATTENUATED = 3.0  # times as large as the equations of motion have it, which noise of the regressors makes smaller
 _STEPS = 10  # of the optimiser in each stage: candidates are ranked, and the step after goes on from where one ended
 
 
@@ -95,6 +96,12 @@ def _simulated_with(setting: Setting, fit: Fit, before: Refit, s: Screened | Exp
 
 
 def _plausible(fit: Fit, s: Screened | Explained, policy: DiagnosisPolicy) -> bool:
-    """Return whether an effect is no larger than those that data are asked to show."""
-    sizes = ((fit.model[f"{s.id}.{name}"], largest_size(s.instance, name, policy.testable)) for name in s.amplitudes)
-    return all(abs(float(np.asarray(found))) <= size for found, size in sizes)
+    """Return whether an effect is no larger than those that data are asked to show, or than the equations of motion have it.
+
+    Plausible sizes are those of the paper's rig; a pendulum of a hundred times the inertia has as much more gravity.
+    """
+    known = dict(zip(s.amplitudes, np.abs(s.begin), strict=True)) if isinstance(s, Explained) else {}
+    sizes = {f"{s.id}.{name}": largest_size(s.instance, name, policy.testable) for name in s.amplitudes}
+    by_equations = max((known.get(name, 0.0) / sizes[f"{s.id}.{name}"] for name in s.amplitudes), default=0.0)
+    largest = max(1.0, _ATTENUATED * by_equations)
+    return all(abs(float(np.asarray(fit.model[name]))) <= largest * size for name, size in sizes.items())

@@ -23,7 +23,8 @@ from estimators.misspecification.findings import Findings, Score
 def selected_by_simulation(laboratory: Laboratory, found: Selection, policy: DiagnosisPolicy) -> Selection | None:
     """Select effects by what they take off the simulation's error; None where they do not take off nearly all that is left.
 
-    Asked only where the simulation is far from the data beside random forces, and what is named, or that nothing is, is doubtful.
+    Asked only where the simulation is far from the data beside random forces, and what is named, or that nothing is, is doubtful;
+    and where nothing is named although it follows nothing, and nobody knows the noise, for which predictions may take the motion.
 
     Args:
         laboratory: that computes, or knows, what is asked.
@@ -32,11 +33,15 @@ def selected_by_simulation(laboratory: Laboratory, found: Selection, policy: Dia
 
     Source: Miller, Subset Selection in Regression (2002), chapter 3, for forward selection.
     """
-    if max(found.base.random) < policy.consequence or (base := _far(laboratory, found.base, policy)) is None:
+    facts, named = laboratory.facts, found.named_model(laboratory.facts.samples, policy)
+    if not facts.noise_known and not named.added and facts.unfollowed > policy.simulation.unfollowed:
+        base = reached = laboratory.simulation(found.base)
+    elif max(found.base.random) < policy.consequence or (base := _far(laboratory, found.base, policy)) is None:
         return None
-    named = found.named_model(laboratory.facts.samples, policy)
-    # The simulation with what is named costs a fit, and is asked last.
-    if not _is_doubtful(laboratory, found, named, policy) or (reached := _far(laboratory, named, policy)) is None:
+    else:
+        # The simulation with what is named costs a fit, and is asked last.
+        reached = _far(laboratory, named, policy) if _is_doubtful(laboratory, found, named, policy) else None
+    if base is None or reached is None:
         return None
     laboratory.say("simulations")
     enough = policy.left * min(excess_left(reached.error, base.error, policy), 1.0)

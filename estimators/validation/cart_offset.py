@@ -40,7 +40,8 @@ def of_one(name: str, off: float) -> str:
     """Say that the cart of one experiment, by its name, moves around another place than that of the others [m]."""
     return (
         f"experiment {name}: its cart moves around a place {1e3 * off:.3g} mm from where the spring of the others is at rest, "
-        f"further than dry friction can hold it: cart_position has an offset; {taken_off(off)}."
+        f"further than dry friction can hold it: cart_position has an offset; {taken_off(off)}; or its spring is not that of the"
+        " others."
     )
 
 

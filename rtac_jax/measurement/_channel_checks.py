@@ -213,8 +213,10 @@ def _position(experiment: Experiment) -> Iterator[str]:
     if size <= _ABOVE_NOISE * _quiet(values):
         return
     frequency, _ = _peak(values, experiment.sample_time)
+    time = np.arange(len(values))
+    swing = float(np.std(values - np.polyval(np.polyfit(time, values, 1), time)))  # a slide that travels on is no swing
     with np.errstate(over="ignore"):  # of a sample time of 1e-300 s
-        acceleration = np.square(2 * np.pi * np.float64(frequency)) * np.sqrt(2) * size
+        acceleration = np.square(2 * np.pi * np.float64(frequency)) * np.sqrt(2) * swing
     if acceleration > _LARGEST_ACCELERATION:
         yield (
             "cart_position shows accelerations of more than 10 g, so it is likely in mm, or sample_time is too small; give both in "

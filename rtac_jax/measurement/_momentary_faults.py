@@ -40,7 +40,7 @@ def momentary_faults(name: str, signal: Signal) -> Iterator[str]:
     values = signal.values[present]
     if len(values) <= 2 * _SLOPE_SAMPLES or np.ptp(values) == 0:
         return
-    runs = dropouts(values)
+    runs = dropouts(name, values)
     inside = np.zeros(len(values), dtype=bool)
     for first, last in runs:
         inside[max(first - 2, 0) : last + 2] = True
@@ -99,7 +99,7 @@ def faulty(name: str, values: Values) -> np.ndarray:
     if len(known) <= 2 * _SLOPE_SAMPLES or np.ptp(known) == 0:
         return found
     found[present] = clipped(known)
-    for first, last in dropouts(known):
+    for first, last in dropouts(name, known):
         found[present[first:last]] = True
     if name != "arm_velocity":
         found[spikes(values)] = True
@@ -172,12 +172,17 @@ def _excess_of_steps(values: Values, present: np.ndarray, inside: np.ndarray) ->
     return excess, _SIGMAS * _scatter_of_steps(values, steps)
 
 
-def dropouts(values: Values) -> list[tuple[int, int]]:
+def dropouts(name: str, values: Values) -> list[tuple[int, int]]:
     """Return first and past-the-last index of runs of one value that are too long for chance.
 
     A cart that has stopped shows one value too where the noise is below the resolution, and so does a slow arm between two lines
     of its encoder; they neither come to it nor leave it by a jump. Where the sensor flickers, one value is a fault whatever comes
-    next.
+    next. A velocity that is exactly zero at the beginning or the end is no fault: so reads what is computed from an encoder while
+    nothing moves yet, or does no more.
+
+    Args:
+        name: of the channel.
+        values: without gaps.
     """
     equal = np.concatenate([[False], np.diff(values) == 0, [False]]).astype(np.int8)
     edges = np.flatnonzero(np.diff(equal))
@@ -195,6 +200,8 @@ def dropouts(values: Values) -> list[tuple[int, int]]:
     found = []
     for first, last in zip(firsts[long], lasts[long], strict=True):
         if last - first < needed or last - first == len(values):
+            continue
+        if name == "arm_velocity" and values[first] == 0 and (first == 0 or last == len(values)):
             continue
         # A dropout is come to or left by a jump beside the steps on that side: a cart that friction lets go makes larger ones soon.
         before, after = values[max(first - _NEARBY // 2, 0) : first], values[last : last + _NEARBY // 2]

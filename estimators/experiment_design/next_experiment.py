@@ -277,6 +277,8 @@ def next_experiment(
         plans = default_plans(contest.truth, limits, sample_time=interval, duration=duration or longest)
         taken = {e.name for part in (recording, held_out) if part is not None for e in part.experiments}
         plans = held_alike(plans, experiments)
+        if not any("current" in e.inputs for e in experiments):  # no motor that anybody could drive
+            plans = [p for p in plans if p.current is None] or plans
         plans = [dataclasses.replace(p, name=f"{p.name}, once more") if p.name in taken else p for p in plans]
     _require_plans(plans, [e.name for e in experiments])
     channels = [c for c in OUTPUTS if any(c in e.outputs for e in experiments)]

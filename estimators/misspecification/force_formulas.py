@@ -19,6 +19,7 @@ _TOLD = 2.0  # standard deviations from zero that every coefficient has to be
 _NEARLY = 0.9  # of what the best formula gains, from which a simpler one is told, too
 _SEEN = 1e-6  # information on a term, relative to the largest, below which the model's own parameters explain it
 _ALIKE = 0.9999  # correlation of two terms from which they are one
+_TOGETHER = 1e-9  # smallest eigenvalue of the correlations of terms, from which on they are told apart at all
 _SHAPES = (0.05, 0.1, 0.2, 0.4, 0.8)  # scales of saturations and peaks, over the range of the variable
 _PERIODS = (
     0.25,
@@ -112,10 +113,14 @@ def formulas_of(
         if not several:
             continue
         index = np.array(several)
+        # Three may say together what no two of them do.
+        index = index[np.linalg.eigvalsh(gram[index[:, :, None], index[:, None, :]])[:, 0] > _TOGETHER]
+        if not len(index):
+            continue
         blocks, sides = gram[index[:, :, None], index[:, None, :]], right[index]
         gains = np.einsum("si,si->s", sides, np.linalg.solve(blocks, sides[:, :, None])[:, :, 0])
         for number in np.argsort(-gains)[:_TRIED]:
-            chosen = [library[i] for i in several[number]]
+            chosen = [library[i] for i in index[number]]
             one = _formula(port, variable, at, evidence, slow, chosen, whole)
             if one is not None:
                 found.append(one)

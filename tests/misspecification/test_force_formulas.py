@@ -130,3 +130,15 @@ def test_the_effect_has_the_force_of_its_formula():
     model = rtac.RTAC.paper() + effect
     assert {f"{kind.id}.coefficient_1", f"{kind.id}.coefficient_2"} <= set(model.free)
     assert model.parameters[f"{kind.id}.coefficient_2"].unit == "N m/rad^2"
+
+
+def test_a_curve_of_which_two_directions_are_known_has_formulas_of_two_terms_at_most() -> None:
+    """Three terms are not told apart then, though no two of them are alike."""
+    at, known = evidence(lambda q, v: -900.0 * q * np.abs(q), 0, seed=2)
+    information = np.sum(known.information, axis=0)
+    _, directions = np.linalg.eigh(information)
+    kept = directions[:, -2:] @ directions[:, -2:].T
+    few = CurveEvidence(kept @ known.information @ kept, known.score @ kept)
+    found = formulas_of("cart", "cart_position", at, few, 1e-4)
+    assert found
+    assert all(len(one.effect.terms) <= 2 for one in found)

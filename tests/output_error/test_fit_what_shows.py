@@ -68,3 +68,20 @@ def test_a_pendulum_is_told_by_its_decays_alone() -> None:
     assert np.mean(both) == pytest.approx(FRICTION, rel=0.1)  # apart they are not told from so small a swing
     assert max(e.rms_over_noise for e in found.validation.models[-1].errors.values()) < 1.5
     assert found.base.model.fixed - found.final.model.fixed == {"arm_viscous.negative"}
+
+
+@pytest.mark.slow
+def test_a_pendulum_whose_noise_nobody_knows_is_not_adequate_without_gravity() -> None:
+    """Its predictions may call the motion noise, and no random forces explain what its simulation misses; a simulation names it."""
+    time = 0.025 * np.arange(300)
+    swung = solve_ivp(
+        lambda _, x: [x[1], -40.0 * np.sin(x[0]) - 0.25 * np.tanh(x[1] / 1e-3) - 0.03 * x[1]], (0.0, time[-1]), [0.3, 0.0],
+        method="LSODA", rtol=1e-9, atol=1e-11, t_eval=time,
+    ).y[0]  # fmt: skip
+    read = swung + 0.015 * np.random.default_rng(3).normal(size=300)
+    decay = Experiment.of("decay", kind="free", sample_time=0.025, cart="clamped", arm_angle=read)
+    recording = Recording((decay,), {"arm_inertia": 0.01})
+    found = est.improve(rtac.RTAC.from_rig(recording), recording, progress=False)
+    assert found.added, found.headline
+    assert "gravity_tilt" in {i for c in found.added for i in (c.id, *c.confusable_with)}
+    assert max(e.rms_over_noise for e in found.validation.models[-1].errors.values()) < 2.0

@@ -1,0 +1,51 @@
+"""What is exactly zero while nothing moves yet, and a slide that travels far, are no faults."""
+
+import numpy as np
+import pytest
+
+from rtac_jax.measurement import Experiment, Recording, concerns
+
+
+def started(before: int, after: int, *, gap: int = 0) -> Recording:
+    """A motor that stands still, is driven, and stops; its velocity comes from an encoder."""
+    number = np.arange(400)
+    turning = (number >= before) & (number < 400 - after)
+    speed = np.where(turning, 30.0 * (1 - np.exp(-(number - before) / 4.0)), 0.0)
+    velocity = np.where(turning, np.round((speed + 2.0 * np.sin(0.7 * number)) / 0.7) * 0.7, 0.0)
+    if gap:
+        velocity[200 : 200 + gap] = 0.0
+    one = Experiment.of(
+        "run", kind="forced", sample_time=0.01, cart="clamped", initial_arm_angle=0.0, arm_velocity=velocity,
+        current=np.where(turning, 1.0, 0.0),
+    )  # fmt: skip
+    return Recording((one,), {"arm_inertia": 1e-3})
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "gap", "dropout"),
+    [(100, 0, 0, False), (0, 100, 0, False), (100, 100, 0, False), (0, 0, 40, True)],
+)
+def test_a_motor_that_does_not_turn_yet_has_a_sensor(before: int, after: int, gap: int, dropout: bool) -> None:
+    recording = started(before, after, gap=gap)
+    said = [text for text in concerns(recording) if "drops out" in text]
+    assert bool(said) is dropout
+    missing = np.isnan(recording.mended()["run"].outputs["arm_velocity"].values)
+    assert missing.any() == dropout
+    if dropout:
+        assert missing[200 : 200 + gap].all()
+
+
+@pytest.mark.parametrize(("unit", "doubted"), [(1.0, False), (1000.0, True)])
+def test_a_slide_that_travels_far_is_not_in_millimetres(unit: float, doubted: bool) -> None:
+    time = 0.005 * np.arange(330)
+    position = 0.5 * time + 2e-4 * np.sin(2 * np.pi * 12 * time) + 1e-5 * np.random.default_rng(1).normal(size=330)
+    one = Experiment.of(
+        "run",
+        kind="forced",
+        sample_time=0.005,
+        arm="locked",
+        cart_position=unit * position,
+        disturbance_force=np.ones(330),
+    )
+    said = [text for text in concerns(Recording((one,), {"total_mass": 1.0})) if "more than 10 g" in text]
+    assert bool(said) is doubted

@@ -116,26 +116,21 @@ class Information:
         if said := self.undetermined():
             # One that stands in /rig already is not free, and so in none of these.
             scales = " or ".join(name for name in _SCALES if any(name in text for text in said))
-            unseen = self._unseen()
-            going_on = (
-                "; est.improve goes on without it, as what the model lacks may be what would show it" if unseen else ""
-            )
             known = f"Give {scales} in /rig: a known constant fixes the scale. " if scales else ""
             raise NotIdentifiableError(
                 f"The data leave {len(said)} combination(s) of parameters free: {'; '.join(said)}. {known}Fix a parameter "
-                f"(model.fix, or --fix of rtac), or add an experiment that excites it{going_on}.",
-                unseen,
+                "(model.fix, or --fix of rtac), or add an experiment that excites it.",
+                self._unseen(),
             )
 
     def _unseen(self) -> tuple[str, ...]:
         """Return the names of effects' parameters that show nowhere; none where anything else is free, or all are."""
-        free = [
-            np.abs(d) > _TAKES_PART for d, s in zip(self.directions, self.deviations, strict=True) if s >= UNDETERMINED
-        ]
-        if any(np.count_nonzero(one) != 1 for one in free) or len(free) == len(self.names):
-            return ()
-        names = tuple(self.names[int(np.flatnonzero(one)[0])] for one in free)
-        return names if all("." in name for name in names) else ()
+        free = self.directions[self.deviations >= UNDETERMINED]
+        # Of what shows nothing at all any directions may come.
+        alone = np.flatnonzero(np.sum(free**2, axis=0) > 1 - _TAKES_PART**2)
+        names = tuple(self.names[int(i)] for i in alone)
+        shown = len(names) == len(free) < len(self.names)
+        return names if shown and all("." in name for name in names) else ()
 
 
 def information(factor: np.ndarray, space: Space, unknowns: Unknowns) -> Information:

@@ -111,9 +111,9 @@ class Diagnosis(Result):
             return ""
         if facts.stuck:
             return (
-                "Nothing can be told of what the model lacks: its fit rests where the rig moves, so that"
-                f" {100 * facts.left_out:.0f} % of the samples do not count, and its simulation misses"
-                f" {100 * facts.unfollowed:.0f} % of the motion"
+                "Nothing can be told of what the model lacks: cart or arm all but rests in its fit for"
+                f" {100 * facts.left_out:.0f} % of the samples, which do not count, and its simulation misses"
+                f" {100 * min(facts.unfollowed, 1.0):.0f} % of the motion"
             )
         return (
             f"These data say nothing of what the model lacks: {100 * facts.left_out:.0f} % of the samples do not"

@@ -55,8 +55,8 @@ def improve(
     Args:
         model: the base model.
         recording: with enough moving experiments to hold some out.
-        validation: names of the experiments to hold out; by default every fourth of each kind, or the last quarter of a forced
-            one that is the only one.
+        validation: names of the experiments to hold out; by default every fourth of each kind, or the last quarter of the
+            only one (`Recording.divided`).
         candidates: classes of effects to try; by default the whole catalogue.
         most: effects to add at most.
         thorough: where a verdict would be unknown, look again at what raised no alarm; that may take minutes.

@@ -40,7 +40,7 @@ class Improvement(Result):
 
     Attributes:
         fits: of the base model and of every model after it, in order; what one diagnosis names is added together. Of more than
-            32,000 samples the first may be of a part (`diagnosis.loop_on_part`).
+            32,000 samples all but the last of those that a part added may be of the part (`diagnosis.loop_on_part`).
         diagnoses: one for every fit that was diagnosed.
         diagnosed: the place of that fit in `fits`.
         added: the effects that were added, in order, as the diagnosis saw them.
@@ -68,7 +68,7 @@ class Improvement(Result):
         hum: of the mains, which was subtracted first.
         by_predictions: the last model fitted by predictions one sample ahead, where nothing is missing and random forces lead its
             simulation astray: estimates to take in place of those of `final`; None elsewhere.
-        unseen: names of parameters that show nowhere in what the last model simulates, and are held at the first model's values.
+        unseen: names of parameters that show nowhere in what the first model simulates, and are held at its values.
     """
 
     fits: tuple[Fit, ...]
@@ -125,9 +125,8 @@ class Improvement(Result):
                 f"{', '.join(self.held)}.{counted}",
             )
         if self.unseen:
-            verb = "shows" if len(self.unseen) == 1 else "show"
             said.append(
-                f"{', '.join(self.unseen)} {verb} nowhere in these data, and what is said holds at the first model's values."
+                f"{', '.join(self.unseen)}: without effect on what the first model simulates, and held at its values."
             )
         if self.left_out is not None:
             said.append(
@@ -229,8 +228,8 @@ class Improvement(Result):
         if not self._astray and not beyond:
             return ""
         worst = max(e.rms_over_noise for e in tested.values()) if self._astray else worst
-        missed = 100 - min(e.fit_percent for e in tested.values())
-        much = f", {missed:.0f} % of their motion" if missed >= _MUCH else ""
+        missed = max(100 - e.fit_percent for e in tested.values() if e.rms_over_noise == worst)
+        much = f", {missed:.0f} % of their motion" if _MUCH <= missed < float("inf") else ""
         return f"; of the held-out experiments its simulation leaves {rounded(worst)} times the noise{much}"
 
     @property

@@ -6,9 +6,13 @@ from collections.abc import Callable
 from estimators.core.data import Data, moving, pieces
 from estimators.core.fit import Fit
 from estimators.core.results import FAILURES
+from estimators.diagnosis.candidate_set import offered
+from estimators.diagnosis.explanation import of_part
 from estimators.diagnosis.improvement_loop import Loop
-from estimators.diagnosis.part_of_samples import part_of
+from estimators.diagnosis.model_extension import falls_clearly
+from estimators.diagnosis.part_of_samples import part_of, told_by_more
 from estimators.diagnosis.policy import DiagnosisPolicy
+from estimators.diagnosis.verdict import judge
 from estimators.inference.shaken_simulation import unfollowed
 from estimators.output_error.fit import output_error
 from estimators.validation.simulation_error import compare
@@ -47,10 +51,13 @@ def loop_from_part(
         loop = loop_of(part, base)
         # What a part does not tell at once is asked after all samples were fitted.
         loop.add_first()
+        samples = sum(e.samples for e in moving(part))
+        said = loop.diagnoses[0].explanation + of_part(samples, gross=False, named=bool(loop.diagnoses[0].additions))
+        loop.diagnoses[0] = dataclasses.replace(loop.diagnoses[0], explanation=said)
         if loop.out_of_time and not loop.added:  # what is named is told, of all samples fitted with the base model
             ended = loop_of(train, output_error(model, train, progress=progress))
             return dataclasses.replace(loop, train=train, steps=ended.steps)
-        if not loop.added or not loop.all_simulated:
+        if not loop.added or not loop.all_simulated or _is_told_by_more(loop, train, part):
             return None
         names, last = loop.steps[-1]
         fit = output_error(last.fit.model, train, from_model=True, progress=progress)
@@ -59,5 +66,18 @@ def loop_from_part(
         tested = compare(fit, loop.held_out, labels=[last.tested.label]).models[0]
     except FAILURES:
         return None
+    if not falls_clearly(loop.steps[-2][1].tested, tested, policy):
+        return None
     steps = [*loop.steps[:-1], (names, dataclasses.replace(last, fit=fit, tested=tested))]
-    return dataclasses.replace(loop, train=train, steps=steps, stopped="", out_of_time=False, not_added=())
+    every = "" if offered(fit.model, loop.candidates) else "Stopped: every candidate was added."
+    late = loop.not_added if loop.out_of_time else ()
+    return dataclasses.replace(loop, train=train, steps=steps, stopped=every, out_of_time=False, not_added=late)
+
+
+def _is_told_by_more(loop: Loop, train: Recording, part: Recording) -> bool:
+    """Return whether all samples would tell what was added from others that a part does not tell from it."""
+    evidence = loop.diagnoses[-1].evidence
+    if evidence is None or not any(c.confusable_with for c in loop.added):
+        return False
+    times = sum(e.samples for e in moving(train)) / sum(e.samples for e in moving(part))
+    return told_by_more(evidence, judge(evidence, loop.policy), loop.policy, times)

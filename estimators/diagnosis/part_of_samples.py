@@ -10,7 +10,7 @@ from jaxtyping import Float
 from estimators.core.data import Data, motion_of, moving, origins, pieces
 from estimators.core.fit import Fit
 from estimators.diagnosis.diagnosis import Diagnosis
-from estimators.diagnosis.evidence import FittedModel
+from estimators.diagnosis.evidence import Evidence, FittedModel
 from estimators.diagnosis.live_laboratory import LiveLaboratory
 from estimators.diagnosis.policy import DiagnosisPolicy
 from estimators.diagnosis.refit import Refit
@@ -43,6 +43,8 @@ def part_of(recording: Recording) -> Recording:
     origin = origins(whole)
     found = [_beginning([e for e in several if origin[e.name] == one.name], samples) for one in whole]
     part = [e for beginnings in found for e in beginnings]
+    if sum(e.samples for e in part) == sum(e.samples for e in several):
+        return recording
     if np.any(motion_of(Data.of(part)) < _LIVELY * motion_of(Data.of(several))):
         return recording
     rest = [e for e in recording.experiments if e.kind == "rest"]
@@ -76,15 +78,8 @@ class Looked(NamedTuple):
 
     def told_by_more(self, times: float) -> bool:
         """Return whether so many times the samples would tell effects apart that are named together."""
-        if self.found.selection.simulated:
-            return any(step.rivals for step in self.found.steps)
         evidence = self.laboratory.evidence(thorough=False, laws_first=False)
-        models = {model.number: model for model in evidence.models}
-        refits = {(r.before, r.effect): models[r.after] for r in evidence.refits if r.after is not None}
-        return is_told_by_more(
-            self.found.selection.base, self.found.steps, refits, self.laboratory.policy,
-            samples=self.laboratory.facts.samples, times=times,
-        )  # fmt: skip
+        return told_by_more(evidence, self.found, self.laboratory.policy, times)
 
     def left_of_all(self, fit: Fit, recording: Recording) -> float:
         """Return the mean square that the last model of a part leaves of all samples; infinite where simulations told it."""
@@ -92,6 +87,24 @@ class Looked(NamedTuple):
             return float("inf")
         setting, final = self.laboratory.computed(self.found.final)
         return left_of_all(setting, final, fit, recording)
+
+
+def told_by_more(evidence: Evidence, found: Judgement, policy: DiagnosisPolicy, times: float) -> bool:
+    """Return whether so many times the samples would tell effects apart that are named together.
+
+    Args:
+        evidence: of the diagnosis of a part.
+        found: its judgement.
+        policy: the thresholds.
+        times: as many samples there are.
+    """
+    if found.selection.simulated:
+        return any(step.rivals for step in found.steps)
+    models = {model.number: model for model in evidence.models}
+    refits = {(r.before, r.effect): models[r.after] for r in evidence.refits if r.after is not None}
+    return is_told_by_more(
+        found.selection.base, found.steps, refits, policy, samples=evidence.facts.samples, times=times
+    )
 
 
 def suffices(looked: Looked, fit: Fit, recording: Recording, *, times: float, gross: bool) -> bool:
@@ -120,10 +133,10 @@ def suffices(looked: Looked, fit: Fit, recording: Recording, *, times: float, gr
             and removed_beside(found.steps, looked.laboratory.facts.samples, left) >= policy.removed
         )
     unexplained = excess_of(found.left) / looked.laboratory.facts.samples
-    if told.verdict != "unknown" or unexplained < 2 * policy.consequence:  # of squares
+    if told.broken_off or told.verdict != "unknown" or unexplained < 2 * policy.consequence:  # of squares
         return False
     # To be named, what only the rest shows has to be nearly all that all samples leave.
-    return looked.left_of_all(fit, recording) - 1 <= policy.removed / policy.left * unexplained
+    return policy.left * (looked.left_of_all(fit, recording) - 1) <= policy.removed * unexplained
 
 
 def is_told_by_more(

@@ -215,8 +215,8 @@ def _residual(
     )  # fmt: skip
     # A fit that ended elsewhere than at the best, or a motion that no simulation can follow, is no failing of the model: where no
     # noise is known, random forces in place of its own are.
-    # A simulation that follows nothing is none of these: predictions may have called the motion noise.
-    lost = found.vetoes and found.signal_fraction > policy.simulation.unfollowed
+    # A simulation of what is fitted that follows nothing is none of these: predictions may have called the motion noise.
+    lost = not model.added and found.vetoes and found.signal_fraction > policy.simulation.unfollowed
     return found if facts.noise_known or found.cause == "stand-in" or found.overstated or lost else None
 
 

@@ -277,7 +277,12 @@ def next_experiment(
         plans = default_plans(contest.truth, limits, sample_time=interval, duration=duration or longest)
         taken = {e.name for part in (recording, held_out) if part is not None for e in part.experiments}
         plans = held_alike(plans, experiments)
-        if not any("current" in e.inputs for e in experiments):  # no motor that anybody could drive
+        driven = [
+            e for part in (recording, held_out) if part is not None for e in part.experiments if "current" in e.inputs
+        ]
+        if (
+            not driven and current_limit is None and "torque_constant" not in recording.rig
+        ):  # no motor that anybody knows of
             plans = [p for p in plans if p.current is None] or plans
         plans = [dataclasses.replace(p, name=f"{p.name}, once more") if p.name in taken else p for p in plans]
     _require_plans(plans, [e.name for e in experiments])

@@ -75,7 +75,8 @@ def output_error(
     Raises:
         ValueError: nothing moves in the recording, no parameter is free, or a user's own effect does not work.
         TooLargeError: the recording does not fit into the memory that is free.
-        NotIdentifiableError: the data leave parameters free at the start. Where they do so only where the fit ended, as a model
+        NotIdentifiableError: the data leave parameters free at the start; `unseen` names those of effects that show nowhere, which
+            `est.improve` and the command line hold at their values. Where they do so only where the fit ended, as a model
             that lacks much may run off, its `result` is `RESULTS.undetermined`.
         DivergedError: the model diverges from every start.
         RuntimeError: JAX was not configured for double precision.

@@ -229,18 +229,19 @@ class _Search:
         return found + [self._offset(name, of_one(name, off)) for name, off in places.items() if off is not None]
 
     def sign(self) -> Inconsistency | None:
-        """Return that all were recorded with a sign swapped, where no cart is off its place without that, and as little is left.
-
-        A force that hardly changes is to them what an offset is.
-        """
+        """Return that a sign is swapped without which no cart is off its place: a constant force is to all what an offset is."""
         before = solve(list(self.systems.values())).residual
         for mistake in (m for m in usual_mistakes() if m.id in _SIGNS_OF_INPUTS):
+            having = [name for name, e in self.experiments.items() if _undone(e, mistake) is not e]
+            if not having or len(having) == 1 < len(self.experiments):
+                continue
             other = _Search(self._whole(mistake))
-            after = solve(list(other.systems.values())).residual if other.systems else np.inf
-            if after <= ALIKE * max(before, 1.0) and not other.offsets(()):
+            enough, rows = ALIKE * max(before, 1.0), list(other.systems.values())
+            if rows and (after := solve(rows).residual) <= enough and not other.offsets(()):
+                where = "all experiments" if len(having) == len(self.experiments) else ", ".join(having)
                 return Inconsistency(
                     None, mistake.id, (), before, after,
-                    f"all experiments: the cart is off the place where the spring is at rest, and is not if one mistake is undone: "
+                    f"{where}: the cart is off the place where the spring is at rest, and is not if one mistake is undone: "
                     f"{mistake.seen}; {mistake.mend}. As well fits where it has none: an offset of cart_position.",
                 )  # fmt: skip
         return None

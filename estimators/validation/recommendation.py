@@ -118,7 +118,8 @@ def recommended(
         most = predicted.statistics.get("counted", 1.0) > _MOST
         white = most and _white([w.p_value for w in predicted.whiteness])
         if white or refused:
-            deviation = f"white innovations, which it has{'' if white else f' not; output error {refused}'}"
+            has = " not" if most else " of fewer than half of the samples"
+            deviation = f"white innovations, which it has{'' if white else f'{has}; output error {refused}'}"
             return Recommendation(
                 predicted.parameters, "prediction error", deviation, white, moved=predicted.moved_constants
             )

@@ -177,8 +177,8 @@ def dropouts(name: str, values: Values) -> list[tuple[int, int]]:
 
     A cart that has stopped shows one value too where the noise is below the resolution, and so does a slow arm between two lines
     of its encoder; they neither come to it nor leave it by a jump. Where the sensor flickers, one value is a fault whatever comes
-    next. A velocity that is exactly zero at the beginning or the end is no fault: so reads what is computed from an encoder while
-    nothing moves yet, or does no more.
+    next. A velocity that is exactly zero from the beginning is no fault, nor one that slows down to zero at the end: so reads what
+    is computed from an encoder while nothing moves.
 
     Args:
         name: of the channel.
@@ -201,14 +201,13 @@ def dropouts(name: str, values: Values) -> list[tuple[int, int]]:
     for first, last in zip(firsts[long], lasts[long], strict=True):
         if last - first < needed or last - first == len(values):
             continue
-        if name == "arm_velocity" and values[first] == 0 and (first == 0 or last == len(values)):
-            continue
         # A dropout is come to or left by a jump beside the steps on that side: a cart that friction lets go makes larger ones soon.
         before, after = values[max(first - _NEARBY // 2, 0) : first], values[last : last + _NEARBY // 2]
         sides = ((values[first] - before[-1:], before), (after[:1] - values[first], after))
-        if last - first >= certain or any(
-            np.any(np.abs(jump) > max(0.5 * _SIGMAS * _usual_step(side), quiet)) for jump, side in sides
-        ):
+        jumps = [bool(np.any(np.abs(jump) > max(0.5 * _SIGMAS * _usual_step(side), quiet))) for jump, side in sides]
+        if name == "arm_velocity" and values[first] == 0 and (first == 0 or (last == len(values) and not jumps[0])):
+            continue
+        if last - first >= certain or any(jumps):
             found.append((int(first), int(last)))
     return found
 

@@ -272,9 +272,11 @@ class Recording:
             return self
         (only,) = moving
         place = only.samples - only.samples // HOLD_OUT_EVERY
-        if only.kind == "free" and not any(
-            np.nanstd(signal.values[place:]) > _LIVELY * np.nanstd(signal.values) for signal in only.outputs.values()
-        ):
+        values = [
+            (s.values[np.isfinite(s.values)], s.values[place:][np.isfinite(s.values[place:])])
+            for s in only.outputs.values()
+        ]
+        if only.kind == "free" and not any(end.size and np.std(end) > _LIVELY * np.std(whole) for whole, end in values):
             return self
         parts = only.cut(0, place), only.cut(place, only.samples)
         rest = [experiment for experiment in self if experiment is not only]

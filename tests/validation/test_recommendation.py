@@ -62,6 +62,10 @@ def test_not_if_these_are_of_a_few_samples_as_of_a_rig_that_rests():
     found = recommended(FIT, compared("model", 5.0), predicted=predictor(0.5, counted=0.34), spread=SPREAD)
     assert (found.estimator, found.sound) == ("output error", False)
     assert found.parameters["spring_stiffness"].std == pytest.approx(0.3)
+    refused = dataclasses.replace(FIT, result=RESULTS.steps_exhausted)
+    found = recommended(refused, compared("model", 5.0), predicted=predictor(0.5, counted=0.34), spread=SPREAD)
+    assert (found.estimator, found.sound) == ("prediction error", False)
+    assert "which it has of fewer than half of the samples" in str(found)
 
 
 @pytest.mark.parametrize(("std", "told"), [(0.5, True), (2.0, False)])

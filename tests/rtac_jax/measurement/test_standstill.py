@@ -6,12 +6,14 @@ import pytest
 from rtac_jax.measurement import Experiment, Recording, concerns
 
 
-def started(before: int, after: int, *, gap: int = 0) -> Recording:
+def started(before: int, after: int, *, gap: int = 0, coasts: bool = True) -> Recording:
     """A motor that stands still, is driven, and stops; its velocity comes from an encoder."""
     number = np.arange(400)
     turning = (number >= before) & (number < 400 - after)
-    speed = np.where(turning, 30.0 * (1 - np.exp(-(number - before) / 4.0)), 0.0)
-    velocity = np.where(turning, np.round((speed + 2.0 * np.sin(0.7 * number)) / 0.7) * 0.7, 0.0)
+    speed = 30.0 * (1 - np.exp(-(number - before) / 4.0)) + 2.0 * np.sin(0.7 * number)
+    if after and coasts:
+        speed = np.where(number > 200, speed[200] * (300 - number) / 100, speed)
+    velocity = np.where(turning, np.maximum(np.round(speed / 0.7) * 0.7, 0.0), 0.0)
     if gap:
         velocity[200 : 200 + gap] = 0.0
     one = Experiment.of(
@@ -33,6 +35,10 @@ def test_a_motor_that_does_not_turn_yet_has_a_sensor(before: int, after: int, ga
     assert missing.any() == dropout
     if dropout:
         assert missing[200 : 200 + gap].all()
+
+
+def test_a_sensor_that_reads_zero_at_once_to_the_end_drops_out() -> None:
+    assert [text for text in concerns(started(0, 100, coasts=False)) if "drops out" in text]
 
 
 @pytest.mark.parametrize(("unit", "doubted"), [(1.0, False), (1000.0, True)])

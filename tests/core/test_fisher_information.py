@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 import estimators as est
-from estimators.core.fisher_information import information_of
+from estimators.core.fisher_information import Information, information_of
+from estimators.core.results import NotIdentifiableError
 
 
 def test_information_names_what_is_free_and_matches_least_squares() -> None:
@@ -19,3 +20,23 @@ def test_information_names_what_is_free_and_matches_least_squares() -> None:
     assert silent.undetermined() == ["b has no effect on what was measured"]
     with pytest.raises(est.NotIdentifiableError, match="b has no effect"):
         silent.require_determined()
+
+
+@pytest.mark.parametrize(
+    ("names", "free", "unseen"),
+    [
+        (("k", "a.x", "a.y"), [[0, 1, 0], [0, 0, 1]], ("a.x", "a.y")),
+        (("k", "a.x", "a.y"), [[0, 0.6, 0.8], [0, -0.8, 0.6]], ("a.x", "a.y")),  # the same null space, turned
+        (("k", "a.x", "a.y"), [[0, 0.6, 0.8]], ()),  # one may be traded against the other
+        (("k", "a.x", "a.y"), [[1, 0, 0]], ()),  # no effect's
+        (("a.x",), [[1]], ()),  # nothing is left
+    ],
+)
+def test_parameters_that_show_nowhere_are_named_however_their_null_space_is_turned(names, free, unseen):
+    free = np.array(free, dtype=float)
+    rest = np.linalg.svd(free)[2][len(free) :]
+    deviations = np.array([1e100] * len(free) + [0.01] * len(rest))
+    found = Information(names, np.eye(len(names)), np.concatenate([free, rest]), deviations)
+    with pytest.raises(NotIdentifiableError) as refused:
+        found.require_determined()
+    assert refused.value.unseen == unseen

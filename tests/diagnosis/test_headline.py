@@ -129,6 +129,12 @@ def test_an_adequate_model_that_is_far_from_the_held_out_experiments_says_so():
     far = max(e.rms_over_noise for e in found.validation.models[-1].errors.values())
     assert far > 10
     assert found.headline.endswith(f"; of the held-out experiments its simulation leaves {far:.1f} times the noise.")
+    farther = dataclasses.replace(found, validation=Comparison((compared("base", 300.0),)))
+    errors = farther.validation.models[-1].errors.values()
+    worst = max(errors, key=lambda e: e.rms_over_noise)  # and not the channel that is followed least
+    missed = 100 - worst.fit_percent
+    assert 10 < missed < max(100 - e.fit_percent for e in errors)
+    assert farther.headline.endswith(f" times the noise, {missed:.0f} % of their motion.")
     assert "lead it away, which predictions one sample ahead do not tell apart" in found.ending
     followed = dataclasses.replace(found, train=near_noise(diagnosis("adequate")).validation)
     assert "the held-out ones may reach beyond what was fitted, differ from it" in followed.ending

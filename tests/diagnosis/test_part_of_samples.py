@@ -93,7 +93,7 @@ def looked(found: est.Diagnosis, monkeypatch: pytest.MonkeyPatch, *, left: float
     laboratory = SimpleNamespace(
         policy=STANDARD, facts=SimpleNamespace(samples=16_000), computed=lambda _: (None, None)
     )
-    return Looked(found, laboratory, judged)  # type: ignore[arg-type]
+    return Looked(found, laboratory, judged)  # type: ignore[arg-type] - made up
 
 
 @pytest.mark.parametrize(
@@ -240,7 +240,7 @@ def test_chance_leaves_something_in_one_of_six() -> None:
 def test_what_simulations_named_is_asked_of_all_samples() -> None:
     """Their steps gain in squares of a simulation, which say nothing of predictions."""
     whole = locked(5, 8000)
-    by_simulation: Any = Looked(None, None, SimpleNamespace(selection=SimpleNamespace(simulated=True)))  # type: ignore[arg-type]
+    by_simulation: Any = Looked(None, None, SimpleNamespace(selection=SimpleNamespace(simulated=True)))  # type: ignore[arg-type] - made up
     assert by_simulation.left_of_all(left_of(whole, 0.1), whole) == np.inf
 
 

@@ -6,13 +6,14 @@ from typing import Any
 import made_up_results
 import numpy as np
 import pytest
-from made_up_loop import new_loop
+from made_up_loop import made, new_loop
 from made_up_results import FIT
 
 import estimators as est
 import rtac_jax as rtac
 from estimators.core.results import RESULTS, NotIdentifiableError
 from estimators.diagnosis import loop_on_part
+from estimators.diagnosis.evidence import Evidence
 from estimators.diagnosis.improvement_loop import Loop
 from estimators.diagnosis.model_extension import Added
 from estimators.diagnosis.policy import STANDARD
@@ -117,3 +118,29 @@ def test_what_is_named_too_late_is_told_beside_the_base_model_of_all_samples(mon
     assert fitted == [(16_000, False), (40_000, False)]
     assert (loop.train is train, loop.out_of_time, loop.not_added) == (True, True, ("cubic_spring",))
     assert (loop.stopped, len(loop.steps), len(loop.diagnoses)) == ("Stopped: time.", 1, 1)
+
+
+def test_once_every_candidate_was_added_nothing_more_is_asked(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(loop_on_part, "offered", lambda *_: [])
+    loop, _ = found(monkeypatch, locked(8000))
+    assert loop is not None
+    assert loop.stopped == "Stopped: every candidate was added."
+
+
+@pytest.mark.parametrize("by_more", [True, False])
+def test_rivals_that_all_samples_would_tell_are_asked_of_all(by_more: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[float] = []
+
+    def told_by_more(*given: Any) -> bool:
+        asked.append(given[-1])
+        return by_more
+
+    told = dataclasses.replace(made_up_results.diagnosis("unknown"), evidence=made(Evidence))
+    monkeypatch.setattr(loop_on_part, "told_by_more", told_by_more)
+    monkeypatch.setattr(loop_on_part, "judge", lambda *_: None)
+    monkeypatch.setattr(made_up_results, "diagnosis", lambda _: told)
+    rival = made_up_results.candidate("cubic_spring", 90.0, confusable_with=("end_stop",))
+    monkeypatch.setattr(made_up_results, "candidate", lambda *_: rival)
+    loop, _ = found(monkeypatch, locked(8000))
+    assert asked == [2.5]
+    assert (loop is None) is by_more

@@ -71,6 +71,12 @@ def test_a_part_is_looked_at_where_the_fit_misses_more_than_the_sensors_do(
     assert {e.name for e in pieces(moving(part))} <= known  # their starts are those of the fit
 
 
+def test_a_part_of_many_experiments_has_no_part() -> None:
+    part = part_of_samples.part_of(locked(40, 2000))
+    assert sum(e.samples for e in part) == 40_000
+    assert part_of_samples.part_of(part) is part
+
+
 def told(verdict: Any, *, rival: bool = False) -> est.Diagnosis:
     """A diagnosis that names a cubic spring, if it names anything."""
     if verdict in ("adequate", "unknown"):
@@ -110,6 +116,7 @@ def looked(found: est.Diagnosis, monkeypatch: pytest.MonkeyPatch, *, left: float
         (0.1, told("unknown"), 1.18, False, 330.0, False),  # what only the rest shows would not be named
         (0.1, told("unknown"), 1.01, False, 310.0, True),  # what is small more samples may tell
         (0.1, told("unknown"), 1.19, False, 330.0, True),
+        (0.1, dataclasses.replace(told("unknown"), broken_off=("lvdt_gain",)), 1.0, False, 330.0, True),
     ],
 )
 def test_all_samples_are_looked_at_where_a_part_does_not_tell(

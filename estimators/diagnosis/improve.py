@@ -13,7 +13,9 @@ from estimators.diagnosis.improvement import Improvement
 from estimators.diagnosis.improvement_loop import OUT_OF_TIME, Loop
 from estimators.diagnosis.loop_end import end_of
 from estimators.diagnosis.loop_on_part import loop_from_part
+from estimators.diagnosis.loop_run import run
 from estimators.diagnosis.model_extension import Added
+from estimators.diagnosis.part_of_samples import part_of
 from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
 from estimators.diagnosis.removed_error import Verdict
 from estimators.output_error.fit_what_shows import fit_what_shows
@@ -85,7 +87,7 @@ def improve(
             tested = compare(base, held_out, labels=["base"], hold_diverging=True).models[0]
             return Loop(
                 fitted, held_out, candidates, most, thorough, policy, progress,
-                [((), Added(base, tested, "simulated"))], deadline=deadline, laws=learned_force,
+                [((), Added(base, tested, "simulated"))], deadline=deadline, laws=learned_force, part=part_of(fitted),
             )  # fmt: skip
 
         loop = loop_from_part(model, train, loop_of, policy, progress=progress)
@@ -93,7 +95,7 @@ def improve(
             base, unseen = fit_what_shows(model, train, progress=progress)
             loop = loop_of(train, base)
             loop.unseen = unseen
-    loop.run()
+    run(loop)
     with deadline.prolonged(PROLONGED).kept():
         ended = end_of(loop, last_resort=learned_force)
     loop, learned, nearest = ended.loop, ended.learned, ended.nearest

@@ -9,6 +9,14 @@ from estimators.core.results import FAILURES, DivergedError
 from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.improvement_loop import Loop
 from estimators.diagnosis.learned_force import LearnedForce
+from estimators.diagnosis.loop_run import (
+    last_resorted,
+    nearest,
+    with_law,
+    with_nearest,
+    with_runner_up,
+    with_simpler_law,
+)
 from estimators.diagnosis.model_extension import Added, extended_without, falls_clearly, is_sure, misfit
 from estimators.diagnosis.verdict import is_of_the_current
 from estimators.linear.homogeneity_test import Equality
@@ -67,9 +75,9 @@ def _look_again(end: LoopEnd) -> None:
     """Fit what simulates far off from elsewhere, or with a runner-up, leave out what others supersede, and try simpler laws."""
     led = lead_by_predictions(end.loop)
     end.led = None if led is None else (end.loop.last.fit, led)
-    end.loop = end.loop.with_runner_up() or end.loop
+    end.loop = with_runner_up(end.loop) or end.loop
     drop_superseded(end.loop)
-    end.loop = end.loop.with_simpler_law() or end.loop
+    end.loop = with_simpler_law(end.loop) or end.loop
 
 
 def _of_the_current(loop: Loop) -> bool:
@@ -124,7 +132,7 @@ def _resort(end: LoopEnd, *, last_resort: bool) -> None:
     if last_resort and unknown and loop.left_out is not None:
         # Unless a last resort that is learned from all serves held-out experiments better: then it alone may show what is missing.
         try:
-            resort = whole.last_resort(whole.nearest())
+            resort = last_resorted(whole, nearest(whole))
         except OutOfTimeError:
             end.loop = whole
             raise
@@ -134,13 +142,13 @@ def _resort(end: LoopEnd, *, last_resort: bool) -> None:
     elif last_resort and unknown and end.differs is not None and end.differs.is_of_the_rig:
         return  # no law that holds in all of them makes up for that
     elif last_resort and unknown:
-        end.loop = loop.with_law() or loop
-        near = loop.nearest() if end.loop is loop else None
-        further = None if near is None else loop.with_nearest(*near)
+        end.loop = with_law(loop) or loop
+        near = nearest(loop) if end.loop is loop else None
+        further = None if near is None else with_nearest(loop, *near)
         if further is not None:
             end.loop = further
         elif end.loop is loop:
-            end.nearest, end.learned = loop.last_resort(near)
+            end.nearest, end.learned = last_resorted(loop, near)
         if end.loop.last.fit is not asked:
             # What a last resort learned from all of them explains is no fault of one.
             kept = end.differs if end.differs is not None and end.differs.outlying is None else None

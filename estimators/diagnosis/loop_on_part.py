@@ -9,6 +9,7 @@ from estimators.core.results import FAILURES
 from estimators.diagnosis.candidate_set import offered
 from estimators.diagnosis.explanation import of_part
 from estimators.diagnosis.improvement_loop import Loop
+from estimators.diagnosis.loop_run import add_first
 from estimators.diagnosis.model_extension import falls_clearly
 from estimators.diagnosis.part_of_samples import part_of, told_by_more
 from estimators.diagnosis.policy import DiagnosisPolicy
@@ -50,13 +51,13 @@ def loop_from_part(
             return None
         loop = loop_of(part, base)
         # What a part does not tell at once is asked after all samples were fitted.
-        loop.add_first()
+        add_first(loop)
         samples = sum(e.samples for e in moving(part))
         said = loop.diagnoses[0].explanation + of_part(samples, gross=False, named=bool(loop.diagnoses[0].additions))
         loop.diagnoses[0] = dataclasses.replace(loop.diagnoses[0], explanation=said)
         if loop.out_of_time and not loop.added:  # what is named is told, of all samples fitted with the base model
             ended = loop_of(train, output_error(model, train, progress=progress))
-            return dataclasses.replace(loop, train=train, steps=ended.steps)
+            return dataclasses.replace(loop, train=train, part=part, steps=ended.steps)
         if not loop.added or not loop.all_simulated or _is_told_by_more(loop, train, part):
             return None
         names, last = loop.steps[-1]
@@ -71,7 +72,9 @@ def loop_from_part(
     steps = [*loop.steps[:-1], (names, dataclasses.replace(last, fit=fit, tested=tested))]
     every = "" if offered(fit.model, loop.candidates) else "Stopped: every candidate was added."
     late = loop.not_added if loop.out_of_time else ()
-    return dataclasses.replace(loop, train=train, steps=steps, stopped=every, out_of_time=False, not_added=late)
+    return dataclasses.replace(
+        loop, train=train, part=part, steps=steps, stopped=every, out_of_time=False, not_added=late
+    )
 
 
 def _is_told_by_more(loop: Loop, train: Recording, part: Recording) -> bool:

@@ -44,7 +44,7 @@ def extended(
     loop = dataclasses.replace(new_loop(), steps=[((), Added(base, COMPARED, "simulated"))], unseen=unseen)
     named = made_up_results.candidate("cubic_spring", 90.0)
     told = dataclasses.replace(made_up_results.diagnosis("missing"), effects=(named,), by_simulation=by_simulation)
-    reason = loop._extend_by([rtac.effects.CubicSpring(100.0)], told)
+    reason = loop.extend_by([rtac.effects.CubicSpring(100.0)], told)
     return loop, reason, tried
 
 

@@ -15,7 +15,7 @@ import rtac_jax as rtac
 from estimators.core.deadline import Deadline
 from estimators.core.fisher_information import Information
 from estimators.core.fit import Parameter
-from estimators.diagnosis import improvement_loop, loop_end
+from estimators.diagnosis import improvement_loop, loop_end, loop_run
 from estimators.diagnosis import read_law as read_law_module
 from estimators.diagnosis.improvement_loop import Loop
 from estimators.diagnosis.model_extension import Added
@@ -47,7 +47,7 @@ def loop(monkeypatch: pytest.MonkeyPatch) -> Loop:
     monkeypatch.setattr(improvement_loop, "diagnose", diagnosed)
     monkeypatch.setattr(improvement_loop, "add_effects", extended)
     begun = new_loop()
-    begun.run()
+    loop_run.run(begun)
     return begun
 
 
@@ -57,7 +57,7 @@ def extended(before: est.Fit, tested: Any, several: Sequence[Effect], *_: Any, *
 
 def test_what_hides_behind_the_nearest_effect_is_found(loop: Loop) -> None:
     assert loop.stopped == "Stopped: no effect of the catalogue explains what is missing."
-    further = loop.with_nearest(added(loop.last.fit.model + InputDelay(4e-3)), NEAREST)
+    further = loop_run.with_nearest(loop, added(loop.last.fit.model + InputDelay(4e-3)), NEAREST)
     assert further is not None
     assert [c.id for c in further.added] == ["input_delay", "arm_coulomb"]
     assert [ids for ids, _ in further.steps] == [(), ("input_delay",), ("arm_coulomb",)]
@@ -76,10 +76,10 @@ def test_what_hides_behind_the_nearest_effect_is_found(loop: Loop) -> None:
 
 def test_where_it_leads_no_further_it_is_a_last_resort(loop: Loop, monkeypatch: pytest.MonkeyPatch) -> None:
     """As where a lag of the current stands for what is in no catalogue."""
-    monkeypatch.setattr(improvement_loop, "learn_force", lambda *_, **__: "No force was learned.")
+    monkeypatch.setattr(loop_run, "learn_force", lambda *_, **__: "No force was learned.")
     near = added(loop.last.fit.model + rtac.effects.CurrentLag(1e-3)), dataclasses.replace(NEAREST, id="current_lag")
-    assert loop.with_nearest(*near) is None
-    assert loop.last_resort((near[0], near[1])) == (near[1], None)
+    assert loop_run.with_nearest(loop, *near) is None
+    assert loop_run.last_resorted(loop, (near[0], near[1])) == (near[1], None)
     assert [ids for ids, _ in loop.steps] == [(), ("current_lag",)]
     assert loop.added == []
 
@@ -111,7 +111,7 @@ def test_what_a_diagnosis_names_is_added_together_or_one_after_the_other(
     monkeypatch.setattr(improvement_loop, "diagnose", diagnosed)
     monkeypatch.setattr(improvement_loop, "add_effects", tried)
     loop = new_loop(most)
-    loop.run()
+    loop_run.run(loop)
     assert [ids for ids, _ in loop.steps] == steps
     assert [c.id for c in loop.added] == [i for ids in steps for i in ids]
     assert loop.stopped == stopped
@@ -162,7 +162,7 @@ def test_a_force_against_the_position_that_is_in_no_catalogue_is_looked_for_beyo
     monkeypatch.setattr(improvement_loop, "diagnose", diagnosed)
     monkeypatch.setattr(improvement_loop, "add_effects", extended)
     loop = new_loop()
-    loop.run()
+    loop_run.run(loop)
     assert offered == ([None, ["one_sided_spring"], None] if asked else [None])
     assert [c.id for c in loop.added] == (["one_sided_spring"] if asked else [])
 
@@ -197,11 +197,11 @@ def test_a_law_stays_where_nothing_more_is_missing_or_it_follows_to_the_noise(
         asked.append(tuple(c.id for c in added))
         return ReadLaw(with_it, law, made(Formula), ("end_stop",), CURVE)
 
-    monkeypatch.setattr(improvement_loop, "static_force", lambda *_: (CURVE, True))
-    monkeypatch.setattr(improvement_loop, "read_law", read)
+    monkeypatch.setattr(loop_run, "static_force", lambda *_: (CURVE, True))
+    monkeypatch.setattr(loop_run, "read_law", read)
     monkeypatch.setattr(read_law_module, "_text", lambda *_: "a force")
     monkeypatch.setattr(Loop, "diagnosed_again", lambda *_, **__: made_up_results.diagnosis(verdict))
-    further = loop.with_law()
+    further = loop_run.with_law(loop)
     assert asked == ([] if cause else [("end_stop", "current_lag")])
     assert [c.id for c in loop.added] == ["end_stop", "current_lag"]
     if not kept:
@@ -239,9 +239,9 @@ def test_a_simpler_law_stays_where_the_model_with_it_is_adequate_too(
         CURVE,
     )
     monkeypatch.setattr(read_law_module, "_text", lambda *_: "a force")
-    monkeypatch.setattr(improvement_loop, "simpler_law", lambda *_, **__: found if read else None)
+    monkeypatch.setattr(loop_run, "simpler_law", lambda *_, **__: found if read else None)
     monkeypatch.setattr(Loop, "diagnosed_again", lambda *_, **__: made_up_results.diagnosis(after))
-    further = loop.with_simpler_law()
+    further = loop_run.with_simpler_law(loop)
     assert (further is not None) == taken
     if further is not None:
         assert further.added == [law]
@@ -383,6 +383,32 @@ def test_after_the_time_is_over_nothing_is_diagnosed_any_more(monkeypatch):
 
     monkeypatch.setattr(improvement_loop, "diagnose", diagnosed)
     one = dataclasses.replace(new_loop(), diagnoses=[made_up_results.diagnosis("missing")], deadline=Deadline(0.0))
-    one.run()
+    loop_run.run(one)
     assert one.out_of_time
     assert one.stopped == improvement_loop.OUT_OF_TIME
+
+
+@pytest.mark.parametrize(("error", "kept"), [(1.5, True), (2.9, False)])
+def test_what_a_part_chose_is_fitted_to_all_samples_and_stays_where_it_serves(
+    monkeypatch: pytest.MonkeyPatch, error: float, kept: bool
+) -> None:
+    before, part = made_up_results.compared("base", 3.0), made(rtac.Recording)
+    loop = dataclasses.replace(new_loop(), part=part)
+    loop.steps[0] = (), dataclasses.replace(loop.last, tested=before)
+    chosen = dataclasses.replace(loop.last, tested=made_up_results.compared("+ law", 1.4))
+    whole = dataclasses.replace(chosen, tested=made_up_results.compared("+ law", error))
+    asked: list[tuple[str, rtac.Recording]] = []
+
+    def fitted(_: Any, lost: Any, more: Any, label: str, train: rtac.Recording, *__: Any, **___: Any) -> Any:
+        assert not lost
+        assert not more
+        asked.append((label, train))
+        return whole
+
+    monkeypatch.setattr(improvement_loop, "extended_without", fitted)
+    assert loop.choosing is part
+    assert (loop.of_all(chosen) is whole) == kept
+    assert asked == [("+ law", loop.train)], asked
+    short = dataclasses.replace(loop, part=None)
+    assert short.choosing is short.train
+    assert short.of_all(chosen) is chosen, "all samples have chosen it"

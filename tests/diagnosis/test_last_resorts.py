@@ -16,6 +16,7 @@ import estimators as est
 import rtac_jax as rtac
 from estimators.core.fit import Parameter
 from estimators.diagnosis import improvement_loop as loop
+from estimators.diagnosis import loop_run
 from estimators.diagnosis.learned_force import learn_force
 from estimators.diagnosis.model_extension import Added, PredictedGain
 from estimators.inference.simulation_residual import Cause, SimulationResidual
@@ -243,5 +244,5 @@ def test_no_effect_is_added_where_random_forces_stand_in_for_the_physics(
     said = dataclasses.replace(learned.diagnoses[-1], tests=passing, simulation=error)
     before, after = (Added(learned.fits[n], learned.validation.models[n], "simulated") for n in (0, -1))
     end = loop.Loop(train, held_out, None, 4, True, est.DiagnosisPolicy(), False, [((), before)], diagnoses=[said])
-    assert (end.last_resort((after, said.candidates[0]))[0] is not None) == kept
+    assert (loop_run.last_resorted(end, (after, said.candidates[0]))[0] is not None) == kept
     assert (len(end.steps) == 2) == kept

@@ -10,7 +10,7 @@ from known_search import Known, force, known, sized
 from made_up_loop import made, new_loop
 
 import estimators as est
-from estimators.diagnosis import improvement_loop, read_law
+from estimators.diagnosis import improvement_loop, loop_run, read_law
 from estimators.diagnosis.evidence import FittedModel
 from estimators.diagnosis.improvement_loop import Loop
 from estimators.diagnosis.policy import STANDARD
@@ -95,10 +95,10 @@ def test_where_a_law_serves_the_loop_ends_with_it_and_elsewhere_looks_again(
         return further
 
     monkeypatch.setattr(improvement_loop, "diagnose", diagnosed)
-    monkeypatch.setattr(Loop, "with_law", with_law)
-    monkeypatch.setattr(Loop, "_add_beyond_catalogue", lambda *_: False)
+    monkeypatch.setattr(loop_run, "with_law", with_law)
+    monkeypatch.setattr(loop_run, "_add_beyond_catalogue", lambda *_: False)
     loop = new_loop()
-    loop.run()
+    loop_run.run(loop)
     ended = served and after == "adequate"
     assert asked == ([True] if ended else [True, False])
     assert loop.stopped == (
@@ -112,13 +112,13 @@ def test_a_law_is_looked_for_once(monkeypatch: pytest.MonkeyPatch) -> None:
     loop, count = new_loop(), []
     loop.diagnoses, loop.diagnosed = [made_up_results.diagnosis("unknown")], [0]
     curve = made_up_results.curve("cart", "cart_velocity", 0.01)
-    monkeypatch.setattr(improvement_loop, "static_force", lambda *_: (curve, True))
-    monkeypatch.setattr(improvement_loop, "read_law", lambda *_, **__: count.append(1))
-    assert loop.with_law() is None
-    assert loop.with_law() is None
+    monkeypatch.setattr(loop_run, "static_force", lambda *_: (curve, True))
+    monkeypatch.setattr(loop_run, "read_law", lambda *_, **__: count.append(1))
+    assert loop_run.with_law(loop) is None
+    assert loop_run.with_law(loop) is None
     assert len(count) == 1
     loop.steps.append(((), made(type(loop.last), fit=dataclasses.replace(loop.last.fit), tested=None, way="simulated")))
-    assert loop.with_law() is None
+    assert loop_run.with_law(loop) is None
     assert len(count) == 2, "beside another fit it is asked again"
 
 
@@ -154,10 +154,10 @@ def test_beside_what_was_added_since_another_law_may_tell(
         one.stopped = "Stopped."
 
     tried: list[int] = []
-    monkeypatch.setattr(improvement_loop, "other_law", lambda *_, **__: tried.append(1) or (second if better else None))
+    monkeypatch.setattr(loop_run, "other_law", lambda *_, **__: tried.append(1) or (second if better else None))
     monkeypatch.setattr(read_law, "_text", lambda *_: "a force")
-    monkeypatch.setattr(Loop, "run", run)
-    further = loop._going_on(first)
+    monkeypatch.setattr(loop_run, "run", run)
+    further = loop_run.going_on(loop, first)
     assert bool(tried) == asked
     ended = ["cart_stribeck", "law_saturation"] if asked and better else ["law_cube", *(["cart_stribeck"] * beside)]
     assert [c.id for c in further.added] == ended

@@ -13,7 +13,7 @@ from small_experiments import forced, free
 import estimators as est
 import rtac_jax as rtac
 from estimators.core.deadline import Deadline
-from estimators.diagnosis import improvement_loop, loop_end, read_law
+from estimators.diagnosis import improvement_loop, loop_end, loop_run, read_law
 from estimators.diagnosis.evidence import Evidence, Facts
 from estimators.diagnosis.improvement_loop import Loop
 from estimators.diagnosis.loop_end import LoopEnd
@@ -37,7 +37,7 @@ PREDICTED: est.PredictorFit = made(est.PredictorFit, model=rtac.RTAC.paper())
     ids=["by default", "no law is wanted", "of these candidates only", "no more effects", "no time"],
 )
 def test_a_law_comes_first_only_where_it_may_be_added(change: dict[str, Any], wanted: bool) -> None:
-    assert dataclasses.replace(new_loop(), **change)._wants_laws is wanted
+    assert dataclasses.replace(new_loop(), **change).wants_laws is wanted
 
 
 def test_where_the_law_took_the_time_nothing_is_looked_at_again(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -51,9 +51,9 @@ def test_where_the_law_took_the_time_nothing_is_looked_at_again(monkeypatch: pyt
         loop.deadline = Deadline(0.0)
 
     monkeypatch.setattr(improvement_loop, "diagnose", diagnosed)
-    monkeypatch.setattr(Loop, "with_law", with_law)
-    monkeypatch.setattr(Loop, "_add_beyond_catalogue", lambda *_: False)
-    new_loop().run()
+    monkeypatch.setattr(loop_run, "with_law", with_law)
+    monkeypatch.setattr(loop_run, "_add_beyond_catalogue", lambda *_: False)
+    loop_run.run(new_loop())
     assert asked == [True]
 
 
@@ -71,10 +71,12 @@ def test_no_other_law_is_fitted_by_simulation_where_a_simulation_did_not_choose(
         one.diagnoses.append(made_up_results.diagnosis("unknown"))
 
     tried: list[int] = []
-    monkeypatch.setattr(improvement_loop, "other_law", lambda *_, **__: tried.append(1))
+    monkeypatch.setattr(loop_run, "other_law", lambda *_, **__: tried.append(1))
     monkeypatch.setattr(read_law, "_text", lambda *_: "a force")
-    monkeypatch.setattr(Loop, "run", run)
-    loop._going_on(read_law.ReadLaw(step, law, made(Formula), (), made_up_results.curve("arm", "current", 0.01)))
+    monkeypatch.setattr(loop_run, "run", run)
+    loop_run.going_on(
+        loop, read_law.ReadLaw(step, law, made(Formula), (), made_up_results.curve("arm", "current", 0.01))
+    )
     assert bool(tried) is asked
 
 
@@ -150,7 +152,7 @@ def test_errors_of_an_adequate_model_are_held_against_the_coloured_noise(
     monkeypatch.setattr(module, "compare", lambda *_, **__: base)
     monkeypatch.setattr(module, "compile_diagnosis", lambda *_: None)
     monkeypatch.setattr(module, "end_of", lambda loop, **_: LoopEnd(loop))
-    monkeypatch.setattr(Loop, "run", run)
+    monkeypatch.setattr(module, "run", run)
     recording = Recording((free("a"), free("b"), forced("c"), forced("d")))
     found = est.improve(rtac.RTAC.paper(), recording, progress=False)
     for comparison in (found.train, found.validation):

@@ -67,7 +67,7 @@ def found(
 
     monkeypatch.setattr(loop_on_part, "output_error", output_error)
     monkeypatch.setattr(loop_on_part, "compare", lambda *_, **__: _Compared)
-    monkeypatch.setattr(Loop, "add_first", add_first)
+    monkeypatch.setattr(loop_on_part, "add_first", add_first)
     begun = dataclasses.replace(new_loop(), thorough=True, laws=True)
     before = made_up_results.compared("base", 20.0 if serves else 2.0)
 

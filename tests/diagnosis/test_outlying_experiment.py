@@ -244,8 +244,8 @@ def test_no_last_resort_takes_the_place_of_a_parameter_that_differs(loop, monkey
     assert differs.decisive
     asked = []
     monkeypatch.setattr(loop_end, "differing", lambda *_, **__: differs)
-    monkeypatch.setattr(improvement_loop.Loop, "nearest", lambda _: None)
-    monkeypatch.setattr(improvement_loop.Loop, "last_resort", lambda *_: asked.append(1) or (None, None))
+    monkeypatch.setattr(loop_end, "nearest", lambda _: None)
+    monkeypatch.setattr(loop_end, "last_resorted", lambda *_: asked.append(1) or (None, None))
     found = end_of(loop, last_resort=True)
     assert bool(asked) == resorts
     assert found.differs is differs

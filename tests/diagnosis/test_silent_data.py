@@ -8,7 +8,7 @@ from made_up_loop import new_loop
 
 import estimators as est
 import rtac_jax as rtac
-from estimators.diagnosis import improvement_loop, loop_end
+from estimators.diagnosis import improvement_loop, loop_end, loop_run
 from estimators.diagnosis.evidence import EffectTraits, Facts
 from estimators.misspecification.adequacy import AdequacyTest
 from estimators.plots import plot_diagnosis
@@ -74,7 +74,7 @@ def test_the_loop_ends_there(silent: est.Diagnosis, monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(improvement_loop, "diagnose", lambda *_, **__: silent)
     monkeypatch.setattr(loop_end, "_look_again", lambda _: pytest.fail("something more was asked"))
     loop = new_loop()
-    loop.run()
+    loop_run.run(loop)
     assert loop.stopped == "Stopped: nothing can be told."
     end = loop_end.end_of(loop, last_resort=True)
     assert (end.loop is loop, end.learned, end.nearest, end.differs) == (True, None, None, None)

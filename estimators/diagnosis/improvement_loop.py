@@ -18,6 +18,7 @@ from estimators.diagnosis.model_extension import (
     is_sure,
 )
 from estimators.diagnosis.policy import DiagnosisPolicy
+from estimators.inference.simulation_residual import judged_channels
 from rtac_jax.effects import CATALOGUE, Effect
 from rtac_jax.measurement import Recording
 
@@ -161,6 +162,23 @@ class Loop:
     def follows(self) -> bool:
         """Return whether the last model follows the held-out experiments to the noise."""
         return all(at_noise(e.rms_over_noise) for e in self.last.tested.errors.values())
+
+    @property
+    def is_near(self) -> bool:
+        """Return whether less than `DiagnosisPolicy.consequence` of any held-out motion is missed with what was added.
+
+        And nobody knows the noise, beside which so little may be much: it may be the noise.
+        """
+        if not self.added:
+            return False
+        missed = (1 - e.fit_percent / 100 for e in self.last.tested.errors.values())
+        near = all(one < self.policy.consequence for one in missed)
+        return near and not judged_channels(self.last.fit.residual_std, self.train)[1]
+
+    @property
+    def looks_again(self) -> bool:
+        """Return whether the next diagnosis looks again at what raised no alarm; not where nothing is tried for what is left."""
+        return self.thorough and not self.is_near
 
     @property
     def ended_adequate(self) -> bool:

@@ -69,7 +69,7 @@ def end_of(loop: Loop, *, last_resort: bool) -> LoopEnd:
     if loop.diagnoses[-1].silent:
         return end
     try:
-        if little_is_left(loop):
+        if loop.diagnoses[-1].verdict == "unknown" and loop.is_near:
             drop_superseded(loop)
             loop.stopped = f"{loop.stopped} {_LITTLE.format(100 * loop.policy.consequence)}"
             return end
@@ -78,18 +78,6 @@ def end_of(loop: Loop, *, last_resort: bool) -> LoopEnd:
     except OutOfTimeError:
         end.out_of_time = True
     return end
-
-
-def little_is_left(loop: Loop) -> bool:
-    """Return whether nothing is named, and less than `DiagnosisPolicy.consequence` of any held-out motion is missed.
-
-    Where the noise is known, any error beyond it shows that something is missing; elsewhere so small a one may be the noise.
-    """
-    told = loop.diagnoses[-1]
-    if told.verdict != "unknown" or not loop.added or told.evidence is None or told.evidence.facts.noise_known:
-        return False
-    missed = (1 - e.fit_percent / 100 for e in loop.last.tested.errors.values())
-    return all(one < loop.policy.consequence for one in missed)
 
 
 def _look_again(end: LoopEnd) -> None:

@@ -31,7 +31,7 @@ def run(loop: Loop) -> None:
         released = loop.last.fit.model.release(*parameters_of(loop.last.fit.model, loop.held))
         base = dataclasses.replace(loop.last.fit, model=released)
         try:
-            found = loop.diagnosed_again(base, loop.candidates, thorough=loop.thorough, laws_first=loop.wants_laws)
+            found = loop.diagnosed_again(base, loop.candidates, thorough=loop.looks_again, laws_first=loop.wants_laws)
         except DivergedError as error:
             if not loop.diagnoses:
                 raise
@@ -48,7 +48,7 @@ def run(loop: Loop) -> None:
                     return
             if not loop.deadline.over:
                 with contextlib.suppress(DivergedError):
-                    found = loop.diagnoses[-1] = loop.diagnosed_again(base, loop.candidates, thorough=loop.thorough)
+                    found = loop.diagnoses[-1] = loop.diagnosed_again(base, loop.candidates, thorough=loop.looks_again)
         if not found.additions:
             enough = found.verdict == "adequate"
             why = "nothing more is missing" if enough else f"{found.no_effect} explains what is missing"

@@ -11,7 +11,6 @@ import jax
 import jax.numpy as jnp
 
 from rtac_jax._equations import RIGID_STATES, derivative, settle
-from rtac_jax._excited_parts import excited_parts
 from rtac_jax._model_structure import declared_of, places_of, with_fixed
 from rtac_jax._model_tables import overview_of, table_of
 from rtac_jax._rigid_body import RigidBody
@@ -35,6 +34,7 @@ from rtac_jax.effects import (
     Sensor,
 )
 from rtac_jax.excitation import Excitation
+from rtac_jax.excited_parts import excited_parts
 from rtac_jax.measurement import Recording
 from rtac_jax.overview import Overview
 from rtac_jax.parameters import Declaration, as_value

@@ -49,6 +49,12 @@ class ModelFit(Result):
     __slots__ = ()
     model: RTAC
     information: Information
+    statistics: Mapping[str, Any]
+
+    @property
+    def unexcited(self) -> frozenset[str]:
+        """Return the names of the constants that nothing in the recording excites, as those of a cart that is always clamped."""
+        return frozenset(self.statistics.get("unexcited", ())) - set(self.information.names)
 
     @property
     def held_deviations(self) -> Mapping[str, float]:
@@ -78,10 +84,11 @@ class ModelFit(Result):
         )
 
     def rows(self) -> list[tuple[str, str, str, str]]:
-        """Return every shared parameter as text: name, value, standard deviation and unit."""
+        """Return every shared parameter that the recording excites as text: name, value, standard deviation and unit."""
         return [
             (name, f"{p.value:.6g}", "fixed" if p.is_fixed else f"{p.std:.2g}", p.unit)
             for name, p in self.parameters.items()
+            if name not in self.unexcited
         ]
 
     def on_bounds(self) -> dict[str, float]:

@@ -23,6 +23,7 @@ from estimators.output_error.robust import without_spikes
 from rtac_jax import RTAC, require_configured
 from rtac_jax.arguments import checked_arguments
 from rtac_jax.effect_contract import require_working_model
+from rtac_jax.excited_parts import excited_parts
 from rtac_jax.measurement import Experiment, Recording
 
 # A second start agrees with the best one when its log-likelihood is within this much for each sample.
@@ -179,6 +180,7 @@ def output_error(
                 if c in levels
             },
             "unknowns": number_of_unknowns(stage.space, stage.solved.unknowns),
+            "unexcited": tuple(sorted(excited_parts(recording)[1])),
             "in_pieces": len(experiments) > len(moving(recording)),
             "seconds": time.perf_counter() - began,
             **({} if weighted is None else {"score_ratio": weighted.score_ratio}),

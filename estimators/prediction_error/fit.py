@@ -35,6 +35,7 @@ from estimators.prediction_error.predictive_steps import predictive_substeps
 from rtac_jax import RTAC, require_configured
 from rtac_jax.arguments import checked_arguments
 from rtac_jax.effect_contract import require_working_model
+from rtac_jax.excited_parts import excited_parts
 from rtac_jax.measurement import Experiment, Recording
 from rtac_jax.overview import Overview
 
@@ -236,6 +237,7 @@ def prediction_error_nonlinear(
             "unknowns": number_of_unknowns(space, found.unknowns) + 2 + len(levels),  # and force, torque, sensors
             "one_step_rms": one_step_rms(found.filtered),
             "seconds": time.perf_counter() - began,
+            "unexcited": tuple(sorted(excited_parts(recording)[1])),
         },
         problem=Problem(arguments, found.unknowns, tuple(experiments), known.names),
         prior=prior,

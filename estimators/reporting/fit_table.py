@@ -76,6 +76,7 @@ def recommended_table(advice: Recommendation, fit: Fit) -> Table:
     rows = tuple(
         (name, f"{p.value:.6g}", "fixed" if p.is_fixed else _short(p.std), p.unit)
         for name, p in advice.parameters.items()
+        if name not in fit.unexcited
     )
     return Table(("parameter", "recommended", "std", "unit"), rows, advice.sentence)
 
@@ -98,7 +99,7 @@ def _rows(known: AllEstimates) -> list[list[str]]:
     coloured = spread.std("sandwich") if spread is not None else {}
     by_cluster = spread.std("clustered") if spread is not None else {}
     apart = _apart(agreed, fit)
-    for name, p in fit.parameters.items():
+    for name, p in ((n, p) for n, p in fit.parameters.items() if n not in fit.unexcited):
         e = known.closed.estimates.get(name)
         row = [name, p.unit, *(("", "") if e is None else (f"{e.value:.6g}", _short(e.std))), f"{p.value:.6g}"]
         row.append("fixed" if p.is_fixed else _short(p.std))

@@ -26,15 +26,22 @@ _PACKAGES = ("rtac-jax", "jax", "optimistix", "numpy", "scipy", "matplotlib")
 
 @dataclasses.dataclass(frozen=True)
 class Table:
-    """The rows of a table as text, under a header; columns of numbers are set to the right."""
+    """The rows of a table as text, under a header; columns of numbers are set to the right.
+
+    Attributes:
+        header, rows: the cells.
+        caption: stands with it on a page.
+        note: stands below it, on the screen too.
+    """
 
     header: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
     caption: str = ""
+    note: str = ""
 
     def __str__(self) -> str:
         numbers = [i for i in range(len(self.header)) if self.numeric(i)]
-        return "\n".join(aligned((self.header, *self.rows), right=numbers))
+        return "\n".join([*aligned((self.header, *self.rows), right=numbers), *([self.note] if self.note else [])])
 
     def numeric(self, column: int) -> bool:
         """Return whether the column holds numbers, as far as it holds anything."""
@@ -184,7 +191,8 @@ def _block(block: Block, images: Mapping[Figure, bytes]) -> str:
         )
         return f"<tr>{''.join(inside)}</tr>"
 
-    caption = f"<caption>{_marked(block.caption)}</caption>" if block.caption else ""
+    said = " ".join(filter(None, (block.note, block.caption)))
+    caption = f"<caption>{_marked(said)}</caption>" if said else ""
     rows = "\n".join(row(cells, "td") for cells in block.rows)
     head = f"<thead>{row(block.header, 'th')}</thead>"
     stacks = ' class="stacks"' if len(block.header) > _NARROW else ""

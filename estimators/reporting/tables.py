@@ -69,7 +69,7 @@ def parameter_table(fit: Fit, *, base: Fit | None = None, estimates: Mapping[str
     known, bounds = every_parameter(base) if base is not None else {}, fit.on_bounds()
     idle = {f"{effect.id}.{name}" for effect in fit.model.effects for name in effect.idle}
     for name, p in (every_parameter(fit) | dict(estimates or {})).items():
-        if name in idle:
+        if name in idle or name in fit.unexcited:
             continue
         std = "" if math.isnan(p.std) else "fixed" if p.is_fixed else f"{p.std:.2g}"
         std += ", on its bound" if name in bounds else ""
@@ -147,7 +147,7 @@ def _fate(named: bool, kept: bool) -> str:
 
 
 def candidate_table(diagnosis: Diagnosis, added: Collection[str] | None = None) -> Table:
-    """Return a table of all candidates: what was accepted, then the others by their score.
+    """Return a table of the candidates: what was accepted, then the others by their score, and below what nothing could show.
 
     Args:
         diagnosis: that tried them.
@@ -155,8 +155,11 @@ def candidate_table(diagnosis: Diagnosis, added: Collection[str] | None = None) 
     """
     named = {c.id for c in diagnosis.effects}
     kept = named if added is None else set(added)
-    rows = []
+    rows, silent = [], []
     for c in ranked(diagnosis):
+        if not (c.can_show or c.refitted or c.id in named or c.id in kept):
+            silent.append(c.id)
+            continue
         rows.append(
             (
                 c.id,
@@ -174,4 +177,5 @@ def candidate_table(diagnosis: Diagnosis, added: Collection[str] | None = None) 
         tuple(rows),
         "Score: chi-square gained on the one-step predictions, less the price of the parameters. Those that came nearest were "
         "fitted, which gives BIC gain and fraction of the misfit.",
+        f"Not testable with these data: {', '.join(silent)}." if silent else "",
     )

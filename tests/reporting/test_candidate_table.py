@@ -23,3 +23,14 @@ def test_what_a_loop_kept_is_told_apart_from_what_the_diagnosis_named(
     found = dataclasses.replace(made_up_results.diagnosis("missing"), effects=several[:1], candidates=several)
     rows = {row[0]: row[-1] for row in candidate_table(found, added).rows}
     assert [rows[name] for name in ("a", "b", "c")] == fates
+
+
+def test_what_the_data_could_not_show_stands_below_the_table() -> None:
+    shown, hidden, nearest = (made_up_results.candidate(name, -5.0) for name in ("shown", "hidden", "nearest"))
+    hidden = dataclasses.replace(hidden, testable=False)
+    nearest = dataclasses.replace(nearest, testable=False, refitted=True)
+    found = dataclasses.replace(made_up_results.diagnosis("unknown"), effects=(), candidates=(shown, hidden, nearest))
+    table = candidate_table(found)
+    assert [row[0] for row in table.rows] == ["shown", "nearest"]
+    assert str(table).splitlines()[-1] == "Not testable with these data: hidden."
+    assert not candidate_table(dataclasses.replace(found, candidates=(shown,))).note

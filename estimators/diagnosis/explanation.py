@@ -44,7 +44,7 @@ OF_A_LIKELY_DRIFT = (
     " grows with the amplitude looks like that, too. Let the rig run before it is recorded, or hold"
     " shorter experiments against each other (est.constancy)."
 )
-_LISTED = 6  # of what was not asked, by name
+_LISTED = 6  # by name, of what was not asked or could not show
 _NEARLY_ALL = 0.9  # fraction of the misfit whose removal asks why the verdict is unknown even so
 _LEFT_OUT = 0.02  # fraction of the samples from which it is worth a word that they do not count
 _STRAYED = 3.0  # rms of what a simulation leaves over the noise, from which it is worth a word
@@ -75,7 +75,10 @@ def words(
         limits = sorted((c for c in candidates if c.testable), key=lambda c: c.id)
         text = ", ".join(f"{c.id} {c.limit}" for c in limits)
         blind = [c.id for c in candidates if not c.can_show]
-        unseen = f" These data could not show {', '.join(blind)} at any plausible size." if blind else ""
+        more = f" and {len(blind) - _LISTED} others" if len(blind) > _LISTED else ""
+        unseen = (
+            f" These data could not show {', '.join(blind[:_LISTED])}{more} at any plausible size." if blind else ""
+        )
         found = simulation.words if simulation is not None and simulation.words else f"Nothing is missing {floor}."
         if detectable and consequence is not None:
             found = _of_no_consequence(detectable, candidates, consequence)

@@ -2,10 +2,12 @@
 
 import dataclasses
 
+import made_up_results
 import pytest
 from known_search import Known, known
 
 from estimators.diagnosis.evidence import FittedModel, SimulationError
+from estimators.diagnosis.explanation import words
 from estimators.diagnosis.policy import STANDARD
 from estimators.diagnosis.verdict import Judgement, decide
 from estimators.misspecification.findings import Findings, Score
@@ -78,3 +80,11 @@ def test_what_the_data_could_not_show_is_never_named() -> None:
     neither = judged(Made(1000.0, 5.0, 1.0, untestable=("cubic_spring", "lvdt_lag")))
     assert neither.verdict == "unknown"
     assert not neither.effects
+
+
+def test_of_many_effects_that_could_not_show_six_are_named_and_the_others_counted() -> None:
+    several = [dataclasses.replace(made_up_results.candidate(f"effect_{n}", -3.0), testable=False) for n in range(8)]
+    said = words("adequate", (), several, (), (), (), 1.0, (), (), (), ())
+    assert "could not show effect_0, effect_1, effect_2, effect_3, effect_4, effect_5 and 2 others at any" in said
+    said = words("adequate", (), several[:6], (), (), (), 1.0, (), (), (), ())
+    assert "effect_4, effect_5 at any" in said

@@ -82,6 +82,9 @@ def import_files(
             help="Put rows that a logger lost back as missing samples, and make clipped samples, dropouts and spikes missing.",
         ),
     ] = False,
+    resample: Annotated[
+        float | None, option("SECONDS", "Bring rows at uneven times to samples so far apart, by straight lines.")
+    ] = None,
     intersample: Annotated[
         Pairs, option("NAME=zoh|foh|bl", "What an input does between samples; held (zoh) by default.")
     ] = None,
@@ -89,7 +92,7 @@ def import_files(
     cart: Annotated[str, typer.Option(metavar="free|clamped", help="Whether the cart could move.")] = "free",
     start: Annotated[int, typer.Option(help="First sample to take, of every file.")] = 0,
     end: Annotated[int | None, option("SAMPLE", "The sample after the last to take.")] = None,
-    delimiter: Annotated[str, typer.Option(help="Between the columns of a CSV file.")] = ",",
+    delimiter: Annotated[str, typer.Option(help="Between the columns of a CSV file: a character, or tab.")] = ",",
     replace: Annotated[bool, typer.Option("--replace", help="Write over a recording that is there already.")] = False,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Show what was understood, and write nothing.")] = False,
 ) -> None:
@@ -116,7 +119,8 @@ def import_files(
             "scale": {n: _number("--scale", n, v) for n, v in _pairs("--scale", scale).items()},
             "noise_std": {n: _number("--noise", n, v) for n, v in _pairs("--noise", noise).items()},
             "intersample": _pairs("--intersample", intersample),
-            "remove_mean": remove_mean or (), "unwrap": unwrap, "mend": mend, "arm": arm, "cart": cart, "start": start, "stop": end,
+            "remove_mean": remove_mean or (), "unwrap": unwrap, "mend": mend, "resample": resample, "arm": arm, "cart": cart,
+            "start": start, "stop": end,
             "rig": {n: _number("--rig", n, v) for n, v in _pairs("--rig", rig).items()},
         }  # fmt: skip
         asked = _pairs("--channel", channel)

@@ -8,6 +8,7 @@ from typing import Any, TypedDict
 import numpy as np
 from jaxtyping import Float64
 
+from ._clock import nearest_clock, resampled, uniform_step
 from ._errors import RecordingError
 from ._experiment import Experiment
 from ._mending import mended, places_of_rows, with_rows
@@ -15,9 +16,6 @@ from ._signal import INPUTS, OUTPUTS, finite, positive
 from ._stated_unit import FACTORS, ending_unit, name_and_unit, usual_spelling
 
 UNITS = {**INPUTS, **OUTPUTS}
-UNIFORM = 1e-6
-# Of a step, by which times that a logger rounds may be off the clock that they tell: microseconds of steps from a millisecond on.
-ROUNDED = 2e-3
 
 
 class ImportOptions(TypedDict, total=False):
@@ -35,6 +33,9 @@ class ImportOptions(TypedDict, total=False):
         unwrap: take jumps of whole turns out of arm_angle, as of an encoder that begins again after a turn.
         mend: put rows that a logger lost, as the times tell, back as missing samples (inputs run on), and make samples missing that
             are no measurement; see `Recording.mended`.
+        resample: seconds between the samples to which rows at uneven times are brought: outputs by straight lines between rows that
+            are no gap, and inputs that are held as the last row has them. The noise of what lies between two rows is less than
+            theirs.
         rig: constants, each with an optional `NAME_std`, as in `Recording`.
         intersample, noise_std, initial_arm_angle, initial_arm_angle_std, arm, cart: as in `Experiment.of`.
     """
@@ -49,6 +50,7 @@ class ImportOptions(TypedDict, total=False):
     remove_mean: Collection[str]
     unwrap: bool
     mend: bool
+    resample: float | None
     rig: Mapping[str, float] | None
     intersample: str | Mapping[str, str]
     noise_std: Mapping[str, float] | None
@@ -120,6 +122,7 @@ def assemble(
     remove_mean: Collection[str] = (),
     unwrap: bool = False,
     mend: bool = False,
+    resample: float | None = None,
     start: int = 0,
     stop: int | None = None,
     **conditions: Any,
@@ -133,6 +136,8 @@ def assemble(
     total = min(lengths.values())
     if total != max(lengths.values()):
         raise RecordingError(f"the lengths differ ({lengths}); all columns of an experiment must have one length.")
+    if resample is not None and time is None:
+        raise RecordingError("resample: needs the times of the rows; give time instead of sample_time.")
     stop = total if stop is None else stop
     if not 0 <= start < stop <= total:
         raise RecordingError(f"samples {start} to {stop} were asked for; choose 0 <= start < stop <= {total}.")
@@ -149,11 +154,14 @@ def assemble(
     if time is not None:
         seconds = columns[time][start:stop] * _factor("time", time, units or {}, {})
         places = places_of_rows(seconds)
-        if places is not None and mend:
-            between = conditions.get("intersample", "zoh")
-            held = [c for c in channels if (between if isinstance(between, str) else between.get(c, "zoh")) == "zoh"]
+        between = conditions.get("intersample", "zoh")
+        inputs = [c for c in channels if c in INPUTS]
+        held = [c for c in inputs if (between if isinstance(between, str) else between.get(c, "zoh")) == "zoh"]
+        if resample is not None:
+            signals, sample_time = resampled(signals, seconds, resample, time, held=held), resample
+        elif places is not None and mend:
             signals = with_rows(signals, places, held=held)
-            sample_time = float((seconds[-1] - seconds[0]) / places[-1])
+            sample_time = nearest_clock(seconds, places)[0]
         else:
             sample_time = uniform_step(seconds, time, start, lost=places is not None)
     found = Experiment.of(name, sample_time=sample_time, **signals, **conditions)  # pyright: ignore[reportArgumentType] - `of` checks them
@@ -169,44 +177,6 @@ def _unwrapped(values: Float64[np.ndarray, " sample"], beginning: float | None) 
     whole[present] = np.unwrap(values[present])
     turns = 0.0 if beginning is None else np.round((whole[present][0] - beginning) / (2 * np.pi))
     return whole - 2 * np.pi * turns
-
-
-def uniform_step(times: Float64[np.ndarray, " sample"], column: str, offset: int, *, lost: bool = False) -> float:
-    """Return the common distance of `times` [s].
-
-    Args:
-        times: of all rows.
-        column: their name.
-        offset: index of the first.
-        lost: whether rows that are missing explain why they are not uniform.
-
-    Raises:
-        RecordingError: the times are not uniform; names the index (plus `offset`) that is farthest off.
-    """
-    steps = np.diff(times)
-    bad = ~(steps > 0)
-    if not len(steps) or bad.any():
-        index = int(np.argmax(bad)) + 1 + offset if len(steps) else offset
-        raise RecordingError(f"{column}, index {index}: the time does not increase; sort, mend or cut the rows there.")
-    # The median is not moved by a gap, so the index found is that of the gap.
-    typical = float(np.median(steps))
-    off = np.abs(steps - typical)
-    uneven = off > max(UNIFORM * typical, 0.5 * float(np.max(off)))
-    mean = (times[-1] - times[0]) / len(steps)
-    rounded = np.max(np.abs(times - times[0] - mean * np.arange(len(times)))) < ROUNDED * mean
-    if uneven.any() and not rounded:
-        index = int(np.argmax(uneven))
-        mend = "resample the data, cut at the gap, or give sample_time if the times are only rounded"
-        if lost:
-            mend = (
-                "rows are missing there: put them back as missing samples (mend=True, --mend of rtac import), cut at the gap, or"
-                " give sample_time if the times are only rounded"
-            )
-        raise RecordingError(
-            f"{column}, index {index + 1 + offset}: the step is {steps[index]:.9g} s and elsewhere "
-            f"{typical:.9g} s; {mend}."
-        )
-    return float((times[-1] - times[0]) / len(steps))
 
 
 def _factor(channel: str, column: str, units: Mapping[str, str], scale: Mapping[str, float]) -> float:

@@ -23,6 +23,7 @@ _ENCODINGS = (
     "cp1252",
 )  # the first drops the mark that spreadsheets put at the start; the other is what loggers write
 _PREAMBLE = 100  # rows in which the names of the columns are looked for
+_NAMED = {"tab": "\t", "\\t": "\t", "space": " "}  # delimiters that a shell makes hard to write
 _MARKS = {",": "comma", ".": "point"}
 _THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2},\d{3}")
 
@@ -31,7 +32,8 @@ def read(
     path: str | os.PathLike[str], channels: Mapping[str, str], kind: str, delimiter: str, options: ImportOptions
 ) -> tuple[Experiment, Mapping[str, float]]:
     """Return the experiment in a CSV file, and the constants of its rig; see `Recording.from_csv`."""
-    return imported(path, lambda names: _read_columns(path, names, delimiter), channels, kind, options)
+    mark = _NAMED.get(delimiter, delimiter)
+    return imported(path, lambda names: _read_columns(path, names, mark), channels, kind, options)
 
 
 def csv_header(path: str | os.PathLike[str], delimiter: str = ",") -> list[str]:
@@ -41,10 +43,13 @@ def csv_header(path: str | os.PathLike[str], delimiter: str = ",") -> list[str]:
         FileNotFoundError: there is no such file.
         RecordingError: it is no text file, or the delimiter is not one character.
     """
+    delimiter = _NAMED.get(delimiter, delimiter)
     try:
-        return _opened(path, delimiter, lambda rows: _names(rows, delimiter))
+        names = _opened(path, delimiter, lambda rows: _names(rows, delimiter))
+        _require_names(names, delimiter)
     except RecordingError as error:
         raise RecordingError(f"{os.fspath(path)}: {error}") from error.__cause__
+    return names
 
 
 def write(path: str | os.PathLike[str], recording: Contents) -> None:
@@ -75,7 +80,7 @@ def _opened(path: str | os.PathLike[str], delimiter: str, read: Callable[[Iterab
     if not os.path.exists(path):
         raise FileNotFoundError(f"{os.fspath(path)}: there is no such file; check the path.")
     if not (isinstance(delimiter, str) and len(delimiter) == 1 and delimiter not in '"\r\n'):
-        raise RecordingError(f"delimiter: is {delimiter!r}; give one character, as ',' or ';'.")
+        raise RecordingError(f"delimiter: is {delimiter!r}; give one character, as ',' or ';', or tab.")
     reason: Exception = ValueError(path)
     for encoding in _ENCODINGS:
         try:
@@ -100,9 +105,16 @@ def _names(rows: Iterable[list[str]], delimiter: str) -> list[str]:
     """
     above = [[cell.strip() for cell in cells] for cells in itertools.islice(rows, _PREAMBLE)]
     numbers = next((cells for cells in above[1:] if _is_numbers(cells, delimiter)), [])
-    wide = [cells for cells in above[: above.index(numbers)] if len(cells) == len(numbers)] if numbers else []
+    first = above[: above.index(numbers)] if numbers else []
+    several = [*first, *(_words(cells) for cells in first[-1:])]
+    wide = [cells for cells in several if len(cells) == len(numbers)]
     named = (cells for cells in wide if all(cells) and all(_value(cell, delimiter) is None for cell in cells))
     return next(named, above[0] if above else [])
+
+
+def _words(cells: list[str]) -> list[str]:
+    """Return the words of a row that has a single cell, as names have spaces between them over columns that have something else."""
+    return cells[0].split() if len(cells) == 1 else []
 
 
 def _is_numbers(cells: list[str], delimiter: str) -> bool:
@@ -125,6 +137,8 @@ def _parse(rows: Iterable[list[str]], names: list[str], delimiter: str) -> dict[
         # Blank lines at the end are harmless; one in the middle may be a missing sample.
         if blank is not None and begun:
             raise RecordingError(f"row {blank}: is empty; remove it, or write nan for missing samples.")
+        if len(cells) > len(header) and not any(cell.strip() for cell in cells[len(header) :]):
+            cells = cells[: len(header)]  # a mark at the end of a row
         if len(cells) != len(header):
             raise RecordingError(f"row {row}: has {len(cells)} cells, but the header has {len(header)}; mend the row.")
         wanted = [cells[place].strip() for place in places]
@@ -151,10 +165,13 @@ def _header(
     for row, cells in itertools.islice(numbered, _PREAMBLE):
         header = [cell.strip() for cell in cells]
         first = first or header
-        if all(header.count(name) == 1 for name in names):
-            return header, numbered
+        for found in (header, _words(header)):
+            if all(found.count(name) == 1 for name in names):
+                _require_names(found, delimiter)
+                return found, numbered
         if row > 1 and header and all(_value(cell, delimiter) is not None for cell in header):
             break
+    _require_names(first, delimiter)
     for name in names:
         if first.count(name) != 1:
             often = "does not occur" if name not in first else "occurs more than once"
@@ -163,6 +180,20 @@ def _header(
                 f" numbers and separate them by {delimiter!r}."
             )
     raise RecordingError("the file is empty.")
+
+
+def _require_names(header: list[str], delimiter: str) -> None:
+    """Refuse a first row of numbers; such as count the columns are names.
+
+    Raises:
+        RecordingError: it is one.
+    """
+    numbers = [_value(cell, delimiter) for cell in header]
+    counted = numbers in ([*range(len(numbers))], [*range(1, len(numbers) + 1)])
+    if numbers and None not in numbers and not counted:
+        raise RecordingError(
+            f"row 1: holds numbers ({', '.join(header)}) and no names; write a row with the names of the columns above the numbers."
+        )
 
 
 class _Marks:

@@ -6,6 +6,7 @@ from collections.abc import Collection, Mapping
 import numpy as np
 from jaxtyping import Float64
 
+from ._clock import nearest_clock, rounding
 from ._experiment import Experiment
 from ._momentary_faults import faulty, resolution
 from ._signal import INPUTS
@@ -48,8 +49,8 @@ def places_of_rows(times: Values) -> np.ndarray | None:
         return None
     if _is_rounded(times):
         return None
-    step = (times[-1] - times[0]) / places[-1]
-    return places if np.max(np.abs(times - times[0] - step * places)) < _OFF * step else None
+    step, farthest = nearest_clock(times, places)
+    return places if farthest < max(_OFF * step, rounding(times, step)) else None
 
 
 def with_rows(signals: Mapping[str, Values], places: np.ndarray, *, held: Collection[str]) -> dict[str, Values]:
@@ -73,8 +74,6 @@ def with_rows(signals: Mapping[str, Values], places: np.ndarray, *, held: Collec
 
 def _is_rounded(times: Values) -> bool:
     """Return whether a uniform clock and the rounding of its times explain them all."""
-    number = np.arange(len(times))
-    slope, first = np.polynomial.polynomial.polyfit(number, times - times[0], 1)[::-1]
-    off = np.max(np.abs(times - times[0] - first - slope * number))
+    _, off = nearest_clock(times, np.arange(len(times)))
     several = np.count_nonzero(np.diff(times) > 1.5 * np.median(np.diff(times))) > 1  # one alone is a row as likely
     return bool(several and off <= _TICK * resolution(times))

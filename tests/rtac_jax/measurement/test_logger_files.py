@@ -1,5 +1,7 @@
 """Text files as loggers and spreadsheets of other countries write them: decimal commas, words above the names, other encodings."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -104,3 +106,35 @@ def test_what_is_no_text_is_refused_by_the_name_of_the_file(tmp_path):
         read(path)
     with pytest.raises(RecordingError, match=r"run.csv: .*not a readable text file"):
         csv_header(path, ";")
+
+
+def test_a_file_without_names_says_so(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    path.write_text("60,0.0074,0\n61,0.0080,1\n62,0.0085,2\n")
+    said = r"run.csv: row 1: holds numbers \(60, 0.0074, 0\) and no names; write a row"
+    for column in ("60", "u"):
+        with pytest.raises(RecordingError, match=said):
+            Recording.from_csv(path, channels={"cart_position": column}, kind="free", sample_time=0.01)
+    with pytest.raises(RecordingError, match=said):
+        csv_header(path)
+
+
+def test_columns_that_are_counted_have_names(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    path.write_text("0,1\n" + "".join(f"{0.01 * k},{0.02 * np.cos(0.1 * k)}\n" for k in range(100)))
+    found = Recording.from_csv(path, channels={"cart_position": "1"}, kind="free", time="0")
+    assert found.experiments[0].samples == 100
+
+
+@pytest.mark.parametrize("delimiter", ["\t", "tab", "\\t"])
+def test_names_between_spaces_over_columns_between_tabs_with_a_mark_at_the_end(tmp_path: Path, delimiter: str) -> None:
+    path = tmp_path / "run.txt"
+    path.write_text("t       y\n" + "".join(f"{0.01 * k:.2f}\t{0.02 * np.cos(0.1 * k):.6f}\t\n" for k in range(100)))
+    assert csv_header(path, delimiter) in (["t", "y"], ["t       y"])
+    found = Recording.from_csv(
+        path, channels={"cart_position": "y"}, kind="free", time="t", delimiter=delimiter
+    ).experiments[0]
+    assert found.outputs["cart_position"].values[0] == 0.02
+    path.write_text("t\ty\n0\t1\t2\n")
+    with pytest.raises(RecordingError, match="row 2: has 3 cells, but the header has 2"):
+        Recording.from_csv(path, channels={"cart_position": "y"}, kind="free", time="t", delimiter=delimiter)

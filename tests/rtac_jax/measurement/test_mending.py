@@ -160,7 +160,7 @@ def test_rows_are_lost_from_times_in_whole_milliseconds() -> None:
 def test_times_that_are_on_no_clock_are_refused_with_mend_too(tmp_path: Path) -> None:
     whole = rows_of()
     whole[200:, 0] += 0.4 * STEP
-    with pytest.raises(RecordingError, match="resample the data"):
+    with pytest.raises(RecordingError, match="bring the samples to one clock"):
         read(write(tmp_path / "run.csv", whole), mend=True)
 
 

@@ -1,0 +1,83 @@
+"""Rows at uneven times: brought to one clock, or rounded ones told from them."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rtac_jax.measurement import Recording, RecordingError
+
+RNG = np.random.default_rng(3)
+
+
+def jittering(count: int = 400) -> np.ndarray:
+    """Times of a loop that sleeps 5 ms and works for up to 2 ms more, with one gap of 40 ms."""
+    steps = 0.005 + 0.002 * RNG.random(count - 1)
+    steps[200] = 0.040
+    return np.concatenate([[0.0], np.cumsum(steps)])
+
+
+def written(path: Path, times: np.ndarray, digits: int = 6) -> Path:
+    """A file with a sine that is driven by steps of half a second."""
+    rows = np.column_stack([np.round(times, digits), np.floor(times / 0.5) % 2, 0.02 * np.sin(9.0 * times)])
+    np.savetxt(path, rows, delimiter=",", header="t,i,x", comments="", fmt="%.9g")
+    return path
+
+
+def read(path: Path, **options: object) -> Recording:
+    return Recording.from_csv(path, channels={"current": "i", "cart_position": "x"}, kind="forced", time="t", **options)  # pyright: ignore[reportArgumentType]
+
+
+def test_rows_at_uneven_times_are_brought_to_one_clock(tmp_path: Path) -> None:
+    times = jittering()
+    path = written(tmp_path / "run.csv", times)
+    with pytest.raises(RecordingError, match=r"bring the samples to one clock \(resample=, --resample"):
+        read(path)
+    run = read(path, resample=0.006)["run"]
+    clock = 0.006 * np.arange(run.samples)
+    assert run.sample_time == 0.006
+    assert times[-1] - 0.006 < clock[-1] <= times[-1]
+    position, truth = run.outputs["cart_position"].values, 0.02 * np.sin(9.0 * clock)
+    # Straight lines over h leave h^2/8 times the second derivative.
+    np.testing.assert_array_less(np.abs(position - truth)[~np.isnan(position)], 0.02 * 81 * 0.007**2 / 8 + 1e-8)
+    in_gap = (clock > times[200] + 1e-6) & (clock < times[201] - 1e-6)
+    assert np.array_equal(np.isnan(position), in_gap)
+    before = np.searchsorted(np.round(times, 6), clock + 1e-9, side="right") - 1
+    assert np.array_equal(run.inputs["current"].values, np.floor(times[before] / 0.5) % 2), (
+        "held as its last row has it"
+    )
+
+
+def test_an_input_between_whose_rows_straight_lines_are_asked(tmp_path: Path) -> None:
+    run = read(written(tmp_path / "run.csv", jittering()), resample=0.006, intersample="foh")["run"]
+    current = run.inputs["current"].values
+    assert np.any((current > 0) & (current < 1))
+    assert not np.any(np.isnan(current))
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"resample": 0.02}, "resample: is 0.02 s, and the rows are 0.00[56].* apart; give about as much"),
+        ({"resample": -1.0}, "resample: the seconds between samples is -1, but must be positive"),
+        ({"resample": 0.006, "time": None, "sample_time": 0.006}, "resample: needs the times of the rows"),
+    ],
+)
+def test_what_cannot_be_resampled(tmp_path: Path, options: dict[str, object], said: str) -> None:
+    path = written(tmp_path / "run.csv", jittering())
+    with pytest.raises(RecordingError, match=said):
+        Recording.from_csv(
+            path, channels={"current": "i", "cart_position": "x"}, kind="forced", **{"time": "t", **options}
+        )  # pyright: ignore[reportArgumentType]
+
+
+def test_a_lost_frame_among_times_of_few_digits(tmp_path: Path) -> None:
+    """Sixty frames a second with times in whole milliseconds: rounding takes them 3 % of a step off the clock."""
+    times = np.arange(300) / 60.0
+    assert read(written(tmp_path / "whole.csv", times, 3))["whole"].sample_time == pytest.approx(1 / 60, rel=1e-5)
+    path = written(tmp_path / "lost.csv", np.delete(times, 120), 3)
+    with pytest.raises(RecordingError, match=r"t, index 120: .* rows are missing there"):
+        read(path)
+    lost = read(path, mend=True)["lost"]
+    assert lost.sample_time == pytest.approx(1 / 60, rel=1e-5)
+    assert np.flatnonzero(np.isnan(lost.outputs["cart_position"].values)).tolist() == [120]

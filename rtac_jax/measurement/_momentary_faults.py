@@ -24,6 +24,10 @@ _WIDEST_SPIKE = 3  # samples
 _SLOPE_SAMPLES = 13  # neighbouring steps whose median is the slope
 MEDIAN_TO_STD = 1.4826
 # Levels by which a slow signal that is quantised comes to a value and leaves it: a step of two is no jump.
+_SLOWED = (
+    0.25  # of the rms step, below which the steps before a position stays as it is are those of what comes to rest
+)
+_RESTING = 0.2  # of all steps, that are exactly zero where a signal is one of counts
 _QUIET_LEVELS = 2.5
 _FEW_LEVELS = 10.0  # of a quantised signal, whose extremes are no end of a range
 _MENDED = "make these samples missing (rtac import --mend, Recording.mended, or NaN)"
@@ -197,6 +201,7 @@ def dropouts(name: str, values: Values) -> list[tuple[int, int]]:
     logarithm = np.log(CHANCE / len(values))
     needed, certain = (1 + logarithm / np.log(min(max(usual, p), 1 - 1e-9)) for p in (usual, still))
     quiet = _QUIET_LEVELS * resolution(values)
+    usual_speed = float(np.sqrt(np.mean(np.diff(values) ** 2)))
     found = []
     for first, last in zip(firsts[long], lasts[long], strict=True):
         if last - first < needed or last - first == len(values):
@@ -207,9 +212,17 @@ def dropouts(name: str, values: Values) -> list[tuple[int, int]]:
         jumps = [bool(np.any(np.abs(jump) > max(0.5 * _SIGMAS * _usual_step(side), quiet))) for jump, side in sides]
         if name == "arm_velocity" and values[first] == 0 and (first == 0 or (last == len(values) and not jumps[0])):
             continue
+        if name != "arm_velocity" and last == len(values) and _is_slow(before, usual_speed):
+            continue  # what slows down comes to rest
         if last - first >= certain or any(jumps):
             found.append((int(first), int(last)))
     return found
+
+
+def _is_slow(side: Values, usual: float) -> bool:
+    """Return whether values move by little of the usual step, or by less than the counts of an encoder."""
+    steps = np.abs(np.diff(side))
+    return len(steps) > 0 and bool(np.mean(steps) < _SLOWED * usual or np.mean(steps == 0) > _RESTING)
 
 
 def _usual_step(side: Values) -> float:
@@ -246,6 +259,9 @@ def _scatter_of_steps(values: Values, steps: np.ndarray) -> np.ndarray:
         if np.mean(np.abs(steps) <= 1e-9 * np.ptp(values)) > 0.02
         else 0.0
     )
+    if level and not resolution(values) and np.mean(steps == 0) > _RESTING:
+        # Counts of an encoder that were brought to another clock: what lies between two of them is no step of its own.
+        level = max(level, _QUIET_LEVELS / _SIGMAS * float(np.median(np.abs(steps[steps != 0]))))
     # One that moves by nearly a whole number of levels a sample shows no noise, and now and then a level more.
     least = max(level, _QUIET_LEVELS / _SIGMAS * resolution(values), 1e-9 * np.ptp(values))
     return np.maximum(scale * np.maximum(nearby, np.median(third)), least)

@@ -55,3 +55,29 @@ def test_a_slide_that_travels_far_is_not_in_millimetres(unit: float, doubted: bo
     )
     said = [text for text in concerns(Recording((one,), {"total_mass": 1.0})) if "more than 10 g" in text]
     assert bool(said) is doubted
+
+
+def sticking(*, frozen: bool) -> Recording:
+    """An arm whose encoder counts degrees, at uneven times brought to a clock, slows down and sticks, or else its sensor fails."""
+    rows = np.cumsum(0.005 + 0.002 * np.random.default_rng(5).random(170))
+    part = np.minimum(rows / 0.75, 1.0)
+    angle = 900.0 * (part - part**2 / 2)
+    if frozen:
+        angle[70:] = angle[70]
+    clock = np.arange(rows[0], rows[-1], 0.005)
+    counted = np.interp(clock, rows, np.round(angle))
+    one = Experiment.of(
+        "run", kind="forced", sample_time=0.005, cart="clamped", initial_arm_angle=0.0, arm_angle=np.radians(counted),
+        current=np.ones(len(clock)),
+    )  # fmt: skip
+    return Recording((one,), {"arm_inertia": 1e-3})
+
+
+@pytest.mark.parametrize("frozen", [False, True])
+def test_an_arm_that_sticks_in_the_end_is_no_dropout(frozen: bool) -> None:
+    """What sticks tells dry friction, and is not to be taken away."""
+    recording = sticking(frozen=frozen)
+    said = concerns(recording)
+    assert any("drops out" in text for text in said) is frozen
+    assert not [text for text in said if "jumps by" in text]
+    assert np.isnan(recording.mended()["run"].outputs["arm_angle"].values).any() == frozen

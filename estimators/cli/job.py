@@ -142,7 +142,7 @@ class Job:
             unseen: hold what shows nowhere, as what the model lacks may be what would show it; else that is refused.
         """
         import estimators as est
-        from estimators.output_error.fit_what_shows import fit_what_shows
+        from estimators.output_error.fit_what_shows import fit_what_shows, values_held
 
         options: dict[str, Any] = {"robust": True} if robust else {}
         self.note_doubts()
@@ -151,7 +151,8 @@ class Job:
                 return est.output_error(model, self.train, from_model=from_model, **options)
             fit, held = fit_what_shows(model, self.train, by=est.output_error, from_model=from_model, **options)
         if held:
-            self.note(f"{', '.join(held)}: without effect on what was measured, and held at the model's value.")
+            where = values_held(held, "the model's value")
+            self.note(f"{', '.join(held)}: without effect on what is fitted, and held at {where}.")
         return fit
 
     def spread(self, fit: Any) -> Any:

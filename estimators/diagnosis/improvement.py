@@ -23,6 +23,7 @@ from estimators.diagnosis.removed_error import Verdict
 from estimators.diagnosis.wrong_constant import stands_for
 from estimators.linear.homogeneity_test import Equality
 from estimators.linear.outlier import rounded
+from estimators.output_error.fit_what_shows import values_held
 from estimators.prediction_error.fit import PredictorFit
 from estimators.validation.simulation_error import Comparison
 from rtac_jax.effects.formula_force import FormulaForce
@@ -125,8 +126,9 @@ class Improvement(Result):
                 f"{', '.join(self.held)}.{counted}",
             )
         if self.unseen:
+            where = values_held(self.unseen, "its values")
             said.append(
-                f"{', '.join(self.unseen)}: without effect on what the first model simulates, and held at its values."
+                f"{', '.join(self.unseen)}: without effect on what the first model simulates, and held at {where}."
             )
         if self.left_out is not None:
             said.append(
@@ -233,6 +235,17 @@ class Improvement(Result):
         return f"; of the held-out experiments its simulation leaves {rounded(worst)} times the noise{much}"
 
     @property
+    def _lost(self) -> bool:
+        """Return whether the last simulation misses most of a channel's held-out motion, which is no noise."""
+        last = self.validation.models[-1].errors.values()
+        most = 100 * (1 - self.diagnoses[-1].policy.static)
+        return any(e.fit_percent < most and not at_noise(e.rms_over_noise) for e in last)
+
+    @property
+    def _adequate(self) -> str:
+        return "does not follow what was held out" if self._lost else "is adequate"
+
+    @property
     def _change(self) -> str:
         """Return what the last resort does to the held-out error over the noise, by channel."""
         models = self.validation.models[: None if self.left_out is None else -1]
@@ -262,7 +275,7 @@ class Improvement(Result):
                     f"how coarsely it was recorded: {last.rounding}."
                 )
             return {
-                "adequate": f"The model is adequate: nothing is missing {last.floor}{self._in_time}{self._but}.",
+                "adequate": f"The model {self._adequate}: nothing is missing {last.floor}{self._in_time}{self._but}.",
                 "unknown": f"{self._fails}, and {self.diagnoses[-1].no_effect} explains {whole}.",
             }.get(
                 self.diagnoses[-1].verdict,
@@ -281,7 +294,8 @@ class Improvement(Result):
         drift = "" if self.nearest is not None else self.diagnoses[-1].drift
         line = self.diagnoses[-1].line_alone
         end = {
-            "adequate": f"the mended model is adequate{' one sample ahead' if self._astray else self._but}{self._in_time}",
+            "adequate": f"the mended model {self._adequate}"
+            f"{' one sample ahead' if self._astray and not self._lost else self._but}{self._in_time}",
             "unknown": f"the mended model fails as where a parameter drifts: {drift}"
             if drift
             else f"only a line speaks against the mended model: {line}"

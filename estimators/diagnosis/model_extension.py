@@ -26,6 +26,7 @@ from rtac_jax.measurement import Recording
 
 Way = Literal["simulated", "held", "predicted"]
 SURE = 2.0  # deviations from nothing below which an effect may as well not be there, as in the usual interval of 95 %
+_LOOSE = 0.1  # deviation over value from which on a parameter is not well known
 WAYS: tuple[Way, ...] = ("simulated", "held", "predicted")
 """Ways of fitting a model with effects more, in the order in which they are tried."""
 
@@ -143,6 +144,9 @@ def add_effects(
             said = str(error) if not isinstance(error, np.linalg.LinAlgError) else "it follows next to nothing."
             reasons.append(f"Stopped: with {names} the model could not be fitted: {said}")
             continue
+        if loosened := _loosened(before, fit):
+            # Held at any size it would make these numbers sure ones.
+            return f"Stopped: with {names} the data no longer tell {', '.join(loosened)}, so it is not added."
         steps.append(Added(fit, test, way))
         if falls_clearly(min((one.tested for one in bases), key=misfit), test, policy, way):
             return steps[-1]
@@ -157,6 +161,16 @@ def add_effects(
         f"{reasons[0]} Held at the estimate of the diagnosis, or fitted by predictions one sample ahead, it would not help "
         "clearly either, and predictions are no better with it."
     )
+
+
+def _loosened(before: Fit, after: Fit) -> list[str]:
+    """Return the parameters that a fit knew well, and that another one no longer does: within a tenth of what they were.
+
+    One that is small now is none of them: what it stood for may be in the model.
+    """
+    known = {name: p for name, p in before.parameters.items() if 0 < p.std < _LOOSE * abs(p.value)}
+    now = {name: after.parameters[name].std for name in known if name in after.parameters}
+    return sorted(n for n, std in now.items() if std > max(_LOOSE * abs(known[n].value), known[n].std / _LOOSE))
 
 
 def _nearest_first(several: Sequence[RTAC], train: Recording) -> list[_Begin]:

@@ -1,6 +1,7 @@
 """Output error of a model that may lack what would show some of its parameters."""
 
-from collections.abc import Callable
+import dataclasses
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 from estimators.core.fit import Fit
@@ -8,6 +9,9 @@ from estimators.core.results import NotIdentifiableError
 from estimators.output_error.fit import output_error
 from rtac_jax import RTAC
 from rtac_jax.measurement import Recording
+
+ALIKE = {"positive": "negative", "negative": "positive"}
+"""Fields of effects that say the same of two directions."""
 
 
 class Shown(NamedTuple):
@@ -23,7 +27,7 @@ def fit_what_shows(
     """Fit a model by output error with those parameters of effects held at their values that have no effect on its simulation.
 
     What the model lacks may be what would show them: without gravity a pendulum does not swing back, and friction that way is
-    nowhere.
+    nowhere. Friction that way is then as the other way (`ALIKE`), which is nearer than any value that nobody estimated.
 
     Args:
         model: as `output_error` takes it, and so `recording`.
@@ -41,4 +45,24 @@ def fit_what_shows(
         if not error.unseen:
             raise
         unseen = error.unseen
-    return Shown(by(model.fix(*unseen), recording, **options), tuple(sorted(unseen)))
+    fit = by(model.fix(*unseen), recording, **options)
+    alike = {name: fit.model[other] for name in unseen if (other := alike_of(name)) in fit.model.free}
+    return Shown(dataclasses.replace(fit, model=fit.model.with_values(alike)), tuple(sorted(unseen)))
+
+
+def alike_of(name: str) -> str | None:
+    """Return the name of the parameter that is the same one in the other direction; None for what has none."""
+    effect, _, field = name.rpartition(".")
+    return f"{effect}.{ALIKE[field]}" if field in ALIKE else None
+
+
+def values_held(unseen: Sequence[str], values: str) -> str:
+    """Say at which values parameters are held that show nowhere.
+
+    Args:
+        unseen: their names.
+        values: those of what has no other direction, in words.
+    """
+    several = {other for name in unseen if (other := alike_of(name)) is not None and other not in unseen}
+    others = [values] if len(several) < len(unseen) else []
+    return " and ".join([*(f"the estimate of {one}" for one in sorted(several)), *others])

@@ -140,6 +140,21 @@ def test_an_adequate_model_that_is_far_from_the_held_out_experiments_says_so():
     assert "the held-out ones may reach beyond what was fitted, differ from it" in followed.ending
 
 
+def test_an_adequate_model_that_misses_most_of_the_held_out_motion_does_not_follow_it():
+    found = looped(diagnosis("adequate"), steps=1)
+    assert found.headline.startswith("The model is adequate: nothing is missing")
+    lost = dataclasses.replace(found, validation=Comparison((compared("base", 3000.0),)))
+    assert min(e.fit_percent for e in lost.validation.models[-1].errors.values()) < 50
+    assert lost.headline.startswith("The model does not follow what was held out: nothing is missing")
+    mended = dataclasses.replace(
+        looped(diagnosis("missing")), diagnoses=(diagnosis("missing"), diagnosis("adequate")), diagnosed=(0, 1)
+    )
+    assert "the mended model is adequate" in mended.headline
+    models = (*mended.validation.models[:-1], compared("+ flexible_mode", 3000.0))
+    lost = dataclasses.replace(mended, validation=Comparison(models))
+    assert "the mended model does not follow what was held out" in lost.headline
+
+
 def test_nothing_added_is_said_as_what_it_is():
     quiet = dataclasses.replace(diagnosis("adequate"), random_force=1e-3, random_torque=2e-3)
     assert near_noise(quiet).headline == "The model is adequate: nothing is missing at the noise floor."

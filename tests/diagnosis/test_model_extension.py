@@ -283,3 +283,46 @@ def test_predicted_gains_have_their_old_name_with_a_warning() -> None:
     found = made_up_results.improvement(predicted_gains=gains)
     with pytest.warns(DeprecationWarning, match="foreseen is called predicted_gains now"):
         assert found.foreseen == gains
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "loosened"),
+    [
+        ((1382.4, 0.35), (1999.7, 590.0), ["spring_stiffness"]),
+        ((1382.4, 0.35), (1381.0, 2.0), []),
+        ((1382.4, 100.0), (1381.0, 300.0), []),  # a deviation that was large, and is not ten times as large
+        ((1382.4, 300.0), (1999.7, 5000.0), []),  # it was not known well
+    ],
+)
+def test_an_effect_beside_which_a_parameter_is_no_longer_known_is_not_fitted_so(
+    before: tuple[float, float], after: tuple[float, float], loosened: list[str]
+) -> None:
+    def with_spring(value: float, std: float) -> est.Fit:
+        model = rtac.RTAC.paper().with_values({"spring_stiffness": value})
+        known = information_of(np.eye(1) / std, ("spring_stiffness",), np.ones(1))
+        return est.Fit(model, RESULTS.successful, known, {}, {}, {}, (), {})
+
+    assert with_spring(*after).parameters["spring_stiffness"].std == pytest.approx(after[1])
+    assert _add_effect._loosened(with_spring(*before), with_spring(*after)) == loosened
+
+
+def test_what_makes_a_known_parameter_unknown_is_not_added_in_any_way(monkeypatch: pytest.MonkeyPatch) -> None:
+    def with_spring(std: float) -> est.Fit:
+        known = information_of(np.eye(1) / std, ("spring_stiffness",), np.ones(1))
+        return est.Fit(rtac.RTAC.paper(), RESULTS.successful, known, {}, {}, {}, (), {})
+
+    before, tested = with_spring(0.35), made_up_results.compared("base", BEFORE)
+    better = SimpleNamespace(models=(made_up_results.compared("+ cubic_spring", 0.5),))
+    monkeypatch.setattr(_add_effect, "begun_by_equations", lambda _, model, *__: model)
+    monkeypatch.setattr(_add_effect, "counting_held", lambda fit, *_: fit)
+    monkeypatch.setattr(_add_effect, "compare", lambda *_, **__: better)
+
+    def added(std: float) -> Any:
+        monkeypatch.setattr(_add_effect, "_fitted", lambda *_, **__: with_spring(std))
+        nothing = made(rtac.Recording)
+        return _add_effect.add_effects(
+            before, tested, [CubicSpring(5e4)], "+ cubic_spring", nothing, nothing, deviations={}, progress=False
+        )
+
+    assert added(590.0) == ("Stopped: with cubic_spring the data no longer tell spring_stiffness, so it is not added.")
+    assert added(1.0).way == "simulated"

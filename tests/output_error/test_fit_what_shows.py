@@ -7,7 +7,7 @@ from scipy.integrate import solve_ivp
 import estimators as est
 import rtac_jax as rtac
 from estimators.core.results import NotIdentifiableError
-from estimators.output_error.fit_what_shows import fit_what_shows
+from estimators.output_error.fit_what_shows import fit_what_shows, values_held
 from rtac_jax.measurement import Experiment, Recording
 
 STEP = 2 * np.pi / 2048  # of an encoder
@@ -33,9 +33,18 @@ def test_what_shows_nowhere_is_held() -> None:
     assert refused.value.unseen == ("arm_viscous.negative",)
     fit, unseen = fit_what_shows(model, recording, progress=False)
     assert unseen == ("arm_viscous.negative",)
-    assert fit.parameters["arm_viscous.negative"].std == 0.0
-    found = fit.parameters["arm_viscous.positive"]
+    found, other = (fit.parameters[f"arm_viscous.{way}"] for way in ("positive", "negative"))
+    assert (other.value, other.std) == (found.value, 0.0), (
+        "the friction of the other way is the nearest that anybody knows"
+    )
     assert abs(found.value - 0.8) < 3 * found.std < 0.01
+
+
+def test_values_at_which_parameters_are_held() -> None:
+    assert values_held(("arm_viscous.negative",), "its values") == "the estimate of arm_viscous.positive"
+    assert values_held(("arm_viscous.negative", "arm_viscous.positive"), "its values") == "its values"
+    both = values_held(("arm_viscous.negative", "cart_coulomb.level"), "its values")
+    assert both == "the estimate of arm_viscous.positive and its values"
 
 
 def test_what_may_be_scaled_together_is_refused_as_before() -> None:

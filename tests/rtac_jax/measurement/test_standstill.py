@@ -58,7 +58,7 @@ def test_a_slide_that_travels_far_is_not_in_millimetres(unit: float, doubted: bo
 
 
 def sticking(*, frozen: bool) -> Recording:
-    """An arm whose encoder counts degrees, at uneven times brought to a clock, slows down and sticks; its sensor may fail on the way."""
+    """An arm that slows down and sticks, by an encoder of degrees at uneven times; its sensor may fail on the way."""
     rows = np.cumsum(0.005 + 0.002 * np.random.default_rng(5).random(170))
     part = np.minimum(rows / 0.75, 1.0)
     angle = 900.0 * (part - part**2 / 2)

@@ -64,9 +64,12 @@ def _is_doubtful(laboratory: Laboratory, found: Selection, named: FittedModel, p
     residual that a predictor with next to no random force leaves. Where none is named, it asks for one if a test rejects, or if the
     random forces are no small disturbance.
     """
+    facts = laboratory.facts
+    large = random_forces_are_large(found.base.random, facts.samples_per_radian, policy.simulation)
     if not named.added:
-        large = random_forces_are_large(named.random, laboratory.facts.samples_per_radian, policy.simulation)
         return large or bool(rejecting(found.tests))
+    if large and not facts.noise_known:
+        return True  # what takes their place may be anything that smooths, with whatever is left called noise
     if replaces_random_forces(named, found.base, policy):
         return False
     shown = {s.id: s.statistic for s in by_size(laboratory.quiet_scores(found.base), 0.0)}

@@ -140,14 +140,19 @@ def test_it_ends_where_enough_is_explained() -> None:
     assert len(laboratory.asked) == 1
 
 
-@pytest.mark.parametrize(("left", "asked"), [(0.15, False), (0.17, True)])
-def test_names_that_take_the_place_of_the_random_forces_are_not_doubted(left: float, asked: bool) -> None:
+@pytest.mark.parametrize(("left", "known", "asked"), [(0.15, True, False), (0.17, True, True), (0.15, False, True)])
+def test_names_that_take_the_place_of_the_random_forces_are_not_doubted_where_the_noise_is_known(
+    left: float, known: bool, asked: bool
+) -> None:
+    """Elsewhere what smooths takes their place as well, with whatever it leaves called noise."""
+
     class Replaced(Axis):
         def refits(self, before: FittedModel, several: Sequence[Score], way: Way) -> dict[str, FittedModel]:
             found = super().refits(before, several, way)
             return {i: dataclasses.replace(model, random_torque=left) for i, model in found.items()}
 
     laboratory = Replaced()
+    laboratory.facts = dataclasses.replace(laboratory.facts, noise_known=known)
     decide(laboratory, STANDARD, thorough=True)
     assert bool(laboratory.asked) == asked
 
@@ -157,6 +162,7 @@ def test_a_name_that_explains_most_of_the_residual_without_random_forces_is_not_
     lag: float, asked: bool
 ) -> None:
     laboratory = Axis()
+    laboratory.facts = dataclasses.replace(laboratory.facts, noise_known=True)
     laboratory.lag = lag
     decide(laboratory, STANDARD, thorough=True)
     assert bool(laboratory.asked) == asked

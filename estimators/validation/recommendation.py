@@ -35,7 +35,7 @@ class Recommendation(Result):
         sound: whether the model passes the test of its own residuals; otherwise no standard deviation holds what the model lacks.
         adequate: whether a diagnosis found nothing missing, and the simulation is at the noise.
         diagnosed: whether a diagnosis was made of the model, whatever it found.
-        left: residual of output error over the noise, of its worst channel, where its estimates are given though none is better.
+        left: residual of output error over the noise, of its worst channel; zero where that is white.
         moved: of prediction error what constants that were measured by themselves it takes far from that, in words.
     """
 
@@ -52,7 +52,13 @@ class Recommendation(Result):
     def sentence(self) -> str:
         """Return which estimator is recommended, with which standard deviation, and what that leaves out."""
         said = f"Recommended: {self.estimator}, with the standard deviation for {self.deviation}."
-        if self.left > FAR:
+        if self.left > FAR and self.estimator == "prediction error" and not self.adequate:
+            said += (
+                f" But no simulation follows the rig: output error is left at {self.left:,.0f} times the noise. Where random forces"
+                " shake the rig these are right all the same; where they stand for what the model lacks no estimate is, whatever"
+                " its deviation" + ("." if self.diagnosed else ", and est.diagnose looks for that.")
+            )
+        elif self.left > FAR and self.estimator == "output error":
             said += (
                 f" But output error does not follow the rig, being left at {self.left:,.0f} times the noise: where the model lacks"
                 " something no estimate is right, whatever its deviation, so take these for no more than where to begin."
@@ -121,7 +127,12 @@ def recommended(
             has = " not" if most else " of fewer than half of the samples"
             deviation = f"white innovations, which it has{'' if white else f'{has}; output error {refused}'}"
             return Recommendation(
-                predicted.parameters, "prediction error", deviation, white, moved=predicted.moved_constants
+                predicted.parameters,
+                "prediction error",
+                deviation,
+                white,
+                left=fit.farthest,
+                moved=predicted.moved_constants,
             )
         if fit.farthest > FAR:
             # Its values are nearer then, and its deviations too small for what the model lacks.
@@ -130,7 +141,9 @@ def recommended(
             astray = f"output error does not follow the rig, being left at {fit.farthest:,.0f} times the noise"
             words = " or ".join([*kinds, "white innovations"])
             deviation = f"{words}, the largest; {astray}"
-            return Recommendation(found, "prediction error", deviation, False, moved=predicted.moved_constants)
+            return Recommendation(
+                found, "prediction error", deviation, False, left=fit.farthest, moved=predicted.moved_constants
+            )
     if not kinds:
         return Recommendation(
             fit.parameters, "output error", "a white residual, which it has not", False, left=fit.farthest

@@ -140,3 +140,28 @@ def test_a_simulation_that_is_far_off_is_not_recommended_beside_predictions():
         (130.0, 0.5)
     )  # its own is larger
     assert found.parameters["torque_constant"].std == pytest.approx(2e-4)
+
+
+@pytest.mark.parametrize(
+    ("times", "adequate", "diagnosed", "told"),
+    [
+        (
+            30.0,
+            False,
+            False,
+            "left at 30 times the noise. Where random forces shake the rig these are right all the same",
+        ),
+        (30.0, False, True, "whatever its deviation."),
+        (30.0, True, True, ""),
+        (1.0, False, False, ""),
+    ],
+)
+def test_predictions_of_what_no_simulation_follows_are_no_comfort(times, adequate, diagnosed, told):
+    """Random forces may stand for what the model lacks, and take its parameters along."""
+    far = dataclasses.replace(FIT, residual_std={channel: times * level for channel, level in NOISE.items()})
+    found = recommended(far, compared("model", 30.0), predicted=predictor(0.5), spread=SPREAD)
+    found = dataclasses.replace(found, adequate=adequate, diagnosed=diagnosed)
+    assert found.estimator == "prediction error"
+    assert told in found.sentence
+    assert ("But no simulation follows the rig" in found.sentence) == bool(told)
+    assert ("est.diagnose looks for that" in found.sentence) == (bool(told) and not diagnosed)

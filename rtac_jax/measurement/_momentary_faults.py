@@ -173,7 +173,11 @@ def _excess_of_steps(values: Values, present: np.ndarray, inside: np.ndarray) ->
     # Across a gap a step may be large.
     usable = (np.diff(present) == 1) & ~inside[:-1] & ~inside[1:]
     excess = np.where(usable, steps - scipy.ndimage.median_filter(steps, _SLOPE_SAMPLES, mode="reflect"), 0.0)
-    return excess, _SIGMAS * _scatter_of_steps(values, steps)
+    limit = _SIGMAS * _scatter_of_steps(values, steps)
+    if np.mean(steps == 0) > _RESTING and not resolution(values):
+        # Counts of an encoder that were brought to another clock: what lies between two of them is no step of its own.
+        limit = np.maximum(limit, _QUIET_LEVELS * float(np.median(np.abs(steps[steps != 0]))))
+    return excess, limit
 
 
 def dropouts(name: str, values: Values) -> list[tuple[int, int]]:
@@ -259,9 +263,6 @@ def _scatter_of_steps(values: Values, steps: np.ndarray) -> np.ndarray:
         if np.mean(np.abs(steps) <= 1e-9 * np.ptp(values)) > 0.02
         else 0.0
     )
-    if level and not resolution(values) and np.mean(steps == 0) > _RESTING:
-        # Counts of an encoder that were brought to another clock: what lies between two of them is no step of its own.
-        level = max(level, _QUIET_LEVELS / _SIGMAS * float(np.median(np.abs(steps[steps != 0]))))
     # One that moves by nearly a whole number of levels a sample shows no noise, and now and then a level more.
     least = max(level, _QUIET_LEVELS / _SIGMAS * resolution(values), 1e-9 * np.ptp(values))
     return np.maximum(scale * np.maximum(nearby, np.median(third)), least)

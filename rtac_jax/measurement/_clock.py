@@ -16,6 +16,7 @@ ROUNDED = 2e-3
 _TICK = 0.6  # of what times are rounded to, half of which rounding takes them off
 _TICKS = 10.0 ** -np.arange(1, 7)  # to which a logger may round times [s]
 _FINE = 0.25  # of a step: what rounds times more coarsely may hide a row that is missing
+_WHOLE = 0.01  # of what times are rounded to, by which single precision may take them off
 _COARSER = 1.5  # of the usual step, that samples brought to another clock may be apart
 _GAP = 2.5  # of the usual step, from which on nothing is known between two samples
 
@@ -74,7 +75,7 @@ def rounding(times: Values, step: float) -> float:
     """
     for tick in _TICKS[_FINE * step >= _TICKS]:
         whole = times / tick
-        if np.all(np.abs(whole - np.round(whole)) < UNIFORM * np.maximum(np.abs(whole), 1.0)):
+        if np.all(np.abs(whole - np.round(whole)) < _WHOLE):
             return float(_TICK * tick)
     return 0.0
 

@@ -81,3 +81,10 @@ def test_a_lost_frame_among_times_of_few_digits(tmp_path: Path) -> None:
     lost = read(path, mend=True)["lost"]
     assert lost.sample_time == pytest.approx(1 / 60, rel=1e-5)
     assert np.flatnonzero(np.isnan(lost.outputs["cart_position"].values)).tolist() == [120]
+
+
+def test_jitter_of_a_long_recording_is_no_rounding(tmp_path: Path) -> None:
+    """A hundred seconds into it a time is a hundred thousand milliseconds, and still not a whole number of them."""
+    times = 100.0 + np.arange(200) / 60.0 + 4e-4 * (RNG.random(200) - 0.5)
+    with pytest.raises(RecordingError, match="bring the samples to one clock"):
+        read(written(tmp_path / "run.csv", times, 6))

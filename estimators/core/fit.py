@@ -29,6 +29,10 @@ _KINK = 0.5
 ON_BOUND = 0.02
 
 
+# Constants of which effects show the product with their own, by the id of the effect.
+_SHOWS = {"gravity_tilt": "eccentric_moment"}
+
+
 @dataclasses.dataclass(frozen=True)
 class Parameter:
     """An estimate: value, standard deviation (zero where the parameter is fixed) and unit."""
@@ -54,7 +58,8 @@ class ModelFit(Result):
     @property
     def unexcited(self) -> frozenset[str]:
         """Return the names of the constants that nothing in the recording excites, as those of a cart that is always clamped."""
-        return frozenset(self.statistics.get("unexcited", ())) - set(self.information.names)
+        shown = {_SHOWS[effect.id] for effect in self.model.effects if effect.id in _SHOWS}
+        return frozenset(self.statistics.get("unexcited", ())) - shown - set(self.information.names)
 
     @property
     def held_deviations(self) -> Mapping[str, float]:

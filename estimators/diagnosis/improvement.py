@@ -4,7 +4,7 @@ import dataclasses
 from typing import Any
 
 from estimators.core.drawing import draw
-from estimators.core.fit import Fit
+from estimators.core.fit import FAR, Fit
 from estimators.core.result_base import Result
 from estimators.core.results import RESULTS, STOPPED
 from estimators.diagnosis.candidate import Candidate
@@ -236,10 +236,10 @@ class Improvement(Result):
 
     @property
     def _lost(self) -> bool:
-        """Return whether the last simulation misses most of a channel's held-out motion, which is no noise."""
+        """Return whether the last simulation misses most of a channel's held-out motion, which is far from the noise."""
         last = self.validation.models[-1].errors.values()
         most = 100 * (1 - self.diagnoses[-1].policy.static)
-        return any(e.fit_percent < most and not at_noise(e.rms_over_noise) for e in last)
+        return any(e.fit_percent < most and e.rms_over_noise > FAR for e in last)
 
     @property
     def _adequate(self) -> str:

@@ -19,6 +19,8 @@ from estimators.diagnosis.model_extension import (
 )
 from estimators.diagnosis.policy import DiagnosisPolicy
 from estimators.inference.simulation_residual import judged_channels
+from estimators.output_error.fit_what_shows import with_alike
+from estimators.validation.simulation_error import compare
 from rtac_jax.effects import CATALOGUE, Effect
 from rtac_jax.measurement import Recording
 
@@ -146,9 +148,14 @@ class Loop:
         if found.by_simulation and step.way == "simulated":  # what simulations select has to show in one
             for unsure in (i for i in ids if not is_sure(step.fit, i)):
                 return f"Stopped: fitted by simulation, {unsure} is not told from nothing."
+        self.unseen = tuple(name for name in self.unseen if name in step.fit.model.fixed)
+        alike = with_alike(step.fit.model, self.unseen)
+        if alike is not step.fit.model:  # the other direction has moved
+            fit = dataclasses.replace(step.fit, model=alike)
+            tested = compare(fit, self.held_out, labels=[step.tested.label]).models[0]
+            step = dataclasses.replace(step, fit=fit, tested=tested)
         self.steps.append((ids, step))
         self.added += [known[i] for i in ids]
-        self.unseen = tuple(name for name in self.unseen if name in step.fit.model.fixed)
         return None
 
     def copied(self) -> "Loop":

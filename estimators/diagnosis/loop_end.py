@@ -27,7 +27,7 @@ from estimators.validation.simulation_error import compare
 
 _LITTLE = (
     "Less than {:.0f} % of the motion of the held-out experiments is missed, and nobody knows the noise, which a rest record would"
-    " tell: no last resort is tried for so little."
+    " tell: no last resort is tried for so little, and not whether experiments differ."
 )
 
 
@@ -69,9 +69,10 @@ def end_of(loop: Loop, *, last_resort: bool) -> LoopEnd:
     if loop.diagnoses[-1].silent:
         return end
     try:
-        if loop.diagnoses[-1].verdict == "unknown" and loop.is_near:
+        if last_resort and loop.diagnoses[-1].verdict == "unknown" and loop.is_near:
             drop_superseded(loop)
-            loop.stopped = f"{loop.stopped} {_LITTLE.format(100 * loop.policy.consequence)}"
+            if loop.diagnoses[-1].verdict == "unknown":
+                loop.stopped = f"{loop.stopped} {_LITTLE.format(100 * loop.policy.consequence)}"
             return end
         _look_again(end)
         _resort(end, last_resort=last_resort)
@@ -208,14 +209,12 @@ def drop_superseded(loop: Loop) -> None:
         step = extended_without(
             last, [candidate.id], [], label, loop.choosing, loop.held_out, progress=loop.progress
         )  # fmt: skip
-        left = float("inf") if step is None else misfit(step.tested)
-        refused = left <= (1 - loop.policy.fall) * misfit(last.tested)
-        lost = left > max((1 + loop.policy.fall) * misfit(last.tested), 1.0)
-        if step is None or not (refused or (gone and not lost)):
-            continue
-        if loop.choosing is not loop.train:
-            step = extended_without(step, [], [], label, loop.train, loop.held_out, progress=loop.progress)
-        if step is None:
+        if loop.choosing is not loop.train and _serves(loop, step, gone=gone)[0]:
+            step = None if step is None else extended_without(
+                step, [], [], label, loop.train, loop.held_out, progress=loop.progress
+            )  # fmt: skip
+        serves, refused = _serves(loop, step, gone=gone)
+        if step is None or not serves:
             continue
         loop.steps[-1], loop.added = (tuple(i for i in together if i != candidate.id), step), others
         why = "the held-out error falls without it" if refused else "nothing is left of it"
@@ -226,6 +225,21 @@ def drop_superseded(loop: Loop) -> None:
             with contextlib.suppress(DivergedError):
                 loop.diagnoses.append(loop.diagnosed_again(step.fit, loop.candidates, thorough=False))
                 loop.diagnosed.append(len(loop.steps) - 1)
+
+
+def _serves(loop: Loop, step: Added | None, *, gone: bool) -> tuple[bool, bool]:
+    """Return whether a model with an effect less may take the last one's place, and whether the held-out error asks for it.
+
+    Args:
+        loop: with the last model.
+        step: the model with an effect less, if it could be fitted.
+        gone: whether little is left of the effect.
+    """
+    before = misfit(loop.last.tested)
+    left = float("inf") if step is None else misfit(step.tested)
+    refused = left <= (1 - loop.policy.fall) * before
+    lost = left > max((1 + loop.policy.fall) * before, 1.0)
+    return refused or (gone and not lost), refused
 
 
 def _is_gone(loop: Loop, candidate: Candidate) -> bool:

@@ -168,7 +168,7 @@ def going_on(loop: Loop, read: ReadLaw) -> Loop:
         other = step = None
         with contextlib.suppress(OutOfTimeError):
             other = other_law(
-                read, further.last, further.added, loop.choosing, loop.held_out, policy=loop.policy,
+                read, further.last, further.added, further.choosing, loop.held_out, policy=loop.policy,
                 progress=loop.progress,
             )  # fmt: skip
             step = None if other is None else further.of_all(other.step)

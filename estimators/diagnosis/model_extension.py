@@ -169,8 +169,9 @@ def _loosened(before: Fit, after: Fit) -> list[str]:
     One that is small now is none of them: what it stood for may be in the model.
     """
     known = {name: p for name, p in before.parameters.items() if 0 < p.std < _LOOSE * abs(p.value)}
-    now = {name: after.parameters[name].std for name in known if name in after.parameters}
-    return sorted(n for n, std in now.items() if std > max(_LOOSE * abs(known[n].value), known[n].std / _LOOSE))
+    now = {name: p for name, p in after.parameters.items() if name in known}
+    most = {n: max(_LOOSE * max(abs(p.value), abs(known[n].value)), known[n].std / _LOOSE) for n, p in now.items()}
+    return sorted(n for n, p in now.items() if not p.std <= most[n])
 
 
 def _nearest_first(several: Sequence[RTAC], train: Recording) -> list[_Begin]:

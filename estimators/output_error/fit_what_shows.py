@@ -46,8 +46,14 @@ def fit_what_shows(
             raise
         unseen = error.unseen
     fit = by(model.fix(*unseen), recording, **options)
-    alike = {name: fit.model[other] for name in unseen if (other := alike_of(name)) in fit.model.free}
-    return Shown(dataclasses.replace(fit, model=fit.model.with_values(alike)), tuple(sorted(unseen)))
+    return Shown(dataclasses.replace(fit, model=with_alike(fit.model, unseen)), tuple(sorted(unseen)))
+
+
+def with_alike(model: RTAC, unseen: Sequence[str]) -> RTAC:
+    """Return a model in which parameters that show nowhere have the values of the other direction, where that is not among them."""
+    others = {name: alike_of(name) for name in unseen}
+    values = {n: model[o] for n, o in others.items() if o is not None and o not in unseen}
+    return model.with_values(values) if values else model
 
 
 def alike_of(name: str) -> str | None:
@@ -65,4 +71,4 @@ def values_held(unseen: Sequence[str], values: str) -> str:
     """
     several = {other for name in unseen if (other := alike_of(name)) is not None and other not in unseen}
     others = [values] if len(several) < len(unseen) else []
-    return " and ".join([*(f"the estimate of {one}" for one in sorted(several)), *others])
+    return " and ".join([*(f"the value of {one}" for one in sorted(several)), *others])

@@ -36,6 +36,7 @@ class Recommendation(Result):
         adequate: whether a diagnosis found nothing missing, and the simulation is at the noise.
         diagnosed: whether a diagnosis was made of the model, whatever it found.
         left: residual of output error over the noise, of its worst channel; zero where that is white.
+        unexcited: names of constants that nothing in the recording excites, which no table shows.
         moved: of prediction error what constants that were measured by themselves it takes far from that, in words.
     """
 
@@ -47,6 +48,7 @@ class Recommendation(Result):
     diagnosed: bool = False
     left: float = 0.0
     moved: tuple[str, ...] = ()
+    unexcited: frozenset[str] = frozenset()
 
     @property
     def sentence(self) -> str:
@@ -55,9 +57,12 @@ class Recommendation(Result):
         if self.left > FAR and self.estimator == "prediction error" and not self.adequate:
             said += (
                 f" But no simulation follows the rig: output error is left at {self.left:,.0f} times the noise. Where random forces"
-                " shake the rig these are right all the same; where they stand for what the model lacks no estimate is, whatever"
-                " its deviation" + ("." if self.diagnosed else ", and est.diagnose looks for that.")
+                " shake the rig these are right all the same; where they"
+                if self.sound
+                else " Where random forces"
             )
+            said += " stand for what the model lacks no estimate is right, whatever its deviation"
+            said += "." if self.diagnosed else ", and est.diagnose looks for that."
         elif self.left > FAR and self.estimator == "output error":
             said += (
                 f" But output error does not follow the rig, being left at {self.left:,.0f} times the noise: where the model lacks"
@@ -85,11 +90,12 @@ class Recommendation(Result):
         return [
             (name, f"{p.value:.6g}", f"{p.std:.2g}" if p.std else "fixed", p.unit)
             for name, p in self.parameters.items()
+            if name not in self.unexcited
         ]
 
     def overview(self) -> Overview:
         """Return the estimates to use, and which they are."""
-        return Overview(f"{len(self.parameters)} parameters by {self.estimator}", HEADER, self.rows(), (self.sentence,))
+        return Overview(f"{len(self.rows())} parameters by {self.estimator}", HEADER, self.rows(), (self.sentence,))
 
     def __str__(self) -> str:
         return "\n".join([*aligned([HEADER, *self.rows()], right=(1, 2)), self.sentence])
@@ -113,6 +119,13 @@ def recommended(
 
     Source: Ljung, System Identification (1999), sections 7.4 and 9.3; White, Econometrica 50 (1982).
     """
+    advice = _recommended(fit, fitted, predicted, spread)
+    return dataclasses.replace(advice, unexcited=fit.unexcited)
+
+
+def _recommended(
+    fit: Fit, fitted: Compared, predicted: PredictorFit | None, spread: Covariances | None
+) -> Recommendation:
     refused = _refused(fit)
     if not refused and _white([trace.whiteness_p for trace in fitted.traces]):
         return Recommendation(fit.parameters, "output error", "a white residual, which it has", True)
@@ -131,7 +144,7 @@ def recommended(
                 "prediction error",
                 deviation,
                 white,
-                left=fit.farthest,
+                left=0.0 if refused else fit.farthest,
                 moved=predicted.moved_constants,
             )
         if fit.farthest > FAR:

@@ -17,7 +17,7 @@ _TICK = 0.6  # of what times are rounded to, half of which rounding takes them o
 _TICKS = 10.0 ** -np.arange(1, 7)  # to which a logger may round times [s]
 _FINE = 0.25  # of a step: what rounds times more coarsely may hide a row that is missing
 _WHOLE = 0.01  # of what times are rounded to, by which single precision may take them off
-_COARSER = 1.5  # of the usual step, that samples brought to another clock may be apart
+_COARSER = 1.5  # times, by which samples that are brought to another clock may be closer or farther apart than rows are
 _GAP = 2.5  # of the usual step, from which on nothing is known between two samples
 
 
@@ -93,13 +93,14 @@ def resampled(
         held: inputs that stay what they are until the next row.
 
     Raises:
-        RecordingError: the times do not increase, or the step is longer than theirs, so that what is faster would be lost.
+        RecordingError: the times do not increase, or the step is much longer or shorter than theirs.
     """
     step = positive("resample", step, "the seconds between samples")
     typical = float(np.median(_rising(times, column, 0)))
-    if step > _COARSER * typical:
+    if not typical / _COARSER <= step <= _COARSER * typical:
+        lost = "what is faster is lost" if step > typical else "the noise of each row is counted several times"
         raise RecordingError(
-            f"resample: is {step:.4g} s, and the rows are {typical:.4g} s apart; give about as much, or what is faster is lost."
+            f"resample: is {step:.4g} s, and the rows are {typical:.4g} s apart; give about as much, or {lost}."
         )
     at = times[0] + step * np.arange(int((times[-1] - times[0]) / step * (1 + UNIFORM)) + 1)
     before = np.clip(np.searchsorted(times, at + UNIFORM * step, side="right") - 1, 0, len(times) - 1)

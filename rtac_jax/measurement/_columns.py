@@ -6,12 +6,13 @@ from pathlib import Path
 from typing import Any, TypedDict
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Bool, Float64
 
 from ._clock import nearest_clock, resampled, uniform_step
 from ._errors import RecordingError
 from ._experiment import Experiment
 from ._mending import mended, places_of_rows, with_rows
+from ._momentary_faults import faulty
 from ._signal import INPUTS, OUTPUTS, finite, positive
 from ._stated_unit import FACTORS, ending_unit, name_and_unit, usual_spelling
 
@@ -158,6 +159,8 @@ def assemble(
         inputs = [c for c in channels if c in INPUTS]
         held = [c for c in inputs if (between if isinstance(between, str) else between.get(c, "zoh")) == "zoh"]
         if resample is not None:
+            if mend:  # or a fault would be half of what lies beside it
+                signals = {c: np.where(_is_faulty(c, x), np.nan, x) for c, x in signals.items()}
             signals, sample_time = resampled(signals, seconds, resample, time, held=held), resample
         elif places is not None and mend:
             signals = with_rows(signals, places, held=held)
@@ -166,6 +169,10 @@ def assemble(
             sample_time = uniform_step(seconds, time, start, lost=places is not None)
     found = Experiment.of(name, sample_time=sample_time, **signals, **conditions)  # pyright: ignore[reportArgumentType] - `of` checks them
     return mended(found) if mend else found
+
+
+def _is_faulty(channel: str, values: Float64[np.ndarray, " sample"]) -> Bool[np.ndarray, " sample"]:
+    return faulty(channel, values) if channel in OUTPUTS else np.zeros(len(values), dtype=bool)
 
 
 def _unwrapped(values: Float64[np.ndarray, " sample"], beginning: float | None) -> Float64[np.ndarray, " sample"]:

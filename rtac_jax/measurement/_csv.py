@@ -32,7 +32,7 @@ def read(
     path: str | os.PathLike[str], channels: Mapping[str, str], kind: str, delimiter: str, options: ImportOptions
 ) -> tuple[Experiment, Mapping[str, float]]:
     """Return the experiment in a CSV file, and the constants of its rig; see `Recording.from_csv`."""
-    mark = _NAMED.get(delimiter, delimiter)
+    mark = _mark(delimiter)
     return imported(path, lambda names: _read_columns(path, names, mark), channels, kind, options)
 
 
@@ -43,13 +43,16 @@ def csv_header(path: str | os.PathLike[str], delimiter: str = ",") -> list[str]:
         FileNotFoundError: there is no such file.
         RecordingError: it is no text file, or the delimiter is not one character.
     """
-    delimiter = _NAMED.get(delimiter, delimiter)
+    delimiter = _mark(delimiter)
     try:
         names = _opened(path, delimiter, lambda rows: _names(rows, delimiter))
-        _require_names(names, delimiter)
     except RecordingError as error:
         raise RecordingError(f"{os.fspath(path)}: {error}") from error.__cause__
     return names
+
+
+def _mark(delimiter: str) -> str:
+    return _NAMED.get(delimiter, delimiter) if isinstance(delimiter, str) else delimiter
 
 
 def write(path: str | os.PathLike[str], recording: Contents) -> None:
@@ -106,10 +109,12 @@ def _names(rows: Iterable[list[str]], delimiter: str) -> list[str]:
     above = [[cell.strip() for cell in cells] for cells in itertools.islice(rows, _PREAMBLE)]
     numbers = next((cells for cells in above[1:] if _is_numbers(cells, delimiter)), [])
     first = above[: above.index(numbers)] if numbers else []
-    several = [*first, *(_words(cells) for cells in first[-1:])]
-    wide = [cells for cells in several if len(cells) == len(numbers)]
+    several = [*map(_trimmed, first), *(_words(cells) for cells in first[-1:])]
+    wide = [cells for cells in several if len(cells) == len(_trimmed(numbers))]
     named = (cells for cells in wide if all(cells) and all(_value(cell, delimiter) is None for cell in cells))
-    return next(named, above[0] if above else [])
+    found = next(named, above[0] if above else [])
+    _require_names(above, found, delimiter)
+    return found
 
 
 def _words(cells: list[str]) -> list[str]:
@@ -158,20 +163,24 @@ def _header(
 ) -> tuple[list[str], Iterator[tuple[int, list[str]]]]:
     """Return the row that holds the names of the columns, and what comes below with its row numbers.
 
+    Where no row has them as its cells, those that stand right above the numbers are split at spaces.
+
     Raises:
         RecordingError: none of the first rows holds them, once each; of the first one it says which is missing.
     """
-    first: list[str] = []
-    for row, cells in itertools.islice(numbered, _PREAMBLE):
-        header = [cell.strip() for cell in cells]
-        first = first or header
-        for found in (header, _words(header)):
-            if all(found.count(name) == 1 for name in names):
-                _require_names(found, delimiter)
-                return found, numbered
-        if row > 1 and header and all(_value(cell, delimiter) is not None for cell in header):
-            break
-    _require_names(first, delimiter)
+    above = list(itertools.islice(numbered, _PREAMBLE))
+    rows = [[cell.strip() for cell in cells] for _, cells in above]
+    end = next((place for place, cells in enumerate(rows) if place and _all_numbers(cells, delimiter)), len(rows))
+    several = [
+        *enumerate(rows[: end + 1]),
+        *((end - 1, _words(cells)) for cells in rows[end - 1 : end] if end < len(rows)),
+    ]
+    for place, header in several:
+        if all(header.count(name) == 1 for name in names):
+            _require_names(rows[place:], header, delimiter)
+            return header, itertools.chain(above[place + 1 :], numbered)
+    first = next((cells for cells in rows if cells), [])
+    _require_names(rows, first, delimiter)
     for name in names:
         if first.count(name) != 1:
             often = "does not occur" if name not in first else "occurs more than once"
@@ -182,15 +191,28 @@ def _header(
     raise RecordingError("the file is empty.")
 
 
-def _require_names(header: list[str], delimiter: str) -> None:
-    """Refuse a first row of numbers; such as count the columns are names.
+def _all_numbers(cells: list[str], delimiter: str) -> bool:
+    told = _trimmed(cells)
+    return bool(told) and all(_value(cell, delimiter) is not None for cell in told)
+
+
+def _trimmed(cells: list[str]) -> list[str]:
+    """Return the cells of a row without empty ones at its end, as after a mark there."""
+    count = max((place + 1 for place, cell in enumerate(cells) if cell), default=0)
+    return cells[:count]
+
+
+def _require_names(rows: list[list[str]], header: list[str], delimiter: str) -> None:
+    """Refuse numbers above numbers in the place of names; whole numbers, each once, may be those of the columns.
 
     Raises:
-        RecordingError: it is one.
+        RecordingError: they are no names.
     """
     numbers = [_value(cell, delimiter) for cell in header]
-    counted = numbers in ([*range(len(numbers))], [*range(1, len(numbers) + 1)])
-    if numbers and None not in numbers and not counted:
+    below = next((cells for cells in rows[1:] if cells), [])
+    alike = len(_trimmed(below)) == len(header) and _all_numbers(below, delimiter)
+    whole = all(cell.isdigit() for cell in header) and len(set(header)) == len(header)
+    if numbers and None not in numbers and alike and not whole:
         raise RecordingError(
             f"row 1: holds numbers ({', '.join(header)}) and no names; write a row with the names of the columns above the numbers."
         )

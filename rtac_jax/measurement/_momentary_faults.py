@@ -205,7 +205,8 @@ def dropouts(name: str, values: Values) -> list[tuple[int, int]]:
     logarithm = np.log(CHANCE / len(values))
     needed, certain = (1 + logarithm / np.log(min(max(usual, p), 1 - 1e-9)) for p in (usual, still))
     quiet = _QUIET_LEVELS * resolution(values)
-    usual_speed = float(np.sqrt(np.mean(np.diff(values) ** 2)))
+    moving = np.abs(np.diff(values))
+    usual_speed = float(np.median(moving[moving > 0]))
     found = []
     for first, last in zip(firsts[long], lasts[long], strict=True):
         if last - first < needed or last - first == len(values):
@@ -216,17 +217,19 @@ def dropouts(name: str, values: Values) -> list[tuple[int, int]]:
         jumps = [bool(np.any(np.abs(jump) > max(0.5 * _SIGMAS * _usual_step(side), quiet))) for jump, side in sides]
         if name == "arm_velocity" and values[first] == 0 and (first == 0 or (last == len(values) and not jumps[0])):
             continue
-        if name != "arm_velocity" and last == len(values) and _is_slow(before, usual_speed):
-            continue  # what slows down comes to rest
+        if name != "arm_velocity" and last == len(values) and _comes_to_rest(before, float(values[first]), usual_speed):
+            continue
         if last - first >= certain or any(jumps):
             found.append((int(first), int(last)))
     return found
 
 
-def _is_slow(side: Values, usual: float) -> bool:
-    """Return whether values move by little of the usual step, or by less than the counts of an encoder."""
-    steps = np.abs(np.diff(side))
-    return len(steps) > 0 and bool(np.mean(steps) < _SLOWED * usual or np.mean(steps == 0) > _RESTING)
+def _comes_to_rest(before: Values, last: float, usual: float) -> bool:
+    """Return whether values move by little of the usual step, or by less than the counts of an encoder, and end without a jump."""
+    steps = np.abs(np.diff(before))
+    if not len(steps) or abs(last - before[-1]) > np.max(steps):
+        return False
+    return bool(np.mean(steps) < _SLOWED * usual or np.mean(steps == 0) > _RESTING)
 
 
 def _usual_step(side: Values) -> float:

@@ -1,6 +1,8 @@
 """What the loop asks of an effect before it is kept, and what it does with parameters that the base model could not show."""
 
 import dataclasses
+import sys
+from types import SimpleNamespace
 from typing import Any
 
 import made_up_results
@@ -40,6 +42,7 @@ def extended(
         return Added(with_spring(std, tuple(before.model.fixed)), COMPARED, way)
 
     monkeypatch.setattr(improvement_loop, "add_effects", add_effects)
+    monkeypatch.setattr(improvement_loop, "compare", lambda *_, **__: SimpleNamespace(models=(COMPARED,)))
     base = dataclasses.replace(FIT, model=FIT.model.fix(*unseen))
     loop = dataclasses.replace(new_loop(), steps=[((), Added(base, COMPARED, "simulated"))], unseen=unseen)
     named = made_up_results.candidate("cubic_spring", 90.0)
@@ -76,3 +79,12 @@ def test_what_the_base_model_could_not_show_is_released_where_it_can_be(
     assert reason is None
     assert [free in fixed for fixed in tried] == ([False, True] if refuses else [False])
     assert loop.unseen == ((free,) if refuses else ())
+
+
+def test_friction_of_a_direction_that_still_shows_nowhere_goes_with_the_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    base = FIT.model.with_values({"arm_viscous.positive": 2e-4, "arm_viscous.negative": 1e-4})
+    monkeypatch.setattr(sys.modules[__name__], "FIT", dataclasses.replace(FIT, model=base))
+    loop, reason, _ = extended(monkeypatch, unseen=("arm_viscous.negative",), refuses_released=True)
+    assert reason is None
+    assert loop.unseen == ("arm_viscous.negative",)
+    assert float(loop.last.fit.model["arm_viscous.negative"]) == 2e-4

@@ -292,6 +292,8 @@ def test_predicted_gains_have_their_old_name_with_a_warning() -> None:
         ((1382.4, 0.35), (1381.0, 2.0), []),
         ((1382.4, 100.0), (1381.0, 300.0), []),  # a deviation that was large, and is not ten times as large
         ((1382.4, 300.0), (1999.7, 5000.0), []),  # it was not known well
+        ((1.0, 1e-3), (50.0, 0.2), []),  # another value, and known well
+        ((1382.4, 0.35), (1382.4, 1e12), ["spring_stiffness"]),
     ],
 )
 def test_an_effect_beside_which_a_parameter_is_no_longer_known_is_not_fitted_so(

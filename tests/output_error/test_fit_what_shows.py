@@ -41,10 +41,10 @@ def test_what_shows_nowhere_is_held() -> None:
 
 
 def test_values_at_which_parameters_are_held() -> None:
-    assert values_held(("arm_viscous.negative",), "its values") == "the estimate of arm_viscous.positive"
+    assert values_held(("arm_viscous.negative",), "its values") == "the value of arm_viscous.positive"
     assert values_held(("arm_viscous.negative", "arm_viscous.positive"), "its values") == "its values"
     both = values_held(("arm_viscous.negative", "cart_coulomb.level"), "its values")
-    assert both == "the estimate of arm_viscous.positive and its values"
+    assert both == "the value of arm_viscous.positive and its values"
 
 
 def test_what_may_be_scaled_together_is_refused_as_before() -> None:

@@ -1,5 +1,7 @@
 """Constants of a part that never moves, which no table shows."""
 
+import dataclasses
+
 import numpy as np
 
 import estimators as est
@@ -41,4 +43,9 @@ def test_a_clamped_cart_has_no_constants_in_any_table() -> None:
     assert [row[0] for row in parameter_table(fit).rows] == shown
     advice = Recommendation(fit.parameters, "output error", "a white residual", sound=True)
     assert [row[0] for row in recommended_table(advice, fit).rows] == shown
+    compared = est.compare(fit, recording)
+    found = est.recommended(fit, compared.models[0])
+    assert [row[0] for row in found.rows()] == shown
+    tilted = dataclasses.replace(fit, model=fit.model + rtac.effects.GravityTilt(0.1, 0.0))
+    assert tilted.unexcited == CART - {"eccentric_moment"}, "gravity turns the arm by its product with that"
     assert abs(fit.parameters["torque_constant"].value - 0.02) < 4 * fit.parameters["torque_constant"].std

@@ -165,3 +165,13 @@ def test_predictions_of_what_no_simulation_follows_are_no_comfort(times, adequat
     assert told in found.sentence
     assert ("But no simulation follows the rig" in found.sentence) == bool(told)
     assert ("est.diagnose looks for that" in found.sentence) == (bool(told) and not diagnosed)
+
+
+def test_coloured_innovations_of_what_no_simulation_follows_are_not_called_right():
+    far = dataclasses.replace(FIT, residual_std={channel: 30.0 * level for channel, level in NOISE.items()})
+    found = recommended(far, compared("model", 30.0), predicted=predictor(1e-9), spread=SPREAD)
+    assert "right all the same" not in found.sentence
+    assert "Where random forces stand for what the model lacks no estimate is right" in found.sentence
+    refused = dataclasses.replace(far, result=RESULTS.steps_exhausted)
+    found = recommended(refused, compared("model", 30.0), predicted=predictor(0.5), spread=SPREAD)
+    assert "no simulation follows" not in found.sentence

@@ -119,6 +119,22 @@ def test_a_file_without_names_says_so(tmp_path: Path) -> None:
         csv_header(path)
 
 
+@pytest.mark.parametrize("above", ["position recording", "cart position against time"])
+def test_words_above_the_names_are_no_names(tmp_path: Path, above: str) -> None:
+    path = tmp_path / "run.csv"
+    path.write_text(f"{above}\ntime,position\n" + "".join(f"{0.01 * k:.2f},{2e-2 * k:.3f}\n" for k in range(50)))
+    found = Recording.from_csv(path, channels={"cart_position": "position"}, kind="free", sample_time=0.01)
+    assert found.experiments[0].outputs["cart_position"].values[1] == 0.02
+    assert csv_header(path) == ["time", "position"]
+
+
+def test_a_number_above_the_names_is_not_taken_for_them(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    path.write_text("200.5\ntime,position\n0,1\n1,2\n")
+    with pytest.raises(RecordingError, match="the column 'x' does not occur"):
+        Recording.from_csv(path, channels={"cart_position": "x"}, kind="free", sample_time=0.01)
+
+
 def test_columns_that_are_counted_have_names(tmp_path: Path) -> None:
     path = tmp_path / "run.csv"
     path.write_text("0,1\n" + "".join(f"{0.01 * k},{0.02 * np.cos(0.1 * k)}\n" for k in range(100)))
@@ -130,7 +146,7 @@ def test_columns_that_are_counted_have_names(tmp_path: Path) -> None:
 def test_names_between_spaces_over_columns_between_tabs_with_a_mark_at_the_end(tmp_path: Path, delimiter: str) -> None:
     path = tmp_path / "run.txt"
     path.write_text("t       y\n" + "".join(f"{0.01 * k:.2f}\t{0.02 * np.cos(0.1 * k):.6f}\t\n" for k in range(100)))
-    assert csv_header(path, delimiter) in (["t", "y"], ["t       y"])
+    assert csv_header(path, delimiter) == ["t", "y"]
     found = Recording.from_csv(
         path, channels={"cart_position": "y"}, kind="free", time="t", delimiter=delimiter
     ).experiments[0]

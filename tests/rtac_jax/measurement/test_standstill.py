@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from rtac_jax.measurement import Experiment, Recording, concerns
+from rtac_jax.measurement._momentary_faults import dropouts
 
 
 def started(before: int, after: int, *, gap: int = 0, coasts: bool = True) -> Recording:
@@ -81,3 +82,11 @@ def test_an_arm_that_sticks_in_the_end_is_no_dropout(frozen: bool) -> None:
     assert any("drops out" in text for text in said) is frozen
     assert not [text for text in said if "jumps by" in text]
     assert np.isnan(recording.mended()["run"].outputs["arm_angle"].values).any() == frozen
+
+
+def test_a_logger_that_fails_in_the_end_drops_out() -> None:
+    """Zeros, or one value, from full speed to the end."""
+    turning = np.concatenate([0.05 * np.arange(1500), np.zeros(500)])
+    swinging = np.concatenate([0.02 * np.exp(-1e-3 * np.arange(1700)) * np.cos(0.05 * np.arange(1700)), np.zeros(300)])
+    assert dropouts("arm_angle", turning) == [(1500, 2000)]
+    assert dropouts("cart_position", swinging) == [(1700, 2000)]

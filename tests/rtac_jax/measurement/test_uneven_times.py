@@ -59,6 +59,7 @@ def test_an_input_between_whose_rows_straight_lines_are_asked(tmp_path: Path) ->
     ("options", "said"),
     [
         ({"resample": 0.02}, "resample: is 0.02 s, and the rows are 0.00[56].* apart; give about as much"),
+        ({"resample": 0.0005}, "give about as much, or the noise of each row is counted several times"),
         ({"resample": -1.0}, "resample: the seconds between samples is -1, but must be positive"),
         ({"resample": 0.006, "time": None, "sample_time": 0.006}, "resample: needs the times of the rows"),
     ],
@@ -88,3 +89,17 @@ def test_jitter_of_a_long_recording_is_no_rounding(tmp_path: Path) -> None:
     times = 100.0 + np.arange(200) / 60.0 + 4e-4 * (RNG.random(200) - 0.5)
     with pytest.raises(RecordingError, match="bring the samples to one clock"):
         read(written(tmp_path / "run.csv", times, 6))
+
+
+def test_spikes_are_taken_out_before_rows_are_brought_to_a_clock(tmp_path: Path) -> None:
+    times = np.cumsum(0.005 + 0.001 * RNG.random(800))
+    position = 0.02 * np.sin(9.0 * times) + 1e-5 * RNG.standard_normal(800)
+    position[[100, 250, 400, 555, 700]] += 0.05
+    path = tmp_path / "run.csv"
+    np.savetxt(
+        path, np.column_stack([times, times > 1.0, position]), delimiter=",", header="t,i,x", comments="", fmt="%.9g"
+    )
+    mended = read(path, resample=0.0055, mend=True)["run"].outputs["cart_position"].values
+    assert np.nanmax(np.abs(mended)) < 0.0205
+    assert 5 <= np.count_nonzero(np.isnan(mended)) <= 15
+    assert np.nanmax(np.abs(read(path, resample=0.0055)["run"].outputs["cart_position"].values)) > 0.04

@@ -314,6 +314,32 @@ def test_what_was_added_at_once_and_held_out_experiments_refuse_goes(
     assert ("the held-out error falls without it" in loop.stopped) == dropped
 
 
+@pytest.mark.parametrize(("of_part", "of_all", "trains"), [(50.0, 50.0, 2), (50.0, 62.0, 2), (62.0, 50.0, 1)])
+def test_what_goes_by_a_part_of_the_samples_goes_only_if_all_of_them_do_without(
+    monkeypatch: pytest.MonkeyPatch, of_part: float, of_all: float, trains: int
+) -> None:
+    loop = dataclasses.replace(new_loop(), part=made(rtac.Recording))
+    loop.steps.append((("encoder_lag", "current_lag"), fitted(8e-3, 1e-5, 63.0)))
+    named = {"time_constant": Parameter(8e-3, 1e-5, "s")}
+    loop.added = [made_up_results.candidate(name, 50.0, parameters=named) for name in ("encoder_lag", "current_lag")]
+    asked: list[Any] = []
+
+    def without(
+        last: Added, given_up: Sequence[str], several: Sequence[Effect], label: str, train: Any, *_: Any, **__: Any
+    ) -> Added:
+        if given_up == ["current_lag"]:
+            return dataclasses.replace(last, tested=made_up_results.compared(label, 200.0))
+        asked.append(train)
+        return dataclasses.replace(last, tested=made_up_results.compared(label, of_part if given_up else of_all))
+
+    monkeypatch.setattr(loop_end, "extended_without", without)
+    monkeypatch.setattr(Loop, "diagnosed_again", lambda *_, **__: made_up_results.diagnosis("unknown"))
+    loop_end.drop_superseded(loop)
+    assert asked == [loop.part, loop.train][:trains]
+    dropped = of_part < 60 and of_all < 60
+    assert [c.id for c in loop.added] == (["current_lag"] if dropped else ["encoder_lag", "current_lag"])
+
+
 @pytest.mark.parametrize(
     ("error", "left", "verdict", "taken"),
     [

@@ -151,7 +151,7 @@ class Job:
                 return est.output_error(model, self.train, from_model=from_model, **options)
             fit, held = fit_what_shows(model, self.train, by=est.output_error, from_model=from_model, **options)
         if held:
-            where = values_held(held, "the model's value")
+            where = values_held(fit.model, held, "the model's value")
             self.note(f"{', '.join(held)}: without effect on what is fitted, and held at {where}.")
         return fit
 

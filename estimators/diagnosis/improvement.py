@@ -126,7 +126,7 @@ class Improvement(Result):
                 f"{', '.join(self.held)}.{counted}",
             )
         if self.unseen:
-            where = values_held(self.unseen, "its values")
+            where = values_held(self.final.model, self.unseen, "its values")
             said.append(
                 f"{', '.join(self.unseen)}: without effect on what the first model simulates, and held at {where}."
             )

@@ -149,9 +149,8 @@ class Loop:
             for unsure in (i for i in ids if not is_sure(step.fit, i)):
                 return f"Stopped: fitted by simulation, {unsure} is not told from nothing."
         self.unseen = tuple(name for name in self.unseen if name in step.fit.model.fixed)
-        alike = with_alike(step.fit.model, self.unseen)
-        if alike is not step.fit.model:  # the other direction has moved
-            fit = dataclasses.replace(step.fit, model=alike)
+        fit = with_alike(step.fit, self.train, self.unseen)
+        if fit is not step.fit:  # the other direction has moved
             tested = compare(fit, self.held_out, labels=[step.tested.label]).models[0]
             step = dataclasses.replace(step, fit=fit, tested=tested)
         self.steps.append((ids, step))

@@ -4,6 +4,7 @@ import dataclasses
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
+from estimators.core.data import CHANNELS, Data, motion_of, moving, pieces
 from estimators.core.fit import Fit
 from estimators.core.results import NotIdentifiableError
 from estimators.output_error.fit import output_error
@@ -12,6 +13,7 @@ from rtac_jax.measurement import Recording
 
 ALIKE = {"positive": "negative", "negative": "positive"}
 """Fields of effects that say the same of two directions."""
+_FOLLOWED = 0.25  # of a channel's motion, that a model leaves which follows it
 
 
 class Shown(NamedTuple):
@@ -46,14 +48,27 @@ def fit_what_shows(
             raise
         unseen = error.unseen
     fit = by(model.fix(*unseen), recording, **options)
-    return Shown(dataclasses.replace(fit, model=with_alike(fit.model, unseen)), tuple(sorted(unseen)))
+    return Shown(with_alike(fit, recording, unseen), tuple(sorted(unseen)))
 
 
-def with_alike(model: RTAC, unseen: Sequence[str]) -> RTAC:
-    """Return a model in which parameters that show nowhere have the values of the other direction, where that is not among them."""
+def with_alike(fit: Fit, recording: Recording, unseen: Sequence[str]) -> Fit:
+    """Return a fit in which what shows nowhere has the value of the other direction, where that shows and the fit follows.
+
+    The friction of a model that follows nothing is of another motion.
+
+    Args:
+        fit: with these parameters held.
+        recording: that was fitted.
+        unseen: their names.
+    """
     others = {name: alike_of(name) for name in unseen}
-    values = {n: model[o] for n, o in others.items() if o is not None and o not in unseen}
-    return model.with_values(values) if values else model
+    values = {n: fit.model[o] for n, o in others.items() if o is not None and o not in unseen}
+    if not values:
+        return fit
+    motion = dict(zip(CHANNELS, motion_of(Data.of(pieces(moving(recording)))).tolist(), strict=True))
+    if any(left > _FOLLOWED * motion[channel] for channel, left in fit.residual_std.items()):
+        return fit
+    return dataclasses.replace(fit, model=fit.model.with_values(values))
 
 
 def alike_of(name: str) -> str | None:
@@ -62,13 +77,15 @@ def alike_of(name: str) -> str | None:
     return f"{effect}.{ALIKE[field]}" if field in ALIKE else None
 
 
-def values_held(unseen: Sequence[str], values: str) -> str:
-    """Say at which values parameters are held that show nowhere.
+def values_held(model: RTAC, unseen: Sequence[str], values: str) -> str:
+    """Say at which values of a model parameters are held that show nowhere.
 
     Args:
+        model: that was fitted.
         unseen: their names.
-        values: those of what has no other direction, in words.
+        values: those that are not of the other direction, in words.
     """
-    several = {other for name in unseen if (other := alike_of(name)) is not None and other not in unseen}
+    alike = {name: other for name in unseen if (other := alike_of(name)) is not None and other not in unseen}
+    several = {other for name, other in alike.items() if float(model[name]) == float(model[other])}
     others = [values] if len(several) < len(unseen) else []
     return " and ".join([*(f"the value of {one}" for one in sorted(several)), *others])

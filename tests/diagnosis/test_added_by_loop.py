@@ -17,6 +17,7 @@ from estimators.core.fisher_information import information_of
 from estimators.diagnosis import improvement_loop
 from estimators.diagnosis.improvement_loop import Loop
 from estimators.diagnosis.model_extension import Added
+from estimators.output_error import fit_what_shows
 
 COMPARED = made_up_results.compared("+ cubic_spring", 2.0)
 
@@ -84,6 +85,10 @@ def test_what_the_base_model_could_not_show_is_released_where_it_can_be(
 def test_friction_of_a_direction_that_still_shows_nowhere_goes_with_the_other(monkeypatch: pytest.MonkeyPatch) -> None:
     base = FIT.model.with_values({"arm_viscous.positive": 2e-4, "arm_viscous.negative": 1e-4})
     monkeypatch.setattr(sys.modules[__name__], "FIT", dataclasses.replace(FIT, model=base))
+    monkeypatch.setattr(fit_what_shows, "motion_of", lambda _: np.full(3, 1e3))
+    monkeypatch.setattr(fit_what_shows, "pieces", lambda _: [])
+    monkeypatch.setattr(fit_what_shows, "moving", lambda _: [])
+    monkeypatch.setattr(fit_what_shows, "Data", SimpleNamespace(of=lambda _: None))
     loop, reason, _ = extended(monkeypatch, unseen=("arm_viscous.negative",), refuses_released=True)
     assert reason is None
     assert loop.unseen == ("arm_viscous.negative",)

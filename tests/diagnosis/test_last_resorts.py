@@ -16,7 +16,7 @@ import estimators as est
 import rtac_jax as rtac
 from estimators.core.fit import Parameter
 from estimators.diagnosis import improvement_loop as loop
-from estimators.diagnosis import loop_run
+from estimators.diagnosis import loop_end, loop_run
 from estimators.diagnosis.learned_force import learn_force
 from estimators.diagnosis.model_extension import Added, PredictedGain
 from estimators.inference.simulation_residual import Cause, SimulationResidual
@@ -222,7 +222,7 @@ def test_the_nearest_effect_is_added_and_called_likely(
     monkeypatch.setattr(
         loop, "diagnose", lambda *_, **__: dataclasses.replace(learned.diagnoses[-1], candidates=(nearest,))
     )
-    monkeypatch.setattr(loop.Loop, "with_law", lambda _: None)  # its curve is that of another recording
+    monkeypatch.setattr(loop_end, "with_law", lambda _: None)  # its curve is that of another recording
     found = improved(recorded(CUBIC))
     assert found.nearest is not None
     assert (found.verdict, found.added, found.learned) == ("unknown", (), None)

@@ -309,9 +309,10 @@ def test_an_effect_beside_which_a_parameter_is_no_longer_known_is_not_fitted_so(
 
 
 def test_what_makes_a_known_parameter_unknown_is_not_added_in_any_way(monkeypatch: pytest.MonkeyPatch) -> None:
-    def with_spring(std: float) -> est.Fit:
+    def with_spring(std: float, left: float = 2.0) -> est.Fit:
         known = information_of(np.eye(1) / std, ("spring_stiffness",), np.ones(1))
-        return est.Fit(rtac.RTAC.paper(), RESULTS.successful, known, {}, {}, {}, (), {})
+        noise, residual = ({"cart_position": size} for size in (1e-5, left * 1e-5))
+        return est.Fit(rtac.RTAC.paper(), RESULTS.successful, known, noise, residual, {}, (), {})
 
     before, tested = with_spring(0.35), made_up_results.compared("base", BEFORE)
     better = SimpleNamespace(models=(made_up_results.compared("+ cubic_spring", 0.5),))
@@ -319,7 +320,7 @@ def test_what_makes_a_known_parameter_unknown_is_not_added_in_any_way(monkeypatc
     monkeypatch.setattr(_add_effect, "counting_held", lambda fit, *_: fit)
     monkeypatch.setattr(_add_effect, "compare", lambda *_, **__: better)
 
-    def added(std: float) -> Any:
+    def added(std: float, before: est.Fit = before) -> Any:
         monkeypatch.setattr(_add_effect, "_fitted", lambda *_, **__: with_spring(std))
         nothing = made(rtac.Recording)
         return _add_effect.add_effects(
@@ -328,3 +329,4 @@ def test_what_makes_a_known_parameter_unknown_is_not_added_in_any_way(monkeypatc
 
     assert added(590.0) == ("Stopped: with cubic_spring the data no longer tell spring_stiffness, so it is not added.")
     assert added(1.0).way == "simulated"
+    assert added(590.0, with_spring(0.35, left=50.0)).way == "simulated", "what followed nothing knew nothing"

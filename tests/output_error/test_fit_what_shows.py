@@ -41,9 +41,14 @@ def test_what_shows_nowhere_is_held() -> None:
 
 
 def test_values_at_which_parameters_are_held() -> None:
-    assert values_held(("arm_viscous.negative",), "its values") == "the value of arm_viscous.positive"
-    assert values_held(("arm_viscous.negative", "arm_viscous.positive"), "its values") == "its values"
-    both = values_held(("arm_viscous.negative", "cart_coulomb.level"), "its values")
+    model = rtac.RTAC.paper()
+    one, two = "arm_viscous.negative", "arm_viscous.positive"
+    alike = model.with_values({one: model[two]})
+    apart = model.with_values({one: 2 * model[two]})
+    assert values_held(alike, (one,), "its values") == "the value of arm_viscous.positive"
+    assert values_held(apart, (one,), "its values") == "its values"
+    assert values_held(alike, (one, two), "its values") == "its values"
+    both = values_held(alike, (one, "cart_coulomb.level"), "its values")
     assert both == "the value of arm_viscous.positive and its values"
 
 

@@ -191,7 +191,13 @@ class DiagnosisPolicy:
     def simulation(self) -> SimulationLimits:
         """Return the thresholds of the simulation's error."""
         return SimulationLimits(
-            self.simulation_noise, self.simulation_poor, self.random_large, self.chance, self.unfollowed, self.left
+            self.simulation_noise,
+            self.simulation_poor,
+            self.random_large,
+            self.chance,
+            self.unfollowed,
+            self.left,
+            self.consequence,
         )
 
     @property

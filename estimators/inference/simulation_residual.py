@@ -32,6 +32,8 @@ class SimulationLimits:
         left: rms error over that which the random forces would leave, of all channels, below which such forces cannot act: a fit
             takes up a part of what they do, and left 0.25 or more where nothing was hidden (31 recordings of draws 160, 161), and
             0.05 of a measured pendulum with friction. Set on these; five shaken recordings of draws 163 to 167 left 0.23 to 0.53.
+        consequence: rms error over the rms of the motion, below which it is asked of no channel whose noise nobody knows whether
+            random forces could leave so little: an encoder of a micrometre tells 7e-5 of an axis' motion.
     """
 
     beyond: float = 2.0
@@ -40,6 +42,7 @@ class SimulationLimits:
     level: float = 2e-3
     unfollowed: float = 0.25
     left: float = 0.1
+    consequence: float = 0.01
 
 
 STANDARD = SimulationLimits()
@@ -195,8 +198,8 @@ def simulation_residual(
 
     Where no noise is known apart from a fit, that of the fastest changes stands for it, which is less than there is where sensors
     wander slowly. Only a poor simulation is judged then, or one that is left at thirty times that, which no usual sensor makes, or
-    at ten times that where the random forces would leave ten times more. So it is of a channel whose noise nobody knows beside
-    others that are known: it tells only of random forces in place of the model's own.
+    at ten times that where the random forces would leave ten times more and a hundredth of the motion is missed. So it is of a
+    channel whose noise nobody knows beside others that are known: it tells only of random forces in place of the model's own.
 
     Args:
         error: rms over the noise, by channel.
@@ -222,7 +225,11 @@ def simulation_residual(
             (noise_known and c not in unknown)
             or ratio > limits.poor * signal[c]
             or ratio > _NO_SENSOR
-            or (limits.left * ratio > 1.0 and ratio < limits.left * shaken.get(c, 0.0) and not of_the_current)
+            or (
+                ratio > max(1.0 / limits.left, limits.consequence * signal[c])
+                and ratio < limits.left * shaken.get(c, 0.0)
+                and not of_the_current
+            )
         )
     }
     beyond = {c: ratio for c, ratio in away.items() if c not in unknown}

@@ -157,6 +157,18 @@ def test_no_sensor_wanders_by_a_tenth_of_the_motion_and_hundreds_of_times_its_fa
     assert explained.cause == "shaken"
 
 
+@pytest.mark.parametrize(("motion", "cause"), [(2500.0, "unexplained"), (2700.0, "noise")])
+def test_what_random_forces_could_not_leave_is_asked_from_a_hundredth_of_the_motion_on(
+    motion: float, cause: str
+) -> None:
+    """Of unknown noise: an encoder of a micrometre tells 7e-5 of the motion of an axis."""
+    found = simulation_residual(
+        {"arm_angle": 26.0}, {"arm_angle": 300.0}, {"arm_angle": motion}, random=(0.003, 0.007), samples_per_radian=20.0,
+        experiments=3, noise_known=False,
+    )  # fmt: skip
+    assert found.cause == cause
+
+
 def train(seed: int, duration: float, free: int, forced: int, **hidden: Any) -> Recording:
     rig = virtual_rig.Rig(**hidden)
     plans = virtual_rig.standard_plans(seed=seed, duration=duration, free=free, forced=forced)

@@ -153,13 +153,16 @@ def test_what_random_forces_stand_for_beside_what_is_named_is_for_the_next_diagn
     assert decide(Beside(), STANDARD, thorough=True).verdict == verdict
 
 
-@pytest.mark.parametrize(("shaken", "verdict"), [(400.0, "unknown"), (40.0, "adequate")])
+@pytest.mark.parametrize(
+    ("shaken", "motion", "verdict"),
+    [(400.0, 1000.0, "unknown"), (40.0, 1000.0, "adequate"), (400.0, 3000.0, "adequate")],
+)
 def test_random_forces_that_cannot_act_leave_nothing_adequate_though_nobody_knows_the_noise(
-    shaken: float, verdict: str
+    shaken: float, motion: float, verdict: str
 ) -> None:
     class Shaken(Known):
         def simulation(self, model: FittedModel) -> SimulationError:
-            return SimulationError({"arm_angle": 20.0}, {"arm_angle": shaken}, {"arm_angle": 2000.0}, (0.0, 0.2))
+            return SimulationError({"arm_angle": 20.0}, {"arm_angle": shaken}, {"arm_angle": motion}, (0.0, 0.2))
 
     laboratory = Shaken(LIKELIHOOD)
     assert not laboratory.facts.noise_known

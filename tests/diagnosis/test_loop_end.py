@@ -1,16 +1,24 @@
-"""The end of the loop where next to nothing is left, and nobody knows the noise."""
+"""The end of the loop: next to nothing left of unknown noise, what is superseded, and fits that predictions lead."""
 
 import dataclasses
+from collections.abc import Sequence
+from typing import Any
 
 import made_up_results
+import numpy as np
 import pytest
 from made_up_loop import made, new_loop
 from small_experiments import forced
 
+import estimators as est
 import rtac_jax as rtac
+from estimators.core.fisher_information import Information
+from estimators.core.fit import Parameter
 from estimators.diagnosis import loop_end
 from estimators.diagnosis.evidence import EffectTraits, Evidence, Facts
 from estimators.diagnosis.improvement_loop import Loop
+from estimators.diagnosis.model_extension import Added
+from rtac_jax.effects import CurrentLag, Effect, EncoderLag
 
 
 def ended(error: float, *, known: bool, verdict: str = "unknown", several: int = 1) -> Loop:
@@ -59,3 +67,120 @@ def test_elsewhere_all_is_asked(monkeypatch: pytest.MonkeyPatch, loop: Loop, why
     loop_end.end_of(loop, last_resort=True)
     assert asked == [1, 2], why
     assert loop.looks_again == (why != "nothing is missing"), why
+
+
+def fitted(size: float, deviation: float, error: float) -> Added:
+    """Return a model with a lag of the encoder of a size and one of the current, which leaves an error over the noise."""
+    model = rtac.RTAC.paper() + EncoderLag(size) + CurrentLag(6e-3)
+    spread = np.where(np.array(model.free) == "encoder_lag.time_constant", deviation, 1e-5) ** 2
+    known = Information(model.free, np.diag(spread), np.eye(len(spread)), np.ones(len(spread)))
+    fit = dataclasses.replace(made_up_results.FIT, model=model, information=known)
+    return Added(fit, made_up_results.compared("+ encoder_lag, current_lag", error), "simulated")
+
+
+@pytest.mark.parametrize(
+    ("size", "left", "dropped"),
+    [(4e-5, 1.3, True), (4e-5, 1.6, False), (4e-5, None, False), (3e-4, 1.3, True), (6e-3, 1.3, False)],
+)
+def test_what_nothing_is_left_of_beside_what_was_added_later_goes(
+    monkeypatch: pytest.MonkeyPatch, size: float, left: float | None, dropped: bool
+) -> None:
+    """Less than its deviations, or than a tenth of what was named; unless held-out experiments lose, or there is no fit."""
+    loop = new_loop()
+    loop.steps.append((("encoder_lag", "current_lag"), fitted(size, 6e-5, 1.3)))
+    named = {"time_constant": Parameter(8e-3, 1e-5, "s")}
+    loop.added = [made_up_results.candidate(name, 50.0, parameters=named) for name in ("encoder_lag", "current_lag")]
+    loop.stopped = "Stopped: nothing more is missing."
+
+    def without(
+        last: Added, given_up: Sequence[str], several: Sequence[Effect], label: str, *_: Any, **__: Any
+    ) -> Added | None:
+        assert (given_up, several, label) == (["encoder_lag"], [], "+ current_lag")
+        tested = None if left is None else made_up_results.compared(label, left)
+        return None if tested is None else dataclasses.replace(last, tested=tested)
+
+    monkeypatch.setattr(loop_end, "extended_without", without)
+    loop_end.drop_superseded(loop)
+    assert [c.id for c in loop.added] == (["current_lag"] if dropped else ["encoder_lag", "current_lag"])
+    assert loop.steps[-1][0] == (("current_lag",) if dropped else ("encoder_lag", "current_lag"))
+    assert loop.stopped.startswith("encoder_lag is left out again") == dropped
+
+
+@pytest.mark.parametrize(("error", "left", "dropped"), [(63.0, 50.0, True), (63.0, 62.0, False), (8.0, 5.0, False)])
+def test_what_was_added_at_once_and_held_out_experiments_refuse_goes(
+    monkeypatch: pytest.MonkeyPatch, error: float, left: float, dropped: bool
+) -> None:
+    """Where they stay far off: a dead zone beside gravity made them worse. What is left is diagnosed again."""
+    loop = new_loop()
+    loop.steps.append((("encoder_lag", "current_lag"), fitted(8e-3, 1e-5, error)))
+    named = {"time_constant": Parameter(8e-3, 1e-5, "s")}
+    loop.added = [made_up_results.candidate(name, 50.0, parameters=named) for name in ("encoder_lag", "current_lag")]
+
+    def without(
+        last: Added, given_up: Sequence[str], several: Sequence[Effect], label: str, *_: Any, **__: Any
+    ) -> Added:
+        worse = given_up == ["current_lag"]
+        return dataclasses.replace(last, tested=made_up_results.compared(label, 2 * error if worse else left))
+
+    monkeypatch.setattr(loop_end, "extended_without", without)
+    monkeypatch.setattr(Loop, "diagnosed_again", lambda *_, **__: made_up_results.diagnosis("unknown"))
+    before = len(loop.diagnoses)
+    loop_end.drop_superseded(loop)
+    assert [c.id for c in loop.added] == (["current_lag"] if dropped else ["encoder_lag", "current_lag"])
+    assert len(loop.diagnoses) == before + dropped
+    assert ("the held-out error falls without it" in loop.stopped) == dropped
+
+
+@pytest.mark.parametrize(("of_part", "of_all", "trains"), [(50.0, 50.0, 2), (50.0, 62.0, 2), (62.0, 50.0, 1)])
+def test_what_goes_by_a_part_of_the_samples_goes_only_if_all_of_them_do_without(
+    monkeypatch: pytest.MonkeyPatch, of_part: float, of_all: float, trains: int
+) -> None:
+    loop = dataclasses.replace(new_loop(), part=made(rtac.Recording))
+    loop.steps.append((("encoder_lag", "current_lag"), fitted(8e-3, 1e-5, 63.0)))
+    named = {"time_constant": Parameter(8e-3, 1e-5, "s")}
+    loop.added = [made_up_results.candidate(name, 50.0, parameters=named) for name in ("encoder_lag", "current_lag")]
+    asked: list[Any] = []
+
+    def without(
+        last: Added, given_up: Sequence[str], several: Sequence[Effect], label: str, train: Any, *_: Any, **__: Any
+    ) -> Added:
+        if given_up == ["current_lag"]:
+            return dataclasses.replace(last, tested=made_up_results.compared(label, 200.0))
+        asked.append(train)
+        return dataclasses.replace(last, tested=made_up_results.compared(label, of_part if given_up else of_all))
+
+    monkeypatch.setattr(loop_end, "extended_without", without)
+    monkeypatch.setattr(Loop, "diagnosed_again", lambda *_, **__: made_up_results.diagnosis("unknown"))
+    loop_end.drop_superseded(loop)
+    assert asked == [loop.part, loop.train][:trains]
+    dropped = of_part < 60 and of_all < 60
+    assert [c.id for c in loop.added] == (["current_lag"] if dropped else ["encoder_lag", "current_lag"])
+
+
+@pytest.mark.parametrize(
+    ("error", "left", "verdict", "taken"),
+    [
+        (50.0, 1.2, "adequate", True),
+        (50.0, 40.0, "adequate", False),
+        (5.0, 1.2, "adequate", False),
+        (50.0, 1.2, "unknown", False),
+    ],
+)
+def test_a_fit_that_ended_far_off_is_led_by_predictions(
+    monkeypatch: pytest.MonkeyPatch, error: float, left: float, verdict: str, taken: bool
+) -> None:
+    loop = new_loop()
+    loop.steps.append((("encoder_lag",), fitted(6e-3, 1e-5, error)))
+    loop.diagnoses = [made_up_results.diagnosis(verdict)]
+    led = fitted(5e-3, 1e-5, left)
+    predicted = made(est.PredictorFit, model=led.fit.model)
+    monkeypatch.setattr(loop_end, "prediction_error_nonlinear", lambda *_, **__: predicted)
+    monkeypatch.setattr(loop_end, "output_error", lambda *_, **__: led.fit)
+    monkeypatch.setattr(loop_end, "compare", lambda *_, **__: made(est.Comparison, models=(led.tested,)))
+    beside = loop_end.lead_by_predictions(loop)
+    assert (loop.last.fit is led.fit) == taken
+    asked = error > 10.0 and verdict == "adequate"
+    assert (beside is predicted) == (asked and not taken), (
+        "estimates by predictions are kept where no simulation serves better"
+    )
+    assert loop.steps[-1][0] == ("encoder_lag",)

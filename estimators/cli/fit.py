@@ -123,6 +123,8 @@ def fit(
 
 def _side_by_side(work: Job, closed: Any, found: Any) -> tuple[Any, Any]:
     """Return the fit by predictions one sample ahead, and how far the estimators agree; None, with a note, where there is none."""
+    import numpy as np
+
     import estimators as est
     from estimators.core.deadline import Deadline, OutOfTimeError
     from estimators.core.piecewise_triangle import LONG
@@ -140,6 +142,8 @@ def _side_by_side(work: Job, closed: Any, found: Any) -> tuple[Any, Any]:
         try:
             estimates = [closed, found] if predicted is None else [closed, found, predicted]
             agreed = est.agreement(estimates, work.train)
+        except np.linalg.LinAlgError:
+            work.note("The estimators were not compared: the recording leaves something undetermined for one of them.")
         except ValueError as error:  # the closed form needs channels that the fit does not
             work.note(f"The estimators were not compared: {error}")
         except OutOfTimeError:

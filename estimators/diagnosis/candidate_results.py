@@ -1,6 +1,7 @@
 """The results of every candidate: its score, its detection limit, and what a refit with it gained."""
 
 import dataclasses
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from estimators.diagnosis.live_laboratory import LiveLaboratory
 from estimators.diagnosis.refitting import parameters_of
 from estimators.diagnosis.removed_error import floor
 from estimators.diagnosis.selection import Selection, by_size
+from estimators.diagnosis.simulation_selection import excess_left
 from estimators.diagnosis.verdict import Judgement
 from estimators.misspecification.adequacy import excess_of, p_by_chance
 from estimators.misspecification.detection_limit import is_testable, main_amplitude
@@ -29,10 +31,10 @@ def not_testable(c: type[Effect], price: float) -> Candidate:
 def candidates_of(laboratory: LiveLaboratory, found: Judgement) -> list[Candidate]:
     """Return all candidates, those that improved the model first."""
     selection, samples, policy = found.selection, laboratory.facts.samples, laboratory.policy
-    screened = laboratory.tested(selection.base).screened
+    screened = laboratory.models.tested(selection.base).screened
     price = float(np.log(samples))
     best = {s.id: s for s in by_size(screened, price)}
-    detectable = laboratory.detectability(selection.base)
+    detectable = laboratory.models.detectability(selection.base)
     most = _most(selection, samples)
     within = set(found.effects)
     shown = within.union(*found.rivals.values())
@@ -52,7 +54,7 @@ def candidates_of(laboratory: LiveLaboratory, found: Judgement) -> list[Candidat
         )
         if s.id in selection.tried:
             before, model = selection.tried[s.id]
-            _, last = laboratory.computed(found.final if s.id in within else model)
+            _, last = laboratory.models.computed(found.final if s.id in within else model)
             start = selection.base
             removed = np.exp(-2 * gain(start, before) / samples) - np.exp(-2 * gain(start, model) / samples)
             c = dataclasses.replace(
@@ -67,6 +69,26 @@ def candidates_of(laboratory: LiveLaboratory, found: Judgement) -> list[Candidat
     order = {step.id: place for place, step in enumerate(selection.steps)}
     several.sort(key=lambda c: (order.get(c.id, len(order)), -c.bic_gain if c.refitted else 0.0, -c.score))
     return several
+
+
+def nearest_simulated(
+    laboratory: LiveLaboratory, found: Judgement, candidates: Mapping[str, Candidate]
+) -> tuple[Candidate, ...]:
+    """Return the candidates with which a simulation that fails leaves least, the nearest first; none where one is named."""
+    if found.steps or found.simulation is None or found.simulation.cause != "unexplained":
+        return ()
+    before, policy = found.selection.base, laboratory.policy
+    base, fits = laboratory.simulation(before).error, laboratory.simulated.with_one(before.number)
+    left = {i: excess_left(fit.residual_over_noise, base, policy) for i, fit in fits.items()}
+    near = sorted((i for i in left if left[i] <= 1 - policy.static), key=lambda i: left[i])
+    return tuple(
+        dataclasses.replace(
+            candidates[i],
+            error_reduction=1 - left[i],
+            parameters={n.split(".")[1]: p for n, p in fits[i].parameters.items() if n.split(".")[0] == i},
+        )
+        for i in near
+    )
 
 
 def _most(selection: Selection, samples: int) -> float:

@@ -54,7 +54,9 @@ def failure(trained: Compared, tested: Compared) -> str:
     return "still fails"
 
 
-def of_little_service(first: Compared, last: Compared, count: int, fall: float) -> str:
+def of_little_service(
+    first: Compared, last: Compared, count: int, fall: float, trained: tuple[Compared, Compared]
+) -> str:
     """Say that what was added serves held-out experiments little, where it does; else nothing.
 
     Args:
@@ -62,11 +64,18 @@ def of_little_service(first: Compared, last: Compared, count: int, fall: float) 
         last: the model with all that was added.
         count: effects that were.
         fall: fraction by which the error has to fall, beyond the noise.
+        trained: both against what they were fitted to.
     """
     before, after = misfit(first), misfit(last)
     fallen = 1 - after / before
     if not count or at_noise(before) or at_noise(after) or fallen >= fall:
         return ""
+    left = [misfit(one) for one in trained]
+    if left[1] < 0.5 * left[0]:
+        return (
+            f" What was fitted is left at {left[1]:.3g} times the noise instead of {left[0]:.3g}, and what was held out at"
+            f" {after:.3g} instead of {before:.3g}: a model that follows nothing was near that by chance, or this one lacks more."
+        )
     return (
         f" The held-out error of simulation falls by {max(100 * fallen, 0.0):.2g} % only, so {'it' if count == 1 else 'they'} may"
         " stand for something else, as a sensor that drifts or a parameter that changes."

@@ -3,7 +3,7 @@
 import dataclasses
 import time
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -14,8 +14,7 @@ from estimators.core.fit import Fit
 from estimators.core.progress import Progress
 from estimators.core.sensor_noise import rounded
 from estimators.core.threads import one_blas_thread
-from estimators.diagnosis.candidate import Candidate
-from estimators.diagnosis.candidate_results import candidates_of, not_testable
+from estimators.diagnosis.candidate_results import candidates_of, nearest_simulated, not_testable
 from estimators.diagnosis.candidate_set import offered
 from estimators.diagnosis.diagnosis import Diagnosis
 from estimators.diagnosis.evidence import Evidence
@@ -210,10 +209,10 @@ def _told(
     fit: Fit,
 ) -> Diagnosis:
     """Return the verdict and its reasons, also of candidates that nothing in the recording could show."""
-    setting, base = laboratory.computed(found.selection.base)
+    setting, base = laboratory.models.computed(found.selection.base)
     coloured = assumed_noise(setting, base, fit.noise)
     beside = {c: ratio / max(coloured.get(c, 0.0) / fit.noise[c], 1.0) for c, ratio in fit.residual_over_noise.items()}
-    tested = laboratory.tested(found.selection.base)
+    tested = laboratory.models.tested(found.selection.base)
     stood = found.simulation is None or not found.simulation.vetoes
     silent = laboratory.facts.silent or laboratory.facts.stuck
     latent = latent_of(setting, base) if found.verdict == "unknown" and stood and not silent else ()
@@ -221,7 +220,7 @@ def _told(
     candidates += [not_testable(c, float(np.log(setting.samples))) for c in unshown]
     groups = [(step.id, *step.rivals) for step in found.steps]
     by_id = {c.id: c for c in candidates}
-    _, final = laboratory.computed(found.final)
+    _, final = laboratory.models.computed(found.final)
     told = Diagnosis(
         verdict=found.verdict,
         effects=tuple(
@@ -254,21 +253,9 @@ def _told(
         values={name: float(value) for name, value in final.values.items()},
         broken_off=laboratory.broken_off,
         awaits_law=found.selection.static,
-        nearest_simulated=_nearest_simulated(laboratory, found, by_id),
+        nearest_simulated=nearest_simulated(laboratory, found, by_id),
     )
     return dataclasses.replace(told, explanation=_explanation(told, found, setting, thorough=evidence.thorough))
-
-
-def _nearest_simulated(
-    laboratory: LiveLaboratory, found: Judgement, candidates: Mapping[str, Candidate]
-) -> tuple[Candidate, ...]:
-    """Return the candidates with which a simulation that fails leaves least, the nearest first; none where one is named."""
-    if found.steps or found.simulation is None or found.simulation.cause != "unexplained":
-        return ()
-    return tuple(
-        dataclasses.replace(candidates[effect], error_reduction=removed, parameters=parameters)
-        for effect, removed, parameters in laboratory.nearest_simulated(found.selection.base)
-    )
 
 
 def _extents(experiments: Sequence[Experiment]) -> dict[str, tuple[float, float]]:

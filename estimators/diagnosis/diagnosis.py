@@ -160,20 +160,12 @@ class Diagnosis(Result):
 
         What grows with the amplitude, as a spring that hardens, changes in free decays with the time as well.
         """
-        return self._drift(self.policy.left)
+        return _drift(self, self.policy.left)
 
     @property
     def likely_drift(self) -> str:
         """Return the words of the test of drift, where any other finds half of what it does at most, but not next to nothing."""
-        return "" if self.drift else self._drift(self.policy.static)
-
-    def _drift(self, most: float) -> str:
-        """Return the words of the test of drift, where any other finds this fraction of what it does at most."""
-        if self.verdict != "unknown":
-            return ""
-        found = next((test for test in self.left if test.test == "drift" and test.rejects), None)
-        others = excess_of([test for test in self.left if test.test != "drift"])
-        return "" if found is None or others > most * found.excess else found.words
+        return "" if self.drift else _drift(self, self.policy.static)
 
     @property
     def no_effect(self) -> str:
@@ -220,3 +212,12 @@ class Diagnosis(Result):
     def plot(self) -> Any:
         """Draw a bar chart of the candidates and the missing-force curve, as a matplotlib figure."""
         return draw(self)
+
+
+def _drift(found: Diagnosis, most: float) -> str:
+    """Return the words of the test of drift, where any other finds this fraction of what it does at most."""
+    if found.verdict != "unknown":
+        return ""
+    drift = next((test for test in found.left if test.test == "drift" and test.rejects), None)
+    others = excess_of([test for test in found.left if test.test != "drift"])
+    return "" if drift is None or others > most * drift.excess else drift.words

@@ -136,26 +136,12 @@ class Improvement(Result):
             )
         if self.final.result in _UNFINISHED:
             said.append(f"The last model: {self.final.outcome}")
-        elif not self._shaken:
+        elif not _shaken(self):
             said.extend(self.final.moved_constants)
-        if self.diagnoses[-1].verdict == "adequate" and not self._drifts and (strays := self._astray):
+        if self.diagnoses[-1].verdict == "adequate" and not _drifts(self) and (strays := _astray(self)):
             said.append(strays)
         told = [hum_subtracted(self.hum), *said, self.stopped, "" if self.learned is None else str(self.learned)]
         return " ".join(one for one in told if one)
-
-    @property
-    def _shaken(self) -> bool:
-        """Return whether random forces lead the last simulation astray, so that no constant is judged by its estimates."""
-        found = self.diagnoses[-1].simulation
-        return found is not None and found.cause == "shaken"
-
-    @property
-    def _drifts(self) -> bool:
-        return self.constancy is not None and self.constancy.decisive
-
-    @property
-    def _fails(self) -> str:
-        return "The model fails" if not self._drifts else "One set of parameters for all fails"
 
     @property
     def settled(self) -> bool:
@@ -184,9 +170,9 @@ class Improvement(Result):
     def headline(self) -> str:
         """Return what was found, in a few sentences: what differs, what was missing or still is, and what was learned."""
         if self.constancy is None:
-            return self._found
+            return _found(self)
         if self.left_out is None:
-            return f"{self.constancy.differences} {self._found}"
+            return f"{self.constancy.differences} {_found(self)}"
         verdict = {
             "adequate": "predicted one sample ahead, which counts random forces, nothing is missing",
             "unknown": f"the model fails, and {self.diagnoses[-1].no_effect} explains that",
@@ -195,132 +181,6 @@ class Improvement(Result):
             "the model fails, and what the diagnosis names does not serve held-out experiments",
         )
         return f"{self.constancy.differences} With {self.left_out} {verdict}."
-
-    @property
-    def _found(self) -> str:
-        """Return what the first model lacked, what the last one lacks, what was learned."""
-        if self.nearest is not None:
-            explained = 100 * self.nearest.error_reduction
-            return (
-                f"{self._named} The nearest, {self.nearest.id}, explains {explained:.0f} % of what is left: it is likely, and "
-                f"not certain. It changes the held-out error {self._change}."
-            )
-        if self.learned is None:
-            return self._named
-        return (
-            f"{self._named} A learned force on the {self.learned.port} against {self.learned.variable}, which is no physical "
-            f"effect, changes the held-out error {self._change}."
-        )
-
-    @property
-    def _astray(self) -> str:
-        return astray(self.train.models[-1], self.validation.models[-1])
-
-    @property
-    def _failure(self) -> str:
-        place = self.diagnosed[-1]
-        return failure(self.train.models[place], self.validation.models[place])
-
-    @property
-    def _but(self) -> str:
-        """Return what an adequate model's simulation leaves of held-out experiments, where that is no noise; else nothing."""
-        trained, tested = self.train.models[-1].errors, self.validation.models[-1].errors
-        worst = max((e.rms_over_noise for e in tested.values()), default=0.0)
-        beyond = not at_noise(worst) and all(at_noise(trained[c].rms_over_noise) for c in tested if c in trained)
-        if not self._astray and not beyond:
-            return ""
-        worst = max(e.rms_over_noise for e in tested.values()) if self._astray else worst
-        missed = max(100 - e.fit_percent for e in tested.values() if e.rms_over_noise == worst)
-        much = f", {missed:.0f} % of their motion" if _MUCH <= missed < float("inf") else ""
-        return f"; of the held-out experiments its simulation leaves {rounded(worst)} times the noise{much}"
-
-    @property
-    def _lost(self) -> bool:
-        """Return whether the last simulation misses most of a channel's held-out motion, which is far from the noise."""
-        last = self.validation.models[-1].errors.values()
-        most = 100 * (1 - self.diagnoses[-1].policy.static)
-        return any(e.fit_percent < most and e.rms_over_noise > FAR for e in last)
-
-    @property
-    def _adequate(self) -> str:
-        return "does not follow what was held out" if self._lost else "is adequate"
-
-    @property
-    def _change(self) -> str:
-        """Return what the last resort does to the held-out error over the noise, by channel."""
-        models = self.validation.models[: None if self.left_out is None else -1]
-        before, after = (model.errors for model in models[-2:])
-        falls = [f"of {c} from {e.rms_over_noise:.3g} to {after[c].rms_over_noise:.3g}" for c, e in before.items()]
-        return f"{' and '.join(falls)} times the noise"
-
-    @property
-    def _named(self) -> str:
-        whole = "it" if self.nearest is None else "all of it"
-        if not self.added:
-            last = self.diagnoses[-1]
-            if last.silent:
-                return f"{last.silent}."
-            if line := last.line_alone:
-                return (
-                    f"The model follows the recording to {last.simulated:.2f} times the noise, and only a line speaks against it, "
-                    f"which {last.no_effect} explains: {line}."
-                )
-            if last.drift and self.nearest is None:
-                return f"The model fails as where a parameter drifts: {last.drift}. {last.no_effect.capitalize()} explains it."
-            if self.not_added:
-                return f"The model fails. {named_too_late(self.not_added)}."
-            if last.rounding and self.nearest is None and self.learned is None:
-                return (
-                    f"The model follows the recording to {last.simulated:.2f} times the noise, and what speaks against it may be "
-                    f"how coarsely it was recorded: {last.rounding}."
-                )
-            return {
-                "adequate": f"The model {self._adequate}: nothing is missing {last.floor}{self._in_time}{self._but}.",
-                "unknown": f"{self._fails}, and {self.diagnoses[-1].no_effect} explains {whole}.",
-            }.get(
-                self.diagnoses[-1].verdict,
-                "The model fails, and what the diagnosis names does not serve held-out experiments.",
-            )
-        sure = [candidate.id for candidate in self.added if not candidate.confusable_with]
-        laws = {e.id for e in self.final.model.effects if isinstance(e, FormulaForce)}
-        told = [f"{i} (a law read off the data)" if i in laws else i for i in sure]
-        start = f"{', '.join(told)} {'was' if len(sure) == 1 else 'were'} missing" if sure else ""
-        groups = {tuple(sorted({c.id, *c.confusable_with} - set(sure))): c.id for c in self.added if c.confusable_with}
-        for several, first in groups.items():
-            group = ", ".join([first, *(name for name in several if name != first)])
-            start = f"{start}, and one of a group ({group})" if start else f"One of a group was missing ({group})"
-        if groups:
-            start += ", and the data cannot tell which"
-        drift = "" if self.nearest is not None else self.diagnoses[-1].drift
-        line = self.diagnoses[-1].line_alone
-        end = {
-            "adequate": f"the mended model {self._adequate}"
-            f"{' one sample ahead' if self._astray and not self._lost else self._but}{self._in_time}",
-            "unknown": f"the mended model fails as where a parameter drifts: {drift}"
-            if drift
-            else f"only a line speaks against the mended model: {line}"
-            if line
-            else f"the mended model {self._failure}, and {self.diagnoses[-1].no_effect} explains {whole}",
-            None: "the mended model was not diagnosed again",
-        }.get(self.mended, "what a diagnosis of the mended model names does not serve held-out experiments")
-        if self.not_added:
-            end = f"the mended model still fails, and {named_too_late(self.not_added)}"
-        # What else was broken off, as the colour of the noise, is no effect.
-        unfitted = {name for d in self.diagnoses if d.effects for name in d.broken_off if " " not in name}
-        asked = sorted(unfitted - set(sure) - set(groups.values()))
-        rivals = (
-            f" Not fitted before the time was over, so that none is ruled out: {', '.join(asked)}." if asked else ""
-        )
-        after = sum(last is not None for last in (self.nearest, self.learned, self.left_out))
-        first, last = (self.validation.models[place] for place in (0, len(self.fits) - 1 - after))
-        counted = 0 if self.predicted_gains else len(self.added)
-        little = of_little_service(first, last, counted, self.diagnoses[0].policy.fall)
-        constants = stands_for([i for c in self.added for i in (c.id, *c.confusable_with)], self.base.model)
-        return f"{start}; {end}.{rivals}{little}{not_told_from_nothing(self.doubtful)}{constants}"
-
-    @property
-    def _in_time(self) -> str:
-        return ", as far as was asked before the time was over" if self.diagnoses[-1].broken_off else ""
 
     def overview(self) -> Overview:
         """Return the held-out errors of every model, and why the loop ended."""
@@ -349,3 +209,152 @@ class Improvement(Result):
     def plot(self) -> Any:
         """Draw the error before and after, as a matplotlib figure."""
         return draw(self)
+
+
+def _shaken(found: Improvement) -> bool:
+    """Return whether random forces lead the last simulation astray, so that no constant is judged by its estimates."""
+    simulation = found.diagnoses[-1].simulation
+    return simulation is not None and simulation.cause == "shaken"
+
+
+def _drifts(found: Improvement) -> bool:
+    """Return whether what differs between experiments is decided."""
+    return found.constancy is not None and found.constancy.decisive
+
+
+def _fails(found: Improvement) -> str:
+    """Return the subject and verb of a sentence on a model that fails."""
+    return "The model fails" if not _drifts(found) else "One set of parameters for all fails"
+
+
+def _found(found: Improvement) -> str:
+    """Return what the first model lacked, what the last one lacks, what was learned."""
+    if found.nearest is not None:
+        explained = 100 * found.nearest.error_reduction
+        return (
+            f"{_named(found)} The nearest, {found.nearest.id}, explains {explained:.0f} % of what is left: it is likely, and "
+            f"not certain. It changes the held-out error {_change(found)}."
+        )
+    if found.learned is None:
+        return _named(found)
+    return (
+        f"{_named(found)} A learned force on the {found.learned.port} against {found.learned.variable}, which is no physical "
+        f"effect, changes the held-out error {_change(found)}."
+    )
+
+
+def _astray(found: Improvement) -> str:
+    """Return what random forces do to the last simulation, in words."""
+    return astray(found.train.models[-1], found.validation.models[-1])
+
+
+def _failure(found: Improvement) -> str:
+    """Return what the diagnosed model leaves, in words."""
+    place = found.diagnosed[-1]
+    return failure(found.train.models[place], found.validation.models[place])
+
+
+def _but(found: Improvement) -> str:
+    """Return what an adequate model's simulation leaves of held-out experiments, where that is no noise; else nothing."""
+    trained, tested = found.train.models[-1].errors, found.validation.models[-1].errors
+    worst = max((e.rms_over_noise for e in tested.values()), default=0.0)
+    beyond = not at_noise(worst) and all(at_noise(trained[c].rms_over_noise) for c in tested if c in trained)
+    if not _astray(found) and not beyond:
+        return ""
+    worst = max(e.rms_over_noise for e in tested.values()) if _astray(found) else worst
+    missed = max(100 - e.fit_percent for e in tested.values() if e.rms_over_noise == worst)
+    much = f", {missed:.0f} % of their motion" if _MUCH <= missed < float("inf") else ""
+    return f"; of the held-out experiments its simulation leaves {rounded(worst)} times the noise{much}"
+
+
+def _lost(found: Improvement) -> bool:
+    """Return whether the last simulation misses most of a channel's held-out motion, which is far from the noise."""
+    last = found.validation.models[-1].errors.values()
+    most = 100 * (1 - found.diagnoses[-1].policy.static)
+    return any(e.fit_percent < most and e.rms_over_noise > FAR for e in last)
+
+
+def _adequate(found: Improvement) -> str:
+    """Return the verb of a sentence on a model that nothing rejects."""
+    return "does not follow what was held out" if _lost(found) else "is adequate"
+
+
+def _change(found: Improvement) -> str:
+    """Return what the last resort does to the held-out error over the noise, by channel."""
+    models = found.validation.models[: None if found.left_out is None else -1]
+    before, after = (model.errors for model in models[-2:])
+    falls = [f"of {c} from {e.rms_over_noise:.3g} to {after[c].rms_over_noise:.3g}" for c, e in before.items()]
+    return f"{' and '.join(falls)} times the noise"
+
+
+def _named(found: Improvement) -> str:
+    """Return what the first model lacked, and what is said of the last."""
+    whole = "it" if found.nearest is None else "all of it"
+    if not found.added:
+        last = found.diagnoses[-1]
+        if last.silent:
+            return f"{last.silent}."
+        if line := last.line_alone:
+            return (
+                f"The model follows the recording to {last.simulated:.2f} times the noise, and only a line speaks against it, "
+                f"which {last.no_effect} explains: {line}."
+            )
+        if last.drift and found.nearest is None:
+            return (
+                f"The model fails as where a parameter drifts: {last.drift}. {last.no_effect.capitalize()} explains it."
+            )
+        if found.not_added:
+            return f"The model fails. {named_too_late(found.not_added)}."
+        if last.rounding and found.nearest is None and found.learned is None:
+            return (
+                f"The model follows the recording to {last.simulated:.2f} times the noise, and what speaks against it may be "
+                f"how coarsely it was recorded: {last.rounding}."
+            )
+        return {
+            "adequate": f"The model {_adequate(found)}: nothing is missing {last.floor}{_in_time(found)}{_but(found)}.",
+            "unknown": f"{_fails(found)}, and {found.diagnoses[-1].no_effect} explains {whole}.",
+        }.get(
+            found.diagnoses[-1].verdict,
+            "The model fails, and what the diagnosis names does not serve held-out experiments.",
+        )
+    sure = [candidate.id for candidate in found.added if not candidate.confusable_with]
+    laws = {e.id for e in found.final.model.effects if isinstance(e, FormulaForce)}
+    told = [f"{i} (a law read off the data)" if i in laws else i for i in sure]
+    start = f"{', '.join(told)} {'was' if len(sure) == 1 else 'were'} missing" if sure else ""
+    groups = {tuple(sorted({c.id, *c.confusable_with} - set(sure))): c.id for c in found.added if c.confusable_with}
+    for several, first in groups.items():
+        group = ", ".join([first, *(name for name in several if name != first)])
+        start = f"{start}, and one of a group ({group})" if start else f"One of a group was missing ({group})"
+    if groups:
+        start += ", and the data cannot tell which"
+    drift = "" if found.nearest is not None else found.diagnoses[-1].drift
+    line = found.diagnoses[-1].line_alone
+    end = {
+        "adequate": f"the mended model {_adequate(found)}"
+        f"{' one sample ahead' if _astray(found) and not _lost(found) else _but(found)}{_in_time(found)}",
+        "unknown": f"the mended model fails as where a parameter drifts: {drift}"
+        if drift
+        else f"only a line speaks against the mended model: {line}"
+        if line
+        else f"the mended model {_failure(found)}, and {found.diagnoses[-1].no_effect} explains {whole}",
+        None: "the mended model was not diagnosed again",
+    }.get(found.mended, "what a diagnosis of the mended model names does not serve held-out experiments")
+    if found.not_added:
+        end = f"the mended model still fails, and {named_too_late(found.not_added)}"
+    # What else was broken off, as the colour of the noise, is no effect.
+    unfitted = {name for d in found.diagnoses if d.effects for name in d.broken_off if " " not in name}
+    asked = sorted(unfitted - set(sure) - set(groups.values()))
+    rivals = f" Not fitted before the time was over, so that none is ruled out: {', '.join(asked)}." if asked else ""
+    after = sum(last is not None for last in (found.nearest, found.learned, found.left_out))
+    places = 0, len(found.fits) - 1 - after
+    first, last = (found.validation.models[place] for place in places)
+    trained = found.train.models[places[0]], found.train.models[places[1]]
+    counted = 0 if found.predicted_gains else len(found.added)
+    little = of_little_service(first, last, counted, found.diagnoses[0].policy.fall, trained)
+    constants = stands_for([i for c in found.added for i in (c.id, *c.confusable_with)], found.base.model)
+    return f"{start}; {end}.{rivals}{little}{not_told_from_nothing(found.doubtful)}{constants}"
+
+
+def _in_time(found: Improvement) -> str:
+    """Return the words of an answer that was cut short."""
+    return ", as far as was asked before the time was over" if found.diagnoses[-1].broken_off else ""

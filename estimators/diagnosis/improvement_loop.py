@@ -209,7 +209,7 @@ class Loop:
         """Return whether simulations chose all that was added: what predictions keep is not judged by simulations."""
         return all(step.way == "simulated" and step.predicted_gain is None for _, step in self.steps)
 
-    @property
-    def classes(self) -> dict[str, type[Effect]]:
-        """Return the classes of the candidates by id."""
-        return {c.id: c for c in self.candidates or CATALOGUE.values()}
+
+def classes_of(loop: Loop) -> dict[str, type[Effect]]:
+    """Return the classes of a loop's candidates by id."""
+    return {c.id: c for c in loop.candidates or CATALOGUE.values()}

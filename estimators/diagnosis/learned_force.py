@@ -113,7 +113,8 @@ def learn_force(
     """Return the model with a learned force that clearly serves the held-out experiments better, or why there is none.
 
     The curves that explain more than chance are tried, of each port the one that explains most. What names no physics is
-    kept only for a clear fall of the held-out error, or for one of the errors one sample ahead beside which it does not rise.
+    kept only for a clear fall of the held-out error, or for one of the errors one sample ahead beside which it does not rise, and
+    where what was fitted is not missed by more.
 
     Args:
         before: the model without it.
@@ -142,6 +143,9 @@ def learn_force(
             before, tested, [curve.effect()], label, train, held_out, deviations={}, policy=strict, progress=progress
         )
         if isinstance(step, str):
+            continue
+        # More of what was fitted is missed with it: what was held out is met by chance.
+        if any(left > (1 + policy.fall) * before.residual_std[c] for c, left in step.fit.residual_std.items()):
             continue
         fallen = misfit(step.tested) / misfit(tested)
         if fallen <= 1 - policy.fall or (step.predicted_gain is not None and fallen <= 1):

@@ -9,7 +9,7 @@ from estimators.core.results import DivergedError
 from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.candidate_set import offered
 from estimators.diagnosis.diagnosis import Diagnosis
-from estimators.diagnosis.improvement_loop import OUT_OF_TIME, Loop
+from estimators.diagnosis.improvement_loop import OUT_OF_TIME, Loop, classes_of
 from estimators.diagnosis.learned_force import LearnedForce, learn_force
 from estimators.diagnosis.missing_force import static_force
 from estimators.diagnosis.model_extension import Added, misfit, parameters_of
@@ -95,7 +95,7 @@ def _add_beyond_catalogue(loop: Loop, base: Fit, found: Diagnosis) -> bool:
 def nearest(loop: Loop) -> tuple[Added, Candidate] | None:
     """Return the model with the effect that explains most of what the last diagnosis cannot name, if it serves."""
     return add_nearest(
-        loop.last, loop.diagnoses[-1], loop.classes, loop.train, loop.held_out, policy=loop.policy, progress=loop.progress
+        loop.last, loop.diagnoses[-1], classes_of(loop), loop.train, loop.held_out, policy=loop.policy, progress=loop.progress
     )  # fmt: skip
 
 
@@ -191,7 +191,7 @@ def with_runner_up(loop: Loop) -> Loop | None:
     if not loop.added or not loop.all_simulated or loop.deadline.over:
         return None
     found = runner_up(
-        loop.last, loop.added, loop.diagnoses, loop.classes, loop.choosing, loop.held_out, policy=loop.policy,
+        loop.last, loop.added, loop.diagnoses, classes_of(loop), loop.choosing, loop.held_out, policy=loop.policy,
         progress=loop.progress,
     )  # fmt: skip
     step = None if found is None else loop.of_all(found.step)

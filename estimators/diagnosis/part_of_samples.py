@@ -85,7 +85,7 @@ class Looked(NamedTuple):
         """Return the mean square that the last model of a part leaves of all samples; infinite where simulations told it."""
         if self.found.selection.simulated:
             return float("inf")
-        setting, final = self.laboratory.computed(self.found.final)
+        setting, final = self.laboratory.models.computed(self.found.final)
         return left_of_all(setting, final, fit, recording)
 
 

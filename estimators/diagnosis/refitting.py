@@ -13,7 +13,7 @@ from estimators.closed_form.fit import starting_values
 from estimators.core.deadline import OutOfTimeError, require_time
 from estimators.core.fisher_information import information
 from estimators.core.fit import Fit, Parameter
-from estimators.core.jacobian_factor import Arguments, factor
+from estimators.core.jacobian_factor import Arguments, diverged, factor
 from estimators.core.parameter_space import Space
 from estimators.core.progress import Progress
 from estimators.core.residual import start_rows
@@ -33,6 +33,7 @@ from estimators.diagnosis.innovation_tests import pieces_of_tests, run_tests, si
 from estimators.diagnosis.laboratory import Way
 from estimators.diagnosis.refit import Refit, Tested
 from estimators.diagnosis.setting import Setting, begun, effect_of, model_with, set_up, shared, space_for
+from estimators.diagnosis.shared_structure import of_structure, run_model, run_space
 from estimators.diagnosis.workers import Workers
 from estimators.misspecification.candidate_screening import Screened
 from estimators.misspecification.equation_screening import Explained
@@ -385,13 +386,21 @@ def fitted(
     Raises:
         ArithmeticError: the model diverges, or leaves parameters free.
     """
-    space = begun(space_for(setting, model, free), model, start)
+    space = wider = begun(space_for(setting, model, free), model, start)
+    run = model
+    if (common := run_model(setting, added)) is not None:
+        run = common.with_values(model.values)
+        wider = begun(run_space(setting, run, free), run, start)
     prior = setting.prior.starting(space)
     found = fit_predictor(
-        model, setting.data, space, prior, substeps=setting.substeps, first=noise, progress=setting.progress.step
+        run, setting.data, wider, prior, substeps=setting.substeps, first=noise, progress=setting.progress.step
     )
-    arguments = Arguments(model, setting.data, space, found.filtered.whitener, found.filtered.gain, setting.substeps)
+    arguments = Arguments(run, setting.data, wider, found.filtered.whitener, found.filtered.gain, setting.substeps)
     triangles = np.asarray(factor(found.unknowns, arguments))
+    if diverged(triangles) or not np.all(np.isfinite(triangles)):
+        raise FloatingPointError("The model diverges at the estimate of its predictions.")
+    if wider is not space:
+        found, triangles = of_structure(found, triangles, wider, space)
     return Refit(added, model, found, space, by_sample(found.filtered), free, triangles)
 
 

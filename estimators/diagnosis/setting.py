@@ -173,10 +173,10 @@ def space_for(setting: Setting, model: RTAC, free: Sequence[str]) -> Space:
     return space_of(model, setting.experiments, free=free, start=setting.start)
 
 
-def padded_space(setting: Setting, model: RTAC, free: Sequence[str]) -> Space:
-    """Return the unknowns with places past the end, so that a few parameters more need no new compilation."""
+def padded_space(setting: Setting, model: RTAC, free: Sequence[str], *, room: int = _ROOM) -> Space:
+    """Return the unknowns, padded to a multiple of `room`, so that a few parameters more need no new compilation."""
     space = space_for(setting, model, free)
-    active = np.full(max(-(-len(free) // _ROOM), 1) * _ROOM, len(space.names))
+    active = np.full(max(-(-len(free) // room), 1) * room, len(space.names))
     active[: len(space.active)] = np.asarray(space.active)
     return dataclasses.replace(space, active=to_jax(active))
 

@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from estimators.closed_form.fit import starting_values
 from estimators.core.deadline import OutOfTimeError, require_time
 from estimators.core.fit import Fit
 from estimators.core.results import NotIdentifiableError
@@ -14,10 +15,12 @@ from estimators.diagnosis.refit import Refit
 from estimators.diagnosis.refitting import beginning, from_simulation
 from estimators.diagnosis.setting import Setting
 from estimators.diagnosis.workers import Workers
+from estimators.inference.shaken_simulation import unfollowed
 from estimators.misspecification.candidate_screening import Screened
 from estimators.misspecification.detection_limit import largest_size
 from estimators.misspecification.equation_screening import Explained
 from estimators.output_error.fit import output_error
+from rtac_jax import RTAC
 
 _ATTENUATED = 3.0  # times as large as the equations of motion have it, which noise of the regressors makes smaller
 _STEPS = 10  # of the optimiser in each stage: candidates are ranked, and the step after goes on from where one ended
@@ -87,6 +90,16 @@ def _simulated_with(setting: Setting, fit: Fit, before: Refit, s: Screened | Exp
     begin = (setting.model if fit.lost else fit.model) + effect
     if isinstance(s, Explained):
         begin = placed_inside(begin, {name: value for name, value in s.values.items() if name in begin.free})
+    begins = [begin]
+    if unfollowed(fit, setting.data, setting.policy.simulation) > setting.policy.unfollowed:
+        # Its parameters are those of another motion, from which no few steps lead back.
+        begins.append(starting_values(begin, setting.recording))
+    several = [found for one in begins if (found := _begun_at(one, s, setting)) is not None]
+    return min(several, key=lambda found: found.statistics["cost"], default=None)
+
+
+def _begun_at(begin: RTAC, s: Screened | Explained, setting: Setting) -> Fit | None:
+    """Fit a simulation by a few steps from a model's values; None where that comes to nothing."""
     with contextlib.suppress(ArithmeticError, np.linalg.LinAlgError, NotIdentifiableError, OutOfTimeError):
         require_time()
         found = output_error(begin, setting.recording, from_model=True, steps=_STEPS, led=False, progress=False)

@@ -4,6 +4,7 @@ import dataclasses
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
+from estimators.closed_form.fit import starting_values
 from estimators.core.data import CHANNELS, Data, motion_of, moving, pieces
 from estimators.core.fit import Fit
 from estimators.core.results import NotIdentifiableError
@@ -29,7 +30,8 @@ def fit_what_shows(
     """Fit a model by output error with those parameters of effects held at their values that have no effect on its simulation.
 
     What the model lacks may be what would show them: without gravity a pendulum does not swing back, and friction that way is
-    nowhere. Friction that way is then as the other way (`ALIKE`), which is nearer than any value that nobody estimated.
+    nowhere. Friction that way is then as the other way (`ALIKE`), which is nearer than any value that nobody estimated; where the
+    fit follows nothing, as the closed form has it.
 
     Args:
         model: as `output_error` takes it, and so `recording`.
@@ -47,8 +49,23 @@ def fit_what_shows(
         if not error.unseen:
             raise
         unseen = error.unseen
-    fit = by(model.fix(*unseen), recording, **options)
+    fit = by(_begun_alike(model, recording, unseen).fix(*unseen), recording, **options)
     return Shown(with_alike(fit, recording, unseen), tuple(sorted(unseen)))
+
+
+def _begun_alike(model: RTAC, recording: Recording, unseen: Sequence[str]) -> RTAC:
+    """Return a model in which what shows nowhere has the value of the other direction in closed form: that of this rig, roughly."""
+    others = _seen_the_other_way(unseen)
+    if not others:
+        return model
+    found = starting_values(model, recording)
+    return model.with_values({name: found[other] for name, other in others.items()})
+
+
+def _seen_the_other_way(unseen: Sequence[str]) -> dict[str, str]:
+    """Return what shows in the other direction, by name of what shows nowhere."""
+    others = {name: alike_of(name) for name in unseen}
+    return {name: other for name, other in others.items() if other is not None and other not in unseen}
 
 
 def with_alike(fit: Fit, recording: Recording, unseen: Sequence[str]) -> Fit:
@@ -61,8 +78,7 @@ def with_alike(fit: Fit, recording: Recording, unseen: Sequence[str]) -> Fit:
         recording: that was fitted.
         unseen: their names.
     """
-    others = {name: alike_of(name) for name in unseen}
-    values = {n: fit.model[o] for n, o in others.items() if o is not None and o not in unseen}
+    values = {name: fit.model[other] for name, other in _seen_the_other_way(unseen).items()}
     if not values:
         return fit
     motion = dict(zip(CHANNELS, motion_of(Data.of(pieces(moving(recording)))).tolist(), strict=True))
@@ -85,7 +101,9 @@ def values_held(model: RTAC, unseen: Sequence[str], values: str) -> str:
         unseen: their names.
         values: those that are not of the other direction, in words.
     """
-    alike = {name: other for name in unseen if (other := alike_of(name)) is not None and other not in unseen}
-    several = {other for name, other in alike.items() if float(model[name]) == float(model[other])}
-    others = [values] if len(several) < len(unseen) else []
-    return " and ".join([*(f"the value of {one}" for one in sorted(several)), *others])
+    alike = _seen_the_other_way(unseen)
+    several = {
+        f"{'the value' if float(model[name]) == float(model[other]) else 'the first estimate'} of {other}"
+        for name, other in alike.items()
+    }
+    return " and ".join([*sorted(several), *([values] if len(alike) < len(unseen) else [])])

@@ -212,6 +212,11 @@ def prediction_error_nonlinear(
             )
         except FloatingPointError as error:
             raise DivergedError(str(error)) from None
+        except np.linalg.LinAlgError:
+            raise DivergedError(
+                "Predictions one sample ahead leave some parameter without any effect: the model follows next to nothing of the"
+                " recording, or its parameters cannot be told apart."
+            ) from None
     arguments = _arguments_at(found, start, data, space, substeps)
     known = information(triangles, space, found.unknowns)
     known.require_determined()

@@ -8,6 +8,7 @@ from jaxtyping import Float
 from estimators.prediction_error.ekf import Filtered
 from estimators.validation.vuong_test import by_stretch, vuong_statistic
 
+_ROUNDING = 1e-15  # of what all say of an unknown
 _NOTHING = 1e-9  # fraction of what all know of an effect below which no step can be taken without one experiment
 
 
@@ -34,6 +35,9 @@ def held_out(
     order = np.concatenate([factor[:, :, shared:-1], factor[:, :, :shared], factor[:, :, -1:]], axis=2)
     # What an experiment has for itself it fits for itself, also when it is held out.
     rotated = np.asarray(np.linalg.qr(order, mode="r"))[:, own:, own:]
+    # In units of what all experiments say of each unknown, which a scale that is far off makes too small or too large to square.
+    norms = np.sqrt(np.sum(rotated[:, :, :-1] ** 2, axis=(0, 1)))
+    rotated = np.concatenate([rotated[:, :, :-1] / np.where(norms > 0, norms, 1.0), rotated[:, :, -1:]], axis=2)
     normal = np.swapaxes(rotated, 1, 2) @ rotated
     hessian, slope = normal[:, :-1, :-1], normal[:, :-1, -1]
     whole = hessian.sum(axis=0)
@@ -45,7 +49,7 @@ def held_out(
     curvature = follow.T @ hessian @ follow
     pull = slope @ follow
     total = curvature.sum(axis=0)
-    size = np.sqrt(np.maximum(np.diagonal(total), 1e-300))
+    size = np.sqrt(np.maximum(np.diagonal(total), _ROUNDING))
     change = np.full(len(factor), np.nan)
     known = np.zeros(len(factor))
     for e in range(len(factor)):

@@ -62,7 +62,8 @@ def test_it_explains_what_leads_the_simulation_astray_and_predictions_are_what_i
     assert abs(stiffness.value - TRUTH["spring_stiffness"]) > 4 * stiffness.std, (
         "a simulation knows no noise of the current"
     )
-    assert found._shaken
+    assert found.diagnoses[-1].simulation is not None
+    assert found.diagnoses[-1].simulation.cause == "shaken"
     stated = dataclasses.replace(recording, rig={"total_mass": 1.8}, rig_std={"total_mass": 0.01})
     weighed = rtac.RTAC.from_rig(stated).with_values({"total_mass": 1.5})
     moved = dataclasses.replace(found.final, model=weighed, result=est.RESULTS.successful)

@@ -97,7 +97,9 @@ def looked(found: est.Diagnosis, monkeypatch: pytest.MonkeyPatch, *, left: float
     steps = (HALF,) if found.additions else ()
     judged = SimpleNamespace(steps=steps, left=tests, final=None, selection=SimpleNamespace(simulated=False))
     laboratory = SimpleNamespace(
-        policy=STANDARD, facts=SimpleNamespace(samples=16_000), computed=lambda _: (None, None)
+        policy=STANDARD,
+        facts=SimpleNamespace(samples=16_000),
+        models=SimpleNamespace(computed=lambda _: (None, None)),
     )
     return Looked(found, laboratory, judged)  # type: ignore[arg-type] - made up
 

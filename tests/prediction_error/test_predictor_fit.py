@@ -159,6 +159,18 @@ def test_nothing_to_fit_is_refused(shaken):
 
 
 @pytest.mark.slow
+def test_a_singular_matrix_is_told_in_words(shaken, monkeypatch):
+    """The library's "Singular matrix" had been the whole sentence, of a servo arm that fell in 98 samples."""
+    data, model, _, _ = shaken
+
+    def singular(*_, **__):
+        raise np.linalg.LinAlgError("Singular matrix")
+
+    monkeypatch.setattr("estimators.prediction_error.fit.fit_trusted", singular)
+    with pytest.raises(est.DivergedError, match="leave some parameter without any effect: the model follows next to"):
+        est.prediction_error_nonlinear(model, data, from_model=True, progress=False)
+
+
 def test_random_forces_do_not_bend_dry_friction():
     """With the samples counted at which they shake it loose its level is 6 standard deviations low, and damping 4 high."""
     rig = Rig(encoder=True, force_noise=0.005, torque_noise=5e-5)

@@ -127,7 +127,7 @@ class Columns:
         import numpy as np
 
         from estimators.reporting.html import Table
-        from rtac_jax.measurement import FACTORS
+        from rtac_jax.measurement import FACTORS, foreign_unit
 
         rows = []
         for channel, column in self.channels.items():
@@ -148,6 +148,13 @@ class Columns:
         if self.unstated:
             taken = self._in_units(self.unstated)
             head += f" No unit is stated of these: {taken} by assumption; state one as in 'n [rpm]'."
+        for channel in (c for c in self.unstated if c != _TIME):
+            column, unit = self.channels[channel], self.units[channel]
+            if said := foreign_unit(column):
+                head += (
+                    f" {column!r} ends in {said}, which is no unit of {channel}: it is read as {unit}, and so is what depends on"
+                    f" it; give --scale {channel}=FACTOR, in {unit} per {said}."
+                )
         return f"{head}\n{Table(('column', 'unit', 'times', 'is', 'in', 'from', 'to'), tuple(rows))}"
 
     def _in_units(self, channels: Sequence[str]) -> str:

@@ -225,7 +225,8 @@ class Fit(ModelFit):
             else ": the data ask for no such term in this model"
         )
         for name, bound in self.on_bounds().items():
-            said += f" {name} ended on its bound, {bound:g}{no_such}."
+            why = ", where these data hardly show it" if not far and self._hardly_shows(name) else no_such
+            said += f" {name} ended on its bound, {bound:g}{why}."
         if (promised := self.statistics.get("promised", 0.0)) > _KINK:
             rest = self.result not in STOPPED
             said += (
@@ -244,6 +245,17 @@ class Fit(ModelFit):
                 "sum of squares has many minima, and further starts may end in a lower one."
             )
         return said
+
+    def _hardly_shows(self, name: str) -> bool:
+        """Return whether a parameter is known to less than the size of another of its effect, as of the other direction."""
+        mine = self.parameters[name]
+        effect = name.rpartition(".")[0]
+        like = [
+            p
+            for n, p in self.parameters.items()
+            if n != name and n.rpartition(".")[0] == effect and p.unit == mine.unit
+        ]
+        return bool(effect and like) and mine.std > max(abs(p.value) for p in like)
 
     @property
     def criteria(self) -> InformationCriteria | None:

@@ -269,8 +269,13 @@ class _Search:
         def score(mistake: Mistake) -> float:
             changed = _undone(experiment, mistake) if mistake.single else experiment
             rows = None if changed is experiment else rows_of(changed, self._own_levels(changed))
-            left = np.inf if rows is None else self._beside(placed(rows, self.known))
-            return left if rows is not None and left**2 <= EXPLAINS * rows.motion**2 else np.inf
+            if rows is None:
+                return np.inf
+            fitting = placed(rows, self.known)
+            left = self._beside(fitting)
+            if left <= enough and not self._agree_beside(fitting):
+                return np.inf
+            return left if left**2 <= EXPLAINS * rows.motion**2 else np.inf
 
         scores = _scored(score, ("cart_position", "arm_velocity", "arm_angle", "current"), as_recorded)
         offset = self._without_offset(name)
@@ -283,9 +288,10 @@ class _Search:
         everything = list(self.systems.values())
         before = solve(everything).residual
         after = solve([s for s in everything if s.name != name]).residual
-        # What is wrong is wrong with the others; and where these do not agree to their noise, as beside a sensor's gain or dry
-        # friction, one that differs by a little more has no mistake of its own, and one that is no larger than they are no unit.
-        if after >= before or (
+        # What is wrong is half of what the squared residual has beyond the noise; and where the others do not agree to theirs, as
+        # beside a sensor's gain or dry friction, one that differs by a little more has no mistake of its own, and one that is no
+        # larger than they are no unit.
+        if after**2 - 1.0 >= _PROMISING**2 * (before**2 - 1.0) or (
             after > SUSPICIOUS and (after > _explained(before) or not self._may_have(name, mistake))
         ):
             return None
@@ -326,6 +332,20 @@ class _Search:
         """Return what an experiment adds to the residual of those that agree, by its own number of rows."""
         joint = solve([*(self.systems[name] for name in self.inside), rows])
         return gaussian(max(joint.squares - self.agreed.squares, 0.0), joint.rows - self.agreed.rows)
+
+    def _agree_beside(self, rows: Rows) -> bool:
+        """Return whether those that agree do so still with an experiment more.
+
+        Rows that fit worst do not count, and of motors that run up and turn steadily they may be all that move.
+        """
+        agreeing = [self.systems[name] for name in self.inside]
+        joint = solve([*agreeing, rows])
+        left, usual = (
+            sum(float(np.sum((s.target - s.matrix @ by) ** 2)) for s in agreeing)
+            for by in (joint.coefficients, self.agreed.coefficients)
+        )
+        motion = sum(len(s.target) * s.motion**2 for s in agreeing)
+        return left <= max(EXPLAINS * motion, ALIKE**2 * usual)
 
     def _without_offset(self, name: str) -> tuple[Mistake, float] | None:
         """Return the mistake of an offset of its own, and what it leaves."""

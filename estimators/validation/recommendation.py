@@ -16,12 +16,15 @@ from rtac_jax.arguments import checked_arguments
 from rtac_jax.overview import Overview, aligned
 
 RULE = (
-    "The rule: output error with its plain standard deviation where its residuals are white; else prediction error, where its "
-    "innovations are, of more than half of the samples, or where output error did not converge or ended where the data leave "
-    "parameters free; else the larger of the deviations for a coloured residual and for independent experiments, with output "
-    "error, or, where that does not follow the rig, with prediction error."
+    "The rule: output error with its plain standard deviation where its residuals are white and their colour would not double it; "
+    "else prediction error, where its innovations are white, of more than half of the samples, or where output error did not "
+    "converge or ended where the data leave parameters free; else the larger of the deviations for a coloured residual and for "
+    "independent experiments, with output error, or, where that does not follow the rig, with prediction error."
 )
 _MOST = 0.5  # of the measured samples, that white innovations have to be of
+_WIDER = (
+    2.0  # times a plain deviation, from which on a residual's colour counts though too few samples show it to a test
+)
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
@@ -127,7 +130,7 @@ def _recommended(
     fit: Fit, fitted: Compared, predicted: PredictorFit | None, spread: Covariances | None
 ) -> Recommendation:
     refused = _refused(fit)
-    if not refused and _white([trace.whiteness_p for trace in fitted.traces]):
+    if not refused and _white([trace.whiteness_p for trace in fitted.traces]) and not _wider(fit, spread):
         return Recommendation(fit.parameters, "output error", "a white residual, which it has", True)
     kinds = {}
     if spread is not None:
@@ -174,6 +177,15 @@ def _with_largest(
         return max([s[name] for s in deviations if np.isfinite(s.get(name, np.nan))], default=plain)
 
     return {name: dataclasses.replace(p, std=largest(name, p.std)) for name, p in parameters.items()}
+
+
+def _wider(fit: Fit, spread: Covariances | None) -> bool:
+    """Return whether a coloured residual makes a known parameter far less sure: few samples may hide its colour from a test."""
+    if spread is None:
+        return False
+    coloured = spread.std("sandwich")
+    known = {name: p for name, p in fit.parameters.items() if 0 < p.std < abs(p.value)}
+    return any(coloured.get(name, 0.0) > _WIDER * p.std for name, p in known.items())
 
 
 def _refused(fit: Fit) -> str:

@@ -24,7 +24,7 @@ from ._info import describe
 from ._momentary_faults import resolution, spikes
 from ._recording import Recording
 from ._signal import INPUTS, OUTPUTS, Signal
-from ._stated_unit import FACTORS, ending_unit, name_and_unit, usual_spelling
+from ._stated_unit import FACTORS, ending_unit, foreign_unit, name_and_unit, usual_spelling
 from .plan import Plan
 
 __all__ = [
@@ -48,6 +48,7 @@ __all__ = [
     "describe",
     "ending_unit",
     "filled",
+    "foreign_unit",
     "from_rest",
     "guarded_by_digest",
     "harmonic_grid",

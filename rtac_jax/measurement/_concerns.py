@@ -24,6 +24,8 @@ OUTLIER_WINDOW = 51
 MOVING_SIGMAS = 2  # times the noise from which on a channel moves: three quarters of its power are motion
 # From the median of absolute values to the standard deviation, for Gaussian noise.
 MEDIAN_TO_STD = 1.4826
+STILL = 0.05  # of the largest, below which a velocity, or a step of a position, is of what does not move yet
+FASTEST = 1e-6  # s between samples, below which no drive or sensor of a rig is read
 # Ratio of stated noise: where half of the samples have either, equal weights make deviations larger by 8 %.
 UNEQUAL_NOISE = 1.5
 
@@ -186,6 +188,17 @@ def _about_experiment(experiment: Experiment, *, only_noise: bool, counting: Col
         yield ("arm_angle was not measured, so the angle comes from the model and depends on where the arm started.")
         if experiment.initial_arm_angle is None:
             yield ("initial_arm_angle is not given either, so the starting angle must be estimated; note it next time.")
+    if experiment.kind == "forced" and (stepped := _driven_before_it_moves(experiment)):
+        yield (
+            f"the {stepped} is on from its first sample, at which nothing moves yet, so that what came before is not on record and"
+            " is taken for the same: a delay or a lag shows in nothing, and bends what is estimated; record from before the step,"
+            " or put the zeros that came before it into the file."
+        )
+    if experiment.sample_time < FASTEST:
+        yield (
+            f"it has a sample every {experiment.sample_time:.3g} s, which no rig is read at: the times may be in another unit than"
+            " was taken; state theirs as in 't [s]'."
+        )
     if experiment.samples < SHORT_SAMPLES:
         yield f"it has fewer than {SHORT_SAMPLES} samples, which is little to fit; record for longer."
     for name, signal in experiment.outputs.items():
@@ -233,6 +246,24 @@ def _about_output(signal: Signal, at_rest: bool, held: bool, *, counts: bool) ->
             f"has {len(spikes)} suspicious outlier{'s' * (len(spikes) != 1)}, the first at sample {where}; replace them by NaN if "
             "they are faults."
         )
+
+
+def _driven_before_it_moves(experiment: Experiment) -> str:
+    """Return the name of an input that begins at half of its largest value or more, and stays, where the outputs begin at rest."""
+    speeds = [
+        signal.values if name == "arm_velocity" else np.diff(signal.values)
+        for name, signal in experiment.outputs.items()
+        if not experiment.holds(name)
+    ]
+    sizes = [np.nanmax(np.abs(speed), initial=0.0) for speed in speeds]
+    moved = [abs(speed[0]) > STILL * size for speed, size in zip(speeds, sizes, strict=True) if size > 0]
+    if not moved or any(moved):
+        return ""
+    for name, signal in experiment.inputs.items():
+        first = signal.values[:3]
+        if abs(first[0]) > 0.5 * np.max(np.abs(signal.values)) > 0 and np.all(first == first[0]):
+            return name
+    return ""
 
 
 def _about_sampling(signal: Signal, experiment: Experiment) -> Iterator[str]:

@@ -207,6 +207,8 @@ def dropouts(name: str, values: Values) -> list[tuple[int, int]]:
     quiet = _QUIET_LEVELS * resolution(values)
     moving = np.abs(np.diff(values))
     usual_speed = float(np.median(moving[moving > 0]))
+    if np.mean(moving == 0) > _RESTING:  # counts, whose steps were divided where samples were taken between others
+        quiet = max(quiet, 2.0 * usual_speed)
     found = []
     for first, last in zip(firsts[long], lasts[long], strict=True):
         if last - first < needed or last - first == len(values):
@@ -247,8 +249,11 @@ def _unchanged_by_noise(values: Values) -> float:
     noise = MEDIAN_TO_STD * float(np.median(np.abs(third))) / np.sqrt(20)
     sizes = np.unique(np.abs(np.diff(values)))
     sizes = sizes[sizes > 1e-9 * np.ptp(values)]
+    steps = np.abs(np.diff(values))
+    # Of counts the least step may be a part of one, where samples were taken between others.
+    level = float(np.median(steps[steps > 0])) if np.mean(steps == 0) > _RESTING else float(sizes[0])
     # The density of the difference of two samples at zero, times the width of a level.
-    return min(float(sizes[0]) / (2 * np.sqrt(np.pi) * noise), 1.0) if noise > 0.5 * float(sizes[0]) else 1.0
+    return min(float(sizes[0]) / (2 * np.sqrt(np.pi) * noise), 1.0) if noise > 0.5 * level else 1.0
 
 
 def _scatter_of_steps(values: Values, steps: np.ndarray) -> np.ndarray:

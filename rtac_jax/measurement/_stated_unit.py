@@ -33,6 +33,8 @@ _SPELLINGS = {
 _IN_BRACKETS = re.compile(r"^(?P<column>.*?)\s*\[(?P<unit>[^\[\]]*)\]$")
 # A unit at the end of a column's name, in round brackets, after an underscore or after "in".
 _AT_THE_END = re.compile(r"(?:\((?P<within>[^()]*)\)|(?:_| in )(?P<after>(?:m?rad|deg|rev)_s|[^_\s()]+))$")
+# What drives and sensors are read in that have no unit of the layout.
+_FOREIGN = re.compile(r"^(m?V|%|g|counts?|cts|steps?|ticks?|pulses?|pwm|lsb|duty)(/s|/min|/rev)?$", re.IGNORECASE)
 # After an underscore these are units less often than something else, as in "current_in" and "x_cm", the centre of mass.
 _WORDS = ("in", "rev", "cm")
 
@@ -46,6 +48,13 @@ def name_and_unit(column: str) -> tuple[str, str]:
     """Return the name of a column such as "x [mm]" without the unit in square brackets, and that; nothing where there is none."""
     match = _IN_BRACKETS.match(column.strip())
     return (match["column"], match["unit"].strip()) if match else (column.strip(), "")
+
+
+def foreign_unit(column: str) -> str:
+    """Return the unit that no channel has and that ends a column's name in round brackets, as "Voltage (V)"; nothing for none."""
+    match = _AT_THE_END.search(column)
+    within = "" if match is None else (match["within"] or "").strip()
+    return within if _FOREIGN.match(within) else ""
 
 
 def ending_unit(column: str, quantity: str) -> str:

@@ -88,6 +88,7 @@ def test_a_dry_run_shows_what_was_understood_and_writes_nothing(tmp_path, free):
     assert row == ["x", "mm", "0.001", "cart_position", "m", "-0.009", "0.009"]
     assert "300 samples of 0.005 s" in result.stdout
     assert "No unit is stated of these: t in s by assumption" in result.stdout
+    assert "which is no unit of" not in result.stdout
     assert "initial_arm_angle is not given" in result.stdout
     assert not (tmp_path / "rig.h5").exists()
 
@@ -117,6 +118,19 @@ def test_a_unit_at_the_end_of_a_name_is_that_of_the_column_and_it_is_said(tmp_pa
     by_name = f"By their columns' names: {name} in " in result.stdout
     assumed = f"No unit is stated of these: {name} in m, t in s by assumption" in result.stdout
     assert (by_name, assumed) == (factor not in (1.0, 1e-2), factor == 1.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "unit"), [("drive (V)", "V"), ("speed (steps/s)", "steps/s"), ("n (left)", ""), ("n", "")]
+)
+def test_a_unit_that_no_channel_has_is_told(tmp_path, forced, name, unit):
+    file = tmp_path / "motor.csv"
+    file.write_text(forced.read_text().replace(",n,", f",{name},"))
+    told = ("--kind", "free", "--time", "t", "--channel", f"arm_velocity={name}")
+    said = " ".join(call("import", file, *told, tmp_path / "rig.h5").stdout.split())
+    words = f"{name!r} ends in {unit}, which is no unit of arm_velocity: it is read as rad/s"
+    assert (words in said) is bool(unit)
+    assert (f"give --scale arm_velocity=FACTOR, in rad/s per {unit}" in said) is bool(unit)
 
 
 def test_speeds_in_names_and_a_unit_of_another_quantity(tmp_path, forced):

@@ -56,6 +56,16 @@ def test_a_fit_from_the_null_finds_what_there_is(recordings, name):
     assert found.value > 0.5 * truth
 
 
+def test_a_direction_that_nothing_shows_is_not_called_absent():
+    """A motor that turns one way ended with friction of the other on its bound, 1.2e-7 +- 0.0027 beside 6.7e-4."""
+    model = rtac.RTAC.paper().with_values({"arm_viscous.positive": 6.7e-4, "arm_viscous.negative": 1e-7})
+    names = ("arm_viscous.positive", "arm_viscous.negative")
+    for std, told in ((2.7e-3, "where these data hardly show it"), (1e-5, "the data ask for no such term")):
+        known = information_of(np.diag([1 / 2.4e-5, 1 / std]), names, np.ones(2))
+        fit = est.Fit(model, est.RESULTS.successful, known, {}, {}, {}, (), {"agreed": 2, "starts": 2})
+        assert f"arm_viscous.negative ended on its bound, 0{',' if 'hardly' in told else ':'} {told}" in fit.outcome
+
+
 def test_an_estimate_that_stays_on_its_bound_is_named(recordings):
     """Where a fit holds it, a ten thousandth of its deviation off; one that is a deviation off is not there."""
     recording = recordings["arm_coulomb.level"]

@@ -47,9 +47,20 @@ def predictor(p_value, counted=1.0):
 
 
 def test_a_white_residual_is_served_best_by_output_error():
-    found = recommended(FIT, compared("model", 0.0), predicted=predictor(0.5), spread=SPREAD)
+    alike = dataclasses.replace(SPREAD, sandwich=np.diag([0.15**2, 1e-8]))
+    found = recommended(FIT, compared("model", 0.0), predicted=predictor(0.5), spread=alike)
     assert (found.estimator, found.sound) == ("output error", True)
     assert found.parameters["spring_stiffness"].std == pytest.approx(0.1)
+
+
+def test_a_colour_that_few_samples_hide_from_a_test_counts():
+    """Three steps of 61 samples: deviations of 3.9e-5 for a white residual, 1.4e-4 for a coloured one, and 6e-4 off."""
+    found = recommended(FIT, compared("model", 0.0), spread=SPREAD)
+    assert (found.estimator, found.sound) == ("output error", False)
+    assert found.parameters["spring_stiffness"].std == pytest.approx(0.3)
+    unsure = dataclasses.replace(FIT, information=information(300.0, 1e-4))
+    hardly = dataclasses.replace(SPREAD, sandwich=np.diag([900.0**2, 1e-8]))
+    assert recommended(unsure, compared("model", 0.0), spread=hardly).sound, "of what is not known no deviation counts"
 
 
 def test_a_coloured_one_by_predictions_if_these_are_white():

@@ -84,6 +84,43 @@ def test_an_arm_that_sticks_in_the_end_is_no_dropout(frozen: bool) -> None:
     assert np.isnan(recording.mended()["run"].outputs["arm_angle"].values).any() == frozen
 
 
+@pytest.mark.parametrize("frozen", [False, True])
+def test_an_encoder_that_rests_before_it_turns_is_no_dropout_though_its_counts_were_divided(frozen: bool) -> None:
+    """A lifted arm in whole degrees, brought to another clock: it rests at zero, falls back, and comes to rest a count beside."""
+    rows = 1e-3 * np.arange(1301)
+    lifted = np.where(rows < 0.1, 0.0, 150.0 * np.sin(np.pi * np.clip((rows - 0.1) / 0.95, 0.0, 1.0)) ** 2)
+    angle = np.where(rows < 1.1, lifted, np.where(rows < 1.16, 0.0, 1.0))
+    if frozen:
+        angle[400:460] = 0.0
+    clock = np.arange(0.0, rows[-1], 1.4e-3)
+    read = np.round(np.interp(clock, rows, np.round(angle)), 1)
+    assert bool(dropouts("arm_angle", np.radians(read))) is frozen
+
+
+@pytest.mark.parametrize(("zeros", "turning", "told"), [(0, 0.0, True), (20, 0.0, False), (0, 15.0, False)])
+def test_a_step_that_is_on_from_the_first_sample_hides_a_delay(zeros: int, turning: float, told: bool) -> None:
+    number = np.arange(200)
+    since = np.maximum(number - zeros - 3, 0)
+    velocity = turning + (30.0 - turning) * (1 - np.exp(-since / 20.0))
+    one = Experiment.of(
+        "step", kind="forced", sample_time=0.01, cart="clamped", initial_arm_angle=0.0, arm_velocity=velocity,
+        current=np.where(number >= zeros, 1.0, 0.0),
+    )  # fmt: skip
+    said = [text for text in concerns(Recording((one,), {"arm_inertia": 1e-3})) if "on from its first sample" in text]
+    assert bool(said) is told
+    if told:
+        assert "step: the current is on" in said[0]
+        assert "put the zeros that came before it into the file" in said[0]
+
+
+@pytest.mark.parametrize(("step", "told"), [(5e-10, True), (1e-6, False), (1e-3, False)])
+def test_times_in_another_unit_are_told(step: float, told: bool) -> None:
+    swing = np.sin(0.1 * np.arange(400))
+    one = Experiment.of("run", kind="free", sample_time=step, cart="clamped", arm_angle=swing)
+    said = [text for text in concerns(Recording((one,), {"arm_inertia": 1e-3})) if "no rig is read at" in text]
+    assert bool(said) is told
+
+
 def test_a_logger_that_fails_in_the_end_drops_out() -> None:
     """Zeros, or one value, from full speed to the end."""
     turning = np.concatenate([0.05 * np.arange(1500), np.zeros(500)])

@@ -14,6 +14,7 @@ from estimators.diagnosis.policy import DiagnosisPolicy
 from estimators.diagnosis.refit import Refit
 from estimators.diagnosis.refitting import beginning, from_simulation
 from estimators.diagnosis.setting import Setting
+from estimators.diagnosis.shared_structure import with_absent, without_absent
 from estimators.diagnosis.workers import Workers
 from estimators.inference.shaken_simulation import unfollowed
 from estimators.misspecification.candidate_screening import Screened
@@ -102,7 +103,10 @@ def _begun_at(begin: RTAC, s: Screened | Explained, setting: Setting) -> Fit | N
     """Fit a simulation by a few steps from a model's values; None where that comes to nothing."""
     with contextlib.suppress(ArithmeticError, np.linalg.LinAlgError, NotIdentifiableError, OutOfTimeError):
         require_time()
-        found = output_error(begin, setting.recording, from_model=True, steps=_STEPS, led=False, progress=False)
+        # Candidates are many, and each would be compiled by itself for a few steps.
+        wider = with_absent(setting, begin) or begin
+        found = output_error(wider, setting.recording, from_model=True, steps=_STEPS, led=False, progress=False)
+        found = without_absent(found, begin)
         sound = not found.lost and np.all(np.isfinite(list(found.residual_std.values())))
         return found if sound and _plausible(found, s, setting.policy) else None
     return None

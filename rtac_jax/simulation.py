@@ -37,6 +37,11 @@ def unrolls(*sizes: int) -> bool:
     return math.prod(sizes) >= UNROLLED
 
 
+def equations_of(model: RTAC) -> RTAC:
+    """Return a model without what no equation reads, so that it compiles nothing: what is fixed, known, or of each experiment."""
+    return RTAC(model.body, model.effects) if model.fixed or model.per_experiment or model.priors else model
+
+
 def advance(
     model: RTAC,
     state: State,
@@ -247,7 +252,7 @@ def substeps_for(model: RTAC, excitation: Excitation, *, stability: float = 1.0,
         stability: step times fastest rate; classic Runge-Kutta is stable up to about 2.8.
         most: largest number of steps.
     """
-    first = jax.tree.map(lambda leaf: np.ravel(leaf)[0], model)
+    first = jax.tree.map(lambda leaf: np.ravel(leaf)[0], equations_of(model))
     fastest = float(np.max(np.abs(np.linalg.eigvals(np.asarray(rate_jacobians(first))))))
     return substeps_at(fastest, excitation, stability=stability, most=most)
 

@@ -16,7 +16,7 @@ from estimators.core.threads import at_once
 from rtac_jax import RTAC
 from rtac_jax.programs import program
 from rtac_jax.programs.arrays import to_jax
-from rtac_jax.simulation import Steps
+from rtac_jax.simulation import Steps, equations_of
 
 _HOPELESS = 1e30
 # Singular values of less than this fraction of the largest are of unknowns that do nothing.
@@ -95,6 +95,7 @@ class Passes:
     """
 
     def __init__(self, arguments: Arguments) -> None:
+        arguments = dataclasses.replace(arguments, model=equations_of(arguments.model))
         data, whitener = arguments.data, arguments.whitener
         self._all = data.experiments
         self._parts = [slice(None)]
@@ -198,6 +199,7 @@ def plain_residual(
 ) -> tuple[Float[np.ndarray, "sample output experiment"], Float[np.ndarray, "start experiment"]]:
     """Return the residual itself and the deviation of the starts from what is known of them; see `residual`."""
     count, arguments = arguments.data.experiments, _padded(arguments)
+    arguments = dataclasses.replace(arguments, model=equations_of(arguments.model))
     unknowns = _padded_unknowns(unknowns, np.arange(count), arguments.data.experiments)
     error, known = map(np.asarray, _residual(unknowns, arguments))
     return error[..., :count], known[..., :count]

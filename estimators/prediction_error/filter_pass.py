@@ -16,7 +16,7 @@ from estimators.prediction_error.noise_model import NoiseModel
 from estimators.prediction_error.noise_score import noise_information, noise_slope
 from rtac_jax import RTAC
 from rtac_jax.programs import program
-from rtac_jax.simulation import Steps
+from rtac_jax.simulation import Steps, equations_of
 
 # How far in the logarithm of a variance the expected curvature is taken for the same: it sets the steps, and not where they end.
 _NEAR = 0.5
@@ -142,7 +142,7 @@ def _arguments(
     sensor, (shared, each, at) = jnp.asarray(prior.sensor), physical
     data, space, each, at, start = padded(data, space, each, at, prior.start_variance)
     physical = (shared, each, at)
-    return model, data, space, physical, jnp.asarray(noise), scale, sensor, start, substeps
+    return equations_of(model), data, space, physical, jnp.asarray(noise), scale, sensor, start, substeps
 
 
 def _first(filtered: Filtered, experiments: int) -> Filtered:

@@ -1,7 +1,10 @@
 """Refits with simple candidates share one structure, and end as they do each in its own."""
 
+import dataclasses
 from typing import Any
 
+import jax
+import made_up_results
 import numpy as np
 import pytest
 
@@ -11,10 +14,11 @@ from estimators.diagnosis import shared_structure
 from estimators.diagnosis.refit import Refit
 from estimators.diagnosis.refitting import fitted
 from estimators.diagnosis.setting import Setting, model_with, set_up, shared
-from estimators.diagnosis.shared_structure import is_simple, run_model
+from estimators.diagnosis.shared_structure import is_simple, run_model, with_absent, without_absent
 from estimators.prediction_error.filter_pass import _filter
 from rtac_jax.effects import CATALOGUE, ArmCoulomb, CubicSpring, FlexibleMode, ForceOffset, InputDelay, LvdtLag
 from rtac_jax.parameters import declarations
+from rtac_jax.simulation import equations_of
 from rtac_jax.virtual_rig import Rig, record, standard_plans
 
 
@@ -68,6 +72,19 @@ def test_a_refit_in_the_shared_structure_is_that_in_its_own(setting: Setting, mo
         ):
             assert abs(mine - its) * told < 0.02, "within a fiftieth of what the data tell"
         np.testing.assert_allclose(one.by_sample, alone.by_sample, atol=1e-3)
+
+
+def test_simulations_with_simple_candidates_are_of_one_structure(setting: Setting) -> None:
+    several = [setting.model + effect for effect in (CubicSpring(1e5), ForceOffset(1e-3))]
+    wider = [with_absent(setting, model) for model in several]
+    first, second = (jax.tree.structure(equations_of(model)) for model in wider if model is not None)
+    assert first == second
+    assert with_absent(setting, setting.model + ArmCoulomb(1e-4)) is None
+    for model, wide in zip(several, wider, strict=True):
+        assert wide is not None
+        assert wide.free == model.free
+        fit = dataclasses.replace(made_up_results.FIT, model=wide)
+        assert without_absent(fit, model).model.values == model.values
 
 
 @pytest.mark.parametrize("added", [(), ("arm_coulomb",), ("cubic_spring", "lvdt_lag"), ("flexible_mode",)])

@@ -13,7 +13,7 @@ from estimators.closed_form.fit import starting_values
 from estimators.core.deadline import OutOfTimeError, require_time
 from estimators.core.fisher_information import information
 from estimators.core.fit import Fit, Parameter
-from estimators.core.jacobian_factor import Arguments, diverged, factor
+from estimators.core.jacobian_factor import Arguments, factor
 from estimators.core.parameter_space import Space
 from estimators.core.progress import Progress
 from estimators.core.residual import start_rows
@@ -397,8 +397,6 @@ def fitted(
     )
     arguments = Arguments(run, setting.data, wider, found.filtered.whitener, found.filtered.gain, setting.substeps)
     triangles = np.asarray(factor(found.unknowns, arguments))
-    if diverged(triangles) or not np.all(np.isfinite(triangles)):
-        raise FloatingPointError("The model diverges at the estimate of its predictions.")
     if wider is not space:
         found, triangles = of_structure(found, triangles, wider, space)
     return Refit(added, model, found, space, by_sample(found.filtered), free, triangles)

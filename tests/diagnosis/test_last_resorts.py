@@ -209,6 +209,23 @@ def test_what_predictions_gain_is_no_reason_for_a_curve_with_which_the_held_out_
     assert isinstance(said, str) != kept
 
 
+@pytest.mark.parametrize(("times", "kept"), [(2.2, False), (1.04, True)])
+def test_a_curve_with_which_more_of_what_was_fitted_is_missed_is_none(
+    learned: est.Improvement, recording: rtac.Recording, monkeypatch: pytest.MonkeyPatch, times: float, kept: bool
+) -> None:
+    """Of an arm that creeps to rest in what was held out: 6.6 times the noise, and 0.9 with a curve that left 152 instead of 69."""
+    before = learned.base
+    left = {channel: times * size for channel, size in before.residual_std.items()}
+    worse = dataclasses.replace(learned.final, residual_std=left)
+    far, near = learned.validation.models[0], learned.validation.models[-1]
+    monkeypatch.setattr(
+        "estimators.diagnosis.learned_force.add_effects", lambda *_, **__: Added(worse, near, "simulated")
+    )
+    train, held_out = recording.split()
+    said = learn_force(before, far, learned.diagnoses[-1], train, held_out, progress=False)
+    assert isinstance(said, str) != kept
+
+
 @pytest.mark.slow
 def test_the_nearest_effect_is_added_and_called_likely(
     learned: est.Improvement, monkeypatch: pytest.MonkeyPatch

@@ -42,6 +42,19 @@ def test_what_both_took_from_one_measured_constant_is_no_disagreement() -> None:
     assert hausman._pair(("a", "b"), np.array([1e-12, 0.5]), own, np.array([True, False])) is None
 
 
+def test_an_estimator_that_says_nothing_of_a_parameter_disagrees_with_none() -> None:
+    """A closed form without negative coefficients left friction of a direction that nothing shows at 0 +- 0: 19.8 deviations."""
+    random = np.random.default_rng(0)
+    drawn = random.normal(size=(80, 2, 2))
+    drawn[:, 0, 0] = 0.0
+    both = np.ones(2, dtype=bool)
+    found = hausman._pair(("a", "b"), np.array([20.0, 0.5]), drawn, both)
+    assert found is not None
+    assert np.isnan(found.difference[0])
+    assert found.p_value > 0.5
+    assert hausman._pair(("a", "b"), np.array([20.0, 0.5]), drawn, np.array([True, False])) is None
+
+
 def test_what_replicates_share_and_the_data_do_not_is_a_disagreement() -> None:
     """Where the model is right the two are one to a ten thousandth of their deviation; here they are fifty deviations apart."""
     random = np.random.default_rng(0)

@@ -33,7 +33,7 @@ from estimators.diagnosis.innovation_tests import pieces_of_tests, run_tests, si
 from estimators.diagnosis.laboratory import Way
 from estimators.diagnosis.refit import Refit, Tested
 from estimators.diagnosis.setting import Setting, begun, effect_of, model_with, set_up, shared, space_for
-from estimators.diagnosis.shared_structure import of_structure, run_model, run_space
+from estimators.diagnosis.shared_structure import of_structure, run_as
 from estimators.diagnosis.workers import Workers
 from estimators.misspecification.candidate_screening import Screened
 from estimators.misspecification.equation_screening import Explained
@@ -386,19 +386,13 @@ def fitted(
     Raises:
         ArithmeticError: the model diverges, or leaves parameters free.
     """
-    space = wider = begun(space_for(setting, model, free), model, start)
-    run = model
-    if (common := run_model(setting, added)) is not None:
-        run = common.with_values(model.values)
-        wider = begun(run_space(setting, run, free), run, start)
+    run, wider, space = run_as(setting, added, model, free, start)
     prior = setting.prior.starting(space)
     found = fit_predictor(
         run, setting.data, wider, prior, substeps=setting.substeps, first=noise, progress=setting.progress.step
     )
     arguments = Arguments(run, setting.data, wider, found.filtered.whitener, found.filtered.gain, setting.substeps)
-    triangles = np.asarray(factor(found.unknowns, arguments))
-    if wider is not space:
-        found, triangles = of_structure(found, triangles, wider, space)
+    found, triangles = of_structure(found, np.asarray(factor(found.unknowns, arguments)), wider, space)
     return Refit(added, model, found, space, by_sample(found.filtered), free, triangles)
 
 

@@ -1,6 +1,7 @@
 """The structure that refits share: with every simple candidate absent beside what was added, so that one program runs them all."""
 
 import dataclasses
+from collections.abc import Mapping
 from functools import reduce
 
 import jax.numpy as jnp
@@ -8,7 +9,7 @@ import numpy as np
 
 from estimators.core.fit import Fit
 from estimators.core.parameter_space import Space
-from estimators.diagnosis.setting import Setting, model_with, padded_space
+from estimators.diagnosis.setting import Setting, begun, model_with, padded_space, space_for
 from estimators.prediction_error.noise_estimation import Predictor
 from rtac_jax import RTAC
 from rtac_jax.effects import CATALOGUE, Actuator, Effect, Force, Sensor
@@ -56,9 +57,23 @@ def without_absent(fit: Fit, model: RTAC) -> Fit:
     return dataclasses.replace(fit, model=model.with_values({name: fit.model[name] for name in model.parameters}))
 
 
-def run_space(setting: Setting, model: RTAC, free: tuple[str, ...]) -> Space:
-    """Return the unknowns of such a model, padded."""
-    return padded_space(setting, model, free, room=_ROOM)
+def run_as(
+    setting: Setting, added: tuple[str, ...], model: RTAC, free: tuple[str, ...], start: Mapping[str, np.ndarray]
+) -> tuple[RTAC, Space, Space]:
+    """Return what is run for a model with what was added, the space of that, and the model's own.
+
+    Args:
+        setting: of the diagnosis.
+        added: ids of the effects beyond the base model.
+        model: with them, at the values where a fit begins.
+        free: names of its free parameters.
+        start: states at the start by name, where they are known.
+    """
+    own = begun(space_for(setting, model, free), model, start)
+    if (common := run_model(setting, added)) is None:
+        return model, own, own
+    run = common.with_values(model.values)
+    return run, begun(padded_space(setting, run, free, room=_ROOM), run, start), own
 
 
 def of_structure(predictor: Predictor, triangles: np.ndarray, run: Space, own: Space) -> tuple[Predictor, np.ndarray]:
@@ -70,6 +85,8 @@ def of_structure(predictor: Predictor, triangles: np.ndarray, run: Space, own: S
         run: its space.
         own: the space of the model.
     """
+    if run is own:
+        return predictor, triangles
     shared, each, start = predictor.physical
     physical = jnp.asarray(np.asarray(shared)[[run.names.index(name) for name in own.names]]), each, start
     free, padded = len(np.asarray(own.active)), len(np.asarray(run.active))

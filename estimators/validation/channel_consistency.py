@@ -13,6 +13,7 @@ from estimators.validation.equation_error import (
     Known,
     Rows,
     Solution,
+    agree_beside,
     consensus,
     gaussian,
     placed,
@@ -22,7 +23,7 @@ from estimators.validation.equation_error import (
     usable,
 )
 from estimators.validation.equilibrium import distance_from_equilibrium
-from estimators.validation.mistakes import COARSE, DELAYS, Mistake, delays, is_blurred, usual_mistakes
+from estimators.validation.mistakes import COARSE, DELAYS, Mistake, as_well, delays, is_blurred, usual_mistakes
 from rtac_jax.arguments import checked_arguments
 from rtac_jax.measurement import Experiment, Recording, Signal, moving_at_rest
 
@@ -192,7 +193,7 @@ class _Search:
             after,
             f"{'all experiments' if everywhere else ', '.join(having)}: the equations of motion leave {as_recorded:.3g} times the "
             f"noise, and {after:.3g} times if one "
-            f"mistake is undone: {mistake.seen}; {mistake.mend}.{_or(alike)}",
+            f"mistake is undone: {mistake.seen}; {mistake.mend}.{as_well(alike)}",
         )
 
     def _whole(self, mistake: Mistake) -> Recording:
@@ -265,15 +266,15 @@ class _Search:
     def _of(self, name: str, enough: float) -> Inconsistency | None:
         experiment = self.experiments[name]
         as_recorded = self._beside(self.systems[name])
+        agreeing = [self.systems[one] for one in self.inside]
 
         def score(mistake: Mistake) -> float:
             changed = _undone(experiment, mistake) if mistake.single else experiment
             rows = None if changed is experiment else rows_of(changed, self._own_levels(changed))
             if rows is None:
                 return np.inf
-            fitting = placed(rows, self.known)
-            left = self._beside(fitting)
-            if left <= enough and not self._agree_beside(fitting):
+            left = self._beside(fitting := placed(rows, self.known))
+            if left <= enough and not agree_beside(agreeing, self.agreed, fitting, EXPLAINS, ALIKE):
                 return np.inf
             return left if left**2 <= EXPLAINS * rows.motion**2 else np.inf
 
@@ -288,9 +289,8 @@ class _Search:
         everything = list(self.systems.values())
         before = solve(everything).residual
         after = solve([s for s in everything if s.name != name]).residual
-        # What is wrong is half of what the squared residual has beyond the noise; and where the others do not agree to theirs, as
-        # beside a sensor's gain or dry friction, one that differs by a little more has no mistake of its own, and one that is no
-        # larger than they are no unit.
+        # It is half of the squared residual beyond the noise; and where others do not agree to theirs, as beside a sensor's gain,
+        # one that differs by a little more has no mistake of its own, and one that is no larger than they are no unit.
         if after**2 - 1.0 >= _PROMISING**2 * (before**2 - 1.0) or (
             after > SUSPICIOUS and (after > _explained(before) or not self._may_have(name, mistake))
         ):
@@ -302,7 +302,7 @@ class _Search:
             before,
             after,
             f"experiment {name} disagrees with all others; leaving it out takes the residual of the equations of motion from "
-            f"{before:.3g} to {after:.3g} times the noise; its {mistake.seen}: {mistake.mend}.{_or(alike)}",
+            f"{before:.3g} to {after:.3g} times the noise; its {mistake.seen}: {mistake.mend}.{as_well(alike)}",
         )
 
     def _may_have(self, name: str, mistake: Mistake) -> bool:
@@ -332,20 +332,6 @@ class _Search:
         """Return what an experiment adds to the residual of those that agree, by its own number of rows."""
         joint = solve([*(self.systems[name] for name in self.inside), rows])
         return gaussian(max(joint.squares - self.agreed.squares, 0.0), joint.rows - self.agreed.rows)
-
-    def _agree_beside(self, rows: Rows) -> bool:
-        """Return whether those that agree do so still with an experiment more.
-
-        Rows that fit worst do not count, and of motors that run up and turn steadily they may be all that move.
-        """
-        agreeing = [self.systems[name] for name in self.inside]
-        joint = solve([*agreeing, rows])
-        left, usual = (
-            sum(float(np.sum((s.target - s.matrix @ by) ** 2)) for s in agreeing)
-            for by in (joint.coefficients, self.agreed.coefficients)
-        )
-        motion = sum(len(s.target) * s.motion**2 for s in agreeing)
-        return left <= max(EXPLAINS * motion, ALIKE**2 * usual)
 
     def _without_offset(self, name: str) -> tuple[Mistake, float] | None:
         """Return the mistake of an offset of its own, and what it leaves."""
@@ -412,7 +398,3 @@ def _likeliest(
     least = min((score for _, score in floored), default=np.inf)
     alike = [mistake for mistake, score in floored if score <= ALIKE * least]
     return None if not least <= _explained(as_recorded) or is_blurred(alike) else (alike[0], alike[1:], least)
-
-
-def _or(alike: Sequence[Mistake]) -> str:
-    return f" As well fits: {'; '.join(m.seen for m in alike[:2])}." if alike else ""

@@ -222,6 +222,26 @@ def residual_of(system: Rows, coefficients: Float[np.ndarray, " coefficient"]) -
     return gaussian(float(np.sum((system.target[rows] - system.matrix[rows] @ coefficients) ** 2)), len(rows))
 
 
+def agree_beside(agreeing: Sequence[Rows], agreed: Solution, rows: Rows, explains: float, alike: float) -> bool:
+    """Return whether experiments that agree do so still with one more.
+
+    Rows that fit worst do not count, and of motors that run up and turn steadily they may be all that move.
+
+    Args:
+        agreeing: those that agree.
+        agreed: their solution.
+        rows: of one more.
+        explains: fraction of their squared motion that may be left of it, all rows counted.
+        alike: ratio of residuals within which two leave as much.
+    """
+    joint = solve([*agreeing, rows])
+    left, usual = (
+        sum(float(np.sum((s.target - s.matrix @ by) ** 2)) for s in agreeing)
+        for by in (joint.coefficients, agreed.coefficients)
+    )
+    return left <= max(explains * sum(len(s.target) * s.motion**2 for s in agreeing), alike**2 * usual)
+
+
 def consensus(systems: Sequence[Rows]) -> list[str]:
     """Return the names of the two thirds of the experiments that agree best, found by leaving out one after the other.
 

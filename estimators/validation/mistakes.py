@@ -280,3 +280,8 @@ def _shifted(values: np.ndarray, samples: int) -> np.ndarray:
     """Return the signal later by so many samples; its first or last value fills the end."""
     place = np.clip(np.arange(len(values)) - samples, 0, len(values) - 1)
     return values[place]
+
+
+def as_well(alike: Sequence[Mistake]) -> str:
+    """Say which mistakes explain as much as another; nothing where none do."""
+    return f" As well fits: {'; '.join(m.seen for m in alike[:2])}." if alike else ""

@@ -29,7 +29,7 @@ from estimators.validation.channel_consistency import _likeliest, _Search, _undo
 from estimators.validation.equilibrium import is_held
 from estimators.validation.mistakes import delays, usual_mistakes
 from rtac_jax import virtual_rig
-from rtac_jax.measurement import Experiment, Recording, concerns, moving_at_rest
+from rtac_jax.measurement import concerns, moving_at_rest
 
 STUDY = Path(__file__).parents[2] / "studies" / "diagnosis.toml"
 
@@ -248,24 +248,6 @@ def test_clean_recordings_raise_no_concern(recordings):
         step=5e-4,
     )
     assert [unfounded(recording) for recording in [*recordings, *plain]] == [[]] * 22
-
-
-def test_motors_that_run_up_late_have_their_wires_right():
-    """Steps of a motor that answers 59 ms late, at 50 ms a sample: what turns steadily outnumbers what moves."""
-    time, several = 0.05 * np.arange(81), []
-    noise = np.random.default_rng(5)
-    for volts in (3.0, 6.0, 9.0, 12.0):
-        since = np.maximum(time - 1.0592, 0.0)
-        speed = 1.79 * volts / (1 + 0.009 * volts) * (1 - np.exp(-10.44 * since))
-        read = np.floor(speed / 0.314 + noise.random(81)) * 0.314
-        several.append(
-            Experiment.of(
-                f"step_{volts:.0f}", kind="forced", sample_time=0.05, cart="clamped", arm_velocity=read,
-                current=np.where(time >= 0.999, volts, 0.0), initial_arm_angle=0.0,
-            )
-        )  # fmt: skip
-    recording = Recording(several, {"arm_inertia": 1e-4})
-    assert est.channel_consistency(recording).concerns == []
 
 
 @pytest.mark.parametrize("draws", [6, pytest.param(43, marks=pytest.mark.slow)])

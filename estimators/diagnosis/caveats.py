@@ -10,6 +10,7 @@ from estimators.core.fit import Fit
 from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.explanation import at_noise
 from estimators.diagnosis.model_extension import SURE, misfit
+from estimators.diagnosis.policy import DiagnosisPolicy
 from estimators.inference.robust_covariance import covariances
 from estimators.linear.outlier import rounded
 from estimators.validation.differing_experiments import WORTH_ASKING
@@ -55,7 +56,7 @@ def failure(trained: Compared, tested: Compared) -> str:
 
 
 def of_little_service(
-    first: Compared, last: Compared, count: int, fall: float, trained: tuple[Compared, Compared]
+    first: Compared, last: Compared, count: int, policy: DiagnosisPolicy, trained: tuple[Compared, Compared]
 ) -> str:
     """Say that what was added serves held-out experiments little, where it does; else nothing.
 
@@ -63,15 +64,15 @@ def of_little_service(
         first: the base model against the held-out experiments.
         last: the model with all that was added.
         count: effects that were.
-        fall: fraction by which the error has to fall, beyond the noise.
+        policy: by which fraction the error has to fall, beyond the noise, and what is most of it.
         trained: both against what they were fitted to.
     """
     before, after = misfit(first), misfit(last)
     fallen = 1 - after / before
-    if not count or at_noise(before) or at_noise(after) or fallen >= fall:
+    if not count or at_noise(before) or at_noise(after) or fallen >= policy.fall:
         return ""
     left = [misfit(one) for one in trained]
-    if left[1] < 0.5 * left[0]:
+    if left[1] < policy.static * left[0]:
         return (
             f" What was fitted is left at {left[1]:.3g} times the noise instead of {left[0]:.3g}, and what was held out at"
             f" {after:.3g} instead of {before:.3g}: a model that follows nothing was near that by chance, or this one lacks more."

@@ -350,7 +350,7 @@ def _named(found: Improvement) -> str:
     first, last = (found.validation.models[place] for place in places)
     trained = found.train.models[places[0]], found.train.models[places[1]]
     counted = 0 if found.predicted_gains else len(found.added)
-    little = of_little_service(first, last, counted, found.diagnoses[0].policy.fall, trained)
+    little = of_little_service(first, last, counted, found.diagnoses[0].policy, trained)
     constants = stands_for([i for c in found.added for i in (c.id, *c.confusable_with)], found.base.model)
     return f"{start}; {end}.{rivals}{little}{not_told_from_nothing(found.doubtful)}{constants}"
 

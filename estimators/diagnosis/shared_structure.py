@@ -29,22 +29,27 @@ def is_simple(effect: Effect) -> bool:
     return known and not effect.states and isinstance(effect, Force | Actuator | Sensor)
 
 
+def _simple(setting: Setting) -> dict[str, Effect]:
+    """Return the absent candidates that may share a structure, by id; none of many samples, where a pass costs more than code."""
+    if setting.data.room * setting.data.experiments > _MOST:
+        return {}
+    return {i: effect for i, effect in setting.absent.items() if is_simple(effect)}
+
+
 def run_model(setting: Setting, added: tuple[str, ...]) -> RTAC | None:
     """Return a model with what was added and every other simple candidate absent; None where an own structure is as quick.
 
     That is the base model's, whose fit has compiled it, one with an effect that is not simple, and of many samples.
     """
-    simple = [i for i, effect in setting.absent.items() if is_simple(effect)]
-    if not added or setting.data.room * setting.data.experiments > _MOST or not set(added) <= set(simple):
-        return None
-    return model_with(setting, [setting.absent[i] for i in simple])
+    simple = _simple(setting)
+    return model_with(setting, list(simple.values())) if added and set(added) <= set(simple) else None
 
 
 def with_absent(setting: Setting, model: RTAC) -> RTAC | None:
     """Return a model with every simple candidate that it has not, absent and held; None where its own structure is as quick."""
-    simple = {i: effect for i, effect in setting.absent.items() if is_simple(effect)}
+    simple = _simple(setting)
     more = {effect.id for effect in model.effects} - {effect.id for effect in setting.model.effects}
-    if setting.data.room * setting.data.experiments > _MOST or not more <= set(simple):
+    if not more or not more <= set(simple):
         return None
     others = [effect for i, effect in simple.items() if i not in model]
     wider = reduce(RTAC.__add__, others, model)

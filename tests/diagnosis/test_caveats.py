@@ -4,11 +4,12 @@ import dataclasses
 
 import numpy as np
 import pytest
-from made_up_results import FIT, candidate
+from made_up_results import FIT, candidate, compared
 
 from estimators.core.fisher_information import Information
 from estimators.diagnosis import caveats
-from estimators.diagnosis.caveats import doubtful, named_too_late, not_told_from_nothing
+from estimators.diagnosis.caveats import doubtful, named_too_late, not_told_from_nothing, of_little_service
+from estimators.diagnosis.policy import STANDARD
 from rtac_jax import RTAC
 from rtac_jax.effects import FlexibleMode
 from rtac_jax.measurement import Experiment, Recording
@@ -45,3 +46,12 @@ def test_an_effect_of_less_than_two_of_its_largest_deviations_is_doubted(std, cl
 def test_what_was_too_late_is_named_in_one_clause():
     assert named_too_late(["cogging"]) == "cogging is named, and was not added before the time was over"
     assert named_too_late(["cogging", "dead_zone"]).startswith("cogging, dead_zone are named, and were not")
+
+
+@pytest.mark.parametrize(("fitted", "follows"), [(8.0, True), (200.0, False)])
+def test_a_held_out_error_that_rises_is_told_with_what_the_fitted_one_does(fitted: float, follows: bool) -> None:
+    """A fit that followed nothing was nearer to a rest that was held out: "falls by 0 % only" had been said of a rise."""
+    held_out, trained = [[compared("model", size) for size in pair] for pair in ((4.8, 11.0), (227.0, fitted))]
+    said = of_little_service(*held_out, 1, STANDARD, (trained[0], trained[1]))
+    assert ("was near that by chance, or this one lacks more" in said) is follows
+    assert ("falls by 0 % only" in said) is not follows

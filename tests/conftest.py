@@ -1,6 +1,8 @@
 """Every test runs with shapes and types checked, in double precision, and with compiled code kept between runs."""
 
+import functools
 import gc
+import itertools
 import os
 import typing
 from collections.abc import Callable, Iterator
@@ -14,6 +16,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 # These check what they are given themselves, with messages of their own, and their tests give them wrong types.
 DOORS = {"measurement", "virtual_rig"}
+FIRST_CALLS, ONE_OF = 200, 20
 
 # For this process, and for the notebooks that it runs.
 os.environ["JAX_COMPILATION_CACHE_DIR"] = str(ROOT / ".cache" / "jax")
@@ -28,7 +31,20 @@ def _checked_where_it_stays(fn: Any = None, *, typechecker: Any = None) -> Any:
         return fn
     if not isinstance(fn, type) and not any(map(_has_shape, getattr(fn, "__annotations__", {}).values())):
         return typechecker(fn)  # checks the same, and a call costs a tenth of what looking for shapes does
-    return _checked(fn, typechecker=typechecker)
+    checked = _checked(fn, typechecker=typechecker)
+    return checked if isinstance(fn, type) else _sampled(fn, checked)
+
+
+def _sampled(fn: Callable[..., Any], checked: Callable[..., Any]) -> Callable[..., Any]:
+    """Check the first calls of a function and one of many after them: loops call some a million times with the same shapes."""
+    calls = itertools.count()
+
+    @functools.wraps(fn)
+    def call(*args: Any, **kwargs: Any) -> Any:
+        number = next(calls)
+        return (checked if number < FIRST_CALLS or not number % ONE_OF else fn)(*args, **kwargs)
+
+    return call
 
 
 def _has_shape(hint: Any) -> bool:

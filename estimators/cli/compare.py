@@ -10,6 +10,7 @@ from estimators.cli.job import Job, job
 from estimators.cli.models import recommended_fit, seen
 from estimators.cli.options import Effects, File, Json, Out, Validation
 from estimators.cli.refusals import WRONG_USE, stop
+from estimators.cli.report_page import write_json, write_report
 from estimators.validation.trace import colour_of
 
 Models = Annotated[
@@ -70,7 +71,7 @@ def compare(
             content = _report.fit_dict(fits[0], train=trained, validation=tested, seconds=work.seconds)
         else:
             content = models_dict(fits, trained, tested, seconds=work.seconds)
-        work.write_json({**content, "experiments": rows})
+        write_json(work, {**content, "experiments": rows})
         if work.folder is not None:
             from estimators.plots import plot_comparison, plot_residuals
 
@@ -91,7 +92,7 @@ def compare(
                 ("Parameters", parameters),
             ]
             bullets = summary.of_comparison(trained, tested, file=work.file)
-            work.write_report(f"Comparison with {work.file}", figures, sections, summary=bullets, traces=against)
+            write_report(work, f"Comparison with {work.file}", figures, sections, summary=bullets, traces=against)
 
 
 def _judged(work: Job, models: list[Path] | None, effects: Path | None) -> tuple[list[Any], list[str]]:

@@ -11,6 +11,7 @@ from estimators.cli.job import job
 from estimators.cli.limits import TorqueLimit, positive
 from estimators.cli.models import any_fit, fitted_to
 from estimators.cli.options import Effects, File, Json, Model, Out, Save, Validation
+from estimators.cli.report_page import write_json, write_report
 from rtac_jax.measurement.atomic_write import replacing
 
 _FOLLOWS = 50.0  # fit [%] below which a simulation goes its own way
@@ -82,7 +83,7 @@ def control(
         )
         work.say(*said, *fitted.sentences(), *honest, loops, texts.controller_table(made), errors)
         known = report.fit_dict(fit, train=trained, validation=tested, seconds=work.seconds)["parameters"]
-        work.write_json(texts.design_dict(made, known, seconds=work.seconds, fitted=fitted))
+        write_json(work, texts.design_dict(made, known, seconds=work.seconds, fitted=fitted))
         if work.folder is None:
             return
         from estimators.plots import (
@@ -125,7 +126,7 @@ def control(
         ]
         bullets = of_control(made, [] if fitted.agrees else fitted.sentences())
         title = f"Controller for {work.file}"
-        work.write_report(title, figures, sections, split=split, summary=bullets, traces=tested or trained)
+        write_report(work, title, figures, sections, split=split, summary=bullets, traces=tested or trained)
 
 
 def _does_not_follow(compared: Any) -> list[str]:

@@ -4,11 +4,14 @@ from functools import reduce
 from typing import Any
 
 from estimators.cli.captions import BANDS, CONFUSION, DIAGNOSIS, WHERE, shown, without_limits
+from estimators.cli.doubts import warn
 from estimators.cli.job import Job, job
 from estimators.cli.models import base_fit
 from estimators.cli.options import Effects, File, Json, Model, Out, Quick, Save, Validation, Within
 from estimators.cli.own_effects import offered
 from estimators.cli.planned import plan_next, show_plan
+from estimators.cli.report_page import write_json, write_report
+from estimators.cli.waiting import time_for
 
 
 def diagnose(
@@ -31,8 +34,8 @@ def diagnose(
         from estimators.reporting.diagnosis_summary import of_diagnosis
 
         candidates = offered(effects)
-        seconds = work.time_for(within)
-        work.warn()
+        seconds = time_for(work.train, within)
+        warn(work.note_doubts())
         base = base_fit(work, model, effects)
         found = est.diagnose(base, work.train, candidates=candidates, thorough=not quick, within=seconds)
         with Deadline(None if seconds is None else (1 - SEARCHING) * seconds).kept():
@@ -52,10 +55,11 @@ def diagnose(
             planned or "",
             found.policy.words,
         )
-        work.write_json(
+        write_json(
+            work,
             _report.report_dict(
                 found, fit=fits[-1], train=trained, validation=tested, planned=planned, seconds=work.seconds
-            )
+            ),
         )
         if work.folder is not None:
             from estimators.plots import (
@@ -95,7 +99,9 @@ def diagnose(
                 ("Thresholds", [_tables.policy_table(found.policy)]),
             ]
             bullets = of_diagnosis(found, trained, tested, file=work.file, doubts=work.doubts or ())
-            work.write_report(f"Diagnosis of {work.file}", figures, sections, summary=bullets, traces=tested or trained)
+            write_report(
+                work, f"Diagnosis of {work.file}", figures, sections, summary=bullets, traces=tested or trained
+            )
 
 
 def _refitted(work: Job, base: Any, found: Any) -> tuple[list[Any], list[str]]:

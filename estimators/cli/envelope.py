@@ -11,6 +11,7 @@ from estimators.cli.conditions import Band, WeightOrder, band_of, enveloped, sid
 from estimators.cli.job import Job, job
 from estimators.cli.models import model_or_fit
 from estimators.cli.options import Effects, File, Json, Model, Out, Save, Validation
+from estimators.cli.report_page import write_json, write_report
 
 
 class Kind(StrEnum):
@@ -73,7 +74,7 @@ def envelope(
         check, fitted, beside = _closed_form(work, found, used) if model is None else _of_file(found, model, effects)
         work.save(found, save)
         work.say(found, *beside, *said[1:], *linear, conditions, sources)  # the envelope states its coverage itself
-        work.write_json(texts.envelope_dict(found, used, seconds=work.seconds, closed_form=check, fitted=fitted))
+        write_json(work, texts.envelope_dict(found, used, seconds=work.seconds, closed_form=check, fitted=fitted))
         if work.folder is None:
             return
         from estimators.plots import plot_envelope, plot_responses
@@ -102,7 +103,7 @@ def envelope(
             pictured = shown(figures, linear_models="The models and their residuals.")
             sections.insert(2, ("Linear models of the conditions", [*linear, *pictured]))
         bullets = of_envelope(found, [] if fitted is None or fitted.agrees else beside, file=work.file)
-        work.write_report(f"Envelope of {work.file}", figures, sections, split=sides(found), summary=bullets)
+        write_report(work, f"Envelope of {work.file}", figures, sections, split=sides(found), summary=bullets)
 
 
 def _of_file(found: Any, path: Path, effects: Path | None) -> tuple[None, Any, list[str]]:

@@ -8,6 +8,7 @@ from estimators.cli.captions import shown
 from estimators.cli.job import Job, job
 from estimators.cli.models import start_model
 from estimators.cli.options import Effects, File, Fix, Json, Model, Out, Save, Validation
+from estimators.cli.report_page import write_json, write_report
 
 # For each 100,000 samples, as measured with an arm that is free and sampled at 2 ms; output error's with what compiling takes.
 _MINUTES = 3.0
@@ -91,7 +92,7 @@ def fit(
             found, train=trained, validation=tested, seconds=work.seconds, beside=known, advice=advice
         )
         listed = [{**vars(one), "samples": list(one.samples)} for one in found.discounted]
-        work.write_json({**content, "concerns": work.doubts or [], "discounted": listed})
+        write_json(work, {**content, "concerns": work.doubts or [], "discounted": listed})
         if work.folder is not None:
             from estimators.plots import plot_comparison, plot_correlations, plot_recording, plot_residuals
 
@@ -118,7 +119,7 @@ def fit(
                 ("Figures", shown(figures, **captions)),
             ]
             bullets = summary.of_fit(found, advice, trained, tested, file=work.file)
-            work.write_report(f"Fit of {work.file}", figures, sections, summary=bullets, traces=tested or trained)
+            write_report(work, f"Fit of {work.file}", figures, sections, summary=bullets, traces=tested or trained)
 
 
 def _side_by_side(work: Job, closed: Any, found: Any) -> tuple[Any, Any]:

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from estimators.cli.captions import BANDS, CONFUSION, DIAGNOSIS, LADDER, LEARNED, WHERE, shown, without_limits
+from estimators.cli.doubts import explaining, warn
 from estimators.cli.job import Job, job
 from estimators.cli.models import start_model
 from estimators.cli.options import (
@@ -23,6 +24,8 @@ from estimators.cli.options import (
 from estimators.cli.own_effects import offered
 from estimators.cli.planned import plan_next, show_plan
 from estimators.cli.refusals import NOT_POSSIBLE, stop
+from estimators.cli.report_page import write_json, write_report
+from estimators.cli.waiting import time_for
 
 
 def improve(
@@ -75,9 +78,9 @@ def improved(
         stop(NOT_POSSIBLE, work.not_split)
     candidates = offered(effects)
     start = start_model(work, model, effects, fix)
-    work.warn()
-    seconds = work.time_for(within)
-    with work.explaining():
+    warn(work.note_doubts())
+    seconds = time_for(work.train, within)
+    with explaining(work.recording, work.doubts or []):
         found = est.improve(
             start, work.recording, validation=work.held_out.names, candidates=candidates, thorough=not quick,
             learned_force=learned_force, within=seconds,
@@ -114,7 +117,7 @@ def improved(
     spoken = work.ordered(last, found.headline, *said, found.ending)
     work.say(*spoken, table, errors, *parameters, planned or "", judged)
     work.save(found, save)
-    work.write_json(_report.report_dict(found, planned=planned, seconds=work.seconds, advice=advice))
+    write_json(work, _report.report_dict(found, planned=planned, seconds=work.seconds, advice=advice))
     if work.folder is None:
         return
     from estimators.plots import (
@@ -172,7 +175,7 @@ def improved(
         found, found.train, found.validation, file=work.file, estimates=estimates, doubts=work.doubts or ()
     )
     title = f"Improvement of the model with {work.file}"
-    work.write_report(title, figures, sections, summary=bullets, traces=found.validation)
+    write_report(work, title, figures, sections, summary=bullets, traces=found.validation)
 
 
 def _advice(found: Any, work: Job) -> Any:

@@ -1,9 +1,5 @@
 """The frame of every command of `rtac` around its work: read, refuse in one sentence, hold out, write."""
 
-import datetime
-import hashlib
-import shlex
-import sys
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -12,14 +8,10 @@ from typing import Any
 
 import typer
 
+from estimators.cli.doubts import doubtful, explaining, unmeasured
 from estimators.cli.environment import note_cache, say_once_that_the_cache_is_full
 from estimators.cli.output_files import saving_to, writable_file, writable_folder
 from estimators.cli.refusals import WRONG_USE, answering, stop
-
-# Minutes of a diagnosis for 10^5 samples of the longest experiment: 5 for the 24,800 of a drive that dry friction held.
-_DIAGNOSIS = 20.0
-_WITHIN = 400.0  # s that a diagnosis, or a loop, is given by default: who waits at a terminal wants an answer
-_LONGER = 4.0  # of what is foretold for long experiments, where that is more
 
 
 class Job:
@@ -77,14 +69,6 @@ class Job:
         return time.perf_counter() - self.began
 
     @property
-    def digest(self) -> str:
-        """Return the SHA-256 of the file that was read; empty where there is none."""
-        if self.path is None:
-            return ""
-        with open(self.path, "rb") as stream:
-            return hashlib.file_digest(stream, "sha256").hexdigest()
-
-    @property
     def held(self) -> str:
         """Return the caption of a picture of what tests the fit."""
         return "Experiments that were fitted." if self.held_out is None else "Held-out experiments."
@@ -92,26 +76,6 @@ class Job:
     def say(self, *blocks: Any) -> None:
         """Print paragraphs and tables, once every file is written."""
         self.said += blocks
-
-    def time_for(self, within: float | None) -> float | None:
-        """Return the seconds that a diagnosis is given, None for no end; say on the screen how long it takes of long experiments.
-
-        Args:
-            within: that were asked for, 0 for no end; None for the default.
-        """
-        from estimators.core.piecewise_triangle import LONG
-
-        longest, foretold = max(e.samples for e in self.train), 0.0
-        if longest >= LONG:
-            minutes = _DIAGNOSIS * longest / 1e5
-            foretold = 60 * minutes
-            typer.echo(
-                f"rtac: an experiment of {longest:,} samples: a diagnosis of it takes some {minutes:.0f} minutes, and more where "
-                "effects are added; a part of it is answered sooner (Experiment.cut, or --end of rtac import).",
-                err=True,
-            )
-        given = max(_WITHIN, _LONGER * foretold) if within is None else within
-        return given or None
 
     def note(self, sentence: str) -> None:
         """Add a sentence to the remark, on a line of its own."""
@@ -145,8 +109,7 @@ class Job:
         from estimators.output_error.fit_what_shows import fit_what_shows, values_held
 
         options: dict[str, Any] = {"robust": True} if robust else {}
-        self.note_doubts()
-        with self.explaining():
+        with explaining(self.recording, self.note_doubts()):
             if not unseen:
                 return est.output_error(model, self.train, from_model=from_model, **options)
             fit, held = fit_what_shows(model, self.train, by=est.output_error, from_model=from_model, **options)
@@ -166,21 +129,16 @@ class Job:
             self.note(f"No {error}")
             return None
 
-    def note_doubts(self) -> None:
-        """Note what contradicts itself or the equations of motion, which a fit would turn into confident numbers."""
+    def note_doubts(self) -> list[str]:
+        """Note what contradicts itself or the equations of motion, which a fit would turn into confident numbers, and return it."""
         from estimators.validation.channel_consistency import channel_consistency
         from rtac_jax.measurement import contradictions
 
         if self.doubts is None:
             self.inconsistencies = channel_consistency(self.recording).concerns
             self.doubts = contradictions(self.recording) + self.inconsistencies
-            self.notes += [*self._unmeasured(), *map(_doubtful, self.doubts)]
-
-    def warn(self) -> None:
-        """Say on the screen what is doubtful, before an answer is computed for minutes from it."""
-        self.note_doubts()
-        for sentence in self.doubts or []:
-            typer.echo(f"rtac: {_doubtful(sentence)}", err=True)
+            self.notes += [*unmeasured(self.recording), *map(doubtful, self.doubts)]
+        return self.doubts
 
     def ordered(self, verdict: str, *texts: str) -> list[str]:
         """Return what is said of a verdict, and the remark; that first where a model fails and the recording may be why."""
@@ -191,16 +149,10 @@ class Job:
 
     def withdraw_inconsistencies(self) -> None:
         """Take back what the equations of motion alone contradict: a model with what they lack follows the recording."""
-        taken_back = set(map(_doubtful, self.inconsistencies))
+        taken_back = set(map(doubtful, self.inconsistencies))
         self.notes = [note for note in self.notes if note not in taken_back]
         self.doubts = [one for one in self.doubts or [] if one not in self.inconsistencies]
         self.inconsistencies = []
-
-    def _unmeasured(self) -> list[str]:
-        """Return what is said of a cart without a sensor."""
-        from rtac_jax.measurement import concerns
-
-        return [said for said in concerns(self.recording) if "cart_position was not measured" in said]
 
     def compared(self, fits: Any, labels: Sequence[str] | None = None, *, ahead: int | None = None) -> tuple[Any, Any]:
         """Compare fits with the training part and with what was held out, or None; predicting some samples ahead, if asked."""
@@ -214,33 +166,6 @@ class Job:
                 self.say(comparison.divergence)
         return trained, tested
 
-    @contextmanager
-    def explaining(self) -> Iterator[None]:
-        """Explain a fit that fails: what is doubtful in the recording comes first, as it is the likelier cause."""
-        from estimators.core.results import DivergedError, NotIdentifiableError
-        from rtac_jax.measurement import concerns
-
-        try:
-            yield
-        except NotIdentifiableError as error:
-            if more := self._unmeasured():
-                raise NotIdentifiableError(f"{error} {more[0]}") from error
-            if self.doubts:
-                raise NotIdentifiableError(self._with_doubt(error)) from error
-            raise
-        except DivergedError as error:
-            scale = [said for said in concerns(self.recording) if said.startswith("The scale is not fixed")]
-            if scale:
-                raise NotIdentifiableError(scale[0]) from error
-            if self.doubts:
-                raise DivergedError(self._with_doubt(error)) from error
-            raise
-
-    def _with_doubt(self, error: Exception) -> str:
-        """Return what is doubtful in the recording, and the error that came of it."""
-        assert self.doubts
-        return f"{_doubtful(self.doubts[0])} As it is, no fit comes of it: {error}"
-
     def save(self, result: Any, path: Path | None) -> None:
         """Keep a result, if a file was named."""
         if path is not None:
@@ -251,60 +176,6 @@ class Job:
             except ResultFileError as error:
                 stop(WRONG_USE, f"--save: {error}")
             self.said.append(f"saved: {path}")
-
-    def write_json(self, content: Any) -> None:
-        """Write the numbers, if a file was named."""
-        from estimators.reporting import html as _report_file
-
-        if self.json is not None:
-            _report_file.write_json(self.json, content)
-
-    def write_report(
-        self,
-        title: str,
-        figures: dict[str, Any],
-        sections: Sequence[tuple[str, Sequence[Any]]],
-        *,
-        split: tuple[Sequence[str], Sequence[str]] | None = None,
-        summary: Any = None,
-        traces: Any = None,
-    ) -> None:
-        """Write figures and report.html.
-
-        Args:
-            title: of the page.
-            figures: by the names of their files.
-            sections: of the page.
-            split: names what was fitted and held out, where that is not the job's own.
-            summary: three bullets that the page begins with.
-            traces: a comparison whose signals the reader can zoom.
-        """
-        from estimators.reporting import html as _report_file
-        from estimators.reporting.trace_viewer import trace_viewer
-
-        assert self.folder is not None
-        fitted, apart = split or (self.train.names, self.held_out.names if self.held_out is not None else ())
-        settings = _report_file.Table(
-            ("setting", "value"),
-            (
-                ("command", shlex.join(["rtac", *sys.argv[1:]])),
-                ("recording", self.file),
-                ("SHA-256 of the file", self.digest),
-                ("date", datetime.datetime.now().astimezone().isoformat(sep=" ", timespec="minutes")),
-                ("fitted to", ", ".join(fitted)),
-                ("held out", ", ".join(apart) or "nothing"),
-                ("took", f"{self.seconds:.0f} s"),
-            ),
-        )
-        whole = [(heading, [block for block in blocks if block != ""]) for heading, blocks in sections]
-        if summary is not None:
-            whole[0][1].insert(0, summary)
-        if traces is not None:
-            whole.insert(min(2, len(whole)), ("Signals", [trace_viewer(traces)]))
-        images = _report_file.write_figures(self.folder, figures)
-        whole.append(("Settings and versions", [settings, _report_file.versions()]))
-        _report_file.write_report(self.folder / "report.html", title, whole, images=images)
-        self.said.append(f"report: {self.folder / 'report.html'}")
 
 
 @contextmanager
@@ -368,10 +239,6 @@ def prepare() -> None:
 def say(*blocks: Any) -> None:
     """Print paragraphs and tables, an empty line between them."""
     typer.echo("\n\n".join(str(block) for block in blocks if str(block)))
-
-
-def _doubtful(sentence: str) -> str:
-    return f"Doubtful: {sentence}"
 
 
 def _names(recording: Any, validation: str | None) -> list[str] | None:

@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Any
 
+from estimators.cli.doubts import explaining
 from estimators.cli.job import Job
 from estimators.cli.own_effects import own_classes
 from estimators.cli.refusals import WRONG_USE, stop
@@ -97,7 +98,7 @@ def base_fit(work: Job, path: Path | None, effects: Path | None = None) -> Any:
         work.note(f"The fit is that of {path.name}.")
         return found
     work.note(f"The model of {path.name} was fitted to this recording, from its values on.")
-    with work.explaining():
+    with explaining(work.recording, work.doubts or []):
         return est.output_error(_model_of(found), work.train, from_model=True)
 
 

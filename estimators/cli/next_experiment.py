@@ -13,6 +13,7 @@ from estimators.cli.options import Effects, File, Json, Model, Out, Quick, Valid
 from estimators.cli.output_files import writable_file
 from estimators.cli.own_effects import offered
 from estimators.cli.refusals import WRONG_USE, stop
+from estimators.cli.report_page import write_json, write_report
 
 _PLAYED = (".csv", ".h5", ".hdf5")
 
@@ -83,7 +84,7 @@ def next_experiment(
         )
         work.say(found.overview().title, work.remark, planned, how)
         content = {"format": FORMAT, "version": VERSION, "verdict": found.verdict, "next_experiment": planned.as_dict()}
-        work.write_json(cleaned({**content, "seconds": work.seconds}))
+        write_json(work, cleaned({**content, "seconds": work.seconds}))
         if work.folder is not None:
             figures = {"next_experiment": planned.plot()}
             caption = "How well every experiment within the limits would tell them apart, and the recommended one."
@@ -92,7 +93,7 @@ def next_experiment(
                 ("Figures", shown(figures, next_experiment=caption)),
             ]
             bullets = of_next_experiment(planned, file=work.file)
-            work.write_report(f"Next experiment after {work.file}", figures, sections, summary=bullets)
+            write_report(work, f"Next experiment after {work.file}", figures, sections, summary=bullets)
 
 
 def _found(work: Job, base: Any, path: Path | None, effects: Path | None, candidates: Any, quick: bool) -> Any:

@@ -83,6 +83,7 @@ class FormulaForce(Force):
     variable: ClassVar[str] = "cart_position"
     terms: ClassVar[tuple[Term, ...]] = ()
     slow: ClassVar[float] = 1e-4
+    made_by: ClassVar[tuple[Any, ...]] = ()
 
     def force(self, motion: Motion, own: States) -> tuple[Any, Any]:
         """Return force on the cart [N] and torque on the arm [N m]."""
@@ -145,6 +146,7 @@ def formula_class(port: str, variable: str, terms: tuple[Term, ...], slow: float
     space = {
         "__annotations__": dict.fromkeys(fields, Any), "__module__": __name__, "id": _named(port, variable, terms), "port": port,
         "equation": f"({equation}){against}" if against else equation, "variable": variable, "terms": terms, "slow": slow,
+        "made_by": (formula_class, (port, variable, terms, slow)),
         "__doc__": f"A force on the {port}: {equation}{against}.", **fields,
     }  # fmt: skip
     made: Any = type(FormulaForce)

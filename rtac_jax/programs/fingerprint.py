@@ -32,7 +32,8 @@ class Traced:
 def fingerprint(value: Any, packages: Sequence[str]) -> str:
     """Return a digest of all that tracing sees of a value.
 
-    Of classes and functions that is the name, of all else the value; an array is one that is not traced.
+    Of classes and functions that is the name, of all else the value; an array is one that is not traced. A class that a function
+    makes anew in each process says by which, and of what, in `made_by`; the function has to return the same class for the same.
 
     Args:
         value: `Traced` in place of arrays that are, in tuples, lists, dictionaries and data classes.
@@ -92,6 +93,11 @@ def _parts(value: Any, packages: frozenset[str]) -> Iterator[str]:
 def _name(named: Any, packages: frozenset[str]) -> str:
     if named is type(None):
         return "None"
+    if isinstance(named, type) and (made_by := vars(named).get("made_by")):
+        function, arguments = made_by
+        if function(*arguments) is not named:
+            raise NoFingerprintError(named.__qualname__)
+        return f"{_name(function, packages)} {fingerprint(arguments, tuple(packages))}"
     module, path = named.__module__, named.__qualname__
     if module.partition(".")[0] not in packages | {"builtins"} or "<" in path:
         raise NoFingerprintError(f"{module}.{path}")

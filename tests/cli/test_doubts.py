@@ -7,6 +7,7 @@ from command_line import call, refused
 from spoilt_recordings import FORCED, MOMENTARY, OF_CHANNELS, in_one
 
 import estimators
+from estimators.cli.doubts import warn
 from estimators.cli.job import Job
 from rtac_jax.virtual_rig import Rig, record, standard_plans
 
@@ -53,7 +54,7 @@ def test_the_result_carries_the_doubts(clean, spoilt, tmp_path):
 
 def test_doubts_come_before_a_failing_verdict_and_after_any_other(clean, spoilt, capsys):
     work = Job("rig.h5", spoilt, None, None, None, 0.0)
-    work.warn()
+    warn(work.note_doubts())
     told = capsys.readouterr().err
     assert TURNED in told
     assert told.count("rtac: Doubtful: ") == 2
@@ -63,7 +64,7 @@ def test_doubts_come_before_a_failing_verdict_and_after_any_other(clean, spoilt,
     assert verdict == "The model fails."
     assert work.ordered("adequate", "Nothing is missing.") == ["Nothing is missing.", work.remark]
     fine = Job("rig.h5", clean, None, None, None, 0.0)
-    fine.warn()
+    warn(fine.note_doubts())
     assert capsys.readouterr().err == ""
     assert fine.ordered("unknown", "The model fails.") == ["The model fails.", fine.remark]
 

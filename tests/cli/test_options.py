@@ -10,6 +10,7 @@ from command_line import COMMANDS, call, refused
 import estimators
 import estimators as est
 from estimators.cli import job
+from estimators.cli.report_page import write_json
 from rtac_jax import RTAC
 from rtac_jax.measurement import Recording
 
@@ -19,7 +20,7 @@ def test_what_is_said_is_printed_when_the_files_are_written(file, tmp_path, monk
     monkeypatch.setattr(job, "say", lambda *blocks: order.append((blocks, (tmp_path / "x.json").exists())))
     with job.job(file, None, None, tmp_path / "x.json") as work:
         work.say("the result")
-        work.write_json({"a": 1})
+        write_json(work, {"a": 1})
     assert order == [(("the result",), True)]
 
 
@@ -34,7 +35,7 @@ def test_what_is_said_is_not_lost_where_a_file_cannot_be_written(file, tmp_path,
     def run():
         with job.job(file, None, None, tmp_path / "x.json") as work:
             work.say("the result of an hour")
-            work.write_json({"a": 1})
+            write_json(work, {"a": 1})
 
     with pytest.raises(typer.Exit):
         run()

@@ -55,6 +55,7 @@ def improved():
     return est.improve(model, recorded, candidates=[ArmQuadraticDrag, CurrentOffset], progress=False)
 
 
+@pytest.mark.slow
 def test_the_friction_is_named_that_falls(improved):
     found = improved.diagnoses[-1]
     assert found.verdict == improved.verdict == "unknown"
@@ -68,6 +69,7 @@ def test_the_friction_is_named_that_falls(improved):
     assert -0.12 < rates["arm_viscous.negative"] < -0.06
 
 
+@pytest.mark.slow
 def test_where_a_force_that_holds_at_all_times_explains_some_of_it_no_drift_is_told(improved):
     """What grows with the amplitude, as a spring that hardens, changes in free decays with the time as well."""
     found = improved.diagnoses[-1]
@@ -79,6 +81,7 @@ def test_where_a_force_that_holds_at_all_times_explains_some_of_it_no_drift_is_t
         assert beside.likely_drift == (drift.words if likely else "")
 
 
+@pytest.mark.slow
 def test_no_law_is_learned_in_its_place(improved):
     assert improved.learned is None
     assert improved.nearest is None

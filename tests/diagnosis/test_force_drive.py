@@ -24,8 +24,6 @@ HIDDEN: dict[str, tuple[dict[str, float], str, float]] = {
     "force_delay": ({"force_delay": 0.008}, "delay", 0.008),
     "force_lag": ({"force_lag": 0.006}, "time_constant", 0.006),
 }
-# One of them in every run of the tests; each compiles the same once more.
-QUICK = ("force_dead_zone",)
 FEW = tuple(CATALOGUE[n] for n in (*HIDDEN, "cubic_spring", "cart_quadratic_drag", "force_offset"))
 
 
@@ -46,7 +44,8 @@ def recorded(hidden: dict[str, Any]) -> rtac.Recording:
     return virtual_rig.record(dataclasses.replace(RIG, **hidden), plans, seed=3)
 
 
-@pytest.mark.parametrize("name", [pytest.param(n, marks=() if n in QUICK else pytest.mark.slow) for n in HIDDEN])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", HIDDEN)
 def test_what_the_drive_does_to_the_force_is_named_with_its_size(name: str) -> None:
     hidden, parameter, truth = HIDDEN[name]
     recording = recorded(hidden)

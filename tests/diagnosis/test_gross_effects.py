@@ -15,7 +15,7 @@ from estimators.diagnosis.policy import STANDARD
 from estimators.diagnosis.setting import set_up
 from estimators.inference.shaken_simulation import unfollowed
 from rtac_jax import virtual_rig
-from rtac_jax.effects import CATALOGUE, Effect
+from rtac_jax.effects import CATALOGUE
 
 RIG = virtual_rig.Rig().drawn(100)
 # What the rig hides, the rms of the current, the arm's speed at the start, and a size that should come out.
@@ -28,9 +28,6 @@ HIDDEN: dict[str, tuple[dict[str, Any], float, float, tuple[str, float]]] = {
 }
 # Followed well enough that the equations are not asked; where the arm stops at once, the size is known roughly only.
 FOLLOWED = ("arm_coulomb",)
-# One of them goes the whole way in every run of the tests; the others take half a minute each.
-QUICK = ("cable_spring",)
-CASES = [pytest.param(name, marks=() if name in QUICK else pytest.mark.slow) for name in HIDDEN]
 
 
 def recorded(name: str) -> rtac.Recording:
@@ -44,16 +41,15 @@ def recorded(name: str) -> rtac.Recording:
     return virtual_rig.record(dataclasses.replace(RIG, **hidden), starts, seed=8)
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", HIDDEN)
 def test_a_gross_effect_is_named_with_its_size(name: str) -> None:
     recording = recorded(name)
-    # In every run of the tests beside what looks like it; with the whole catalogue compiling takes four times as long.
-    few: list[type[Effect]] | None = [CATALOGUE[n] for n in ("gravity_tilt", "cable_spring", "cogging", "arm_coulomb")]
     fit = est.output_error(rtac.RTAC.from_rig(recording), recording, progress=False)
     data = Data.of(pieces(moving(recording)))
     followed = unfollowed(fit, data, STANDARD.simulation) < STANDARD.unfollowed
     assert followed == (name in FOLLOWED)
-    found = est.diagnose(fit, recording, candidates=few if name in QUICK else None, progress=False)
+    found = est.diagnose(fit, recording, progress=False)
     assert found.verdict == "missing", found
     assert [c.id for c in found.effects] == [name], found
     size, truth = HIDDEN[name][3]

@@ -67,6 +67,7 @@ def improved(recording):
     )
 
 
+@pytest.mark.slow
 def test_the_last_model_is_fitted_without_it_and_nothing_is_learned_from_it(improved):
     assert improved.left_out == LATE
     assert improved.base.farthest > 20.0
@@ -80,6 +81,7 @@ def test_the_last_model_is_fitted_without_it_and_nothing_is_learned_from_it(impr
         assert abs(found.value - truth) < 0.01 * truth, name
 
 
+@pytest.mark.slow
 def test_it_is_said_with_what_all_others_leave_of_it(improved):
     one = improved.constancy.outlying
     assert one.left > 20.0
@@ -91,6 +93,7 @@ def test_it_is_said_with_what_all_others_leave_of_it(improved):
     assert not [t for model in improved.train.models for t in model.traces if t.experiment == LATE]
 
 
+@pytest.mark.slow
 def test_pictures_say_so(improved):
     assert finding(improved).startswith(f"Leaving {LATE} out of the fit lowers the held-out error of")
     figure = plot_improvement(improved)

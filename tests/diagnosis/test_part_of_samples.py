@@ -186,6 +186,7 @@ def diagnosed(recording: rtac.Recording) -> est.Diagnosis:
     return est.diagnose(fit, recording, candidates=few, progress=False)
 
 
+@pytest.mark.slow
 def test_a_part_names_what_is_hidden_with_its_size(decays: rtac.Recording) -> None:
     assert sum(e.samples for e in moving(decays)) > 32_000
     found = diagnosed(decays)

@@ -224,7 +224,8 @@ def test_the_advice_can_be_followed(drifted, driven):
     assert differing(each, driven) is None
 
 
-@pytest.mark.parametrize("hidden", [{"cubic_spring": 1e5}, pytest.param({"tilt_across": 0.05}, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("hidden", [{"cubic_spring": 1e5}, {"tilt_across": 0.05}])
 def test_a_missing_effect_is_no_drift(hidden):
     """Forced runs alone, whose amplitudes differ: each by itself may be followed, with several parameters moved at once."""
     rig = virtual_rig.Rig(**hidden)

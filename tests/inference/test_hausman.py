@@ -174,6 +174,7 @@ def four(clean: rtac.Recording) -> Agreement:
     return all_ways(clean)
 
 
+@pytest.mark.slow
 def test_four_ways_agree_on_a_clean_rig(four: Agreement) -> None:
     assert four.labels == ("closed form", "output error", "prediction error", "linear prediction error")
     assert len(four.pairs) == 6

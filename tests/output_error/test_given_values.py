@@ -12,7 +12,8 @@ from estimators.output_error import descent
 from rtac_jax import virtual_rig
 
 
-@pytest.mark.parametrize("frequency", [pytest.param(45.0, marks=pytest.mark.slow), 50.0])
+@pytest.mark.slow
+@pytest.mark.parametrize("frequency", [45.0, 50.0])
 def test_a_mode_is_found_from_a_frequency_some_way_off(frequency: float) -> None:
     """The simulation begins far above the noise, yet follows the motion; led by predictions it ended at 63 and 556 rad/s."""
     rig = virtual_rig.Rig(

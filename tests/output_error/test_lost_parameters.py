@@ -41,6 +41,7 @@ def fit(recording: rtac.Recording) -> est.Fit:
     return est.output_error(rtac.RTAC.from_rig(recording), recording, progress=False)
 
 
+@pytest.mark.slow
 def test_the_fit_says_what_it_lost(fit: est.Fit) -> None:
     """The friction that ends on its bound has nothing to do with it."""
     assert fit.on_bounds()
@@ -49,6 +50,7 @@ def test_the_fit_says_what_it_lost(fit: est.Fit) -> None:
     assert "of these the fit says nothing" in fit.outcome
 
 
+@pytest.mark.slow
 def test_another_estimator_is_recommended(recording: rtac.Recording, fit: est.Fit) -> None:
     predicted = est.prediction_error_nonlinear(fit.model, recording, progress=False)
     advice = est.recommended(fit, est.compare(fit, recording).models[0], predicted=predicted)

@@ -53,9 +53,8 @@ def test_a_comparison_finds_where_the_arm_began() -> None:
     assert max(trace.rms / trace.noise for trace in found.traces) < 4.0
 
 
-@pytest.mark.parametrize(
-    ("seed", "current"), [(2, 0.1), *(pytest.param(seed, 0.4, marks=pytest.mark.slow) for seed in (1, 2, 3, 4))]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("seed", "current"), [(2, 0.1), *((seed, 0.4) for seed in (1, 2, 3, 4))])
 def test_a_fit_begins_with_what_a_simulation_follows(seed: int, current: float) -> None:
     recording = recorded(seed, current)
     model = rtac.RTAC.from_rig(recording) + GravityTilt(along=0.0, across=0.9) + ArmCoulomb(4e-4)

@@ -10,6 +10,7 @@ from command_line import call, refused
 from made_up_results import compared
 from small_study import small
 
+from estimators.cli import report_page
 from estimators.cli.job import Job
 from estimators.plots import plot_comparison, plot_recording, plot_residuals
 from estimators.plots.style import shortened
@@ -101,7 +102,8 @@ def test_a_report_shows_names_and_comments_and_runs_none_of_them(tmp_path):
     work = Job(NAMES[0] + ".h5", kept, None, tmp_path / "out", None, 0.0)
     made = Comparison((compared(NAMES[0], 3.0, names=NAMES),))
     table = comparison_table(comparison_rows(made))
-    work.write_report(
+    report_page.write_report(
+        work,
         f"Fit of {work.file}",
         {"recording": plot_recording(kept)},
         [(NAMES[1], [COMMENT, describe(kept), table]), ("Figures", [Shown(plot_recording(kept), NAMES[1])])],

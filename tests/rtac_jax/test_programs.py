@@ -15,6 +15,7 @@ import pytest
 from jax.experimental.compilation_cache.compilation_cache import reset_cache
 
 from rtac_jax import RTAC
+from rtac_jax.effects.formula_force import FormulaForce, Term, formula_class
 from rtac_jax.programs import Program, compiled_function, compiler, environment
 from rtac_jax.programs import files as kept_files
 from rtac_jax.programs.fingerprint import NoFingerprintError, Traced, fingerprint
@@ -289,6 +290,26 @@ def test_a_function_that_took_the_place_of_another_has_no_fingerprint(monkeypatc
     monkeypatch.setattr(compiled_function, "forget_programs", lambda: None)
     with pytest.raises(NoFingerprintError):
         fingerprint(before, ("rtac_jax",))
+
+
+def test_a_class_that_is_made_anew_in_each_process_is_known_by_what_it_is_made_of() -> None:
+    def of(*terms: Term, slow: float = 1e-3) -> type[FormulaForce]:
+        return formula_class("cart", "cart_position", terms, slow)
+
+    made = [
+        of(Term("power", 2)),
+        of(Term("odd", 2)),
+        of(Term("power", 2), Term("sign")),
+        of(Term("power", 2), slow=2e-3),
+    ]
+    own = [fingerprint(RTAC.paper() + one(*np.ones(len(one.terms))), ("rtac_jax",)) for one in made]
+    assert len(set(own)) == len(own)
+    formula_class.cache_clear()  # as in another process
+    again = of(Term("power", 2))
+    assert again is not made[0]
+    assert fingerprint(RTAC.paper() + again(1.0), ("rtac_jax",)) == own[0]
+    with pytest.raises(NoFingerprintError):
+        fingerprint(made[0], ("rtac_jax",))  # says what it is made of, but that gives another class now
 
 
 PATCHED = """

@@ -34,6 +34,7 @@ def fit(softening: rtac.Recording) -> est.Fit:
     return est.output_error(rtac.RTAC.from_rig(softening), softening, progress=False)
 
 
+@pytest.mark.slow
 def test_the_parameter_with_which_all_are_followed_is_named_with_its_values(
     fit: est.Fit, softening: rtac.Recording, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -194,15 +194,27 @@ def _residual(unknowns: Unknowns, arguments: Arguments) -> tuple[Array, Array]:
     return residual(a.model, a.data, a.space, unknowns, a.whitener, substeps=a.substeps, gain=a.gain)
 
 
+class Residuals:
+    """The residuals of one problem, whose experiments are padded once."""
+
+    def __init__(self, arguments: Arguments) -> None:
+        self._count = arguments.data.experiments
+        self._arguments = dataclasses.replace(_padded(arguments), model=equations_of(arguments.model))
+
+    def at(
+        self, unknowns: Unknowns
+    ) -> tuple[Float[np.ndarray, "sample output experiment"], Float[np.ndarray, "start experiment"]]:
+        """Return the residual itself and the deviation of the starts from what is known of them; see `residual`."""
+        given = _padded_unknowns(unknowns, np.arange(self._count), self._arguments.data.experiments)
+        error, known = map(np.asarray, _residual(given, self._arguments))
+        return error[..., : self._count], known[..., : self._count]
+
+
 def plain_residual(
     unknowns: Unknowns, arguments: Arguments
 ) -> tuple[Float[np.ndarray, "sample output experiment"], Float[np.ndarray, "start experiment"]]:
-    """Return the residual itself and the deviation of the starts from what is known of them; see `residual`."""
-    count, arguments = arguments.data.experiments, _padded(arguments)
-    arguments = dataclasses.replace(arguments, model=equations_of(arguments.model))
-    unknowns = _padded_unknowns(unknowns, np.arange(count), arguments.data.experiments)
-    error, known = map(np.asarray, _residual(unknowns, arguments))
-    return error[..., :count], known[..., :count]
+    """Return what `Residuals` do, where one point is asked of a problem."""
+    return Residuals(arguments).at(unknowns)
 
 
 def promised_gain(factor: np.ndarray, shared: int) -> float:

@@ -16,7 +16,7 @@ from scipy.optimize import nnls
 
 from estimators.core.concentrated_noise import ConcentratedNoise
 from estimators.core.deadline import require_time
-from estimators.core.jacobian_factor import Arguments, Factors, Passes, plain_residual, promised_gain
+from estimators.core.jacobian_factor import Arguments, Factors, Passes, Residuals, promised_gain
 from estimators.core.parameter_space import Unknowns
 from rtac_jax.programs import program
 from rtac_jax.programs.arrays import to_jax
@@ -219,7 +219,8 @@ class _Walk:
 
     def __init__(self, arguments: Arguments, passes: Passes, most: int) -> None:
         self.steps, self.full = 0, True
-        self._arguments, self._passes, self._most = arguments, passes, most
+        self._passes, self._most = passes, most
+        self._space, self._residuals = arguments.space, Residuals(arguments)
         self._damping, self._mixed = _FULL, _FULL
         self._beside: list[_Taken] = []
 
@@ -294,7 +295,7 @@ class _Walk:
                 _NOTHING, _ROUNDING * cost
             ):  # of a huge cost what is promised is never less than rounding
                 return found
-            gained = cost - _simulated_cost(there, self._arguments, weights)
+            gained = cost - self._simulated_cost(there, weights)
             if found.there is not None and gained <= found.gained:
                 return found
             if gained >= _WORTH * promised:
@@ -302,6 +303,16 @@ class _Walk:
             elif np.isfinite(gained):
                 found = found._replace(beyond=there)
             damping *= _ALONG
+
+    def _simulated_cost(self, unknowns: Unknowns, weights: Float[np.ndarray, " output"]) -> float:
+        """Return half the sum of squares by a simulation without derivatives; infinite where it diverges."""
+        error, known = self._residuals.at(unknowns)
+        with np.errstate(over="ignore"):  # of a step that makes the model diverge
+            squares = np.sum(error**2, axis=(0, 2))
+        cost = 0.5 * float(weights**2 @ squares + np.sum(known**2))
+        if self._space.known is not None:
+            cost += self._space.penalty(self._space.physical(unknowns)[0])
+        return cost if np.isfinite(cost) else np.inf
 
 
 def _seen_from(
@@ -331,16 +342,6 @@ def _together(several: Sequence[Float[np.ndarray, "every every"]], damping: floa
     fractions /= np.sum(fractions)
     rows = np.concatenate([np.sqrt(fraction) * one for fraction, one in zip(fractions, several, strict=True)])
     return np.asarray(np.linalg.qr(rows, mode="r"))
-
-
-def _simulated_cost(unknowns: Unknowns, arguments: Arguments, weights: Float[np.ndarray, " output"]) -> float:
-    """Return half the sum of squares by a simulation without derivatives; infinite where it diverges."""
-    error, known = (np.asarray(part) for part in plain_residual(unknowns, arguments))
-    with np.errstate(over="ignore"):  # of a step that makes the model diverge
-        squares = np.sum(error**2, axis=(0, 2))
-    shared = arguments.space.physical(unknowns)[0]
-    cost = 0.5 * float(weights**2 @ squares + np.sum(known**2)) + arguments.space.penalty(shared)
-    return cost if np.isfinite(cost) else np.inf
 
 
 def _cost(factors: Factors, weights: Float[np.ndarray, " output"]) -> float:

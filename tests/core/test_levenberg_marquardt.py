@@ -16,7 +16,7 @@ from estimators.core.concentrated_noise import ConcentratedNoise
 from estimators.core.data import CHANNELS, Data
 from estimators.core.fisher_information import information, slope_of
 from estimators.core.initial_state import space_of
-from estimators.core.jacobian_factor import Arguments, Factors, Passes, factor, plain_residual, promised_gain
+from estimators.core.jacobian_factor import Arguments, Factors, Passes, Residuals, factor, plain_residual, promised_gain
 from estimators.core.levenberg_marquardt import solve
 from estimators.core.linearisation import Problem, at_fit
 from estimators.core.parameter_space import Unknowns
@@ -74,13 +74,13 @@ def test_channels_are_weighted_by_what_is_left_of_them(problem: Problem) -> None
 
 def test_what_is_rejected_is_only_simulated(problem: Problem, monkeypatch: pytest.MonkeyPatch) -> None:
     passes, simulations = [], []
-    whole, plain = Passes.factors, levenberg_marquardt.plain_residual
+    whole, plain = Passes.factors, Residuals.at
     monkeypatch.setattr(Passes, "factors", lambda self, at: (passes.append(at), whole(self, at))[1])
-    monkeypatch.setattr(levenberg_marquardt, "plain_residual", lambda *given: (simulations.append(1), plain(*given))[1])
+    monkeypatch.setattr(Residuals, "at", lambda self, at: (simulations.append(1), plain(self, at))[1])
     solved = solve(away(problem.unknowns, 1.2), problem.arguments)
     assert len(passes) == solved.steps + 1
     assert len(simulations) > 2  # the first step was too long
-    cost = [0.5 * np.sum(np.asarray(plain(at, problem.arguments)[0]) ** 2) for at in passes]
+    cost = [0.5 * np.sum(np.asarray(plain_residual(at, problem.arguments)[0]) ** 2) for at in passes]
     assert sum(np.diff(cost) > 0) <= len(passes) // 3
 
 
@@ -88,6 +88,10 @@ def bent(at: Unknowns) -> tuple[np.ndarray, float]:
     """A residual with a kink along the line x = y, as dry friction makes them, and its slope across that."""
     x, y = np.asarray(at.shared)
     return np.array([10 * abs(y - x) + 3, np.sinh(x + y - 2)]), 10.0 * float(np.sign(y - x))
+
+
+def bent_residual(_: Residuals, at: Unknowns) -> tuple[np.ndarray, np.ndarray]:
+    return bent(at)[0].reshape(-1, 1, 1), np.zeros((0, 1))
 
 
 def bent_factors(_: Passes, at: Unknowns) -> Factors:
@@ -102,7 +106,7 @@ def test_a_kink_is_followed_to_the_least(
 ) -> None:
     monkeypatch.setattr(levenberg_marquardt, "_BESIDE", beside)
     monkeypatch.setattr(Passes, "factors", bent_factors)
-    monkeypatch.setattr(levenberg_marquardt, "_simulated_cost", lambda at, *_: 0.5 * float(np.sum(bent(at)[0] ** 2)))
+    monkeypatch.setattr(Residuals, "at", bent_residual)
     begin = Unknowns(jnp.asarray([3.0, 3.5]), jnp.zeros((0, 1)), jnp.zeros((0, 1)))
     solved = solve(begin, problem.arguments, most=200)
     assert (solved.cost < 4.5 + 1e-2) == reached
@@ -118,7 +122,7 @@ def test_slopes_beyond_all_bounds_do_not_count(problem: Problem, monkeypatch: py
         return dataclasses.replace(found, channels=np.where(steep & (found.channels != 0), 1e175, found.channels))
 
     monkeypatch.setattr(Passes, "factors", wild)
-    monkeypatch.setattr(levenberg_marquardt, "_simulated_cost", lambda at, *_: 0.5 * float(np.sum(bent(at)[0] ** 2)))
+    monkeypatch.setattr(Residuals, "at", bent_residual)
     begin = Unknowns(jnp.asarray([3.0, 3.5]), jnp.zeros((0, 1)), jnp.zeros((0, 1)))
     solved = solve(begin, problem.arguments, most=50)
     assert np.all(np.isfinite(solved.factor))
@@ -158,9 +162,8 @@ def test_an_arc_ends_where_what_it_promises_is_rounding(monkeypatch: pytest.Monk
             assert self.asked < 100
             return None, max(1e15 / damping, 0.5)
 
-    monkeypatch.setattr(levenberg_marquardt, "_simulated_cost", lambda *_: 2.5e15)
+    monkeypatch.setattr(levenberg_marquardt._Walk, "_simulated_cost", lambda *_: 2.5e15)
     walk = object.__new__(levenberg_marquardt._Walk)
-    walk._arguments = None
     found = walk._along(Rounded(), 1.0, 2.5e15, np.ones(3))
     assert found.there is None
 

@@ -16,7 +16,7 @@ from estimators.diagnosis.policy import DiagnosisPolicy
 from estimators.diagnosis.selection import Selection, Tried, by_size
 from estimators.diagnosis.step import Step
 from estimators.inference.simulation_residual import random_forces_are_large
-from estimators.misspecification.adequacy import adequacy_tests, rejecting
+from estimators.misspecification.adequacy import adequacy_tests, rejecting, unconfirmed
 from estimators.misspecification.findings import Findings, Score
 
 
@@ -61,13 +61,14 @@ def _is_doubtful(laboratory: Laboratory, found: Selection, named: FittedModel, p
     """Return whether a simulation may want other effects than those that are named, by what is known without fitting any.
 
     They are not doubted where they take the place of the random forces, or each explains most of what any candidate explains of the
-    residual that a predictor with next to no random force leaves. Where none is named, it asks for one if a test rejects, or if the
-    random forces are no small disturbance.
+    residual that a predictor with next to no random force leaves. Where none is named, it asks for one if a test rejects, if the
+    random forces are no small disturbance, or if so few data could not confirm what is large.
     """
     facts = laboratory.facts
     large = random_forces_are_large(found.base.random, facts.samples_per_radian, policy.simulation)
     if not named.added:
-        return large or bool(rejecting(found.tests))
+        few = unconfirmed(found.findings.scores, facts.seconds, policy.critical)
+        return large or bool(rejecting(found.tests) or few)
     if large and not facts.noise_known:
         return True  # what takes their place may be anything that smooths, with whatever is left called noise
     if replaces_random_forces(named, found.base, policy):

@@ -17,7 +17,7 @@ from estimators.inference.simulation_residual import (
     random_forces_are_large,
     simulation_residual,
 )
-from estimators.misspecification.adequacy import AdequacyTest, alarming, few_for
+from estimators.misspecification.adequacy import AdequacyTest, unconfirmed
 
 _COMPUTED = {
     "noise": ("colour_little",),
@@ -157,12 +157,8 @@ def _consequence(
 
 def _of_base(laboratory: Laboratory, found: Selection, policy: DiagnosisPolicy) -> SimulationResidual | None:
     """Return what the simulation error of the diagnosed fit means beside the random forces of its predictor."""
-    scores, critical = found.findings.scores, policy.critical
-    few = (
-        [s for s in scores if few_for(s, laboratory.facts.seconds, len(scores), critical)]
-        if not alarming(scores, critical)
-        else []
-    )
+    critical = policy.critical
+    few = unconfirmed(found.findings.scores, laboratory.facts.seconds, critical)
     if is_of_the_current(laboratory.facts, found.base.random, policy):
         few = []  # what is known to act needs no effect that would explain it too
     loudest = max(few, key=lambda s: s.statistic, default=None)
@@ -217,7 +213,9 @@ def _residual(
     # noise is known, random forces in place of its own are.
     # A simulation of what is fitted that follows nothing is none of these: predictions may have called the motion noise.
     lost = not model.added and found.vetoes and found.signal_fraction > policy.simulation.unfollowed
-    return found if facts.noise_known or found.cause == "stand-in" or found.overstated or lost else None
+    # As is what so few data cannot tell from an effect.
+    spoken = found.cause in ("stand-in", "too few data") or found.overstated or lost
+    return found if facts.noise_known or spoken else None
 
 
 def is_of_the_current(facts: Facts, random: tuple[float, float], policy: DiagnosisPolicy) -> bool:

@@ -86,6 +86,13 @@ def few_for(s: Scored, stretches: int, tried: int, critical: CriticalValues) -> 
     return critical.alarm <= s.statistic < critical.of_few(stretches, tried)
 
 
+def unconfirmed(scores: Sequence[Candidate], stretches: int, critical: CriticalValues) -> list[Candidate]:
+    """Return candidates that few stretches of time could not confirm (`few_for`), where none raises an alarm."""
+    if alarming(scores, critical):
+        return []
+    return [s for s in scores if few_for(s, stretches, len(scores), critical)]
+
+
 def adequacy_tests(found: Findings, critical: CriticalValues) -> tuple[AdequacyTest, ...]:
     """Return all tests, in the order in which a reader asks; those without data are left out."""
     screened, curves, delayed, line, repeats = found.scores, found.curves, found.lagged, found.line, found.repeats

@@ -17,6 +17,9 @@ from estimators.validation.differing_experiments import WORTH_ASKING
 from estimators.validation.simulation_error import Compared
 from rtac_jax.measurement import Recording
 
+# Times as far as what was fitted, from which a held-out experiment may show what nothing fitted does: a cubic spring twice as much.
+_FARTHER = 1.25
+
 
 def astray(trained: Compared, tested: Compared) -> str:
     """Say where a model's simulation leaves held-out experiments although nothing is missing; nothing where it does not."""
@@ -35,10 +38,33 @@ def astray(trained: Compared, tested: Compared) -> str:
             "the held-out ones may reach beyond what was fitted, differ from it in how they were recorded, or hold what no"
             " simulation follows, as an arm that tumbles"
         )
+        why = reaching(trained, tested) or why
     return (
         f"Even so, its simulation leaves {farthest} of the held-out experiments at {rounded(error.rms_over_noise)} times the"
         f" noise ({rounded(100 - error.fit_percent)} % of the motion), and of the fitted ones at {rounded(fitted)}: {why}."
         " est.compare(..., ahead=10) shows how far it can be followed."
+    )
+
+
+def reaching(trained: Compared, tested: Compared) -> str:
+    """Say which held-out experiment moves farther than all that was fitted, and what to do; nothing where none does."""
+    far = [{channel: 0.0 for channel in tested.errors} for _ in (trained, tested)]
+    name = dict.fromkeys(tested.errors, "")
+    for furthest, model in zip(far, (trained, tested), strict=True):
+        for trace in model.traces:
+            reach = float(np.ptp(trace.measured[np.isfinite(trace.measured)])) if trace.channel in furthest else 0.0
+            if reach > furthest.get(trace.channel, 0.0):
+                furthest[trace.channel] = reach
+                if model is tested:
+                    name[trace.channel] = trace.experiment
+    fitted, held_out = far
+    ratios = {channel: held_out[channel] / fitted[channel] for channel in fitted if fitted[channel] > 0}
+    channel = max(ratios, key=lambda c: ratios[c], default="")
+    if ratios.get(channel, 0.0) < _FARTHER:
+        return ""
+    return (
+        f"{name[channel]} moves {ratios[channel]:.1f} times as far in {channel} as anything that was fitted, and what shows only"
+        " there is missing in what is fitted without it: hold out another one (validation=, --validation)"
     )
 
 

@@ -19,8 +19,6 @@ from estimators.diagnosis.model_extension import (
 )
 from estimators.diagnosis.policy import DiagnosisPolicy
 from estimators.inference.simulation_residual import judged_channels
-from estimators.output_error.fit_what_shows import with_alike
-from estimators.validation.simulation_error import compare
 from rtac_jax.effects import CATALOGUE, Effect
 from rtac_jax.measurement import Recording
 
@@ -131,6 +129,7 @@ class Loop:
                 self.held_out, policy=self.policy, progress=self.progress,
                 deviations={f"{i}.{field}": std for i in ids for field, std in known[i].deviations.items()},
                 values=found.values, ways=WAYS if len(several) == 1 else WAYS[:1],
+                unseen=[name for name in self.unseen if name in before.model.fixed],
             )  # fmt: skip
 
         try:
@@ -149,10 +148,6 @@ class Loop:
             for unsure in (i for i in ids if not is_sure(step.fit, i)):
                 return f"Stopped: fitted by simulation, {unsure} is not told from nothing."
         self.unseen = tuple(name for name in self.unseen if name in step.fit.model.fixed)
-        fit = with_alike(step.fit, self.train, self.unseen)
-        if fit is not step.fit:  # the other direction has moved
-            tested = compare(fit, self.held_out, labels=[step.tested.label]).models[0]
-            step = dataclasses.replace(step, fit=fit, tested=tested)
         self.steps.append((ids, step))
         self.added += [known[i] for i in ids]
         return None

@@ -130,6 +130,11 @@ def learn_force(
     test = next((test for test in found.tests if test.test == "static force" and test.rejects), None)
     several = sorted(significant(found.curves, test.level) if test else [], key=lambda curve: -curve.excess)
     if not several:
+        if found.stands_in:
+            return (
+                "No learned force was added: beside random forces that stand in for the physics predictions do not tell whether"
+                " what is missing is a function of position, velocity, angle or current."
+            )
         return (
             "No learned force was added: what is missing is no function of position, velocity, angle or current beyond what chance"
             " makes."

@@ -18,6 +18,7 @@ from estimators.diagnosis.held_estimates import counting_held
 from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
 from estimators.inference.shaken_simulation import unfollowed
 from estimators.output_error.fit import output_error
+from estimators.output_error.fit_what_shows import with_alike
 from estimators.prediction_error.fit import PredictorFit, prediction_error_nonlinear
 from estimators.validation.predictive_likelihood import OneStepAhead, one_step_ahead
 from estimators.validation.simulation_error import Compared, compare
@@ -97,6 +98,7 @@ def add_effects(
     deviations: Mapping[str, float],
     values: Mapping[str, float] | None = None,
     ways: Sequence[Way] = WAYS,
+    unseen: Sequence[str] = (),
     policy: DiagnosisPolicy = STANDARD,
     progress: bool,
 ) -> Added | str:
@@ -113,6 +115,7 @@ def add_effects(
             held count them.
         values: of all parameters as the diagnosis estimated them, for where the model without the effects is far from the data.
         ways: of fitting it that are tried; by predictions it is kept only if all are.
+        unseen: names of parameters that are held as they show nowhere in what is fitted: they follow the other direction.
         policy: the thresholds by which it is kept.
         progress: show bars.
 
@@ -134,11 +137,11 @@ def add_effects(
                 # The model without the effect is fitted so too, or the effect would be credited with what the estimator does.
                 base = _predicted(before.model, before, train, progress=progress)
                 bases.append(Added(base, compare(base, held_out, hold_diverging=True).models[0], way))
-                fit = _predicted(extended, before, train, progress=progress)
+                fit = with_alike(_predicted(extended, before, train, progress=progress), train, unseen)
             else:
                 held = [_Begin(holding(extended, ids))]
                 fit = _fitted(begins if way == "simulated" else held, train, progress=progress)
-                fit = counting_held(fit, train, known)
+                fit = with_alike(counting_held(fit, train, known), train, unseen)
             with Deadline().kept():  # what is fitted is compared
                 test = compare(fit, held_out, labels=[label]).models[0]
         except FAILURES as error:

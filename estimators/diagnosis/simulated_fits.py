@@ -2,13 +2,14 @@
 
 import contextlib
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
 from estimators.closed_form.fit import starting_values
 from estimators.core.deadline import OutOfTimeError, require_time
 from estimators.core.fit import Fit
-from estimators.core.results import NotIdentifiableError
+from estimators.core.results import DivergedError, NotIdentifiableError
 from estimators.diagnosis.gross_effects import placed_inside
 from estimators.diagnosis.policy import DiagnosisPolicy
 from estimators.diagnosis.refit import Refit
@@ -24,6 +25,8 @@ from estimators.output_error.fit import output_error
 from rtac_jax import RTAC
 
 _ATTENUATED = 3.0  # times as large as the equations of motion have it, which noise of the regressors makes smaller
+# Of its size, with which an effect is begun where the simulation diverges with all of it: a spring that softens lets the cart go.
+_PART = 0.3
 _STEPS = 10  # of the optimiser in each stage: candidates are ranked, and the step after goes on from where one ended
 
 
@@ -105,7 +108,12 @@ def _begun_at(begin: RTAC, s: Screened | Explained, setting: Setting) -> Fit | N
         require_time()
         # Candidates are many, and each would be compiled by itself for a few steps.
         wider = with_absent(setting, begin) or begin
-        found = output_error(wider, setting.recording, from_model=True, steps=_STEPS, led=False, progress=False)
+        options: dict[str, Any] = dict(from_model=True, steps=_STEPS, led=False, progress=False)
+        try:
+            found = output_error(wider, setting.recording, **options)
+        except DivergedError:
+            small = {f"{s.id}.{name}": _PART * float(np.asarray(begin[f"{s.id}.{name}"])) for name in s.amplitudes}
+            found = output_error(wider.with_values(small), setting.recording, **options)
         found = without_absent(found, begin)
         sound = not found.lost and np.all(np.isfinite(list(found.residual_std.values())))
         return found if sound and _plausible(found, s, setting.policy) else None

@@ -52,9 +52,18 @@ def selected_by_simulation(laboratory: Laboratory, found: Selection, policy: Dia
 
 
 def _far(laboratory: Laboratory, model: FittedModel, policy: DiagnosisPolicy) -> SimulationError | None:
-    """Return the error of a model's simulation where that is far from the data; None elsewhere."""
-    found = laboratory.simulation(model)
-    return found if found is not None and max(found.error.values(), default=0.0) > policy.far else None
+    """Return the error of a model's simulation where that is far from the data, or follows it poorly; None elsewhere.
+
+    Coarse steps of a sensor are noise of which much of the motion may be few times.
+    """
+    found, limits = laboratory.simulation(model), policy.simulation
+    if found is None:
+        return None
+    poor = any(
+        ratio > limits.poor * found.signal[channel] and ratio**2 > limits.beyond
+        for channel, ratio in found.error.items()
+    )
+    return found if poor or max(found.error.values(), default=0.0) > policy.far else None
 
 
 def _is_doubtful(laboratory: Laboratory, found: Selection, named: FittedModel, policy: DiagnosisPolicy) -> bool:

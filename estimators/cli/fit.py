@@ -68,7 +68,7 @@ def fit(
             typer.echo(f"rtac: {_LEFT_OUT.format(**times)}", err=True)
         elif longest >= LONG:
             typer.echo(_SLOWLY.format(**times), err=True)
-        found = work.fitted(start, from_model=model is not None, robust=robust, unseen=True)
+        found = work.fitted(start, from_model=model is not None, robust=robust)
         predicted, agreed = None, None
         if longest < _TOO_LONG:
             predicted, agreed = _side_by_side(work, closed, found)

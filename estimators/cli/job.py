@@ -96,22 +96,19 @@ class Job:
             typer.echo(f"rtac: {note}", err=True)
         return model
 
-    def fitted(self, model: Any, *, from_model: bool = False, robust: bool = False, unseen: bool = False) -> Any:
-        """Fit the training part by output error.
+    def fitted(self, model: Any, *, from_model: bool = False, robust: bool = False) -> Any:
+        """Fit the training part by output error; what shows nowhere is held, as what the model lacks may be what would show it.
 
         Args:
             model: that is fitted.
             from_model: begin at the model's values only, where they are those of a fit.
             robust: let samples far off count for little.
-            unseen: hold what shows nowhere, as what the model lacks may be what would show it; else that is refused.
         """
         import estimators as est
         from estimators.output_error.fit_what_shows import fit_what_shows, values_held
 
         options: dict[str, Any] = {"robust": True} if robust else {}
         with explaining(self.recording, self.note_doubts()):
-            if not unseen:
-                return est.output_error(model, self.train, from_model=from_model, **options)
             fit, held = fit_what_shows(model, self.train, by=est.output_error, from_model=from_model, **options)
         if held:
             where = values_held(fit.model, held, "the model's value")

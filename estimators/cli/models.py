@@ -90,7 +90,7 @@ def _held(model: Any, fix: str) -> Any:
 def base_fit(work: Job, path: Path | None, effects: Path | None = None) -> Any:
     """Return the fit to begin with: that of a file where it is of the same data, else a fit of its model to these."""
     if path is None:
-        return work.fitted(work.model(), unseen=True)
+        return work.fitted(work.model())
     import estimators as est
 
     found = model_or_fit(path, effects)

@@ -82,8 +82,11 @@ def suspects(screened: Sequence[Candidate], tests: Sequence[AdequacyTest], criti
 
 
 def few_for(s: Scored, stretches: int, tried: int, critical: CriticalValues) -> bool:
-    """Return whether a candidate is large by the model's variance, and so few stretches of time could not confirm it."""
-    return critical.alarm <= s.statistic < critical.of_few(stretches, tried)
+    """Return whether a candidate is large by the model's variance, and so few stretches of time could not confirm it.
+
+    Two confirm nothing, however large it is.
+    """
+    return s.statistic >= critical.alarm and (stretches == 2 or s.statistic < critical.of_few(stretches, tried))
 
 
 def unconfirmed(scores: Sequence[Candidate], stretches: int, critical: CriticalValues) -> list[Candidate]:

@@ -5,6 +5,7 @@ parameters, and it declares how large it may plausibly be on a rig of given scal
 """
 
 import itertools
+import math
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, NamedTuple
@@ -84,6 +85,7 @@ class Effect(eqx.Module):
             seen.
         needs_channel: name of the output without which it cannot be seen either, as that of a sensor; None if there is none.
         undriven: whether a diagnosis offers it only where no current drives the motor, since another effect is the same elsewhere.
+        most_turns: turns of the arm in one experiment beyond which no rig has it, as that of a cable that would be torn.
         only_beside: ids of effects that a model must have before a diagnosis looks for it, as it is one of them elsewhere.
         states: names of its own states, with units.
         contains: ids of simpler effects that it becomes at the edge of its shape. Where the data cannot tell it from one of
@@ -118,6 +120,7 @@ class Effect(eqx.Module):
     needs_channel: ClassVar[str | None] = None
     undriven: ClassVar[bool] = False
     only_beside: ClassVar[tuple[str, ...]] = ()
+    most_turns: ClassVar[float] = math.inf
     looked_at: ClassVar[float] = 1.0
     acts_by_contact: ClassVar[bool] = False
 

@@ -133,6 +133,7 @@ class CableSpring(Force):
     source: ClassVar[str] = "torsion of a round bar; Timoshenko, Strength of Materials I (1955), chapter 10"
     port: ClassVar[str] = "arm"
     nature: ClassVar[str] = "conservative"
+    most_turns: ClassVar[float] = 10.0
 
     stiffness: Scalar = parameter(
         symbol="k_c", unit="N m/rad", bounds=(0.0, np.inf), meaning="stiffness of the cable", null=0.0,

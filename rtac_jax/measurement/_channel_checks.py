@@ -49,15 +49,21 @@ def channel_concerns(experiment: Experiment) -> Iterator[str]:
     if free_arm and velocity is not None and angle is not None:
         yield from _angle_against_velocity(angle.values, velocity.values, experiment.sample_time)
     yield from _initial_angle(experiment)
-    if velocity is not None and free_arm:
-        fastest = float(np.nanmax(np.abs(velocity.values)))
-        if fastest * experiment.sample_time > np.pi:
-            yield (
-                "the arm turns by more than half a turn from one sample to the next, so sample_time is likely in ms, or "
-                "arm_velocity in deg/s; give both in SI units."
-            )
+    if experiment.cart == "free" and turns_fast(experiment):
+        yield (
+            "the arm turns by more than half a turn from one sample to the next, so sample_time is likely in ms, or "
+            "arm_velocity in deg/s; give both in SI units."
+        )
     if "cart_position" in experiment.outputs and experiment.cart == "free":
         yield from _position(experiment)
+
+
+def turns_fast(experiment: Experiment) -> bool:
+    """Return whether a free arm turns by more than half a turn from one sample to the next, by its measured speed."""
+    velocity = experiment.outputs.get("arm_velocity")
+    if velocity is None or experiment.arm != "free":
+        return False
+    return float(np.nanmax(np.abs(velocity.values))) * experiment.sample_time > np.pi
 
 
 def unit_concerns(recording: Recording) -> Iterator[str]:

@@ -8,7 +8,7 @@ from jaxtyping import Float64
 
 from rtac_jax.arguments import checked_arguments
 
-from ._channel_checks import channel_concerns, rest_concerns, unit_concerns
+from ._channel_checks import channel_concerns, rest_concerns, turns_fast, unit_concerns
 from ._experiment import Experiment
 from ._input_noise import current_noise, noise_level
 from ._momentary_faults import momentary_faults, resolution
@@ -193,6 +193,11 @@ def _about_experiment(experiment: Experiment, *, only_noise: bool, counting: Col
             f"the {stepped} is on from its first sample, at which nothing moves yet, so that what came before is not on record and"
             " is taken for the same: a delay or a lag shows in nothing, and bends what is estimated; record from before the step,"
             " or put the zeros that came before it into the file."
+        )
+    if clamped and turns_fast(experiment):
+        yield (
+            "the arm turns by more than half a turn from one sample to the next: a fast motor that is sampled slowly, or"
+            " sample_time is in ms, or arm_velocity in deg/s or rpm; see that both are in SI units."
         )
     if experiment.sample_time < FASTEST:
         yield (

@@ -272,11 +272,7 @@ class Recording:
             return self
         (only,) = moving
         place = only.samples - only.samples // HOLD_OUT_EVERY
-        values = [
-            (s.values[np.isfinite(s.values)], s.values[place:][np.isfinite(s.values[place:])])
-            for s in only.outputs.values()
-        ]
-        if only.kind == "free" and not any(end.size and np.std(end) > _LIVELY * np.std(whole) for whole, end in values):
+        if only.kind == "free" and not any(_is_lively(name, s.values, place) for name, s in only.outputs.items()):
             return self
         parts = only.cut(0, place), only.cut(place, only.samples)
         rest = [experiment for experiment in self if experiment is not only]
@@ -370,3 +366,13 @@ def _encodable(text: str) -> bool:
     except UnicodeEncodeError:
         return False
     return True
+
+
+def _is_lively(name: str, values: np.ndarray, place: int) -> bool:
+    """Return whether the last part of an output of a decay, from a sample on, moves about as much as the whole of it.
+
+    A position may have an offset; a speed has none, and that of a wheel that coasts is its motion though it hardly changes.
+    """
+    whole, end = values[np.isfinite(values)], values[place:][np.isfinite(values[place:])]
+    size = (lambda part: np.sqrt(np.mean(part**2))) if name == "arm_velocity" else np.std
+    return bool(end.size and size(end) > _LIVELY * size(whole))

@@ -1,6 +1,7 @@
 """Words after the loop are true of the model that it leaves, not only of the one that it began with."""
 
 import dataclasses
+import re
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from made_up_results import LEARNED, OTHERS, PREDICTED, compared, diagnosis, imp
 from estimators.core.fisher_information import information_of
 from estimators.core.fit import Fit
 from estimators.core.results import RESULTS
+from estimators.diagnosis.caveats import reaching
 from estimators.misspecification.adequacy import AdequacyTest
 from estimators.plots.diagnosis import finding
 from estimators.reporting.diagnosis_summary import of_diagnosis
@@ -153,6 +155,36 @@ def test_an_adequate_model_that_misses_most_of_the_held_out_motion_does_not_foll
     models = (*mended.validation.models[:-1], compared("+ flexible_mode", 3000.0))
     lost = dataclasses.replace(mended, validation=Comparison(models))
     assert "the mended model does not follow what was held out" in lost.headline
+
+
+def test_a_quarter_is_as_much_where_what_was_fitted_is_followed_to_the_noise():
+    """A spring that softens was held out, 2.3 times as far as what was fitted: "adequate" at 31 % of that motion."""
+    found = looped(diagnosis("adequate"), steps=1)
+    fitted = compared("base", 0.3)
+    far = [dataclasses.replace(t, simulated=t.measured - 0.3 * np.std(t.measured)) for t in fitted.traces]
+    tested = dataclasses.replace(fitted, traces=tuple(far))
+    assert all(50 < e.fit_percent < 75 for e in tested.errors.values())
+    shaken = dataclasses.replace(found, validation=Comparison((tested,)))
+    assert shaken.headline.startswith("The model is adequate: nothing is missing")
+    followed = dataclasses.replace(shaken, train=Comparison((fitted,)))
+    assert followed.headline.startswith("The model does not follow what was held out: nothing is missing")
+
+
+def test_what_reaches_farther_than_all_that_was_fitted_is_named_with_what_to_do():
+    fitted = compared("base", 0.3, names=("free_1", "forced_1"))
+    tested = compared("base", 0.3, names=("free_2", "forced_2"))
+    assert reaching(fitted, tested) == ""
+    far = [
+        dataclasses.replace(t, measured=2.0 * t.measured)
+        if (t.experiment, t.channel) == ("free_2", "cart_position")
+        else t
+        for t in tested.traces
+    ]
+    said = reaching(fitted, dataclasses.replace(tested, traces=tuple(far)))
+    assert re.match(r"free_2 moves (1\.9|2\.0|2\.1) times as far in cart_position as anything that was fitted", said), (
+        said
+    )
+    assert "--validation" in said
 
 
 def test_nothing_added_is_said_as_what_it_is():

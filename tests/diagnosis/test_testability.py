@@ -84,3 +84,18 @@ def test_an_effect_that_another_stands_for_is_not_called_unshown() -> None:
     assert stood_for(CATALOGUE["torque_offset"], [free(), CLAMPED])
     assert not stood_for(CATALOGUE["torque_offset"], [free()])
     assert not any(stood_for(cls, [CLAMPED]) for name, cls in CATALOGUE.items() if name != "torque_offset")
+
+
+@pytest.mark.parametrize("measured", ["arm_velocity", "arm_angle"])
+@pytest.mark.parametrize(("turns", "shown"), [(9.0, True), (11.0, False)])
+def test_a_cable_tears_where_the_arm_turns_many_times(measured: str, turns: float, shown: bool) -> None:
+    """One of 8e-6 N m/rad was named on a motor of 400 turns, whose drive has a dead zone."""
+    length = float(T[-1] + T[1])
+    motion = (
+        np.full(len(T), 2 * np.pi * turns / length) if measured == "arm_velocity" else 2 * np.pi * turns * T / length
+    )
+    spun = Experiment.of(
+        "spun", kind="free", sample_time=float(T[1]), cart="clamped", **{measured: motion + 1e-6 * np.sin(T)}
+    )
+    assert can_show(CATALOGUE["cable_spring"], [LOCKED, spun]) is shown
+    assert can_show(CATALOGUE["arm_coulomb"], [LOCKED, spun])

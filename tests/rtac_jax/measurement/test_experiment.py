@@ -223,6 +223,13 @@ def test_the_last_quarter_of_an_only_decay_can_be_held_out_if_it_still_moves(dec
         assert [part.names for part in recording.divided().split()] == [("swing[0:300]",), ("swing[300:400]",)]
 
 
+@pytest.mark.parametrize(("falls", "lively"), [(0.4, True), (0.95, False)])
+def test_a_wheel_that_coasts_moves_though_its_speed_hardly_changes(falls: float, lively: bool) -> None:
+    speed = 12.8 * (1 - falls * np.arange(400) / 400)
+    recording = Recording((Experiment.of("coast", kind="free", sample_time=0.01, cart="clamped", arm_velocity=speed),))
+    assert (recording.divided() is not recording) is lively
+
+
 def test_split_by_name_keeps_repeats_together():
     recording = Recording((forced(), forced("again", repeat_of="forced"), free(), rest()))
     for name in ("forced", "again"):

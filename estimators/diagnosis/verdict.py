@@ -213,8 +213,8 @@ def _residual(
     # noise is known, random forces in place of its own are.
     # A simulation of what is fitted that follows nothing is none of these: predictions may have called the motion noise.
     lost = not model.added and found.vetoes and found.signal_fraction > policy.simulation.unfollowed
-    # As is what so few data cannot tell from an effect.
-    spoken = found.cause in ("stand-in", "too few data") or found.overstated or lost
+    # As is what may be an effect that so few data could not confirm.
+    spoken = found.cause == "stand-in" or found.overstated or lost or bool(suspect)
     return found if facts.noise_known or spoken else None
 
 

@@ -61,8 +61,12 @@ def test_what_simulations_do_not_explain_either_is_not_adequate_for_want_of_data
     judged = est.judge(dataclasses.replace(found.evidence, simulated=lost))
     assert judged.verdict == "unknown"
     assert judged.simulation is not None
+    assert judged.simulation.cause == "unexplained"  # by random forces
+    more = {n: dataclasses.replace(one, shaken=one.error) for n, one in found.evidence.simulations.items()}
+    judged = est.judge(dataclasses.replace(found.evidence, simulated=lost, simulations=more))
+    assert judged.simulation is not None
     assert judged.simulation.cause == "too few data"
-    assert "arm_coulomb" in judged.simulation.words
+    assert "so might arm_coulomb" in judged.simulation.words
 
 
 def test_friction_of_the_way_that_was_held_out_follows_that_of_the_other() -> None:

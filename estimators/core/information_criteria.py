@@ -5,6 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rtac_jax.measurement import OUTPUTS
+
 
 @dataclass(frozen=True)
 class InformationCriteria:
@@ -63,5 +65,5 @@ class InformationCriteria:
         return {channel: factor * s**2 for channel, s in self.rms.items()}
 
     def __str__(self) -> str:
-        errors = ", ".join(f"{channel} {value:.4g}" for channel, value in self.fpe.items())
-        return f"AIC {self.aic:.1f}, BIC {self.bic:.1f}, FPE {errors} [unit squared]"
+        errors = ", ".join(f"{channel} {value:.4g} ({OUTPUTS[channel]})^2" for channel, value in self.fpe.items())
+        return f"AIC {self.aic:.1f}, BIC {self.bic:.1f}, FPE {errors}"

@@ -74,7 +74,7 @@ def words(
     if verdict == "adequate":
         limits = sorted((c for c in candidates if c.testable), key=lambda c: c.id)
         text = ", ".join(f"{c.id} {c.limit}" for c in limits)
-        blind = [c.id for c in candidates if not c.can_show]
+        blind = [c.id for c in candidates if not c.can_show and c.chi_square < policy.alarm]
         more = f" and {len(blind) - _LISTED} others" if len(blind) > _LISTED else ""
         unseen = (
             f" These data could not show {', '.join(blind[:_LISTED])}{more} at any plausible size." if blind else ""
@@ -243,7 +243,7 @@ def unconfirmed(
 
     Nothing is said beside effects of no consequence, which other candidates may resemble.
     """
-    large = [c for c in candidates if c.testable and c.chi_square >= policy.alarm and c.p_value >= policy.chance]
+    large = [c for c in candidates if c.chi_square >= policy.alarm and c.p_value >= policy.chance]
     if not large or detectable:
         return ""
     first = max(large, key=lambda c: c.chi_square)

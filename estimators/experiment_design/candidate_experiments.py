@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rtac_jax import RTAC, Simulation, simulate
-from rtac_jax.measurement import Experiment, Plan, multisine
+from rtac_jax.measurement import Experiment, Plan, filled, multisine
 
 _MARGIN = 0.85  # fraction of travel and speed that the model may use: the rig departs from it
 _ROUNDS = 8  # in which a current is lowered until the limits hold
@@ -114,6 +114,32 @@ def default_plans(model: RTAC, limits: Limits, *, sample_time: float, duration: 
         for (name, wave), angle in itertools.product(_cut(waves, largest), (_ANGLES[0], _ANGLES[2]))
     ]  # fmt: skip
     return plans
+
+
+def coasts(experiments: Sequence[Experiment], limits: Limits, *, sample_time: float, duration: float) -> list[Plan]:
+    """Return coasts of an arm without a motor from its largest speed and half of it, both ways, as long and three times as long.
+
+    Args:
+        experiments: that were recorded, which tell how fast somebody turned it.
+        limits: of the speed.
+        sample_time: of the plans [s].
+        duration: of the shorter ones [s].
+    """
+    speeds = [
+        e.outputs["arm_velocity"].values
+        if "arm_velocity" in e.outputs
+        else np.gradient(filled(e.outputs["arm_angle"].values), e.sample_time)
+        for e in experiments
+        if e.outputs.keys() & {"arm_velocity", "arm_angle"}
+    ]
+    fastest = min(max((float(np.nanmax(np.abs(s))) for s in speeds), default=limits.speed), _MARGIN * limits.speed)
+    return [
+        Plan(
+            f"coast from {sign * part * fastest:.3g} rad per s, {times * duration:.3g} s", "free", times * duration, sample_time,
+            cart="clamped", initial_arm_velocity=sign * part * fastest,
+        )
+        for sign, part, times in itertools.product((1.0, -1.0), (1.0, 0.5), (1.0, 3.0))
+    ]  # fmt: skip
 
 
 def _cut(waves: Sequence[tuple[str, np.ndarray]], largest: float) -> list[tuple[str, np.ndarray]]:

@@ -13,7 +13,14 @@ from estimators.core.data import moving
 from estimators.core.drawing import draw
 from estimators.core.fit import Fit
 from estimators.diagnosis.diagnosis import Diagnosis
-from estimators.experiment_design.candidate_experiments import Limits, default_plans, feasible, held_alike, predicted
+from estimators.experiment_design.candidate_experiments import (
+    Limits,
+    coasts,
+    default_plans,
+    feasible,
+    held_alike,
+    predicted,
+)
 from estimators.experiment_design.hypotheses import contest_of
 from estimators.experiment_design.t_optimality import separations
 from rtac_jax import require_configured
@@ -29,6 +36,7 @@ ENOUGH = 500.0
 
 HOPELESS = 0.5
 """Separation that the best experiment adds, below which twenty repeats of it would not do, so that none is worth recording."""
+_NOTHING = 1e-3  # separation that is printed as none: a thousand times as much would decide nothing
 
 Pair = tuple[str, str]
 
@@ -71,6 +79,7 @@ class NextExperiment:
         refused: why the others are not among them.
         recording: the recommended experiment as a file to play: its inputs, and as outputs what the model predicts.
         held_out: smallest separation by the recording and each experiment that was held out of it, by name.
+        untold: pairs that none of them tells apart, be it repeated twenty times, where others are: they are not ranked by these.
     """
 
     effects: tuple[str, ...]
@@ -79,6 +88,7 @@ class NextExperiment:
     refused: tuple[str, ...]
     recording: Recording
     held_out: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    untold: tuple[Pair, ...] = ()
 
     @property
     def deciding(self) -> tuple[str, ...]:
@@ -174,10 +184,9 @@ class NextExperiment:
         best, plan = self.best, self.plan
         worst = min(best.separation, key=lambda pair: best.separation[pair])
         lines = [
-            f"Next experiment: {plan.name}, {plan.duration:g} s, the cart released at {1e3 * plan.initial_position:.3g} mm, the "
-            f"arm at {plan.initial_angle:.3g} rad.",
-            f"It raises the smallest separation of {self.told_apart} from {min(self.already.values()):.3g} to "
-            f"{best.smallest:.3g} ({worst[0]} against {worst[1]}); below {CONFUSABLE:g} effects are not told apart.",
+            f"Next experiment: {plan.name}, {plan.duration:g} s, {_begun(plan)}.",
+            f"It raises the smallest separation of {self.told_apart} from {_separation(min(self.already.values()))} to "
+            f"{_separation(best.smallest)} ({worst[0]} against {worst[1]}); below {CONFUSABLE:g} effects are not told apart.",
             f"Predicted: travel {1e3 * best.travel:.2g} mm, torque {best.torque:.2g} N m, current "
             f"{np.max(np.abs(self.current)):.2g} A, arm {best.speed:.3g} rad/s.",
         ]
@@ -187,6 +196,9 @@ class NextExperiment:
             lines.append(
                 "No experiment that was tried tells these apart; record it several times, or widen the limits."
             )
+        if self.untold:
+            pairs = " or ".join(f"{i} from {j}" for i, j in self.untold)
+            lines.append(f"None of them tells {pairs}, so they are ranked by the others.")
         if self.deciding:
             lines.append(self.spared)
         if max(one.smallest for one in self.ranked) > best.smallest:
@@ -194,7 +206,7 @@ class NextExperiment:
         wide = max(10, *(len(one.plan.name) for one in self.ranked))
         lines += ["", f"{'experiment':{wide}s} {'separation':>11s} {'travel':>9s} {'torque':>11s} {'arm speed':>11s}"]
         lines += [
-            f"{one.plan.name:{wide}s} {one.smallest:11.3g} {1e3 * one.travel:6.2f} mm {1e3 * one.torque:6.2f} mN m "
+            f"{one.plan.name:{wide}s} {_separation(one.smallest):>11s} {1e3 * one.travel:6.2f} mm {1e3 * one.torque:6.2f} mN m "
             f"{one.speed:5.1f} rad/s"
             for one in self.ranked
         ]
@@ -203,6 +215,20 @@ class NextExperiment:
     def plot(self) -> Any:
         """Draw the separation by every experiment, and the recommended one, as a matplotlib figure."""
         return draw(self)
+
+
+def _begun(plan: Plan) -> str:
+    """Say how an experiment begins."""
+    cart = (
+        "the cart clamped" if plan.cart == "clamped" else f"the cart released at {1e3 * plan.initial_position:.3g} mm"
+    )
+    turning = f", turning at {plan.initial_arm_velocity:.3g} rad/s" if plan.initial_arm_velocity else ""
+    return f"{cart}, the arm at {plan.initial_angle:.3g} rad{turning}"
+
+
+def _separation(size: float) -> str:
+    """Return a separation in words; one that is next to nothing is rounding."""
+    return f"{size:.3g}" if size >= _NOTHING else "0"
 
 
 @checked_arguments
@@ -283,7 +309,8 @@ def next_experiment(
         if (
             not driven and current_limit is None and "torque_constant" not in recording.rig
         ):  # no motor that anybody knows of
-            plans = [p for p in plans if p.current is None] or plans
+            undriven = [p for p in plans if p.current is None]
+            plans = undriven or coasts(experiments, limits, sample_time=interval, duration=duration or longest)
         plans = [dataclasses.replace(p, name=f"{p.name}, once more") if p.name in taken else p for p in plans]
     _require_plans(plans, [e.name for e in experiments])
     channels = [c for c in OUTPUTS if any(c in e.outputs for e in experiments)]
@@ -293,6 +320,8 @@ def next_experiment(
     planned = [predicted(plan, shown, channels) for plan, shown in zip(possible.plans, possible.shown, strict=True)]
     spared = [] if held_out is None else [e for e in held_out.experiments if e.kind != "rest"]
     already, with_each = separations(contest, experiments, possible.plans, [*planned, *spared])
+    untold = _hopeless_pairs(already, with_each[: len(planned)])
+    already, *with_each = ({p: s for p, s in one.items() if p not in untold} for one in (already, *with_each))
     with_spared = with_each[len(planned) :]
     gain = float(np.asarray(contest.truth["torque_constant"]))
     largest = limits.largest_current(gain)
@@ -314,7 +343,17 @@ def next_experiment(
     )
     playable = Recording((best,), recording.rig, recording.rig_name, comment)
     by_spared = {e.name: min(one.values()) for e, one in zip(spared, with_spared, strict=True)}
-    return NextExperiment(contest.effects, already, tuple(ranked), possible.refused, playable, by_spared)
+    return NextExperiment(contest.effects, already, tuple(ranked), possible.refused, playable, by_spared, untold)
+
+
+def _hopeless_pairs(already: Mapping[Pair, float], with_each: Sequence[Mapping[Pair, float]]) -> tuple[Pair, ...]:
+    """Return the pairs that no experiment tells apart, where it does others."""
+    hopeless = [
+        pair
+        for pair, before in already.items()
+        if before < CONFUSABLE and max(one[pair] for one in with_each) - before < HOPELESS
+    ]
+    return tuple(hopeless) if len(hopeless) < len(already) else ()
 
 
 def _require_plans(plans: Sequence[Plan], taken: Sequence[str]) -> None:

@@ -157,7 +157,8 @@ def candidate_table(diagnosis: Diagnosis, added: Collection[str] | None = None) 
     kept = named if added is None else set(added)
     rows, silent = [], []
     for c in ranked(diagnosis):
-        if not (c.can_show or c.refitted or c.id in named or c.id in kept):
+        large = c.chi_square >= diagnosis.policy.alarm
+        if not (c.can_show or c.refitted or large or c.id in named or c.id in kept):
             silent.append(c.id)
             continue
         rows.append(
@@ -167,7 +168,7 @@ def candidate_table(diagnosis: Diagnosis, added: Collection[str] | None = None) 
                 f"{c.p_value:.2g}",
                 f"{c.bic_gain:.1f}" if c.refitted else "",
                 f"{100 * c.error_reduction:.0f}" if c.refitted else "",
-                c.limit_or_why,
+                "large, not confirmed" if large and not c.can_show else c.limit_or_why,
                 _fate(c.id in named, c.id in kept),
             )
         )

@@ -45,7 +45,7 @@ def csv_header(path: str | os.PathLike[str], delimiter: str = ",") -> list[str]:
     """
     delimiter = _mark(delimiter)
     try:
-        names = _opened(path, delimiter, lambda rows: _names(rows, delimiter))
+        names = _opened(path, delimiter, _names)
     except RecordingError as error:
         raise RecordingError(f"{os.fspath(path)}: {error}") from error.__cause__
     return names
@@ -100,20 +100,20 @@ def _opened(path: str | os.PathLike[str], delimiter: str, read: Callable[[Iterab
     raise RecordingError(f"this is not a readable text file ({reason}); save it as CSV in UTF-8.") from reason
 
 
-def _names(rows: Iterable[list[str]], delimiter: str) -> list[str]:
+def _names(rows: Iterable[list[str]]) -> list[str]:
     """Return the names of the columns, as far as a file tells them.
 
     They are the first row above the numbers with as many cells as these and none that is empty or a number: a logger may write
     about itself above, and units below. It is the first row of all where there is none.
     """
     above = [[cell.strip() for cell in cells] for cells in itertools.islice(rows, _PREAMBLE)]
-    numbers = next((cells for cells in above[1:] if _is_numbers(cells, delimiter)), [])
+    numbers = next((cells for cells in above[1:] if _is_numbers(cells)), [])
     first = above[: above.index(numbers)] if numbers else []
     several = [*map(_trimmed, first), *(_words(cells) for cells in first[-1:])]
     wide = [cells for cells in several if len(cells) == len(_trimmed(numbers))]
-    named = (cells for cells in wide if all(cells) and all(_value(cell, delimiter) is None for cell in cells))
+    named = (cells for cells in wide if all(cells) and all(_value(cell) is None for cell in cells))
     found = next(named, above[0] if above else [])
-    _require_names(above, found, delimiter)
+    _require_names(above, found)
     return found
 
 
@@ -122,10 +122,10 @@ def _words(cells: list[str]) -> list[str]:
     return cells[0].split() if len(cells) == 1 else []
 
 
-def _is_numbers(cells: list[str], delimiter: str) -> bool:
+def _is_numbers(cells: list[str]) -> bool:
     """Return whether most cells of a row that are not empty are numbers."""
     told = [cell for cell in cells if cell]
-    return sum(_value(cell, delimiter) is not None for cell in told) > len(told) / 2
+    return sum(_value(cell) is not None for cell in told) > len(told) / 2
 
 
 def _parse(rows: Iterable[list[str]], names: list[str], delimiter: str) -> dict[str, Float64[np.ndarray, " sample"]]:
@@ -147,11 +147,11 @@ def _parse(rows: Iterable[list[str]], names: list[str], delimiter: str) -> dict[
         if len(cells) != len(header):
             raise RecordingError(f"row {row}: has {len(cells)} cells, but the header has {len(header)}; mend the row.")
         wanted = [cells[place].strip() for place in places]
-        if not begun and any(wanted) and all(_value(cell, delimiter) is None for cell in wanted if cell):
+        if not begun and any(wanted) and all(_value(cell) is None for cell in wanted if cell):
             continue  # units below the names
         begun = True
         for name, cell in zip(names, wanted, strict=True):
-            columns[name].append(_number(cell, row, name, delimiter))
+            columns[name].append(_number(cell, row, name))
             marks[name].note(cell, row, name)
     for name, seen in marks.items():
         seen.require_decimals(name)
@@ -170,17 +170,17 @@ def _header(
     """
     above = list(itertools.islice(numbered, _PREAMBLE))
     rows = [[cell.strip() for cell in cells] for _, cells in above]
-    end = next((place for place, cells in enumerate(rows) if place and _all_numbers(cells, delimiter)), len(rows))
+    end = next((place for place, cells in enumerate(rows) if place and _all_numbers(cells)), len(rows))
     several = [
         *enumerate(rows[: end + 1]),
         *((end - 1, _words(cells)) for cells in rows[end - 1 : end] if end < len(rows)),
     ]
     for place, header in several:
         if all(header.count(name) == 1 for name in names):
-            _require_names(rows[place:], header, delimiter)
-            return header, itertools.chain(above[place + 1 :], numbered)
+            _require_names(rows[place:], header)
+            return _trimmed(header), itertools.chain(above[place + 1 :], numbered)
     first = next((cells for cells in rows if cells), [])
-    _require_names(rows, first, delimiter)
+    _require_names(rows, first)
     for name in names:
         if first.count(name) != 1:
             often = "does not occur" if name not in first else "occurs more than once"
@@ -191,9 +191,9 @@ def _header(
     raise RecordingError("the file is empty.")
 
 
-def _all_numbers(cells: list[str], delimiter: str) -> bool:
+def _all_numbers(cells: list[str]) -> bool:
     told = _trimmed(cells)
-    return bool(told) and all(_value(cell, delimiter) is not None for cell in told)
+    return bool(told) and all(_value(cell) is not None for cell in told)
 
 
 def _trimmed(cells: list[str]) -> list[str]:
@@ -202,15 +202,15 @@ def _trimmed(cells: list[str]) -> list[str]:
     return cells[:count]
 
 
-def _require_names(rows: list[list[str]], header: list[str], delimiter: str) -> None:
+def _require_names(rows: list[list[str]], header: list[str]) -> None:
     """Refuse numbers above numbers in the place of names; whole numbers, each once, may be those of the columns.
 
     Raises:
         RecordingError: they are no names.
     """
-    numbers = [_value(cell, delimiter) for cell in header]
+    numbers = [_value(cell) for cell in header]
     below = next((cells for cells in rows[1:] if cells), [])
-    alike = len(_trimmed(below)) == len(header) and _all_numbers(below, delimiter)
+    alike = len(_trimmed(below)) == len(header) and _all_numbers(below)
     whole = all(cell.isdigit() for cell in header) and len(set(header)) == len(header)
     if numbers and None not in numbers and alike and not whole:
         raise RecordingError(
@@ -254,20 +254,23 @@ class _Marks:
             )
 
 
-def _number(cell: str, row: int, name: str, delimiter: str) -> float:
+def _number(cell: str, row: int, name: str) -> float:
     cell = cell.strip()
     if not cell:
         return math.nan
-    if (value := _value(cell, delimiter)) is not None:
+    if (value := _value(cell)) is not None:
         return value
     raise RecordingError(
         f"row {row}, column {name!r}: {cell!r} is not a number; write it with a decimal point, or leave the cell empty."
     )
 
 
-def _value(cell: str, delimiter: str) -> float | None:
-    """Return the number in a cell, with a decimal comma where that separates no columns; None where it holds none."""
-    if delimiter != "," and cell.count(",") == 1 and "." not in cell:
+def _value(cell: str) -> float | None:
+    """Return the number in a cell, with a decimal point or comma; None where it holds none.
+
+    A comma within a cell separates no columns: another character does, or the cell stands between quotes.
+    """
+    if cell.count(",") == 1 and "." not in cell:
         cell = cell.replace(",", ".")
     try:
         # Python reads 1_5 as fifteen; in a file it is a slip.

@@ -158,8 +158,8 @@ class Recording:
     ) -> "Recording":
         """Import a recording of one experiment from the columns of a CSV file that a row above the numbers names.
 
-        A decimal comma is read where another character separates the columns. What is above that row, and units below it, is passed
-        over; a file that is not UTF-8 is taken for cp1252.
+        A decimal comma is read between quotes, or where another character separates the columns. What is above that row, and
+        units below it, is passed over; a file that is not UTF-8 is taken for cp1252.
 
         `channels` maps channels to columns, as in `{"current": "i_motor", "cart_position": "x"}`. Either `time`,
         the column with the times, or `sample_time` [s] is given. An empty cell and "nan" mean a missing

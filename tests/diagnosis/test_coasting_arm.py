@@ -11,7 +11,15 @@ from scipy.signal import butter, lfilter
 import estimators as est
 import rtac_jax as rtac
 from estimators.output_error.fit_what_shows import fit_what_shows
-from rtac_jax.effects import ArmCoulomb, ArmQuadraticDrag, CubicSpring, HystereticSpring, QuadraticSpring
+from rtac_jax.effects import (
+    ArmCoulomb,
+    ArmQuadraticDrag,
+    CableSpring,
+    CubicSpring,
+    HystereticSpring,
+    QuadraticSpring,
+    TorqueOffset,
+)
 from rtac_jax.measurement import Experiment, Recording
 
 STEP, INERTIA, VISCOUS, DRY = 0.01, 1e-3, 1.5e-4, 2.2e-3  # s, kg m^2, N m s/rad, N m
@@ -83,6 +91,23 @@ def test_friction_of_the_way_that_was_held_out_follows_that_of_the_other() -> No
     assert float(values["arm_coulomb.level"]) == pytest.approx(DRY, rel=0.01)
     assert found.validation.models[0].errors["arm_velocity"].rms_over_noise > 20
     assert found.validation.models[-1].errors["arm_velocity"].rms_over_noise < 2
+
+
+def test_the_next_experiment_is_one_that_needs_no_motor() -> None:
+    """A longer coast shows where dry friction brings the arm to rest, which an offset of the torque does not."""
+    calm = recording(coast("only", -12.8, 1))
+    fit, _ = fit_what_shows(rtac.RTAC.from_rig(calm), calm, progress=False)
+    found = est.diagnose(fit, calm, candidates=[ArmCoulomb, TorqueOffset, CableSpring], progress=False)
+    assert found.verdict == "ambiguous", found
+    planned = est.next_experiment(fit, calm, found, progress=False)
+    assert set(planned.effects) == {"arm_coulomb", "torque_offset", "cable_spring"}
+    assert all(one.plan.kind == "free" and one.plan.current is None for one in planned.ranked)
+    assert ("torque_offset", "cable_spring") not in planned.already, "a cable imitates it whatever is recorded"
+    assert planned.best.plan.duration > 8.0
+    assert planned.best.smallest > 100 * max(1.0, min(planned.already.values()))
+    text = str(planned)
+    assert "the cart clamped, the arm at 0 rad, turning at" in text
+    assert "torque 0 N m, current 0 A" in text
 
 
 def test_a_comparison_holds_what_shows_nowhere_as_a_fit_does(tmp_path) -> None:

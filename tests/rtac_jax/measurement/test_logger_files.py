@@ -49,6 +49,16 @@ def test_what_a_logger_writes_is_read(tmp_path, rows, encoding):
     np.testing.assert_allclose(found.inputs["current"].values, 0.1 * (np.arange(10) % 3), rtol=1e-12)
 
 
+@pytest.mark.parametrize("end", ["", ","])
+def test_a_decimal_comma_between_quotes_separates_no_columns(tmp_path, end):
+    """Nor is a mark at the end of the names a column, though the rows have none there."""
+    path = tmp_path / "run.csv"
+    quoted = [",".join(f'"{cell}"' for cell in row.split(";")) for row in COMMAS]
+    path.write_text("\n".join([NAMES.replace(";", ",") + end, *quoted]))
+    found = read(path, delimiter=",")
+    np.testing.assert_allclose(found.outputs["cart_position"].values, 1.5e-3 * np.arange(10.0), rtol=1e-12)
+
+
 def test_a_comma_that_separates_columns_is_no_decimal_comma(tmp_path):
     path = tmp_path / "run.csv"
     path.write_text("\n".join([NAMES.replace(";", ","), *(row.replace(";", ",") for row in ROWS)]))

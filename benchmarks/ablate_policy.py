@@ -165,7 +165,7 @@ def rules() -> dict[str, Judge]:
     found["a simpler law is preferred to one that contains it"] = _without_traits("contains", ())
     found["contacts are tried however little they show"] = _without_traits("contact", False)
     found["a shape that ran away gives way"] = with_patch(FittedModel, "leaves_free", lambda *_: False)
-    found["too few data: a suspect vetoes"] = with_patch(verdict, "few_for", lambda *_: False)
+    found["too few data: a suspect vetoes"] = with_patch(verdict, "unconfirmed", lambda *_: [])
     return found
 
 

@@ -1,6 +1,7 @@
 """The record of a selection of effects, and the order in which candidates are asked."""
 
 import dataclasses
+import math
 from collections.abc import Sequence
 
 from estimators.diagnosis.evidence import Facts, FittedModel
@@ -9,6 +10,8 @@ from estimators.diagnosis.removed_error import Verdict, named, named_for_simulat
 from estimators.diagnosis.step import Step
 from estimators.misspecification.adequacy import AdequacyTest, Candidate
 from estimators.misspecification.findings import Findings, Score
+
+_SAME = 1e-6  # relative difference of statistics, up to which two effects change the motion in the same way
 
 Tried = dict[str, tuple[FittedModel, FittedModel]]
 """Of every candidate that was tried the model before and after."""
@@ -63,5 +66,13 @@ def by_size(screened: Sequence[Candidate], price: float) -> list[Candidate]:
 
 
 def nameable(facts: Facts, several: Sequence[Score]) -> list[Score]:
-    """Return the candidates that the data could show at a plausible size: of others, only what a simulation selects is named."""
-    return [s for s in several if s.id not in facts.untestable]
+    """Return the candidates that the data could show at a plausible size: of others, only what a simulation selects is named.
+
+    And what one of these contains, with what changes the motion exactly as that does: else the larger one would be named where
+    it is no more than these, as a cable without stiffness is dry friction of an arm that turns one way.
+    """
+    shown = [s for s in several if s.id not in facts.untestable]
+    within = {i for s in shown for i in facts.effects[s.id].contains}
+    sizes = [s.statistic for s in several if s.id in within]
+    same = [s for s in several if any(math.isclose(s.statistic, size, rel_tol=_SAME) for size in sizes)]
+    return [s for s in several if s in shown or s.id in within or s in same]

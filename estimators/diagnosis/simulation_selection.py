@@ -60,7 +60,7 @@ def _far(laboratory: Laboratory, model: FittedModel, policy: DiagnosisPolicy) ->
     if found is None:
         return None
     poor = any(
-        ratio > limits.poor * found.signal[channel] and ratio**2 > limits.beyond
+        ratio > limits.poor * found.signal[channel] and ratio > limits.beyond**0.5
         for channel, ratio in found.error.items()
     )
     return found if poor or max(found.error.values(), default=0.0) > policy.far else None

@@ -99,11 +99,16 @@ def test_the_next_experiment_is_one_that_needs_no_motor() -> None:
     fit, _ = fit_what_shows(rtac.RTAC.from_rig(calm), calm, progress=False)
     found = est.diagnose(fit, calm, candidates=[ArmCoulomb, TorqueOffset, CableSpring], progress=False)
     assert found.verdict == "ambiguous", found
-    planned = est.next_experiment(fit, calm, found, progress=False)
-    assert set(planned.effects) == {"arm_coulomb", "torque_offset", "cable_spring"}
+    assert {c.id for c in found.effects} >= {"arm_coulomb", "torque_offset"}, (
+        "a cable without stiffness is no more than these"
+    )
+    planned = est.next_experiment(
+        fit, calm, found, between=["arm_coulomb", "torque_offset", "cable_spring"], progress=False
+    )
     assert all(one.plan.kind == "free" and one.plan.current is None for one in planned.ranked)
     assert ("torque_offset", "cable_spring") not in planned.already, "a cable imitates it whatever is recorded"
-    assert planned.best.plan.duration > 8.0
+    best = planned.best.plan
+    assert best.initial_arm_velocity > 0 or best.duration > 8.0, "the other way, or to rest"
     assert planned.best.smallest > 100 * max(1.0, min(planned.already.values()))
     text = str(planned)
     assert "the cart clamped, the arm at 0 rad, turning at" in text

@@ -15,7 +15,7 @@ from estimators.diagnosis import simulated_fits, simulation_selection
 from estimators.diagnosis.evidence import FittedModel, SimulationError
 from estimators.diagnosis.laboratory import Way
 from estimators.diagnosis.policy import STANDARD
-from estimators.diagnosis.selection import Selection
+from estimators.diagnosis.selection import Selection, nameable
 from estimators.diagnosis.simulation_remarks import found_by_simulation, untried
 from estimators.diagnosis.verdict import decide
 from estimators.misspecification.adequacy import AdequacyTest
@@ -277,3 +277,17 @@ def test_a_simulation_may_end_at_a_gross_size_where_the_declaration_admits_it(ac
     known = information_of(np.eye(1), ("total_mass",), np.ones(1))
     fit = Fit(RTAC.paper() + GravityTilt(0.0, across), RESULTS.successful, known, {}, {}, {}, ("a",), {})
     assert simulated_fits._plausible(fit, asked, STANDARD) == plausible
+
+
+@pytest.mark.parametrize(("dry", "also"), [(237.0, ["arm_coulomb"]), (230.0, [])])
+def test_what_an_effect_contains_may_be_named_where_it_may_and_what_is_the_same_as_that(
+    dry: float, also: list[str]
+) -> None:
+    """A cable of no stiffness was missing from an arm that coasts one way, as neither friction nor a torque was testable."""
+    facts = dataclasses.replace(
+        Known({}).facts, untestable=("arm_coulomb", "torque_offset", "current_lag", "arm_presliding")
+    )
+    several = [sized("cable_spring", 237.4, 1e-9), sized("torque_offset", 237.0, 1e-9), sized("arm_coulomb", dry, 1e-9)]
+    found = nameable(facts, [*several, sized("current_lag", 90.0, 1e-9)])
+    assert [s.id for s in found] == ["cable_spring", "torque_offset", *also]
+    assert [s.id for s in nameable(facts, several[1:])] == []

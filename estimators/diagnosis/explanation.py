@@ -11,7 +11,7 @@ from estimators.diagnosis.removed_error import Verdict, fraction_removed
 from estimators.diagnosis.step import Step
 from estimators.diagnosis.verdict import Consequence
 from estimators.diagnosis.wrong_constant import without_constants
-from estimators.inference.simulation_residual import SHAKEN, SimulationResidual, judged_channels
+from estimators.inference.simulation_residual import SHAKEN, SimulationResidual, judged_channels, random_forces
 from estimators.misspecification.adequacy import AdequacyTest
 from estimators.misspecification.line_classes import LineClass
 from estimators.misspecification.residual_maps import Place
@@ -314,9 +314,8 @@ def shaken(
     if of_the_current:
         stand = "no more than the noise of the measured current is, so that nothing need shake the rig"
     return said + (
-        f" The predictor asks for random forces even so ({100 * random_force:.1f} % of the rms force in one sample,"
-        f" {100 * random_torque:.1f} % of the rms torque): {stand}. A simulation cannot follow them: est.prediction_error_nonlinear"
-        " estimates parameters of such a rig, est.output_error may not."
+        f" The predictor asks for random forces even so ({random_forces((random_force, random_torque))}): {stand}. A simulation"
+        " cannot follow them: est.prediction_error_nonlinear estimates parameters of such a rig, est.output_error may not."
     )
 
 

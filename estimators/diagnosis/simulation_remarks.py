@@ -7,7 +7,7 @@ from estimators.diagnosis.evidence import SimulationError
 from estimators.diagnosis.policy import DiagnosisPolicy
 from estimators.diagnosis.removed_error import without_named_rivals
 from estimators.diagnosis.step import Step
-from estimators.inference.simulation_residual import SimulationResidual, percent
+from estimators.inference.simulation_residual import SimulationResidual, random_forces
 from estimators.misspecification.adequacy import AdequacyTest
 from rtac_jax.measurement import OUTPUTS
 
@@ -23,7 +23,6 @@ def found_by_simulation(before: SimulationError, after: SimulationError, coloure
         coloured: noise that was assumed, of which errors are multiples, by channel [its unit].
     """
     farthest = max(before.error, key=lambda channel: before.error[channel])
-    force, torque = before.random
     noise = (
         f"the coloured noise, of {coloured[farthest]:.2g} {OUTPUTS[farthest]} rms"
         if farthest in coloured
@@ -31,7 +30,7 @@ def found_by_simulation(before: SimulationError, after: SimulationError, coloure
     )
     return (
         " This is what simulations select, as predictions one sample ahead do not tell: random forces stand in for the physics"
-        f" there ({percent(force)} of the rms force and {percent(torque)} of the rms torque in one sample). The"
+        f" there ({random_forces(before.random)}). The"
         f" error of the simulation falls from {before.error[farthest]:,.3g} to {after.error[farthest]:,.3g} times {noise}"
         f" ({farthest})."
     )

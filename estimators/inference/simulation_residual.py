@@ -281,6 +281,13 @@ def percent(fraction: float) -> str:
     return f"{100 * fraction:.0f} %" if fraction >= 0.1 else f"{100 * fraction:.2g} %"
 
 
+def random_forces(random: tuple[float, float]) -> str:
+    """Return random force and torque in words; one that is not worth a word, as on what is held, is left out beside the other."""
+    parts = [(size, f"of the rms {name}") for size, name in zip(random, ("force", "torque"), strict=True)]
+    told = [part for part in parts if part[0] >= SHAKEN] or parts
+    return f"{' and '.join(f'{percent(size)} {of}' for size, of in told)} in one sample"
+
+
 def _words(
     cause: Cause,
     misses: str,
@@ -294,7 +301,7 @@ def _words(
 ) -> str:
     if cause == "noise":
         return ""
-    size = f"{percent(random[0])} of the rms force and {percent(random[1])} of the rms torque in one sample"
+    size = random_forces(random)
     if cause == "stand-in":
         return (
             f"Although predictions one sample ahead are at the noise, {misses}. Random forces stand in for the physics there"

@@ -47,23 +47,30 @@ def recording(*several: Experiment) -> Recording:
     return Recording(several, rig={"arm_inertia": INERTIA})
 
 
-@pytest.mark.parametrize("seconds", [2.7, 2.0])
-def test_what_so_few_seconds_cannot_confirm_is_asked_of_simulations(seconds: float) -> None:
-    """Predictions take the bend of the curve for random torques, and a few stretches of a second contradict nothing."""
+def diagnosed(seconds: float) -> est.Diagnosis:
+    """Diagnose an arm that coasted so long, shaken."""
     shaken = recording(coast("only", -12.8, 1, seconds=seconds, shaken=0.15))
     fit, held = fit_what_shows(rtac.RTAC.from_rig(shaken), shaken, progress=False)
     assert held == ("arm_viscous.positive",)
     assert fit.farthest > 50
-    found = est.diagnose(fit, shaken, candidates=[ArmCoulomb, ArmQuadraticDrag], progress=False)
+    return est.diagnose(fit, shaken, candidates=[ArmCoulomb, ArmQuadraticDrag], progress=False)
+
+
+def check_dry_friction(found: est.Diagnosis) -> None:
+    """Predictions take the bend of the curve for random torques, and a few stretches of a second contradict nothing."""
     assert [c.id for c in found.effects] == ["arm_coulomb"], found
     assert found.by_simulation
     assert found.effects[0].parameters["level"].value == pytest.approx(DRY, rel=0.06)
 
 
+@pytest.mark.slow
+def test_what_three_stretches_of_a_second_cannot_confirm_is_asked_of_simulations() -> None:
+    check_dry_friction(diagnosed(2.7))
+
+
 def test_what_simulations_do_not_explain_either_is_not_adequate_for_want_of_data() -> None:
-    shaken = recording(coast("only", -12.8, 1, seconds=2.0, shaken=0.15))
-    fit, _ = fit_what_shows(rtac.RTAC.from_rig(shaken), shaken, progress=False)
-    found = est.diagnose(fit, shaken, candidates=[ArmCoulomb, ArmQuadraticDrag], thorough=False, progress=False)
+    found = diagnosed(2.0)
+    check_dry_friction(found)
     assert found.evidence is not None
     lost = {place: {} for place in found.evidence.simulated}
     judged = est.judge(dataclasses.replace(found.evidence, simulated=lost))
@@ -93,6 +100,7 @@ def test_friction_of_the_way_that_was_held_out_follows_that_of_the_other() -> No
     assert found.validation.models[-1].errors["arm_velocity"].rms_over_noise < 2
 
 
+@pytest.mark.slow
 def test_the_next_experiment_is_one_that_needs_no_motor() -> None:
     """A longer coast shows where dry friction brings the arm to rest, which an offset of the torque does not."""
     calm = recording(coast("only", -12.8, 1))

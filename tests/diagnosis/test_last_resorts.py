@@ -174,6 +174,11 @@ def test_nothing_is_learned_where_no_curve_explains_more_than_chance(
     said = learn_force(learned.base, learned.validation.models[0], found, train, held_out, progress=False)
     assert isinstance(said, str)
     assert "no function of position, velocity, angle or current" in said
+    stands_in = SimulationResidual("stand-in", "cart_position", 5.0, 4.0, 0.15, 1.0, 0.0, "")
+    beside = dataclasses.replace(found, simulation=stands_in)
+    said = learn_force(learned.base, learned.validation.models[0], beside, train, held_out, progress=False)
+    assert isinstance(said, str)
+    assert "beside random forces that stand in for the physics predictions do not tell" in said
     again = learn_force(
         learned.final, learned.validation.models[-1], learned.diagnoses[-1], train, held_out, progress=False
     )

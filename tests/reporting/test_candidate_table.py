@@ -34,3 +34,14 @@ def test_what_the_data_could_not_show_stands_below_the_table() -> None:
     assert [row[0] for row in table.rows] == ["shown", "nearest"]
     assert str(table).splitlines()[-1] == "Not testable with these data: hidden."
     assert not candidate_table(dataclasses.replace(found, candidates=(shown,))).note
+
+
+def test_what_reaches_an_alarm_is_no_candidate_that_the_data_could_not_show() -> None:
+    """Beside "arm_coulomb reaches 232, the alarm is at 20" it stood among what was not testable."""
+    small, large = (
+        dataclasses.replace(made_up_results.candidate(n, s), testable=False) for n, s in (("a", -5.0), ("b", 50.0))
+    )
+    found = dataclasses.replace(made_up_results.diagnosis("adequate"), effects=(), candidates=(small, large))
+    table = candidate_table(found)
+    assert [(row[0], row[-2]) for row in table.rows] == [("b", "large, not confirmed")]
+    assert str(table).splitlines()[-1] == "Not testable with these data: a."

@@ -75,4 +75,4 @@ def nameable(facts: Facts, several: Sequence[Score]) -> list[Score]:
     within = {i for s in shown for i in facts.effects[s.id].contains}
     sizes = [s.statistic for s in several if s.id in within]
     same = [s for s in several if any(math.isclose(s.statistic, size, rel_tol=_SAME) for size in sizes)]
-    return [s for s in several if s in shown or s.id in within or s in same]
+    return [s for s in several if s in shown or s in same]

@@ -36,7 +36,7 @@ class Contest:
     Attributes:
         effects: ids.
         pairs: every effect against every other, one that was named without doubt against each of its rivals, or a single one
-            against `MODEL`; none against an effect that contains it, which imitates it in any experiment.
+            against `MODEL`.
         instances: of each effect: the one at its estimate, or all shapes, as large as the recording could hide,
             where it was not fitted.
         truth: the model with the best of the effects, fitted to the recording.
@@ -123,9 +123,7 @@ def contest_of(
     present = [name for name in effects if name in truth]
     return Contest(
         effects=effects,
-        pairs=tuple(
-            (i, j) for i in effects for j in effects if i != j and sure in (None, i, j) and i not in classes[j].contains
-        )
+        pairs=tuple((i, j) for i in effects for j in effects if i != j and sure in (None, i, j))
         or ((effects[0], MODEL),),
         instances=instances,
         truth=truth,

@@ -92,6 +92,8 @@ def test_friction_of_the_way_that_was_held_out_follows_that_of_the_other() -> No
         thorough=False, progress=False,
     )  # fmt: skip
     assert [c.id for c in found.added] == ["arm_coulomb"], found
+    assert not found.predicted_gains
+    assert found.final.statistics["winner"] != "predictions one sample ahead"
     values = found.final.model
     assert float(values["arm_viscous.positive"]) == float(values["arm_viscous.negative"])
     assert float(values["arm_viscous.negative"]) == pytest.approx(VISCOUS, rel=0.02)

@@ -71,12 +71,13 @@ def _is_doubtful(laboratory: Laboratory, found: Selection, named: FittedModel, p
 
     They are not doubted where they take the place of the random forces, or each explains most of what any candidate explains of the
     residual that a predictor with next to no random force leaves. Where none is named, it asks for one if a test rejects, if the
-    random forces are no small disturbance, or if so few data could not confirm what is large.
+    random forces are no small disturbance, or if so little of one experiment could not confirm what is large.
     """
     facts = laboratory.facts
     large = random_forces_are_large(found.base.random, facts.samples_per_radian, policy.simulation)
     if not named.added:
-        few = unconfirmed(found.findings.scores, facts.seconds, policy.critical)
+        # Several experiments confirm each other where stretches of time cannot (`second_looks`).
+        few = facts.experiments == 1 and unconfirmed(found.findings.scores, facts.seconds, policy.critical)
         return large or bool(rejecting(found.tests) or few)
     if large and not facts.noise_known:
         return True  # what takes their place may be anything that smooths, with whatever is left called noise

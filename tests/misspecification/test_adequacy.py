@@ -9,7 +9,7 @@ from scipy.signal import lfilter
 
 from estimators.core.data import Data
 from estimators.diagnosis.policy import DiagnosisPolicy
-from estimators.misspecification.adequacy import AdequacyTest, adequacy_tests, overshadowing, suspects, unconfirmed
+from estimators.misspecification.adequacy import AdequacyTest, adequacy_tests, overshadowing, suspects
 from estimators.misspecification.findings import CriticalValues, Findings, Score, SpectralLine, StaticForce
 from estimators.misspecification.line_classes import line_classes, period
 from estimators.misspecification.replication_test import repeat_test
@@ -397,16 +397,3 @@ def test_a_large_candidate_that_raises_no_alarm_keeps_its_own_p_value() -> None:
     (small,) = adequacy_tests(Findings((one("arm_coulomb", 19.0, 1e-5),)), CRITICAL)
     assert small.p_value == 1e-5
     assert not small.rejects
-
-
-@pytest.mark.parametrize(
-    ("stretches", "statistic", "few"), [(1, 500.0, False), (2, 500.0, True), (3, 500.0, True), (40, 500.0, False)]
-)
-def test_what_two_or_three_stretches_of_time_cannot_confirm_is_told(
-    stretches: int, statistic: float, few: bool
-) -> None:
-    """One does not scatter, so nothing is asked of it; two scatter beyond any size."""
-    several = [one("arm_coulomb", statistic, 0.03), one("cogging", 3.0, 0.5)]
-    assert [s.id for s in unconfirmed(several, stretches, CRITICAL)] == ["arm_coulomb"] * few
-    alarm = [*several, one("cubic_spring", 400.0, 1e-9)]
-    assert unconfirmed(alarm, stretches, CRITICAL) == []

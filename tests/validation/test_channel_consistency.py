@@ -29,7 +29,7 @@ from estimators.validation.channel_consistency import _likeliest, _Search, _undo
 from estimators.validation.equilibrium import is_held
 from estimators.validation.mistakes import delays, usual_mistakes
 from rtac_jax import virtual_rig
-from rtac_jax.measurement import concerns, contradictions, moving_at_rest
+from rtac_jax.measurement import concerns, moving_at_rest
 
 STUDY = Path(__file__).parents[2] / "studies" / "diagnosis.toml"
 
@@ -139,19 +139,6 @@ def test_channels_of_one_experiment_are_held_against_each_other_without_a_fit(re
     assert said
     assert all(sentence.startswith(f"{FORCED}: ") for sentence in said)
     assert not any(words in sentence for sentence in concerns(recordings[1]))
-
-
-@pytest.mark.parametrize(("cart", "contradicts"), [("clamped", False), ("free", True)])
-def test_a_fast_motor_that_is_sampled_slowly_is_asked_about_and_contradicts_nothing(cart, contradicts):
-    """At 60 rad/s and 0.5 s a sample "sample_time is likely in ms" was said, and to be mended first."""
-    speed = 60.0 * np.sin(0.05 * np.arange(128))
-    extra = {} if cart == "clamped" else {"cart_position": 0.01 * np.sin(0.3 * np.arange(128))}
-    motor = rtac.Experiment.of("ramp", kind="free", sample_time=0.53, cart=cart, arm_velocity=speed, **extra)
-    recording = rtac.Recording((motor,))
-    said = [sentence for sentence in concerns(recording) if "more than half a turn from one sample" in sentence]
-    assert len(said) == 1
-    assert ("a fast motor that is sampled slowly" in said[0]) is not contradicts
-    assert bool([s for s in contradictions(recording) if "half a turn" in s]) is contradicts
 
 
 @pytest.mark.parametrize("samples", [5, 8])

@@ -65,5 +65,6 @@ class InformationCriteria:
         return {channel: factor * s**2 for channel, s in self.rms.items()}
 
     def __str__(self) -> str:
-        errors = ", ".join(f"{channel} {value:.4g} ({OUTPUTS[channel]})^2" for channel, value in self.fpe.items())
+        squared = {channel: f"({unit})^2" if "/" in unit else f"{unit}^2" for channel, unit in OUTPUTS.items()}
+        errors = ", ".join(f"{channel} {value:.4g} {squared[channel]}" for channel, value in self.fpe.items())
         return f"AIC {self.aic:.1f}, BIC {self.bic:.1f}, FPE {errors}"

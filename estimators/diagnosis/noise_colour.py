@@ -1,7 +1,7 @@
 """The colour of the sensors' noise in a diagnosis: as rest and motion tell it, or as the likelihood asks for it."""
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -13,7 +13,12 @@ from estimators.diagnosis.workers import Workers
 from estimators.prediction_error.coloured_noise import Colours, ColourStates, capped, likeliest_colours, rest_spectra
 from estimators.prediction_error.noise_estimation import fit_noise
 
-_CORRELATION_TIMES = (1.5, 4.0, 10.0, 25.0)  # correlation times of sensor noise that are tried, in samples
+_CORRELATION_TIMES = (
+    1.5,
+    4.0,
+    10.0,
+    25.0,
+)  # correlation times of sensor noise that are tried, from the middle on, in samples
 _FITTED = (
     4.0  # times as much, at most, that a colour gains once it and the physics beside it are fitted; twice was seen
 )
@@ -75,16 +80,33 @@ def coloured(setting: Setting, base: Refit, workers: Workers, beside: float) -> 
     likelihood, price = base.predictor.log_likelihood, float(np.log(setting.samples))  # of the correlation time
     for channel in np.array(CHANNELS)[count > 0]:
         trials: list[Colours] = [{**best, str(channel): (1.0, float(correlation_time))} for correlation_time in times]
-        values = workers.each(lambda colours: _likelihood_with(setting, colours, base), trials)
-        for trial, value in zip(trials, values, strict=True):
-            if 2 * (value - likelihood) - price > setting.policy.bic_gain:
-                likelihood, best = value, trial
+        place, value = _likeliest(
+            lambda several: workers.each(lambda c: _likelihood_with(setting, c, base), several), trials
+        )
+        if 2 * (value - likelihood) - price > setting.policy.bic_gain:
+            likelihood, best = value, trials[place]
     gained = likelihood - base.predictor.log_likelihood
     return (
         dataclasses.replace(setting, colours=capped(best))
         if best and gained * _FITTED >= beside - base.predictor.log_likelihood
         else None
     )
+
+
+def _likeliest(
+    likelihoods: Callable[[Sequence[Colours]], Sequence[float]], trials: Sequence[Colours]
+) -> tuple[int, float]:
+    """Return the likeliest of several colours and its log-likelihood, climbing from those of middling correlation time."""
+    middle = [len(trials) // 2 - 1, len(trials) // 2]
+    values = dict(zip(middle, likelihoods([trials[i] for i in middle]), strict=True))
+    best = max(values, key=lambda i: values[i])
+    step = 1 if best == middle[-1] else -1
+    while 0 <= best + step < len(trials):
+        (values[best + step],) = likelihoods([trials[best + step]])
+        if values[best + step] <= values[best]:
+            break
+        best += step
+    return best, values[best]
 
 
 def assumed_noise(setting: Setting, base: Refit, levels: Mapping[str, float]) -> dict[str, float]:

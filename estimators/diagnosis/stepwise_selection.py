@@ -4,7 +4,7 @@ import dataclasses
 import math
 from collections.abc import Sequence
 
-from estimators.diagnosis.choice import alone, chosen
+from estimators.diagnosis.choice import alone, chosen, gain
 from estimators.diagnosis.evidence import FittedModel
 from estimators.diagnosis.laboratory import Laboratory, Way
 from estimators.diagnosis.policy import DiagnosisPolicy
@@ -65,13 +65,13 @@ def select(laboratory: Laboratory, policy: DiagnosisPolicy, *, thorough: bool, l
         by_equations = explaining_equations(laboratory, policy)
         if by_equations.named(laboratory.facts.samples, policy)[1]:
             return by_equations
-    found = _selected(laboratory, laboratory.base, policy)
+    found = _outdone(laboratory, policy) or _selected(laboratory, laboratory.base, policy)
     if laws_first and is_static(laboratory, found, policy):
         return dataclasses.replace(found, static=True)
     simulated = selected_by_simulation(laboratory, found, policy)
     if simulated is not None:
         return simulated
-    if rejecting(found.tests) and not laboratory.facts.rest:
+    if found.base.number == laboratory.base.number and rejecting(found.tests) and not laboratory.facts.rest:
         # Noise that wanders makes almost every effect look useful; without rest records the likelihood must say.
         laboratory.say("colour of the noise")
         final = found.steps[-1].model if found.steps else found.base
@@ -79,6 +79,25 @@ def select(laboratory: Laboratory, policy: DiagnosisPolicy, *, thorough: bool, l
         if coloured is not None and coloured.log_likelihood > final.log_likelihood:
             found = _selected(laboratory, coloured, policy)
     return second_looks(laboratory, found, policy) if thorough else found
+
+
+def _outdone(laboratory: Laboratory, policy: DiagnosisPolicy) -> Selection | None:
+    """Return the selection with coloured noise where that gains as much as two effects like the best one would; None elsewhere.
+
+    Then no effect beside white noise is worth a search: the first is the best of all, and the next add little to it.
+    """
+    base, facts = laboratory.base, laboratory.facts
+    findings = laboratory.findings(base) or Findings()
+    if facts.rest or not rejecting(adequacy_tests(findings, policy.critical)):
+        return None
+    first = _next_step(laboratory, base, findings, {}, policy, None)
+    if first is None or not rejecting(first.left):
+        return None
+    laboratory.say("colour of the noise")
+    coloured = laboratory.coloured(beside=first.model)
+    if coloured is None or gain(base, coloured) <= 2 * gain(base, first.model):
+        return None
+    return _selected(laboratory, coloured, policy)
 
 
 def is_static(laboratory: Laboratory, found: Selection, policy: DiagnosisPolicy) -> bool:

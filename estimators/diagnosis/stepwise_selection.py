@@ -257,11 +257,11 @@ def _held_out_gains(laboratory: Laboratory, before: FittedModel, after: FittedMo
     """Return twice the gain in log-likelihood of each experiment, its pieces together, and how much the others know of it."""
     held_out = laboratory.held_out(before, after)
     each: dict[str, tuple[float, float]] = {}
-    for place, (gain, known) in enumerate(zip(held_out.gain, held_out.known, strict=True)):
-        if not math.isnan(gain):
+    for place, (gained, known) in enumerate(zip(held_out.gain, held_out.known, strict=True)):
+        if not math.isnan(gained):
             origin = laboratory.facts.origin(place)
             before_it, least = each.get(origin, (0.0, 1.0))
-            each[origin] = before_it + 2 * gain, min(least, known)
+            each[origin] = before_it + 2 * gained, min(least, known)
     return list(each.values())
 
 

@@ -1,4 +1,4 @@
-"""Coloured noise without rest records is asked for after the first effect, and not only when a search beside white noise has ended."""
+"""Coloured noise without rest records is asked for after the first effect, not only when a search beside white noise has ended."""
 
 import pytest
 from known_search import TRAITS, Known, known, screened

@@ -75,7 +75,7 @@ _ASSUMES: dict[str, tuple[str, tuple[str, ...]]] = {
     "arm_viscous.negative": _ARM_FRICTION,
 }
 """By name: the assumption in words, and ids of effects, the likeliest first."""
-_FORCE = ("force_delay", "force_lag", "force_saturation", "force_dead_zone")
+_FORCE = ("force_delay", "force_lag", "force_saturation", "force_dead_zone", "force_droop")
 _BY_FORCE = ("spring_stiffness", "natural frequency", "cart_viscous.coefficient", "damping ratio", "cart_coulomb.level")
 
 

@@ -68,6 +68,7 @@ EFFECT_FIELD: Mapping[str, str] = {
     "force_delay.delay": "force_delay",
     "force_lag.time_constant": "force_lag",
     "force_dead_zone.threshold": "force_dead_zone",
+    "force_droop.droop": "force_droop",
     "torque_droop.droop": "torque_droop",
     "tacho_lag.time_constant": "tacho_lag",
     "tacho_bias.bias": "tacho_bias",

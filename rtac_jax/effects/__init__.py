@@ -26,7 +26,7 @@ from rtac_jax.effects.cart_friction import (
 )
 from rtac_jax.effects.cogging import Cogging, SecondCogging, TorqueRipple
 from rtac_jax.effects.flexible_mode import FlexibleMode
-from rtac_jax.effects.force_drive import ForceDeadZone, ForceDelay, ForceLag, ForceSaturation
+from rtac_jax.effects.force_drive import ForceDeadZone, ForceDelay, ForceDroop, ForceLag, ForceSaturation
 from rtac_jax.effects.gravity_tilt import GravityTilt
 from rtac_jax.effects.hysteretic_spring import HystereticSpring
 from rtac_jax.effects.presliding import ArmPresliding, CartPresliding
@@ -82,6 +82,7 @@ CATALOGUE: dict[str, type[Effect]] = {
         ForceLag,
         ForceSaturation,
         ForceDeadZone,
+        ForceDroop,
         Saturation,
         CurrentLag,
         CurrentOffset,
@@ -152,6 +153,7 @@ __all__ = [
     "Force",
     "ForceDeadZone",
     "ForceDelay",
+    "ForceDroop",
     "ForceLag",
     "ForceOffset",
     "ForceSaturation",

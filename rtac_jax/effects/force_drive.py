@@ -54,6 +54,26 @@ class ForceDeadZone(Force):
         return -jnp.clip(motion.force, -self.threshold, self.threshold), 0.0
 
 
+class ForceDroop(Force):
+    """A force that falls short of the recorded one the more it is, as of an amplifier or a motor near what it can do."""
+
+    id: ClassVar[str] = "force_droop"
+    equation: ClassVar[str] = "F / (1 + c |F|)"
+    source: ClassVar[str] = "as torque_droop: Krause, Analysis of Electric Machinery (2013), chapter 1"
+    port: ClassVar[str] = "force drive"
+    nature: ClassVar[str] = "source"
+
+    droop: Scalar = parameter(
+        symbol="c", unit="1/N", bounds=(0.0, np.inf), meaning="relative fall of the force per newton that is recorded",
+        null=0.0, plausible=lambda s: 0.1 / s.applied_force,
+    )  # fmt: skip
+
+    def force(self, motion: Motion, own: States) -> tuple[Any, Any]:
+        del own
+        lost = self.droop * jnp.abs(motion.force)
+        return -motion.force * lost / (1.0 + lost), 0.0
+
+
 class ForceDelay(Input):
     """A transport delay of the force behind its command; see `InputDelay`, which is the same of the current."""
 

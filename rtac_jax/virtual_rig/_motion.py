@@ -82,7 +82,8 @@ def _motor(rig: Rig, current: np.ndarray) -> np.ndarray:
 def _pushed(rig: Rig, force: np.ndarray) -> np.ndarray:
     """Return the force on the cart [N] for what its drive is asked for."""
     force = np.clip(force, -rig.force_saturation, rig.force_saturation)
-    return np.sign(force) * np.maximum(abs(force) - rig.force_dead_zone, 0.0)
+    force = np.sign(force) * np.maximum(abs(force) - rig.force_dead_zone, 0.0)
+    return force / (1.0 + rig.force_droop * abs(force))
 
 
 def _charge(values: np.ndarray, hold: str, period: float, times: np.ndarray) -> np.ndarray:

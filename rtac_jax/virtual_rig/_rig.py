@@ -62,6 +62,7 @@ _NOT_NEGATIVE = (
     "hysteresis_stiffness",
     "cable_stiffness",
     "torque_droop",
+    "force_droop",
     "eddy_torque",
     "cart_presliding",
     "arm_presliding",
@@ -221,7 +222,9 @@ class Rig:
     force_saturation: float = math.inf
     """Limit of what is left of the disturbance force then [N]."""
     force_dead_zone: float = 0.0
-    """delta [N]: no force below it, and F - delta sgn(F) beyond; it comes last."""
+    """delta [N]: no force below it, and F - delta sgn(F) beyond."""
+    force_droop: float = 0.0
+    """[1/N]: what is left then falls by the factor 1 / (1 + droop |F|)."""
     torque_droop: float = 0.0
     """[1/A]: the torque constant falls by the factor 1 / (1 + droop |i|)."""
 

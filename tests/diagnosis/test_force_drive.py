@@ -23,6 +23,7 @@ HIDDEN: dict[str, tuple[dict[str, float], str, float]] = {
     "force_saturation": ({"force_saturation": 3.2}, "inverse_limit", 1 / 3.2),
     "force_delay": ({"force_delay": 0.008}, "delay", 0.008),
     "force_lag": ({"force_lag": 0.006}, "time_constant", 0.006),
+    "force_droop": ({"force_droop": 0.05}, "droop", 0.05),
 }
 FEW = tuple(CATALOGUE[n] for n in (*HIDDEN, "cubic_spring", "cart_quadratic_drag", "force_offset"))
 

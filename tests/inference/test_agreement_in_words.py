@@ -33,7 +33,7 @@ def test_verdict_names_the_assumption_that_fails() -> None:
     assert not [effect for effect in one.suspects if effect.startswith("force_")]
     driven = dataclasses.replace(one, channels=("cart_position", "disturbance_force"))
     assert "and the applied force acts as it was recorded" in driven.verdict
-    assert driven.suspects[-4:] == ("force_delay", "force_lag", "force_saturation", "force_dead_zone")
+    assert driven.suspects[-5:] == ("force_delay", "force_lag", "force_saturation", "force_dead_zone", "force_droop")
 
 
 def agreed(p_values: tuple[float, ...], *, std: float = 0.01) -> Agreement:

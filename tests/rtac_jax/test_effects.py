@@ -53,6 +53,7 @@ NAMES = frozenset(
         "force_lag",
         "force_saturation",
         "force_dead_zone",
+        "force_droop",
         "dead_zone",
         "current_offset",
         "torque_droop",

@@ -78,6 +78,7 @@ CASES: dict[str, tuple[dict[str, float], Effect]] = {
     "force_lag": ({"force_lag": 0.007}, effects.ForceLag(0.007)),
     "force_saturation": ({"force_saturation": 0.2}, effects.ForceSaturation(5.0)),
     "force_dead_zone": ({"force_dead_zone": 0.03}, effects.ForceDeadZone(0.03)),
+    "force_droop": ({"force_droop": 0.7}, effects.ForceDroop(0.7)),
     "tacho_gain": ({"tacho_gain": 1.03}, effects.TachoGain(0.03)),
     "tacho_ripple": (
         {"tacho_ripple": 0.02, "tacho_ripple_order": 3.0, "tacho_ripple_phase": 0.4},

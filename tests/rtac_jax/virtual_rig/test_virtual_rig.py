@@ -45,6 +45,7 @@ EFFECTS = [
     {"force_lag": 0.005},
     {"force_saturation": 0.1},
     {"force_dead_zone": 0.03},
+    {"force_droop": 2.0},
     {"tacho_bias": 0.2},
     {"tacho_gain": 1.03},
     {"tacho_lag": 0.01},

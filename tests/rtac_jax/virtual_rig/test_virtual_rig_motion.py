@@ -287,6 +287,8 @@ def test_a_force_comes_late_and_not_whole():
     np.testing.assert_allclose(limited.position, 0.25 * push * time**2, atol=1e-9)
     dead = move(replace(rig, force_dead_zone=0.04, force_saturation=0.09), plan)
     np.testing.assert_allclose(dead.position, 0.25 * push * time**2, atol=1e-9)
+    short = move(replace(rig, force_droop=10.0), plan)
+    np.testing.assert_allclose(short.position, 0.25 * push * time**2, atol=1e-9)
     force[:10] = 0.0
     slow, since = (
         move(replace(rig, force_lag=0.02), replace(plan, disturbance_force=force)),

@@ -7,7 +7,7 @@ import typer
 from estimators.cli.captions import shown
 from estimators.cli.job import Job, job
 from estimators.cli.models import start_model
-from estimators.cli.options import Effects, File, Fix, Json, Model, Out, Save, Validation
+from estimators.cli.options import Add, Effects, File, Fix, Json, Model, Out, Save, Validation
 from estimators.cli.report_page import write_json, write_report
 
 # For each 100,000 samples, as measured with an arm that is free and sampled at 2 ms; output error's with what compiling takes.
@@ -40,6 +40,7 @@ def fit(
     ] = False,
     model: Model = None,
     fix: Fix = None,
+    add: Add = None,
     effects: Effects = None,
     save: Save = None,
     out: Out = None,
@@ -58,7 +59,7 @@ def fit(
         from estimators.reporting.fit_table import AllEstimates, estimates_table, fit_table, recommended_table
         from estimators.validation.differing_experiments import differing
 
-        start = start_model(work, model, effects, fix)
+        start = start_model(work, model, effects, fix, add)
         closed = est.least_squares(start, work.train, weak=True)
         longest = max(e.samples for e in work.train)
         fraction = longest / 1e5

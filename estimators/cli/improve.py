@@ -9,6 +9,7 @@ from estimators.cli.doubts import explaining, warn
 from estimators.cli.job import Job, job
 from estimators.cli.models import start_model
 from estimators.cli.options import (
+    Add,
     Effects,
     File,
     Fix,
@@ -36,6 +37,7 @@ def improve(
     no_learned_force: NoLearnedForce = False,
     model: Model = None,
     fix: Fix = None,
+    add: Add = None,
     effects: Effects = None,
     save: Save = None,
     out: Out = None,
@@ -51,6 +53,7 @@ def improve(
             within=within,
             model=model,
             fix=fix,
+            add=add,
             save=save,
         )
 
@@ -64,6 +67,7 @@ def improved(
     within: float | None = 0.0,
     model: Path | None = None,
     fix: str | None = None,
+    add: str | None = None,
     save: Path | None = None,
 ) -> None:
     """Run the loop on a job, and say and write what it found."""
@@ -77,7 +81,7 @@ def improved(
     if work.held_out is None:
         stop(NOT_POSSIBLE, work.not_split)
     candidates = offered(effects)
-    start = start_model(work, model, effects, fix)
+    start = start_model(work, model, effects, fix, add)
     warn(work.note_doubts())
     seconds = time_for(work.train, within)
     with explaining(work.recording, work.doubts or []):

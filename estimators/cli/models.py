@@ -1,11 +1,12 @@
 """Saved models on the command line: what a file holds, and whether its fit can be used as it stands."""
 
+import difflib
 from pathlib import Path
 from typing import Any
 
 from estimators.cli.doubts import explaining
 from estimators.cli.job import Job
-from estimators.cli.own_effects import own_classes
+from estimators.cli.own_effects import offered, own_classes
 from estimators.cli.refusals import WRONG_USE, stop
 
 
@@ -57,7 +58,9 @@ def recommended_fit(path: Path, effects: Path | None = None) -> Any:
     return found if isinstance(found, est.PredictorFit) else model_or_fit(path, effects)
 
 
-def start_model(work: Job, path: Path | None, effects: Path | None = None, fix: str | None = None) -> Any:
+def start_model(
+    work: Job, path: Path | None, effects: Path | None = None, fix: str | None = None, add: str | None = None
+) -> Any:
     """Return the model to begin with: that of a file, or the paper's with the constants of the recording.
 
     Args:
@@ -65,8 +68,28 @@ def start_model(work: Job, path: Path | None, effects: Path | None = None, fix: 
         path: of the file.
         effects: Python file with the user's own effects that it may hold.
         fix: parameters that are not estimated, NAME or NAME=VALUE, with commas between.
+        add: effects that it has besides, with commas between.
     """
-    return _held(work.model() if path is None else _model_of(model_or_fit(path, effects)), fix or "")
+    model = work.model() if path is None else _model_of(model_or_fit(path, effects))
+    return _held(_extended(work, model, effects, add or ""), fix or "")
+
+
+def _extended(work: Job, model: Any, effects: Path | None, add: str) -> Any:
+    """Return a model with the effects that `--add` names, each of a plausible size and of the middle one of its shapes."""
+    from estimators.core.initial_state import scales_of
+    from rtac_jax.effects import CATALOGUE
+
+    known = {effect.id: effect for effect in offered(effects) or CATALOGUE.values()}
+    for name in filter(None, (text.strip() for text in add.split(","))):
+        if name not in known:
+            near = difflib.get_close_matches(name, known, n=1)
+            meant = f"did you mean {near[0]}?" if near else f"give one of {', '.join(known)}."
+            stop(WRONG_USE, f"--add {name}: there is no such effect; {meant}")
+        if name in model:
+            stop(WRONG_USE, f"--add {name}: the model has it already; leave that out.")
+        several = known[name].candidates(scales_of(model, _moving(work.train)))
+        model = model + several[len(several) // 2]
+    return model
 
 
 def _held(model: Any, fix: str) -> Any:

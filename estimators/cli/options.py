@@ -37,6 +37,10 @@ Fix = Annotated[
         "NAME[=VALUE],...", "Parameters that are not estimated, at their value in the model or at this one (SI units)."
     ),
 ]
+Add = Annotated[
+    str | None,
+    option("NAME,...", "Effects of the catalogue, or of --effects, that the model has from the beginning."),
+]
 Save = Annotated[
     Path | None,
     option(

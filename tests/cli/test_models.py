@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import typer
 from command_line import call, refused
 from made_up_results import compared
 from small_experiments import forced, free, rest
@@ -170,3 +171,26 @@ def test_a_model_with_an_effect_of_ones_own_needs_its_file(tmp_path):
     found = models.model_or_fit(tmp_path / "own.h5", tmp_path / "mine.py")
     assert found.ids[-1] == "magnetic_spring"
     assert float(found["magnetic_spring.stiffness"]) == 1e6
+
+
+def test_effects_are_added_in_a_size_that_the_recording_could_have(work):
+    model = models.start_model(work, None, add=" cubic_spring, arm_coulomb")
+    assert {"cubic_spring", "arm_coulomb"} <= set(model.ids)
+    assert float(model["cubic_spring.stiffness"]) > 0.0
+    held = models.start_model(work, None, fix="cubic_spring.stiffness=30", add="cubic_spring")
+    assert "cubic_spring.stiffness" not in held.free
+    assert float(held["cubic_spring.stiffness"]) == 30.0
+
+
+@pytest.mark.parametrize(
+    ("add", "said"),
+    [
+        ("cubic_sprung", "--add cubic_sprung: there is no such effect; did you mean cubic_spring?"),
+        ("xyz", "--add xyz: there is no such effect; give one of cart_viscous, "),
+        ("cart_viscous", "--add cart_viscous: the model has it already; leave that out."),
+    ],
+)
+def test_what_cannot_be_added_is_a_sentence(work, capsys, add, said):
+    with pytest.raises(typer.Exit):
+        models.start_model(work, None, add=add)
+    assert said in " ".join(capsys.readouterr().err.split())

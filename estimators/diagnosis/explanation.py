@@ -236,6 +236,12 @@ def _listed(names: Sequence[str]) -> str:
     return f"{shown} {'was' if len(names) == 1 else 'were'}"
 
 
+def loudest(candidates: Sequence[Candidate], policy: DiagnosisPolicy) -> Candidate | None:
+    """Return the largest of the candidates that are as large as an alarm and scatter over the seconds of data; None for none."""
+    large = [c for c in candidates if c.chi_square >= policy.alarm and c.p_value >= policy.chance]
+    return max(large, key=lambda c: c.chi_square, default=None)
+
+
 def unconfirmed(
     candidates: Sequence[Candidate], detectable: Sequence[Candidate], policy: DiagnosisPolicy, *, thorough: bool
 ) -> str:
@@ -243,10 +249,9 @@ def unconfirmed(
 
     Nothing is said beside effects of no consequence, which other candidates may resemble.
     """
-    large = [c for c in candidates if c.chi_square >= policy.alarm and c.p_value >= policy.chance]
-    if not large or detectable:
+    first = loudest(candidates, policy)
+    if first is None or detectable:
         return ""
-    first = max(large, key=lambda c: c.chi_square)
     said = f" {first.id} reaches {first.chi_square:.0f}, the alarm is at {policy.alarm:.0f}, but scatters over the seconds of data"
     if not thorough:
         return f"{said}: a thorough diagnosis asks whether experiments confirm it."

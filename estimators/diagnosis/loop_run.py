@@ -9,6 +9,7 @@ from estimators.core.results import DivergedError
 from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.candidate_set import offered
 from estimators.diagnosis.diagnosis import Diagnosis
+from estimators.diagnosis.explanation import loudest
 from estimators.diagnosis.improvement_loop import OUT_OF_TIME, Loop, classes_of
 from estimators.diagnosis.learned_force import LearnedForce, learn_force
 from estimators.diagnosis.missing_force import static_force
@@ -37,6 +38,14 @@ def run(loop: Loop) -> None:
                 raise
             loop.stopped = f"Stopped: the last model could not be diagnosed again. {error}"
             return
+        if (
+            loop.thorough
+            and not loop.looks_again
+            and found.verdict == "adequate"
+            and loudest(found.candidates, loop.policy)
+        ):
+            # So near the data no last resort is tried, but what speaks is asked for.
+            found = loop.diagnosed_again(base, loop.candidates, thorough=True)
         loop.diagnoses.append(found)
         loop.diagnosed.append(len(loop.steps) - 1)
         if _add_beyond_catalogue(loop, base, found):
@@ -186,7 +195,7 @@ def going_on(loop: Loop, read: ReadLaw) -> Loop:
 def with_runner_up(loop: Loop) -> Loop | None:
     """Return the loop that goes on with a runner-up in the place of what was added, where simulations ask for it.
 
-    None where none does, or where it does not end at an adequate model.
+    None where none does, or where it ends neither at an adequate model nor at the noise of what was held out.
     """
     if not loop.added or not loop.all_simulated or loop.deadline.over:
         return None
@@ -203,7 +212,7 @@ def with_runner_up(loop: Loop) -> Loop | None:
     further.added.append(dataclasses.replace(found.taken, confusable_with=()))
     further.stopped = ""
     run(further)
-    if not further.ended_adequate:
+    if not (further.ended_adequate or further.follows):
         return None
     further.stopped = (
         f"{found.taken.id} takes the place of {found.given_up.id}, which predictions one sample ahead prefer: simulated, the "

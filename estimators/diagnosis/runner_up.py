@@ -44,7 +44,8 @@ def runner_up(
     It takes most of the error off, and leaves the held-out experiments near the data.
 
     Predictions one sample ahead choose between a lag of the current and one of the encoder by little, and wrongly while other
-    effects are still missing beside them. Asked where the simulation of the held-out experiments is far from the data.
+    effects are still missing beside them. Asked where the simulation of the held-out experiments is off the noise by more
+    than could be taken off.
 
     Args:
         last: the model with all that was added.
@@ -56,8 +57,8 @@ def runner_up(
         policy: the thresholds.
         progress: show bars.
     """
-    if not _far(last):
-        return None
+    if max(e.rms_over_noise for e in last.tested.errors.values()) < 1 / (1 - policy.static):
+        return None  # what takes most of the error off would be below the noise
     found: list[Exchange] = []
     for given_up, taken in _pairs(last, added, diagnoses, classes, policy)[: policy.refits]:
         effect = classes[taken.id](**{name: p.value for name, p in taken.parameters.items()})

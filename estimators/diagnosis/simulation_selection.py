@@ -8,6 +8,7 @@ what takes nearly all of its error off is a finding.
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 from estimators.diagnosis.choice import bic_gain, gain, held_out_gain, is_at_its_edge
 from estimators.diagnosis.evidence import FittedModel, SimulationError
@@ -20,7 +21,9 @@ from estimators.misspecification.adequacy import adequacy_tests, rejecting, unco
 from estimators.misspecification.findings import Findings, Score
 
 
-def selected_by_simulation(laboratory: Laboratory, found: Selection, policy: DiagnosisPolicy) -> Selection | None:
+def selected_by_simulation(
+    laboratory: Laboratory, found: Selection, policy: DiagnosisPolicy, *, spoken: bool = False
+) -> Selection | None:
     """Select effects by what they take off the simulation's error; None where they do not take off nearly all that is left.
 
     Asked only where the simulation is far from the data beside random forces, and what is named, or that nothing is, is doubtful;
@@ -30,12 +33,16 @@ def selected_by_simulation(laboratory: Laboratory, found: Selection, policy: Dia
         laboratory: that computes, or knows, what is asked.
         found: what predictions one sample ahead select.
         policy: the thresholds.
+        spoken: whether a candidate reaches the alarm that predictions can neither confirm nor rule out: then any simulation
+            beyond the noise is asked.
 
     Source: Miller, Subset Selection in Regression (2002), chapter 3, for forward selection.
     """
     facts, named = laboratory.facts, found.named_model(laboratory.facts.samples, policy)
     if not facts.noise_known and not named.added and facts.unfollowed > policy.simulation.unfollowed:
         base = reached = laboratory.simulation(found.base)
+    elif spoken and max(found.base.random) >= policy.consequence:
+        base = reached = _beyond(laboratory, found.base, policy)
     elif max(found.base.random) < policy.consequence or (base := _far(laboratory, found.base, policy)) is None:
         return None
     else:
@@ -64,6 +71,14 @@ def _far(laboratory: Laboratory, model: FittedModel, policy: DiagnosisPolicy) ->
         for channel, ratio in found.error.items()
     )
     return found if poor or max(found.error.values(), default=0.0) > policy.far else None
+
+
+def _beyond(laboratory: Laboratory, model: FittedModel, policy: DiagnosisPolicy) -> SimulationError | None:
+    """Return the error of a model's simulation where it misses more than the sensors do; None elsewhere."""
+    found = laboratory.simulation(model)
+    if found is None or max(found.error.values(), default=0.0) ** 2 <= policy.simulation.beyond:
+        return None
+    return found
 
 
 def _is_doubtful(laboratory: Laboratory, found: Selection, named: FittedModel, policy: DiagnosisPolicy) -> bool:
@@ -108,22 +123,56 @@ def _steps(
         remaining = {i: excess_left(error, base, policy) for i, error in errors.items()}
         good = [i for i, one in remaining.items() if one <= left[-1] * (1 - policy.static)]
         taken = _taken(laboratory, now, asked, remaining, good, policy)
-        if taken is None:
-            break
-        best, rivals, model, after = taken
-        tried[best] = (now, model)
-        tests = adequacy_tests(after, policy.critical)
-        steps.append(
-            Step(
-                best, rivals, 2 * gain(now, model), bic_gain(laboratory.facts.samples, now, model),
-                held_out_gain(laboratory, now, model, policy), model, tests, asked[best].amplitudes,
-            )
-        )  # fmt: skip
-        left.append(remaining[best])
-        now = model
-        if left[-1] <= enough:
+        several = [taken] if taken is not None else _pair(laboratory, now, asked, remaining, base, enough, policy)
+        for one in several:
+            tried[one.effect] = (now, one.model)
+            steps.append(
+                Step(
+                    one.effect, one.rivals, 2 * gain(now, one.model), bic_gain(laboratory.facts.samples, now, one.model),
+                    held_out_gain(laboratory, now, one.model, policy), one.model,
+                    adequacy_tests(one.after, policy.critical), one.score.amplitudes,
+                )
+            )  # fmt: skip
+            left.append(one.left)
+            now = one.model
+        if not several or left[-1] <= enough:
             break
     return steps, tuple(left), tried
+
+
+def _pair(
+    laboratory: Laboratory,
+    now: FittedModel,
+    asked: Mapping[str, Score],
+    remaining: Mapping[str, float],
+    base: Mapping[str, float],
+    enough: float,
+    policy: DiagnosisPolicy,
+) -> list["_Taken"]:
+    """Return the candidate that leaves least and another beside it, where no single one explains most and both explain enough.
+
+    Dry friction and drag are of opposite curvature beside viscous friction, which takes the mean of what either does.
+    """
+    if not remaining or not min(remaining.values()) < math.inf:
+        return []
+    first = min(remaining, key=lambda i: remaining[i])
+    model = laboratory.refits(now, [asked[first]], "simulation").get(first)
+    after = None if model is None else laboratory.findings(model)
+    if model is None or after is None:
+        return []
+    beside = _asked(laboratory, model, policy)
+    errors = laboratory.simulation_errors(model, list(beside.values()))
+    together = {i: excess_left(error, base, policy) for i, error in errors.items()}
+    good = [i for i, one in together.items() if one <= remaining[first] * (1 - policy.static)]
+    second = _taken(laboratory, model, beside, together, good, policy)
+    if second is None or bic_gain(laboratory.facts.samples, now, second.model) <= 0:
+        return []
+    # Few steps rank candidates; the model that was taken has been fitted to its end.
+    ended = laboratory.simulation(second.model)
+    left = math.inf if ended is None else excess_left(ended.error, base, policy)
+    if left > enough:
+        return []
+    return [_Taken(first, (), model, after, asked[first], remaining[first]), second._replace(left=left)]
 
 
 def _asked(laboratory: Laboratory, now: FittedModel, policy: DiagnosisPolicy) -> dict[str, Score]:
@@ -140,7 +189,20 @@ def _asked(laboratory: Laboratory, now: FittedModel, policy: DiagnosisPolicy) ->
         *[s for s in by_equations if s.id not in contacts][: policy.refits],
         *[s for s in by_size_first if s.id not in contacts][: policy.refits],
     ]
+    presupposed = {i for s in several for i in laboratory.facts.effects[s.id].presupposes} - {*now.added}
+    several += [s for s in laboratory.quiet_scores(now) if s.id in presupposed]
     return {s.id: s for s in reversed(several)}
+
+
+class _Taken(NamedTuple):
+    """A candidate that was taken, what leaves as little, the model with it, its tests, and what is left of the squared error."""
+
+    effect: str
+    rivals: tuple[str, ...]
+    model: FittedModel
+    after: Findings
+    score: Score
+    left: float
 
 
 def _taken(
@@ -150,7 +212,7 @@ def _taken(
     remaining: Mapping[str, float],
     good: Sequence[str],
     policy: DiagnosisPolicy,
-) -> tuple[str, tuple[str, ...], FittedModel, Findings] | None:
+) -> _Taken | None:
     """Return the best candidate, its rivals, and the predictor with it that improves on the model; None where there is none."""
     left = list(good)
     while left:
@@ -163,7 +225,7 @@ def _taken(
             continue
         after = None if model is None else laboratory.findings(model)
         if model is not None and after is not None and bic_gain(laboratory.facts.samples, now, model) > 0:
-            return best, tuple(rivals), model, after
+            return _Taken(best, tuple(rivals), model, after, asked[best], remaining[best])
         left.remove(best)
     return None
 

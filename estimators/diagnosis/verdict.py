@@ -4,6 +4,7 @@ import dataclasses
 import math
 from collections.abc import Sequence
 
+from estimators.diagnosis.choice import bic_gain
 from estimators.diagnosis.evidence import Evidence, Facts, FittedModel
 from estimators.diagnosis.laboratory import Archive, Laboratory
 from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
@@ -18,6 +19,7 @@ from estimators.inference.simulation_residual import (
     simulation_residual,
 )
 from estimators.misspecification.adequacy import AdequacyTest, unconfirmed
+from estimators.misspecification.findings import Score
 
 _COMPUTED = {
     "noise": ("colour_little",),
@@ -159,11 +161,24 @@ def _of_base(laboratory: Laboratory, found: Selection, policy: DiagnosisPolicy) 
     """Return what the simulation error of the diagnosed fit means beside the random forces of its predictor."""
     critical = policy.critical
     few = unconfirmed(found.findings.scores, laboratory.facts.seconds, critical)
+    few = few or [s for s in found.findings.scores if _is_supported(laboratory, found, s, policy)]
     if is_of_the_current(laboratory.facts, found.base.random, policy):
         few = []  # what is known to act needs no effect that would explain it too
     loudest = max(few, key=lambda s: s.statistic, default=None)
     suspect = "" if loudest is None else f"{loudest.id} ({loudest.statistic:.0f}, the alarm is at {critical.alarm:.0f})"
     return _residual(laboratory, found.base, policy, suspect)
+
+
+def _is_supported(laboratory: Laboratory, found: Selection, one: Score, policy: DiagnosisPolicy) -> bool:
+    """Return whether a candidate is large, and a refit with it predicts what it was not estimated from, though nothing confirms it.
+
+    As friction that acts in two of three experiments, and hardly in the third.
+    """
+    before, after = found.tried.get(one.id, (None, None))
+    if one.statistic < policy.alarm or before is None or after is None or before.number != found.base.number:
+        return False
+    gains = [2 * gain for gain in laboratory.held_out(before, after).gain if not math.isnan(gain)]
+    return min(bic_gain(laboratory.facts.samples, before, after), sum(gains)) >= policy.bic_gain
 
 
 def _stand_in(laboratory: Laboratory, final: FittedModel, policy: DiagnosisPolicy) -> SimulationResidual | None:

@@ -198,7 +198,8 @@ def simulation_residual(
 
     Where no noise is known apart from a fit, that of the fastest changes stands for it, which is less than there is where sensors
     wander slowly. Only a poor simulation is judged then, or one that is left at thirty times that, which no usual sensor makes, or
-    at ten times that where the random forces would leave ten times more and a hundredth of the motion is missed. So it is of a
+    at ten times that where an effect is suspected, or where the random forces would leave ten times more and a hundredth of the
+    motion is missed. So it is of a
     channel whose noise nobody knows beside others that are known: it tells only of random forces in place of the model's own.
 
     Args:
@@ -224,7 +225,7 @@ def simulation_residual(
         and (
             (noise_known and c not in unknown)
             or ratio > limits.poor * signal[c]
-            or ratio > _NO_SENSOR
+            or ratio > (1.0 / limits.left if suspect else _NO_SENSOR)
             or (
                 ratio > max(1.0 / limits.left, limits.consequence * signal[c])
                 and ratio < limits.left * shaken.get(c, 0.0)

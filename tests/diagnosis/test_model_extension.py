@@ -174,7 +174,7 @@ def looped(
         pairs = zip(labels, error, strict=True)
         return est.Comparison(tuple(made(Known, label=x, known=e, start={}) for x, e in pairs))
 
-    shown: dict[str, Any] = {"values": {}, "coloured": {}, "curves": (), "tests": ()}
+    shown: dict[str, Any] = {"values": {}, "coloured": {}, "curves": (), "tests": (), "candidates": ()}
 
     def diagnosed(fit: est.Fit, *_: Any, **__: Any) -> est.Diagnosis:
         if "cubic_spring" in fit.model:

@@ -106,6 +106,9 @@ def words(
     for step in steps:
         c = by_id[step.id]
         size = ", ".join(f"{n} = {_size(p)}" for n, p in c.parameters.items())
+        if step.bic_gain <= 0 and step is not steps[-1]:
+            sentences.append(f"{step.id} ({size}), which explains nothing without what comes next")
+            continue
         sentences.append(
             f"{step.id} ({size}) gains {step.bic_gain:.0f} in BIC"
             + (

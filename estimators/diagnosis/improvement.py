@@ -282,9 +282,18 @@ def _lost(found: Improvement) -> bool:
     return any(e.fit_percent < most and e.rms_over_noise > FAR for e in tested.values())
 
 
+def _holds_there_only(found: Improvement) -> bool:
+    """Return whether the last simulation is far from a held-out channel, and as much farther than from what was fitted."""
+    trained, tested = found.train.models[-1].errors, found.validation.models[-1].errors
+    far = {c: e.rms_over_noise for c, e in tested.items() if e.rms_over_noise > FAR and c in trained}
+    return any(ratio > FAR * max(trained[c].rms_over_noise, 1.0) for c, ratio in far.items())
+
+
 def _adequate(found: Improvement) -> str:
     """Return the verb of a sentence on a model that nothing rejects."""
-    return "does not follow what was held out" if _lost(found) else "is adequate"
+    if _lost(found):
+        return "does not follow what was held out"
+    return "is adequate for what was fitted only" if _holds_there_only(found) else "is adequate"
 
 
 def _change(found: Improvement) -> str:
@@ -339,7 +348,7 @@ def _named(found: Improvement) -> str:
     line = found.diagnoses[-1].line_alone
     end = {
         "adequate": f"the mended model {_adequate(found)}"
-        f"{' one sample ahead' if _astray(found) and not _lost(found) else _but(found)}{_in_time(found)}",
+        f"{' one sample ahead' if _astray(found) and not _lost(found) else ''}{_but(found)}{_in_time(found)}",
         "unknown": f"the mended model fails as where a parameter drifts: {drift}"
         if drift
         else f"only a line speaks against the mended model: {line}"

@@ -135,7 +135,13 @@ class Agreement:
             if self.doubted:
                 return f"{self._nearly()}{' ' * bool(words)}{words}{self._untold()}{hides}"
             holds = words or "What the estimates rest on holds as far as these data can tell."
-            return f"They agree: {chance} {holds}{self._untold()}{hides}"
+            # What random forces take up may be what is missing, and all estimates are off alike.
+            agree = (
+                "No two disagree"
+                if self.simulation is not None and self.simulation.cause == "shaken" and hides
+                else "They agree"
+            )
+            return f"{agree}: {chance} {holds}{self._untold()}{hides}"
         failing = [
             f"that {words} (broken by {', '.join(effects[:_BROKEN_BY])})" for words, effects in self._assumptions()
         ]

@@ -206,6 +206,7 @@ def _simulation(fit: Fit, recording: Recording, predictors: Sequence[PredictorFi
         noise_known=judged_channels(fit.residual_std, recording)[1],
         unknown=of_unknown_noise(fit.residual_std, recording),
         of_the_current=is_current_noise(random, torque * recording.current_noise() / scales.torque),
+        tested=False,
     )
 
 

@@ -188,6 +188,7 @@ def simulation_residual(
     unknown: Collection[str] = (),
     added: Sequence[str] = (),
     of_the_current: bool = False,
+    tested: bool = True,
     limits: SimulationLimits = STANDARD,
 ) -> SimulationResidual:
     """Judge the simulation error of a fit.
@@ -215,6 +216,7 @@ def simulation_residual(
         unknown: channels of which it is not, where it is of others.
         added: ids of the effects that the model has beside those of the fit that is diagnosed.
         of_the_current: whether the noise of a measured current is a random torque of the size that the predictor asks for.
+        tested: whether effects were looked for in the predictions, and none is missing there.
         limits: the thresholds.
     """
     nothing = float("nan")
@@ -244,7 +246,9 @@ def simulation_residual(
         if noise_known and channel not in unknown:
             misses += f", {error[channel]:.2g} times the known noise"
         by = shaken.get(channel, nothing)
-        words = _words(cause, misses, error[channel], by, random, suspect, seconds, of_the_current=of_the_current)
+        words = _words(
+            cause, misses, error[channel], by, random, suspect, seconds, of_the_current=of_the_current, tested=tested
+        )
         return SimulationResidual(
             cause, channel, error[channel], by, fraction, *random, words,
             noise_known and channel not in unknown, of_the_current,
@@ -299,6 +303,7 @@ def _words(
     seconds: int,
     *,
     of_the_current: bool,
+    tested: bool,
 ) -> str:
     if cause == "noise":
         return ""
@@ -327,7 +332,8 @@ def _words(
     why = "the rig is shaken, or they hide what is smaller"
     if of_the_current:
         why = "the measured current has noise that shakes the model as much, so nothing else need be"
+    said = f"One sample ahead nothing is missing. Even so, {misses}" if tested else f"{misses[0].upper()}{misses[1:]}"
     return (
-        f"One sample ahead nothing is missing. Even so, {misses}, as random forces of the size that the predictions ask for would"
-        f" leave it ({shaken:.2g} times the noise; {size}): {why}."
+        f"{said}, as random forces of the size that the predictions ask for would leave it ({shaken:.2g} times the noise; {size}):"
+        f" {why}."
     )

@@ -46,7 +46,7 @@ BOTH = ["current_lag", "input_delay"]
         (19.0, {"current_lag": 8.0, "input_delay": 6.0}, BOTH, "input_delay"),
         (90.0, {"current_lag": 30.0, "input_delay": 20.0}, BOTH, None),
         (19.0, {"current_lag": None, "input_delay": 12.0}, BOTH, None),
-        (2.1, {"current_lag": 1.03, "input_delay": 1.06}, BOTH, "current_lag"),
+        (4.0, {"current_lag": 1.03, "input_delay": 1.2}, BOTH, "current_lag"),
         (1.9, {"current_lag": 0.9}, [], None),
     ],
 )

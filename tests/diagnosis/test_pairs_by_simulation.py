@@ -13,7 +13,6 @@ from estimators.diagnosis.evidence import FittedModel, HeldOut, SimulationError
 from estimators.diagnosis.policy import STANDARD
 from estimators.diagnosis.verdict import decide
 from estimators.misspecification.findings import Findings, Score
-from rtac_jax.effects import ArmCoulomb, ArmQuadraticDrag, ArmStribeck, Cogging, EncoderRipple, GravityTilt
 
 # Of a pendulum with gravity in its model, and dry friction and drag missing: errors of simulations over the noise.
 ERRORS = known(
@@ -102,8 +101,7 @@ def test_dry_friction_and_drag_of_a_pendulum_are_found_beside_gravity() -> None:
     random = np.random.default_rng(810)
     several = [swing(f"swing_{n}", begin, random) for n, begin in enumerate((-150.0, -105.0, -75.0, -45.0))]
     recording = rtac.Recording(several, rig={"arm_inertia": INERTIA})
-    offered = [GravityTilt, ArmCoulomb, ArmStribeck, ArmQuadraticDrag, Cogging, EncoderRipple]
-    found = est.improve(rtac.RTAC.from_rig(recording), recording, candidates=offered, progress=False)
+    found = est.improve(rtac.RTAC.from_rig(recording), recording, progress=False)
     assert {c.id for c in found.added} == {"gravity_tilt", "arm_quadratic_drag", "arm_coulomb"}, found
     values = found.final.parameters
     for name, truth in (("arm_coulomb.level", DRY), ("arm_quadratic_drag.coefficient", DRAG)):

@@ -110,7 +110,10 @@ def _by_experiment(
     """Return steps of one parameter in each experiment that shows it and their precision, with the other parameters eliminated."""
     others = np.arange(information.shape[1]) != place
     total = np.sum(information, axis=0)
-    size = 1 / np.sqrt(np.diagonal(total))
+    known = np.diagonal(total)
+    size = np.where(
+        known > 0, 1 / np.sqrt(np.where(known > 0, known, 1.0)), 0.0
+    )  # of what nothing shows nothing is eliminated
     between = information[shown][:, place, others] * size[others]
     inverse = np.linalg.pinv(total[np.ix_(others, others)] * np.outer(size[others], size[others]), hermitian=True)
     precision = np.diag(information[shown, place, place]) - between @ inverse @ between.T

@@ -20,6 +20,11 @@ from rtac_jax.arguments import checked_arguments
 from rtac_jax.measurement import Recording
 from rtac_jax.overview import Overview
 
+_NO_NUMBERS = (
+    "covariances: the simulation's derivatives are no numbers where the fit ended, as where a size is off by many orders of "
+    "magnitude; look at the units of what was recorded (--scale of rtac import), or fix a parameter (model.fix, or --fix of rtac)."
+)
+
 Kind = Literal["plain", "sandwich", "clustered"]
 Matrix = Float[np.ndarray, "parameter parameter"]
 
@@ -95,7 +100,7 @@ def covariances(fit: Fit, recording: Recording) -> Covariances:
 
     Raises:
         ValueError: the recording is not the one that was fitted.
-        NotIdentifiableError: where the fit ended the data leave parameters free.
+        NotIdentifiableError: where the fit ended the data leave parameters free, or derivatives are no numbers.
 
     Source: Newey and West, Econometrica 55 (1987); Andrews, Econometrica 59 (1991); Bell and McCaffrey, Survey
     Methodology 28 (2002).
@@ -103,6 +108,8 @@ def covariances(fit: Fit, recording: Recording) -> Covariances:
     require_configured()
     problem = at_fit(fit, recording)
     rows = rows_at(problem)
+    if not np.all(np.isfinite(rows.gauss_newton)):
+        raise NotIdentifiableError(_NO_NUMBERS)
     meat, bread, independent = _coloured(rows, problem)
     meat = meat * _spent(rows, problem) + rows.known.T @ rows.known
     origin = origins(moving(fitted_part(recording, fit.experiments)))

@@ -24,6 +24,8 @@ OUTLIER_WINDOW = 51
 MOVING_SIGMAS = 2  # times the noise from which on a channel moves: three quarters of its power are motion
 # From the median of absolute values to the standard deviation, for Gaussian noise.
 MEDIAN_TO_STD = 1.4826
+# Samples: dry friction that begins with the input holds for no time, and a drive is late by a few.
+_WAITS = 20
 STILL = 0.05  # of the largest, below which a velocity, or a step of a position, is of what does not move yet
 FASTEST = 1e-6  # s between samples, below which no drive or sensor of a rig is read
 # Ratio of stated noise: where half of the samples have either, equal weights make deviations larger by 8 %.
@@ -188,12 +190,19 @@ def _about_experiment(experiment: Experiment, *, only_noise: bool, counting: Col
         yield ("arm_angle was not measured, so the angle comes from the model and depends on where the arm started.")
         if experiment.initial_arm_angle is None:
             yield ("initial_arm_angle is not given either, so the starting angle must be estimated; note it next time.")
-    if experiment.kind == "forced" and (stepped := _driven_before_it_moves(experiment)):
+    if experiment.kind == "forced" and (driven := _driven_before_it_moves(experiment)) is not None:
+        stepped, waits = driven
         yield (
             f"the {stepped} is on from its first sample, at which nothing moves yet, so that what came before is not on record and"
             " is taken for the same: a delay or a lag shows in nothing, and bends what is estimated; record from before the step,"
             " or put the zeros that came before it into the file."
         )
+        if waits >= _WAITS:
+            seconds = waits * experiment.sample_time
+            yield (
+                f"nothing moves for {seconds:.3g} s while the {stepped} stays the same, and then it does: what moved it came later"
+                f" than the {stepped} on record; leave these {waits} samples out (--start of rtac import), or mend the clock."
+            )
     if clamped and turns_fast(experiment):
         yield (
             "the arm turns by more than half a turn from one sample to the next: a fast motor that is sampled slowly, or"
@@ -253,8 +262,12 @@ def _about_output(signal: Signal, at_rest: bool, held: bool, *, counts: bool) ->
         )
 
 
-def _driven_before_it_moves(experiment: Experiment) -> str:
-    """Return the name of an input that begins at half of its largest value or more, and stays, where the outputs begin at rest."""
+def _driven_before_it_moves(experiment: Experiment) -> tuple[str, int] | None:
+    """Return an input that begins at half of its largest value or more where outputs rest, and for how many samples both stay.
+
+    None where there is none. Where the input changes before anything moves no samples are told: friction may have held it until
+    then.
+    """
     speeds = [
         signal.values if name == "arm_velocity" else np.diff(signal.values)
         for name, signal in experiment.outputs.items()
@@ -263,12 +276,14 @@ def _driven_before_it_moves(experiment: Experiment) -> str:
     sizes = [np.nanmax(np.abs(speed), initial=0.0) for speed in speeds]
     moved = [abs(speed[0]) > STILL * size for speed, size in zip(speeds, sizes, strict=True) if size > 0]
     if not moved or any(moved):
-        return ""
+        return None
+    several = [(np.abs(speed) > STILL * size) for speed, size in zip(speeds, sizes, strict=True) if size > 0]
+    waits = min(int(np.argmax(one)) for one in several)
     for name, signal in experiment.inputs.items():
         first = signal.values[:3]
         if abs(first[0]) > 0.5 * np.max(np.abs(signal.values)) > 0 and np.all(first == first[0]):
-            return name
-    return ""
+            return name, waits if np.all(signal.values[: waits + 1] == first[0]) else 0
+    return None
 
 
 def _about_sampling(signal: Signal, experiment: Experiment) -> Iterator[str]:
@@ -311,7 +326,9 @@ def _spikes(values: Float64[np.ndarray, " sample"], floor: float) -> np.ndarray:
         return np.array([], dtype=np.int64)
     # Nearby, since a decaying oscillation bends far more at its start than at its end.
     scale = MEDIAN_TO_STD * scipy.ndimage.median_filter(size, min(OUTLIER_WINDOW, len(size)), mode="reflect")
-    limit = OUTLIER_SIGMAS * np.maximum(scale, floor)
+    # A flicker of two counts bends by four, however still the rest is, and however counts were scaled and rounded since.
+    steps = np.abs(np.diff(values))
+    limit = np.maximum(OUTLIER_SIGMAS * np.maximum(scale, floor), 4.0 * np.min(steps, initial=np.inf, where=steps > 0))
     # A lone fault bends 1, -2, 1; a jump of the current or of the friction bends one way only.
     opposite = np.minimum(-bend[:-2] * np.sign(bend[1:-1]), -bend[2:] * np.sign(bend[1:-1])) > 0.25 * size[1:-1]
     return np.flatnonzero((size[1:-1] > limit[1:-1]) & opposite) + 2

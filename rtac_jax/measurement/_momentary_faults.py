@@ -221,6 +221,10 @@ def dropouts(name: str, values: Values) -> list[tuple[int, int]]:
             continue
         if name != "arm_velocity" and last == len(values) and _comes_to_rest(before, float(values[first]), usual_speed):
             continue
+        if not any(jumps) and _rests(
+            values[max(first - _SHORTEST_RUN, 0) : last + _SHORTEST_RUN], float(np.min(moving[moving > 0]))
+        ):
+            continue
         if last - first >= certain or any(jumps):
             found.append((int(first), int(last)))
     return found
@@ -232,6 +236,11 @@ def _comes_to_rest(before: Values, last: float, usual: float) -> bool:
     if not len(steps) or abs(last - before[-1]) > np.max(steps):
         return False
     return bool(np.mean(steps) < _SLOWED * usual or np.mean(steps == 0) > _RESTING)
+
+
+def _rests(values: Values, least: float) -> bool:
+    """Return whether what is about a run of one value changes by the least step alone, as what stands still does."""
+    return bool(np.max(np.abs(np.diff(values))) < _QUIET_LEVELS * least)
 
 
 def _usual_step(side: Values) -> float:

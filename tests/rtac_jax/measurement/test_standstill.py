@@ -113,6 +113,37 @@ def test_a_step_that_is_on_from_the_first_sample_hides_a_delay(zeros: int, turni
         assert "put the zeros that came before it into the file" in said[0]
 
 
+def late(waits: int, *, frozen: bool = False) -> Recording:
+    """A motor with its current on from the first sample that turns late, by an encoder in hundredths of a degree; it flickers."""
+    number = np.arange(300)
+    since = 0.005 * np.maximum(number - waits, 0)
+    turned = 800.0 * (since - 0.14 * (1 - np.exp(-since / 0.14))) + 0.3 * np.random.default_rng(3).random(300)
+    count = 360.0 / 4096
+    angle = np.round(np.round((10.0 + turned) / count) * count, 2)
+    angle[8:50] = angle[8] if waits > 50 or frozen else angle[8:50]
+    one = Experiment.of(
+        "step", kind="forced", sample_time=0.005, cart="clamped", initial_arm_angle=0.0, arm_angle=np.radians(angle),
+        current=np.ones(300),
+    )  # fmt: skip
+    return Recording((one,), {"arm_inertia": 1e-3})
+
+
+@pytest.mark.parametrize(("waits", "told"), [(64, True), (3, False)])
+def test_how_long_nothing_moves_with_the_current_on_is_told(waits: int, told: bool) -> None:
+    said = [text for text in concerns(late(waits)) if "came later than the current on record" in text]
+    assert bool(said) is told
+    if told:
+        assert "nothing moves for 0.3" in said[0]
+        assert "--start of rtac import" in said[0]
+
+
+def test_what_stands_still_before_it_is_let_go_neither_drops_out_nor_has_outliers() -> None:
+    said = " ".join(concerns(late(64)))
+    assert "drops out" not in said
+    assert "outlier" not in said
+    assert [text for text in concerns(late(3, frozen=True)) if "drops out" in text]  # while it turns
+
+
 @pytest.mark.parametrize(("step", "told"), [(5e-10, True), (1e-6, False), (1e-3, False)])
 def test_times_in_another_unit_are_told(step: float, told: bool) -> None:
     swing = np.sin(0.1 * np.arange(400))

@@ -30,18 +30,27 @@ _SPELLINGS = {
     "r/min": "rpm",
     "RPM": "rpm",
 }
+# Units that are written out, without the s of a plural.
+_WRITTEN_OUT = {
+    "second": "s", "sec": "s", "millisecond": "ms", "millisec": "ms", "msec": "ms", "microsecond": "us", "microsec": "us",
+    "usec": "us", "degree": "deg", "radian": "rad", "milliradian": "mrad", "revolution": "rev", "turn": "rev", "meter": "m",
+    "metre": "m", "millimeter": "mm", "millimetre": "mm", "centimeter": "cm", "centimetre": "cm", "micrometer": "um",
+    "micrometre": "um", "ampere": "A", "amp": "A", "milliampere": "mA", "milliamp": "mA", "newton": "N", "millinewton": "mN",
+}  # fmt: skip
 _IN_BRACKETS = re.compile(r"^(?P<column>.*?)\s*\[(?P<unit>[^\[\]]*)\]$")
 # A unit at the end of a column's name, in round brackets, after an underscore or after "in".
 _AT_THE_END = re.compile(r"(?:\((?P<within>[^()]*)\)|(?:_| in )(?P<after>(?:m?rad|deg|rev)_s|[^_\s()]+))$")
 # What drives and sensors are read in that have no unit of the layout.
 _FOREIGN = re.compile(r"^(m?V|%|g|counts?|cts|steps?|ticks?|pulses?|pwm|lsb|duty)(/s|/min|/rev)?$", re.IGNORECASE)
 # After an underscore these are units less often than something else, as in "current_in" and "x_cm", the centre of mass.
-_WORDS = ("in", "rev", "cm")
+_WORDS = ("in", "rev", "cm", "turn", "turns")
 
 
 def usual_spelling(unit: str) -> str:
     """Return a unit as the table of factors spells it."""
-    return _SPELLINGS.get(unit, unit)
+    parts = [_WRITTEN_OUT.get(part.strip().lower().removesuffix("s"), part.strip()) for part in unit.split("/")]
+    meant = "/".join(parts)
+    return _SPELLINGS.get(unit, _SPELLINGS.get(meant, meant))
 
 
 def name_and_unit(column: str) -> tuple[str, str]:

@@ -192,6 +192,8 @@ def test_csv(tmp_path):
         ("x (mm)", {}, 1e-3),
         ("x_mm", {}, 1e-3),
         ("x [inches]", {}, 0.0254),
+        ("x (Millimeters)", {}, 1e-3),
+        ("x_second", {}, 1.0),  # of two
         ("x_cm", {}, 1.0),  # the centre of mass, rather
         ("x_rpm", {}, 1.0),  # no unit of a length
         ("Cart_Position(mm)", {}, 1e-3),
@@ -209,6 +211,16 @@ def test_a_unit_that_the_name_of_a_column_states_is_that_of_its_numbers(tmp_path
     found = load_csv(path, channels=channels, time="t [ms]", **options)["run"]
     assert found.sample_time == pytest.approx(0.01)
     np.testing.assert_allclose(found.outputs["cart_position"].values, factor * np.arange(10.0) ** 2, rtol=1e-14)
+
+
+def test_units_that_are_written_out_are_understood(tmp_path):
+    rows = ["time (millisec);angle (degree);speed [degrees/sec];amps", *(f"{5 * n};{n};{n};{n % 2}" for n in range(10))]
+    channels = {"arm_angle": "angle (degree)", "arm_velocity": "speed [degrees/sec]", "current": "amps"}
+    path = write_csv(tmp_path / "run.csv", *rows)
+    found = load_csv(path, channels=channels, time="time (millisec)", cart="clamped", initial_arm_angle=0.0)["run"]
+    assert found.sample_time == pytest.approx(0.005)
+    for channel in ("arm_angle", "arm_velocity"):
+        np.testing.assert_allclose(found.outputs[channel].values, np.radians(np.arange(10.0)), rtol=1e-14)
 
 
 @pytest.mark.parametrize(

@@ -61,6 +61,8 @@ def fit(
 
         start = start_model(work, model, effects, fix, add)
         closed = est.least_squares(start, work.train, weak=True)
+        if closed.reversed_drive:
+            work.note(closed.reversed_drive)
         longest = max(e.samples for e in work.train)
         fraction = longest / 1e5
         times = {"samples": longest, "minutes": _MINUTES * fraction, "seconds": _COMPILING + _SECONDS * fraction}

@@ -86,6 +86,17 @@ class ClosedForm(Result):
         known = [e.consistency for e in {**self.ratios, **self.estimates}.values() if np.isfinite(e.consistency)]
         return bool(known) and all(c < CONSISTENT for c in known)
 
+    @property
+    def reversed_drive(self) -> str:
+        """Say that the motor turns against its current, for which other estimators have no sign; nothing where it does not."""
+        found = self.estimates.get("torque_constant")
+        if found is None or not found.value < 0 or abs(found.value) < 2 * np.nan_to_num(found.std):
+            return ""
+        return (
+            f"In closed form torque_constant is {found.value:.4g} {found.unit}, and it cannot be negative, so that fits end near "
+            "zero: doubt the sign of the current first, or that of angle and velocity (--scale of rtac import, or swap two wires)."
+        )
+
     def overview(self) -> Overview:
         """Return the estimates of parameters, with their scatter over experiments."""
         rows = [(n, f"{e.value:.5g}", _spread(e), _percent(e.consistency), e.unit) for n, e in self.estimates.items()]

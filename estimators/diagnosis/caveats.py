@@ -9,8 +9,8 @@ import numpy as np
 from estimators.core.fit import Fit
 from estimators.diagnosis.candidate import Candidate
 from estimators.diagnosis.explanation import at_noise
-from estimators.diagnosis.model_extension import SURE, misfit
-from estimators.diagnosis.policy import DiagnosisPolicy
+from estimators.diagnosis.model_extension import misfit
+from estimators.diagnosis.policy import SURE, DiagnosisPolicy
 from estimators.inference.robust_covariance import covariances
 from estimators.linear.outlier import rounded
 from estimators.validation.differing_experiments import WORTH_ASKING

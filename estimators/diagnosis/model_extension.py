@@ -15,7 +15,7 @@ from estimators.core.results import FAILURES, RESULTS, DivergedError, NotIdentif
 from estimators.core.step_size import accurate_substeps
 from estimators.diagnosis.gross_effects import begun_by_equations, placed_inside
 from estimators.diagnosis.held_estimates import counting_held
-from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
+from estimators.diagnosis.policy import STANDARD, SURE, DiagnosisPolicy
 from estimators.inference.shaken_simulation import unfollowed
 from estimators.output_error.fit import output_error
 from estimators.output_error.fit_what_shows import with_alike
@@ -27,7 +27,6 @@ from rtac_jax.effects import Effect
 from rtac_jax.measurement import Recording
 
 Way = Literal["simulated", "held", "predicted"]
-SURE = 2.0  # deviations from nothing below which an effect may as well not be there, as in the usual interval of 95 %
 _LOOSE = 0.1  # deviation over value from which on a parameter is not well known
 WAYS: tuple[Way, ...] = ("simulated", "held", "predicted")
 """Ways of fitting a model with effects more, in the order in which they are tried."""

@@ -23,6 +23,11 @@ def _threshold(default: float | int, meaning: str, source: str) -> Any:
     return dataclasses.field(default=default, metadata={"meaning": meaning, "source": source})
 
 
+# Deviations from nothing below which an effect may as well not be there, as in the usual interval of 95 %: without it the data are
+# then fitted too.
+SURE = 2.0
+
+
 @dataclasses.dataclass(frozen=True)
 class DiagnosisPolicy:
     """The thresholds by which a diagnosis calls effects found, models adequate and rivals not to be told apart.

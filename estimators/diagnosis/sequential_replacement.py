@@ -1,12 +1,13 @@
 """Replacement of the effect that was selected first, once the effects that were selected after it are in the model."""
 
 import dataclasses
+import math
 from collections.abc import Sequence
 
 from estimators.diagnosis.choice import bic_gain, gain, held_out_gain, is_at_its_edge
 from estimators.diagnosis.evidence import FittedModel
 from estimators.diagnosis.laboratory import Laboratory
-from estimators.diagnosis.policy import DiagnosisPolicy
+from estimators.diagnosis.policy import SURE, DiagnosisPolicy
 from estimators.diagnosis.removed_error import named
 from estimators.diagnosis.selection import Tried, by_size
 from estimators.diagnosis.step import Step
@@ -42,7 +43,7 @@ def with_replacement(
     answered: set[str] = set()
     for model in _candidates(laboratory, base, steps, tried, policy):
         laboratory.say(f"{model.added[-1]} in the place of {first.id}")
-        sequence = _continued(laboratory, base, model, steps, policy)
+        sequence = _continued(laboratory, base, model, steps, steps, policy)
         if sequence is None:
             continue
         answered.add(model.added[-1])
@@ -59,6 +60,49 @@ def with_replacement(
     late = tuple(effect for effect in unanswered if effect in first.late)
     begin = dataclasses.replace(sequences[best][0], rivals=(*alike, *unanswered), late=late)
     return [begin, *sequences[best][1:]]
+
+
+def without_superseded(
+    laboratory: Laboratory,
+    base: FittedModel,
+    steps: Sequence[Step],
+    tests: Sequence[AdequacyTest],
+    policy: DiagnosisPolicy,
+) -> list[Step]:
+    """Return the steps without those of which later ones leave nothing; all of them where each is still needed.
+
+    A lag of the encoder is selected while that of the current is missing, which explains all of it once dry friction is there.
+
+    Args:
+        laboratory: that computes, or knows, what is asked.
+        base: the model before the first step.
+        steps: that are named, two or more.
+        tests: of the base model.
+        policy: the thresholds.
+
+    Source: backward elimination; Efroymson, in Mathematical Methods for Digital Computers (1960); Miller, Subset Selection in
+    Regression (2002), section 3.2.
+    """
+    effects, samples = laboratory.facts.effects, laboratory.facts.samples
+    for step in steps[:-1]:
+        others = [one for one in steps if one is not step]
+        needed = any(step.id in effects[one.id].presupposes for one in others)
+        if needed or _is_told(step, steps[-1].model):
+            continue
+        model = _refitted(laboratory, base, others[0].id)
+        sequence = None if model is None else _continued(laboratory, base, model, others, steps, policy)
+        if not sequence or bic_gain(samples, base, sequence[-1].model) < bic_gain(samples, base, steps[-1].model):
+            continue
+        if named(sequence, tests, samples, policy)[1] == len(others):
+            # What may be it instead was fitted in its place, and what may be another in that one's.
+            return [dataclasses.replace(new, rivals=old.rivals) for new, old in zip(sequence, others, strict=True)]
+    return list(steps)
+
+
+def _is_told(step: Step, last: FittedModel) -> bool:
+    """Return whether a model shows an effect: any of its sizes by more than two standard deviations, as far as these are known."""
+    sizes = [last.values.get(f"{step.id}.{name}", (math.inf, 0.0)) for name in step.amplitudes]
+    return not sizes or any(abs(value) > SURE * std for value, std in sizes)
 
 
 def _candidates(
@@ -99,9 +143,10 @@ def _continued(
     base: FittedModel,
     model: FittedModel,
     steps: Sequence[Step],
+    known: Sequence[Step],
     policy: DiagnosisPolicy,
 ) -> list[Step] | None:
-    """Return the steps with a candidate in the first place and the later ones refitted beside it.
+    """Return the steps with a candidate in the first place and the later ones refitted beside it; `known` are those named so far.
 
     An empty list where one of these does not improve the model, or where what is left rejects although it did not; None where an
     answer is missing, as a refit that was broken off.
@@ -112,9 +157,7 @@ def _continued(
         effect = step.id if number else model.added[-1]
         scores = laboratory.findings(before)
         score = by_size([s for s in scores.scores if s.id == effect], 0.0)[:1] if scores is not None else []
-        after = None if number else model
-        if number and score:
-            after = laboratory.refits(before, score, "filter").get(effect)
+        after = _refitted(laboratory, before, effect) if number else model
         left = None if after is None else laboratory.findings(after)
         if after is None or left is None:
             return None
@@ -126,4 +169,11 @@ def _continued(
         tests = adequacy_tests(left, policy.critical)
         sequence.append(Step(effect, rivals, 2 * gain(before, after), improvement, held_out, after, tests, amplitudes))
         before = after
-    return [] if rejecting(sequence[-1].left) and not rejecting(steps[-1].left) else sequence
+    return [] if rejecting(sequence[-1].left) and not rejecting(known[-1].left) else sequence
+
+
+def _refitted(laboratory: Laboratory, before: FittedModel, effect: str) -> FittedModel | None:
+    """Return a model with an effect, from the shape that its tests speak for most; None where that is not known."""
+    scores = laboratory.findings(before)
+    score = by_size([s for s in scores.scores if s.id == effect], 0.0)[:1] if scores is not None else []
+    return laboratory.refits(before, score, "filter").get(effect) if score else None

@@ -10,7 +10,7 @@ from estimators.diagnosis.laboratory import Laboratory, Way
 from estimators.diagnosis.policy import DiagnosisPolicy
 from estimators.diagnosis.removed_error import named
 from estimators.diagnosis.selection import Selection, Tried, by_size, nameable
-from estimators.diagnosis.sequential_replacement import with_replacement
+from estimators.diagnosis.sequential_replacement import with_replacement, without_superseded
 from estimators.diagnosis.simulation_selection import replaces_random_forces, selected_by_simulation
 from estimators.diagnosis.step import Step
 from estimators.inference.simulation_residual import follows_nothing
@@ -320,6 +320,7 @@ def improvements(
     count = named(steps, first_tests, laboratory.facts.samples, policy)[1]
     if count > 1 and not (look is not None and look.single):
         best = with_replacement(laboratory, base, steps[:count], first_tests, tried, policy)
+        best = without_superseded(laboratory, base, best, first_tests, policy)
         if best[0].id == steps[0].id:
             steps = [*best, *steps[count:]]
         elif look is None or best[0].gain > look.least:

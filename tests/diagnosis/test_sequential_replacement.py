@@ -274,3 +274,43 @@ def test_a_law_and_what_it_presupposes_are_not_exchanged():
     search = Search(likelihood, first=("arm_coulomb", "arm_stribeck"))
     assert list(selected(search)[0]) == ["arm_coulomb", "tacho_ripple"]
     assert ("arm_stribeck", "tacho_ripple") not in search.asked
+
+
+LAGS = known(
+    base=-10_000.0, encoder_lag=-9800.0, encoder_lag__arm_coulomb=-9400.0, encoder_lag__arm_coulomb__current_lag=-9100.0,
+    arm_coulomb=-9900.0, current_lag=-9950.0, encoder_lag__current_lag=-9780.0,
+)  # fmt: skip
+
+
+class Lags(Known):
+    """A laboratory in which a lag of the encoder shows first, then friction, then the lag of the current that it stood for."""
+
+    def __init__(self, size, beside=-9101.0):
+        self.size = size
+        super().__init__(LAGS | known(arm_coulomb__current_lag=beside))
+        order = ("encoder_lag", "arm_coulomb", "current_lag")
+
+        def seen(model):
+            left = [effect for effect in order if effect not in model.added and "current_lag" not in model.added]
+            return Findings(tuple(sized(effect, 900.0 - 200.0 * n, 1e-9) for n, effect in enumerate(left)))
+
+        self.rejects = seen
+
+    def model(self, *effects):
+        values = {"encoder_lag.size": (self.size if "current_lag" in effects else 1.0, 0.1)} if effects else {}
+        return dataclasses.replace(super().model(*effects), values=values)
+
+
+@pytest.mark.parametrize(
+    ("size", "beside", "found"),
+    [
+        (0.19, -9101.0, ["arm_coulomb", "current_lag"]),
+        (0.21, -9101.0, ["encoder_lag", "arm_coulomb", "current_lag"]),  # by more than two deviations
+        (0.19, -9110.0, ["encoder_lag", "arm_coulomb", "current_lag"]),  # without it the data are less likely
+    ],
+)
+def test_what_later_effects_leave_nothing_of_is_not_named(size, beside, found):
+    search = Lags(size, beside)
+    steps, _ = improvements(search, search.base, search.rejects(search.base), STANDARD)
+    assert [step.id for step in steps] == found
+    assert steps[-1].model.added == tuple(found)

@@ -388,7 +388,10 @@ def _unknown(
     if curve is not None:
         static = f" It depends most on {curve.variable} ({curve.port})."
     elif rejected:
-        static = " What a static function of position, velocity, angle or current explains is less than half of it."
+        static = (
+            " Of what predictions one sample ahead miss, a static function of position, velocity, angle or current explains less"
+            " than half; a simulation may tell more of it."
+        )
     else:
         static = " What is missing is no static function of position, velocity, angle or current."
     telling = min(lines, key=lambda line: line.p_value, default=None)

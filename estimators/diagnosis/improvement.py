@@ -291,9 +291,12 @@ def _holds_there_only(found: Improvement) -> bool:
 
 def _adequate(found: Improvement) -> str:
     """Return the verb of a sentence on a model that nothing rejects."""
-    if _lost(found):
-        return "does not follow what was held out"
-    return "is adequate for what was fitted only" if _holds_there_only(found) else "is adequate"
+    return "does not follow what was held out" if _lost(found) else "is adequate"
+
+
+def _for_fitted_only(found: Improvement) -> str:
+    """Return that an adequate model is so for what was fitted only; nothing where it is not, or does not follow the rest at all."""
+    return ", for what was fitted only" if _holds_there_only(found) and not _lost(found) else ""
 
 
 def _change(found: Improvement) -> str:
@@ -328,7 +331,8 @@ def _named(found: Improvement) -> str:
                 f"how coarsely it was recorded: {last.rounding}."
             )
         return {
-            "adequate": f"The model {_adequate(found)}: nothing is missing {last.floor}{_in_time(found)}{_but(found)}.",
+            "adequate": f"The model {_adequate(found)}: nothing is missing {last.floor}{_for_fitted_only(found)}{_in_time(found)}"
+            f"{_but(found)}.",
             "unknown": f"{_fails(found)}, and {found.diagnoses[-1].no_effect} explains {whole}.",
         }.get(
             found.diagnoses[-1].verdict,
@@ -348,7 +352,8 @@ def _named(found: Improvement) -> str:
     line = found.diagnoses[-1].line_alone
     end = {
         "adequate": f"the mended model {_adequate(found)}"
-        f"{' one sample ahead' if _astray(found) and not _lost(found) else ''}{_but(found)}{_in_time(found)}",
+        f"{' one sample ahead' if _astray(found) and not _lost(found) else ''}{_for_fitted_only(found)}{_but(found)}"
+        f"{_in_time(found)}",
         "unknown": f"the mended model fails as where a parameter drifts: {drift}"
         if drift
         else f"only a line speaks against the mended model: {line}"

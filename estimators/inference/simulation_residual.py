@@ -200,8 +200,8 @@ def simulation_residual(
     Where no noise is known apart from a fit, that of the fastest changes stands for it, which is less than there is where sensors
     wander slowly. Only a poor simulation is judged then, or one that is left at thirty times that, which no usual sensor makes, or
     at ten times that where an effect is suspected, or where the random forces would leave ten times more and a hundredth of the
-    motion is missed. So it is of a
-    channel whose noise nobody knows beside others that are known: it tells only of random forces in place of the model's own.
+    motion is missed; large random forces take the place of the model's own where a hundredth is, and nothing was added. So it is of
+    a channel whose noise nobody knows beside others that are known: it tells only of random forces in place of the model's own.
 
     Args:
         error: rms over the noise, by channel.
@@ -258,7 +258,7 @@ def simulation_residual(
     if (
         poorest
         and random_forces_are_large(random, samples_per_radian, limits)
-        and away[poorest] > limits.poor * signal[poorest]
+        and away[poorest] > (limits.poor if noise_known or added else limits.consequence) * signal[poorest]
     ):
         return said("stand-in", poorest)
     if not beyond:

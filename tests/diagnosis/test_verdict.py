@@ -127,7 +127,10 @@ def test_where_it_shows_is_said_only_beyond_chance() -> None:
     ("excess", "said"),
     [
         (500.0, "It depends most on cart_position (cart)."),
-        (200.0, "What a static function of position, velocity, angle or current explains is less than half of it."),
+        (
+            200.0,
+            "a static function of position, velocity, angle or current explains less than half; a simulation may tell",
+        ),
     ],
 )
 def test_a_static_force_is_judged_by_its_test(excess: float, said: str) -> None:

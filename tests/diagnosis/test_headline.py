@@ -90,6 +90,17 @@ def test_an_adequate_model_whose_simulation_is_far_off_is_adequate_one_sample_ah
     assert "Even so, its simulation leaves" in found.ending
 
 
+@pytest.mark.parametrize(("fitted", "held", "said"), [(1.3, 28.0, True), (1.3, 9.0, False), (3.0, 28.0, False)])
+def test_a_model_that_misses_far_more_of_what_was_held_out_is_adequate_for_what_was_fitted_only(fitted, held, said):
+    """As of a brake that dry and Stribeck friction stand for: 1.3 times the noise where they were fitted, 28 at small swings."""
+    far = improvement(2, errors=(90.0, held))
+    near = Comparison(tuple(compared(m.label, fitted) for m in far.train.models))
+    found = dataclasses.replace(far, train=near, diagnoses=(NAMED, diagnosis("adequate")), diagnosed=(0, 1))
+    assert (", for what was fitted only; of the held-out" in found.headline) is said
+    base = dataclasses.replace(found, diagnoses=(diagnosis("adequate"),), added=(), diagnosed=(0,), verdict="adequate")
+    assert (", for what was fitted only" in base.headline) is said
+
+
 def test_what_serves_held_out_experiments_next_to_nothing_may_stand_for_something_else():
     """As a spring that a drifting sensor was taken for, with which 4.11 became 4.00 times the noise."""
     for after, said in ((40.0, "falls by 2.7 % only, so it may stand for something else"), (30.0, "")):

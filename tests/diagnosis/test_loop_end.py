@@ -14,7 +14,7 @@ import estimators as est
 import rtac_jax as rtac
 from estimators.core.fisher_information import Information
 from estimators.core.fit import Parameter
-from estimators.diagnosis import loop_end
+from estimators.diagnosis import loop_end, loop_run
 from estimators.diagnosis.evidence import EffectTraits, Evidence, Facts
 from estimators.diagnosis.improvement_loop import Loop
 from estimators.diagnosis.model_extension import Added
@@ -184,3 +184,36 @@ def test_a_fit_that_ended_far_off_is_led_by_predictions(
         "estimates by predictions are kept where no simulation serves better"
     )
     assert loop.steps[-1][0] == ("encoder_lag",)
+
+
+@pytest.mark.parametrize(
+    ("chi_square", "p_value", "thorough", "asked"),
+    [
+        (82.0, 0.01, True, [False, True]),
+        (82.0, 0.01, False, [False]),
+        (15.0, 0.01, True, [False]),
+        (82.0, 1e-9, True, [False]),
+    ],
+)
+def test_near_the_data_what_is_large_and_scatters_is_still_asked_for(
+    monkeypatch: pytest.MonkeyPatch, chi_square: float, p_value: float, thorough: bool, asked: list[bool]
+) -> None:
+    """As a lag of the current behind one of the encoder, at six times a noise that nobody knows and 0.3 % of the motion."""
+    loop = ended(0.5, known=False)
+    large = made_up_results.candidate("current_lag", 90.0)
+    large = dataclasses.replace(large, chi_square=chi_square, p_value=p_value)
+    found = dataclasses.replace(
+        made_up_results.diagnosis("adequate"), candidates=(large,), additions=(), evidence=loop.diagnoses[0].evidence
+    )
+    looks: list[bool] = []
+
+    def diagnosed(self: Loop, *_: object, thorough: bool, **__: object) -> est.Diagnosis:
+        looks.append(thorough)
+        return found
+
+    monkeypatch.setattr(Loop, "diagnosed_again", diagnosed)
+    monkeypatch.setattr(Loop, "add", lambda *_: None)
+    loop.thorough, loop.stopped = thorough, ""
+    loop_run.run(loop)
+    assert looks == asked
+    assert loop.stopped == "Stopped: nothing more is missing."

@@ -140,6 +140,41 @@ def test_where_no_noise_is_known_a_poor_simulation_is_judged_and_no_other() -> N
     assert of(15.0, (0.4, 0.0)).words == ""
 
 
+@pytest.mark.parametrize(
+    ("error", "random", "added", "suspect", "cause"),
+    [
+        (50.0, 1.3, (), "", "stand-in"),  # 2 % of the motion, beside random torques that are the model's own
+        (50.0, 0.1, (), "", "shaken"),
+        (20.0, 1.3, (), "", "noise"),  # nobody knows whether the sensor wanders as far
+        (50.0, 1.3, ("gravity_tilt",), "", "shaken"),  # what was named explains most of what was missing
+        (20.0, 0.1, (), "arm_stribeck (98)", "too few data"),
+        (9.0, 0.1, (), "arm_stribeck (98)", "noise"),
+    ],
+)
+def test_where_no_noise_is_known_large_random_forces_and_what_is_suspected_are_told_sooner(
+    error: float, random: float, added: tuple[str, ...], suspect: str, cause: str
+) -> None:
+    found = simulation_residual(
+        {"arm_angle": error}, {"arm_angle": 1.5 * error}, {"arm_angle": 2000.0}, random=(0.0, random), samples_per_radian=90.0,
+        experiments=3, noise_known=False, added=added, suspect=suspect,
+    )  # fmt: skip
+    assert found.cause == cause
+
+
+def test_what_nobody_looked_for_is_not_said_to_be_missing_nowhere() -> None:
+    """Of estimates that agree beside random forces; only a diagnosis looks for effects."""
+    asked = {"random": (0.0, 0.1), "samples_per_radian": 20.0, "experiments": 3}
+    told, untold = (
+        simulation_residual({"arm_angle": 5.0}, {"arm_angle": 5.0}, {"arm_angle": 200.0}, tested=tested, **asked)
+        for tested in (True, False)
+    )
+    assert (told.cause, untold.cause) == ("shaken", "shaken")
+    assert told.words.startswith(
+        "One sample ahead nothing is missing. Even so, the simulation is 2.5 % of the motion away"
+    )
+    assert untold.words.startswith("The simulation is 2.5 % of the motion away")
+
+
 def test_no_sensor_wanders_by_a_tenth_of_the_motion_and_hundreds_of_times_its_fastest_changes() -> None:
     """As where a spring hardens by a tenth of the motion, beside a fine encoder: estimates may agree there by chance."""
     channels = {"cart_position": 445.0}, {"cart_position": 20.0}, {"cart_position": 4612.0}

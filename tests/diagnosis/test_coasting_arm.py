@@ -105,6 +105,7 @@ def test_of_an_arm_that_is_shaken_and_hides_nothing_nothing_is_named(seed: int) 
     assert (found.verdict, found.effects) == ("adequate", ()), found
 
 
+@pytest.mark.slow
 def test_friction_of_the_way_that_was_held_out_follows_that_of_the_other() -> None:
     """With dry friction the viscous one falls to a third, and that of the other way with it."""
     both = recording(coast("back", -12.8, 1), coast("forth", 12.8, 2))
@@ -172,6 +173,7 @@ def swing(name: str, position: float, speed: float, seed: int) -> Experiment:
     return Experiment.of(name, kind="free", sample_time=STEP, arm="locked", cart_position=2e-3 * np.round(read / 2e-3))
 
 
+@pytest.mark.slow
 def test_a_spring_that_softens_is_found_though_all_of_it_would_let_the_cart_go() -> None:
     """Beside steps of 2 mm 15 % of the motion are five times the noise, and random forces as large as the spring's follow that."""
     swings = Recording([swing("small", -0.035, 0.42, 2), swing("large", -0.117, 2.56, 3)], rig={"total_mass": MASS})

@@ -49,6 +49,7 @@ def test_what_has_no_states_and_no_threshold_is_simple() -> None:
     assert not is_simple(Own(0.0))
 
 
+@pytest.mark.slow
 def test_a_refit_in_the_shared_structure_is_that_in_its_own(setting: Setting, monkeypatch: pytest.MonkeyPatch) -> None:
     common = run_model(setting, ("cubic_spring",))
     assert common is not None

@@ -53,6 +53,7 @@ def test_the_parameter_with_which_all_are_followed_is_named_with_its_values(
     assert "drifts with the order of time" in found.differences
 
 
+@pytest.mark.slow
 def test_what_is_left_of_each_experiment_is_held_against_coloured_noise_where_that_is_larger(
     fit: est.Fit, softening: rtac.Recording, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -66,7 +66,6 @@ def without_superseded(
     laboratory: Laboratory,
     base: FittedModel,
     steps: Sequence[Step],
-    tests: Sequence[AdequacyTest],
     policy: DiagnosisPolicy,
 ) -> list[Step]:
     """Return the steps without those of which later ones leave nothing; all of them where each is still needed.
@@ -77,7 +76,6 @@ def without_superseded(
         laboratory: that computes, or knows, what is asked.
         base: the model before the first step.
         steps: that are named, two or more.
-        tests: of the base model.
         policy: the thresholds.
 
     Source: backward elimination; Efroymson, in Mathematical Methods for Digital Computers (1960); Miller, Subset Selection in
@@ -91,10 +89,7 @@ def without_superseded(
             continue
         model = _refitted(laboratory, base, others[0].id)
         sequence = None if model is None else _continued(laboratory, base, model, others, steps, policy)
-        if not sequence or bic_gain(samples, base, sequence[-1].model) < bic_gain(samples, base, steps[-1].model):
-            continue
-        if named(sequence, tests, samples, policy)[1] == len(others):
-            # What may be it instead was fitted in its place, and what may be another in that one's.
+        if sequence and bic_gain(samples, base, sequence[-1].model) >= bic_gain(samples, base, steps[-1].model):
             return [dataclasses.replace(new, rivals=old.rivals) for new, old in zip(sequence, others, strict=True)]
     return list(steps)
 

@@ -123,7 +123,7 @@ def _steps(
         remaining = {i: excess_left(error, base, policy) for i, error in errors.items()}
         good = [i for i, one in remaining.items() if one <= left[-1] * (1 - policy.static)]
         taken = _taken(laboratory, now, asked, remaining, good, policy)
-        several = [taken] if taken is not None else _pair(laboratory, now, asked, remaining, base, enough, policy)
+        several = [taken] if taken is not None else _pair(laboratory, now, asked, remaining, base, policy)
         for one in several:
             tried[one.effect] = (now, one.model)
             steps.append(
@@ -146,10 +146,9 @@ def _pair(
     asked: Mapping[str, Score],
     remaining: Mapping[str, float],
     base: Mapping[str, float],
-    enough: float,
     policy: DiagnosisPolicy,
 ) -> list["_Taken"]:
-    """Return the candidate that leaves least and another beside it, where no single one explains most and both explain enough.
+    """Return the candidate that leaves least and another that explains most beside it, where no single one does.
 
     Dry friction and drag are of opposite curvature beside viscous friction, which takes the mean of what either does.
     """
@@ -165,13 +164,11 @@ def _pair(
     together = {i: excess_left(error, base, policy) for i, error in errors.items()}
     good = [i for i, one in together.items() if one <= remaining[first] * (1 - policy.static)]
     second = _taken(laboratory, model, beside, together, good, policy)
-    if second is None or bic_gain(laboratory.facts.samples, now, second.model) <= 0:
-        return []
     # Few steps rank candidates; the model that was taken has been fitted to its end.
-    ended = laboratory.simulation(second.model)
-    left = math.inf if ended is None else excess_left(ended.error, base, policy)
-    if left > enough:
+    ended = None if second is None else laboratory.simulation(second.model)
+    if second is None or ended is None:
         return []
+    left = excess_left(ended.error, base, policy)
     return [_Taken(first, (), model, after, asked[first], remaining[first]), second._replace(left=left)]
 
 

@@ -320,7 +320,7 @@ def improvements(
     count = named(steps, first_tests, laboratory.facts.samples, policy)[1]
     if count > 1 and not (look is not None and look.single):
         best = with_replacement(laboratory, base, steps[:count], first_tests, tried, policy)
-        best = without_superseded(laboratory, base, best, first_tests, policy)
+        best = without_superseded(laboratory, base, best, policy)
         if best[0].id == steps[0].id:
             steps = [*best, *steps[count:]]
         elif look is None or best[0].gain > look.least:

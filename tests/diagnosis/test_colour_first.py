@@ -43,6 +43,13 @@ def test_no_second_effect_is_looked_for_where_colour_gains_as_much_as_two_would(
     assert laboratory.asked == ["cubic_spring"] + (not first) * ["cubic_spring + lvdt_lag"]
 
 
+def test_where_the_first_effect_explains_all_it_is_not_asked_beside_it() -> None:
+    laboratory = _WithoutRest(0.8 * _FIRST)
+    laboratory.rejects = lambda model: Findings(scores=() if model.added else (screened("cubic_spring"),))
+    assert [step.id for step in select(laboratory, STANDARD, thorough=False).steps] == ["cubic_spring"]
+    assert laboratory.asked == ["cubic_spring"]  # in the end only, as before
+
+
 def test_colour_that_gains_less_than_the_effects_is_not_taken() -> None:
     found = select(_WithoutRest(1.2 * _FIRST), STANDARD, thorough=False)
     assert [step.id for step in found.steps] == ["cubic_spring", "lvdt_lag"]

@@ -18,6 +18,7 @@ from estimators.diagnosis import loop_end, loop_run
 from estimators.diagnosis.evidence import EffectTraits, Evidence, Facts
 from estimators.diagnosis.improvement_loop import Loop
 from estimators.diagnosis.model_extension import Added
+from estimators.diagnosis.runner_up import Exchange
 from rtac_jax.effects import CurrentLag, Effect, EncoderLag
 
 
@@ -217,3 +218,26 @@ def test_near_the_data_what_is_large_and_scatters_is_still_asked_for(
     loop_run.run(loop)
     assert looks == asked
     assert loop.stopped == "Stopped: nothing more is missing."
+
+
+@pytest.mark.parametrize(
+    ("verdict", "left", "taken"), [("adequate", 5.0, True), ("unknown", 0.5, True), ("unknown", 1.6, False)]
+)
+def test_a_runner_up_stays_where_it_ends_adequate_or_at_the_noise(
+    monkeypatch: pytest.MonkeyPatch, verdict: Any, left: float, taken: bool
+) -> None:
+    """A lag of the current left 1.1 times the noise where one of the encoder left 5.7, and a test rejected it all the same."""
+    loop = ended(20.0, known=True, verdict="adequate")
+    given_up, instead = loop.added[0], made_up_results.candidate("quadratic_spring", 90.0)
+    step = dataclasses.replace(loop.last, tested=made_up_results.compared("+ other", left))
+    monkeypatch.setattr(loop_run, "runner_up", lambda *_, **__: Exchange(step, instead, given_up))
+
+    def run(further: Loop) -> None:
+        further.diagnoses = [*further.diagnoses, made_up_results.diagnosis(verdict)]
+        further.stopped = "Stopped."
+
+    monkeypatch.setattr(loop_run, "run", run)
+    further = loop_run.with_runner_up(loop)
+    assert (further is not None) == taken
+    if further is not None:
+        assert [c.id for c in further.added] == ["quadratic_spring"]

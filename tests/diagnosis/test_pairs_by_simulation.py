@@ -25,8 +25,10 @@ LIKELIHOODS = known(base=0.0, arm_stribeck=68.0, arm_quadratic_drag=3.0, arm_qua
 class Pendulum(Known):
     """A laboratory in which Stribeck friction is large, and scatters; an effect gains the same in all of three experiments."""
 
-    def __init__(self, ended: float, gained: float = 20.0, statistic: float = 98.0) -> None:
-        super().__init__(LIKELIHOODS, held_out=dict.fromkeys(("arm_stribeck", "arm_coulomb"), gained))
+    def __init__(self, ended: float, gained: float = 20.0, statistic: float = 98.0, likelier: float = 68.0) -> None:
+        super().__init__(
+            LIKELIHOODS | known(arm_stribeck=likelier), held_out=dict.fromkeys(("arm_stribeck", "arm_coulomb"), gained)
+        )
         self.ended, self.statistic, self.begun = ended, statistic, False
         self.facts = self.facts.__class__(**{**vars(self.facts), "experiments": 3, "seconds": 6})
 
@@ -37,7 +39,7 @@ class Pendulum(Known):
         return Findings() if model.added else Findings((sized("arm_stribeck", self.statistic, 0.5),))
 
     def quiet_scores(self, model: FittedModel) -> tuple[Score, ...]:
-        several = (("arm_stribeck", 98.0), ("arm_coulomb", 34.0), ("arm_quadratic_drag", 25.0))
+        several = (("arm_stribeck", 98.0), ("arm_coulomb", 15.0), ("arm_quadratic_drag", 25.0))
         return tuple(sized(effect, size, 1e-3) for effect, size in several if effect not in model.added)
 
     def held_out(self, before: FittedModel, after: FittedModel) -> HeldOut:
@@ -69,10 +71,13 @@ def test_a_large_candidate_that_a_refit_supports_and_nothing_confirms_leaves_no_
     assert "arm_stribeck (98, the alarm is at 20)" in found.simulation.words
 
 
-@pytest.mark.parametrize(("gained", "statistic", "asked"), [(2.0, 98.0, True), (20.0, 15.0, False)])
-def test_what_does_not_speak_leaves_it_adequate(gained: float, statistic: float, asked: bool) -> None:
-    """A refit that predicts nothing of what it has not seen, and a candidate below the alarm, for which no simulation is asked."""
-    laboratory = Pendulum(ended=9.0, gained=gained, statistic=statistic)
+@pytest.mark.parametrize(
+    ("gained", "statistic", "likelier", "asked"),
+    [(2.0, 98.0, 68.0, True), (20.0, 15.0, 68.0, False), (20.0, 98.0, 9.0, True)],
+)
+def test_what_does_not_speak_leaves_it_adequate(gained: float, statistic: float, likelier: float, asked: bool) -> None:
+    """A refit that predicts nothing of what it has not seen, or gains little; and a candidate below the alarm asks nothing."""
+    laboratory = Pendulum(ended=9.0, gained=gained, statistic=statistic, likelier=likelier)
     assert decide(laboratory, STANDARD, thorough=True).verdict == "adequate"
     assert laboratory.begun is asked
 

@@ -5,6 +5,7 @@ import dataclasses
 import pytest
 from known_search import Known, known, sized
 
+from estimators.diagnosis.evidence import EffectTraits
 from estimators.diagnosis.policy import STANDARD
 from estimators.diagnosis.stepwise_selection import _Look, improvements
 from estimators.misspecification.findings import Findings
@@ -314,3 +315,11 @@ def test_what_later_effects_leave_nothing_of_is_not_named(size, beside, found):
     steps, _ = improvements(search, search.base, search.rejects(search.base), STANDARD)
     assert [step.id for step in steps] == found
     assert steps[-1].model.added == tuple(found)
+
+
+def test_what_a_later_effect_presupposes_is_named_though_little_is_left_of_it():
+    search = Lags(0.19)
+    beside = EffectTraits(presupposes=("encoder_lag",))
+    search.facts = dataclasses.replace(search.facts, effects={**search.facts.effects, "current_lag": beside})
+    steps, _ = improvements(search, search.base, search.rejects(search.base), STANDARD)
+    assert [step.id for step in steps] == ["encoder_lag", "arm_coulomb", "current_lag"]

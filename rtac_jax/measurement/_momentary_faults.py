@@ -221,9 +221,7 @@ def dropouts(name: str, values: Values) -> list[tuple[int, int]]:
             continue
         if name != "arm_velocity" and last == len(values) and _comes_to_rest(before, float(values[first]), usual_speed):
             continue
-        if not any(jumps) and _rests(
-            values[max(first - _SHORTEST_RUN, 0) : last + _SHORTEST_RUN], float(np.min(moving[moving > 0]))
-        ):
+        if _rests(values[max(first - _SHORTEST_RUN, 0) : last + _SHORTEST_RUN], float(np.min(moving[moving > 0]))):
             continue
         if last - first >= certain or any(jumps):
             found.append((int(first), int(last)))

@@ -3,6 +3,7 @@
 import dataclasses
 import math
 
+import made_up_results
 import numpy as np
 import pytest
 from small_experiments import free, rest
@@ -189,3 +190,20 @@ def test_random_forces_are_told_of_where_they_matter():
     assert "(5.8 % of the rms force and 2 % of the rms torque in one sample)" in shaken(0.058, 0.02, 0.0)
     assert "est.prediction_error_nonlinear" in shaken(1e-5, 0.02, 0.0)
     assert shaken(1e-5, 1e-5, 0.12).startswith(" 12 % of the samples do not count")
+
+
+def test_of_a_pair_the_one_that_gains_nothing_alone_is_said_to_be_part_of_it() -> None:
+    """As drag whose curvature dry friction hides, of which simulations name both."""
+    alone, both = (
+        FittedModel(1, ("arm_quadratic_drag",), 1, 0.0),
+        FittedModel(2, ("arm_quadratic_drag", "arm_coulomb"), 2, 0.0),
+    )
+    steps = [
+        Step("arm_quadratic_drag", (), 7.0, -2.0, -12.0, alone, ()),
+        Step("arm_coulomb", (), 700.0, 692.0, 349.0, both, ()),
+    ]
+    several = tuple(made_up_results.candidate(step.id, 9.0) for step in steps)
+    said = words("missing", several, several, steps, (), (), 1.0, (), (), (), ())
+    assert "which explains nothing without what comes next; arm_coulomb (" in said
+    assert "gains 692 in BIC" in said
+    assert "-2" not in said

@@ -10,6 +10,7 @@ import pytest
 import estimators as est
 import rtac_jax as rtac
 from estimators.core.fisher_information import Information, information_of
+from estimators.inference import robust_covariance
 from estimators.inference.cramer_rao import expected_std
 from estimators.inference.profile_likelihood import profile
 from estimators.inference.robust_covariance import Covariances, clustered, covariances
@@ -344,4 +345,20 @@ def test_where_the_data_leave_parameters_free_there_are_no_deviations(
 
     monkeypatch.setattr(np.linalg, "inv", singular)
     with pytest.raises(est.NotIdentifiableError, match="covariances: The data leave combinations of parameters free"):
+        covariances(fit, recording)
+
+
+def test_derivatives_that_are_no_numbers_are_a_sentence(
+    white: tuple[rtac.Recording, est.Fit, Covariances], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As of a current in counts of a pulse width: "cannot convert float NaN to integer" had ended a command."""
+    recording, fit, _ = white
+    known = robust_covariance.rows_at
+
+    def spoiled(problem: Any) -> Any:
+        rows = known(problem)
+        return rows._replace(jacobian=np.nan * rows.jacobian)
+
+    monkeypatch.setattr(robust_covariance, "rows_at", spoiled)
+    with pytest.raises(est.NotIdentifiableError, match="derivatives are no numbers where the fit ended"):
         covariances(fit, recording)

@@ -2,9 +2,10 @@
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from estimators.core.fit import Parameter
+from estimators.diagnosis.policy import DiagnosisPolicy
 
 _MOST = 0.5  # fraction of the misfit: what removes more explains most of it
 
@@ -72,3 +73,9 @@ class Candidate:
     def limit_or_why(self) -> str:
         """Return the detection limit, or why there is none: random forces may stand for what shows only once it is fitted."""
         return self.limit or ("shows once fitted" if self.can_show else "not testable with these data")
+
+
+def loudest(candidates: Sequence[Candidate], policy: DiagnosisPolicy) -> Candidate | None:
+    """Return the largest of the candidates that are as large as an alarm and scatter over the seconds of data; None for none."""
+    large = [c for c in candidates if c.chi_square >= policy.alarm and c.p_value >= policy.chance]
+    return max(large, key=lambda c: c.chi_square, default=None)

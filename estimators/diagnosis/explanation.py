@@ -4,7 +4,7 @@ import math
 from collections.abc import Collection, Mapping, Sequence
 
 from estimators.core.fit import FAR, Parameter
-from estimators.diagnosis.candidate import Candidate
+from estimators.diagnosis.candidate import Candidate, loudest
 from estimators.diagnosis.missing_force import static_force
 from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
 from estimators.diagnosis.removed_error import Verdict, fraction_removed
@@ -237,12 +237,6 @@ def _listed(names: Sequence[str]) -> str:
     """Return some names with a verb in the past."""
     shown = ", ".join(names[:_LISTED]) + (f" and {len(names) - _LISTED} more" if len(names) > _LISTED else "")
     return f"{shown} {'was' if len(names) == 1 else 'were'}"
-
-
-def loudest(candidates: Sequence[Candidate], policy: DiagnosisPolicy) -> Candidate | None:
-    """Return the largest of the candidates that are as large as an alarm and scatter over the seconds of data; None for none."""
-    large = [c for c in candidates if c.chi_square >= policy.alarm and c.p_value >= policy.chance]
-    return max(large, key=lambda c: c.chi_square, default=None)
 
 
 def unconfirmed(

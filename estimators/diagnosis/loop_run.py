@@ -6,10 +6,9 @@ import dataclasses
 from estimators.core.deadline import PROLONGED, OutOfTimeError
 from estimators.core.fit import Fit
 from estimators.core.results import DivergedError
-from estimators.diagnosis.candidate import Candidate
+from estimators.diagnosis.candidate import Candidate, loudest
 from estimators.diagnosis.candidate_set import offered
 from estimators.diagnosis.diagnosis import Diagnosis
-from estimators.diagnosis.explanation import loudest
 from estimators.diagnosis.improvement_loop import OUT_OF_TIME, Loop, classes_of
 from estimators.diagnosis.learned_force import LearnedForce, learn_force
 from estimators.diagnosis.missing_force import static_force

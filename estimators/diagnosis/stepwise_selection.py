@@ -4,6 +4,7 @@ import dataclasses
 import math
 from collections.abc import Sequence
 
+from estimators.diagnosis.asked_beside import beside, presupposed, resembling
 from estimators.diagnosis.choice import alone, chosen, gain
 from estimators.diagnosis.evidence import FittedModel
 from estimators.diagnosis.laboratory import Laboratory, Way
@@ -344,15 +345,15 @@ def _next_step(
     price = math.log(laboratory.facts.samples)
     if look is not None:
         way, ranked, above = look.way, look.ranked, []
-        near = [*look.near, *_presupposed(laboratory, now, seen, ranked)]
+        near = [*look.near, *presupposed(laboratory, now, seen, ranked)]
         most = len(ranked)
     else:
         way, ranked = "filter", by_size(nameable(laboratory.facts, alarming(seen.scores, policy.critical)), price)
         near = _near(ranked, policy.close) if ranked else []
         above = by_size(nameable(laboratory.facts, overshadowing(seen.scores, policy.critical)), price)[: policy.refits]
-        ranked = ranked or _beside(laboratory, now, seen, policy)
-        near = [*near, *_presupposed(laboratory, now, seen, ranked[: policy.refits])]
-        near = [*near, *_resembling(laboratory, now, seen, [*ranked[:1], *near])]
+        ranked = ranked or beside(laboratory, now, seen, policy)
+        near = [*near, *presupposed(laboratory, now, seen, ranked[: policy.refits])]
+        near = [*near, *resembling(laboratory, now, seen, [*ranked[:1], *near])]
         most = policy.refits
     if not ranked:
         return None
@@ -367,7 +368,7 @@ def _next_step(
     if way == "equations" and models:
         # What only an output shows, as a sensor's zero, has no part in the equations.
         best = max(models, key=lambda i: models[i].log_likelihood)
-        alike = [s for s in _resembling(laboratory, now, seen, [asked[best]]) if s.id not in asked]
+        alike = [s for s in resembling(laboratory, now, seen, [asked[best]]) if s.id not in asked]
         models |= laboratory.refits(now, alike, "filter") if alike else {}
         asked |= {s.id: s for s in alike}
     several = {i: (asked[i], model) for i, model in models.items()}
@@ -383,29 +384,3 @@ def _next_step(
     return dataclasses.replace(
         step, left=adequacy_tests(left, policy.critical), rivals=(*step.rivals, *late), late=late
     )
-
-
-def _beside(laboratory: Laboratory, now: FittedModel, seen: Findings, policy: DiagnosisPolicy) -> list[Score]:
-    """Return candidates that presuppose an effect in the model and are large, though they scatter over stretches of time."""
-    effects = laboratory.facts.effects
-    large = [s for s in seen.scores if s.statistic >= policy.alarm and set(effects[s.id].presupposes) & set(now.added)]
-    return by_size(nameable(laboratory.facts, large), math.log(laboratory.facts.samples))
-
-
-def _presupposed(laboratory: Laboratory, now: FittedModel, seen: Findings, ranked: Sequence[Score]) -> list[Score]:
-    """Return what candidates presuppose and neither the model nor they themselves have."""
-    effects, there = laboratory.facts.effects, {*now.added, *(s.id for s in ranked)}
-    asked = {i for s in ranked for i in effects[s.id].presupposes} - there
-    return by_size(
-        nameable(laboratory.facts, [s for s in seen.scores if s.id in asked]), math.log(laboratory.facts.samples)
-    )
-
-
-def _resembling(laboratory: Laboratory, now: FittedModel, seen: Findings, ranked: Sequence[Score]) -> list[Score]:
-    """Return what changes the motion as the first candidate does, though its score at small sizes may hide that.
-
-    Whether the data could show it by itself does not matter: they show it where they show the first.
-    """
-    effects, there = laboratory.facts.effects, {*now.added, *(s.id for s in ranked)}
-    alike = {i for s in ranked[:1] for i in effects[s.id].resembles} - there
-    return by_size([s for s in seen.scores if s.id in alike], math.log(laboratory.facts.samples))

@@ -13,12 +13,8 @@ from estimators.diagnosis.workers import Workers
 from estimators.prediction_error.coloured_noise import Colours, ColourStates, capped, likeliest_colours, rest_spectra
 from estimators.prediction_error.noise_estimation import fit_noise
 
-_CORRELATION_TIMES = (
-    1.5,
-    4.0,
-    10.0,
-    25.0,
-)  # correlation times of sensor noise that are tried, from the middle on, in samples
+# Correlation times of sensor noise that are tried, from the middle on, in samples.
+_CORRELATION_TIMES = (1.5, 4.0, 10.0, 25.0)
 _FITTED = (
     4.0  # times as much, at most, that a colour gains once it and the physics beside it are fitted; twice was seen
 )

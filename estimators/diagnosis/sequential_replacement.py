@@ -12,6 +12,7 @@ from estimators.diagnosis.removed_error import named
 from estimators.diagnosis.selection import Tried, by_size
 from estimators.diagnosis.step import Step
 from estimators.misspecification.adequacy import AdequacyTest, adequacy_tests, rejecting
+from estimators.misspecification.findings import Score
 
 
 def with_replacement(
@@ -150,8 +151,7 @@ def _continued(
     before = base
     for number, step in enumerate(steps):
         effect = step.id if number else model.added[-1]
-        scores = laboratory.findings(before)
-        score = by_size([s for s in scores.scores if s.id == effect], 0.0)[:1] if scores is not None else []
+        score = _score(laboratory, before, effect)
         after = _refitted(laboratory, before, effect) if number else model
         left = None if after is None else laboratory.findings(after)
         if after is None or left is None:
@@ -169,6 +169,11 @@ def _continued(
 
 def _refitted(laboratory: Laboratory, before: FittedModel, effect: str) -> FittedModel | None:
     """Return a model with an effect, from the shape that its tests speak for most; None where that is not known."""
-    scores = laboratory.findings(before)
-    score = by_size([s for s in scores.scores if s.id == effect], 0.0)[:1] if scores is not None else []
+    score = _score(laboratory, before, effect)
     return laboratory.refits(before, score, "filter").get(effect) if score else None
+
+
+def _score(laboratory: Laboratory, before: FittedModel, effect: str) -> list[Score]:
+    """Return the largest score of an effect beside a model; none where it has none."""
+    found = laboratory.findings(before)
+    return by_size([s for s in found.scores if s.id == effect], 0.0)[:1] if found is not None else []

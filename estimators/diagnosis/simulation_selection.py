@@ -123,7 +123,9 @@ def _steps(
         remaining = {i: excess_left(error, base, policy) for i, error in errors.items()}
         good = [i for i, one in remaining.items() if one <= left[-1] * (1 - policy.static)]
         taken = _taken(laboratory, now, asked, remaining, good, policy)
-        several = [taken] if taken is not None else _pair(laboratory, now, asked, remaining, base, policy)
+        several = [taken] if taken is not None else []
+        if not several and len(steps) + 2 <= policy.effects:
+            several = _pair(laboratory, now, asked, remaining, base, policy)
         for one in several:
             tried[one.effect] = (now, one.model)
             steps.append(

@@ -1,5 +1,6 @@
 """Two effects of which neither explains most by itself, found by simulation where a large candidate scatters over the seconds."""
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -61,6 +62,11 @@ def test_a_pair_is_named_of_which_neither_explains_most_by_itself() -> None:
     found = decide(Pendulum(ended=1.1), STANDARD, thorough=True)
     assert (found.verdict, found.effects) == ("missing", ("arm_quadratic_drag", "arm_coulomb"))
     assert found.removed == pytest.approx(1 - (1.1**2 - 1) / (18.6**2 - 1))
+
+
+def test_no_pair_is_named_where_a_policy_allows_one_effect() -> None:
+    found = decide(Pendulum(ended=1.1), dataclasses.replace(STANDARD, effects=1), thorough=True)
+    assert found.effects == ()
 
 
 def test_a_large_candidate_that_a_refit_supports_and_nothing_confirms_leaves_no_adequate_model() -> None:

@@ -3,7 +3,7 @@
 import dataclasses
 import hashlib
 import itertools
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import equinox as eqx
 import jax
@@ -105,6 +105,11 @@ def motion_of(data: Data) -> Float[np.ndarray, " output"]:
     """Return the rms of each channel about its mean in each experiment; zero where there is none."""
     squares, count = squares_of_motion(data)
     return np.sqrt(squares.sum(axis=1) / np.maximum(count.sum(axis=1), 1.0))
+
+
+def in_channels(levels: Mapping[str, float]) -> Float[np.ndarray, " output"]:
+    """Return what is known of channels, in their order; 1 where nothing is known of one."""
+    return np.array([levels.get(channel, 1.0) for channel in CHANNELS])
 
 
 def mark_of(experiment: Experiment) -> str:

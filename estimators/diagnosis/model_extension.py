@@ -8,7 +8,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from estimators.core.data import CHANNELS, Data, mark_of, moving, pieces
+from estimators.core.data import Data, in_channels, mark_of, moving, pieces
 from estimators.core.deadline import Deadline
 from estimators.core.fit import FAR, Fit
 from estimators.core.results import FAILURES, RESULTS, DivergedError, NotIdentifiableError
@@ -326,7 +326,7 @@ def _predicted(model: RTAC, before: Fit, train: Recording, *, progress: bool) ->
 def _simulation_steps(found: PredictorFit, levels: Mapping[str, float]) -> int:
     """Return the integration steps in a sample that a free simulation of a model needs which was fitted by predictions."""
     arguments = found.problem.arguments
-    noise = np.array([levels.get(channel, 1.0) for channel in CHANNELS])
+    noise = in_channels(levels)
     return accurate_substeps(found.model, arguments.data, arguments.space, found.problem.unknowns, noise)
 
 

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from estimators.core.data import CHANNELS, Data, moving, origins, pieces
+from estimators.core.data import CHANNELS, Data, in_channels, moving, origins, pieces
 from estimators.core.fit import Fit
 from estimators.core.initial_state import space_of
 from estimators.core.jacobian_factor import Arguments, plain_residual
@@ -81,7 +81,7 @@ class Shuffled(_Source):
         levels = noise_levels(recording.experiments)
         experiments = pieces(moving(recording))
         data, space = Data.of(experiments), space_of(model, experiments, free=[])
-        noise = np.array([levels.get(channel, 1.0) for channel in CHANNELS])
+        noise = in_channels(levels)
         unknowns = space.unconstrained()
         substeps = accurate_substeps(model, data, space, unknowns, noise)
         arguments = Arguments(model, data, space, diagonal_whitener(noise, data), no_gain(model, data), substeps)

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 import jax.numpy as jnp
 import numpy as np
 
-from estimators.core.data import CHANNELS, moving
+from estimators.core.data import in_channels, moving
 from estimators.core.fisher_information import Information, information
 from estimators.core.jacobian_factor import diverged, factor
 from estimators.core.linearisation import problem_of
@@ -88,7 +88,7 @@ def expected_std(
     wrong = [c for c, s in levels.items() if c not in OUTPUTS or not s > 0]
     if wrong:
         raise ValueError(f"noise of {', '.join(wrong)}: give a positive number for one of {', '.join(OUTPUTS)}.")
-    deviation = np.array([levels.get(channel, 1.0) for channel in CHANNELS])
+    deviation = in_channels(levels)
     problem = problem_of(model, experiments, deviation, substeps=1)
     arguments = problem.arguments
     steps = accurate_substeps(model, arguments.data, arguments.space, problem.unknowns, deviation)

@@ -3,7 +3,6 @@
 import contextlib
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -12,20 +11,20 @@ from jaxtyping import Float
 from estimators.core.active_bounds import OFF_BOUNDS, solve_bounded
 from estimators.core.compilation import compile_beside
 from estimators.core.concentrated_noise import ConcentratedNoise
-from estimators.core.data import CHANNELS, Data, motion_of, squares_of_motion
+from estimators.core.data import Data, in_channels, motion_of
 from estimators.core.fisher_information import information
 from estimators.core.fit import FAR
 from estimators.core.initial_angle import angle_unknown
 from estimators.core.initial_rest import at_rest, best_starts, may_swing, squares
 from estimators.core.initial_state import scales_of, space_of
-from estimators.core.jacobian_factor import Arguments, Passes, diverged, factor, plain_residual
+from estimators.core.jacobian_factor import Arguments, Passes, diverged, factor
 from estimators.core.levenberg_marquardt import NEGLIGIBLE, Solved
 from estimators.core.parameter_space import Space, Unknowns
 from estimators.core.progress import Progress
-from estimators.core.residual import diagonal_whitener, no_gain
 from estimators.core.start_search import beyond_noise, searched
 from estimators.core.step_size import accurate_substeps
 from estimators.output_error.correction import correction
+from estimators.output_error.free_simulation import FreeSimulation
 from estimators.output_error.horizons import horizons
 from estimators.output_error.robust import Robust
 from estimators.output_error.robust import robust as robust_fit
@@ -130,74 +129,66 @@ class Descent:
         free = [n for n in model.free if n not in model.per_experiment]
         space = space_of(model, self.experiments, free=free, start=start)
         unknowns = space.unconstrained(off_bounds=OFF_BOUNDS)
-        noise = np.array([self.levels.get(channel, 1.0) for channel in CHANNELS])
-        scales = scales_of(model, self.experiments)
-        nothing = no_gain(model, self.data)
-        whitener = diagonal_whitener(noise, self.data)
+        noise = self.noise
+        simulation = FreeSimulation(model, self.data, space, noise)
         # While what only simulates, and the filter, are compiled here.
-        passes = Passes(Arguments(model, self.data, space, whitener, nothing, 1))
+        passes = Passes(simulation.arguments())
         compile_beside(lambda: passes.prepare(unknowns))
         substeps = accurate_substeps(model, self.data, space, unknowns, noise)
+        simulation = dataclasses.replace(simulation, substeps=substeps)
         if may_swing(model):
-            simulated = Arguments(model, self.data, space, whitener, nothing, substeps)
-            unknowns = best_starts([unknowns, at_rest(unknowns, space)], simulated, worth=_AT_REST)
-        parts = horizons(Arguments(model, self.data, space, whitener, nothing, substeps), unknowns)
-        deviation = self._deviation(model, space, unknowns, substeps, noise)
+            unknowns = best_starts([unknowns, at_rest(unknowns, space)], simulation.arguments(), worth=_AT_REST)
+        parts = horizons(simulation.arguments(), unknowns)
+        begun = simulation.error(unknowns)
+        deviation = simulation.rms(begun)
         # A start whose free simulation is near already, as after adding what a diagnosis found, needs no guidance.
         if np.all(deviation < _NEAR_NOISE * noise):
-            return self._ended(model, space, unknowns, substeps, noise, best)
+            return self._ended(simulation, unknowns, best)
         end = None
         if given and np.all(deviation < np.maximum(_NEAR_NOISE * noise, _NEAR_MOTION * motion_of(self.data))):
-            begun = self._simulated(model, space, unknowns, substeps)
-            end = self._ended(model, space, unknowns, substeps, noise, best, most=_UNLED_STEPS if led else None)
+            end = self._ended(simulation, unknowns, best, most=_UNLED_STEPS if led else None)
             if not led:
                 return end
             if not end.solved.converged and not end.is_far(noise):
-                end = self._weighted(
-                    end.model, end.space, end.solved.unknowns, end.substeps, noise, end.deviation, best
-                )
+                end = self._weighted(self._simulation(end), end.solved.unknowns, end.deviation, best)
                 self.followed.append((begun, end))
             if end.solved.converged:
                 return end
-        guided = self._guided(model, space, unknowns, parts, substeps, noise, scales)
+        guided = self._guided(simulation, unknowns, parts)
         if guided is None:
             return end
         ends = [] if end is None else [end]
-        lost = len(parts) == 1 and self._is_lost(model, space, guided, substeps, noise)
+        lost = len(parts) == 1 and simulation.loses(guided, _NEAR_MOTION)
         # Another start's end has a space of its own, in whose scales its unknowns are.
-        lost = lost and all(
-            self._is_lost(one.model, one.space, one.solved.unknowns, one.substeps, noise) for one in ends
-        )
-        if led and lost and (short := self._begun_short(model, space, guided, substeps, noise, best)) is not None:
+        lost = lost and all(self._simulation(one).loses(one.solved.unknowns, _NEAR_MOTION) for one in ends)
+        if led and lost and (short := self._begun_short(simulation, guided, best)) is not None:
             if np.all(short.deviation < _NEAR_NOISE * noise):
                 return short
             ends.append(short)
         try:
-            ends.append(self._ended(model, space, guided, substeps, noise, best))
+            ends.append(self._ended(simulation, guided, best))
         except FloatingPointError:
             # Where a filter predicts, no simulation need stay.
             if not ends:
-                ends.append(self._ended(model, space, unknowns, substeps, noise, best))
+                ends.append(self._ended(simulation, unknowns, best))
         return min(ends, key=lambda one: one.cost)
 
-    def _is_lost(
-        self, model: RTAC, space: Space, unknowns: Unknowns, substeps: int, noise: Float[np.ndarray, " output"]
-    ) -> bool:
-        """Return whether the free simulation of an experiment follows little of a channel's motion."""
-        left = (self._simulated(model, space, unknowns, substeps) ** 2).sum(axis=0)
-        motion, count = squares_of_motion(self.data)
-        follows = left <= np.maximum((FAR * noise[:, None]) ** 2 * count, _NEAR_MOTION**2 * motion)
-        return not np.all(follows)  # what is no number follows nothing
+    @property
+    def noise(self) -> Float[np.ndarray, " output"]:
+        """Return the noise of each channel, SI units; 1 where none is known."""
+        return in_channels(self.levels)
 
-    def _guided(
-        self, model: RTAC, space: Space, unknowns: Unknowns, parts: Sequence[Data], substeps: int, noise: np.ndarray,
-        scales: Any,
-    ) -> Unknowns | None:  # fmt: skip
+    def _simulation(self, end: DescentEnd) -> FreeSimulation:
+        return FreeSimulation(end.model, self.data, end.space, self.noise, end.substeps)
+
+    def _guided(self, simulation: FreeSimulation, unknowns: Unknowns, parts: Sequence[Data]) -> Unknowns | None:
         """Return where predictions with ever weaker correction, and simulations of ever longer parts, lead; None if nowhere."""
+        model, space, substeps = simulation.model, simulation.space, simulation.substeps
+        scales = scales_of(model, self.experiments)
         for fraction in _CORRECTION:
-            gain, corrected = correction(parts[0], model, space, unknowns, noise, scales, fraction, substeps)
+            gain, corrected = correction(parts[0], model, space, unknowns, simulation.noise, scales, fraction, substeps)
             arguments = Arguments(model, parts[0], space, corrected, gain, substeps)
-            self._require_determined(model, space, unknowns, substeps, noise)
+            self._require_determined(simulation, unknowns)
             try:
                 near = self._solve(unknowns, arguments, tolerance=1e-3, gain=_GUIDANCE, most=min(_STAGE, self.steps))
             except FloatingPointError:
@@ -209,75 +200,63 @@ class Descent:
                 if near.cost > _HOPELESS * max(self.nearest, 0.5 * float(jnp.sum(self.data.present))):
                     return None
                 self.nearest = min(self.nearest, near.cost)
-        return self._led(model, space, unknowns, parts[:-1], substeps, noise)
+        return self._led(simulation, unknowns, parts[:-1])
 
-    def _led(
-        self, model: RTAC, space: Space, unknowns: Unknowns, parts: Sequence[Data], substeps: int, noise: np.ndarray
-    ) -> Unknowns:
+    def _led(self, simulation: FreeSimulation, unknowns: Unknowns, parts: Sequence[Data]) -> Unknowns:
         """Return where simulations of ever longer parts of the data lead."""
-        nothing = no_gain(model, self.data)
         for part in parts:
-            arguments = Arguments(model, part, space, diagonal_whitener(noise, self.data), nothing, substeps)
+            arguments = dataclasses.replace(simulation.arguments(), data=part)
             unknowns = self._solve(
                 unknowns, arguments, tolerance=1e-2, gain=_GUIDANCE, most=min(_STAGE, self.steps)
             ).unknowns
         return unknowns
 
-    def _begun_short(
-        self, model: RTAC, space: Space, unknowns: Unknowns, substeps: int, noise: np.ndarray, best: float
-    ) -> DescentEnd | None:
+    def _begun_short(self, simulation: FreeSimulation, unknowns: Unknowns, best: float) -> DescentEnd | None:
         """Descend from where short parts of the data lead that a simulation follows; None where that leads nowhere."""
         parts = [self.data.beginning(self.data.samples // part) for part in _PARTS]
         with contextlib.suppress(FloatingPointError):
-            led = self._led(model, space, unknowns, parts, substeps, noise)
-            return self._ended(model, space, led, substeps, noise, best)
+            return self._ended(simulation, self._led(simulation, unknowns, parts), best)
         return None
 
     def _ended(
-        self, model: RTAC, space: Space, unknowns: Unknowns, substeps: int, noise: np.ndarray, best: float, *,
-        most: int | None = None,
-    ) -> DescentEnd:  # fmt: skip
+        self, simulation: FreeSimulation, unknowns: Unknowns, best: float, *, most: int | None = None
+    ) -> DescentEnd:
         """Descend by the free simulation, in so many steps at most, with the arm begun elsewhere where that leaves less."""
-        begun = self._simulated(model, space, unknowns, substeps)
-        if (same := self._followed(begun, noise)) is not None:
+        begun = simulation.error(unknowns)
+        if (same := self._followed(begun, simulation.noise)) is not None:
             return same
-        end = self._weighted(model, space, unknowns, substeps, noise, self._rms(begun, noise), best, most=most)
-        if (elsewhere := self._turned(end, noise)) is not None:
-            end = min(
-                end,
-                self._weighted(model, space, elsewhere, substeps, noise, end.deviation, best),
-                key=lambda one: one.cost,
-            )
+        end = self._weighted(simulation, unknowns, simulation.rms(begun), best, most=most)
+        if (elsewhere := self._turned(end)) is not None:
+            turned = self._weighted(simulation, elsewhere, end.deviation, best)
+            end = min(end, turned, key=lambda one: one.cost)
         if most is None or end.solved.converged:  # one that was cut short is no end
             self.followed.append((begun, end))
         return end
 
     def _weighted(
-        self, model: RTAC, space: Space, unknowns: Unknowns, substeps: int, levels: np.ndarray, deviation: np.ndarray,
-        best: float, *, most: int | None = None,
+        self, simulation: FreeSimulation, unknowns: Unknowns, deviation: Float[np.ndarray, " output"], best: float, *,
+        most: int | None = None,
     ) -> DescentEnd:  # fmt: skip
         """Descend with channels weighted by what is left of them: first at the beginning, then at every point.
 
         Weighted anew from far off, a channel that is easily followed would soon be all that counts.
         """
-        noise = ConcentratedNoise.of(self.data)
-        arguments = Arguments(
-            model, self.data, space, diagonal_whitener(deviation, self.data), no_gain(model, self.data), substeps
-        )
-        self._require_determined(model, space, unknowns, substeps, levels)
-        solved = self._solve(unknowns, arguments, tolerance=1e-2, gain=_START, most=min(_STAGE, self.steps))
-        # In units of the sensors' noise, as whoever weighs anew begins from no weights.
-        arguments = dataclasses.replace(arguments, whitener=diagonal_whitener(levels, self.data))
-        constant = float(noise.counts @ np.log(levels))
+        space, noise = simulation.space, ConcentratedNoise.of(self.data)
+        self._require_determined(simulation, unknowns)
+        weighted = simulation.arguments(deviation)
+        solved = self._solve(unknowns, weighted, tolerance=1e-2, gain=_START, most=min(_STAGE, self.steps))
+        constant = float(noise.counts @ np.log(simulation.noise))
         cost = noise.cost(solved.squares) + float(noise.counts @ np.log(deviation))
         # One that is hopeless beside another start is not worth the last digits.
         enough = self.steps if most is None else min(most, self.steps)
         most = enough if cost <= best + float(np.sum(noise.counts)) else 1
-        solved = self._solve(solved.unknowns, arguments, tolerance=self.tolerance, most=most, noise=noise)
+        # In units of the sensors' noise, as whoever weighs anew begins from no weights.
+        solved = self._solve(solved.unknowns, simulation.arguments(), tolerance=self.tolerance, most=most, noise=noise)
         cost = constant + noise.cost(solved.squares) + space.penalty(space.physical(solved.unknowns)[0])
-        return DescentEnd(model, space, solved, noise.deviations(solved.squares) * levels, cost, substeps)
+        left = noise.deviations(solved.squares) * simulation.noise
+        return DescentEnd(simulation.model, space, solved, left, cost, simulation.substeps)
 
-    def _turned(self, end: DescentEnd, noise: np.ndarray) -> Unknowns | None:
+    def _turned(self, end: DescentEnd) -> Unknowns | None:
         """Return the unknowns with the arm begun elsewhere, in experiments that do not tell its angle, where that leaves less.
 
         None where it does not, and where the simulation leaves no more than noise.
@@ -293,8 +272,7 @@ class Descent:
             start=start,
             active=jnp.full_like(end.space.active, len(end.space.names)),
         )
-        whitener, nothing = diagonal_whitener(noise, self.data), no_gain(end.model, self.data)
-        arguments = Arguments(end.model, self.data, space, whitener, nothing, end.substeps)
+        arguments = dataclasses.replace(self._simulation(end), space=space).arguments()
         unknowns = space.unconstrained()
         if not np.any(beyond_noise(unknowns, arguments) & angle_unknown(space)):
             return None
@@ -331,7 +309,7 @@ class Descent:
             stage.solved.unknowns,
             experiments,
             substeps=stage.substeps,
-            noise=np.array([self.levels.get(channel, 1.0) for channel in CHANNELS]),
+            noise=self.noise,
             tolerance=1e-4,
             steps=self.steps,
             progress=self._show,
@@ -341,34 +319,13 @@ class Descent:
         self.taken += 1
         self.progress.step(text)
 
-    def _require_determined(
-        self, model: RTAC, space: Space, unknowns: Unknowns, substeps: int, noise: np.ndarray
-    ) -> None:
+    def _require_determined(self, simulation: FreeSimulation, unknowns: Unknowns) -> None:
         """Refuse data that leave parameters free, before the first step.
 
         Along directions that are free the descent would wander until the model breaks. What a free simulation of all the data tells
         beside the noise of the sensors is asked: what the start misses, or a filter that follows sensors hides, a descent finds.
         """
         if self.taken == 0:
-            whitener = diagonal_whitener(noise, self.data)
-            start = Arguments(model, self.data, space, whitener, no_gain(model, self.data), substeps)
-            first = np.asarray(factor(unknowns, start))
+            first = np.asarray(factor(unknowns, simulation.arguments()))
             if not diverged(first) and np.max(np.abs(first)) < _SQUARED:
-                information(first, space, unknowns).require_determined()
-
-    def _simulated(
-        self, model: RTAC, space: Space, unknowns: Unknowns, substeps: int
-    ) -> Float[np.ndarray, "sample output experiment"]:
-        """Return what a free simulation leaves of the measurements; zero where there is none."""
-        whitener = diagonal_whitener(np.ones(len(CHANNELS)), self.data)
-        arguments = Arguments(model, self.data, space, whitener, no_gain(model, self.data), substeps)
-        return np.asarray(plain_residual(unknowns, arguments)[0])
-
-    def _deviation(self, model: RTAC, space: Space, unknowns: Unknowns, substeps: int, noise: np.ndarray) -> np.ndarray:
-        return self._rms(self._simulated(model, space, unknowns, substeps), noise)
-
-    def _rms(self, error: np.ndarray, noise: np.ndarray) -> np.ndarray:
-        count = np.maximum(np.asarray(self.data.present).sum(axis=(0, 2)), 1.0)
-        rms = np.sqrt((error**2).sum(axis=(0, 2)) / count)
-        # A channel cannot be trusted beyond its sensor, or one that happens to fit would drown the others.
-        return np.where(rms > 0, np.maximum(rms, 1e-12 * noise), noise)
+                information(first, simulation.space, unknowns).require_determined()

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from estimators.closed_form.fit import starting_values
-from estimators.core.data import CHANNELS, Data, mark_of, moving, pieces
+from estimators.core.data import CHANNELS, Data, in_channels, mark_of, moving, pieces
 from estimators.core.fisher_information import information
 from estimators.core.fit import Fit, left_free
 from estimators.core.parameter_space import number_of_unknowns
@@ -120,7 +120,7 @@ def output_error(
         if not ends:
             raise DivergedError(" ".join(failures))
         winner, stage = min(ends, key=lambda end: end[1].cost)
-        noise = np.array([levels.get(channel, 1.0) for channel in CHANNELS])
+        noise = in_channels(levels)
         # Far from the data it was led already, and a model that lacks something creeps on for hundreds of steps.
         if led and not stage.solved.converged and stage.solved.promised > _FAR_FROM_ENDED and not stage.is_far(noise):
             shown.at(f"output error again, from where that from {winner} ended")

@@ -12,7 +12,7 @@ from estimators.study.confusion import naming
 from estimators.study.kept import Kept
 from estimators.study.pictures import figures
 from estimators.study.statistics import summary
-from estimators.study.tables import failure_table, quantity_table, said, table
+from estimators.study.tables import said, table
 
 
 def to_csv(results: Kept, path: str | os.PathLike[str]) -> None:
@@ -62,7 +62,7 @@ def report(results: Kept, folder: str | os.PathLike[str]) -> Path:
     tables = [table(results)] if results.has_estimates else []
     if "confusion" in drawn:
         tables.append(naming(results))
-    tables += [table for table in (quantity_table(results), failure_table(results)) if table.rows]
+    tables += [one for one in (table(results, "quantities"), table(results, "failures")) if one.rows]
     settings = Table(("setting", "value"), (("study", results.spec.name), ("hash", results.spec.digest)))
     sections: list[Any] = [
         ("Result", [part for part in (results.spec.question, *said(results)) if part]),

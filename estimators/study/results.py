@@ -93,17 +93,14 @@ class StudyResults(Kept):
         """
         return confusion.fractions(self, estimator)
 
-    def table(self) -> Table:
-        """Bias, scatter and coverage by estimator and parameter, in percent of the true value."""
-        return tables.table(self)
+    def table(self, of: tables.Subject = "parameters") -> Table:
+        """Return a table of parameters, of the other quantities that methods give, or of failures and their reasons.
 
-    def failure_table(self) -> Table:
-        """Return the reasons for which repetitions failed."""
-        return tables.failure_table(self)
-
-    def quantity_table(self) -> Table:
-        """Mean and scatter of what methods give besides parameters."""
-        return tables.quantity_table(self)
+        Args:
+            of: "parameters": bias, scatter and coverage by estimator, in percent of the true value; "quantities": mean and scatter;
+                "failures": how many repetitions of each estimator failed, by reason.
+        """
+        return tables.table(self, of)
 
     @property
     def ending(self) -> str:
@@ -129,13 +126,14 @@ class StudyResults(Kept):
         """Return every picture that suits the study, with a caption."""
         return pictures.figures(self)
 
-    def to_csv(self, path: str | os.PathLike[str]) -> None:
-        """Write the summary: one row for each estimator and parameter."""
-        return files.to_csv(self, path)
+    def to_csv(self, path: str | os.PathLike[str], *, repetitions: bool = False) -> None:
+        """Write the summary, one row for each estimator and parameter, or every repetition.
 
-    def repetitions_to_csv(self, path: str | os.PathLike[str]) -> None:
-        """Write every repetition: one row for each of its estimators, failed ones with their reasons."""
-        return files.repetitions_to_csv(self, path)
+        Args:
+            path: of the file.
+            repetitions: one row for each estimator of each repetition instead, failed ones with their reasons.
+        """
+        return files.repetitions_to_csv(self, path) if repetitions else files.to_csv(self, path)
 
     def report(self, folder: str | os.PathLike[str]) -> Path:
         """Write figures, CSV files and a report of one HTML file into a folder; gives the report's path."""

@@ -1,6 +1,6 @@
 """Results of a study as tables and sentences."""
 
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -9,8 +9,15 @@ from estimators.study.confusion import naming
 from estimators.study.kept import Kept
 from estimators.study.statistics import envelope_coverage, quantities, summary
 
+Subject = Literal["parameters", "quantities", "failures"]
 
-def table(results: Kept) -> Table:
+
+def table(results: Kept, of: Subject = "parameters") -> Table:
+    """Return the table of parameters, of other quantities, or of failures."""
+    return {"parameters": _parameters, "quantities": _quantities, "failures": _failures}[of](results)
+
+
+def _parameters(results: Kept) -> Table:
     """Return bias, scatter and coverage by estimator and parameter, in percent of the true value."""
     found = summary(results)
     rows = []
@@ -40,13 +47,13 @@ def table(results: Kept) -> Table:
     )
 
 
-def failure_table(results: Kept) -> Table:
+def _failures(results: Kept) -> Table:
     """Return why repetitions failed."""
     rows = [(name, str(count), reason) for name, each in results.failures.items() for reason, count in each.items()]
     return Table(("estimator", "repetitions", "reason"), tuple(rows))
 
 
-def quantity_table(results: Kept) -> Table:
+def _quantities(results: Kept) -> Table:
     """Return mean and scatter of what methods give besides parameters."""
     found = quantities(results)
     rows = []
@@ -88,5 +95,5 @@ def text(results: Kept) -> str:
         blocks.append(table(results))
     if any(one.method == "diagnosis" for one in results.spec.estimate) and len(results.index):
         blocks.append(naming(results))
-    blocks += [table for table in (quantity_table(results), failure_table(results)) if table.rows]
+    blocks += [table for table in (_quantities(results), _failures(results)) if table.rows]
     return "\n\n".join(str(block) for block in blocks)

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 import jax.numpy as jnp
 import numpy as np
 
-from estimators.core.data import CHANNELS, Data
+from estimators.core.data import Data, in_channels
 from estimators.core.fit import Fit
 from estimators.core.initial_state import space_of
 from estimators.core.jacobian_factor import Arguments, plain_residual
@@ -65,7 +65,7 @@ def simulated_freely(
     asked, experiments = experiments, _as_many_as(fit, experiments)
     space = _with_places(fit, space_of(model, experiments, free=[], start=known))
     unknowns, substeps = space.unconstrained(), _substeps(fit)
-    noise = np.array([levels.get(channel, 1.0) for channel in CHANNELS])
+    noise = in_channels(levels)
     window = start_samples
     longest = max(e.samples for e in experiments)
     if window is None and longest > LONG and all(e.arm == "locked" or "arm_angle" in e.outputs for e in experiments):

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from estimators.core.data import CHANNELS, Data, first_sample
+from estimators.core.data import CHANNELS, Data, first_sample, in_channels
 from estimators.core.initial_state import scales_of, space_of
 from estimators.core.step_size import accurate_substeps
 from estimators.prediction_error.ekf import filtered
@@ -46,7 +46,7 @@ def ahead_of(
     whole, room = experiments, max(e.samples for e in experiments)
     experiments = [e.cut(begin, e.samples, e.name) if begin else e for begin, e in zip(begins, whole, strict=True)]
     space, data = space_of(model, experiments, free=[], start=starts), Data.of(experiments)
-    sensors = np.array([levels.get(channel, 1.0) for channel in CHANNELS])
+    sensors = in_channels(levels)
     substeps = jnp.asarray(accurate_substeps(model, data, space, space.unconstrained(), sensors))
     physical = space.physical(space.unconstrained(start=False))
     if fit is None:

@@ -31,6 +31,35 @@ RENAMED: Mapping[tuple[str, str], str] = {
 """What fields of records are called today, by class and the name that older files of this version give."""
 
 
+def _state_space(value: Any, decode: Callable[[Any], Any]) -> ct.StateSpace:
+    parts = (decode(value[part]) for part in "ABCD")
+    return ct.StateSpace(
+        *parts, decode(value["dt"]), remove_useless_states=False, states=value["states"],
+        inputs=value["inputs"], outputs=value["outputs"], name=value["name"],
+    )  # fmt: skip
+
+
+def _transfer_function(value: Any, decode: Callable[[Any], Any]) -> ct.TransferFunction:
+    return ct.TransferFunction(
+        decode(value["num"]), decode(value["den"]), decode(value["dt"]), inputs=value["inputs"],
+        outputs=value["outputs"], name=value["name"],
+    )  # fmt: skip
+
+
+_VALUES: Mapping[str, Callable[[Any, Callable[[Any], Any]], Any]] = {
+    "float": lambda value, _: not_finite(value["value"]),
+    "complex": lambda value, decode: complex(*(decode(x) for x in value["parts"])),
+    "number": lambda value, decode: np.dtype(value["type"]).type(decode(value["value"])),
+    "tuple": lambda value, decode: tuple(decode(x) for x in value["items"]),
+    "frozenset": lambda value, decode: frozenset(decode(x) for x in value["items"]),
+    "mapping": lambda value, decode: {decode(k): decode(v) for k, v in value["pairs"]},
+    "state space": _state_space,
+    "transfer function": _transfer_function,
+}
+# What is decoded by methods, as it needs arrays of the file, or asks who may make it.
+_RECORDS = ("array", "jax array", "record", "effect", "effect class", "outcome")
+
+
 class Decoder:
     """Decodes one result.
 
@@ -63,32 +92,15 @@ class Decoder:
         if not isinstance(value, dict):
             return value
         kind = value[KIND]
-        return getattr(self, f"_{kind.replace(' ', '_')}")(value) if kind in _KINDS else self._unknown(kind)
-
-    def _unknown(self, kind: str) -> Any:
-        raise ResultFileError(f"holds a {kind}, which this version does not know{self._other}.")
+        if kind in _VALUES:
+            return _VALUES[kind](value, self.decode)
+        if kind not in _RECORDS:
+            raise ResultFileError(f"holds a {kind}, which this version does not know{self._other}.")
+        return getattr(self, f"_{kind.replace(' ', '_')}")(value)
 
     @property
     def _other(self) -> str:
         return f"; it was written by rtac-jax {self.written_by}, so use that version, or make the result again"
-
-    def _float(self, value: Any) -> float:
-        return not_finite(value["value"])
-
-    def _complex(self, value: Any) -> complex:
-        return complex(*(self.decode(x) for x in value["parts"]))
-
-    def _number(self, value: Any) -> Any:
-        return np.dtype(value["type"]).type(self.decode(value["value"]))
-
-    def _tuple(self, value: Any) -> tuple[Any, ...]:
-        return tuple(self.decode(x) for x in value["items"])
-
-    def _frozenset(self, value: Any) -> frozenset[Any]:
-        return frozenset(self.decode(x) for x in value["items"])
-
-    def _mapping(self, value: Any) -> dict[Any, Any]:
-        return {self.decode(k): self.decode(v) for k, v in value["pairs"]}
 
     def _array(self, value: Any) -> np.ndarray:
         key = (value["at"], value[KIND], value["order"])
@@ -166,24 +178,3 @@ class Decoder:
             raise ResultFileError(
                 f"holds a {record.__name__} that cannot be made here ({error}){self._other}."
             ) from error
-
-    def _state_space(self, value: Any) -> ct.StateSpace:
-        parts = (self.decode(value[part]) for part in "ABCD")
-        return ct.StateSpace(
-            *parts, self.decode(value["dt"]), remove_useless_states=False, states=value["states"],
-            inputs=value["inputs"], outputs=value["outputs"], name=value["name"],
-        )  # fmt: skip
-
-    def _transfer_function(self, value: Any) -> ct.TransferFunction:
-        return ct.TransferFunction(
-            self.decode(value["num"]), self.decode(value["den"]), self.decode(value["dt"]), inputs=value["inputs"],
-            outputs=value["outputs"], name=value["name"],
-        )  # fmt: skip
-
-
-_KINDS = frozenset(
-    {
-        "float", "complex", "number", "array", "jax array", "tuple", "frozenset", "mapping", "record", "effect",
-        "effect class", "outcome", "state space", "transfer function",
-    }
-)  # fmt: skip

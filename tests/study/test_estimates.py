@@ -78,7 +78,7 @@ def test_results_have_names_and_are_written(tmp_path):
     assert {path.name for path in tmp_path.iterdir()} == {"summary.csv"}
     report = found.report(tmp_path / "report")
     assert "95 % intervals cover" in report.read_text()
-    found.repetitions_to_csv(tmp_path / "all.csv")
+    found.to_csv(tmp_path / "all.csv", repetitions=True)
     assert len(list(csv.DictReader((tmp_path / "all.csv").read_text().splitlines()))) == 30
 
 

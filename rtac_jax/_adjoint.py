@@ -16,6 +16,7 @@ from jaxtyping import Array, Float, Int
 
 from rtac_jax._rtac import RTAC
 from rtac_jax.effects import Input
+from rtac_jax.equations import delivered
 from rtac_jax.excitation import Excitation
 from rtac_jax.programs import program
 from rtac_jax.simulation import runge_kutta, trajectories, without_denormals
@@ -62,7 +63,7 @@ def differentiable_states(
         substeps: Runge-Kutta steps per sample.
         most: the largest number of them for which there is room.
     """
-    driven = model.driven(excitation)
+    driven = delivered(model, excitation)
     bare = model.without(*(effect.id for effect in model.effects if isinstance(effect, Input)))
     frame = Excitation(None, None, driven.sample_time, driven.arm_free, driven.cart_free)
     return _states(Driven(bare, start, driven.current, driven.force, frame), samples, substeps, room=room, most=most)

@@ -11,6 +11,7 @@ from jaxtyping import Array, Float64
 from rtac_jax._rtac import RTAC
 from rtac_jax.arguments import checked_arguments
 from rtac_jax.effects import Input
+from rtac_jax.equations import sensor_outputs, state_at_start
 from rtac_jax.excitation import Excitation
 from rtac_jax.measurement import DESIGNED, Experiment, Recording
 from rtac_jax.programs import program
@@ -143,7 +144,7 @@ def _play(
     count = len(currents)
     excitation = Excitation(None, None, jnp.full(count, sample_time), jnp.ones(count), jnp.ones(count))
     rigid = (jnp.zeros(count), jnp.zeros(count), jnp.asarray(angles, dtype=float), jnp.zeros(count))
-    start = tuple(jnp.broadcast_to(x, (count,)) for x in model.start(rigid, jnp.zeros(count)))
+    start = tuple(jnp.broadcast_to(x, (count,)) for x in state_at_start(model, rigid, jnp.zeros(count)))
     substeps = jnp.asarray(substeps_for(model, excitation, stability=0.5))
     if any(isinstance(effect, Input) for effect in model.effects):
         played, places, outputs = _settled(model, start, excitation, currents.T, dead_band, substeps)
@@ -159,7 +160,7 @@ def _closed(
     model: RTAC, start: State, excitation: Excitation, currents: Array, dead_band: Array, substeps: Steps
 ) -> tuple[Array, Array, Array]:
     def one_sample(state: State, wanted: Array) -> tuple[State, tuple[Array, Array, Array]]:
-        shown = jnp.stack([jnp.broadcast_to(y, wanted.shape) for y in model.outputs(state)])
+        shown = jnp.stack([jnp.broadcast_to(y, wanted.shape) for y in sensor_outputs(model, state)])
         current = jnp.where(jnp.abs(jnp.cos(state[2])) <= dead_band, 0.0, wanted)
         return advance(model, state, (current,), None, excitation, substeps=substeps), (current, state[0], shown)
 
@@ -197,6 +198,6 @@ def _followed(
     path = trajectories(model, start, given, samples=len(currents), substeps=substeps, states=True)
 
     def shown(state: Array) -> Array:
-        return jnp.stack([jnp.broadcast_to(y, state[0].shape) for y in model.outputs(tuple(state))])
+        return jnp.stack([jnp.broadcast_to(y, state[0].shape) for y in sensor_outputs(model, tuple(state))])
 
     return path, jax.vmap(shown)(path)

@@ -9,6 +9,7 @@ import numpy as np
 from rtac_jax.parameters import Scalar, parameter
 
 _TABLE_1 = "paper, Table 1(c)"
+RIGID_STATES = {"cart_position": "m", "cart_velocity": "m/s", "arm_angle": "rad", "arm_velocity": "rad/s"}
 
 
 class RigidBody(eqx.Module):

@@ -1,6 +1,5 @@
 """The rig's model: a rigid body and the effects that act on it; `model + effect` is another model."""
 
-import dataclasses
 import functools
 import os
 from collections.abc import Iterable, Mapping
@@ -10,13 +9,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from rtac_jax._equations import RIGID_STATES, derivative, settle
 from rtac_jax._model_structure import declared_of, places_of, with_fixed
 from rtac_jax._model_tables import overview_of, table_of
-from rtac_jax._rigid_body import RigidBody
-from rtac_jax._since import Since
-from rtac_jax._sincos import sincos
-from rtac_jax._stopping import brought_to_rest
+from rtac_jax._rigid_body import RIGID_STATES, RigidBody
 from rtac_jax.arguments import checked_arguments
 from rtac_jax.constants import require_constants
 from rtac_jax.effects import (
@@ -24,16 +19,8 @@ from rtac_jax.effects import (
     ArmViscous,
     CartCoulomb,
     CartViscous,
-    DryFriction,
     Effect,
-    Force,
-    Impact,
-    Input,
-    Motion,
-    Outputs,
-    Sensor,
 )
-from rtac_jax.excitation import Excitation
 from rtac_jax.excited_parts import excited_parts
 from rtac_jax.measurement import Recording
 from rtac_jax.overview import Overview
@@ -242,8 +229,6 @@ class RTAC(eqx.Module):
         """Return the names of the parameters that a fit estimates around what was measured of them beforehand."""
         return tuple(name for name in self.priors if name in self.free and name not in self.per_experiment)
 
-    # -- dynamics ----------------------------------------------------------------------------------------------------
-
     @property
     def states(self) -> dict[str, str]:
         """Return the names and units of the states: the rigid body's four, then those of the effects."""
@@ -251,143 +236,6 @@ class RTAC(eqx.Module):
         for effect in self.effects:
             found |= {f"{effect.id}.{name}": unit for name, unit in effect.states.items()}
         return found
-
-    def start(self, rigid: tuple[Any, Any, Any, Any], current: Any) -> tuple[Any, ...]:
-        """Return the whole state at the start, from the rigid body's [m, m/s, rad, rad/s] and the current [A]."""
-        state = tuple(rigid)
-        if not any(effect.states for effect in self.effects):
-            return state
-        motion = Motion(*rigid, *sincos(rigid[2]), current, self.body)
-        for effect in self.effects:
-            state += effect.start(motion)
-        return state
-
-    def derivative(
-        self,
-        state: tuple[Any, ...],
-        current: Any,
-        force: Any,
-        arm_free: Any = 1.0,
-        cart_free: Any = 1.0,
-        way: tuple[Any, Any] = (0.0, 0.0),
-        since: Since | None = None,
-    ) -> tuple[Any, ...]:
-        """Return the time derivative of the state: equations (1) and (2) with the effects.
-
-        Args:
-            state: one array per state; all of one shape.
-            current: motor current [A].
-            force: disturbance force F on the cart [N].
-            arm_free: 1 where the arm may turn, 0 where it is locked.
-            cart_free: 1 where the cart may move, 0 where it is clamped.
-            way: direction in which cart and arm slide, 1 or -1, against which dry friction acts; 0 for none.
-            since: the beginning of the integration step; from there states with a closed form are followed, so that
-                `state` holds their values at the beginning and their derivatives are zero. None: all are integrated.
-        """
-        return derivative(self, state, current, force, arm_free, cart_free, way, since)
-
-    def driven(self, excitation: Excitation) -> Excitation:
-        """Return the excitation as it reaches the rig, after the effects on how inputs run between and across samples."""
-        stages = [effect for effect in self.effects if isinstance(effect, Input)]
-        if not stages:
-            return excitation
-        current, force = excitation.current, excitation.force
-        for effect in stages:
-            if current is not None:
-                current = effect.transform(current, "current", excitation.sample_time)
-            if force is not None:
-                force = effect.transform(force, "force", excitation.sample_time)
-        return dataclasses.replace(excitation, current=current, force=force)
-
-    @property
-    def dead_time(self) -> Any:
-        """Return by how much the current comes later than its command [s]."""
-        return sum((effect.dead_time() for effect in self.effects if isinstance(effect, Input)), start=0.0)
-
-    @property
-    def steps_apart(self) -> bool:
-        """Return whether an effect needs to know where an integration step began, because it is not integrated itself."""
-        return any(effect.closed or isinstance(effect, Impact) for effect in self.effects)
-
-    def since(self, state: tuple[Any, ...], current: Any, step: Any, last: Any) -> Since:
-        """Return the beginning of a step of this length [s], with the currents at its beginning and its end [A]."""
-        motion = Motion(state[0], state[1], state[2], state[3], *sincos(state[2]), current, self.body)
-        return Since(motion, step, last, 0.0)
-
-    def settle(self, after: tuple[Any, ...], since: Since, arm_free: Any, cart_free: Any) -> tuple[Any, ...]:
-        """Return the state after a step, with the states that have a closed form, and with what happens at once.
-
-        Args:
-            after: by the integration, with those states as they were at the beginning.
-            since: the beginning of the step.
-            arm_free: 1 where the arm may turn, 0 where it is locked.
-            cart_free: 1 where the cart may move, 0 where it is clamped.
-        """
-        return settle(self, after, since, arm_free, cart_free)
-
-    def mobility(self, cosine: Any, arm_free: Any, cart_free: Any) -> tuple[Any, Any, Any]:
-        """Return the inverse of the mass matrix: the accelerations by a unit force and a unit torque."""
-        body = self.body
-        mass, inertia = body.total_mass, body.arm_inertia
-        for effect in self.effects:
-            if isinstance(effect, Force):
-                mass, inertia = mass + effect.cart_mass(), inertia + effect.arm_inertia(body)
-        exchange = body.eccentric_moment * cosine * (arm_free * cart_free)
-        scale = 1.0 / (mass * inertia - exchange * exchange)
-        return cart_free * scale * inertia, -scale * exchange, arm_free * scale * mass
-
-    def pushes(self, state: tuple[Any, ...], arm_free: Any, cart_free: Any) -> tuple[Any, Any, Any]:
-        """Return accelerations by a unit force and a unit torque: cart by force, either by the other's, arm by torque."""
-        return self.mobility(sincos(state[2])[1], arm_free, cart_free)
-
-    def slide(self, state: tuple[Any, ...]) -> tuple[Any, Any]:
-        """Return the directions in which cart and arm slide at the start of a step."""
-        if not any(isinstance(effect, DryFriction) for effect in self.effects):
-            return 0.0, 0.0
-        return jnp.sign(state[1]), jnp.sign(state[3])
-
-    def stop(
-        self, before: tuple[Any, ...], after: tuple[Any, ...], step: Any, arm_free: Any = 1.0, cart_free: Any = 1.0
-    ) -> tuple[Any, ...]:
-        """Return the state after a step, mended where cart or arm came to rest on the way or was at rest before.
-
-        The step is taken with dry friction against the direction of its start; where that would turn the motion round,
-        the step is cut at the instant of rest, after which the other forces, taken as constant, overcome the friction
-        or do not. The cart is taken first, then the arm, and where both rub, again until they agree. So what slides
-        has the accuracy of the Runge-Kutta step, a turn has second order, and what sticks does not move.
-
-        Source: time stepping of Moreau (1988), with the step cut at the instant of rest.
-        """
-        levels = self.friction_levels(before)
-        if not levels:
-            return after
-        return brought_to_rest(before, after, step, levels, self.pushes(before, arm_free, cart_free))
-
-    def friction_levels(self, state: tuple[Any, ...]) -> list[tuple[Any, Any]]:
-        """Return the largest dry friction force on the cart [N] and torque on the arm [N m], of each effect that has any."""
-        rubbing = [effect for effect in self.effects if isinstance(effect, DryFriction)]
-        if not rubbing:
-            return []
-        own = self.own_states(state)
-        motion = Motion(state[0], state[1], state[2], state[3], *sincos(state[2]), 0.0, self.body)
-        return [effect.levels(motion, own[effect.id]) for effect in rubbing]
-
-    def outputs(self, state: tuple[Any, ...]) -> Outputs:
-        """Return the outputs of the sensors in a state."""
-        shown = Outputs(state[0], state[3], state[2])
-        own = self.own_states(state)
-        # What the sensors look at comes before the sensors themselves.
-        for effect in sorted(self.effects, key=lambda effect: isinstance(effect, Sensor)):
-            shown = effect.read(shown, own[effect.id])
-        return shown
-
-    def own_states(self, state: tuple[Any, ...]) -> dict[str, tuple[Any, ...]]:
-        """Return the states of each effect, by its id."""
-        own, at = {}, len(RIGID_STATES)
-        for effect in self.effects:
-            own[effect.id] = tuple(state[at : at + len(effect.states)])
-            at += len(effect.states)
-        return own
 
 
 # A model holds arrays of the precision in which it was made.

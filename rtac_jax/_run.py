@@ -11,6 +11,7 @@ from jaxtyping import Array, Float
 from rtac_jax._adjoint import differentiable_states
 from rtac_jax._rtac import RTAC
 from rtac_jax._substeps_traced import substeps_traced
+from rtac_jax.equations import state_at_start
 from rtac_jax.excitation import Excitation
 from rtac_jax.programs import program
 from rtac_jax.programs.arrays import is_traced
@@ -33,7 +34,7 @@ def whole_starts(
         if value.shape not in {(4,), (len(model.states),)}:
             raise ValueError(f"start of {name} has shape {value.shape}; give 4 or {len(model.states)} numbers.")
     rigid = xp.stack([value[:4] for value in values], axis=1)
-    state = model.start(tuple(jnp.asarray(rigid)), excitation.first_current())
+    state = state_at_start(model, tuple(jnp.asarray(rigid)), excitation.first_current())
     table = xp.stack([xp.broadcast_to(xp.asarray(x), (len(values),)) for x in state])
     columns = [value if len(value) > 4 else table[:, column] for column, value in enumerate(values)]
     return xp.stack(columns, axis=1)

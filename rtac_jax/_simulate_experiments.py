@@ -12,6 +12,7 @@ from rtac_jax._simulation_record import Simulation, simulation_of
 from rtac_jax.arguments import checked_arguments
 from rtac_jax.configuration import warn_single_precision
 from rtac_jax.effect_contract import require_working_model
+from rtac_jax.equations import sensor_outputs
 from rtac_jax.excitation import BEYOND, Excitation
 from rtac_jax.measurement import Experiment
 from rtac_jax.time_loop import room_for
@@ -74,6 +75,6 @@ def simulate(
     starts = [given.get(e.name, (0.0, 0.0, e.initial_arm_angle or 0.0, 0.0)) for e in chosen]
     table = whole_starts(model, starts, [f"experiment {e.name}" for e in chosen], excitation)
     states = run(model, table, excitation, room=room, samples=samples, substeps=substeps)
-    outputs = model.outputs(tuple(states[:, row] for row in range(states.shape[1])))
+    outputs = sensor_outputs(model, tuple(states[:, row] for row in range(states.shape[1])))
     simulations = {e.name: simulation_of(model, states, outputs, column, e.time) for column, e in enumerate(chosen)}
     return simulations[chosen[0].name] if isinstance(experiments, Experiment) else simulations

@@ -14,6 +14,7 @@ from rtac_jax._spline import FEWEST, spline_coefficients
 from rtac_jax.arguments import checked_arguments
 from rtac_jax.configuration import warn_single_precision
 from rtac_jax.effect_contract import require_working_model
+from rtac_jax.equations import sensor_outputs
 from rtac_jax.excitation import BEYOND, Excitation
 from rtac_jax.programs.arrays import is_traced
 from rtac_jax.time_loop import room_for
@@ -98,7 +99,7 @@ def simulate_inputs(
     )
     table = whole_starts(model, [start], ["the simulation"], excitation)
     states = run(model, table, excitation, room=room, samples=count, substeps=substeps)
-    outputs = model.outputs(tuple(states[:, row] for row in range(states.shape[1])))
+    outputs = sensor_outputs(model, tuple(states[:, row] for row in range(states.shape[1])))
     times = np.arange(count) * (sample_time if is_traced(sample_time) else float(sample_time))
     return simulation_of(model, states, outputs, 0, times)
 

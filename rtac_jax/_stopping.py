@@ -16,7 +16,7 @@ def brought_to_rest(
     levels: Sequence[tuple[Any, Any]],
     mobility: tuple[Any, Any, Any],
 ) -> tuple[Any, ...]:
-    """Return the state after a step, mended where cart or arm came to rest; see `RTAC.stop`.
+    """Return the state after a step, mended where cart or arm came to rest; see `stop`.
 
     Args:
         before: state at the beginning of the step.

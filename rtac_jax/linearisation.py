@@ -15,6 +15,7 @@ from rtac_jax._rtac import RTAC
 from rtac_jax.arguments import checked_arguments
 from rtac_jax.configuration import require_configured
 from rtac_jax.effect_contract import require_working_model
+from rtac_jax.equations import dead_time, derivative, sensor_outputs
 from rtac_jax.programs import program
 
 OUTPUTS = ("cart_position", "arm_velocity", "arm_angle")
@@ -74,8 +75,8 @@ def linearise(
     if drive == "torque":
         b = b / np.array([float(model["torque_constant"]), 1.0])
     states = [name.replace(".", "_") for name in model.states]
-    if delay_order and float(model.dead_time) > 0:
-        a, b, c = _delayed(a, b, c, float(model.dead_time), delay_order)
+    if delay_order and float(dead_time(model)) > 0:
+        a, b, c = _delayed(a, b, c, float(dead_time(model)), delay_order)
         states += [f"dead_time_{number + 1}" for number in range(delay_order)]
     return ct.StateSpace(
         a, b, c, np.zeros((len(OUTPUTS), 2)), states=states,
@@ -187,7 +188,7 @@ def _equilibrium(model: RTAC, arm_angle: float) -> tuple[np.ndarray, float]:
 
 @program
 def _derivative(model: RTAC, state: Float[Array, " state"], inputs: Float[Array, " input"]) -> Float[Array, " state"]:
-    slopes = model.derivative(tuple(state), inputs[0], inputs[1])
+    slopes = derivative(model, tuple(state), inputs[0], inputs[1])
     return jnp.stack([jnp.asarray(slope, dtype=float) for slope in slopes])
 
 
@@ -196,5 +197,5 @@ def _jacobians(
     model: RTAC, state: Float[Array, " state"], inputs: Float[Array, " input"]
 ) -> tuple[Float[Array, "state state"], Float[Array, "state input"], Float[Array, "output state"]]:
     a, b = jax.jacfwd(lambda x, u: _derivative(model, x, u), argnums=(0, 1))(state, inputs)
-    c = jax.jacfwd(lambda x: jnp.stack([jnp.asarray(y, dtype=float) for y in model.outputs(tuple(x))]))(state)
+    c = jax.jacfwd(lambda x: jnp.stack([jnp.asarray(y, dtype=float) for y in sensor_outputs(model, tuple(x))]))(state)
     return a, b, c

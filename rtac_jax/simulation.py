@@ -9,8 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from rtac_jax._equations import integrated
+from rtac_jax._integration_step import beginning, integrated, needs_beginning, settle, slide, stop
 from rtac_jax._rtac import RTAC
+from rtac_jax._sincos import sincos
+from rtac_jax.equations import delivered, derivative, mobility, sensor_outputs
 from rtac_jax.excitation import Excitation
 from rtac_jax.programs import program
 from rtac_jax.time_loop import time_loop
@@ -101,16 +103,17 @@ def runge_kutta(
         begin: fraction of the interval at which the step begins.
         unrolled: whether its stages are compiled one by one; see `unrolls`.
     """
-    way = model.slide(state)
+    way = slide(model, state)
     began = None
-    if model.steps_apart:
-        began = model.since(state, _polynomial(current, begin), step, _polynomial(current, begin + 1.0 / substeps))
+    if needs_beginning(model):
+        began = beginning(model, state, _polynomial(current, begin), step, _polynomial(current, begin + 1.0 / substeps))
     places = integrated(model)
 
     def slope(at: State, elapsed: Any) -> State:
         """Return the rates of what is integrated, when this fraction of the step has gone by."""
         fraction = begin + elapsed / substeps
-        rates = model.derivative(
+        rates = derivative(
+            model,
             at,
             _polynomial(current, fraction),
             _polynomial(force, fraction),
@@ -146,8 +149,8 @@ def runge_kutta(
         (_, total), _ = jax.lax.scan(stage, (none, none), tuple(jnp.array(_STAGES, state[0].dtype).T))
     end = began and began._replace(elapsed=1.0)
     smooth = along(total, step / 6.0)
-    after = model.stop(state, smooth, step, excitation.arm_free, excitation.cart_free)
-    return after if end is None else model.settle(after, end, excitation.arm_free, excitation.cart_free)
+    after = stop(model, state, smooth, step, excitation.arm_free, excitation.cart_free)
+    return after if end is None else settle(model, after, end, excitation.arm_free, excitation.cart_free)
 
 
 def _polynomial(coefficients: Sequence[Any] | None, fraction: Any) -> Any:
@@ -200,7 +203,7 @@ def trajectories(
     Whether the stages of a step are `unrolled` is said by whoever may be batched by `jax.vmap`, of which nothing is seen here;
     else `unrolls` tells.
     """
-    excitation = model.driven(excitation)
+    excitation = delivered(model, excitation)
     shape = excitation.sample_time.shape
     start = tuple(jnp.broadcast_to(x, shape) for x in start)
     room = room or int(samples)
@@ -213,10 +216,10 @@ def trajectories(
 
     def one_sample(state: State, row: dict[str, Any]) -> tuple[State, Array]:
         before = state
-        shown = jnp.stack([jnp.broadcast_to(y, shape) for y in (state if states else model.outputs(state))])
+        shown = jnp.stack([jnp.broadcast_to(y, shape) for y in (state if states else sensor_outputs(model, state))])
         if "gain" in row:
-            outputs = jnp.stack([jnp.broadcast_to(y, shape) for y in model.outputs(state)]) if states else shown
-            error = (row["values"] - outputs) * row["present"]
+            read = jnp.stack([jnp.broadcast_to(y, shape) for y in sensor_outputs(model, state)]) if states else shown
+            error = (row["values"] - read) * row["present"]
             shift: Any = sum(row["gain"][:, j] * error[j] for j in range(len(error)))
             state = tuple(x + dx for x, dx in zip(state, shift, strict=True))
         if "impulses" in row:
@@ -235,9 +238,9 @@ def trajectories(
 
 def unit_pushes(
     model: RTAC, state: State, excitation: Excitation
-) -> tuple[Float[Array, "state experiment"], Float[Array, "state experiment"]]:
+) -> tuple[Float[Array, "state *shape"], Float[Array, "state *shape"]]:
     """Return the change of all states' rates by a unit force on the cart and by a unit torque on the arm."""
-    cart_cart, cart_arm, arm_arm = model.pushes(state, excitation.arm_free, excitation.cart_free)
+    cart_cart, cart_arm, arm_arm = mobility(model, sincos(state[2])[1], excitation.arm_free, excitation.cart_free)
     zero = jnp.zeros_like(state[0])
     rest = [zero] * (len(state) - 4)
     return jnp.stack([zero, cart_cart, zero, cart_arm, *rest]), jnp.stack([zero, cart_arm, zero, arm_arm, *rest])
@@ -269,8 +272,8 @@ def rate_jacobians(model: RTAC) -> Float[Array, "angle state state"]:
 
     def rate(x: Array) -> Array:
         # States that have a closed form are not integrated, however fast they are.
-        since = model.since(tuple(x), jnp.zeros(()), 1.0, jnp.zeros(()))
-        rates = model.derivative(tuple(x), jnp.zeros(()), 0.0, since=since)
+        since = beginning(model, tuple(x), jnp.zeros(()), 1.0, jnp.zeros(()))
+        rates = derivative(model, tuple(x), jnp.zeros(()), 0.0, since=since)
         return jnp.stack([jnp.asarray(dx, dtype=float) for dx in rates])
 
     at = jnp.zeros((len(ANGLES), len(model.states))).at[:, 2].set(jnp.asarray(ANGLES))

@@ -15,6 +15,7 @@ from estimators.core.parameter_space import Space, Unknowns
 from estimators.core.residual import prior_residual, signed, states_at_start, triangular, whitened
 from rtac_jax import RTAC, Excitation
 from rtac_jax.effects import Input
+from rtac_jax.equations import sensor_outputs
 from rtac_jax.simulation import Steps, trajectories
 
 PIECE, LEAST_PIECE = 256, 64
@@ -103,7 +104,7 @@ def piecewise_triangle(
             there, tuple(state), excitation, room=length, samples=length, substeps=substeps, states=True,
             measured=None if gain is None else (values, present), gain=cut(gain),
         )  # fmt: skip
-        seen = there.outputs(tuple(jnp.moveaxis(path, 1, 0)))
+        seen = sensor_outputs(there, tuple(jnp.moveaxis(path, 1, 0)))
         shown = jnp.stack([jnp.broadcast_to(y, path[:, 0].shape) for y in seen], axis=1)
         white = cut(whitener) if whitener.shape[0] > 1 else jnp.tile(whitener, (1, 1, 1, times))
         return path, whitened(white, (values - shown) * present)[:-1]

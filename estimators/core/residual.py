@@ -11,13 +11,14 @@ from jaxtyping import Array, Float
 from estimators.core.data import CHANNELS, Data, Outputs3
 from estimators.core.parameter_space import Space, Unknowns
 from rtac_jax import RTAC, Excitation
+from rtac_jax.equations import state_at_start
 from rtac_jax.programs.arrays import to_jax
 from rtac_jax.simulation import Steps, trajectories
 
 
 def states_at_start(model: RTAC, start: Array, excitation: Excitation) -> tuple[Any, ...]:
     """Return the model's whole state from its estimated part: the rigid body's, and effects' offsets from equilibrium."""
-    state = list(model.start(tuple(start[:4]), excitation.first_current()))
+    state = list(state_at_start(model, tuple(start[:4]), excitation.first_current()))
     row, place = 4, 4
     for effect in model.effects:
         for _ in effect.states:

@@ -12,6 +12,7 @@ from estimators.frequency_response.response import FrequencyResponse
 from estimators.prediction_error.fit import PredictorFit
 from rtac_jax import RTAC, linearise
 from rtac_jax.arguments import checked_arguments
+from rtac_jax.equations import dead_time
 
 _STEP = 1e-2  # of a central difference, in standard deviations of the parameter: small against what matters, large beside rounding
 _SURE = 1_000_000  # degrees of freedom of a band that counts the parameters alone
@@ -43,7 +44,7 @@ def model_response(
         )
 
     def of(model: RTAC) -> Float[np.ndarray, " part"]:
-        late = np.exp(-1j * omega * float(model.dead_time))
+        late = np.exp(-1j * omega * float(dead_time(model)))
         response = np.asarray(_plant(model, arm_angle)(1j * omega)).ravel() * late / along
         return np.concatenate([response.real, response.imag])
 

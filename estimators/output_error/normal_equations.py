@@ -12,6 +12,7 @@ from estimators.core.data import Data
 from estimators.core.residual import states_at_start
 from rtac_jax import RTAC, Excitation
 from rtac_jax.effects import Input
+from rtac_jax.equations import delivered, sensor_outputs
 from rtac_jax.excitation import Real
 from rtac_jax.simulation import Steps, advance, without_denormals
 
@@ -83,12 +84,12 @@ def normal_equations(
         return _stacked(states_at_start(there, start, data.excitation), shape)
 
     def shown(values: Array, state: Array) -> Array:
-        seen = model.with_values(dict(zip(names, values, strict=True))).outputs(tuple(state))
+        seen = sensor_outputs(model.with_values(dict(zip(names, values, strict=True))), tuple(state))
         return _stacked([seen[place] for place in outputs], shape)
 
     def signals(at: Array) -> tuple[Any, Any]:
-        driven = placed(at)[1].driven(data.excitation)
-        return driven.current, driven.force
+        reaching = delivered(placed(at)[1], data.excitation)
+        return reaching.current, reaching.force
 
     def onward(values: Array, state: Array, powers: tuple[Any, Any]) -> Array:
         there = model.with_values(dict(zip(names, values, strict=True)))

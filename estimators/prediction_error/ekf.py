@@ -11,6 +11,7 @@ from estimators.core.parameter_space import Space
 from estimators.core.residual import states_at_start
 from estimators.prediction_error.coloured_noise import ColourStates
 from rtac_jax import RTAC
+from rtac_jax.equations import delivered, friction_levels, sensor_outputs
 from rtac_jax.programs import program
 from rtac_jax.simulation import Steps, advance, unit_pushes, unrolls
 from rtac_jax.time_loop import time_loop
@@ -93,7 +94,7 @@ def kalman(
     """
     shared, each, start = physical
     placed = model.with_values(dict(zip(space.names, shared, strict=True)) | dict(zip(space.each, each, strict=True)))
-    excitation = placed.driven(data.excitation)
+    excitation = delivered(placed, data.excitation)
     shape = excitation.sample_time.shape
     unrolled = unrolls(data.room, *shape)
     state = tuple(jnp.broadcast_to(x, shape) for x in states_at_start(placed, start, excitation))
@@ -108,7 +109,7 @@ def kalman(
     sensor_variance = wander.white
     spread = spread + jnp.eye(count)[:, :, None] * wander.stationary[:, None]
     unit = tuple(jnp.broadcast_to(row[:, None], (count, *shape)) for row in jnp.eye(count))
-    rubs = bool(placed.friction_levels(state))
+    rubs = bool(friction_levels(placed, state))
     strikes = impact_places(model)
     wide = (*(_VELOCITIES if rubs else ()), *strikes)
 
@@ -116,7 +117,7 @@ def kalman(
         state, spread = carry
 
         def shown(at: Any) -> tuple[Any, ...]:
-            return tuple(jnp.broadcast_to(y, shape) for y in placed.outputs(at))
+            return tuple(jnp.broadcast_to(y, shape) for y in sensor_outputs(placed, at))
 
         outputs, seen = _with_slopes(shown, state, unit)
         error = (row["values"] - outputs) * row["present"]
@@ -260,7 +261,7 @@ def _shaken(
 
     The cart or the arm may rest there, and three standard deviations of the random force exceed its dry friction.
     """
-    levels = model.friction_levels(state)
+    levels = friction_levels(model, state)
     found = jnp.zeros_like(state[0])
     for body, place in enumerate(_VELOCITIES):
         level = sum((pair[body] for pair in levels), start=0.0)

@@ -13,8 +13,9 @@ from estimators.core.parameter_space import Space
 from estimators.core.residual import states_at_start
 from estimators.prediction_error.ekf import Wander, start_places, wandering
 from rtac_jax import RTAC
+from rtac_jax.equations import delivered, sensor_outputs
 from rtac_jax.programs import program
-from rtac_jax.simulation import Steps, advance, trajectories
+from rtac_jax.simulation import Steps, advance, trajectories, unit_pushes
 from rtac_jax.time_loop import time_loop
 
 _ABREAST = 16  # experiments, each with a force of its own size, that are filtered at once: more at once take longer
@@ -57,7 +58,7 @@ def linearised(
     """
     shared, each, start = physical
     placed = model.with_values(dict(zip(space.names, shared, strict=True)) | dict(zip(space.each, each, strict=True)))
-    excitation = placed.driven(data.excitation)
+    excitation = delivered(placed, data.excitation)
     predicted = trajectories(
         placed, states_at_start(placed, start, data.excitation), data.excitation, room=data.room, samples=data.length,
         substeps=substeps,
@@ -66,7 +67,7 @@ def linearised(
     count, shape = predicted.shape[1], predicted[:, 0].shape
 
     def outputs(*state: Array) -> Array:
-        return jnp.stack([jnp.broadcast_to(y, shape) for y in placed.outputs(state)])
+        return jnp.stack([jnp.broadcast_to(y, shape) for y in sensor_outputs(placed, state)])
 
     state = tuple(predicted[:, i] for i in range(count))
     error = (data.values - jnp.moveaxis(outputs(*state), 0, 1)) * data.present
@@ -86,13 +87,7 @@ def linearised(
         return jnp.transpose(slopes, (2, 1, 0, 3))
 
     transition, shown = by_state(onward, corrected), by_state(outputs, state)
-    cart_cart, cart_arm, arm_arm = (
-        jnp.broadcast_to(x, shape) for x in placed.pushes(corrected, excitation.arm_free, excitation.cart_free)
-    )
-    nothing = jnp.zeros(shape)
-    rest = [nothing] * (count - 4)
-    columns = [jnp.stack([nothing, a, nothing, b, *rest]) for a, b in ((cart_cart, cart_arm), (cart_arm, arm_arm))]
-    push = jnp.transpose(jnp.stack(columns, axis=1), (2, 0, 1, 3))
+    push = jnp.transpose(jnp.stack(unit_pushes(placed, corrected, excitation), axis=1), (2, 0, 1, 3))
     push = 0.5 * excitation.sample_time * (push + jnp.einsum("sabe,sbpe->sape", transition, push))
     wander = wandering(placed, variance, excitation.sample_time)
     begin = wander.stationary.at[jnp.asarray(start_places(model))].add(start_variance)

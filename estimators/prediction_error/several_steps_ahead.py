@@ -10,6 +10,7 @@ from estimators.core.data import Data
 from estimators.core.parameter_space import Space
 from estimators.core.residual import states_at_start
 from rtac_jax import RTAC
+from rtac_jax.equations import delivered, sensor_outputs
 from rtac_jax.programs import program
 from rtac_jax.simulation import Steps, advance
 from rtac_jax.time_loop import time_loop
@@ -45,12 +46,12 @@ def predict_ahead(
     """
     shared, each, start = physical
     placed = model.with_values(dict(zip(space.names, shared, strict=True)) | dict(zip(space.each, each, strict=True)))
-    excitation = placed.driven(data.excitation)
+    excitation = delivered(placed, data.excitation)
     shape = excitation.sample_time.shape
     first = jnp.stack([jnp.broadcast_to(x, shape) for x in states_at_start(placed, start, excitation)])
 
     def outputs(state: Array) -> Array:
-        return jnp.stack([jnp.broadcast_to(y, shape) for y in placed.outputs(tuple(state))])
+        return jnp.stack([jnp.broadcast_to(y, shape) for y in sensor_outputs(placed, tuple(state))])
 
     def one_sample(under_way: Array, row: dict[str, Any]) -> tuple[Array, Array]:
         error = (row["values"] - outputs(under_way[0])) * row["present"]

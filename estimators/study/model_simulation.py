@@ -14,6 +14,7 @@ from estimators.output_error.batched_step_size import stable_substeps
 from estimators.output_error.fit_case import shape_of
 from estimators.output_error.side_by_side import places_for, side_by_side
 from rtac_jax import RTAC, Excitation
+from rtac_jax.equations import state_at_start
 from rtac_jax.excitation import BEYOND
 from rtac_jax.measurement import Experiment
 from rtac_jax.programs import program
@@ -97,5 +98,5 @@ def _shown(
     substeps: Steps,
 ) -> Array:
     here = model.with_values(dict(zip(names, values, strict=True)))
-    state = here.start(tuple(start), excitation.first_current())
+    state = state_at_start(here, tuple(start), excitation.first_current())
     return trajectories(here, state, excitation, samples=samples, substeps=substeps, room=room)

@@ -12,6 +12,7 @@ from jaxtyping import Complex128, Float64
 from estimators.uncertainty.envelope import Envelope
 from estimators.uncertainty.uncertainty_structures import errors
 from rtac_jax import RTAC, linearise
+from rtac_jax.equations import dead_time, friction_levels
 
 Curve = Float64[np.ndarray, " frequency"]
 Response = Callable[[Curve], Complex128[np.ndarray, " frequency"]]
@@ -122,7 +123,7 @@ def fitted_in_envelope(model: RTAC, found: Envelope, *, with_spring: Response | 
     )
     peak_db = float(own.max() - size.max())
     at_rest = tuple(jnp.zeros(len(model.states)))
-    dry = any(float(np.max(level)) > 0 for levels in model.friction_levels(at_rest) for level in levels)
+    dry = any(float(np.max(level)) > 0 for levels in friction_levels(model, at_rest) for level in levels)
     return FittedInEnvelope(
         omega, fitted, float(model_error[at]), float(omega[at]), peak_db, resonance, spurious,
         (_DRY if dry else _OTHERWISE) if abs(peak_db) <= _NEAR and not spurious else _remedy(model, resonance),
@@ -132,7 +133,7 @@ def fitted_in_envelope(model: RTAC, found: Envelope, *, with_spring: Response | 
 
 def _plain(model: RTAC) -> Response:
     plant: Any = linearise(model, drive="current", delay_order=0)["cart_position", "current"]
-    late = float(model.dead_time)
+    late = float(dead_time(model))
     return lambda omega: (np.asarray(plant(1j * omega)).ravel() * np.exp(-1j * late * omega)).astype(np.complex128)
 
 

@@ -16,6 +16,7 @@ from rtac_jax.control._checks import state_space
 from rtac_jax.control._response import ClosedLoop
 from rtac_jax.control._units import Actuation, Units
 from rtac_jax.effects import Input
+from rtac_jax.equations import sensor_outputs, state_at_start
 from rtac_jax.excitation import Excitation
 from rtac_jax.programs import program
 from rtac_jax.simulation import advance, substeps_for
@@ -46,7 +47,7 @@ class _Loop(eqx.Module):
 
     def measured(self, plant: tuple[Any, ...], noise: Any) -> tuple[Any, Any]:
         """Return the cart position in the controller's units, and the arm angle [rad]."""
-        shown = self.model.outputs(plant)
+        shown = sensor_outputs(self.model, plant)
         return self.position * (shown.cart_position + noise[0]), shown.arm_angle + noise[1]
 
     def respond(self, own: Array, plant: tuple[Any, ...], noise: Any) -> tuple[Array, Array]:
@@ -182,7 +183,7 @@ def _run(
 
         return jax.lax.fori_loop(0, inner, one_step, carry), shown
 
-    plant = tuple(jnp.broadcast_to(x, shape) for x in loop.model.start(tuple(start), jnp.zeros(shape)))
+    plant = tuple(jnp.broadcast_to(x, shape) for x in state_at_start(loop.model, tuple(start), jnp.zeros(shape)))
     rest = -loop.lead[:, None] * loop.measured(plant, noise[0])[0]
     first, _ = loop.respond(rest, plant, noise[0])
     return jax.lax.scan(one_sample, _Carry(plant, rest, first), (force, noise))[1]

@@ -11,6 +11,7 @@ from jaxtyping import Array, Float
 
 from rtac_jax import RTAC, Excitation, Experiment, Scales, effects, simulate
 from rtac_jax.effects import CATALOGUE, Effect
+from rtac_jax.equations import state_at_start
 from rtac_jax.parameters import declarations
 from rtac_jax.simulation import advance, substeps_for, trajectories
 
@@ -212,7 +213,7 @@ def test_stages_of_a_step_as_a_loop_are_those_one_by_one(ids):
         model = model + example(effect_id)
     excitation = Excitation.of([EXPERIMENT])
     random = np.random.default_rng(8)
-    start = model.start(tuple(jnp.full(1, x) for x in START), jnp.full(1, 0.2))
+    start = state_at_start(model, tuple(jnp.full(1, x) for x in START), jnp.full(1, 0.2))
     state = tuple(x + jnp.asarray(1e-3 * random.standard_normal(1)) for x in start)
     powers = tuple(jnp.full(1, x) for x in (0.2, -0.1, 0.05, 0.02))
 

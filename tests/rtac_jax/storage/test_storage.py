@@ -174,7 +174,7 @@ def rewritten(file, change):
         ("os.system", "of the package os"),
         ("rtac_jax._rtac.jnp", "is no record of results"),
         ("rtac_jax._rtac.eqx", "is no record of results"),
-        ("rtac_jax._rtac.sincos", "is no record of results"),
+        ("rtac_jax._rtac.declared_of", "is no record of results"),
         ("rtac_jax.measurement._recording.Path", "is no record of results"),
         ("rtac_jax", "does not have"),
     ],

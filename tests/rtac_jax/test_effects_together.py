@@ -54,7 +54,7 @@ def names() -> tuple[str, ...]:
 def shown(values: Float[Array, " parameter"]) -> Float[Array, "sample output"]:
     model, excitation = together()
     placed = model.with_values(dict(zip(names(), values, strict=True)))
-    start = placed.start(tuple(jnp.full(1, x) for x in START), excitation.first_current())
+    start = state_at_start(placed, tuple(jnp.full(1, x) for x in START), excitation.first_current())
     found = trajectories(placed, start, excitation, samples=SAMPLES, substeps=jnp.asarray(SUBSTEPS))
     return found[:, :, 0]
 

@@ -81,10 +81,10 @@ def without_test(name: str) -> Judge:
 
 
 def with_patch(module: Any, name: str, instead: Any) -> Judge:
-    """The judgement with one function of the rules replaced."""
+    """The judgement with one function of the rules replaced, by one that gets its places and no keywords."""
 
     def told(evidence: Evidence) -> Told:
-        with mock.patch.object(module, name, instead):
+        with mock.patch.object(module, name, lambda *given, **_: instead(*given)):
             return by_policy()(evidence)
 
     return told
@@ -146,6 +146,19 @@ def rules() -> dict[str, Judge]:
     found["second look: what random forces may hide"] = without_look("hidden")
     found["second look: what random forces stand for"] = with_patch(
         stepwise_selection, "behind_random_forces", lambda _, selected, __: selected
+    )
+    found["second look: what experiment after experiment confirms"] = with_patch(
+        stepwise_selection, "confirmed", lambda _, selected, __: selected
+    )
+    found["second look: what simulations say of the large that scatters"] = with_patch(
+        stepwise_selection, "what_simulations_say", lambda _, selected, __: selected
+    )
+    found["what later effects leave nothing of goes"] = with_patch(
+        stepwise_selection, "without_superseded", lambda _, __, steps, ___: steps
+    )
+    found["colour of the noise after the first effect"] = with_patch(stepwise_selection, "_outdone", lambda *_: None)
+    found["too few data: a large candidate that follows at last vetoes"] = with_patch(
+        verdict, "_is_supported", lambda *_: False
     )
     found["what is named beside a fit that follows nothing must be followed"] = with_patch(
         verdict, "_unfollowing", lambda *_: None

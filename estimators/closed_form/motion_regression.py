@@ -7,7 +7,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 import scipy.ndimage as ndimage
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from estimators.closed_form.initial_angle import with_initial_angles
 from estimators.closed_form.modulating_functions import WeakMotion, integrated_terms, weak_motion
@@ -113,14 +113,14 @@ class MotionRegression:
         target = self.target
         for effect in effects:
             if is_static(type(effect)) and not any(name.startswith(f"{effect.id}.") for name in _TERMS):
-                target = target + self._rows(added_along(effect, self._motion, self._rests))
+                target = target + self.rows_of(added_along(effect, self._motion, self._rests))
         return dataclasses.replace(self, target=target)
 
     def beside(self, instance: Effect) -> list[Columned]:
         """Return an effect of plausible size as columns: once, or once for each size that is tried."""
         found = []
         for regressor in regressors_of(instance, self._motion, self._rests):
-            columns = np.stack([-self._rows(part) for part in regressor.parts], axis=1)
+            columns = np.stack([-self.rows_of(part) for part in regressor.parts], axis=1)
             if not np.all(np.isfinite(columns)):
                 continue
             none = np.zeros(len(columns))
@@ -175,7 +175,20 @@ class MotionRegression:
         squares = (solution.squares + np.maximum(self.floor, 1e-300)) / np.array([1.0, inertia**2])
         return float(np.sum(self.independent * np.log(squares)))
 
-    def _rows(self, added: Added) -> Rows:
+    @property
+    def motion(self) -> Motion:
+        """Return the motion along which the equations are, one element a sample of all experiments one after the other."""
+        return self._motion
+
+    def stretches(self, parts: int) -> Int[np.ndarray, " row"]:
+        """Return the number of the stretch of time of each row, of so many in each experiment."""
+        found = []
+        for number, part in enumerate(self._parts):
+            for rows in _both(part, "mass", "inertia"):
+                found.append(number * parts + np.arange(len(rows)) * parts // max(len(rows), 1))
+        return np.concatenate(found)
+
+    def rows_of(self, added: Added) -> Rows:
         """Return what is added to both equations, against the test functions."""
         found, begin = [], 0
         for part in self._parts:
@@ -189,7 +202,7 @@ class MotionRegression:
     def _held(self) -> Rows:
         """Return the current while the arm rests, against the test functions."""
         current = np.where(self._rests, np.asarray(self._motion.current), 0.0)
-        return self._rows(Added(np.zeros_like(current), current))
+        return self.rows_of(Added(np.zeros_like(current), current))
 
 
 def motion_regression(

@@ -28,7 +28,7 @@ from estimators.misspecification.line_classes import LineClass, line_classes
 from estimators.misspecification.replication_test import repeat_test
 from estimators.misspecification.residual_maps import Place, where
 from estimators.misspecification.spectral_line_test import spectral_line
-from estimators.misspecification.static_force import force_curves
+from estimators.misspecification.static_force import SLOW, force_curves
 from estimators.prediction_error.filter_pass import run_filter
 from estimators.prediction_error.innovations import Innovations, Rows, orthonormal
 from estimators.prediction_error.latent_force import LatentForce, latent_forces
@@ -39,7 +39,6 @@ from rtac_jax.programs.arrays import to_jax
 
 _GROUPS = 4  # of candidates, each simulated with a model of its own
 _MANY = 50_000  # samples of all experiments, from which on that is faster than one model for all
-_SLOW = 1e-2  # fraction of the rms speed below which a learned friction fades
 
 
 def pieces_of_tests(
@@ -98,7 +97,7 @@ def run_tests(setting: Setting, refit: Refit, ahead: Ahead | None = None) -> Tes
     error = _error(setting, refit, probed, basis)
     screened = _screened(setting, refit, probed, error, basis, ready)
     scales = scales_of(setting.model, setting.experiments)
-    slow = (_SLOW * scales.velocity, _SLOW * scales.arm_velocity)
+    slow = (SLOW * scales.velocity, SLOW * scales.arm_velocity)
     curves = force_curves(probed, error, basis, _ranges(setting), slow)
     stiffness = float(np.asarray(setting.model.body.spring_stiffness))
     delayed = delayed_forces(

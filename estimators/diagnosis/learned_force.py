@@ -1,6 +1,7 @@
 """A force learned as a last resort, where no effect explains what is missing: kept if the held-out error clearly falls."""
 
 import dataclasses
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -8,7 +9,7 @@ from jaxtyping import Float
 
 from estimators.core.fit import Fit
 from estimators.diagnosis.diagnosis import Diagnosis
-from estimators.diagnosis.missing_force import shared_with
+from estimators.diagnosis.missing_force import of_the_equations, shared_with
 from estimators.diagnosis.model_extension import Added, add_effects, misfit
 from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
 from estimators.diagnosis.read_law import LAWS
@@ -112,7 +113,8 @@ def learn_force(
 ) -> tuple[Added, LearnedForce] | str:
     """Return the model with a learned force that clearly serves the held-out experiments better, or why there is none.
 
-    The curves that explain more than chance are tried, of each port the one that explains most. What names no physics is
+    The curves that explain more than chance are tried, of each port the one that explains most: of predictions or, where random
+    forces stand in for the physics there, of the equations of motion. What names no physics is
     kept only for a clear fall of the held-out error, or for one of the errors one sample ahead beside which it does not rise, and
     where what was fitted is not missed by more.
 
@@ -129,11 +131,18 @@ def learn_force(
         return "No learned force was added: the model has one already."
     test = next((test for test in found.tests if test.test == "static force" and test.rejects), None)
     several = sorted(significant(found.curves, test.level) if test else [], key=lambda curve: -curve.excess)
+    values: dict[int, Mapping[str, float]] = {}
+    if not several and found.stands_in:
+        # Predictions follow whatever is missing; the equations of motion do not.
+        by_equations = of_the_equations(before.model, train, policy)
+        several = [one.curve for one in by_equations]
+        values = {id(one.curve): one.values for one in by_equations}
     if not several:
         if found.stands_in:
             return (
                 "No learned force was added: beside random forces that stand in for the physics predictions do not tell whether"
-                " what is missing is a function of position, velocity, angle or current."
+                " what is missing is a function of position, velocity, angle or current, and the equations of motion along what"
+                " was measured do not tell either."
             )
         return (
             "No learned force was added: what is missing is no function of position, velocity, angle or current beyond what chance"
@@ -145,8 +154,9 @@ def learn_force(
     strict = dataclasses.replace(policy, near_noise=0.0)
     for curve in tried:
         step = add_effects(
-            before, tested, [curve.effect()], label, train, held_out, deviations={}, policy=strict, progress=progress
-        )
+            before, tested, [curve.effect()], label, train, held_out, deviations={}, values=values.get(id(curve)),
+            policy=strict, progress=progress,
+        )  # fmt: skip
         if isinstance(step, str):
             continue
         # More of what was fitted is missed with it: what was held out is met by chance.

@@ -11,7 +11,7 @@ from estimators.diagnosis.candidate_set import offered
 from estimators.diagnosis.diagnosis import Diagnosis
 from estimators.diagnosis.improvement_loop import OUT_OF_TIME, Loop, classes_of
 from estimators.diagnosis.learned_force import LearnedForce, learn_force
-from estimators.diagnosis.missing_force import static_force
+from estimators.diagnosis.missing_force import of_the_equations, static_force
 from estimators.diagnosis.model_extension import Added, misfit, parameters_of
 from estimators.diagnosis.nearest_effect import add_nearest
 from estimators.diagnosis.read_law import ReadLaw, other_law, read_law, simpler_law
@@ -131,12 +131,15 @@ def with_nearest(loop: Loop, step: Added, found: Candidate) -> Loop | None:
 def with_law(loop: Loop) -> Loop | None:
     """Return the loop that goes on with a law read off the missing force, where that ends at an adequate model or at the noise.
 
-    None elsewhere, and none is read where random forces stand in for the physics, or a parameter drifts: no law that holds at
-    all times is missing.
+    None elsewhere, and none is read where a parameter drifts: no law that holds at all times is missing. Where random forces stand
+    in for the physics it is the force that the equations of motion miss.
     """
     found = loop.diagnoses[-1]
     curve, _ = static_force(found.curves, found.tests, loop.policy)
-    if curve is None or found.stands_in or found.drift or not loop.all_simulated:
+    if found.stands_in:
+        by_equations = of_the_equations(loop.last.fit.model, loop.train, loop.policy, alone=True)
+        curve = by_equations[0].curve if by_equations else None
+    if curve is None or found.drift or not loop.all_simulated:
         return None
     if loop.law_asked is not None and loop.law_asked[0] is loop.last.fit:
         return loop.law_asked[1]

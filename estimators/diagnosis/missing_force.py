@@ -2,10 +2,14 @@
 
 from collections.abc import Sequence
 
+from estimators.core.data import moving, pieces
+from estimators.core.sensor_noise import noise_levels
 from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
 from estimators.misspecification.adequacy import AdequacyTest, excess_of, significant
+from estimators.misspecification.equation_curves import EquationCurve, equation_curves
 from estimators.misspecification.static_force import ForceCurve
 from rtac_jax import RTAC
+from rtac_jax.measurement import Recording
 
 SLOPES = {
     ("cart", "cart_position"): "spring_stiffness",
@@ -35,3 +39,24 @@ def static_force(
     if best is None or not best.excess > policy.static * excess_of(tests):
         return None, True
     return best, True
+
+
+def of_the_equations(
+    model: RTAC, recording: Recording, policy: DiagnosisPolicy = STANDARD, *, alone: bool = False
+) -> list[EquationCurve]:
+    """Return the curves that explain the error of the equations of motion, the best first.
+
+    Each by very strong evidence, that is alike over stretches of time.
+
+    Args:
+        model: as it was fitted.
+        recording: that was fitted.
+        policy: the thresholds.
+        alone: those only that explain most of the error of their equation.
+    """
+    found = equation_curves(model, pieces(moving(recording)), noise_levels(recording.experiments))
+    alike = {id(curve) for curve in significant([one.curve for one in found], policy.critical.level)}
+    least = policy.static if alone else 0.0
+    return [
+        one for one in found if id(one.curve) in alike and one.curve.score > policy.bic_gain and one.fraction > least
+    ]

@@ -1,7 +1,7 @@
 """The missing force at a port of the rig as a function of one variable, with its standard deviation."""
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Float
@@ -12,6 +12,9 @@ from estimators.misspecification.score_test import score_test
 from estimators.prediction_error.force_probe import KNOTS, ForceProbe
 from estimators.prediction_error.innovations import Innovations, Rows
 from rtac_jax.effects.spline_force import PORTS, SHAPES, VARIABLES, SplineForce
+
+SLOW = 1e-2
+"""Fraction of the rms speed below which a learned friction fades."""
 
 _APART = 0.1  # singular value over the largest, below which curves are not told apart
 # As many hats as a learned force has shapes, over the whole range, as heights at the knots.
@@ -119,22 +122,58 @@ def _without_slopes(
 _QUARTERS = 4  # folds of a single experiment, or of two
 
 
-def _evidence(
-    innovations: Innovations, rows: Rows, error: np.ndarray, basis: Float[np.ndarray, "row explained"]
-) -> CurveEvidence:
-    """Return information and score of each experiment, or of quarters of the time where there are fewer than three."""
+def curve_of(
+    port: str, variable: str, at: Float[np.ndarray, " knot"], rows: Rows, error: np.ndarray,
+    basis: Float[np.ndarray, "row explained"],
+    blocks: np.ndarray, *, folds: Sequence[slice], slow: float, count: int,
+) -> ForceCurve | None:  # fmt: skip
+    """Estimate a missing force of one variable; None where the data show nothing of it.
+
+    Args:
+        port: "cart" or "arm".
+        variable: of `rtac_jax.effects.spline_force.VARIABLES`.
+        at: knots.
+        rows: what the hat at each knot takes off the error, a column each, in units of its noise.
+        error: that is to be explained, without its part in the basis, in the same units.
+        basis: orthonormal columns that the model's parameters explain already.
+        blocks: number of the stretch of time of each row.
+        folds: rows of the parts of the data by which formulas are judged.
+        slow: speed below which friction fades.
+        count: of the data, for the price of a parameter.
+    """
+    test = score_test(rows, error, basis, blocks)
+    if test.freedom == 0:
+        return None
+    wide = score_test(rows @ _WIDE.T, error, basis, blocks)
+    # What is smooth is told by fewer shapes, what is narrow by the most telling of many.
+    smooth = wide.explained > np.sum(test.by_direction[:SHAPES])
+    chosen, hats = (wide, _WIDE) if smooth else (test, np.eye(KNOTS))
+    # An amount that explains less than chance would leaves a fit with nothing to hold it.
+    told = max(1, int(np.sum(chosen.by_direction > 1.0)))
+    # Directions that the base parameters explain, such as a slope, are not the data's to give.
     left = rows - basis @ (basis.T @ rows)
+    pairs = [(left[fold], error[fold]) for fold in folds]
+    evidence = CurveEvidence(np.stack([a.T @ a for a, _ in pairs]), np.stack([-a.T @ e for a, e in pairs]))
+    return ForceCurve(
+        port, variable, test.explained - test.freedom * np.log(count), at, test.coefficients, test.std,
+        test.explained, test.excess, test.p_value, chosen.directions[:told] @ hats,
+        chosen.amounts[:told], slow, evidence,
+    )  # fmt: skip
+
+
+def _folds(innovations: Innovations, error: np.ndarray) -> list[slice]:
+    """Return the rows of each experiment, or of quarters of the time where there are fewer than three."""
     experiments = innovations.data.experiments
-    measured = experiments * innovations.data.samples * int(innovations.used.sum())  # what follows are constants
-    parts = zip(np.split(left[:measured], experiments), np.split(error[:measured], experiments), strict=True)
-    folds = [(a, e) for a, e in parts if np.any(e)]
-    if len(folds) < 3:
-        folds = [
-            pair
-            for a, e in folds
-            for pair in zip(np.array_split(a, _QUARTERS), np.array_split(e, _QUARTERS), strict=True)
+    rows = innovations.data.samples * int(innovations.used.sum())  # what follows are constants
+    parts = [slice(n * rows, (n + 1) * rows) for n in range(experiments)]
+    parts = [part for part in parts if np.any(error[part])]
+    if len(parts) < 3:
+        parts = [
+            slice(int(quarter[0]), int(quarter[-1]) + 1)
+            for part in parts
+            for quarter in np.array_split(np.arange(part.start, part.stop), _QUARTERS)
         ]
-    return CurveEvidence(np.stack([a.T @ a for a, _ in folds]), np.stack([-a.T @ e for a, e in folds]))
+    return parts
 
 
 def force_curves(
@@ -153,35 +192,23 @@ def force_curves(
         ranges: between which values each variable moves.
         slow: speeds of cart and arm below which friction fades.
     """
-    count, blocks = int(np.sum(innovations.weight > 0)), innovations.blocks()
+    count, blocks, folds = int(np.sum(innovations.weight > 0)), innovations.blocks(), _folds(innovations, error)
 
     def curve(place: tuple[int, int]) -> ForceCurve | None:
         port, variable = place
         low, high = ranges[VARIABLES[variable].split(",")[0]]
         spacing = (high - low) / (KNOTS - 1)
         rows = innovations.by_force(ForceProbe.between(port, variable, low, high, slow[port]))
-        test = score_test(rows, error, basis, blocks)
-        if test.freedom == 0:
-            return None
-        wide = score_test(rows @ _WIDE.T, error, basis, blocks)
-        # What is smooth is told by fewer shapes, what is narrow by the most telling of many.
-        smooth = wide.explained > np.sum(test.by_direction[:SHAPES])
-        chosen, hats = (wide, _WIDE) if smooth else (test, np.eye(KNOTS))
-        # An amount that explains less than chance would leaves a fit with nothing to hold it.
-        told = max(1, int(np.sum(chosen.by_direction > 1.0)))
-        # Directions that the base parameters explain, such as a slope, are not the data's to give.
-        return ForceCurve(
-            PORTS[port], VARIABLES[variable], test.explained - test.freedom * np.log(count),
-            low + spacing * np.arange(KNOTS), test.coefficients, test.std,
-            test.explained, test.excess, test.p_value, chosen.directions[:told] @ hats,
-            chosen.amounts[:told], slow[port], _evidence(innovations, rows, error, basis),
+        return curve_of(
+            PORTS[port], VARIABLES[variable], low + spacing * np.arange(KNOTS), rows, error, basis, blocks,
+            folds=folds, slow=slow[port], count=count,
         )  # fmt: skip
 
-    found = [one for one in at_once(curve, _places(ranges)) if one is not None]
+    found = [one for one in at_once(curve, places_of(ranges)) if one is not None]
     return sorted(found, key=lambda one: -one.score)
 
 
-def _places(ranges: Mapping[str, tuple[float, float]]) -> list[tuple[int, int]]:
+def places_of(ranges: Mapping[str, tuple[float, float]]) -> list[tuple[int, int]]:
     """Return the numbers of port and variable between which a force is looked for."""
     found = []
     for place, port in enumerate(PORTS):

@@ -19,6 +19,7 @@ from estimators.diagnosis.model_extension import Added
 from estimators.diagnosis.read_law import ReadLaw
 from estimators.inference.simulation_residual import SimulationResidual
 from estimators.misspecification.adequacy import AdequacyTest
+from estimators.misspecification.equation_curves import EquationCurve
 from estimators.misspecification.force_formulas import Formula
 from rtac_jax import virtual_rig
 from rtac_jax.effects import CATALOGUE, ArmCoulomb, Effect, InputDelay
@@ -170,7 +171,8 @@ def test_a_force_against_the_position_that_is_in_no_catalogue_is_looked_for_beyo
         ("adequate", 4.0, None, True),
         ("unknown", 0.5, None, True),  # beside the noise itself: at it, though a test rejects
         ("unknown", 1.2, None, False),
-        ("adequate", 0.5, "stand-in", False),  # random forces stand in for the physics: no law is missing
+        ("adequate", 0.5, "stand-in", False),  # random forces stand in for the physics, and no equation tells it
+        ("adequate", 4.0, "equations", True),  # here one does
         ("adequate", 0.5, "drift", False),
     ],
 )
@@ -182,7 +184,9 @@ def test_a_law_stays_where_nothing_more_is_missing_or_it_follows_to_the_noise(
     before = Added(loop.last.fit, made_up_results.compared("+ end_stop, current_lag", 5.0), "simulated")
     loop.steps = [((), before), (("end_stop", "current_lag"), before)]
     loop.added = [made_up_results.candidate(name, 50.0) for name in ("end_stop", "current_lag")]
-    residual = made(SimulationResidual, cause=cause) if cause == "stand-in" else None
+    residual = made(SimulationResidual, cause="stand-in") if cause in ("stand-in", "equations") else None
+    by_equations = [EquationCurve(CURVE, {}, 0.9)] if cause == "equations" else []
+    monkeypatch.setattr(loop_run, "of_the_equations", lambda *_, alone: by_equations)
     left_over = (AdequacyTest("drift", 1e-9, 400.0, 2e-3, "a friction that falls"),) if cause == "drift" else ()
     last = dataclasses.replace(made_up_results.diagnosis("unknown"), simulation=residual, left=left_over)
     loop.diagnoses, loop.diagnosed = [last], [1]
@@ -199,7 +203,7 @@ def test_a_law_stays_where_nothing_more_is_missing_or_it_follows_to_the_noise(
     monkeypatch.setattr(read_law_module, "_text", lambda *_: "a force")
     monkeypatch.setattr(Loop, "diagnosed_again", lambda *_, **__: made_up_results.diagnosis(verdict))
     further = loop_run.with_law(loop)
-    assert asked == ([] if cause else [("end_stop", "current_lag")])
+    assert asked == ([] if cause in ("stand-in", "drift") else [("end_stop", "current_lag")])
     assert [c.id for c in loop.added] == ["end_stop", "current_lag"]
     if not kept:
         assert further is None

@@ -20,8 +20,9 @@ from estimators.diagnosis import loop_end, loop_run
 from estimators.diagnosis.learned_force import learn_force
 from estimators.diagnosis.model_extension import Added, PredictedGain
 from estimators.inference.simulation_residual import Cause, SimulationResidual
+from estimators.misspecification.equation_curves import EquationCurve
 from rtac_jax import virtual_rig
-from rtac_jax.effects import CubicSpring
+from rtac_jax.effects import CubicSpring, SplineForce
 
 DETENT = virtual_rig.Rig(detent_force=0.05)  # a magnet beneath the table, which pulls the cart to one place
 CUBIC = virtual_rig.Rig(cubic_spring=5e4)
@@ -166,7 +167,7 @@ def test_nothing_is_learned_where_an_effect_explains_it() -> None:
 
 
 def test_nothing_is_learned_where_no_curve_explains_more_than_chance(
-    learned: est.Improvement, recording: rtac.Recording
+    learned: est.Improvement, recording: rtac.Recording, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     train, held_out = recording.split()
     passing = tuple(dataclasses.replace(test, p_value=1.0) for test in learned.diagnoses[-1].tests)
@@ -176,13 +177,42 @@ def test_nothing_is_learned_where_no_curve_explains_more_than_chance(
     assert "no function of position, velocity, angle or current" in said
     stands_in = SimulationResidual("stand-in", "cart_position", 5.0, 4.0, 0.15, 1.0, 0.0, "")
     beside = dataclasses.replace(found, simulation=stands_in)
+    monkeypatch.setattr("estimators.diagnosis.learned_force.of_the_equations", lambda *_: [])
     said = learn_force(learned.base, learned.validation.models[0], beside, train, held_out, progress=False)
     assert isinstance(said, str)
     assert "beside random forces that stand in for the physics predictions do not tell" in said
+    assert "the equations of motion along what was measured do not tell either" in said
     again = learn_force(
         learned.final, learned.validation.models[-1], learned.diagnoses[-1], train, held_out, progress=False
     )
     assert again == "No learned force was added: the model has one already."
+
+
+def test_where_predictions_follow_whatever_is_missing_the_equations_of_motion_say_what_is_learned(
+    learned: est.Improvement, recording: rtac.Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And where they put the other parameters."""
+    train, held_out = recording.split()
+    passing = tuple(dataclasses.replace(test, p_value=1.0) for test in learned.diagnoses[-1].tests)
+    stands_in = SimulationResidual("stand-in", "cart_position", 5.0, 4.0, 0.15, 1.0, 0.0, "")
+    found = dataclasses.replace(learned.diagnoses[-1], tests=passing, simulation=stands_in)
+    curve = next(one for one in learned.diagnoses[-1].curves if one.port == "cart")
+    elsewhere = {"spring_stiffness": 123.0}
+    monkeypatch.setattr(
+        "estimators.diagnosis.learned_force.of_the_equations", lambda *_: [EquationCurve(curve, elsewhere, 0.6)]
+    )
+    asked = []
+
+    def added(_: object, __: object, effects: list[SplineForce], *___: object, **options: object) -> Added:
+        asked.append((effects[0], options["values"]))
+        return Added(learned.final, learned.validation.models[-1], "simulated")
+
+    monkeypatch.setattr("estimators.diagnosis.learned_force.add_effects", added)
+    said = learn_force(learned.base, learned.validation.models[0], found, train, held_out, progress=False)
+    assert not isinstance(said, str)
+    force, values = asked[0]
+    assert force.depends_on == curve.variable
+    assert values == elsewhere
 
 
 def test_a_small_fall_near_the_noise_is_not_enough(

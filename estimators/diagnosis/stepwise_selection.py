@@ -353,10 +353,10 @@ def _next_step(
         above = by_size(nameable(laboratory.facts, overshadowing(seen.scores, policy.critical)), price)[: policy.refits]
         ranked = ranked or beside(laboratory, now, seen, policy)
         near = [*near, *presupposed(laboratory, now, seen, ranked[: policy.refits])]
-        near = [*near, *resembling(laboratory, now, seen, [*ranked[:1], *near])]
         most = policy.refits
     if not ranked:
         return None
+    near = [*near, *resembling(laboratory, now, seen, [*ranked[:1], *near])]
     models = laboratory.first_refits(now, ranked[0], near, way)
     begun = {s.id for s in (ranked[0], *near)}
     ahead = laboratory.findings(models[ranked[0].id]) if ranked[0].id in models else None

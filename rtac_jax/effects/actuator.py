@@ -37,6 +37,7 @@ class CurrentLag(Actuator):
 
     id: ClassVar[str] = "current_lag"
     equation: ClassVar[str] = "tau i' = i_command - i"
+    resembles: ClassVar[tuple[str, ...]] = ("input_delay",)
     source: ClassVar[str] = "Leonhard, Control of Electrical Drives (2001), section 7.1"
     states: ClassVar[dict[str, str]] = {"current": "A"}
     free_start: ClassVar[bool] = True

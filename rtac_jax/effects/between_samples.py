@@ -83,6 +83,7 @@ class InputDelay(Input):
 
     id: ClassVar[str] = "input_delay"
     equation: ClassVar[str] = "i(t) = i_command(t - tau)"
+    resembles: ClassVar[tuple[str, ...]] = ("current_lag",)
     source: ClassVar[str] = "Astrom and Wittenmark, Computer-Controlled Systems (1997), section 2.3"
 
     delay: Scalar = parameter(

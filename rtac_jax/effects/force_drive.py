@@ -79,6 +79,7 @@ class ForceDelay(Input):
 
     id: ClassVar[str] = "force_delay"
     equation: ClassVar[str] = "F(t) = F_command(t - tau)"
+    resembles: ClassVar[tuple[str, ...]] = ("force_lag",)
     source: ClassVar[str] = "Astrom and Wittenmark, Computer-Controlled Systems (1997), section 2.3"
     port: ClassVar[str] = "force drive"
 
@@ -104,6 +105,7 @@ class ForceLag(Input):
 
     id: ClassVar[str] = "force_lag"
     equation: ClassVar[str] = "tau F' = F_command - F"
+    resembles: ClassVar[tuple[str, ...]] = ("force_delay",)
     source: ClassVar[str] = "Leonhard, Control of Electrical Drives (2001), section 7.1"
     port: ClassVar[str] = "force drive"
 

@@ -44,6 +44,7 @@ OF_A_LIKELY_DRIFT = (
     " grows with the amplitude looks like that, too. Let the rig run before it is recorded, or hold"
     " shorter experiments against each other (est.constancy)."
 )
+_NOTHING = 0.5  # gain in BIC that is told as none
 _LISTED = 6  # by name, of what was not asked or could not show
 _NEARLY_ALL = 0.9  # fraction of the misfit whose removal asks why the verdict is unknown even so
 _LEFT_OUT = 0.02  # fraction of the samples from which it is worth a word that they do not count
@@ -108,6 +109,11 @@ def words(
         size = ", ".join(f"{n} = {_size(p)}" for n, p in c.parameters.items())
         if step.bic_gain <= 0 and step is not steps[-1]:
             sentences.append(f"{step.id} ({size}), which explains nothing without what comes next")
+            continue
+        if step.bic_gain <= _NOTHING:
+            sentences.append(
+                f"{step.id} ({size}) makes predictions one sample ahead no likelier, and simulations better"
+            )
             continue
         sentences.append(
             f"{step.id} ({size}) gains {step.bic_gain:.0f} in BIC"

@@ -82,4 +82,7 @@ def untried(
     if not large:
         return ""
     shown = ", ".join(f"{c.id} ({c.chi_square:.0f}, the alarm is at {policy.alarm:.0f})" for c in large[:_SHOWN])
-    return f" Not fitted so far, and not ruled out beside what is named: {shown}; a diagnosis of the mended model asks for these."
+    return (
+        f" Not fitted so far, and not ruled out beside what is named: {shown}; a diagnosis of the mended model asks for these, and"
+        " where there is none --add NAME (rtac improve) tries one of them."
+    )

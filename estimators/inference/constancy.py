@@ -79,9 +79,11 @@ def constancy(fit: Fit, recording: Recording, *, covariates: Covariates | None =
             continue
         away, precision = _by_experiment(information, slope, i, shown)
         each = estimates[i] * np.exp(away / estimates[i]) if around.logarithmic[i] else estimates[i] + away
-        values[shown, i], std[shown, i] = each, np.sqrt(np.diagonal(np.linalg.inv(precision)))
+        spread = np.diagonal(np.linalg.inv(precision))  # negative by rounding where another parameter does the same
+        values[shown, i], std[shown, i] = each, np.sqrt(np.where(spread > 0, spread, np.nan))
         weight = np.sum(precision, axis=0)
-        common[i], common_std[i] = float(weight @ each / np.sum(weight)), float(1 / np.sqrt(np.sum(weight)))
+        total = float(np.sum(weight))
+        common[i], common_std[i] = float(weight @ each) / total, total**-0.5 if total > 0 else np.nan
         beside = each - common[i]
         p_values[i] = scipy.stats.chi2.sf(beside @ precision @ beside, int(np.sum(shown)) - 1)
         told = varying({name: x[shown] for name, x in every.items()})

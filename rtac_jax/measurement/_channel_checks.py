@@ -66,6 +66,16 @@ def turns_fast(experiment: Experiment) -> bool:
     return float(np.nanmax(np.abs(velocity.values))) * experiment.sample_time > np.pi
 
 
+def jumps(experiment: Experiment) -> float:
+    """Return the fraction of samples from which a free arm's angle alone has turned by more than half a turn at the next."""
+    angle = experiment.outputs.get("arm_angle")
+    if angle is None or "arm_velocity" in experiment.outputs or experiment.arm != "free" or len(angle.values) < 2:
+        return 0.0
+    steps = np.diff(angle.values)
+    steps = steps[np.isfinite(steps)]
+    return float(np.mean(np.abs(steps) > np.pi)) if len(steps) else 0.0
+
+
 def unit_concerns(recording: Recording) -> Iterator[str]:
     """Yield experiments whose cart_position has an offset, or another unit than that of the others, as noise and motion show."""
     holders = [e for e in recording if e.kind != "rest" and e.cart == "free" and "cart_position" in e.outputs]

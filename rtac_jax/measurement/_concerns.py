@@ -8,7 +8,7 @@ from jaxtyping import Float64
 
 from rtac_jax.arguments import checked_arguments
 
-from ._channel_checks import channel_concerns, rest_concerns, turns_fast, unit_concerns
+from ._channel_checks import channel_concerns, jumps, rest_concerns, turns_fast, unit_concerns
 from ._experiment import Experiment
 from ._input_noise import current_noise, noise_level
 from ._momentary_faults import momentary_faults, resolution
@@ -26,6 +26,8 @@ MOVING_SIGMAS = 2  # times the noise from which on a channel moves: three quarte
 MEDIAN_TO_STD = 1.4826
 # Samples: dry friction that begins with the input holds for no time, and a drive is late by a few.
 _WAITS = 20
+# Fraction of the samples from which turns of more than half a turn from one to the next are worth a word: a fault or two is less.
+_JUMPS = 0.01
 STILL = 0.05  # of the largest, below which a velocity, or a step of a position, is of what does not move yet
 FASTEST = 1e-6  # s between samples, below which no drive or sensor of a rig is read
 # Ratio of stated noise: where half of the samples have either, equal weights make deviations larger by 8 %.
@@ -207,6 +209,11 @@ def _about_experiment(experiment: Experiment, *, only_noise: bool, counting: Col
         yield (
             "the arm turns by more than half a turn from one sample to the next: a fast motor that is sampled slowly, or"
             " sample_time is in ms, or arm_velocity in deg/s or rpm; see that both are in SI units."
+        )
+    if (fraction := jumps(experiment)) > _JUMPS:
+        yield (
+            f"arm_angle changes by more than half a turn from one sample to the next in {100 * fraction:.0f} % of the samples:"
+            " it may be in degrees (nothing else shows its scale), or wrapped, or sampled slowly; give it in radians, unwrapped."
         )
     if experiment.sample_time < FASTEST:
         yield (

@@ -207,3 +207,7 @@ def test_of_a_pair_the_one_that_gains_nothing_alone_is_said_to_be_part_of_it() -
     assert "which explains nothing without what comes next; arm_coulomb (" in said
     assert "gains 692 in BIC" in said
     assert "-2" not in said
+    last = [dataclasses.replace(steps[1], bic_gain=-7.0, held_out_gain=0.0)]
+    said = words("missing", several[1:], several[1:], last, (), (), 1.0, (), (), (), ())
+    assert ") makes predictions one sample ahead no likelier, and simulations better." in said
+    assert "-7" not in said

@@ -18,3 +18,15 @@ def test_a_fast_motor_that_is_sampled_slowly_is_asked_about_and_contradicts_noth
     assert len(said) == 1
     assert ("a fast motor that is sampled slowly" in said[0]) is not contradicts
     assert bool([s for s in contradictions(recording) if "half a turn" in s]) is contradicts
+
+
+@pytest.mark.parametrize(("scale", "said"), [(180 / np.pi, True), (1.0, False)])
+def test_an_encoder_alone_in_degrees_is_asked_about(scale: float, said: bool) -> None:
+    """Nothing else shows its scale: a torque constant of 1.146 instead of 0.02 was "adequate", without a word."""
+    angle = scale * np.cumsum(0.1 * np.sin(0.05 * np.arange(400)))
+    motor = rtac.Experiment.of("run", kind="free", sample_time=0.01, cart="clamped", arm_angle=angle)
+    found = [one for one in concerns(rtac.Recording((motor,))) if "it may be in degrees" in one]
+    assert len(found) == said
+    faulty = np.where(np.arange(400) == 200, angle + 50.0, angle)
+    one = rtac.Experiment.of("run", kind="free", sample_time=0.01, cart="clamped", arm_angle=faulty)
+    assert len([s for s in concerns(rtac.Recording((one,))) if "it may be in degrees" in s]) == said, "a fault is none"

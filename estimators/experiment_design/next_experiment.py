@@ -191,7 +191,10 @@ class NextExperiment:
             f"{np.max(np.abs(self.current)):.2g} A, arm {best.speed:.3g} rad/s.",
         ]
         if min(self.already.values()) >= CONFUSABLE:
-            lines.append("The recording tells these apart already: nothing new has to be recorded for that.")
+            lines.append(
+                "By these models the recording tells these apart already, and nothing new has to be recorded for that: where the"
+                " diagnosis does not tell them apart even so, both may stand for something else."
+            )
         elif best.smallest < CONFUSABLE:
             lines.append(
                 "No experiment that was tried tells these apart; record it several times, or widen the limits."

@@ -142,7 +142,7 @@ def test_limits_are_named_and_what_is_open_no_more_is_said(file, asked, monkeypa
     def settled(*_, **__):
         return dataclasses.replace(planned(), already={PAIR: 20.0})
 
-    told = "The recording tells these apart already"
+    told = "By these models the recording tells these apart already"
     result = call("next-experiment", file, "--travel", "12")
     assert (
         "Within these limits of the rig: travel 12 mm (--travel), torque 0.1 N m (--torque-limit), arm 55 rad/s"

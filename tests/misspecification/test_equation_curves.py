@@ -98,16 +98,3 @@ def test_what_explains_less_than_most_does_not_stand_alone(braked):
 def test_a_few_samples_tell_no_curve(braked):
     short = rtac.Recording([e.cut(0, 60, e.name) for e in braked.experiments], rig=braked.rig)
     assert of(short) == []
-
-
-@pytest.mark.slow
-def test_the_loop_adds_the_law_and_the_held_out_error_falls_to_the_noise(braked):
-    """Predictions are at the noise by random torques; the simulation is left at thousands of times that without the law."""
-    found = est.improve(rtac.RTAC.from_rig(braked), braked, progress=False)
-    assert found.diagnoses[0].stands_in
-    assert found.verdict == "adequate"
-    law = found.final.parameters["law_of_arm_velocity_peak.coefficient_1"]
-    assert law.value == pytest.approx(-BRAKE, rel=0.01)
-    before, after = (model.errors["arm_angle"].rms_over_noise for model in found.validation.models)
-    assert after < 3.0 < 1000.0 < before
-    assert "is a law read off the missing force, in no catalogue" in found.ending

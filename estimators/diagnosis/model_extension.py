@@ -147,7 +147,7 @@ def add_effects(
             said = str(error) if not isinstance(error, np.linalg.LinAlgError) else "it follows next to nothing."
             reasons.append(f"Stopped: with {names} the model could not be fitted: {said}")
             continue
-        if (before.farthest <= FAR or not any(is_sure(fit, i) for i in ids)) and (loosened := _loosened(before, fit)):
+        if before.farthest <= FAR and (loosened := _loosened(before, fit)):
             # Held at any size it would make these numbers sure ones.
             return f"Stopped: with {names} the data no longer tell {', '.join(loosened)}, so it is not added."
         steps.append(Added(fit, test, way))
@@ -183,8 +183,8 @@ def _follows_at_last(before: Fit, after: Fit, test: Compared, train: Recording, 
 def _loosened(before: Fit, after: Fit) -> list[str]:
     """Return the parameters that a fit knew well, and that another one no longer does: within a tenth of what they were.
 
-    Asked of a fit that follows the rig, or that does not tell what was added from nothing: what another one knows is the parameter
-    of another motion. One that is small now is none of them: what it stood for may be in the model.
+    Asked of a fit that follows the rig: what another one knows is the parameter of another motion. One that is small now is none
+    of them: what it stood for may be in the model.
     """
     known = {name: p for name, p in before.parameters.items() if 0 < p.std < _LOOSE * abs(p.value)}
     now = {name: p for name, p in after.parameters.items() if name in known}

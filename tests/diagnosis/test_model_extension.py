@@ -343,10 +343,8 @@ def test_what_makes_a_known_parameter_unknown_is_not_added_in_any_way(monkeypatc
     monkeypatch.setattr(_add_effect, "counting_held", lambda fit, *_: fit)
     monkeypatch.setattr(_add_effect, "compare", lambda *_, **__: better)
 
-    def added(std: float, before: est.Fit = before, *, told: bool = True) -> Any:
-        fit = with_spring(std)
-        monkeypatch.setattr(_add_effect, "_fitted", lambda *_, **__: fit)
-        monkeypatch.setattr(_add_effect, "is_sure", lambda one, effect: told and (one, effect) == (fit, "cubic_spring"))
+    def added(std: float, before: est.Fit = before) -> Any:
+        monkeypatch.setattr(_add_effect, "_fitted", lambda *_, **__: with_spring(std))
         nothing = made(rtac.Recording)
         return _add_effect.add_effects(
             before, tested, [CubicSpring(5e4)], "+ cubic_spring", nothing, nothing, deviations={}, progress=False
@@ -354,8 +352,4 @@ def test_what_makes_a_known_parameter_unknown_is_not_added_in_any_way(monkeypatc
 
     assert added(590.0) == ("Stopped: with cubic_spring the data no longer tell spring_stiffness, so it is not added.")
     assert added(1.0).way == "simulated"
-    far = with_spring(0.35, left=50.0)
-    assert added(590.0, far).way == "simulated", "what followed nothing knew nothing"
-    # Of a motor with a detent a shaft was "missing" that no fit told from nothing, and the torque constant was lost beside it.
-    assert added(590.0, far, told=False) == added(590.0)
-    assert added(1.0, far, told=False).way == "simulated"
+    assert added(590.0, with_spring(0.35, left=50.0)).way == "simulated", "what followed nothing knew nothing"

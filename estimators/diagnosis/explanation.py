@@ -107,13 +107,10 @@ def words(
     for step in steps:
         c = by_id[step.id]
         size = ", ".join(f"{n} = {_size(p)}" for n, p in c.parameters.items())
-        if step.bic_gain <= 0 and step is not steps[-1]:
-            sentences.append(f"{step.id} ({size}), which explains nothing without what comes next")
-            continue
         if step.bic_gain <= _NOTHING:
-            sentences.append(
-                f"{step.id} ({size}) makes predictions one sample ahead no likelier, and simulations better"
-            )
+            alone = " makes predictions one sample ahead no likelier, and simulations better"
+            nothing = alone if step is steps[-1] else ", which explains nothing without what comes next"
+            sentences.append(f"{step.id} ({size}){nothing}")
             continue
         sentences.append(
             f"{step.id} ({size}) gains {step.bic_gain:.0f} in BIC"

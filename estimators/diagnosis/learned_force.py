@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from estimators.core.fit import Fit
 from estimators.diagnosis.diagnosis import Diagnosis
-from estimators.diagnosis.missing_force import of_the_equations, shared_with
+from estimators.diagnosis.missing_force import shared_with, significant_equation_curves
 from estimators.diagnosis.model_extension import Added, add_effects, misfit
 from estimators.diagnosis.policy import STANDARD, DiagnosisPolicy
 from estimators.diagnosis.read_law import LAWS
@@ -130,13 +130,11 @@ def learn_force(
     if SplineForce.id in before.model:
         return "No learned force was added: the model has one already."
     test = next((test for test in found.tests if test.test == "static force" and test.rejects), None)
-    several = sorted(significant(found.curves, test.level) if test else [], key=lambda curve: -curve.excess)
-    values: dict[int, Mapping[str, float]] = {}
+    speaking = sorted(significant(found.curves, test.level) if test else [], key=lambda curve: -curve.excess)
+    several: list[tuple[ForceCurve, Mapping[str, float] | None]] = [(curve, None) for curve in speaking]
     if not several and found.stands_in:
         # Predictions follow whatever is missing; the equations of motion do not.
-        by_equations = of_the_equations(before.model, train, policy)
-        several = [one.curve for one in by_equations]
-        values = {id(one.curve): one.values for one in by_equations}
+        several = [(one.curve, one.values) for one in significant_equation_curves(before.model, train, policy)]
     if not several:
         if found.stands_in:
             return (
@@ -149,13 +147,13 @@ def learn_force(
             " makes."
         )
     label = LABEL if tested.label == "base" else f"{tested.label}, learned force"
-    tried = list({curve.port: curve for curve in reversed(several)}.values())[::-1]
+    tried = list({curve.port: (curve, values) for curve, values in reversed(several)}.values())[::-1]
     # Near the noise any fall is enough for an effect, which physics speaks for; for a curve nothing does.
     strict = dataclasses.replace(policy, near_noise=0.0)
-    for curve in tried:
+    for curve, values in tried:
         step = add_effects(
-            before, tested, [curve.effect()], label, train, held_out, deviations={}, values=values.get(id(curve)),
-            policy=strict, progress=progress,
+            before, tested, [curve.effect()], label, train, held_out, deviations={}, values=values, policy=strict,
+            progress=progress,
         )  # fmt: skip
         if isinstance(step, str):
             continue
@@ -165,7 +163,7 @@ def learn_force(
         fallen = misfit(step.tested) / misfit(tested)
         if fallen <= 1 - policy.fall or (step.predicted_gain is not None and fallen <= 1):
             return step, _described(step, curve)
-    where = " and ".join(f"on the {curve.port} against {curve.variable}" for curve in tried)
+    where = " and ".join(f"on the {curve.port} against {curve.variable}" for curve, _ in tried)
     return f"No learned force was added: with one {where} the held-out error does not clearly fall."
 
 

@@ -11,7 +11,7 @@ from estimators.diagnosis.candidate_set import offered
 from estimators.diagnosis.diagnosis import Diagnosis
 from estimators.diagnosis.improvement_loop import OUT_OF_TIME, Loop, classes_of
 from estimators.diagnosis.learned_force import LearnedForce, learn_force
-from estimators.diagnosis.missing_force import of_the_equations, static_force
+from estimators.diagnosis.missing_force import significant_equation_curves, static_force
 from estimators.diagnosis.model_extension import Added, misfit, parameters_of
 from estimators.diagnosis.nearest_effect import add_nearest
 from estimators.diagnosis.read_law import ReadLaw, other_law, read_law, simpler_law
@@ -137,7 +137,7 @@ def with_law(loop: Loop) -> Loop | None:
     found = loop.diagnoses[-1]
     curve, _ = static_force(found.curves, found.tests, loop.policy)
     if found.stands_in:
-        by_equations = of_the_equations(loop.last.fit.model, loop.train, loop.policy, alone=True)
+        by_equations = significant_equation_curves(loop.last.fit.model, loop.train, loop.policy, alone=True)
         curve = by_equations[0].curve if by_equations else None
     if curve is None or found.drift or not loop.all_simulated:
         return None

@@ -41,7 +41,7 @@ def static_force(
     return best, True
 
 
-def of_the_equations(
+def significant_equation_curves(
     model: RTAC, recording: Recording, policy: DiagnosisPolicy = STANDARD, *, alone: bool = False
 ) -> list[EquationCurve]:
     """Return the curves that explain the error of the equations of motion, the best first.
@@ -55,8 +55,7 @@ def of_the_equations(
         alone: those only that explain most of the error of their equation.
     """
     found = equation_curves(model, pieces(moving(recording)), noise_levels(recording.experiments))
-    alike = {id(curve) for curve in significant([one.curve for one in found], policy.critical.level)}
     least = policy.static if alone else 0.0
-    return [
-        one for one in found if id(one.curve) in alike and one.curve.score > policy.bic_gain and one.fraction > least
-    ]
+    large = [one for one in found if one.curve.score > policy.bic_gain and one.fraction > least]
+    alike = significant([one.curve for one in found], policy.critical.level)
+    return [one for one in large if any(one.curve is curve for curve in alike)]

@@ -186,7 +186,7 @@ def test_a_law_stays_where_nothing_more_is_missing_or_it_follows_to_the_noise(
     loop.added = [made_up_results.candidate(name, 50.0) for name in ("end_stop", "current_lag")]
     residual = made(SimulationResidual, cause="stand-in") if cause in ("stand-in", "equations") else None
     by_equations = [EquationCurve(CURVE, {}, 0.9)] if cause == "equations" else []
-    monkeypatch.setattr(loop_run, "of_the_equations", lambda *_, alone: by_equations)
+    monkeypatch.setattr(loop_run, "significant_equation_curves", lambda *_, alone: by_equations)
     left_over = (AdequacyTest("drift", 1e-9, 400.0, 2e-3, "a friction that falls"),) if cause == "drift" else ()
     last = dataclasses.replace(made_up_results.diagnosis("unknown"), simulation=residual, left=left_over)
     loop.diagnoses, loop.diagnosed = [last], [1]

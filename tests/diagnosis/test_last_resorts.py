@@ -177,7 +177,7 @@ def test_nothing_is_learned_where_no_curve_explains_more_than_chance(
     assert "no function of position, velocity, angle or current" in said
     stands_in = SimulationResidual("stand-in", "cart_position", 5.0, 4.0, 0.15, 1.0, 0.0, "")
     beside = dataclasses.replace(found, simulation=stands_in)
-    monkeypatch.setattr("estimators.diagnosis.learned_force.of_the_equations", lambda *_: [])
+    monkeypatch.setattr("estimators.diagnosis.learned_force.significant_equation_curves", lambda *_: [])
     said = learn_force(learned.base, learned.validation.models[0], beside, train, held_out, progress=False)
     assert isinstance(said, str)
     assert "beside random forces that stand in for the physics predictions do not tell" in said
@@ -199,7 +199,8 @@ def test_where_predictions_follow_whatever_is_missing_the_equations_of_motion_sa
     curve = next(one for one in learned.diagnoses[-1].curves if one.port == "cart")
     elsewhere = {"spring_stiffness": 123.0}
     monkeypatch.setattr(
-        "estimators.diagnosis.learned_force.of_the_equations", lambda *_: [EquationCurve(curve, elsewhere, 0.6)]
+        "estimators.diagnosis.learned_force.significant_equation_curves",
+        lambda *_: [EquationCurve(curve, elsewhere, 0.6)],
     )
     asked = []
 

@@ -100,7 +100,6 @@ def test_a_few_samples_tell_no_curve(braked):
     assert of(short) == []
 
 
-@pytest.mark.slow
 def test_curves_are_made_of_chance_as_seldom_as_is_stated():
     """Of 40 motors that hide nothing at most two, at the level of the tests; none was in 60."""
     several = [motor(0.0, amplitudes=(5.0, 3.0), seed=seed) for seed in range(40)]

@@ -30,15 +30,23 @@ def main() -> None:
     """Run the command line."""
     answer_signals()
     outlive_closed_pipes()
+    import gc
     import logging
 
     # Where there is no home it takes a temporary folder, which harms nothing here and is worth no word.
     logging.getLogger("matplotlib").setLevel(logging.ERROR)
+    # The search for unreachable cycles goes through half a million objects of JAX again and again, which all stay: a tenth of a command.
+    gc.disable()
     from estimators.cli import main as command  # after the above: it takes seconds
 
+    gc.freeze()
+    gc.set_threshold(50_000, 20, 100)
+    gc.enable()
     try:
         command()
     finally:
+        gc.disable()
+        gc.freeze()  # or Python would go through all of them once more as it ends, for a second
         # All is said and written. While Python shuts down nothing answers any more, and an interrupt would kill it.
         signal.signal(signal.SIGINT, signal.SIG_IGN)
 

@@ -35,7 +35,7 @@ def main() -> None:
 
     # Where there is no home it takes a temporary folder, which harms nothing here and is worth no word.
     logging.getLogger("matplotlib").setLevel(logging.ERROR)
-    # The search for unreachable cycles goes through half a million objects of JAX again and again, which all stay: a tenth of a command.
+    # Looking for unreachable cycles among half a million objects of JAX that all stay takes a tenth of a command.
     gc.disable()
     from estimators.cli import main as command  # after the above: it takes seconds
 

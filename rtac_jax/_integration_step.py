@@ -38,7 +38,7 @@ def slide(model: RTAC, state: tuple[Any, ...]) -> tuple[Any, Any]:
 
 
 def stop(
-    model: RTAC, before: tuple[Any, ...], after: tuple[Any, ...], step: Any, arm_free: Any = 1.0, cart_free: Any = 1.0
+    model: RTAC, before: tuple[Any, ...], after: tuple[Any, ...], current: Any, step: Any, arm_free: Any, cart_free: Any
 ) -> tuple[Any, ...]:
     """Return the state after a step, mended where cart or arm came to rest on the way or was at rest before.
 
@@ -47,9 +47,18 @@ def stop(
     or do not. The cart is taken first, then the arm, and where both rub, again until they agree. So what slides
     has the accuracy of the Runge-Kutta step, a turn has second order, and what sticks does not move.
 
+    Args:
+        model: the rig.
+        before: the state at the beginning of the step.
+        after: at its end, by the integration.
+        current: at its beginning [A].
+        step: its length [s].
+        arm_free: 1 where the arm may turn, 0 where it is locked.
+        cart_free: 1 where the cart may move, 0 where it is clamped.
+
     Source: time stepping of Moreau (1988), with the step cut at the instant of rest.
     """
-    levels = friction_levels(model, before)
+    levels = friction_levels(model, before, current)
     if not levels:
         return after
     return brought_to_rest(before, after, step, levels, mobility(model, sincos(before[2])[1], arm_free, cart_free))

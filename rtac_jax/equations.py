@@ -98,13 +98,22 @@ def mobility(model: RTAC, cosine: Any, arm_free: Any, cart_free: Any) -> tuple[A
     return cart_free * scale * inertia, -scale * exchange, arm_free * scale * mass
 
 
-def friction_levels(model: RTAC, state: tuple[Any, ...]) -> list[tuple[Any, Any]]:
-    """Return the largest dry friction force on the cart [N] and torque on the arm [N m], of each effect that has any."""
+def friction_levels(model: RTAC, state: tuple[Any, ...], current: Any = 0.0) -> list[tuple[Any, Any]]:
+    """Return the largest dry friction force on the cart [N] and torque on the arm [N m], of each effect that has any.
+
+    Args:
+        model: the rig.
+        state: one array per state.
+        current: motor current, before the actuator effects [A]; without one, what there is of friction without load.
+    """
     rubbing = [effect for effect in model.effects if isinstance(effect, DryFriction)]
     if not rubbing:
         return []
     own = own_states(model, state)
-    motion = Motion(state[0], state[1], state[2], state[3], *sincos(state[2]), 0.0, model.body)
+    motion = Motion(state[0], state[1], state[2], state[3], *sincos(state[2]), current, model.body)
+    for effect in model.effects:
+        if isinstance(effect, Actuator):
+            motion = motion._replace(current=effect.current(motion.current, own[effect.id]))
     return [effect.levels(motion, own[effect.id]) for effect in rubbing]
 
 

@@ -104,9 +104,9 @@ def runge_kutta(
         unrolled: whether its stages are compiled one by one; see `unrolls`.
     """
     way = slide(model, state)
-    began = None
+    began, at_first = None, _polynomial(current, begin)
     if needs_beginning(model):
-        began = beginning(model, state, _polynomial(current, begin), step, _polynomial(current, begin + 1.0 / substeps))
+        began = beginning(model, state, at_first, step, _polynomial(current, begin + 1.0 / substeps))
     places = integrated(model)
 
     def slope(at: State, elapsed: Any) -> State:
@@ -149,7 +149,7 @@ def runge_kutta(
         (_, total), _ = jax.lax.scan(stage, (none, none), tuple(jnp.array(_STAGES, state[0].dtype).T))
     end = began and began._replace(elapsed=1.0)
     smooth = along(total, step / 6.0)
-    after = stop(model, state, smooth, step, excitation.arm_free, excitation.cart_free)
+    after = stop(model, state, smooth, at_first, step, excitation.arm_free, excitation.cart_free)
     return after if end is None else settle(model, after, end, excitation.arm_free, excitation.cart_free)
 
 

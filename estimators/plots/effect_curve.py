@@ -67,7 +67,7 @@ def _static(effect: Force | DryFriction, curve: ForceCurve, at: Curve) -> Curve 
                 force = -np.asarray(effect.levels(motion, ())[port]) * np.sign(speed)
             else:
                 force = np.asarray(effect.force(motion, ())[port])
-        except AttributeError:  # a force on the mass of the body, which a diagnosis does not keep
+        except AttributeError:  # a force on the mass or by the motor of the body, which a diagnosis does not keep
             return None
         found.append(np.broadcast_to(np.asarray(force, dtype=float), np.shape(at)))
     first, second = found

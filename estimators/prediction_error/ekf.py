@@ -153,7 +153,8 @@ def kalman(
         moved, jacobian = _linearised(forward, state, spread, wide)
         shaken = jnp.zeros(shape)
         if rubs:
-            shaken = _shaken(placed, state, spread, process, pushes, excitation.sample_time)
+            driven = 0.0 if current is None else current[0]
+            shaken = _shaken(placed, state, driven, spread, process, pushes, excitation.sample_time)
         # Half of what strikes in the interval at its start, half at its end.
         halves = jnp.stack(
             [jnp.sqrt(0.5 * excitation.sample_time * d) * p for d, p in zip(process, pushes, strict=True)]
@@ -255,13 +256,13 @@ def _with_slopes(function: Any, state: Any, unit: Any) -> tuple[Array, Array]:
 
 
 def _shaken(
-    model: RTAC, state: Any, spread: Array, process: Any, pushes: Any, interval: Array
+    model: RTAC, state: Any, current: Any, spread: Array, process: Any, pushes: Any, interval: Array
 ) -> Float[Array, " experiment"]:
     """Return 1 where an experiment is stick-slip ambiguous, else 0.
 
     The cart or the arm may rest there, and three standard deviations of the random force exceed its dry friction.
     """
-    levels = friction_levels(model, state)
+    levels = friction_levels(model, state, current)
     found = jnp.zeros_like(state[0])
     for body, place in enumerate(_VELOCITIES):
         level = sum((pair[body] for pair in levels), start=0.0)

@@ -51,6 +51,7 @@ EFFECT_FIELD: Mapping[str, str] = {
     "arm_stribeck.velocity": "arm_stribeck_velocity",
     "arm_presliding.level": "arm_presliding",
     "arm_presliding.angle": "arm_presliding_yield",
+    "arm_load_friction.fraction": "arm_load_friction",
     "arm_quadratic_drag.coefficient": "arm_quadratic_drag",
     "cogging.harmonic": "cogging_order",
     "second_cogging.harmonic": "second_cogging_order",

@@ -15,7 +15,7 @@ from rtac_jax.effects._interface import (
     in_parts,
 )
 from rtac_jax.effects.actuator import CurrentLag, CurrentOffset, DeadZone, Saturation, TorqueDroop
-from rtac_jax.effects.arm_friction import ArmCoulomb, ArmQuadraticDrag, ArmStribeck, ArmViscous
+from rtac_jax.effects.arm_friction import ArmCoulomb, ArmLoadFriction, ArmQuadraticDrag, ArmStribeck, ArmViscous
 from rtac_jax.effects.between_samples import InputDelay, InputHold
 from rtac_jax.effects.cart_friction import (
     CartAsymmetricFriction,
@@ -67,6 +67,7 @@ CATALOGUE: dict[str, type[Effect]] = {
         ArmCoulomb,
         ArmStribeck,
         ArmPresliding,
+        ArmLoadFriction,
         ArmQuadraticDrag,
         Cogging,
         SecondCogging,
@@ -123,6 +124,7 @@ __all__ = [
     "PORTS",
     "Actuator",
     "ArmCoulomb",
+    "ArmLoadFriction",
     "ArmPresliding",
     "ArmQuadraticDrag",
     "ArmStribeck",

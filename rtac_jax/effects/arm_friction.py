@@ -1,4 +1,4 @@
-"""Friction on the arm: asymmetric viscous (the paper's), Coulomb, Stribeck and quadratic drag."""
+"""Friction on the arm: asymmetric viscous (the paper's), Coulomb, Stribeck, by load, and quadratic drag."""
 
 from typing import Any, ClassVar
 
@@ -70,6 +70,27 @@ class ArmStribeck(DryFriction):
 
     def levels(self, motion: Motion, own: States) -> tuple[Any, Any]:
         return 0.0, self.level * jnp.exp(-((motion.arm_velocity / self.velocity) ** 2))
+
+
+class ArmLoadFriction(DryFriction):
+    """Dry friction of a gear, which grows with the torque that the motor passes on through its teeth.
+
+    At one sign of current and rotation alone it is a smaller torque constant.
+    """
+
+    id: ClassVar[str] = "arm_load_friction"
+    equation: ClassVar[str] = "-mu |K_m i| sgn theta'"
+    source: ClassVar[str] = "Hamon, Gautier and Garrec, IEEE/RSJ Int. Conf. Intelligent Robots and Systems (2010)"
+    port: ClassVar[str] = "arm"
+    resembles: ClassVar[tuple[str, ...]] = ("arm_coulomb",)
+
+    fraction: Scalar = parameter(
+        symbol="mu", unit="1", bounds=(0.0, 1.0), meaning="dry friction for each unit of the motor's torque", null=0.0,
+        plausible=lambda _: 0.1,
+    )  # fmt: skip
+
+    def levels(self, motion: Motion, own: States) -> tuple[Any, Any]:
+        return 0.0, self.fraction * jnp.abs(motion.body.torque_constant * motion.current)
 
 
 class ArmQuadraticDrag(Force):

@@ -384,11 +384,13 @@ def friction_bound(batch: Batch) -> Act | None:
     batch.limit[:] = coulomb
     sloped = batch.rows("friction_slope") is not None
     stribeck = batch.rows("cart_stribeck") is not None or batch.rows("arm_stribeck") is not None
-    if not (sloped or stribeck):
+    loaded = batch.rows("arm_load_friction") is not None
+    if not (sloped or stribeck or loaded):
         return None
     extra = batch.step * np.stack([batch.column("cart_stribeck"), batch.column("arm_stribeck")])
     scale = np.stack([batch.column("cart_stribeck_velocity"), batch.column("arm_stribeck_velocity")])
     slope = batch.column("friction_slope") / batch.column("friction_reference")
+    load = batch.column("arm_load_friction")
 
     def act() -> None:
         batch.limit[:] = coulomb
@@ -396,5 +398,7 @@ def friction_bound(batch: Batch) -> Act | None:
             batch.limit[0] *= np.maximum(1 + slope * batch.position[0], 0.0)
         if stribeck:
             batch.limit[:] += extra * np.exp(-np.square(batch.predicted / scale))
+        if loaded:
+            batch.limit[1] += load * np.abs(batch.motor)
 
     return act

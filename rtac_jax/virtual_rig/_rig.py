@@ -59,6 +59,7 @@ _NOT_NEGATIVE = (
     "arm_quadratic_drag",
     "cart_stribeck",
     "arm_stribeck",
+    "arm_load_friction",
     "hysteresis_stiffness",
     "cable_stiffness",
     "torque_droop",
@@ -167,6 +168,8 @@ class Rig:
     """tau [N m]: the same for the arm."""
     arm_presliding_yield: float = 0.02
     """z_y [rad]."""
+    arm_load_friction: float = 0.0
+    """mu [1]: the arm's friction bound grows by this times the torque of the motor."""
     arm_quadratic_drag: float = 0.0
     """[N m s^2/rad^2]: torque -c |theta'| theta'."""
     tilt_along: float = 0.0

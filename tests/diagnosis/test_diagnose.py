@@ -35,6 +35,7 @@ HIDDEN = {
         {"sine": 0.04, "cosine": 0.0, "harmonic": 6.0},
     ),
     "cart_asymmetric_friction": (dict(cart_asymmetry=0.15), {"coefficient": 0.15}),
+    "arm_load_friction": (dict(arm_load_friction=0.05), {"fraction": 0.05}),
 }
 # One is named in every run of the tests, among a few; of the whole catalogue one by `rtac demo` and one by the README. The others
 # take half a minute each.

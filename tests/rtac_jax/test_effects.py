@@ -37,6 +37,7 @@ NAMES = frozenset(
         "arm_coulomb",
         "arm_stribeck",
         "arm_presliding",
+        "arm_load_friction",
         "arm_quadratic_drag",
         "cogging",
         "second_cogging",

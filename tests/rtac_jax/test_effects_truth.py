@@ -49,6 +49,7 @@ CASES: dict[str, tuple[dict[str, float], Effect]] = {
     "arm_coulomb": ({"arm_coulomb": 1e-3}, effects.ArmCoulomb(1e-3)),
     "arm_stribeck": ({"arm_stribeck": 1e-3}, effects.ArmStribeck(1e-3, 0.5)),
     "arm_presliding": ({"arm_presliding": 1e-3}, effects.ArmPresliding(1e-3, 0.02)),
+    "arm_load_friction": ({"arm_load_friction": 0.2}, effects.ArmLoadFriction(0.2)),
     "arm_quadratic_drag": ({"arm_quadratic_drag": 6e-6}, effects.ArmQuadraticDrag(6e-6)),
     "cogging": ({"cogging_torque": 2e-3, "cogging_phase": 0.4}, wave(effects.Cogging, 2e-3, 0.4, 4.0)),
     "second_cogging": (

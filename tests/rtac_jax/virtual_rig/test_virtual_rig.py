@@ -26,6 +26,7 @@ EFFECTS = [
     {"end_stop_travel": 0.009},
     {"arm_coulomb": 5e-4},
     {"arm_stribeck": 5e-4},
+    {"arm_load_friction": 0.1},
     {"arm_quadratic_drag": 5e-6},
     {"tilt_along": 0.01},
     {"tilt_across": 0.02},

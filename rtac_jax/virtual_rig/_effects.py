@@ -378,6 +378,10 @@ BUILDERS = (
 )
 
 
+DRY = (("cart_coulomb", "cart_stribeck"), ("arm_coulomb", "arm_stribeck", "arm_load_friction"))
+"""What makes cart and arm rub, by what `friction_bound` says; without any of it a body is not looked at."""
+
+
 def friction_bound(batch: Batch) -> Act | None:
     """Fill `batch.limit` with d and tau_c; return what must renew it in each step, if anything."""
     coulomb = batch.step * np.stack([batch.column("cart_coulomb"), batch.column("arm_coulomb")])

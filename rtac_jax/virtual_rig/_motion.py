@@ -19,7 +19,7 @@ from scipy.interpolate import CubicHermiteSpline, CubicSpline, make_interp_splin
 
 from rtac_jax.measurement.plan import Plan
 
-from ._effects import BUILDERS, Batch, friction_bound
+from ._effects import BUILDERS, DRY, Batch, friction_bound
 from ._rig import Rig
 
 _HOLD = 1e-3  # random forces are held for about this long [s]
@@ -146,8 +146,7 @@ class _Friction:
     """
 
     def __init__(self, batch: Batch, own: np.ndarray, cross: np.ndarray) -> None:
-        bounds = (("cart_coulomb", "cart_stribeck"), ("arm_coulomb", "arm_stribeck"))
-        self.bodies = [i for i, names in enumerate(bounds) if any(batch.rows(name) is not None for name in names)]
+        self.bodies = [i for i, names in enumerate(DRY) if any(batch.rows(name) is not None for name in names)]
         self.limit, self.own, self.cross = batch.limit, own, cross
         self.reach, self.low, self.push, self.work, self.bare = (np.zeros_like(own) for _ in range(5))
         self.product = np.empty(own.shape[1])

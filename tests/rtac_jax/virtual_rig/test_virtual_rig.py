@@ -98,6 +98,13 @@ def test_each_effect_shows(with_effects, index):
     assert largest > 1.0
 
 
+@pytest.mark.parametrize("effect", [{"arm_coulomb": 5e-4}, {"arm_stribeck": 5e-4}, {"arm_load_friction": 0.1}], ids=str)
+def test_an_arm_that_rubs_does_so_where_no_other_of_its_batch_does(with_effects, effect):
+    alone = record(Rig(**QUIET, **effect), SHOWING, seed=1)
+    for experiment, among in zip(alone, with_effects[1 + EFFECTS.index(effect)], strict=True):
+        np.testing.assert_allclose(experiment.outputs["arm_velocity"].values, among[1], atol=1e-9)
+
+
 def test_absent_effects_change_nothing(with_effects):
     # Alone in its batch the plain rig runs none of the effects' code; among the others it runs all of it.
     alone = record(Rig(**QUIET), SHOWING, seed=1)
